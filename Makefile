@@ -1,0 +1,50 @@
+# The whole set-up on a fresh machine: python3 (3.11 or later, with venv) and make are enough.
+PYTHON ?= python3
+VENV := .venv
+PY := $(VENV)/bin/python
+SECONDS ?= 10
+
+.NOTPARALLEL:
+.PHONY: help demo test check soak clean
+
+help:
+	@echo "make demo    the simulated plant in one process (installs what it needs into $(VENV))"
+	@echo "make test    all tests"
+	@echo "make check   lint, types, documentation"
+	@echo "make soak    the long runs"
+
+demo: $(VENV)/.core
+	$(VENV)/bin/dpstack demo --seconds $(SECONDS)
+
+test: $(VENV)/.test
+	$(PY) -m pytest -m "not soak"
+
+check: $(VENV)/.check
+	$(PY) -m ruff check .
+	$(PY) -m ruff format --check .
+	$(PY) -m mypy
+	$(PY) -m pytest tests/test_docs.py tests/test_imports.py
+
+soak: $(VENV)/.test
+	$(PY) -m pytest -m soak
+
+clean:
+	rm -rf $(VENV) build dist *.egg-info drives/*.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
+
+# An environment that is there but whose interpreter does not run (copied, or python3 was updated) is made anew.
+$(PY):
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+	  || { echo "dpstack needs Python 3.11 or later; name one: make PYTHON=python3.11 ..." >&2; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.core: pyproject.toml | $(PY)
+	$(PY) -m pip install --quiet --disable-pip-version-check -e .
+	@touch $@
+
+$(VENV)/.test: pyproject.toml | $(PY)
+	$(PY) -m pip install --quiet --disable-pip-version-check -e '.[test]'
+	@touch $@ $(VENV)/.core
+
+$(VENV)/.check: pyproject.toml | $(PY)
+	$(PY) -m pip install --quiet --disable-pip-version-check -e '.[test,check]'
+	@touch $@ $(VENV)/.core $(VENV)/.test

@@ -1,0 +1,1 @@
+"""DP: service PDUs, process image, master, slave application, rotation plan."""

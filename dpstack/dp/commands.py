@@ -1,0 +1,54 @@
+"""Orders to the DP master and its modes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+
+from dpstack.dp.setup import SlaveSetup
+
+
+class Mode(IntEnum):
+    """The modes of a class 1 master (values as masters report them)."""
+
+    OFFLINE = 0x00  # not in the ring
+    STOP = 0x40  # in the ring, nothing is sent to slaves
+    CLEAR = 0x80  # inputs are read, outputs are zero (empty for Fail_Safe slaves)
+    OPERATE = 0xC0
+
+
+@dataclass(frozen=True, slots=True)
+class SetMode:
+    """Go to ``mode``, through the modes between."""
+
+    mode: Mode
+
+
+@dataclass(frozen=True, slots=True)
+class Shutdown:
+    """The end in order: safe values for one cycle, Clear twice, out of the ring; then ``MasterStopped``."""
+
+
+@dataclass(frozen=True, slots=True)
+class AddSlave:
+    """Take up one more slave while the bus runs."""
+
+    setup: SlaveSetup
+
+
+@dataclass(frozen=True, slots=True)
+class RemoveSlave:
+    """Give a slave up: safe outputs for one cycle, unlock, then forget it."""
+
+    address: int
+
+
+@dataclass(frozen=True, slots=True)
+class DriveCommand:
+    """An order to the cyclic unit of the slave at ``address``; the result is a ``DriveEvent`` with ``token``."""
+
+    address: int
+    op: str
+    args: Mapping[str, object]
+    token: int

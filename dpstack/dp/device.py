@@ -1,0 +1,90 @@
+"""What a slave does with its data: the part of a slave application that its author writes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import Enum
+
+from dpstack.units import NEVER
+
+
+class Leave(Enum):
+    """Why data exchange ended, as the slave knows it."""
+
+    WATCHDOG = "watchdog"  # the master fell silent
+    UNLOCK = "unlock"
+    NEW_PARAMETERS = "new parameters"  # another Set_Prm, good or bad
+    NEW_CONFIGURATION = "new configuration"
+    WRONG_LENGTH = "wrong length"
+    POWER_OFF = "power off"
+
+
+class Device:
+    """A DP device behind a :class:`~dpstack.dp.slaveapp.SlaveApp`; subclass it, override what differs.
+
+    ``ident``: ident number. ``configs``: acceptable identifier octets, the default first. All times in ns on the
+    bus's clock; nothing here may block or read a clock of its own.
+    """
+
+    ident: int = 0
+    configs: tuple[bytes, ...] = (b"",)
+    name: str = "device"
+
+    def check_prm(self, user_prm: bytes) -> str | None:
+        """Judge the user parameters of Set_Prm (without the seven fixed octets): a reason to refuse, or None."""
+        return None
+
+    def check_cfg(self, config: bytes) -> str | None:
+        """Judge the identifier octets of Chk_Cfg: a reason to refuse, or None. Default: one of ``configs``."""
+        if config in self.configs:
+            return None
+        known = " or ".join(c.hex(" ") for c in self.configs)
+        return f"configuration {config.hex(' ')} is not {known}"
+
+    def enter(self, config: bytes, now: int) -> None:
+        """Configuration accepted: data exchange begins with ``config``."""
+
+    def exchange(self, outputs: bytes, now: int) -> bytes:
+        """One Data_Exchange: take ``outputs`` (as the configuration has them), return the inputs."""
+        return b""
+
+    def clear(self, now: int) -> None:
+        """Global_Control Clear, or an empty output frame: outputs are void until :meth:`operate`."""
+
+    def operate(self, now: int) -> None:
+        """Global_Control Operate (told at every change from Clear, and once after entry)."""
+
+    def leave(self, reason: Leave, now: int) -> None:
+        """Data exchange ended; react as the device does to a lost master."""
+
+    def ext_diag(self) -> bytes:
+        """Octets after the six fixed ones of the diagnosis; empty when there is nothing to say."""
+        return b""
+
+    def wake_at(self) -> int:
+        """When :meth:`tick` is wanted, in ns, or NEVER."""
+        return NEVER
+
+    def tick(self, now: int) -> None:
+        """The time asked for has come."""
+
+
+class FunctionDevice(Device):
+    """A device that is one function from outputs and elapsed time (ns since entry) to inputs."""
+
+    def __init__(
+        self, ident: int, config: bytes, function: Callable[[bytes, int], bytes], name: str = "device"
+    ) -> None:
+        self.ident = ident
+        self.configs = (config,)
+        self.name = name
+        self._function = function
+        self._since = 0
+
+    def enter(self, config: bytes, now: int) -> None:
+        """Elapsed time starts here."""
+        self._since = now
+
+    def exchange(self, outputs: bytes, now: int) -> bytes:
+        """Hand over to the function."""
+        return self._function(outputs, now - self._since)

@@ -1,0 +1,133 @@
+"""What the DP master tells the application."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from dpstack.dp.commands import Mode
+from dpstack.dp.diagnosis import Diagnosis
+from dpstack.trace import Event
+
+
+class SlaveState(Enum):
+    """State of the master's handling of one slave; the values are those of the JSON lines."""
+
+    OFFLINE = "offline"
+    DIAGNOSIS = "diagnosis"
+    SET_PRM = "set_prm"
+    CHK_CFG = "chk_cfg"
+    WAIT_READY = "wait_ready"
+    DATA_EXCHANGE = "data_exchange"
+    FAULT = "fault"
+
+
+class FaultKind(Enum):
+    """Why a slave is not in data exchange."""
+
+    ABSENT = "absent"  # no answer at all
+    LOST = "lost"  # was in data exchange, no longer answers
+    WRONG_IDENT = "wrong_ident"
+    PRM_FAULT = "prm_fault"
+    CFG_FAULT = "cfg_fault"
+    NOT_SUPPORTED = "not_supported"
+    LOCKED = "locked"  # owned by another master
+    NOT_READY = "not_ready"  # accepts everything, never gets ready
+    WRONG_LENGTH = "wrong_length"
+    REFUSED = "refused"  # answers RS, UE, RR again and again
+    LEFT = "left"  # fell out of data exchange by itself (its watchdog, another parameter set)
+    PLUGIN = "plugin"  # an exception in a drive plugin or a cyclic function
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """A typed fault: what, in one clear line (``message``), and what to do (``remedy``)."""
+
+    kind: FaultKind
+    message: str
+    remedy: str
+
+    @property
+    def text(self) -> str:
+        """Both in one line."""
+        return f"{self.message}; {self.remedy}" if self.remedy else self.message
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlaveEvent(Event):
+    """Something about one slave."""
+
+    address: int
+    name: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlaveStateChanged(SlaveEvent):
+    """The master's handling of the slave reached another state."""
+
+    state: SlaveState
+
+    @property
+    def text(self) -> str:
+        """Which."""
+        return f"slave {self.address} ({self.name}): {self.state.value}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlaveFaulted(SlaveEvent):
+    """The slave has a fault. Told when the fault is new or has changed, not at every retry."""
+
+    fault: Fault
+
+    @property
+    def text(self) -> str:
+        """The one clear line."""
+        return f"slave {self.address} ({self.name}): {self.fault.text}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlaveDiagnosis(SlaveEvent):
+    """A diagnosis that differs from the last one was read."""
+
+    diagnosis: Diagnosis
+
+    @property
+    def text(self) -> str:
+        """Its flags."""
+        return f"slave {self.address} ({self.name}): diagnosis {', '.join(self.diagnosis.flags) or 'without findings'}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlaveRemark(SlaveEvent):
+    """A deviation from the standard that is worth one line, once."""
+
+    message: str
+
+    @property
+    def text(self) -> str:
+        """The remark with the slave."""
+        return f"slave {self.address} ({self.name}): {self.message}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModeChanged(Event):
+    """The master reached a mode."""
+
+    mode: Mode
+
+    @property
+    def text(self) -> str:
+        """Which."""
+        return f"master: {self.mode.name.lower()}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MasterStopped(Event):
+    """The ordered end is done: outputs are safe, Clear was sent, the ring is left."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DriveEvent(SlaveEvent):
+    """A drive plugin's answer or message: ``payload`` is plain JSON data with a ``"type"`` key."""
+
+    payload: dict[str, object]

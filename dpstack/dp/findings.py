@@ -1,0 +1,59 @@
+"""What is told about one slave: faults when they are new, remarks once; and the back-off of retries."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from dpstack.dp.events import Fault, SlaveFaulted, SlaveRemark
+from dpstack.trace import Event
+
+
+class Findings:
+    """The last fault with its time (some slaves show it in one diagnosis only), and what was said already."""
+
+    __slots__ = ("_address", "_emit", "_name", "_remarks", "_told", "fault", "fault_at")
+
+    def __init__(self, address: int, name: str, emit: Callable[[Event], None]) -> None:
+        self.fault: Fault | None = None
+        self.fault_at = 0
+        self._address = address
+        self._name = name
+        self._emit = emit
+        self._told = ""
+        self._remarks: set[str] = set()
+
+    def tell(self, fault: Fault, now: int) -> None:
+        """Keep ``fault``; tell it when it is another than the last one."""
+        self.fault, self.fault_at = fault, now
+        if fault.text != self._told:
+            self._told = fault.text
+            self._emit(SlaveFaulted(t_ns=now, address=self._address, name=self._name, fault=fault))
+
+    def remark(self, message: str, now: int) -> None:
+        """Tell ``message``, once."""
+        if message not in self._remarks:
+            self._remarks.add(message)
+            self._emit(SlaveRemark(t_ns=now, address=self._address, name=self._name, message=message))
+
+    def clear(self) -> None:
+        """The slave is well again: the next fault is told even if it is the same."""
+        self.fault, self._told = None, ""
+
+
+class Backoff:
+    """A delay in ns that doubles from ``first`` to ``last`` with every use until it is reset."""
+
+    __slots__ = ("_first", "_last", "_next")
+
+    def __init__(self, first: int, last: int) -> None:
+        self._first, self._last, self._next = first, last, first
+
+    def take(self) -> int:
+        """The delay to wait now."""
+        delay = self._next
+        self._next = min(2 * delay, self._last)
+        return delay
+
+    def reset(self) -> None:
+        """Begin with the first delay again."""
+        self._next = self._first

@@ -1,0 +1,93 @@
+"""Identifier octets of Chk_Cfg and Get_Cfg: the I/O configuration of a slave, general and special format.
+
+Source: Felser, "Kompaktes Format"; the special format's layout from the VPC3+ header and ABB FPBA-01
+(ST1 = C3 C1 C1 FD 00 01: header, output length, input length, manufacturer octets).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from dpstack.errors import ConfigError
+
+
+@dataclass(frozen=True, slots=True)
+class Identifier:
+    """One identifier: data octets in each direction, consistency over the whole, manufacturer octets.
+
+    ``inputs`` and ``outputs`` count octets as seen from the master (inputs come from the slave).
+    """
+
+    octets: bytes
+    inputs: int
+    outputs: int
+    input_consistent: bool
+    output_consistent: bool
+    manufacturer: bytes = b""
+
+    @property
+    def empty(self) -> bool:
+        """An empty slot."""
+        return not self.inputs and not self.outputs
+
+
+def parse_identifiers(config: bytes) -> list[Identifier]:
+    """Split configuration octets into identifiers. Raises ConfigError naming the octet where it breaks."""
+    return list(_parse(config))
+
+
+def io_lengths(config: bytes) -> tuple[int, int]:
+    """(input octets, output octets) of a whole configuration. Raises ConfigError."""
+    inputs = outputs = 0
+    for identifier in _parse(config):
+        inputs += identifier.inputs
+        outputs += identifier.outputs
+    return inputs, outputs
+
+
+def _parse(config: bytes) -> Iterator[Identifier]:
+    at = 0
+    while at < len(config):
+        head = config[at]
+        if head & 0x30:
+            size = ((head & 0x0F) + 1) << (head >> 6 & 1)
+            whole = bool(head & 0x80)
+            inputs = size if head & 0x10 else 0
+            outputs = size if head & 0x20 else 0
+            yield Identifier(config[at : at + 1], inputs, outputs, whole and bool(inputs), whole and bool(outputs))
+            at += 1
+        else:
+            identifier = _special(config, at)
+            yield identifier
+            at += len(identifier.octets)
+
+
+def _special(config: bytes, start: int) -> Identifier:
+    head = config[start]
+    at = start + 1
+    sizes = {0x80: (0, False), 0x40: (0, False)}
+    for mask in (0x80, 0x40):  # output length first, then input length
+        if head & mask:
+            if at >= len(config):
+                raise ConfigError(f"identifier octet {start} ({head:#04x}) announces a length octet that is missing")
+            length = config[at]
+            sizes[mask] = (((length & 0x3F) + 1) << (length >> 6 & 1), bool(length & 0x80))
+            at += 1
+    manufacturer = head & 0x0F
+    if manufacturer == 15:  # none follow, no check
+        manufacturer = 0
+    if at + manufacturer > len(config):
+        raise ConfigError(
+            f"identifier octet {start} ({head:#04x}) announces {manufacturer} manufacturer octets, "
+            f"{len(config) - at} are left"
+        )
+    (outputs, output_whole), (inputs, input_whole) = sizes[0x80], sizes[0x40]
+    return Identifier(
+        config[start : at + manufacturer],
+        inputs,
+        outputs,
+        input_whole,
+        output_whole,
+        config[at : at + manufacturer],
+    )

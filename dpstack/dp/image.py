@@ -1,0 +1,57 @@
+"""The process image: what the bus exchanges in every rotation, whether the application calls or not."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Protocol
+
+
+class CyclicUnit(Protocol):
+    """What runs once a rotation on the bus side for one slave (a drive plugin): pure, quick, no clock of its own.
+
+    An exception out of any of these sets the slave's outputs to their safe values, is told as a fault of kind PLUGIN,
+    and leaves the bus alone.
+    """
+
+    def cyclic(self, inputs: bytes, now: int) -> bytes:
+        """Called just before each Data_Exchange in Operate: the last inputs, the time in ns -> the outputs."""
+
+    def lost(self, now: int) -> None:
+        """The slave left data exchange, or outputs went to their safe values: what is pending ends with a reason."""
+
+    def command(self, op: str, args: Mapping[str, object], token: int, now: int) -> None:
+        """An order of the application in plain JSON data; its result is an event that carries ``token``."""
+
+    def take_events(self) -> list[dict[str, object]]:
+        """Plain JSON data for the application, oldest first; asked after each of the calls above."""
+
+
+class SlaveImage:
+    """Inputs and outputs of one slave. Assigning ``outputs`` is atomic; it goes out in the next rotation.
+
+    ``inputs`` are the last valid ones (zeros before the first exchange), ``input_time`` when they came, in ns.
+    """
+
+    __slots__ = ("_outputs", "input_len", "input_time", "inputs", "output_len", "unit", "valid")
+
+    def __init__(self, input_len: int, output_len: int, outputs: bytes) -> None:
+        self.input_len = input_len
+        self.output_len = output_len
+        self.inputs = bytes(input_len)
+        self.input_time = 0
+        #: False while the inputs are not of a slave in data exchange
+        self.valid = False
+        self.unit: CyclicUnit | None = None
+        self._outputs = outputs
+
+    @property
+    def outputs(self) -> bytes:
+        """The outputs of the next Data_Exchange in Operate."""
+        return self._outputs
+
+    @outputs.setter
+    def outputs(self, octets: bytes) -> None:
+        octets = bytes(octets)
+        if len(octets) != self.output_len:
+            raise ValueError(f"{len(octets)} output octets given, the slave's configuration has {self.output_len}")
+        self._outputs = octets

@@ -1,0 +1,350 @@
+"""The class 1 master: modes, the round over the slaves, Global_Control, and the ordered end.
+
+A user of the active station's link layer. One round in each token hold where T_TH allows: Data_Exchange with every
+slave that is in it, from the process image; then Global_Control when due; then services (bring-up, diagnosis): one a
+round while any slave is in data exchange, so that a bring-up never breaks the others' rhythm, else one for each slave.
+The order is that of the Siemens S120 and Heidenhain manuals (protocol facts, B6).
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable
+from typing import Final
+
+from dpstack.dp.commands import AddSlave, DriveCommand, Mode, RemoveSlave, SetMode, Shutdown
+from dpstack.dp.events import MasterStopped, ModeChanged, SlaveState
+from dpstack.dp.image import SlaveImage
+from dpstack.dp.pdu import GlobalControl
+from dpstack.dp.setup import SlaveSetup
+from dpstack.dp.slave_handler import SlaveHandler
+from dpstack.errors import ConfigError, UsageError
+from dpstack.fdl.telegram import SAP_GLOBAL_CONTROL, SAP_SET_PRM, SSAP_MS0, Req, Telegram
+from dpstack.fdl.user import Failure, Request
+from dpstack.machine import LineDown, LineUp
+from dpstack.params import BROADCAST, BusParams
+from dpstack.stats import Histogram
+from dpstack.trace import Event
+from dpstack.units import NEVER, NS_PER_MS, NS_PER_S
+
+#: Global_Control is repeated this often (sources disagree between each Data_Control_Time and 'cyclically') ...
+_GC_PERIOD: Final = 200 * NS_PER_MS
+#: ... but takes no more than 1 % of the bus: 13 octets and T_ID2.
+_GC_SHARE: Final = 100
+_GC_OCTETS: Final = 13
+#: Global_Control after a change of mode, and at the end, is sent this often
+_GC_URGENT: Final = 2
+#: without a token for so long nobody can be in data exchange any more
+_SILENCE: Final = NS_PER_S
+
+
+class Master:
+    """A DP class 1 master over ``slaves``. Starts in Clear; ``watchdog_ms`` is the default of slaves without their own.
+
+    ``absent_share``: while any slave is in data exchange, silent polls of absent ones take at most 1/absent_share of
+    the bus time; 0 = no limit. ``on_round(now)`` is called at the end of every round with data exchange.
+    """
+
+    def __init__(
+        self,
+        params: BusParams,
+        slaves: Iterable[SlaveSetup] = (),
+        *,
+        watchdog_ms: int = 200,
+        absent_share: int = 0,
+        on_round: Callable[[int], None] | None = None,
+    ) -> None:
+        self.params = params
+        self.mode = Mode.CLEAR
+        self.handlers: dict[int, SlaveHandler] = {}
+        self.rotation = Histogram()
+        self.rounds = 0
+        self.on_round = on_round
+        self._watchdog_ms = watchdog_ms
+        self._absent_share = absent_share
+        self._events: list[Event] = []
+        gc_bits = _GC_OCTETS * 11 + params.t_id2
+        self._gc_period = max(_GC_PERIOD, _GC_SHARE * params.ns(gc_bits))
+        self._gc_due = 0
+        self._gc_urgent = 0
+        # the round
+        self._exchanging: list[SlaveHandler] = []
+        self._services: deque[SlaveHandler] = deque()
+        self._stale = True
+        self._open = False
+        self._cursor = 0
+        self._service_left = 0
+        self._mark = False
+        self._round_at = 0
+        self._not_before = 0
+        self._interval = 0
+        self._poll_from = 0
+        self._poll_at = 0
+        # the end
+        self._stopping = 0
+        self._stopped = False
+        self._leaving: deque[tuple[SlaveHandler, int]] = deque()
+        self._token_at = NEVER
+        for setup in slaves:
+            self._add(setup)
+
+    # --- what the application sees ------------------------------------------------------------------------------
+
+    @property
+    def images(self) -> dict[int, SlaveImage]:
+        """The process image of each slave by address."""
+        return {address: handler.image for address, handler in self.handlers.items()}
+
+    def command(self, command: object, now: int) -> bool:
+        """Take SetMode, Shutdown, AddSlave, RemoveSlave and DriveCommand; see :mod:`dpstack.dp.commands`."""
+        match command:
+            case SetMode(mode):
+                self._set_mode(mode, now)
+            case Shutdown():
+                self._shutdown(now)
+            case AddSlave(setup):
+                self._add(setup)
+            case RemoveSlave(address):
+                self._remove(address)
+            case DriveCommand(address, op, args, token):
+                self._handler(address).unit.command(op, args, token, now)
+            case LineDown(reason):
+                self._line_lost(f"the port vanished ({reason})", now)
+                return False
+            case LineUp():
+                return False
+            case _:
+                return False
+        return True
+
+    def take_events(self) -> list[Event]:
+        """What happened since the last call."""
+        events, self._events = self._events, []
+        return events
+
+    def _emit(self, event: Event) -> None:
+        self._events.append(event)
+
+    def _handler(self, address: int) -> SlaveHandler:
+        handler = self.handlers.get(address)
+        if handler is None:
+            known = ", ".join(map(str, sorted(self.handlers))) or "none"
+            raise UsageError(f"no slave with address {address} is configured (configured: {known})")
+        return handler
+
+    def _add(self, setup: SlaveSetup) -> None:
+        if setup.address in self.handlers:
+            other = self.handlers[setup.address].setup.name
+            raise ConfigError(f"slaves {other} and {setup.name} both have address {setup.address}")
+        if setup.address == self.params.address:
+            raise ConfigError(f"slave {setup.name} has the master's own address {setup.address}")
+        self.handlers[setup.address] = SlaveHandler(
+            setup,
+            own=self.params.address,
+            baud=self.params.baud,
+            watchdog_ms=self._watchdog_ms,
+            emit=self._emit,
+            changed=self._slave_changed,
+        )
+        self._stale = True
+
+    def _remove(self, address: int) -> None:
+        """Safe values for one cycle, then Unlock, then it is forgotten."""
+        handler = self._handler(address)
+        del self.handlers[address]
+        self._stale = True
+        if handler.state is SlaveState.DATA_EXCHANGE:
+            self._leaving.append((handler, 0))
+            handler.unit.lost(self._round_at)
+
+    def _set_mode(self, mode: Mode, now: int) -> None:
+        if self._stopping:
+            raise UsageError("the master is being stopped: open the bus anew")
+        if mode is Mode.OFFLINE:
+            raise UsageError("a master goes offline by Shutdown, so that outputs become safe first")
+        if mode is self.mode:
+            return
+        was, self.mode = self.mode, mode
+        if was is Mode.OPERATE:
+            for handler in self.handlers.values():
+                handler.unit.lost(now)
+        self._gc_urgent = _GC_URGENT
+        self._events.append(ModeChanged(t_ns=now, mode=mode))
+
+    # --- the ordered end ----------------------------------------------------------------------------------------
+
+    def _shutdown(self, now: int) -> None:
+        if self._stopping:
+            return
+        self._stopping = now or 1
+        if self.mode is Mode.OPERATE:
+            for handler in self.handlers.values():
+                handler.unit.lost(now)
+        if self.mode is Mode.STOP or self._token_at == NEVER:
+            self._stop(now)
+        else:
+            self._open = False  # the next hold begins the safe round
+            self._gc_urgent = 0 if self.mode is Mode.OPERATE else _GC_URGENT
+
+    def _stop(self, now: int) -> None:
+        if not self._stopped:
+            self._stopped = True
+            self.mode = Mode.OFFLINE
+            self._events.append(ModeChanged(t_ns=now, mode=Mode.OFFLINE))
+            self._events.append(MasterStopped(t_ns=now))
+
+    # --- link user ----------------------------------------------------------------------------------------------
+
+    def token_received(self, now: int) -> None:
+        """A hold begins; so does a new round when the last one is through and the next one may."""
+        self._token_at = now
+        if not self._open and now >= self._not_before:
+            self._begin_round(now)
+
+    def _begin_round(self, now: int) -> None:
+        if self._stale:
+            self._sort()
+        self._open = True
+        self._cursor = 0
+        self._mark = bool(self._exchanging)
+        self._service_left = 1 if self._exchanging else len(self._services)
+        if self._stopping or self.mode is Mode.STOP:
+            self._service_left = 0
+        if not self._mark:
+            self._round_at = 0
+        self._not_before = now + self._interval
+
+    def next_request(self, now: int, high_only: bool) -> Request | None:
+        """Everything a master sends to its slaves is high priority, so ``high_only`` changes nothing."""
+        if not self._open or self.mode <= Mode.STOP:
+            return None
+        exchanging = self._exchanging
+        while self._cursor < len(exchanging):
+            handler = exchanging[self._cursor]
+            self._cursor += 1
+            if handler.state is not SlaveState.DATA_EXCHANGE or self.rounds % handler.setup.every:
+                continue
+            return handler.data_request(self._outputs(handler, now))
+        if self._leaving:
+            return self._farewell()
+        if self._gc_urgent or (now >= self._gc_due and exchanging):
+            return self._global_control(now)
+        while self._service_left:
+            self._service_left -= 1
+            request = self._next_service(now)
+            if request is not None:
+                return request
+        self._end_round(now)
+        return None
+
+    def _outputs(self, handler: SlaveHandler, now: int) -> bytes:
+        if self._stopping and self.mode is Mode.OPERATE:
+            return handler.setup.safe_outputs
+        if self.mode is Mode.OPERATE:
+            return handler.unit.outputs(now)
+        # Clear: a Fail_Safe slave gets an empty frame, the others zeros (section J, Siemens CP5613)
+        return b"" if handler.setup.fail_safe else bytes(handler.image.output_len)
+
+    def _global_control(self, now: int) -> Request:
+        self._gc_due = now + self._gc_period
+        if self._gc_urgent:
+            self._gc_urgent -= 1
+        data = GlobalControl(clear=self.mode is Mode.CLEAR).build()
+        return Request(BROADCAST, Req.SDN_HIGH, data, SAP_GLOBAL_CONTROL, SSAP_MS0)
+
+    def _next_service(self, now: int) -> Request | None:
+        """The next slave that wants a service, fairly in turn; absent ones within their share of the bus."""
+        for _ in range(len(self._services)):
+            handler = self._services[0]
+            self._services.rotate(-1)
+            if not handler.wants_service(now):
+                continue
+            if handler.state is SlaveState.OFFLINE and now < self._poll_from:
+                continue
+            return handler.service_request(now)
+        return None
+
+    def _end_round(self, now: int) -> None:
+        self._open = False
+        self.rounds += 1
+        if self._exchanging and self.on_round is not None:
+            self.on_round(now)
+        if self._stopping and not self._stopped:
+            if self.mode is Mode.OPERATE:
+                self.mode = Mode.CLEAR  # the safe values are out: now Clear, twice
+                self._gc_urgent = _GC_URGENT
+                self._events.append(ModeChanged(t_ns=now, mode=Mode.CLEAR))
+            else:
+                self._stop(now)
+
+    def started(self, request: Request, at: int) -> None:
+        """The rotation is taken from first bit to first bit of a round's first Data_Exchange."""
+        self._poll_at = at
+        if self._mark and request.dsap is None:
+            self._mark = False
+            if self._round_at:
+                self.rotation.add(at - self._round_at)
+            self._round_at = at
+
+    def result(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
+        """Hand the end of a request to the handling of its slave."""
+        handler = request.tag
+        if not isinstance(handler, SlaveHandler):
+            return
+        if request.dsap is None:
+            handler.data_result(outcome, now)
+            return
+        if handler.state is SlaveState.OFFLINE and self._absent_share and self._exchanging:
+            self._poll_from = now + (now - self._poll_at) * self._absent_share
+        if handler.setup.address in self.handlers:
+            handler.service_result(request, outcome, now)
+
+    # --- slaves come and go -------------------------------------------------------------------------------------
+
+    def _slave_changed(self, handler: SlaveHandler) -> None:
+        self._stale = True
+        if handler.state is SlaveState.DATA_EXCHANGE and not handler.diag_due:
+            self._gc_urgent = max(self._gc_urgent, 1)  # Operate after every re-entry (section I)
+
+    def _sort(self) -> None:
+        self._stale = False
+        handlers = [self.handlers[address] for address in sorted(self.handlers)]
+        self._exchanging = [h for h in handlers if h.state is SlaveState.DATA_EXCHANGE]
+        wanting = {h for h in handlers if h.state is not SlaveState.DATA_EXCHANGE or h.diag_due}
+        kept = [h for h in self._services if h in wanting]
+        self._services = deque(kept + [h for h in handlers if h in wanting and h not in kept])
+        self._interval = max((h.setup.min_slave_interval_ns for h in self._exchanging), default=0)
+
+    def _farewell(self) -> Request:
+        handler, stage = self._leaving.popleft()
+        if not stage:
+            self._leaving.append((handler, 1))
+            return Request(handler.setup.address, Req.SRD_HIGH, handler.setup.safe_outputs, patient=True)
+        data = handler.set_prm(unlock=True)
+        return Request(handler.setup.address, Req.SRD_HIGH, data, SAP_SET_PRM, SSAP_MS0, patient=True)
+
+    # --- without a token ----------------------------------------------------------------------------------------
+
+    def wake_at(self) -> int:
+        """The watch over the token: without one for a second nobody is in data exchange any more."""
+        if self._stopped or self._token_at == NEVER:
+            return NEVER
+        return max(self._token_at, self._stopping) + _SILENCE
+
+    def tick(self, now: int) -> None:
+        """No token for long: say so, or end an end that cannot be sent any more."""
+        if now < self.wake_at():
+            return
+        if self._stopping:
+            self._stop(now)
+        self._line_lost("this station holds no token", now)
+
+    def _line_lost(self, reason: str, now: int) -> None:
+        self._token_at = NEVER
+        self._open = False
+        self._round_at = 0
+        self._not_before = 0
+        for handler in self.handlers.values():
+            handler.line_lost(reason, now)
+        if self._stopping:
+            self._stop(now)

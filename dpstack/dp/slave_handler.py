@@ -1,0 +1,432 @@
+"""The master's handling of one slave: what to ask it next, and what its answers mean.
+
+The table of states is :mod:`dpstack.dp.bringup`, the texts of the faults :mod:`dpstack.dp.faults`; here is the judging
+of answers (:meth:`SlaveHandler.service_result`, :meth:`SlaveHandler.data_result`) and the book-keeping.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+from dpstack.dp import faults
+from dpstack.dp.bringup import TABLE, Ev
+from dpstack.dp.diagnosis import Diagnosis
+from dpstack.dp.events import (
+    Fault,
+    FaultKind,
+    SlaveDiagnosis,
+    SlaveState,
+    SlaveStateChanged,
+)
+from dpstack.dp.findings import Backoff, Findings
+from dpstack.dp.image import SlaveImage
+from dpstack.dp.judge import deviations, foreign_owner, verdict_exchanging, verdict_ready
+from dpstack.dp.pdu import SetPrm
+from dpstack.dp.setup import SlaveSetup, watchdog_factors, watchdog_ns
+from dpstack.dp.unit_host import UnitHost
+from dpstack.fdl.telegram import (
+    SAP_CHK_CFG,
+    SAP_GET_CFG,
+    SAP_SET_PRM,
+    SAP_SLAVE_DIAG,
+    SSAP_MS0,
+    Kind,
+    Req,
+    Resp,
+    Telegram,
+)
+from dpstack.fdl.user import Failure, Request
+from dpstack.trace import Event
+from dpstack.units import NS_PER_MS, NS_PER_S
+
+# design, "Bring-up and end": absent 0.1 to 1 s, refused 1 to 10 s
+_ABSENT: Final = (100 * NS_PER_MS, NS_PER_S)
+_REFUSED: Final = (NS_PER_S, 10 * NS_PER_S)
+#: shorter stays in data exchange do not reset the back-off: a slave that flaps is not re-initialised for ever
+_STABLE: Final = NS_PER_S
+_READY_LIMIT: Final = 10 * NS_PER_S
+_UNACKED_LIMIT: Final = NS_PER_S
+_POLL_PAUSE: Final = 10 * NS_PER_MS
+_STATIC_PAUSE: Final = 100 * NS_PER_MS
+_MAX_BUSY: Final = 5
+_MAX_WRONG: Final = 3
+_TOLD_ABSENT_AFTER: Final = 3
+
+_SERVICE_NAMES: Final = {
+    SAP_SLAVE_DIAG: "Slave_Diag",
+    SAP_SET_PRM: "Set_Prm",
+    SAP_CHK_CFG: "Chk_Cfg",
+    SAP_GET_CFG: "Get_Cfg",
+}
+_DL: Final = int(Resp.DL)
+_DH: Final = int(Resp.DH)
+_DATA_STATUS: Final = frozenset((_DL, _DH))
+_EMPTY_STATUS: Final = frozenset((_DL, _DH, int(Resp.OK)))
+
+
+class SlaveHandler:
+    """One slave as the master handles it. ``emit`` takes events, ``changed`` is called after a change of state."""
+
+    def __init__(
+        self,
+        setup: SlaveSetup,
+        *,
+        own: int,
+        baud: int,
+        watchdog_ms: int,
+        emit: Callable[[Event], None],
+        changed: Callable[[SlaveHandler], None],
+    ) -> None:
+        self.setup = setup
+        self.own = own
+        self.baud = baud
+        wanted = watchdog_ms if setup.watchdog_ms is None else setup.watchdog_ms
+        self.watchdog = watchdog_factors(wanted) if wanted else None
+        self.ident = setup.ident
+        initial = setup.safe_outputs if setup.initial is None else setup.initial
+        self.image = SlaveImage(setup.input_len, setup.output_len, initial)
+        self.findings = Findings(setup.address, setup.name, emit)
+        self.unit = UnitHost(self.image, setup.safe_outputs, setup.address, setup.name, emit, self.findings.tell)
+        self.state = SlaveState.OFFLINE
+        self.diagnosis: Diagnosis | None = None
+        self.exchanges = 0
+        #: no service request before this time
+        self.due = 0
+        #: Slave_Diag is wanted while in data exchange (DH, Stat_Diag)
+        self.diag_due = False
+        self._emit = emit
+        self._changed = changed
+        self._since = 0
+        self._absent = Backoff(*_ABSENT)
+        self._refused = Backoff(*_REFUSED)
+        self._silent = 0
+        self._busy = 0
+        self._wrong = 0
+        self._restart = True
+        self._prm_rounds = 0
+        self._unacked = ""
+        self._cfg_sent = False
+        self._ask_cfg = False
+        self._left = False
+        self._request: Request | None = None
+
+    @property
+    def watchdog_effective_ns(self) -> int:
+        """The slave's watchdog time in ns, 0 when off."""
+        return watchdog_ns(self.watchdog) if self.watchdog else 0
+
+    @property
+    def fault(self) -> Fault | None:
+        """The last fault since the slave was in data exchange."""
+        return self.findings.fault
+
+    # --- cyclic path --------------------------------------------------------------------------------------------
+
+    def data_request(self, outputs: bytes) -> Request:
+        """Data_Exchange with ``outputs``; the same object as long as they stay the same."""
+        request = self._request
+        if request is None or request.data != outputs:
+            request = self._request = Request(self.setup.address, Req.SRD_HIGH, outputs, patient=True, tag=self)
+        return request
+
+    def data_result(self, outcome: Telegram | Failure, now: int) -> None:
+        """The answer to Data_Exchange: data into the image, everything else on to the judging."""
+        if isinstance(outcome, Telegram):
+            status = outcome.fc & 0x0F
+            # SC (fc = -1) and an empty LE = 3 answer are legal where there are no inputs (B6, section I)
+            image = self.image
+            if status in _DATA_STATUS if image.input_len else (outcome.fc < 0 or status in _EMPTY_STATUS):
+                data = outcome.data
+                if len(data) == image.input_len:
+                    image.inputs = data
+                    image.input_time = now
+                    if not image.valid:
+                        image.valid = self.diagnosis is None or not self.diagnosis.stat_diag
+                    self.exchanges += 1
+                    self._wrong = self._busy = 0
+                    if status == _DH:
+                        self._want_diagnosis()
+                    return
+        self._odd_data(outcome, now)
+
+    def _odd_data(self, outcome: Telegram | Failure, now: int) -> None:
+        if not isinstance(outcome, Telegram):
+            if outcome is not Failure.ABANDONED:
+                self._step(Ev.SILENT, now, faults.lost("Data_Exchange"))
+            return
+        status = outcome.fc & 0x0F
+        if outcome.kind is Kind.SC or status in (_DL, _DH):
+            self._wrong += 1
+            if self._wrong >= _MAX_WRONG:
+                fault = faults.wrong_length(self.image.input_len, len(outcome.data))
+                self._step(Ev.WRONG_LENGTH, now, fault)
+        elif status == Resp.RS:
+            self._left = True
+            self._step(Ev.NOT_EXCHANGING, now)
+        else:  # UE, RR, NR, RDL, RDH: busy, asked again in the next rotation
+            self._busy += 1
+            if self._busy >= _MAX_BUSY:
+                self._left = True
+                self._step(Ev.REFUSED, now)
+
+    # --- services -----------------------------------------------------------------------------------------------
+
+    def wants_service(self, now: int) -> bool:
+        """True when a request other than Data_Exchange is due."""
+        return self.due <= now and (self.state is not SlaveState.DATA_EXCHANGE or self.diag_due)
+
+    def service_request(self, now: int) -> Request:
+        """The next step of the bring-up, or the diagnosis while in data exchange."""
+        if self.state is SlaveState.FAULT:
+            self._restart = True
+            self._step(Ev.RETRY, now)
+        state = self.state
+        if self._ask_cfg:
+            return self._service(SAP_GET_CFG, b"")
+        if state is SlaveState.SET_PRM:
+            return self._service(SAP_SET_PRM, self.set_prm())
+        if state is SlaveState.CHK_CFG:
+            self._cfg_sent = True
+            return self._service(SAP_CHK_CFG, self.setup.config)
+        return self._service(SAP_SLAVE_DIAG, b"")
+
+    def _service(self, sap: int, data: bytes) -> Request:
+        restart, self._restart = self._restart, False
+        return Request(
+            self.setup.address,
+            Req.SRD_HIGH,
+            data,
+            sap,
+            SSAP_MS0,
+            patient=self.state is not SlaveState.OFFLINE,
+            restart=restart,
+            tag=self,
+        )
+
+    def set_prm(self, *, unlock: bool = False) -> bytes:
+        """The octets of Set_Prm for this slave (``unlock``: give it free)."""
+        setup = self.setup
+        return SetPrm(
+            ident=self.ident or 0,
+            user_prm=setup.user_prm,
+            lock=not unlock,
+            unlock=unlock,
+            sync=setup.sync,
+            freeze=setup.freeze,
+            watchdog=None if unlock else self.watchdog,
+            min_tsdr=setup.min_tsdr,
+            group_mask=setup.group_mask,
+        ).build()
+
+    def service_result(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
+        """The end of a request that :meth:`service_request` made."""
+        if outcome is Failure.ABANDONED:
+            return
+        service = _SERVICE_NAMES[request.dsap or 0]
+        if not isinstance(outcome, Telegram):
+            self._on_silence(request, service, now)
+            return
+        self._silent = 0
+        data_status = outcome.kind is not Kind.SC and outcome.fc & 0x0F in _DATA_STATUS
+        if request.dsap in (SAP_SET_PRM, SAP_CHK_CFG):
+            positive = outcome.kind is Kind.SC or data_status or outcome.fc & 0x0F == Resp.OK
+        else:
+            positive = data_status
+        if not positive:
+            self._on_refusal(request, outcome, service, now)
+            return
+        self._busy = 0
+        if request.dsap == SAP_SLAVE_DIAG:
+            self._on_diagnosis(outcome, now)
+        elif request.dsap == SAP_GET_CFG:
+            self._refuse(faults.cfg_fault(self.setup, outcome.data), now)
+        else:
+            self._step(Ev.ACK, now)
+
+    def _on_silence(self, request: Request, service: str, now: int) -> None:
+        if self._ask_cfg and request.dsap == SAP_GET_CFG:
+            self._refuse(faults.cfg_fault(self.setup, None), now)
+            return
+        if self.state is SlaveState.OFFLINE:
+            self._silent += 1
+            self.due = now + self._absent.take()
+            if self._silent >= _TOLD_ABSENT_AFTER and self.findings.fault is None:
+                self.findings.tell(faults.absent(self.setup.address, self.baud), now)
+            self._step(Ev.SILENT, now)
+            return
+        fault = None
+        if self.state in (SlaveState.SET_PRM, SlaveState.CHK_CFG):
+            self._unacked = service
+        else:
+            fault = faults.lost(service)
+        self._step(Ev.SILENT, now, fault)
+
+    def _on_refusal(self, request: Request, outcome: Telegram, service: str, now: int) -> None:
+        if self._ask_cfg and request.dsap == SAP_GET_CFG:
+            self._refuse(faults.cfg_fault(self.setup, None), now)
+            return
+        self._busy += 1
+        self.due = now + _POLL_PAUSE
+        if self._busy >= _MAX_BUSY:
+            self._busy = 0
+            status = "a bare acknowledgement" if outcome.kind is Kind.SC else _status_name(outcome.fc & 0x0F)
+            self._step(Ev.REFUSED, now, faults.refused(service, status))
+
+    # --- diagnosis ----------------------------------------------------------------------------------------------
+
+    def _on_diagnosis(self, answer: Telegram, now: int) -> None:
+        diagnosis = Diagnosis.parse(answer.data)
+        if diagnosis is None:
+            self.findings.remark(f"answers Slave_Diag with {len(answer.data)} octets, at least 6 are required", now)
+            self._on_refusal(Request(self.setup.address, Req.SRD_HIGH, dsap=SAP_SLAVE_DIAG), answer, "Slave_Diag", now)
+            return
+        if diagnosis != self.diagnosis:
+            self.diagnosis = diagnosis
+            self._emit(SlaveDiagnosis(t_ns=now, address=self.setup.address, name=self.setup.name, diagnosis=diagnosis))
+        self._check_ident(diagnosis, now)
+        for deviation in deviations(diagnosis, self.own):
+            self.findings.remark(deviation, now)
+        owner = foreign_owner(diagnosis, self.own)
+        if diagnosis.ident != self.ident:
+            self._step(Ev.DIAG_OTHER, now, faults.wrong_ident(self.setup, diagnosis.ident))
+        elif owner is not None:
+            self._step(Ev.DIAG_LOCKED, now, faults.locked(owner))
+        elif self.state is SlaveState.DATA_EXCHANGE:
+            self._judge_exchanging(diagnosis, now)
+        elif self.state is SlaveState.WAIT_READY:
+            self._judge_ready(diagnosis, now)
+        else:
+            if self._left:
+                self._left = False
+                self.findings.tell(faults.left(diagnosis), now)
+            self._step(Ev.DIAG_FREE, now)
+
+    def _judge_ready(self, diagnosis: Diagnosis, now: int) -> None:
+        verdict = verdict_ready(diagnosis, cfg_sent=self._cfg_sent)
+        if verdict is Ev.DIAG_REFUSED:
+            self._judge_refusal(diagnosis, now)
+        elif verdict is Ev.DIAG_WAIT:
+            self._wait(diagnosis, now)
+        elif verdict is Ev.DIAG_PRM_REQ and self._prm_rounds >= _MAX_WRONG:
+            fault = faults.silent(self._unacked) if self._unacked else faults.left(diagnosis)
+            self._step(Ev.REFUSED, now, fault)
+        else:
+            self._prm_rounds += verdict is Ev.DIAG_PRM_REQ
+            self._step(verdict, now)
+
+    def _judge_refusal(self, diagnosis: Diagnosis, now: int) -> None:
+        if diagnosis.prm_fault:
+            self._refuse(self._prm_fault(diagnosis), now)
+        elif diagnosis.not_supported:
+            self._refuse(faults.not_supported(), now)
+        else:  # what it has instead belongs into the message
+            self._ask_cfg = True
+
+    def _wait(self, diagnosis: Diagnosis, now: int) -> None:
+        waited = now - self._since
+        if self._unacked and waited > _UNACKED_LIMIT:
+            self._step(Ev.TOO_LONG, now, faults.silent(self._unacked))
+        elif waited > _READY_LIMIT:
+            ill = faults.statically_ill if diagnosis.stat_diag else faults.not_ready
+            self._step(Ev.TOO_LONG, now, ill(_READY_LIMIT / NS_PER_S))
+        else:
+            self.due = now + min(_POLL_PAUSE, waited >> 2)
+            self._step(Ev.DIAG_WAIT, now)
+
+    def _judge_exchanging(self, diagnosis: Diagnosis, now: int) -> None:
+        verdict = verdict_exchanging(diagnosis)
+        self.diag_due = verdict is Ev.DIAG_WAIT
+        self.due = now + _STATIC_PAUSE if self.diag_due else now
+        self.image.valid = verdict is Ev.DIAG_READY
+        self._left = verdict is Ev.DIAG_PRM_REQ
+        fault = None
+        if verdict is Ev.DIAG_REFUSED:
+            prm = diagnosis.prm_fault
+            fault = self._prm_fault(diagnosis) if prm else faults.cfg_fault(self.setup, None)
+        self._step(verdict, now, fault)
+        self._changed(self)
+
+    def _prm_fault(self, diagnosis: Diagnosis) -> Fault:
+        return faults.prm_fault(self.setup, diagnosis, self.set_prm())
+
+    def _refuse(self, fault: Fault, now: int) -> None:
+        self._ask_cfg = False
+        self._step(Ev.DIAG_REFUSED, now, fault)
+
+    def _want_diagnosis(self) -> None:
+        if not self.diag_due:
+            self.diag_due = True
+            self._changed(self)
+
+    def _check_ident(self, diagnosis: Diagnosis, now: int) -> None:
+        if self.ident is None:
+            self.ident = diagnosis.ident
+            self.findings.remark(f"its ident number is 0x{diagnosis.ident:04X} (taken from its diagnosis)", now)
+
+    # --- states -------------------------------------------------------------------------------------------------
+
+    def _step(self, event: Ev, now: int, fault: Fault | None = None) -> None:
+        row = TABLE.get((self.state, event))
+        if row is None:
+            return
+        if fault is not None:
+            self.findings.tell(fault, now)
+        if row.next is not self.state:
+            self._enter(row.next, now)
+
+    def _enter(self, state: SlaveState, now: int) -> None:
+        was, self.state = self.state, state
+        if was is SlaveState.DATA_EXCHANGE:
+            self._leave_exchange(now)
+        self._since = now
+        self._busy = self._wrong = 0
+        if state is SlaveState.DATA_EXCHANGE:
+            self.findings.clear()
+            self._prm_rounds = 0
+            self._unacked = ""
+            self._request = None
+        elif state is SlaveState.SET_PRM:
+            self._cfg_sent = False
+            self._unacked = ""
+        elif state is SlaveState.FAULT:
+            self.due = now + self._refused.take()
+            self._prm_rounds = 0
+        elif state is SlaveState.OFFLINE:
+            self._restart = True
+            self._silent = 0
+            self.due = max(self.due, now + self._absent.take())
+        name, address = self.setup.name, self.setup.address
+        self._emit(SlaveStateChanged(t_ns=now, address=address, name=name, state=state))
+        self._changed(self)
+
+    def _leave_exchange(self, now: int) -> None:
+        """Inputs are void, what the plugin had pending ends; the next bring-up starts afresh."""
+        self.image.valid = False
+        self.diag_due = False
+        self._restart = True
+        if now - self._since >= _STABLE:
+            self._absent.reset()
+            self._refused.reset()
+            self.due = now
+        else:
+            self.due = now + self._refused.take()
+        self.unit.lost(now)
+
+    def line_lost(self, reason: str, now: int) -> None:
+        """The bus is gone (port vanished, out of the ring): nobody is in data exchange any more."""
+        if self.state is not SlaveState.OFFLINE:
+            if self.state is SlaveState.DATA_EXCHANGE:
+                self.findings.tell(
+                    Fault(FaultKind.LOST, reason, "it is taken up again as soon as the bus is back"), now
+                )
+            self._ask_cfg = False
+            self._enter(SlaveState.OFFLINE, now)
+            self.due = now
+
+
+def _status_name(status: int) -> str:
+    try:
+        return Resp(status).name
+    except ValueError:
+        return f"status {status}"

@@ -1,0 +1,177 @@
+"""The octets of the DP services, declared once with construct behind a typed wrapper.
+
+construct knows no types and takes some 10 us and more a PDU: it is imported here only, and never runs on the cyclic
+path. A :class:`Layout` turns octets into a NamedTuple and back; what the values mean is the business of the callers
+(:mod:`dpstack.dp.pdu`, :mod:`dpstack.dp.diagnosis`). Layouts: protocol facts B1, B2, B4 (EN 50170-2, Felser, VPC3+).
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar
+
+import construct as cs
+
+from dpstack.errors import PduError
+
+
+class _Record(Protocol):
+    """A NamedTuple: its fields are those of the declaration."""
+
+    def _asdict(self) -> dict[str, Any]: ...
+
+
+R = TypeVar("R", bound=_Record)
+
+
+class Layout(Generic[R]):
+    """A PDU, declared bit by bit, and the NamedTuple of the same field names that it is read into."""
+
+    def __init__(self, name: str, record: type[R], *fields: Any) -> None:
+        self.name = name
+        self._record: Any = record
+        self._struct: Any = cs.Bitwise(cs.Struct(*fields))
+
+    def parse(self, octets: bytes) -> R:
+        """Read ``octets``. Raises PduError naming the field that is missing; octets too many are the caller's case."""
+        try:
+            container = self._struct.parse(octets)
+        except cs.ConstructError as error:
+            raise PduError(
+                f"{self.name} ends after {len(octets)} octets: octet {len(octets) + 1} ({_field(error)}) is missing"
+            ) from None
+        record: R = self._record(*(container[key] for key in self._record._fields))
+        return record
+
+    def build(self, record: R) -> bytes:
+        """The octets of ``record``. Raises PduError naming the field that does not fit."""
+        try:
+            return bytes(self._struct.build(record._asdict()))
+        except cs.ConstructError as error:
+            field = _field(error)
+            raise PduError(f"{self.name}: {field} = {getattr(record, field, '?')} does not fit its octets") from None
+
+
+def _field(error: Any) -> str:
+    """The field that a construct error is about, from its path ("(parsing) -> ident")."""
+    return str(error.path).rpartition(" -> ")[2]
+
+
+def _flags(names: str) -> tuple[Any, ...]:
+    """One bit each, most significant first."""
+    return tuple(name / cs.Flag for name in names.split())
+
+
+_OCTET: Final[Any] = cs.BitsInteger(8)
+_WORD: Final[Any] = cs.BitsInteger(16)
+_REST: Final[Any] = cs.Bytewise(cs.GreedyBytes)
+
+
+class SetPrmOctets(NamedTuple):
+    """Set_Prm as it is on the wire."""
+
+    lock: bool
+    unlock: bool
+    sync: bool
+    freeze: bool
+    wd_on: bool
+    reserved: int
+    wd_fact_1: int
+    wd_fact_2: int
+    min_tsdr: int
+    ident: int
+    group_ident: int
+    user_prm: bytes
+
+
+SET_PRM: Final = Layout(
+    "Set_Prm",
+    SetPrmOctets,
+    *_flags("lock unlock sync freeze wd_on"),
+    "reserved" / cs.BitsInteger(3),
+    "wd_fact_1" / _OCTET,
+    "wd_fact_2" / _OCTET,
+    "min_tsdr" / _OCTET,
+    "ident" / _WORD,
+    "group_ident" / _OCTET,
+    "user_prm" / _REST,
+)
+
+
+class GlobalControlOctets(NamedTuple):
+    """Global_Control as it is on the wire. ``reserved_high`` are bits 7..6, ``reserved_low`` is bit 0."""
+
+    reserved_high: int
+    sync: bool
+    unsync: bool
+    freeze: bool
+    unfreeze: bool
+    clear_data: bool
+    reserved_low: int
+    group_select: int
+
+
+GLOBAL_CONTROL: Final = Layout(
+    "Global_Control",
+    GlobalControlOctets,
+    "reserved_high" / cs.BitsInteger(2),
+    *_flags("sync unsync freeze unfreeze clear_data"),
+    "reserved_low" / cs.BitsInteger(1),
+    "group_select" / _OCTET,
+)
+
+
+class DiagnosisOctets(NamedTuple):
+    """The answer to Slave_Diag as it is on the wire; the bits of the status octets stay in their octets."""
+
+    status_1: int
+    status_2: int
+    status_3: int
+    master_add: int
+    ident: int
+    ext_diag: bytes
+
+
+DIAGNOSIS: Final = Layout(
+    "Slave_Diag",
+    DiagnosisOctets,
+    "status_1" / _OCTET,
+    "status_2" / _OCTET,
+    "status_3" / _OCTET,
+    "master_add" / _OCTET,
+    "ident" / _WORD,
+    "ext_diag" / _REST,
+)
+
+
+class BlockHeader(NamedTuple):
+    """The first octet of a block of the extended diagnosis: kind (bits 7..6) and what the kind makes of the rest."""
+
+    kind: int
+    value: int
+
+
+BLOCK_HEADER: Final = Layout("diagnosis block", BlockHeader, "kind" / cs.BitsInteger(2), "value" / cs.BitsInteger(6))
+
+
+class ChannelOctets(NamedTuple):
+    """A block of the channel related diagnosis, three octets."""
+
+    kind: int
+    identifier: int
+    output: bool
+    input: bool
+    channel: int
+    size: int
+    error: int
+
+
+CHANNEL: Final = Layout(
+    "channel related diagnosis",
+    ChannelOctets,
+    "kind" / cs.BitsInteger(2),
+    "identifier" / cs.BitsInteger(6),
+    *_flags("output input"),
+    "channel" / cs.BitsInteger(6),
+    "size" / cs.BitsInteger(3),
+    "error" / cs.BitsInteger(5),
+)

@@ -1,0 +1,105 @@
+"""The one exception tree.
+
+::
+
+    DpError
+    +-- ConfigError (ValueError)        a configuration or an argument that cannot work; names file and line
+    |   +-- ParamError                  a bus parameter outside its limits
+    +-- UsageError (RuntimeError)       a call that does not fit the state: misuse, raised at once
+    +-- PduError (ValueError)           the octets of a DP service that cannot be; names the octet
+    +-- PortError (OSError)             the serial port: missing, held, refused, vanished
+    |   +-- PortBusyError               held by another program (named)
+    |   +-- BaudError                   the port cannot do the rate, or substituted another
+    +-- BusError                        the bus as a whole cannot work
+    +-- SlaveError                      one slave; carries its address
+    |   +-- SlaveFault                  refused parameters or configuration, wrong ident, locked, lying
+    |   +-- SlaveTimeout (TimeoutError) did not reach what was awaited in time
+    +-- DriveError                      one drive; carries its name
+        +-- DriveFault                  tripped, or refuses to do what was asked: names fault and remedy
+        +-- DriveTimeout (TimeoutError) did not reach the wanted state in time: names what is missing
+        +-- ParameterError              a negative answer of the parameter channel: number and the manual's text
+
+Misuse and configuration raise at once; what a peer does wrong on the wire never raises in the core, it becomes an
+event and a counter, and one of the lower branches where a caller waits for it.
+"""
+
+from __future__ import annotations
+
+
+class DpError(Exception):
+    """The root: everything dpstack raises on purpose."""
+
+
+class ConfigError(DpError, ValueError):
+    """A configuration that cannot work. The text says where (file and line when there is a file) and what to do."""
+
+
+class ParamError(ConfigError):
+    """A bus parameter outside the limits of the standard."""
+
+
+class UsageError(DpError, RuntimeError):
+    """A call that does not fit the state, for instance on a bus that is closed."""
+
+
+class PduError(DpError, ValueError):
+    """Octets of a DP service PDU that cannot be read, or values that cannot be put into one; names the octet.
+
+    Inside the core whoever parses remote octets catches it: a peer's garbage becomes an event there.
+    """
+
+
+class PortError(DpError, OSError):
+    """The port does not exist, may not be opened, or vanished."""
+
+
+class PortBusyError(PortError):
+    """Another program holds the port."""
+
+
+class BaudError(PortError):
+    """The port cannot do the wanted baud rate or silently substituted another one."""
+
+
+class BusError(DpError):
+    """The bus as a whole cannot work (own address in use, nothing but noise, closed by a fault)."""
+
+
+class SlaveError(DpError):
+    """Something about one slave. ``address`` is its station address."""
+
+    def __init__(self, address: int, message: str) -> None:
+        super().__init__(message)
+        self.address = address
+
+
+class SlaveFault(SlaveError):
+    """The slave refused parameters or configuration, is another device, is owned by another master, or lies."""
+
+
+class SlaveTimeout(SlaveError, TimeoutError):
+    """The slave did not get there in time."""
+
+
+class DriveError(DpError):
+    """Something about one drive. ``drive`` is its name in the configuration."""
+
+    def __init__(self, drive: str, message: str) -> None:
+        super().__init__(message)
+        self.drive = drive
+
+
+class DriveFault(DriveError):
+    """The drive tripped or refuses to do what was asked; the text names the reason and the parameter to change."""
+
+
+class DriveTimeout(DriveError, TimeoutError):
+    """The drive did not reach the wanted state in time; the text says what it reports instead."""
+
+
+class ParameterError(DriveError):
+    """A negative answer of the drive's parameter channel. ``number`` is the drive's error number."""
+
+    def __init__(self, drive: str, number: int, message: str) -> None:
+        super().__init__(drive, message)
+        self.number = number

@@ -1,0 +1,1 @@
+"""FDL: telegrams, codec, token ring, active and passive stations."""

@@ -1,0 +1,172 @@
+"""Octets as they arrive to telegrams: incremental, driven by length, resynchronising octet by octet.
+
+Real ports show neither the 33-bit pause nor gaps between characters, so a telegram ends where its length says so, and
+an unfinished one is given up after the stall time that the caller sets. What is no telegram loses its first octet, and
+the rest is looked at again.
+
+SC and the token carry no check sequence: an 0xE5 among the data of a damaged telegram would pass for an
+acknowledgement. So within the length that a rejected frame claimed for itself only telegrams with FCS count (a
+*doubtful* SC or token is counted instead), until one of them is found, the length is over, or the line was
+silent for the stall time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Final
+
+from dpstack.fdl.codec import EMPTY_LE, Flaw, claimed, parse
+from dpstack.fdl.telegram import Kind, Telegram
+from dpstack.units import NEVER
+
+#: kinds without FCS
+_UNCHECKED: Final = frozenset((int(Kind.SC), int(Kind.SD4)))
+#: no other telegram has this length
+_LE3_SIZE: Final = EMPTY_LE + 6
+
+
+@dataclass(slots=True)
+class DecoderStats:
+    """Counters of one decoder, always on. A damaged telegram counts once, by the first thing found wrong."""
+
+    octets: int = 0
+    telegrams: int = 0
+    empty_le3: int = 0  # SD2 with LE = 3, taken as an empty data unit
+    skipped: int = 0  # octets that belonged to no telegram
+    bad_start: int = 0  # octets outside of any frame that are no start octet
+    le_mismatch: int = 0
+    le_range: int = 0
+    bad_second_sd: int = 0
+    bad_ed: int = 0
+    bad_fcs: int = 0
+    bad_address: int = 0
+    bad_extension: int = 0
+    bad_fc: int = 0
+    stalled: int = 0  # telegrams whose rest did not come
+    doubtful: int = 0  # SC or token inside a damaged frame, not taken
+
+    @property
+    def bad(self) -> int:
+        """Damaged frames and octets outside of frames, of every kind."""
+        counters = self.as_dict()
+        return sum(counters[flaw.value] for flaw in Flaw) + self.stalled
+
+    def as_dict(self) -> dict[str, int]:
+        """All counters by name."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+
+class Decoder:
+    """One receiver's decoder. ``stall_ns``: the pause after which a telegram that has begun is given up.
+
+    An SD2 with LE = 3 comes out as a telegram without data and SAPs (``Telegram.empty_le3`` tells it) and is counted.
+    """
+
+    __slots__ = ("_doubt", "_held", "_last", "stall_ns", "stats")
+
+    def __init__(self, *, stall_ns: int) -> None:
+        self.stall_ns = stall_ns
+        self.stats = DecoderStats()
+        self._held = bytearray()  # octets of an unfinished telegram
+        self._doubt = 0  # so many of the octets held or to come lie inside a rejected frame
+        self._last = 0  # when octets came last; kept only while octets are held or in doubt
+
+    @property
+    def pending(self) -> bool:
+        """Octets of an unfinished telegram are held."""
+        return bool(self._held)
+
+    def feed(self, chunk: bytes, now: int) -> list[Telegram]:
+        """The telegrams that end within ``chunk``, in order; ``now`` in ns. Never raises."""
+        if not self._held and not self._doubt:
+            size = len(chunk)
+            if size:
+                # the fast path: one read, one telegram
+                telegram = parse(chunk, 0, size)
+                if isinstance(telegram, Telegram) and claimed(chunk, 0, size) == size:
+                    stats = self.stats
+                    stats.octets += size
+                    stats.telegrams += 1
+                    if size == _LE3_SIZE:
+                        stats.empty_le3 += 1
+                    return [telegram]
+        return self._feed_slowly(chunk, now)
+
+    def stall_at(self) -> int:
+        """When the pending telegram counts as stalled, in ns; NEVER when nothing is pending."""
+        return self._last + self.stall_ns if self._held else NEVER
+
+    def stalled(self, now: int) -> list[Telegram]:
+        """Give up the pending telegram; returns those found in the rest of its octets (``now`` in ns)."""
+        held = self._held
+        if not held:
+            return []
+        self.stats.stalled += 1
+        # silence has ended whatever these octets are: none of them waits for more
+        self._doubt = len(held)
+        found: list[Telegram] = []
+        at = 0
+        while at < len(held):
+            at = self._scan(at + 1, found)
+            self.stats.skipped += 1
+        held.clear()
+        self._doubt = 0
+        return found
+
+    def reset(self) -> None:
+        """Forget what is pending (the line went away); counters stay."""
+        self._held.clear()
+        self._doubt = 0
+
+    def _feed_slowly(self, chunk: bytes, now: int) -> list[Telegram]:
+        held = self._held
+        if not held and now - self._last >= self.stall_ns:
+            self._doubt = 0
+        self._last = now
+        self.stats.octets += len(chunk)
+        held += chunk
+        found: list[Telegram] = []
+        at = self._scan(0, found)
+        del held[:at]
+        self._doubt = max(0, self._doubt - at)
+        return found
+
+    def _scan(self, at: int, found: list[Telegram]) -> int:
+        """Find telegrams from ``at`` on; returns where the first unfinished one begins (or the end)."""
+        held = self._held
+        stats = self.stats
+        end = len(held)
+        while at < end:
+            in_doubt = at < self._doubt
+            if in_doubt and held[at] in _UNCHECKED:
+                telegram = parse(held, at, end)
+                if isinstance(telegram, Telegram):
+                    stats.doubtful += 1
+                stats.skipped += 1
+                at += 1
+                continue
+            telegram = parse(held, at, end)
+            if telegram is None:
+                return at
+            if isinstance(telegram, Telegram):
+                found.append(telegram)
+                stats.telegrams += 1
+                size = claimed(held, at, end)
+                if size == _LE3_SIZE:
+                    stats.empty_le3 += 1
+                if held[at] not in _UNCHECKED:
+                    self._doubt = 0
+                at += size
+                continue
+            if not in_doubt:
+                self._reject(telegram, at)
+            stats.skipped += 1
+            at += 1
+        return at
+
+    def _reject(self, flaw: Flaw, at: int) -> None:
+        stats = self.stats
+        name = flaw.value
+        setattr(stats, name, getattr(stats, name) + 1)
+        if flaw is not Flaw.BAD_START:
+            self._doubt = at + claimed(self._held, at, len(self._held))

@@ -1,0 +1,92 @@
+"""What the link layer tells."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from dpstack.fdl.telegram import StationType
+from dpstack.trace import Event
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RingJoined(Event):
+    """This station holds its first token: claimed on a silent bus, or given by another master."""
+
+    address: int
+    claimed: bool
+    masters: tuple[int, ...]
+
+    @property
+    def text(self) -> str:
+        """How the ring was entered and who is in it."""
+        how = "claimed the token on a silent bus" if self.claimed else "was given the token"
+        others = [str(m) for m in self.masters if m != self.address]
+        return f"station {self.address} {how}" + (f"; other masters: {', '.join(others)}" if others else "")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RingLeft(Event):
+    """This station is no longer in the ring."""
+
+    address: int
+    reason: str
+
+    @property
+    def text(self) -> str:
+        """Why."""
+        return f"station {self.address} left the token ring: {self.reason}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MasterSeen(Event):
+    """Another master appeared in, or vanished from, the list of active stations."""
+
+    address: int
+    present: bool
+
+    @property
+    def text(self) -> str:
+        """Which one."""
+        return f"master {self.address} {'joined' if self.present else 'left'} the token ring"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AddressCollision(Event):
+    """Another station sends with this station's address."""
+
+    address: int
+
+    @property
+    def text(self) -> str:
+        """What to do."""
+        return (
+            f"another station on the bus sends as address {self.address}: staying out of the ring; "
+            f"give one of the two another address"
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TokenLost(Event):
+    """The bus was silent for T_TO; this station claims the token."""
+
+    address: int
+
+    @property
+    def text(self) -> str:
+        """One line."""
+        return f"station {self.address}: no token for T_TO, claiming it"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StationFound(Event):
+    """A GAP poll was answered by a station not seen before, or one seen before fell silent (kind None)."""
+
+    address: int
+    kind: StationType | None
+
+    @property
+    def text(self) -> str:
+        """Which and what."""
+        if self.kind is None:
+            return f"station {self.address} no longer answers"
+        return f"station {self.address} found: {self.kind.name.lower().replace('_', ' ')}"

@@ -1,0 +1,207 @@
+"""Book-keeping of the token ring as plain data: LAS, GAP, and how much bus time silent polls may take.
+
+Nothing here sends or waits. Addresses run 0..127, the ring ascends and wraps.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from dpstack.fdl.telegram import StationType
+from dpstack.params import BusParams
+
+_CIRCLE: Final = 128
+#: A claim consists of two tokens to itself; only the third in a row says that the sender believes to be alone.
+CLAIM_TOKENS: Final = 2
+
+
+def distance(start: int, end: int) -> int:
+    """Steps upwards from ``start`` to ``end``; from a station to itself once round (128)."""
+    return (end - start - 1) % _CIRCLE + 1
+
+
+class Ring:
+    """The list of active stations (LAS) as station ``ts`` knows it; ``ts`` is always a member.
+
+    ``ns`` and ``ps`` are the next and previous station (``ts`` itself when alone).
+    """
+
+    __slots__ = ("_last_self", "_order", "_rotation", "_self_tokens", "learned", "members", "ns", "ps", "ts")
+
+    def __init__(self, ts: int) -> None:
+        self.ts = ts
+        self.members: set[int] = set()
+        self.ns = self.ps = ts
+        self.learned = False
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin to listen: only TS is known, and nothing has been learned."""
+        self.members = {self.ts}
+        self.ns = self.ps = self.ts
+        self.learned = False
+        self._order: list[int] = []
+        self._rotation: frozenset[int] = frozenset()
+        self._last_self = -1
+        self._self_tokens = 0
+
+    def learn(self, sa: int, da: int) -> bool:
+        """A token heard while listening; True once two identical rotations have been seen (then keep on observing).
+
+        A rotation ends when the token comes by a station a second time; the same sender twice in a row is a repeated
+        pass, not a rotation, unless it sends to itself.
+        """
+        if self.learned:
+            self.observe(sa, da)
+            return True
+        order = self._order
+        if order and order[-1] == sa and sa != da:
+            return False
+        if sa in order:
+            rotation = frozenset(order[order.index(sa) :])
+            if rotation == self._rotation:
+                self.learned = True
+                self.members = {*rotation, self.ts}
+                self._neighbours()
+            self._rotation = rotation
+            order.clear()
+        order.append(sa)
+        return self.learned
+
+    def observe(self, sa: int, da: int) -> bool:
+        """A token from ``sa`` to ``da``: both are in the ring, nobody between them is. True when the LAS changed.
+
+        TS stays a member; ask :meth:`skips` first whether it was passed over.
+        """
+        if sa == da and not self._believes_alone(sa):
+            return self.add(sa)
+        if sa != da:
+            self._self_tokens = 0
+        reach = distance(sa, da)
+        keep = {m for m in self.members if distance(sa, m) >= reach or m == self.ts}
+        keep |= {sa, da}
+        if keep == self.members:
+            return False
+        self.members = keep
+        self._neighbours()
+        return True
+
+    def _believes_alone(self, sa: int) -> bool:
+        self._self_tokens = self._self_tokens + 1 if sa == self._last_self else 1
+        self._last_self = sa
+        return self._self_tokens > CLAIM_TOKENS
+
+    def skips(self, sa: int, da: int) -> bool:
+        """Whether a token from ``sa`` to ``da``, already observed, passes TS over: its sender dropped TS from the LAS."""
+        if sa == da:
+            return sa != self.ts and self._last_self == sa and self._self_tokens > CLAIM_TOKENS
+        return distance(sa, self.ts) < distance(sa, da)
+
+    def add(self, address: int) -> bool:
+        """``address`` is ready for the token. True when it was not in the LAS."""
+        if address in self.members:
+            return False
+        self.members = {*self.members, address}
+        self._neighbours()
+        return True
+
+    def drop(self, address: int) -> bool:
+        """``address`` does not take the token. True when it was in the LAS; TS is never dropped."""
+        if address == self.ts or address not in self.members:
+            return False
+        self.members = self.members - {address}
+        self._neighbours()
+        return True
+
+    def _neighbours(self) -> None:
+        self.ns = min(self.members, key=lambda m: distance(self.ts, m))
+        self.ps = min(self.members, key=lambda m: distance(m, self.ts))
+
+
+class Gap:
+    """The GAP list: addresses from TS + 1 to NS - 1, wrapping at HSA to 0, polled in passes G x T_TR apart.
+
+    spec p11. ``stations`` are those that answered, with their type.
+    """
+
+    __slots__ = ("_cursor", "_hsa", "_next_pass_at", "_t_gud_ns", "_ts", "enabled", "skipped", "stations")
+
+    def __init__(self, params: BusParams) -> None:
+        self._ts = params.address
+        self._hsa = params.hsa
+        self._t_gud_ns = params.gap * params.ns(params.t_tr)
+        self.enabled = params.gap > 0
+        self.stations: dict[int, StationType] = {}
+        #: token holds in a row that left no time for a poll that was due
+        self.skipped = 0
+        self._cursor = -1
+        self._next_pass_at = 0
+
+    def restart(self) -> None:
+        """Begin a pass at the next opportunity: the GAP has just become ours."""
+        self._cursor = -1
+        self._next_pass_at = 0
+
+    def due(self, ns: int, now: int) -> int:
+        """The address to poll next, -1 when none is due; NS bounds the GAP. Asking does not move on."""
+        if not self.enabled:
+            return -1
+        if self._cursor < 0:
+            if now < self._next_pass_at:
+                return -1
+            self._next_pass_at = now + self._t_gud_ns
+            self._cursor = self._after(self._ts)
+        if not distance(self._ts, self._cursor) < distance(self._ts, ns):
+            self._cursor = -1
+            return -1
+        return self._cursor
+
+    def polled(self, address: int, kind: StationType | None) -> bool:
+        """``address`` was polled: its type, None when silent. True when that is news."""
+        self._cursor = self._after(address)
+        self.skipped = 0
+        known = self.stations.get(address)
+        if kind is None:
+            return self.stations.pop(address, None) is not None
+        self.stations[address] = kind
+        return kind is not known
+
+    def passed(self, address: int) -> None:
+        """``address`` was polled and the answer was unreadable: move on, conclude nothing."""
+        self._cursor = self._after(address)
+        self.skipped = 0
+
+    def _after(self, address: int) -> int:
+        # TS itself ends a pass even when NS lies above HSA, where the wrap would jump over it
+        return 0 if address >= self._hsa else address + 1
+
+
+class Allowance:
+    """The share of the bus time that silent polls of unknown addresses may take: an account of nanoseconds.
+
+    It earns 1/``share`` of the time that passes, up to sixteen polls of ``cost_ns``, and starts full.
+    """
+
+    __slots__ = ("_at", "_cap_ns", "_cost_ns", "_credit_ns", "_share")
+
+    def __init__(self, share: int, cost_ns: int, now: int) -> None:
+        self._share = share
+        self._cost_ns = cost_ns
+        self._cap_ns = self._credit_ns = 16 * cost_ns
+        self._at = now
+
+    def allows(self, now: int) -> bool:
+        """Whether one more silent poll fits in."""
+        if not self._share:
+            return True
+        # whole units only: the rest of the division is earned later, not lost
+        earned = (now - self._at) // self._share
+        if earned > 0:
+            self._at += earned * self._share
+            self._credit_ns = min(self._cap_ns, self._credit_ns + earned)
+        return self._credit_ns >= self._cost_ns
+
+    def charge(self, ns: int) -> None:
+        """A poll of ``ns`` was silent."""
+        if self._share:
+            self._credit_ns -= ns

@@ -1,0 +1,181 @@
+"""Bus parameters under the standard's names, presets per baud rate, and the constructor that checks them.
+
+All times are bit times. Sources: the table of IEC 61158 as printed in Felser's PROFIBUS manual ("Zeitverhaeltnisse"),
+the 45.45 kbit/s row and the retry limits from the Softing bus parameter table (``busparam.c``), the limits from the
+Siemens ET 200AL manual and the ELPRO 105U-G manual; see ``docs/bus-parameters.md``.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+from dpstack.errors import ParamError
+from dpstack.units import BAUD_RATES, baud_text, bits_to_ns
+
+#: Silence in bit times that ends a telegram and enables the receivers for the next request.
+T_SYN: Final = 33
+
+#: Highest station address; 126 is the address of a slave as delivered, 127 the broadcast address.
+MAX_STATION: Final = 125
+UNADDRESSED: Final = 126
+BROADCAST: Final = 127
+
+
+class _Row(NamedTuple):
+    t_sl: int
+    min_tsdr: int
+    max_tsdr: int
+    t_set: int
+    t_qui: int
+    gap: int
+    max_retry: int
+    t_tr: int
+
+
+# Columns as in Felser's table; gap, retry and T_TR by the Softing table (protocol facts, section J).
+_PRESETS: Final[dict[int, _Row]] = {
+    9_600: _Row(100, 11, 60, 1, 0, 1, 1, 50_000),
+    19_200: _Row(100, 11, 60, 1, 0, 1, 1, 50_000),
+    31_250: _Row(100, 11, 60, 1, 0, 1, 1, 50_000),  # PA's rate: the row of its neighbours, unconfirmed
+    45_450: _Row(640, 11, 400, 95, 0, 10, 1, 50_000),
+    93_750: _Row(100, 11, 60, 1, 0, 1, 1, 50_000),
+    187_500: _Row(100, 11, 60, 1, 0, 1, 1, 50_000),
+    500_000: _Row(200, 11, 100, 1, 0, 1, 1, 100_000),
+    1_500_000: _Row(300, 11, 150, 1, 0, 10, 1, 300_000),
+    3_000_000: _Row(400, 11, 250, 4, 3, 10, 2, 600_000),
+    6_000_000: _Row(600, 11, 450, 8, 6, 10, 3, 1_200_000),
+    12_000_000: _Row(1000, 11, 800, 16, 9, 10, 4, 2_400_000),
+}
+
+
+def default_max_tsdr(baud: int) -> int:
+    """The max T_SDR in bit times of the preset row of ``baud``."""
+    return _PRESETS[baud].max_tsdr
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BusParams:
+    """The parameters of one bus as one station sees them. Construction checks every limit and names what is wrong.
+
+    Use :meth:`preset` for the standard's values at a baud rate. Times in bit times; ``address`` is TS.
+    Raises :class:`~dpstack.errors.ParamError`.
+    """
+
+    baud: int
+    address: int
+    t_sl: int
+    min_tsdr: int
+    max_tsdr: int
+    t_set: int
+    t_qui: int
+    t_tr: int
+    gap: int  # G: a GAP pass every G x T_TR; 0 = GAP off
+    hsa: int = 126
+    max_retry: int = 1
+    #: extra silence in front of every request, for slaves that find frame ends by a long pause
+    extra_idle: int = 0
+
+    def __post_init__(self) -> None:
+        problems = list(self._problems())
+        if problems:
+            raise ParamError(f"bus parameters at {baud_text(self.baud)}: " + "; ".join(problems))
+
+    def _problems(self) -> Iterable[str]:
+        if self.baud not in BAUD_RATES:
+            yield f"baud {self.baud} is no PROFIBUS rate (known: {', '.join(map(str, BAUD_RATES))})"
+        # (name, low, high, where the limit comes from)
+        limits = (
+            ("address", 0, MAX_STATION, "station addresses"),
+            ("hsa", 1, 126, "highest station address"),
+            ("t_sl", 37, 16_383, "T_SL"),
+            ("t_set", 1, 494, "T_SET"),
+            ("t_qui", 0, min(31, max(0, self.min_tsdr - 1)), "min(31, min_tsdr - 1)"),
+            ("min_tsdr", 11, 255, "T_SDR"),
+            ("max_tsdr", 12, 1_023, "T_SDR"),
+            ("t_tr", 256, 16_777_960, "T_TR"),
+            ("gap", 0, 100, "GAP factor, 0 = off"),
+            ("max_retry", 0, 15, "retries"),
+            ("extra_idle", 0, 100_000, "extra idle time"),
+        )
+        for name, low, high, what in limits:
+            value = getattr(self, name)
+            if not low <= value <= high:
+                yield f"{name} = {value} is outside {low}..{high} ({what})"
+        if self.address > self.hsa:
+            yield f"address {self.address} lies above hsa {self.hsa}: no other master would ever find it"
+        if self.max_tsdr + 15 > self.t_sl:
+            yield f"t_sl = {self.t_sl} is less than max_tsdr + 15 = {self.max_tsdr + 15}"
+        if self.max_tsdr < 35 + 2 * self.t_set + self.t_qui:
+            yield f"max_tsdr = {self.max_tsdr} is less than 35 + 2 t_set + t_qui = {self.t_id1_bare}"
+        upper = min(self.max_tsdr - 1, 34 + 2 * self.t_set + self.t_qui)
+        if self.min_tsdr > upper:
+            yield f"min_tsdr = {self.min_tsdr} is more than min(max_tsdr - 1, 34 + 2 t_set + t_qui) = {upper}"
+
+    @classmethod
+    def preset(
+        cls,
+        baud: int,
+        *,
+        address: int = 2,
+        slave_max_tsdr: Iterable[int] = (),
+        t_tr: int | None = None,
+        t_sl: int | None = None,
+        gap: int | None = None,
+        hsa: int = 126,
+        max_retry: int | None = None,
+        extra_idle: int = 0,
+    ) -> BusParams:
+        """The standard's parameters at ``baud``, widened to the attached slaves.
+
+        ``slave_max_tsdr`` are the MaxTsdr of the attached slaves in bit times at this rate;
+        T_SL = max(table, largest + 15). What is given explicitly replaces the preset and is checked like it.
+        """
+        row = _PRESETS.get(baud)
+        if row is None:
+            raise ParamError(f"baud {baud} is no PROFIBUS rate (known: {', '.join(map(str, BAUD_RATES))})")
+        max_tsdr = max((row.max_tsdr, *slave_max_tsdr))
+        return cls(
+            baud=baud,
+            address=address,
+            t_sl=max(row.t_sl, max_tsdr + 15) if t_sl is None else t_sl,
+            min_tsdr=row.min_tsdr,
+            max_tsdr=max_tsdr,
+            t_set=row.t_set,
+            t_qui=row.t_qui,
+            t_tr=row.t_tr if t_tr is None else t_tr,
+            gap=row.gap if gap is None else gap,
+            hsa=hsa,
+            max_retry=row.max_retry if max_retry is None else max_retry,
+            extra_idle=extra_idle,
+        )
+
+    def replace(self, **changes: int) -> BusParams:
+        """A checked copy with some parameters changed."""
+        return dataclasses.replace(self, **changes)
+
+    def ns(self, bits: int) -> int:
+        """``bits`` bit times at this rate in nanoseconds."""
+        return bits_to_ns(bits, self.baud)
+
+    @property
+    def t_id1_bare(self) -> int:
+        """T_QUI + 2 T_SET + 2 + T_SYN in bit times, before the comparison with min T_SDR."""
+        return self.t_qui + 2 * self.t_set + 2 + T_SYN
+
+    @property
+    def t_id1(self) -> int:
+        """Idle time in bit times after an answer, SC or token, before this station's next request (extra included)."""
+        return max(self.t_id1_bare, self.min_tsdr) + self.extra_idle
+
+    @property
+    def t_id2(self) -> int:
+        """Idle time in bit times after a request that is not answered (SDN, broadcast; extra included)."""
+        return max(self.t_id1_bare, self.max_tsdr) + self.extra_idle
+
+    @property
+    def t_to(self) -> int:
+        """Time-out T_TO in bit times after which this station takes the token for lost: 6 T_SL + 2 TS T_SL."""
+        return (6 + 2 * self.address) * self.t_sl

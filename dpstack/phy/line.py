@@ -1,0 +1,48 @@
+"""The line as one station knows it: when it fell silent, and what may start when.
+
+The only judge of starts. Silence is counted from the end of the last activity that this station knows of: octets heard
+or its own transmission. Over USB or a pty neither the 33-bit pause nor gaps between characters can be seen, so
+what is heard late only makes the wait longer, never shorter.
+"""
+
+from __future__ import annotations
+
+from dpstack.params import BusParams
+from dpstack.units import BITS_PER_CHAR
+
+
+class Line:
+    """Silence and gates of one station. Times in ns, gates converted once from the bus parameters."""
+
+    __slots__ = ("_baud", "idle_since", "t_id1_ns", "t_id2_ns", "t_sl_ns", "t_stall_ns", "t_sdr_ns", "t_to_ns")
+
+    def __init__(self, params: BusParams, now: int = 0) -> None:
+        #: end of the last activity; the line has been silent since then as far as is known
+        self.idle_since = now
+        self.set_params(params)
+
+    def set_params(self, params: BusParams) -> None:
+        """Take the gates from ``params`` (also after a change of the baud rate)."""
+        self._baud = params.baud
+        self.t_id1_ns = params.ns(params.t_id1)
+        self.t_id2_ns = params.ns(params.t_id2)
+        self.t_sl_ns = params.ns(params.t_sl)
+        self.t_sdr_ns = params.ns(params.min_tsdr)
+        self.t_to_ns = params.ns(params.t_to)
+        # IEC 61158 permits no pause between characters; ports deliver late and in pieces, so a telegram counts as
+        # stalled only after the pause that would end it (T_SYN = 33 bits = three characters).
+        self.t_stall_ns = params.ns(3 * BITS_PER_CHAR)
+
+    def heard(self, now: int) -> None:
+        """Octets or an edge were on the line until ``now``."""
+        if now > self.idle_since:
+            self.idle_since = now
+
+    def sending_until(self, at: int) -> None:
+        """This station's own transmission leaves the line at ``at``."""
+        self.idle_since = at
+
+    def cut(self, now: int) -> None:
+        """Octets arrived before the port's estimate of 'sent': receiving while sending implies sent."""
+        if now < self.idle_since:
+            self.idle_since = now

@@ -1,0 +1,45 @@
+"""Patience by consequence: how much later than the wire's deadline a port may deliver, and for whom we wait.
+
+Host slack enters deadlines only, never minimum gaps. It is paid for every silent address, and too little of it loses
+slaves when a virtual machine stalls 10 to 30 ms: so a station whose silence has consequences (in data exchange, or
+just given the token) is given ``known_ns``, an address that never answered ``unknown_ns``, and all silent polls of the
+latter together at most ``unknown_share`` of the bus time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from dpstack.units import NS_PER_MS
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Patience:
+    """Slack in ns added to deadlines. The default is none: virtual time, where everything arrives exactly."""
+
+    known_ns: int = 0
+    unknown_ns: int = 0
+    #: silent polls of addresses that never answered may take 1/unknown_share of the bus time; 0 = no limit
+    unknown_share: int = 0
+    #: added to the stall time of a telegram that arrives in pieces
+    stall_ns: int = 0
+
+
+#: Virtual time and ports that deliver exactly.
+EXACT: Final = Patience()
+
+#: ptys, sockets and everything else whose other end is a process of this kind of machine (measured stalls 10..30 ms).
+HOST: Final = Patience(
+    known_ns=50 * NS_PER_MS, unknown_ns=2 * NS_PER_MS, unknown_share=100, stall_ns=50 * NS_PER_MS
+)
+
+#: A USB adapter before it was measured: three frames of 1 ms each way and the 16 ms of an untouched latency timer.
+ADAPTER: Final = Patience(
+    known_ns=60 * NS_PER_MS, unknown_ns=20 * NS_PER_MS, unknown_share=100, stall_ns=20 * NS_PER_MS
+)
+
+
+def slack(known_ns: int) -> Patience:
+    """Patience from the user's ``host_slack_ms``: the same for everyone, silent polls still bounded."""
+    return Patience(known_ns=known_ns, unknown_ns=known_ns, unknown_share=100, stall_ns=known_ns)

@@ -1,0 +1,122 @@
+"""Parameters over the parameter channel as orders: named, scaled, checked before anything is sent."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from dpstack.profile.jobs import CommandError, Steps
+from dpstack.profile.params import ParamSpec
+from dpstack.profile.pkw import Order, Pkw, PkwClient, PkwDialect, Reply
+
+
+class ParamRef(NamedTuple):
+    """A parameter as it stands in the channel: PNU, IND's high octet, array orders or plain ones, what is known of it.
+
+    ``data_set`` is what to tell the user, None where the drive has none or the parameter exists once.
+    """
+
+    pnu: int
+    index: int
+    array: bool
+    spec: ParamSpec | None
+    label: str
+    data_set: int | None = None
+
+
+#: Finds a parameter: name or number, data set or index, RAM only. Raises CommandError.
+Resolver = Callable[["str | int", "int | None", bool], ParamRef]
+
+
+class ParamAccess:
+    """The master's end of a drive's parameters. ``clock`` tells the time of the current cycle in ns."""
+
+    __slots__ = ("_clock", "_dialect", "client", "resolve")
+
+    def __init__(self, dialect: PkwDialect, resolve: Resolver, clock: Callable[[], int]) -> None:
+        self._dialect = dialect
+        self._clock = clock
+        self.resolve = resolve
+        self.client = PkwClient(dialect)
+
+    def read(self, ref: ParamRef, deadline: int) -> Steps[dict[str, object]]:
+        """Read one parameter."""
+        order = Pkw(Order.READ_ARRAY if ref.array else Order.READ, ref.pnu, ref.index)
+        reply = yield from self._exchange(order, ref, deadline)
+        return _outcome(ref, reply)
+
+    def write(self, ref: ParamRef, value: float, deadline: int) -> Steps[dict[str, object]]:
+        """Write one parameter; of an unknown one the type is read first and ``value`` is the integer on the wire."""
+        spec = ref.spec
+        if spec is not None:
+            if spec.read_only:
+                raise CommandError("usage", f"{ref.label} is read only")
+            try:
+                pwe = spec.pwe(spec.to_raw(value))
+            except ValueError as error:
+                raise CommandError("usage", str(error)) from None
+            long = spec.long
+        else:
+            order = Pkw(Order.READ_ARRAY if ref.array else Order.READ, ref.pnu, ref.index)
+            reply = yield from self._exchange(order, ref, deadline)
+            long = reply.id in (Reply.LONG, Reply.ARRAY_LONG)
+            pwe = _raw(ref, value, long)
+        if ref.array:
+            kind = Order.WRITE_ARRAY_LONG if long else Order.WRITE_ARRAY_WORD
+        else:
+            kind = Order.WRITE_LONG if long else Order.WRITE_WORD
+        reply = yield from self._exchange(Pkw(kind, ref.pnu, ref.index, pwe), ref, deadline)
+        return _outcome(ref, reply)
+
+    def _exchange(self, order: Pkw, ref: ParamRef, deadline: int) -> Steps[Pkw]:
+        if order.id not in self._dialect.answers:
+            raise CommandError("usage", f"{ref.label}: the drive has no order {order.id} in its parameter channel")
+        exchange = self.client.submit(order)
+        try:
+            while exchange.reply is None:
+                if self._clock() >= deadline:
+                    raise CommandError("timeout", f"{ref.label}: {_silence(exchange.stray)}")
+                yield
+        finally:
+            self.client.cancel(exchange)
+        reply = exchange.reply
+        if reply.id == Reply.ERROR:
+            number = reply.pwe & 0xFFFF
+            text = self._dialect.error_text(number)
+            raise CommandError("parameter", f"{ref.label}: error {number}, {text}", number)
+        if reply.id == Reply.NO_CONTROL:
+            raise CommandError("parameter", f"{ref.label}: the bus has no control over the parameters (reply 8)")
+        if reply.id not in self._dialect.answers[order.id]:
+            raise CommandError("parameter", f"{ref.label}: reply {reply.id} does not answer order {order.id}")
+        return reply
+
+
+def _outcome(ref: ParamRef, reply: Pkw) -> dict[str, object]:
+    spec = ref.spec
+    long = reply.id in (Reply.LONG, Reply.ARRAY_LONG)
+    raw = reply.pwe if long else reply.pwe & 0xFFFF
+    value: int | float = raw
+    if spec is not None:
+        raw = spec.from_pwe(reply.pwe)
+        value = spec.to_value(raw)
+    return {
+        "value": value,
+        "raw": raw,
+        "number": ref.pnu,
+        "name": spec.name if spec else None,
+        "unit": spec.unit if spec else "",
+        "data_set": ref.data_set,
+    }
+
+
+def _raw(ref: ParamRef, value: float, long: bool) -> int:
+    bits = 32 if long else 16
+    if value != int(value) or not -(1 << bits - 1) <= value < 1 << bits:
+        raise CommandError("usage", f"{ref.label}: its scale is unknown here, give the {bits}-bit integer on the wire")
+    return int(value) & (1 << bits) - 1
+
+
+def _silence(stray: Pkw | None) -> str:
+    if stray is None:
+        return "the drive did not answer in its parameter channel in time"
+    return f"the drive answered for parameter {stray.pnu} index {stray.index} (reply {stray.id}) instead"

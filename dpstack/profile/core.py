@@ -1,0 +1,342 @@
+"""The master's end of one drive: runs once a rotation, walks the drive's state machine, answers the application.
+
+A plugin subclasses :class:`DriveCore`, hands it its tables and overrides the few hooks at the end of the class. Time
+comes in as ``now`` in ns; nothing here blocks or reads a clock.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Mapping
+from typing import Final
+
+from dpstack.profile import motion
+from dpstack.profile.access import ParamAccess
+from dpstack.profile.drive import TelegramSpec
+from dpstack.profile.jobs import Args, CommandError, ErrorKind, Job, Steps
+from dpstack.profile.pkw import PKW_LEN
+from dpstack.profile.states import FAULTED, ControlTable, Goal, State
+from dpstack.profile.status import DriveStatus
+from dpstack.profile.words import SPEED, Scale
+from dpstack.units import NS_PER_MS
+
+#: The orders every drive knows, with the ones that move it first.
+OPS: Final = (*motion.OPS, "speed", "frequency", "reached", "read", "write")
+
+_LOST: Final = "the drive left data exchange"
+
+
+class DriveCore:
+    """Implements :class:`dpstack.dp.image.CyclicUnit` for one drive called ``name``.
+
+    ``scan_ns``: how long the drive may take to notice outputs and show it in its inputs. ``reference_hz``: the
+    frequency that 100 % speed means. ``safe_outputs``: the octets for every way out.
+    """
+
+    scale: Scale = SPEED
+
+    def __init__(
+        self,
+        name: str,
+        drive: str,
+        telegram: TelegramSpec,
+        table: ControlTable,
+        *,
+        scan_ns: int,
+        reference_hz: float,
+        safe_outputs: bytes,
+    ) -> None:
+        self.name = name
+        self.drive = drive
+        self.telegram = telegram
+        self.table = table
+        self.reference_hz = reference_hz
+        self.safe_outputs = safe_outputs
+        #: after this time the inputs belong to the outputs sent now, in ns
+        self.settle_ns = 3 * scan_ns + 20 * NS_PER_MS
+        self.access: ParamAccess | None = None
+        self.now = 0
+        #: inputs are of a drive in data exchange
+        self.online = False
+        self.words: tuple[int, ...] = (0,) * telegram.words
+        self.state = State.OFFLINE
+        self.goal = Goal.IDLE
+        self.setpoint = 0.0
+        self.setpoint_at = 0
+        self._setpoint_word = 0
+        self._control = table.word(Goal.IDLE, State.OFFLINE)
+        self._achieved = False
+        self._fresh = False
+        self._dirty = True
+        self._inputs = b""
+        self._offset = PKW_LEN if telegram.pkw else 0
+        self._unpack = struct.Struct(f">{telegram.words}H").unpack_from
+        self._pack: Callable[..., bytes] = struct.Struct(f">{telegram.words}H").pack
+        self._rest = (0,) * (telegram.words - 2)
+        self._jobs: list[Job] = []
+        self._events: list[dict[str, object]] = []
+        self._told: tuple[object, ...] = ()
+        self._tell_mask = table.status.mask("reached", "remote", "warning") if "warning" in table.status.bits else (
+            table.status.mask("reached", "remote")
+        )
+        self._outputs = safe_outputs
+
+    # -- CyclicUnit -----------------------------------------------------------------------------------------------
+
+    def cyclic(self, inputs: bytes, now: int) -> bytes:
+        """Called just before each Data_Exchange in Operate: the last inputs, the time in ns -> the outputs."""
+        self.now = now
+        if not self._fresh:
+            # the first call after the drive was taken up: these inputs are older than that
+            self._fresh = True
+            self._build()
+            return self._outputs
+        if inputs != self._inputs and len(inputs) == self.telegram.octets:
+            self._inputs = inputs
+            self.words = self._unpack(inputs, self._offset)
+            self.online = True
+            self.received()
+            self.update()
+        access = self.access
+        if access is not None and access.client.busy and self.online:
+            access.client.step(self._inputs)
+            self._dirty = True
+        if self._jobs:
+            for job in tuple(self._jobs):
+                self._resume(job)
+        if self._dirty:
+            self._build()
+        return self._outputs
+
+    def lost(self, now: int) -> None:
+        """The slave left data exchange, or outputs went to their safe values: what is pending ends with a reason."""
+        self.now = now
+        jobs, self._jobs = self._jobs, []
+        for job in jobs:
+            job.steps.close()
+            self._failed(job.token, "lost", _LOST)
+        if self.access is not None:
+            self.access.client.reset()
+        self.online = self._fresh = False
+        self._inputs = b""
+        self.set_goal(Goal.IDLE)
+        self.state = State.OFFLINE
+        self._tell()
+        self._build()
+
+    def command(self, op: str, args: Mapping[str, object], token: int, now: int) -> None:
+        """An order of the application in plain JSON data; its result is an event that carries ``token``.
+
+        A drive that is not yet in data exchange keeps the order until it is, or until the order's time is over.
+        """
+        self.now = now
+        try:
+            job = self._job(op, Args(op, args), token)
+        except CommandError as error:
+            self._failed(token, error.kind, error.text, error.number)
+            return
+        if job.motion:
+            for other in [other for other in self._jobs if other.motion]:
+                self._jobs.remove(other)
+                other.steps.close()
+                self._failed(other.token, "usage", f"{other.op} was superseded by {op}")
+        self._jobs.append(job)
+        self._resume(job)
+
+    def take_events(self) -> list[dict[str, object]]:
+        """Plain JSON data for the application, oldest first."""
+        events = self._events
+        if events:
+            self._events = []
+        return events
+
+    # -- for the application in the same process ------------------------------------------------------------------
+
+    def status(self) -> DriveStatus:
+        """Decoded from the last inputs and the last command."""
+        online = self.online
+        speed, current, torque = self.measured() if online else (None, None, None)
+        word = self.words[0] if online else 0
+        bits = self.table.status
+        return DriveStatus(
+            state=self.state,
+            running=self.state is State.RUNNING,
+            reached=bool(word & bits.mask("reached")),
+            remote=bool(word & bits.mask("remote")),
+            setpoint=self.setpoint,
+            speed=speed,
+            frequency_hz=None if speed is None else speed * self.reference_hz,
+            current=current,
+            torque=torque,
+            warnings=self.warnings() if online else (),
+            faults=self.faults() if online else (),
+            words=self.words if online else (),
+            bits=bits.names(word),
+        )
+
+    # -- for jobs and plugins -------------------------------------------------------------------------------------
+
+    @property
+    def raw_state(self) -> State:
+        """What the status word alone tells."""
+        return self.table.states.decode(self.words[0]) if self.online else State.OFFLINE
+
+    def set_goal(self, goal: Goal) -> None:
+        """Work towards ``goal`` from now on."""
+        if goal is not self.goal:
+            self.goal = goal
+            self._achieved = False
+        self.update()
+
+    def achieved(self) -> None:
+        """RUN was reached: from now on leaving it is the drive's doing and is not undone by itself."""
+        self._achieved = True
+
+    def update(self) -> None:
+        """Derive state and control word from the status word and the goal; tell what changed."""
+        if self.online:
+            status = self.words[0]
+            table = self.table
+            raw = table.states.decode(status)
+            if self._achieved and self.goal is Goal.RUN and table.state(status, self._control) is not State.RUNNING:
+                self._achieved = False
+                self.goal = Goal.IDLE
+                why = self.obstacle() or f"it reports {raw}"
+                self.notice(f"left the running state by itself: {why}; it stays off until the next start")
+            control = table.word(self.goal, raw)
+            self.state = table.state(status, control)
+        else:
+            control = table.word(self.goal, State.OFFLINE)
+        control |= self.control_bits()
+        if control != self._control:
+            self._control = control
+            self._dirty = True
+        if self.online:
+            self._tell()
+
+    def notice(self, text: str) -> None:
+        """One line for the application."""
+        self._events.append({"type": "notice", "text": text})
+
+    def spawn(self, op: str, steps: Steps[dict[str, object]]) -> None:
+        """Run something of our own; its failure is silent, what it learns it stores itself."""
+        self._jobs.append(Job(op, None, steps, motion=False))
+
+    def set_speed(self, fraction: float) -> None:
+        """The set point of the next rotation. Raises CommandError with the range."""
+        try:
+            word = self.setpoint_word(fraction)
+        except ValueError as error:
+            raise CommandError("usage", str(error)) from None
+        if fraction != self.setpoint:
+            self.setpoint = fraction
+            self.setpoint_at = self.now
+        self._setpoint_word = word
+        self._dirty = True
+        self.update()
+
+    # -- hooks: what a plugin overrides ---------------------------------------------------------------------------
+
+    def received(self) -> None:
+        """``words`` are new: take from them what the table does not know."""
+
+    def control_bits(self) -> int:
+        """Bits of the control word besides those that the goal asks for (selectors, direction)."""
+        return 0
+
+    def setpoint_word(self, fraction: float) -> int:
+        """The set point of ``fraction`` of the reference as its word. Raises ValueError with the range."""
+        return self.scale.encode(fraction)
+
+    def measured(self) -> tuple[float | None, float | None, float | None]:
+        """Speed of the reference, current and torque of the rated ones, as far as the telegram tells."""
+        return self.scale.decode(self.words[1]), None, None
+
+    def faults(self) -> tuple[str, ...]:
+        """The present faults by name."""
+        return ("fault",) if self.raw_state in FAULTED else ()
+
+    def warnings(self) -> tuple[str, ...]:
+        """The present warnings by name."""
+        return ()
+
+    def obstacle(self) -> str | None:
+        """What, by the status word, keeps the drive from running, with what to do about it; or None."""
+        return None
+
+    def prepare(self, deadline: int) -> Steps[None]:
+        """Before a start: find out what would make it fail, and raise CommandError with the remedy."""
+        return
+        yield
+
+    # -- inside ---------------------------------------------------------------------------------------------------
+
+    def _build(self) -> None:
+        self._dirty = False
+        data = self._pack(self._control, self._setpoint_word, *self._rest)
+        access = self.access
+        self._outputs = data if access is None else access.client.octets + data
+
+    def _tell(self) -> None:
+        """A status event when state, remote, reached, warnings or faults changed."""
+        word = self.words[0] & self._tell_mask if self.online else 0
+        key = (self.state, word, self.faults(), self.warnings()) if self.online else (self.state,)
+        if key != self._told:
+            self._told = key
+            self._events.append({"type": "status", **self.status().as_dict()})
+
+    def _job(self, op: str, args: Args, token: int) -> Job:
+        if op in motion.OPS:
+            return motion.job(self, op, args, token)
+        match op:
+            case "speed":
+                steps = self._speed(args.number("value"))
+            case "frequency":
+                steps = self._speed(args.number("value") / self.reference_hz)
+            case "reached":
+                steps = motion.reached(self, self.now + args.timeout_ns(60.0), args.optional("tolerance"))
+            case "read" | "write":
+                steps = self._parameter(op, args)
+            case _:
+                raise CommandError("usage", f"{self.drive} has no order {op!r}; it has {', '.join(OPS)}")
+        args.done()
+        return Job(op, token, steps, motion=False)
+
+    def _speed(self, fraction: float) -> Steps[dict[str, object]]:
+        self.set_speed(fraction)
+        return {"value": fraction, "frequency_hz": fraction * self.reference_hz}
+        yield
+
+    def _parameter(self, op: str, args: Args) -> Steps[dict[str, object]]:
+        access = self.access
+        if access is None:
+            raise CommandError("usage", f"{self.telegram.name} of {self.drive} has no parameter channel")
+        number, index = args.name_or_number("number"), args.integer("data_set", "index")
+        deadline = self.now + args.timeout_ns(5.0)
+        if op == "read":
+            return access.read(access.resolve(number, index, False), deadline)
+        return access.write(access.resolve(number, index, args.flag("ram")), args.number("value"), deadline)
+
+    def _resume(self, job: Job) -> None:
+        if job not in self._jobs:
+            return
+        try:
+            next(job.steps)
+            return
+        except StopIteration as done:
+            result: dict[str, object] = done.value
+        except CommandError as error:
+            self._jobs.remove(job)
+            self._failed(job.token, error.kind, error.text, error.number)
+            return
+        except BaseException:
+            self._jobs.remove(job)
+            raise
+        self._jobs.remove(job)
+        if job.token is not None:
+            self._events.append({"type": "result", "token": job.token, "ok": True, **result})
+
+    def _failed(self, token: int | None, kind: ErrorKind, text: str, number: int | None = None) -> None:
+        if token is not None:
+            error = {"error": kind, "number": number, "text": text}
+            self._events.append({"type": "result", "token": token, "ok": False, **error})

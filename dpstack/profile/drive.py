@@ -1,0 +1,139 @@
+"""One drive as a frozen object: what the bus, the configuration and the simulation must know of it."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from dpstack.errors import ConfigError
+
+if TYPE_CHECKING:
+    from dpstack.profile.core import DriveCore
+    from dpstack.profile.device import DriveDevice
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TelegramSpec:
+    """One telegram of a drive: identifier octets, octets each way, whether eight octets of parameter channel lead.
+
+    ``words``: process data words behind the parameter channel. ``made_up``: the identifiers are in no manual.
+    """
+
+    name: str
+    config: bytes
+    words: int
+    pkw: bool = False
+    made_up: bool = False
+
+    @property
+    def octets(self) -> int:
+        """Octets of outputs, and of inputs."""
+        return 2 * self.words + (8 if self.pkw else 0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OptionSpec:
+    """One option: ``default`` fixes the type (bool, float, str); ``low``/``high`` or ``choices`` limit it."""
+
+    default: bool | float | str
+    text: str
+    low: float | None = None
+    high: float | None = None
+    choices: tuple[str, ...] = ()
+
+
+CoreFactory = Callable[["DriveProfile", str, TelegramSpec, Mapping[str, "bool | float | str"]], "DriveCore"]
+DeviceFactory = Callable[
+    ["DriveProfile", TelegramSpec, Mapping[str, "bool | float | str"], Mapping[str, object]], "DriveDevice"
+]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DriveProfile:
+    """A drive: found by the entry point group ``dpstack.drives`` under ``name``.
+
+    ``max_tsdr``: bit times by baud rate, empty where the manual gives none. ``reference_hz``: what 100 % speed is
+    at the factory. ``on_loss``: what the drive does when its master stops. ``notes``: what a user should know.
+    """
+
+    name: str
+    title: str
+    ident: int
+    telegrams: Mapping[str, TelegramSpec]
+    default_telegram: str
+    reference_hz: float
+    on_loss: str
+    core_factory: CoreFactory
+    device_factory: DeviceFactory
+    ident_made_up: bool = False
+    user_prm: bytes = b""
+    baud_rates: tuple[int, ...] = ()
+    max_tsdr: Mapping[int, int] = field(default_factory=dict)
+    min_slave_interval_ns: int = 0
+    fail_safe: bool = False
+    safe_outputs: Mapping[str, bytes] = field(default_factory=dict)
+    core_options: Mapping[str, OptionSpec] = field(default_factory=dict)
+    device_options: Mapping[str, OptionSpec] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    def telegram(self, name: str | None = None) -> TelegramSpec:
+        """A telegram by name (any case), the default one for None. Raises ConfigError naming those there are."""
+        wanted = self.default_telegram if name is None else name.strip().upper()
+        for spec in self.telegrams.values():
+            if spec.name.upper() == wanted.upper():
+                return spec
+        raise ConfigError(f"{self.name} has no telegram {name!r}; it has {', '.join(self.telegrams)}")
+
+    def core(self, name: str, telegram: str | None = None, options: Mapping[str, object] | None = None) -> DriveCore:
+        """The master's end for the drive called ``name`` in the configuration. Raises ConfigError."""
+        checked, extra = self._options(self.core_options, options or {}, f"drive {name} ({self.name})")
+        if extra:
+            self._refuse(next(iter(extra)), self.core_options, f"drive {name} ({self.name})")
+        return self.core_factory(self, name, self.telegram(telegram), checked)
+
+    def device(self, telegram: str | None = None, options: Mapping[str, object] | None = None) -> DriveDevice:
+        """A simulated drive. Options: those declared, and parameters by number or name with their value.
+
+        Raises ConfigError.
+        """
+        checked, extra = self._options(self.device_options, options or {}, f"simulated {self.name}")
+        return self.device_factory(self, self.telegram(telegram), checked, extra)
+
+    def _options(
+        self, specs: Mapping[str, OptionSpec], given: Mapping[str, object], where: str
+    ) -> tuple[dict[str, bool | float | str], dict[str, object]]:
+        checked = {name: spec.default for name, spec in specs.items()}
+        extra: dict[str, object] = {}
+        for name, value in given.items():
+            spec = specs.get(name)
+            if spec is None:
+                extra[name] = value
+            else:
+                checked[name] = _check(spec, name, value, where)
+        return checked, extra
+
+    def _refuse(self, name: str, specs: Mapping[str, OptionSpec], where: str) -> None:
+        near = difflib.get_close_matches(name, specs, n=1)
+        hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(specs) or 'none'}"
+        raise ConfigError(f"{where}: there is no option {name!r}; {hint}")
+
+
+def _check(spec: OptionSpec, name: str, value: object, where: str) -> bool | float | str:
+    """``value`` in the type of the option's default. Raises ConfigError."""
+    default = spec.default
+    if isinstance(default, bool):
+        if isinstance(value, bool):
+            return value
+        raise ConfigError(f"{where}: {name} must be true or false, not {value!r}")
+    if isinstance(default, str):
+        if isinstance(value, str) and (not spec.choices or value in spec.choices):
+            return value
+        raise ConfigError(f"{where}: {name} must be {' or '.join(map(repr, spec.choices)) or 'text'}, not {value!r}")
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise ConfigError(f"{where}: {name} must be a number, not {value!r}")
+    if (spec.low is not None and not value >= spec.low) or (spec.high is not None and not value <= spec.high):
+        low, high = ("" if limit is None else f"{limit:g}" for limit in (spec.low, spec.high))
+        raise ConfigError(f"{where}: {name} = {value:g} is outside {low}..{high}")
+    return float(value)

@@ -1,0 +1,107 @@
+"""Orders of the application that take several cycles, written as generators that are resumed once a cycle."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Generator, Mapping
+from typing import Literal, TypeVar
+
+from dpstack.units import s_to_ns
+
+T = TypeVar("T")
+#: Yields once a cycle until it returns its result or raises :class:`CommandError`.
+Steps = Generator[None, None, T]
+
+#: Why an order failed: the drive's fault, time, the parameter channel, wrong use, or the slave left data exchange.
+ErrorKind = Literal["fault", "timeout", "parameter", "usage", "lost"]
+
+
+class CommandError(Exception):
+    """An order that cannot be or was not carried out; becomes a result event."""
+
+    def __init__(self, kind: ErrorKind, text: str, number: int | None = None) -> None:
+        super().__init__(text)
+        self.kind = kind
+        self.text = text
+        self.number = number
+
+
+class Job:
+    """An order under way. ``motion``: at most one such job runs, a new one supersedes it. ``token`` None: our own."""
+
+    __slots__ = ("motion", "op", "steps", "token")
+
+    def __init__(self, op: str, token: int | None, steps: Steps[dict[str, object]], motion: bool) -> None:
+        self.op = op
+        self.token = token
+        self.steps = steps
+        self.motion = motion
+
+
+class Args:
+    """The arguments of one order, plain JSON data, checked as they are read. Raises CommandError of kind usage."""
+
+    __slots__ = ("_given", "_op", "_read")
+
+    def __init__(self, op: str, given: Mapping[str, object]) -> None:
+        self._op = op
+        self._given = given
+        self._read: set[str] = set()
+
+    def number(self, name: str, default: float | None = None) -> float:
+        """A finite number; required without a default."""
+        value = self._get(name)
+        if value is None and default is not None:
+            return default
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+            raise CommandError("usage", f"{self._op}: {name} must be a number, not {value!r}")
+        return value
+
+    def optional(self, name: str) -> float | None:
+        """A finite number or None."""
+        return None if self._get(name) is None else self.number(name)
+
+    def integer(self, *names: str) -> int | None:
+        """The first of ``names`` that is given, a whole number from 0 on, or None."""
+        found: int | None = None
+        for name in names:
+            value = self._get(name)
+            if value is None or found is not None:
+                continue
+            if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+                raise CommandError("usage", f"{self._op}: {name} must be a whole number from 0 on, not {value!r}")
+            found = value
+        return found
+
+    def name_or_number(self, name: str) -> str | int:
+        """A parameter as users name it."""
+        value = self._get(name)
+        if isinstance(value, bool) or not isinstance(value, (int, str)):
+            raise CommandError("usage", f"{self._op}: {name} must be a parameter number or name, not {value!r}")
+        return value
+
+    def flag(self, name: str) -> bool:
+        """True or False, default False."""
+        value = self._get(name)
+        if value is None:
+            return False
+        if not isinstance(value, bool):
+            raise CommandError("usage", f"{self._op}: {name} must be true or false, not {value!r}")
+        return value
+
+    def timeout_ns(self, default_s: float) -> int:
+        """``timeout_s`` in ns, not negative."""
+        seconds = self.number("timeout_s", default_s)
+        if seconds < 0:
+            raise CommandError("usage", f"{self._op}: timeout_s must not be negative")
+        return s_to_ns(seconds)
+
+    def done(self) -> None:
+        """Refuse what nobody asked for."""
+        unknown = [name for name in self._given if name not in self._read]
+        if unknown:
+            raise CommandError("usage", f"{self._op}: unknown argument {unknown[0]!r}")
+
+    def _get(self, name: str) -> object:
+        self._read.add(name)
+        return self._given.get(name)

@@ -1,0 +1,134 @@
+"""The orders that move a drive, as jobs over a :class:`~dpstack.profile.core.DriveCore`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from dpstack.profile.jobs import Args, CommandError, Job, Steps
+from dpstack.profile.states import FAULTED, MOVING, Goal, State
+from dpstack.units import ns_to_s
+
+if TYPE_CHECKING:
+    from dpstack.profile.core import DriveCore
+
+OPS: Final = ("start", "stop", "quick_stop", "coast", "acknowledge")
+
+#: default time-outs in s; 15 s of them is the time some drives lock a fault
+_TIMEOUTS: Final = {"start": 5.0, "stop": 60.0, "quick_stop": 60.0, "coast": 5.0, "acknowledge": 20.0}
+_GOALS: Final = {"stop": Goal.STOP, "quick_stop": Goal.QUICK_STOP, "coast": Goal.COAST}
+
+
+def job(core: DriveCore, op: str, args: Args, token: int) -> Job:
+    """The job of one order of :data:`OPS`. Raises CommandError."""
+    deadline = core.now + args.timeout_ns(_TIMEOUTS[op])
+    args.done()
+    if op == "start":
+        steps = start(core, deadline)
+    elif op == "acknowledge":
+        steps = acknowledge(core, deadline)
+    else:
+        steps = halt(core, op, deadline)
+    return Job(op, token, steps, motion=True)
+
+
+def start(core: DriveCore, deadline: int) -> Steps[dict[str, object]]:
+    """Walk to RUNNING. On any failure the goal falls back to IDLE: a drive never starts later by surprise."""
+    try:
+        yield from _online(core, deadline)
+        yield from settled(core, lambda: core.raw_state not in FAULTED, deadline)
+        if core.raw_state in FAULTED:
+            raise CommandError("fault", f"{fault_text(core)}; acknowledge it first")
+        yield from core.prepare(deadline)
+        # a status word that says running already may be older than our last stop
+        trust = core.now + (core.settle_ns if core.raw_state in MOVING else 0)
+        core.set_goal(Goal.RUN)
+        while core.state is not State.RUNNING or core.now < trust:
+            if core.raw_state in FAULTED:
+                raise CommandError("fault", fault_text(core))
+            if core.now >= deadline:
+                raise CommandError("timeout", core.obstacle() or f"the drive reports {core.raw_state}, not running")
+            yield
+    except BaseException:
+        core.set_goal(Goal.IDLE)
+        raise
+    core.achieved()
+    return {"value": str(core.state)}
+
+
+def halt(core: DriveCore, op: str, deadline: int) -> Steps[dict[str, object]]:
+    """Ramp, quick stop or coast; done when the drive reports that the power stage is off."""
+    core.set_goal(_GOALS[op])
+    yield from _online(core, deadline)
+    trust = core.now + core.settle_ns
+    while core.state in MOVING or core.now < trust:
+        if core.now >= deadline:
+            speed = core.status().speed
+            still = "" if speed is None else f" at {speed:.1%}"
+            raise CommandError("timeout", f"the drive still reports {core.raw_state}{still}")
+        yield
+    return {"value": str(core.state)}
+
+
+def acknowledge(core: DriveCore, deadline: int) -> Steps[dict[str, object]]:
+    """Edges of the acknowledge bit until the fault is gone; a drive may lock it for a while."""
+    yield from _online(core, deadline)
+    yield from settled(core, lambda: core.raw_state in FAULTED, deadline)
+    if core.raw_state not in FAULTED:
+        return {"value": str(core.state)}
+    try:
+        while core.raw_state in FAULTED:
+            for goal in (Goal.ACK_HIGH, Goal.ACK_LOW):
+                core.set_goal(goal)
+                until = core.now + core.settle_ns
+                while core.now < until:
+                    yield
+            if core.now >= deadline and core.raw_state in FAULTED:
+                raise CommandError("fault", f"{fault_text(core)}: the drive does not accept the acknowledgement")
+    finally:
+        core.set_goal(Goal.IDLE)
+    return {"value": str(core.state)}
+
+
+def reached(core: DriveCore, deadline: int, tolerance: float | None) -> Steps[dict[str, object]]:
+    """The drive says that it has reached its reference, or, with ``tolerance``, the speed is that near the set point."""
+    yield from _online(core, deadline)
+    while True:
+        if core.raw_state in FAULTED:
+            raise CommandError("fault", fault_text(core))
+        if core.state is not State.RUNNING and core.goal is not Goal.RUN:
+            raise CommandError("usage", f"the drive is not running (it reports {core.state}): start it first")
+        status = core.status()
+        speed = status.speed
+        off = None if speed is None else abs(speed - core.setpoint)
+        if tolerance is not None:
+            done = off is not None and off <= tolerance
+        else:
+            # the bit may still belong to the last set point
+            near = off is not None and off <= 0.001
+            done = status.reached and (near or core.now >= core.setpoint_at + core.settle_ns)
+        if done and status.running:
+            return {"value": speed}
+        if core.now >= deadline:
+            at = "" if speed is None else f", at {speed:.1%}"
+            raise CommandError("timeout", f"{core.setpoint:.1%} not reached{at}")
+        yield
+
+
+def settled(core: DriveCore, wanted: object, deadline: int) -> Steps[None]:
+    """Wait until ``wanted()`` is true, at most until the inputs belong to the present outputs."""
+    assert callable(wanted)
+    until = min(core.now + core.settle_ns, deadline)
+    while not wanted() and core.now < until:
+        yield
+
+
+def fault_text(core: DriveCore) -> str:
+    """The present fault by name."""
+    return f"fault {', '.join(core.faults()) or 'without a name'}"
+
+
+def _online(core: DriveCore, deadline: int) -> Steps[None]:
+    while not core.online:
+        if core.now >= deadline:
+            raise CommandError("lost", "the drive is not in data exchange")
+        yield

@@ -1,0 +1,133 @@
+"""The simulated motor: first order, per unit of the rated values, on a fixed grid of 1 ms of the bus's clock.
+
+An inverter puts frequency f on the stator; the torque is (f - w) / slip, J dw/dt = torque - load(w). The ramp moves f
+towards the set point; the current limit holds it back. Per step the speed is integrated exactly (exponential), and
+because the grid does not move, results do not depend on how often anybody looks.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from dpstack.units import NS_PER_MS
+
+STEP_NS: Final = NS_PER_MS
+_STEP_S: Final = 0.001
+_REST: Final = 1e-9
+#: below this speed the load torque fades to nothing: friction holds, it does not turn
+_CREEP: Final = 0.02
+
+
+class Motor:
+    """Speed ``speed`` and stator frequency ``frequency`` in per unit of the rated frequency, ``torque`` of the rated.
+
+    ``inertia``: seconds from standstill to rated speed at rated torque. ``slip`` at rated torque. ``limit``: torque
+    limit. ``magnetising``: current at no load. ``load``: torque against the motion at any speed. ``accel``,
+    ``decel``: ramps in per unit per second.
+    """
+
+    __slots__ = (
+        "_at",
+        "_decay",
+        "accel",
+        "decel",
+        "frequency",
+        "inertia",
+        "limit",
+        "limited",
+        "load",
+        "magnetising",
+        "on",
+        "setpoint",
+        "slip",
+        "speed",
+        "torque",
+    )
+
+    def __init__(
+        self,
+        *,
+        inertia: float = 0.1,
+        slip: float = 0.04,
+        limit: float = 1.5,
+        magnetising: float = 0.4,
+        load: float = 0.2,
+        accel: float = 1.0,
+        decel: float = 1.0,
+    ) -> None:
+        self.inertia = inertia
+        self.slip = slip
+        self.limit = limit
+        self.magnetising = magnetising
+        self.load = load
+        self.accel = accel
+        self.decel = decel
+        self.on = False
+        self.setpoint = 0.0
+        self.speed = 0.0
+        self.frequency = 0.0
+        self.torque = 0.0
+        self.limited = False
+        self._decay = math.exp(-_STEP_S / (slip * inertia))
+        self._at: int | None = None
+
+    @property
+    def current(self) -> float:
+        """Absolute current of the rated one."""
+        return math.hypot(self.torque, self.magnetising) if self.on else 0.0
+
+    def switch(self, on: bool) -> None:
+        """Power stage on or off (coasting). Switched on, the frequency starts at 0 or, by the limit, near the speed."""
+        if on != self.on:
+            self.on = on
+            self.frequency = 0.0
+            self.torque = 0.0
+            self.limited = False
+
+    def advance(self, now: int) -> None:
+        """Integrate up to ``now`` in whole steps."""
+        at = self._at
+        if at is None:
+            self._at = now
+            return
+        steps = (now - at) // STEP_NS
+        if steps <= 0:
+            return
+        self._at = at + steps * STEP_NS
+        step = self._driven if self.on else self._coasting
+        while steps:
+            steps -= 1
+            if step():
+                return
+
+    def _driven(self) -> bool:
+        """One step under power. True when nothing moves any more: further steps would change nothing."""
+        frequency, speed = self.frequency, self.speed
+        wanted = self._ramped(frequency)
+        reach = self.slip * self.limit
+        held = min(max(wanted, speed - reach), speed + reach)
+        self.limited = held != wanted
+        self.frequency = held
+        rest = held - self.slip * self._load(speed)
+        self.speed = speed = rest + (speed - rest) * self._decay
+        self.torque = (held - speed) / self.slip
+        return held == self.setpoint == frequency and abs(rest - speed) < _REST
+
+    def _ramped(self, frequency: float) -> float:
+        wanted = self.setpoint
+        up = (wanted - frequency) * (frequency or wanted) > 0
+        most = (self.accel if up else self.decel) * _STEP_S
+        ahead = frequency + min(max(wanted - frequency, -most), most)
+        # one step never carries the ramp through zero: the other ramp takes over there
+        return 0.0 if ahead * frequency < 0 else ahead
+
+    def _coasting(self) -> bool:
+        speed = self.speed
+        # a little friction brings the shaft to rest even without a load
+        slower = speed - (self._load(speed) + 0.02 * speed) / self.inertia * _STEP_S
+        self.speed = 0.0 if abs(slower) < 1e-4 or slower * speed < 0 else slower
+        return not self.speed
+
+    def _load(self, speed: float) -> float:
+        return self.load * min(max(speed / _CREEP, -1.0), 1.0)

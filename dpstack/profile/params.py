@@ -1,0 +1,95 @@
+"""Drive parameters declared as data: number, type, scale, unit, limits; shared by plugin and simulated drive."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Final
+
+_WORD: Final = 0xFFFF
+_LONG: Final = 0xFFFF_FFFF
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ParamSpec:
+    """One parameter. ``low``, ``high`` and ``factory`` are in ``unit``; on the wire stands value x 10^decimals.
+
+    ``index``: a fixed subindex that belongs to the number. ``per_set``: exists once in every data set. ``read_only``.
+    ``text``: a string, which the parameter channel cannot carry. ``made_up``: limits or factory value are ours.
+    """
+
+    number: int
+    name: str
+    title: str
+    index: int = 0
+    long: bool = False
+    decimals: int = 0
+    unit: str = ""
+    low: float = 0
+    high: float = 0xFFFF
+    factory: float = 0
+    per_set: bool = False
+    read_only: bool = False
+    text: bool = False
+    made_up: bool = False
+
+    def to_raw(self, value: float) -> int:
+        """The integer on the wire. Raises ValueError with the limits."""
+        if not (math.isfinite(value) and self.low <= value <= self.high):
+            unit = f" {self.unit}" if self.unit else ""
+            raise ValueError(f"{self.label}: {value:g}{unit} is outside {self.low:g}..{self.high:g}{unit}")
+        return round(value * 10**self.decimals)
+
+    def to_value(self, raw: int) -> int | float:
+        """The value in ``unit`` of an integer on the wire: an int where there are no decimals."""
+        return raw / 10**self.decimals if self.decimals else raw
+
+    def pwe(self, raw: int) -> int:
+        """``raw`` as the 32 bits of PWE; a word stands in the low half, its high half is 0."""
+        return raw & (_LONG if self.long else _WORD)
+
+    def from_pwe(self, pwe: int) -> int:
+        """The integer in PWE; signed where the parameter can be negative."""
+        half, mask = (0x8000_0000, _LONG) if self.long else (0x8000, _WORD)
+        raw = pwe & mask
+        return (raw ^ half) - half if self.low < 0 else raw
+
+    @property
+    def label(self) -> str:
+        """Number and title for people."""
+        return f"{self.number} ({self.title})" if not self.index else f"{self.name} ({self.title})"
+
+
+class ParamTable:
+    """The parameters of a drive, found by name or by number (and index). Numbers and names must be unique."""
+
+    __slots__ = ("_by_key", "_by_name")
+
+    def __init__(self, specs: Iterable[ParamSpec]) -> None:
+        self._by_key: dict[tuple[int, int], ParamSpec] = {}
+        self._by_name: dict[str, ParamSpec] = {}
+        for spec in specs:
+            if (spec.number, spec.index) in self._by_key or spec.name.lower() in self._by_name:
+                raise ValueError(f"parameter {spec.label} is declared twice")
+            self._by_key[spec.number, spec.index] = spec
+            self._by_name[spec.name.lower()] = spec
+
+    def __iter__(self) -> Iterator[ParamSpec]:
+        return iter(self._by_key.values())
+
+    def get(self, number: int, index: int = 0) -> ParamSpec | None:
+        """By number and fixed index."""
+        return self._by_key.get((number, index))
+
+    def named(self, name: str) -> ParamSpec | None:
+        """By name (any case), or by the number as text."""
+        found = self._by_name.get(name.strip().lower())
+        if found is None and name.strip().isdecimal():
+            found = self.get(int(name))
+        return found
+
+    def nearest(self, name: str) -> list[str]:
+        """Names that a user may have meant."""
+        return difflib.get_close_matches(name.lower(), self._by_name, n=3)

@@ -1,0 +1,215 @@
+"""The parameter channel of PPO1 and PPO2: eight octets PKE IND PWE with a handshake, both ends.
+
+PKE: order or reply id in bits 15-12, SPM bit 11 (0 here), PNU bits 10-0. IND: subindex in the high octet. PWE: 32 bits.
+Sources: PROFIdrive V2; the replies that are allowed to an order from the MICROMASTER and SIMOREG manuals. Which ids a
+drive knows, its error texts and its handshake are data: a :class:`PkwDialect`.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Final, NamedTuple
+
+PKW_LEN: Final = 8
+ZEROS: Final = bytes(PKW_LEN)
+_LAYOUT: Final = struct.Struct(">HBBI")
+
+
+class Order(IntEnum):
+    """Order ids of the master."""
+
+    NONE = 0
+    READ = 1
+    WRITE_WORD = 2
+    WRITE_LONG = 3
+    READ_ARRAY = 6
+    WRITE_ARRAY_WORD = 7
+    WRITE_ARRAY_LONG = 8
+    ELEMENTS = 9
+
+
+class Reply(IntEnum):
+    """Reply ids of the drive."""
+
+    NONE = 0
+    WORD = 1
+    LONG = 2
+    ARRAY_WORD = 4
+    ARRAY_LONG = 5
+    ELEMENTS = 6
+    ERROR = 7
+    NO_CONTROL = 8
+
+
+class Pkw(NamedTuple):
+    """One content of the channel: order or reply id, PNU, subindex, value (32 bits unsigned)."""
+
+    id: int
+    pnu: int
+    index: int = 0
+    pwe: int = 0
+
+    def build(self) -> bytes:
+        """The eight octets."""
+        return _LAYOUT.pack(self.id << 12 | self.pnu & 0x7FF, self.index, 0, self.pwe)
+
+    @classmethod
+    def parse(cls, octets: bytes) -> Pkw:
+        """From (at least) eight octets; SPM and IND's low octet are ignored."""
+        pke, index, _, pwe = _LAYOUT.unpack_from(octets)
+        return cls(pke >> 12, pke & 0x7FF, index, pwe)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PkwDialect:
+    """What differs between drives: positive replies allowed to each order, error texts, and the handshake.
+
+    ``zero_between``: the drive takes a new order only after it has answered 0 with 0 (D4). Without it a new order
+    may follow at once unless it looks like the last one; then a reply counts only when id, PNU and index match.
+    """
+
+    answers: Mapping[int, tuple[int, ...]]
+    errors: Mapping[int, str]
+    zero_between: bool = True
+
+    def error_text(self, number: int) -> str:
+        """The drive's text for an error number."""
+        return self.errors.get(number, "error without a text in the manual")
+
+
+class Exchange:
+    """One order under way. ``reply`` is set when the drive has answered; ``stray`` is the last reply to another order."""
+
+    __slots__ = ("octets", "order", "reply", "stray")
+
+    def __init__(self, order: Pkw) -> None:
+        self.order = order
+        self.octets = order.build()
+        self.reply: Pkw | None = None
+        self.stray: Pkw | None = None
+
+
+class PkwClient:
+    """The master's end: one order at a time, the others queue. ``octets`` is what to send now."""
+
+    __slots__ = ("_active", "_dialect", "_last", "_queue", "_release", "octets")
+
+    def __init__(self, dialect: PkwDialect) -> None:
+        self._dialect = dialect
+        self._queue: deque[Exchange] = deque()
+        self._active: Exchange | None = None
+        self._release = False  # our order is withdrawn, the drive's reply is not yet 0
+        self._last = ZEROS
+        self.octets = ZEROS
+
+    @property
+    def busy(self) -> bool:
+        """True while :meth:`step` is wanted in every cycle."""
+        return self._release or self._active is not None or bool(self._queue)
+
+    def submit(self, order: Pkw) -> Exchange:
+        """Queue an order; poll the exchange's ``reply``."""
+        exchange = Exchange(order)
+        self._queue.append(exchange)
+        return exchange
+
+    def cancel(self, exchange: Exchange) -> None:
+        """Give an order up; harmless when it is done."""
+        if exchange is self._active:
+            self._withdraw()
+        elif exchange in self._queue:
+            self._queue.remove(exchange)
+
+    def reset(self) -> None:
+        """The slave left data exchange: both ends start at 0 again."""
+        self._queue.clear()
+        self._active = None
+        self._release = False
+        self._last = ZEROS
+        self.octets = ZEROS
+
+    def step(self, inputs: bytes) -> None:
+        """Judge the channel's octets in ``inputs`` (the first eight) and advance the handshake."""
+        replied = inputs[0] & 0xF0
+        if self._release:
+            if replied:
+                follows = self._queue and not self._dialect.zero_between and self._queue[0].octets[:3] != self._last[:3]
+                if not follows:
+                    return
+            self._release = False
+        active = self._active
+        if active is None:
+            if self._queue:
+                self._active = active = self._queue.popleft()
+                self.octets = self._last = active.octets
+            return
+        if not replied:
+            return
+        reply = Pkw.parse(inputs)
+        if self._fits(active.order, reply):
+            active.reply = reply
+            self._withdraw()
+        else:
+            active.stray = reply
+
+    def _fits(self, order: Pkw, reply: Pkw) -> bool:
+        if reply.pnu != order.pnu or reply.index != order.index:
+            return False
+        # after a zero any reply for this PNU is the answer, right or wrong; without one it may be an old one
+        return self._dialect.zero_between or reply.id in self.expected(order.id)
+
+    def expected(self, order_id: int) -> tuple[int, ...]:
+        """The reply ids that can answer an order, negative ones included."""
+        return (*self._dialect.answers.get(order_id, ()), Reply.ERROR, Reply.NO_CONTROL)
+
+    def _withdraw(self) -> None:
+        self._active = None
+        self._release = True
+        self.octets = ZEROS
+
+
+class PkwServer:
+    """The drive's end. ``handler`` carries an order out and returns the reply id and PWE.
+
+    With ``zero_between`` an order is carried out once and its reply held until the order is 0. Without it an order
+    acts when it changes, and the value of a read is the momentary one in every call (reads: ids in ``reads``).
+    """
+
+    __slots__ = ("_dialect", "_handler", "_last", "_reads", "_reply")
+
+    def __init__(
+        self,
+        dialect: PkwDialect,
+        handler: Callable[[Pkw], tuple[int, int]],
+        reads: frozenset[int] = frozenset({Order.READ, Order.READ_ARRAY, Order.ELEMENTS}),
+    ) -> None:
+        self._dialect = dialect
+        self._handler = handler
+        self._reads = reads
+        self._last = ZEROS
+        self._reply = ZEROS
+
+    def reset(self) -> None:
+        """Data exchange begins: the reply is 0, the next order is new."""
+        self._last = ZEROS
+        self._reply = ZEROS
+
+    def step(self, octets: bytes) -> bytes:
+        """The reply to the eight octets of the order area."""
+        if not octets[0] & 0xF0:
+            self._last = self._reply = ZEROS
+            return ZEROS
+        held = self._last[0] & 0xF0
+        if held and self._dialect.zero_between:
+            return self._reply
+        if octets == self._last and octets[0] >> 4 not in self._reads:
+            return self._reply
+        self._last = octets
+        order = Pkw.parse(octets)
+        reply, pwe = self._handler(order)
+        self._reply = Pkw(reply, order.pnu, order.index, pwe).build()
+        return self._reply

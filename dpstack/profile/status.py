@@ -1,0 +1,59 @@
+"""What a drive tells, decoded."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from dpstack.profile.states import State
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DriveStatus:
+    """One drive at one moment, from its last inputs and the master's own last command.
+
+    ``speed``, ``setpoint``: of the reference (1.0 = 100 %); ``current`` and ``torque``: of the rated current. What
+    the telegram does not carry is None. ``words``: the process data as received. ``bits``: names of the status
+    bits set.
+    """
+
+    state: State
+    running: bool
+    reached: bool
+    remote: bool
+    setpoint: float
+    speed: float | None
+    frequency_hz: float | None
+    current: float | None = None
+    torque: float | None = None
+    warnings: tuple[str, ...] = ()
+    faults: tuple[str, ...] = ()
+    words: tuple[int, ...] = ()
+    bits: tuple[str, ...] = ()
+
+    @property
+    def fault(self) -> str | None:
+        """The fault by name, or None."""
+        return ", ".join(self.faults) or None
+
+    @property
+    def warning(self) -> str | None:
+        """The warnings by name, or None."""
+        return ", ".join(self.warnings) or None
+
+    def as_dict(self) -> dict[str, object]:
+        """Plain JSON data; words as four hex digits."""
+        return {
+            "state": str(self.state),
+            "running": self.running,
+            "reached": self.reached,
+            "remote": self.remote,
+            "setpoint": self.setpoint,
+            "speed": self.speed,
+            "frequency_hz": self.frequency_hz,
+            "current": self.current,
+            "torque": self.torque,
+            "warnings": list(self.warnings),
+            "faults": list(self.faults),
+            "words": [f"{word:04X}" for word in self.words],
+            "bits": list(self.bits),
+        }

@@ -1,0 +1,72 @@
+"""Words of process data declared as data: named bits, and scaled fields with unit and range."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+
+@dataclass(frozen=True, slots=True)
+class Word:
+    """A 16-bit word of named bits, e.g. a control or a status word. ``bits``: name -> bit number 0..15."""
+
+    name: str
+    bits: Mapping[str, int]
+
+    def __post_init__(self) -> None:
+        numbers = list(self.bits.values())
+        if any(not 0 <= bit <= 15 for bit in numbers) or len(set(numbers)) != len(numbers):
+            raise ValueError(f"word {self.name}: bit numbers must be 0..15, each once")
+
+    def mask(self, *names: str) -> int:
+        """The word with exactly the named bits set."""
+        value = 0
+        for name in names:
+            value |= 1 << self.bits[name]
+        return value
+
+    def names(self, value: int) -> tuple[str, ...]:
+        """The names of the bits set in ``value``, lowest bit first; unnamed bits are left out."""
+        return tuple(name for name, bit in sorted(self.bits.items(), key=lambda item: item[1]) if value >> bit & 1)
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """A signed 16-bit field where ``full`` stands for ``span`` of ``unit`` (default: 0x4000 = 1.0 of the reference).
+
+    The range is what the octets can hold: -200 % .. +199.99 % for N2.
+    """
+
+    name: str
+    full: int = 0x4000
+    span: float = 1.0
+    unit: str = ""
+
+    def encode(self, value: float) -> int:
+        """``value`` as the 16-bit word, two's complement. Raises ValueError with the possible range."""
+        raw = round(value / self.span * self.full) if math.isfinite(value) else 0x8000
+        if not -0x8000 <= raw <= 0x7FFF:
+            low, high = self.limits
+            unit = f" {self.unit}" if self.unit else ""
+            raise ValueError(f"{self.name} {value:g}{unit} is outside {low:g}..{high:.5g}{unit}")
+        return raw & 0xFFFF
+
+    def decode(self, word: int) -> float:
+        """The value of a 16-bit word."""
+        return ((word ^ 0x8000) - 0x8000) * self.span / self.full
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Lowest and highest value the word can hold."""
+        return -0x8000 * self.span / self.full, 0x7FFF * self.span / self.full
+
+
+#: PROFIdrive's N2: 0x4000 = 100 % of the reference.
+SPEED: Final = Scale("speed")
+
+
+def signed16(word: int) -> int:
+    """A 16-bit word as two's complement."""
+    return (word ^ 0x8000) - 0x8000

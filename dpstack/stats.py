@@ -1,0 +1,69 @@
+"""A histogram of durations that is cheap enough to be always on."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from dpstack.units import NS_PER_US
+
+_SUB_BITS: Final = 8  # 256 buckets an octave: values are kept to 0.4 %
+_SUB: Final = 1 << _SUB_BITS
+
+
+class Histogram:
+    """Counts of durations in ns in logarithmic buckets (relative width 2^-8), minimum and maximum exact."""
+
+    __slots__ = ("_buckets", "count", "max_ns", "min_ns", "total_ns")
+
+    def __init__(self) -> None:
+        self._buckets: dict[int, int] = {}
+        self.count = 0
+        self.total_ns = 0
+        self.min_ns = 0
+        self.max_ns = 0
+
+    def add(self, ns: int) -> None:
+        """Count one duration in nanoseconds (negative ones count as 0)."""
+        if ns < 0:
+            ns = 0
+        shift = ns.bit_length() - _SUB_BITS - 1
+        key = ns if shift <= 0 else (shift << (_SUB_BITS + 1)) + (ns >> shift)
+        buckets = self._buckets
+        buckets[key] = buckets.get(key, 0) + 1
+        if ns > self.max_ns:
+            self.max_ns = ns
+        if ns < self.min_ns or not self.count:
+            self.min_ns = ns
+        self.count += 1
+        self.total_ns += ns
+
+    def quantile_ns(self, q: float) -> int:
+        """The smallest bucket value at or above which ``q`` (0..1) of the durations lie; 0 when empty."""
+        if not self.count:
+            return 0
+        rank = q * self.count
+        seen = 0
+        for key in sorted(self._buckets):
+            seen += self._buckets[key]
+            if seen >= rank:
+                return min(max(_value(key), self.min_ns), self.max_ns)
+        return self.max_ns
+
+    def summary_us(self) -> dict[str, int]:
+        """``min``, ``p50``, ``p99``, ``p999`` and ``max`` in whole microseconds, as the JSON lines print them."""
+        points = {
+            "min": self.min_ns,
+            "p50": self.quantile_ns(0.5),
+            "p99": self.quantile_ns(0.99),
+            "p999": self.quantile_ns(0.999),
+            "max": self.max_ns,
+        }
+        return {name: (ns + NS_PER_US // 2) // NS_PER_US for name, ns in points.items()}
+
+
+def _value(key: int) -> int:
+    """The middle of a bucket in ns."""
+    shift = key >> (_SUB_BITS + 1)
+    if not shift:
+        return key
+    return ((key - (shift << (_SUB_BITS + 1))) << shift) + (1 << shift >> 1)

@@ -1,0 +1,83 @@
+"""Typed records of what happened: events for the application, telegrams for the wire log.
+
+Nothing here decodes or prints protocol: :mod:`dpstack.fdl.describe` renders a wire log for people.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from enum import Enum
+
+
+class Severity(Enum):
+    """How much a person should care."""
+
+    INFO = "info"
+    WARNING = "warning"
+    ERROR = "error"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Event:
+    """Something happened at ``t_ns`` (the machine's time). Layers derive their own events from this one."""
+
+    t_ns: int
+
+    @property
+    def text(self) -> str:
+        """One line for people: what happened, and what to do where something is to be done."""
+        return type(self).__name__
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Notice(Event):
+    """A remark worth one line that has no type of its own. ``source`` names the layer or the station."""
+
+    source: str
+    message: str
+    severity: Severity = Severity.INFO
+
+    @property
+    def text(self) -> str:
+        """The message with its source."""
+        return f"{self.source}: {self.message}"
+
+
+@dataclass(frozen=True, slots=True)
+class WireEntry:
+    """One transmission on the wire: octets as sent, first start edge, end of the last stop bit, remarks.
+
+    ``sender`` is a station's name or address as the one who logs knows it; None when only heard.
+    """
+
+    start_ns: int
+    end_ns: int
+    octets: bytes
+    sender: str | None = None
+    note: str = ""
+
+
+@dataclass(slots=True)
+class WireLog:
+    """The last ``keep`` transmissions, and a listener for all of them (a capture). Cheap when nobody listens."""
+
+    keep: int = 400
+    listener: Callable[[WireEntry], None] | None = None
+    _entries: deque[WireEntry] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._entries = deque(maxlen=self.keep)
+
+    def add(self, entry: WireEntry) -> None:
+        """Append ``entry``, dropping the oldest one when full."""
+        self._entries.append(entry)
+        if self.listener is not None:
+            self.listener(entry)
+
+    def __iter__(self) -> Iterator[WireEntry]:
+        return iter(self._entries)
+
+    def __len__(self) -> int:
+        return len(self._entries)

@@ -1,0 +1,105 @@
+"""A link layer that is a script: it grants token holds to a master and answers its requests from a table of octets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from dpstack.dp.events import SlaveFaulted, SlaveRemark, SlaveStateChanged
+from dpstack.dp.master import Master
+from dpstack.fdl.telegram import SHORT_ACK, Kind, Telegram
+from dpstack.fdl.user import Expect, Failure, Request
+from dpstack.trace import Event
+
+MS = 1_000_000
+
+#: Slave_Diag of an unparameterised device with ident 0696, and of the same one ready for master 2 (octets by hand)
+DIAG_FREE = bytes.fromhex("02 05 00 FF 06 96")
+DIAG_READY = bytes.fromhex("00 0C 00 02 06 96")
+
+Answer = Callable[[Request], Telegram | Failure]
+
+
+def data(request: Request, octets: bytes, fc: int = 0x08) -> Telegram:
+    """A data answer (DL unless ``fc`` says otherwise) with the SAPs crosswise."""
+    return Telegram(Kind.SD2, 2, request.da, fc, request.ssap, request.dsap, octets)
+
+
+@dataclass
+class ScriptedSlave:
+    """A well-behaved slave of fixed octets; tests replace what they need."""
+
+    inputs: bytes = bytes(4)
+    free: bytes = DIAG_FREE
+    ready: bytes = DIAG_READY
+    configured: bool = False
+    answers: dict[int | None, Answer] = field(default_factory=dict)
+
+    def __call__(self, request: Request) -> Telegram | Failure:
+        special = self.answers.get(request.dsap)
+        if special is not None:
+            return special(request)
+        match request.dsap:
+            case 60:
+                return data(request, self.ready if self.configured else self.free)
+            case 61:
+                return SHORT_ACK
+            case 62:
+                self.configured = True
+                return SHORT_ACK
+            case None if self.configured:
+                return data(request, self.inputs)
+            case _:
+                return Telegram(Kind.SD1, 2, request.da, 0x03)
+
+
+@dataclass
+class ScriptedLink:
+    """Grants holds every ``period`` ns; every request takes ``step`` ns."""
+
+    master: Master
+    slaves: dict[int, ScriptedSlave] = field(default_factory=dict)
+    now: int = 1_000
+    step: int = 100_000
+    period: int = 100_000
+    requests: list[Request] = field(default_factory=list)
+    events: list[Event] = field(default_factory=list)
+
+    def hold(self) -> list[Request]:
+        """One token hold; the requests made in it."""
+        self.now += self.period
+        self.master.token_received(self.now)
+        made: list[Request] = []
+        while (request := self.master.next_request(self.now, False)) is not None:
+            made.append(request)
+            self.master.started(request, self.now)
+            self.now += self.step
+            self.master.result(request, self._answer(request), self.now)
+            assert len(made) < 1000
+        self.requests += made
+        self.events += self.master.take_events()
+        return made
+
+    def _answer(self, request: Request) -> Telegram | Failure:
+        if request.expect is Expect.NOTHING:
+            return SHORT_ACK
+        slave = self.slaves.get(request.da)
+        return Failure.NO_ANSWER if slave is None else slave(request)
+
+    def run(self, ns: int) -> None:
+        """Holds until ``ns`` have passed."""
+        end = self.now + ns
+        while self.now < end:
+            self.hold()
+
+    def states(self, address: int) -> list[str]:
+        """The states the slave went through, as told."""
+        return [e.state.value for e in self.events if isinstance(e, SlaveStateChanged) and e.address == address]
+
+    def faults(self, address: int) -> list[str]:
+        """The fault kinds told of the slave."""
+        return [e.fault.kind.value for e in self.events if isinstance(e, SlaveFaulted) and e.address == address]
+
+    def remarks(self, address: int) -> list[str]:
+        """The remarks told of the slave."""
+        return [e.message for e in self.events if isinstance(e, SlaveRemark) and e.address == address]

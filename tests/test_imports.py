@@ -1,0 +1,133 @@
+"""The import direction of the design, held by walking every import statement."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+PURE_BASE = {"units", "errors", "trace"}
+PARAMS = PURE_BASE | {"params"}
+PHY = PARAMS | {"phy"}
+# the machine contract (Line up and down, pump) and the histogram stand below everything that runs in a machine
+FDL = PHY | {"fdl", "machine", "stats"}
+DP = FDL | {"dp", "gsd"}
+
+#: What each package may import of ours, besides itself.
+MAY: dict[str, set[str]] = {
+    "units": set(),
+    "errors": set(),
+    "trace": set(),
+    "stats": {"units"},
+    "params": {"units", "errors"},
+    "machine": {"units", "trace"},
+    "phy": PARAMS,
+    "fdl": PHY | {"machine", "stats"},
+    "gsd": PURE_BASE,
+    "dp": FDL | {"gsd"},
+    "profile": {"dp", "units", "errors"},
+    "sim": DP | {"machine"},
+    "ports": PURE_BASE,
+    "drivers": DP | {"ports", "machine", "sim"},
+    "api": DP | {"drivers", "ports", "sim", "profile"},
+    "cli": {"api", "gsd", "trace"} | PURE_BASE,
+    "__init__": {"api", "errors", "profile", "dp", "trace"},
+}
+#: profile sees only these modules of dp: its public slave application and image types.
+PROFILE_MAY_OF_DP = {"dp.device", "dp.image", "dp.slaveapp", "dp.identifiers", "dp.setup", "dp.diagnosis"}
+#: From sim and dp down.
+PURE = {"units", "errors", "trace", "stats", "params", "machine", "phy", "fdl", "gsd", "dp", "sim", "profile"}
+FORBIDDEN_IN_PURE = {
+    "asyncio",
+    "time",
+    "os",
+    "logging",
+    "socket",
+    "threading",
+    "select",
+    "selectors",
+    "signal",
+    "subprocess",
+    "multiprocessing",
+    "serial",
+    "serial_asyncio",
+    "termios",
+}
+NEVER_IN_PRODUCT = {"pyprofibus"}
+
+
+def modules(under: Path) -> list[Path]:
+    return sorted(path for path in under.rglob("*.py") if "__pycache__" not in path.parts)
+
+
+def imports(path: Path) -> Iterator[tuple[int, str]]:
+    """Every imported module of ``path`` with its line; ``from a import b`` counts as ``a`` and, within ours, ``a.b``."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path))):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                yield node.lineno, alias.name
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}:{node.lineno}: relative import; write the whole name"
+            module = node.module or ""
+            yield node.lineno, module
+            if module == "dpstack":
+                for alias in node.names:
+                    yield node.lineno, f"dpstack.{alias.name}"
+
+
+def package_of(path: Path) -> str:
+    return path.relative_to(ROOT / "dpstack").with_suffix("").parts[0]
+
+
+def exists(dotted: str) -> bool:
+    base = ROOT.joinpath(*dotted.split("."))
+    return base.with_suffix(".py").exists() or base.is_dir()
+
+
+@pytest.mark.parametrize("path", modules(ROOT / "dpstack"), ids=lambda p: str(p.relative_to(ROOT)))
+def test_direction(path: Path) -> None:
+    own = package_of(path)
+    assert own in MAY, f"{own} is no package of the design: add it to the table"
+    wrong: list[str] = []
+    for line, name in imports(path):
+        parts = name.split(".")
+        if parts[0] == "dpstack_drives":
+            wrong.append(f"{path}:{line}: {name}; drives are found by entry point, never imported")
+        if parts[0] != "dpstack" or len(parts) < 2 or not exists(name):
+            continue
+        target = parts[1]
+        if target != own and target not in MAY[own]:
+            wrong.append(f"{path}:{line}: {own} may not import {name}")
+        if own == "profile" and target == "dp" and ".".join(parts[1:3]) not in PROFILE_MAY_OF_DP:
+            wrong.append(f"{path}:{line}: profile may not import {name}")
+    assert not wrong, "\n".join(wrong)
+
+
+@pytest.mark.parametrize(
+    "path",
+    [p for p in modules(ROOT / "dpstack") if package_of(p) in PURE] + modules(ROOT / "drives"),
+    ids=lambda p: str(p.relative_to(ROOT)),
+)
+def test_pure(path: Path) -> None:
+    found = [f"{path}:{n}: {name}" for n, name in imports(path) if name.split(".")[0] in FORBIDDEN_IN_PURE]
+    assert not found, "a machine owns no clock, no socket, no thread:\n" + "\n".join(found)
+
+
+@pytest.mark.parametrize("path", modules(ROOT / "drives"), ids=lambda p: str(p.relative_to(ROOT)))
+def test_drives_see_the_profile_only(path: Path) -> None:
+    for line, name in imports(path):
+        if name.split(".")[0] == "dpstack":
+            assert name == "dpstack.profile", f"{path}:{line}: {name}; a drive imports dpstack.profile only"
+
+
+@pytest.mark.parametrize("path", modules(ROOT / "dpstack") + modules(ROOT / "drives"), ids=lambda p: p.stem)
+def test_no_gpl_in_the_product(path: Path) -> None:
+    assert not [n for n, name in imports(path) if name.split(".")[0] in NEVER_IN_PRODUCT]
+
+
+def test_the_walk_finds_something() -> None:
+    found = {name for path in modules(ROOT / "dpstack") for _, name in imports(path)}
+    assert "dpstack.units" in found
