@@ -17,18 +17,23 @@ class Leave(Enum):
     NEW_CONFIGURATION = "new configuration"
     WRONG_LENGTH = "wrong length"
     POWER_OFF = "power off"
+    FAILURE = "failure"  # an exception in this very device
 
 
 class Device:
     """A DP device behind a :class:`~dpstack.dp.slaveapp.SlaveApp`; subclass it, override what differs.
 
-    ``ident``: ident number. ``configs``: acceptable identifier octets, the default first. All times in ns on the
-    bus's clock; nothing here may block or read a clock of its own.
+    ``ident``: ident number. ``configs``: acceptable identifier octets, the default first. ``fail_safe``: an empty
+    output frame is taken as Clear (otherwise as one of the wrong length). All times in ns on the bus's clock; nothing
+    here may block or read a clock of its own. An exception takes the device out of data exchange until it is restarted.
     """
 
     ident: int = 0
     configs: tuple[bytes, ...] = (b"",)
     name: str = "device"
+    fail_safe: bool = False
+    sync_supported: bool = True
+    freeze_supported: bool = True
 
     def check_prm(self, user_prm: bytes) -> str | None:
         """Judge the user parameters of Set_Prm (without the seven fixed octets): a reason to refuse, or None."""

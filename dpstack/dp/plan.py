@@ -45,12 +45,6 @@ class Case(Enum):
     LONGEST = "max"  # with retries, one diagnosis, one acyclic service, Global_Control, GAP
 
 
-class Finding(str):
-    """One line: what is out of bounds, why, and what to do. Behaves as its text."""
-
-    __slots__ = ()
-
-
 @dataclass(frozen=True, slots=True)
 class Rotation:
     """A rotation in bit times: the sum and what each slave takes of it (T_ID1 after its answer included)."""
@@ -73,13 +67,17 @@ class SlavePlan:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
-    """The plan of one bus at one rate. Rotations in bit times, ``findings`` empty when everything fits."""
+    """The plan of one bus at one rate. Rotations in bit times.
+
+    ``findings``: one line each, what is out of bounds, why, and what to do; empty when everything fits. ``notes``:
+    what is as it is, but worth knowing.
+    """
 
     params: BusParams
     rotations: dict[Case, Rotation]
     slaves: tuple[SlavePlan, ...]
     watchdog_ms: int
-    findings: tuple[Finding, ...]
+    findings: tuple[str, ...]
     notes: tuple[str, ...] = ()
 
     def rotation_ns(self, case: Case) -> int:
@@ -100,7 +98,7 @@ class Plan:
             "rotation_bits": {case.value: self.rotations[case].bits for case in cases},
             "parameters": parameters,
             "slaves": [_slave_dict(s) for s in self.slaves],
-            "findings": [str(f) for f in self.findings],
+            "findings": list(self.findings),
             "notes": list(self.notes),
         }
 
@@ -127,7 +125,7 @@ def answer_octets(setup: SlaveSetup) -> int:
     return SD2_FRAME + setup.input_len if setup.input_len else SC_OCTETS
 
 
-def rotation(params: BusParams, setups: Iterable[SlaveSetup], case: Case) -> Rotation:
+def rotation(params: BusParams, setups: Sequence[SlaveSetup], case: Case) -> Rotation:
     """The bus rotation time of a master alone on the bus with every slave of ``setups`` in data exchange."""
     retries = params.max_retry if case is Case.LONGEST else 0
     shares = {
@@ -143,7 +141,17 @@ def rotation(params: BusParams, setups: Iterable[SlaveSetup], case: Case) -> Rot
         bits += diagnosis + gap_poll + _chars(GLOBAL_CONTROL) + params.t_id2
         if case is Case.LONGEST:
             bits += _exchange(params, LONGEST_TELEGRAM, DIAG_REQUEST, params.max_tsdr, retries)
-    return Rotation(bits, shares)
+    return Rotation(_kept_apart(params, setups, bits), shares)
+
+
+def _kept_apart(params: BusParams, setups: Sequence[SlaveSetup], bits: int) -> int:
+    """Min_Slave_Interval: a round begins with the first token after the longest one; the token goes round till then."""
+    interval = max((s.min_slave_interval_ns for s in setups), default=0)
+    missing = interval - params.ns(bits)
+    if missing <= 0:
+        return bits
+    hold = _chars(TOKEN_OCTETS) + params.t_id1
+    return bits + -(-missing // params.ns(hold)) * hold
 
 
 def _chars(octets: int) -> int:
@@ -166,12 +174,12 @@ def _exchange(params: BusParams, request: int, answer: int, tsdr: int, retries: 
     return retries * vain + _chars(request) + tsdr + _chars(answer) + params.t_id1
 
 
-def t_tr_preset(params: BusParams, setups: Iterable[SlaveSetup]) -> int:
+def t_tr_preset(params: BusParams, setups: Sequence[SlaveSetup]) -> int:
     """T_TR in bit times for this configuration: the table's, or what the longest normal round takes if that is more."""
     return min(max(params.t_tr, rotation(params, setups, Case.NORMAL).bits), MAX_T_TR)
 
 
-def watchdog_ms(params: BusParams, setups: Iterable[SlaveSetup], *, pty: bool = False) -> int:
+def watchdog_ms(params: BusParams, setups: Sequence[SlaveSetup], *, pty: bool = False) -> int:
     """The recommended watchdog: three times the longest rotation, at least 200 ms (1000 ms on ptys), in 10 ms steps."""
     longest = 3 * params.ns(rotation(params, setups, Case.LONGEST).bits)
     steps = -(-longest // (10 * NS_PER_MS))
@@ -179,8 +187,18 @@ def watchdog_ms(params: BusParams, setups: Iterable[SlaveSetup], *, pty: bool = 
     return min(max(least, steps * 10), MAX_WATCHDOG_MS)
 
 
-def make_plan(params: BusParams, setups: Iterable[SlaveSetup], *, pty: bool = False, notes: Iterable[str] = ()) -> Plan:
-    """The whole plan of a bus with ``setups`` at ``params``; ``pty`` where another process stands at the other end."""
+def make_plan(
+    params: BusParams,
+    setups: Iterable[SlaveSetup],
+    *,
+    pty: bool = False,
+    findings: Iterable[str] = (),
+    notes: Iterable[str] = (),
+) -> Plan:
+    """The whole plan of a bus with ``setups`` at ``params``; ``pty`` where another process stands at the other end.
+
+    ``findings`` and ``notes`` are what the caller knows beyond that; they come first.
+    """
     slaves = tuple(sorted(setups, key=lambda s: s.address))
     rotations = {case: rotation(params, slaves, case) for case in Case}
     recommended = watchdog_ms(params, slaves, pty=pty)
@@ -190,8 +208,8 @@ def make_plan(params: BusParams, setups: Iterable[SlaveSetup], *, pty: bool = Fa
         rotations=rotations,
         slaves=plans,
         watchdog_ms=recommended,
-        findings=tuple(_findings(params, plans, rotations)),
-        notes=(*notes, *_notes(plans)),
+        findings=(*findings, *_findings(params, plans, rotations)),
+        notes=(*notes, *_notes(params, plans)),
     )
 
 
@@ -214,45 +232,46 @@ def _on_loss(setup: SlaveSetup, effective: int) -> str:
     return f"after {effective} ms: {setup.on_loss or 'as its manual says (usually outputs off)'}"
 
 
-def _findings(params: BusParams, slaves: Sequence[SlavePlan], rotations: dict[Case, Rotation]) -> Iterable[Finding]:
+def _findings(params: BusParams, slaves: Sequence[SlavePlan], rotations: dict[Case, Rotation]) -> Iterable[str]:
     at = baud_text(params.baud)
     longest = params.ns(rotations[Case.LONGEST].bits)
-    shortest = params.ns(rotations[Case.SHORTEST].bits)
     if params.t_tr < rotations[Case.NORMAL].bits:
-        yield Finding(
-            f"t_tr = {params.t_tr} is too small: the longest normal round takes {rotations[Case.NORMAL].bits} bit times "
-            f"at {at}; leave t_tr out, or set it to that or more"
+        yield (
+            f"t_tr = {params.t_tr} is too small: the longest normal round takes {rotations[Case.NORMAL].bits} "
+            f"bit times at {at}; leave t_tr out, or set it to that or more"
         )
     for slave in slaves:
         setup = slave.setup
         who = f"slave {setup.address} ({setup.name})"
         every = setup.every
         if slave.watchdog_ms and slave.watchdog_ms * NS_PER_MS < longest * every:
-            yield Finding(
+            yield (
                 f"{who}: its watchdog of {slave.watchdog_ms} ms is shorter than {_rounds(every)} can take at {at} "
                 f"({_ms(longest * every)} with retries): it would trip by itself; "
                 f"take {_up(3 * longest * every)} ms or more, or a faster rate"
             )
-        if setup.min_slave_interval_ns > shortest * every:
-            yield Finding(
-                f"{who}: its Min_Slave_Interval of {_ms(setup.min_slave_interval_ns)} is longer than the shortest "
-                f"rotation at {at} ({_ms(shortest)}): the rounds wait for it; nothing to do unless that is too slow"
-            )
         if setup.max_tsdr is not None and setup.max_tsdr + 15 > params.t_sl:
-            yield Finding(
+            yield (
                 f"{who}: it may take T_SDR {setup.max_tsdr} at {at}, t_sl = {params.t_sl} is too short for it; "
                 f"leave t_sl out, or set it to {setup.max_tsdr + 15} or more"
             )
         if setup.min_tsdr > params.min_tsdr and setup.min_tsdr > params.max_tsdr:
-            yield Finding(f"{who}: its min T_SDR {setup.min_tsdr} lies above max T_SDR {params.max_tsdr} of the bus")
+            yield (f"{who}: its min T_SDR {setup.min_tsdr} lies above max T_SDR {params.max_tsdr} of the bus")
 
 
-def _notes(slaves: Sequence[SlavePlan]) -> Iterable[str]:
+def _notes(params: BusParams, slaves: Sequence[SlavePlan]) -> Iterable[str]:
+    octets_only = params.ns(sum(s.shortest_bits for s in slaves) + _chars(TOKEN_OCTETS) + params.t_id1)
     for slave in slaves:
         if not slave.watchdog_ms:
             yield (
                 f"slave {slave.setup.address} ({slave.setup.name}): its watchdog is off; when the master stops "
                 f"without an ordered end it keeps its last outputs"
+            )
+        interval = slave.setup.min_slave_interval_ns
+        if interval > octets_only:
+            yield (
+                f"slave {slave.setup.address} ({slave.setup.name}): its Min_Slave_Interval of {_ms(interval)} is "
+                f"longer than the shortest rotation would be ({_ms(octets_only)}): the rounds wait for it"
             )
 
 

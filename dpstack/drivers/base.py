@@ -40,10 +40,13 @@ class PortBack(Event):
 class Runtime(Protocol):
     """A running driver. Constructed with its machine, its line and an :data:`OnEvents`."""
 
-    #: what the port is called in messages and JSON
-    port_name: str
-    #: True where octets take their time on a wire (or the virtual one), False on plain ptys and sockets
-    paced: bool
+    @property
+    def port_name(self) -> str:
+        """What the port is called in messages and JSON."""
+
+    @property
+    def paced(self) -> bool:
+        """True where octets take their time on a wire (or the virtual one), False on plain ptys and sockets."""
 
     async def open(self) -> None:
         """Open the line and begin. Raises PortError."""

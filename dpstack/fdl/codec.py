@@ -163,7 +163,7 @@ def decode(octets: bytes | bytearray) -> Telegram | None:
     if not size:
         return None
     telegram = parse(octets, 0, size)
-    if telegram.__class__ is not Telegram or claimed(octets, 0, size) != size:
+    if not isinstance(telegram, Telegram) or claimed(octets, 0, size) != size:
         return None
     return telegram
 
@@ -197,13 +197,15 @@ def parse(octets: bytes | bytearray, at: int, end: int) -> Telegram | Flaw | Non
         if end - at < 9:
             return _short_sd2(octets, at, end)
         le = octets[at + 1]
+        if not EMPTY_LE <= le <= MAX_LE:
+            return Flaw.LE_RANGE
         if octets[at + 2] != le:
             return Flaw.LE_MISMATCH
         if octets[at + 3] != _SD2:
             return Flaw.BAD_SECOND_SD
         stop = at + le + 4  # FCS
-        if stop + 2 > end or le > MAX_LE or le < EMPTY_LE:
-            return _short_sd2(octets, at, end)
+        if stop + 2 > end:
+            return None
         if octets[stop + 1] != ED:
             return Flaw.BAD_ED
         body = octets[at + 4 : stop]
@@ -271,39 +273,34 @@ def _extended(kind: Kind, body: bytes | bytearray) -> Telegram | Flaw:
 
 
 def _short_sd2(octets: bytes | bytearray, at: int, end: int) -> Flaw | None:
-    """An SD2 frame of which octets are missing, judged by those that are there."""
+    """An SD2 frame shorter than the shortest, judged by the octets that are there."""
     have = end - at
     if have > 1 and not EMPTY_LE <= octets[at + 1] <= MAX_LE:
-        # a damaged LE is told by its repetition
-        return Flaw.LE_MISMATCH if have > 2 and octets[at + 2] != octets[at + 1] else Flaw.LE_RANGE
+        return Flaw.LE_RANGE
     if have > 2 and octets[at + 2] != octets[at + 1]:
         return Flaw.LE_MISMATCH
     if have > 3 and octets[at + 3] != _SD2:
         return Flaw.BAD_SECOND_SD
-    if have > 5 and octets[at + 5] & 0x7F == BROADCAST:
-        return Flaw.BAD_ADDRESS
     return None
 
 
 def _parse_sd1(octets: bytes | bytearray, at: int, end: int) -> Telegram | Flaw | None:
     have = end - at
-    if have > 5:
-        da = octets[at + 1]
-        sa = octets[at + 2]
-        fc = octets[at + 3]
-        if octets[at + 5] != ED:
-            return Flaw.BAD_ED
-        if (da + sa + fc) & 0xFF != octets[at + 4]:
-            return Flaw.BAD_FCS
-        # no data unit: nowhere for extension octets
-        if da > BROADCAST or sa > UNADDRESSED:
-            return Flaw.BAD_ADDRESS
-        if fc > 0x7F and fc & 0xCF != 0xC0:
-            return Flaw.BAD_FC
-        return _NEW(Telegram, (Kind.SD1, da, sa, fc, None, None, b"", None, None))
+    # no data unit: nowhere for extension octets
     if (have > 1 and octets[at + 1] > BROADCAST) or (have > 2 and octets[at + 2] > UNADDRESSED):
         return Flaw.BAD_ADDRESS
-    return None
+    if have < 6:
+        return None
+    da = octets[at + 1]
+    sa = octets[at + 2]
+    fc = octets[at + 3]
+    if octets[at + 5] != ED:
+        return Flaw.BAD_ED
+    if (da + sa + fc) & 0xFF != octets[at + 4]:
+        return Flaw.BAD_FCS
+    if fc > 0x7F and fc & 0xCF != 0xC0:
+        return Flaw.BAD_FC
+    return _NEW(Telegram, (Kind.SD1, da, sa, fc, None, None, b"", None, None))
 
 
 def _parse_token(octets: bytes | bytearray, at: int, end: int) -> Telegram | Flaw | None:
@@ -318,7 +315,7 @@ def _parse_token(octets: bytes | bytearray, at: int, end: int) -> Telegram | Fla
 
 def _parse_sd3(octets: bytes | bytearray, at: int, end: int) -> Telegram | Flaw | None:
     if end - at < 14:
-        return Flaw.BAD_ADDRESS if end - at > 2 and octets[at + 2] & 0x7F == BROADCAST else None
+        return None
     if octets[at + 13] != ED:
         return Flaw.BAD_ED
     body = octets[at + 1 : at + 12]

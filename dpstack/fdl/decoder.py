@@ -101,7 +101,8 @@ class Decoder:
         held = self._held
         if not held:
             return []
-        self.stats.stalled += 1
+        if not self._doubt:  # else a start inside a damaged frame, which is counted already
+            self.stats.stalled += 1
         # silence has ended whatever these octets are: none of them waits for more
         self._doubt = len(held)
         found: list[Telegram] = []

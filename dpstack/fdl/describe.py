@@ -69,6 +69,9 @@ _SHORT_NAMES: Final[dict[int, str]] = {
     Req.SRD_HIGH: "SRD high",
 }
 
+#: requests that carry a frame count
+_CONFIRMED: Final = frozenset((Req.SDA_LOW, Req.SDA_HIGH, Req.SRD_LOW, Req.SRD_HIGH, Req.MSRD))
+
 _STATION: Final[dict[StationType, str]] = {
     StationType.SLAVE: "slave",
     StationType.MASTER_NOT_READY: "master not ready",
@@ -133,7 +136,7 @@ def describe(telegram: Telegram) -> str:
         parts.append("LE = 3")
     segments = (("DSEG", telegram.dseg), ("SSEG", telegram.sseg))
     parts += [f"{what} {value}" for what, value in segments if value is not None]
-    return ", ".join(parts) + f" ({_control(telegram)})"
+    return f"{', '.join(parts)} ({_control(telegram)})"
 
 
 def _unanswered(telegram: Telegram) -> bool:
@@ -158,9 +161,9 @@ def _control(telegram: Telegram) -> str:
     elif function not in _BY_FUNCTION:
         bits.append(f"function {function}")
     fcv, fcb = bool(telegram.fc & FC_FCV), bool(telegram.fc & FC_FCB)
-    if fcv or fcb or not bits:
+    if fcv or fcb or function in _CONFIRMED:
         bits.append(f"FCV={fcv:d} FCB={fcb:d}")
-    return ", ".join(bits)
+    return ", ".join(bits) or f"FC {telegram.fc:#04x}"
 
 
 def _global_control(data: bytes) -> str:
@@ -190,14 +193,17 @@ def render(log: Iterable[WireEntry], baud: int) -> str:
     """The decoded wire log, a line for each transmission: start in us, gap to the one before in bit times, sender,
     octets in hex (the middle of long ones left out), what it is. A negative gap is an overlap.
     """
-    lines = [f"{'start us':>14} {'gap bits':>9}  {'sender':<10} octets; telegram"]
+    entries = list(log)
+    shown = [_hex(entry.octets) for entry in entries]
+    width = max((len(octets) for octets in shown), default=0)
+    lines = [f"{'start us':>14} {'gap bits':>9}  {'sender':<10} {'octets':<{width}}  telegram"]
     end: int | None = None
-    for entry in log:
+    for entry, octets in zip(entries, shown, strict=True):
         gap = "" if end is None else str(ns_to_bits(entry.start_ns - end, baud))
         start = f"{entry.start_ns // NS_PER_US}.{entry.start_ns % NS_PER_US:03}"
         note = f"  [{entry.note}]" if entry.note else ""
         text = describe_octets(entry.octets)
-        lines.append(f"{start:>14} {gap:>9}  {entry.sender or '?':<10} {_hex(entry.octets)}; {text}{note}")
+        lines.append(f"{start:>14} {gap:>9}  {entry.sender or '?':<10} {octets:<{width}}  {text}{note}")
         end = entry.end_ns if end is None else max(end, entry.end_ns)
     return "\n".join(lines)
 

@@ -1,9 +1,9 @@
 """Requester side of the frame count bit: FCB and FCV of the next request, per responder.
 
-spec p119, p131 (protocol facts A4 and J): the first request to a station, or the first after it was given up, goes out
-with FCV = 0 and FCB = 1 and is not repeated. Once answered the station is operational: FCV = 1, and FCB toggles with each
-new request but not with a repetition. Some slaves know only requests with FCV = 1 (0x5D, 0x7D): after three
-silent rounds one probe with FCV = 1 finds them.
+spec p119, p131 (protocol facts A4 and J): the first request to a station, or the first after it was given up, goes
+out with FCV = 0 and FCB = 1 and is not repeated. Once answered the station is operational: FCV = 1, and FCB toggles
+with each new request but not with a repetition. Some slaves know only requests with FCV = 1 (0x5D, 0x7D): after
+three silent rounds one probe with FCV = 1 finds them.
 """
 
 from __future__ import annotations
@@ -21,10 +21,11 @@ ROUNDS_BEFORE_PROBE: Final = 3
 class FrameCount:
     """FCB and FCV for every responder address 0..127. FC bits are already in place (0x20 FCB, 0x10 FCV)."""
 
-    __slots__ = ("_bits", "_misses", "_probes", "fcv_only", "operational")
+    __slots__ = ("_misses", "_probes", "bits", "fcv_only", "operational")
 
     def __init__(self) -> None:
-        self._bits = [FIRST] * 128
+        #: FC bits of the next new request by address; the same again for its repetitions
+        self.bits = [FIRST] * 128
         self._misses = [0] * 128
         self._probes = [0] * 128
         #: the station answered our last request to it: repetitions make sense
@@ -32,14 +33,10 @@ class FrameCount:
         #: stations that answered only a probe with FCV = 1
         self.fcv_only: set[int] = set()
 
-    def bits(self, address: int) -> int:
-        """FC bits of the next new request to ``address``; the same again for its repetitions."""
-        return self._bits[address]
-
     def answered(self, address: int) -> bool:
         """``address`` answered. True when it did so for the first time only to a probe with FCV = 1."""
-        bits = self._bits[address]
-        self._bits[address] = (bits ^ FC_FCB) | FC_FCV
+        bits = self.bits[address]
+        self.bits[address] = (bits ^ FC_FCB) | FC_FCV
         if self.operational[address]:
             return False
         self.operational[address] = True
@@ -72,10 +69,10 @@ class FrameCount:
 
     def _first_or_probe(self, address: int) -> None:
         if self._misses[address] < ROUNDS_BEFORE_PROBE:
-            self._bits[address] = FIRST
+            self.bits[address] = FIRST
             return
         self._misses[address] = -1  # the probe itself brings it to 0: three more rounds follow
-        # A responder that did hear a first request keeps FCB = 1, so the first probe uses FCB = 0 (a new request for it);
-        # the next probe the other one, for a responder whose kept FCB is unknown.
-        self._bits[address] = FC_FCV | (FC_FCB if self._probes[address] & 1 else 0)
+        # A responder that did hear a first request keeps FCB = 1, so the first probe uses FCB = 0 (a new request for
+        # it); the next probe the other one, for a responder whose kept FCB is unknown.
+        self.bits[address] = FC_FCV | (FC_FCB if self._probes[address] & 1 else 0)
         self._probes[address] += 1

@@ -1,7 +1,8 @@
 """Several passive stations behind one port: one decoder, one answer at a time, broadcasts to all.
 
 This is what a simulation of many slaves on one serial port is. The stations share the receiver, so a telegram is
-decoded once and handed whole to its addressee.
+decoded once and handed whole to its addressee. What one of them answers need not be told to the others: a passive
+station takes no notice of responses.
 """
 
 from __future__ import annotations
@@ -83,6 +84,16 @@ class Multidrop:
         for station in self._due:
             self._due[station] = station.responder.wake_at()
         self._next = min(self._due.values(), default=NEVER)
+
+    def set_params(self, params: BusParams) -> None:
+        """Take baud rate and times from ``params`` for the port and all its stations; what is pending is forgotten."""
+        self._params = params
+        self._line.set_params(params)
+        self._decoder.stall_ns = self._line.t_stall_ns + self._patience.stall_ns
+        self._decoder.reset()
+        self._answering = None
+        for station in self._due:
+            station.set_params(params)
 
     # --- Machine ---
     def receive(self, chunk: bytes, now: int) -> None:
@@ -167,7 +178,8 @@ class Multidrop:
         if self._silent and self._is_silent(station, now):
             return
         address = station.address
-        station.telegram(telegram, now)
+        station.line.idle_since = self._line.idle_since
+        station.take(telegram, now)
         if station.address != address:
             self._sort()  # Set_Slave_Add
         if station.answer_at() != NEVER:

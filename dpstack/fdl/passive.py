@@ -24,6 +24,8 @@ from dpstack.units import NEVER
 #: T_SDR of a station is never less than this (IEC 61158; Felser, "Zeitverhaeltnisse").
 LOWEST_TSDR: Final = 11
 
+#: requests that carry a frame count
+_CONFIRMED: Final = frozenset((Req.SDA_LOW, Req.SDA_HIGH, Req.SRD_LOW, Req.SRD_HIGH, Req.MSRD))
 _SERVED: Final = frozenset((Req.SDA_LOW, Req.SDA_HIGH, Req.SRD_LOW, Req.SRD_HIGH, Req.IDENT))
 _REFUSED: Final = frozenset((Req.MSRD, Req.LSAP_STATUS))
 _UNCONFIRMED: Final = frozenset((Req.SDN_LOW, Req.SDN_HIGH))
@@ -147,7 +149,7 @@ class PassiveStation:
         self.line.cut(now)  # receiving while sending implies sent
         self.line.heard(now)
         for telegram in self.decoder.feed(chunk, now):
-            self._take(telegram, now)
+            self.take(telegram, now)
 
     def activity(self, now: int) -> None:
         """Somebody else begins to send: an answer not yet begun would collide, whoever waits has given up."""
@@ -161,8 +163,8 @@ class PassiveStation:
         if self.decoder.pending:
             # octets of something else came before and their rest will not follow
             for late in self.decoder.stalled(now):
-                self._take(late, now)
-        self._take(telegram, now)
+                self.take(late, now)
+        self.take(telegram, now)
 
     def drop(self) -> None:
         """The answer under way is not sent any more."""
@@ -179,7 +181,7 @@ class PassiveStation:
         """Judge a stalled telegram, and let the application have its time."""
         if self.decoder.stall_at() <= now:
             for telegram in self.decoder.stalled(now):
-                self._take(telegram, now)
+                self.take(telegram, now)
             self.drop_if_late(now)
         if self._responder.wake_at() <= now:
             self._responder.tick(now)
@@ -231,7 +233,8 @@ class PassiveStation:
                 raise UsageError(f"a passive station knows no {type(command).__name__}: tell its application directly")
 
     # --- the rules ---
-    def _take(self, telegram: Telegram, now: int) -> None:
+    def take(self, telegram: Telegram, now: int) -> None:
+        """A telegram from whoever holds the receiver; ``line`` has been told when the line fell silent."""
         # whoever sends now does not wait for the answer any more
         if self._tx is not None:
             self.drop()
@@ -251,7 +254,7 @@ class PassiveStation:
         sa = telegram.sa
         if telegram.empty_le3:
             self._tell_le3(sa, now)
-        if fc & FC_FCV and sa == self._kept_sa and fc & FC_FCB == self._kept_fcb:
+        if fc & FC_FCV and sa == self._kept_sa and fc & FC_FCB == self._kept_fcb and function in _CONFIRMED:
             # EN 50170-2 p. 131: same initiator, same FCB: the answer was lost, so it is repeated and nothing done twice
             self.stats.repeats += 1
             self._answer(self._kept, now)

@@ -92,7 +92,7 @@ class Ring:
         return self._self_tokens > CLAIM_TOKENS
 
     def skips(self, sa: int, da: int) -> bool:
-        """Whether a token from ``sa`` to ``da``, already observed, passes TS over: its sender dropped TS from the LAS."""
+        """Whether a token from ``sa`` to ``da``, already observed, passes TS over: TS is not in its sender's LAS."""
         if sa == da:
             return sa != self.ts and self._last_self == sa and self._self_tokens > CLAIM_TOKENS
         return distance(sa, self.ts) < distance(sa, da)

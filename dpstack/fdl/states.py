@@ -52,7 +52,11 @@ class Input(IntEnum):
 
 
 class Row(NamedTuple):
-    """One transition: in ``state`` on ``input`` call ``handler``, which ends in one of ``next``."""
+    """One transition: in ``state`` on ``input`` call ``handler``, which enters one of ``next``.
+
+    A handler may pass an input on to the state it entered (HOLD, CHECK, a telegram of another token holder): what
+    happens then is the business of that state's row.
+    """
 
     state: State
     input: Input
@@ -68,10 +72,6 @@ _ONLINE: Final = tuple(s for s in State if s not in (State.OFFLINE, State.CHECK_
 #: states in which this station holds the token and somebody else's token or request means that it does not
 _HOLDING: Final = (_S.USE_TOKEN, _S.AWAIT_DATA_RESPONSE, _S.AWAIT_STATUS_RESPONSE, _S.PASS_TOKEN)
 _REQUESTS: Final = (_I.STATUS_REQUEST, _I.REQUEST_TO_ME, _I.REQUEST_SEEN)
-#: where a telegram of another token holder can lead once it has been taken to Active_Idle
-_AS_IDLE: Final = (_S.ACTIVE_IDLE, _S.LISTEN_TOKEN, _S.USE_TOKEN)
-#: where a token hold goes after each exchange: the next request or GAP poll, the token on, or out
-_AFTER: Final = (_S.USE_TOKEN, _S.PASS_TOKEN, _S.OFFLINE)
 
 _FELSER = "Felser, state machine"
 
@@ -79,8 +79,10 @@ _FELSER = "Felser, state machine"
 def _rows() -> list[Row]:
     rows = [
         # --- Offline ---
-        Row(_S.OFFLINE, _I.GO_ONLINE, "idle.go_online", (_S.LISTEN_TOKEN,), "listen first", _FELSER),
-        Row(_S.OFFLINE, _I.GO_OFFLINE, "idle.stay_offline", (_S.OFFLINE,), "forget the wish to be online", "rule"),
+        Row(_S.OFFLINE, _I.GO_ONLINE, "idle.go_online", (_S.LISTEN_TOKEN, _S.OFFLINE),
+            "listen first; without a line wait for it", _FELSER),
+        Row(_S.OFFLINE, _I.GO_OFFLINE, "idle.stay_offline", (_S.OFFLINE,), "stay out, forget the wish", "rule"),
+        Row(_S.OFFLINE, _I.LINE_DOWN, "idle.stay_offline", (_S.OFFLINE,), "stay out", "rule"),
         Row(_S.OFFLINE, _I.LINE_UP, "idle.line_up", (_S.LISTEN_TOKEN, _S.OFFLINE), "listen again if wanted", "rule"),
         # --- Listen_Token ---
         Row(_S.LISTEN_TOKEN, _I.TOKEN_SEEN, "idle.learn", (_S.LISTEN_TOKEN,),
@@ -106,24 +108,26 @@ def _rows() -> list[Row]:
         Row(_S.CLAIM_TOKEN, _I.SENT, "idle.claim_sent", (_S.CLAIM_TOKEN, _S.USE_TOKEN),
             "two tokens to itself, then it is ours", _FELSER),
         # --- Use_Token ---
-        Row(_S.USE_TOKEN, _I.HOLD, "hold.begin", _AFTER, "T_TH = T_TR - T_RR; ask the users", "spec p12"),
-        Row(_S.USE_TOKEN, _I.SENT, "hold.sent", (_S.AWAIT_DATA_RESPONSE, _S.AWAIT_STATUS_RESPONSE, *_AFTER),
+        Row(_S.USE_TOKEN, _I.HOLD, "hold.begin", (_S.CHECK_ACCESS_TIME,),
+            "T_TH = T_TR - T_RR; ask the users", "spec p12"),
+        Row(_S.USE_TOKEN, _I.SENT, "hold.sent",
+            (_S.AWAIT_DATA_RESPONSE, _S.AWAIT_STATUS_RESPONSE, _S.CHECK_ACCESS_TIME),
             "wait for the answer; after an SDN go on with T_ID2", "spec p12"),
         Row(_S.USE_TOKEN, _I.RESPONSE, "exchange.late", (_S.USE_TOKEN,), "a late answer: count it", "rule"),
         Row(_S.USE_TOKEN, _I.GO_OFFLINE, "hold.leave_now", (_S.PASS_TOKEN, _S.OFFLINE),
             "abandon what was not started, pass the token on", "rule"),
         # --- Await_Data_Response ---
-        Row(_S.AWAIT_DATA_RESPONSE, _I.RESPONSE, "exchange.response", (_S.AWAIT_DATA_RESPONSE, *_AFTER),
+        Row(_S.AWAIT_DATA_RESPONSE, _I.RESPONSE, "exchange.response", (_S.AWAIT_DATA_RESPONSE, _S.CHECK_ACCESS_TIME),
             "it answers the request: done; it does not: count it, keep waiting", "spec p12, p14"),
-        Row(_S.AWAIT_DATA_RESPONSE, _I.TIMEOUT, "exchange.timeout", (_S.AWAIT_DATA_RESPONSE, *_AFTER),
+        Row(_S.AWAIT_DATA_RESPONSE, _I.TIMEOUT, "exchange.timeout", (_S.AWAIT_DATA_RESPONSE, _S.CHECK_ACCESS_TIME),
             "T_SL over: repeat with unchanged FCB, or give up", "spec p12, p14"),
         Row(_S.AWAIT_DATA_RESPONSE, _I.SENT, "exchange.repeated", (_S.AWAIT_DATA_RESPONSE,),
             "wait for the answer to the repetition", "spec p14"),
         # --- Check_Access_Time: never rests, what comes next is decided at once ---
-        Row(_S.CHECK_ACCESS_TIME, _I.CHECK, "hold.check", _AFTER,
+        Row(_S.CHECK_ACCESS_TIME, _I.CHECK, "hold.check", (_S.USE_TOKEN, _S.PASS_TOKEN, _S.OFFLINE),
             "high priority once even when late, low while time is left, then the GAP, then the token", "spec p11, p12"),
         # --- Pass_Token, Check_Token_Pass ---
-        Row(_S.PASS_TOKEN, _I.SENT, "passing.sent", (_S.CHECK_TOKEN_PASS, *_AFTER),
+        Row(_S.PASS_TOKEN, _I.SENT, "passing.sent", (_S.CHECK_TOKEN_PASS, _S.USE_TOKEN, _S.OFFLINE),
             "watch NS; a lone master holds the token again", "Felser, state machine; lone master"),
         Row(_S.PASS_TOKEN, _I.RESPONSE, "exchange.late", (_S.PASS_TOKEN,), "a late answer: count it", "rule"),
         Row(_S.CHECK_TOKEN_PASS, _I.TIMEOUT, "passing.timeout", (_S.PASS_TOKEN, _S.ACTIVE_IDLE, _S.OFFLINE),
@@ -138,44 +142,37 @@ def _rows() -> list[Row]:
         Row(_S.AWAIT_STATUS_RESPONSE, _I.TIMEOUT, "hold.status_timeout", (_S.PASS_TOKEN, _S.OFFLINE),
             "nobody there: pass the token", "spec p11"),
     ]  # fmt: skip
-    for state in _ONLINE:
-        out = Row(state, _I.LINE_DOWN, "idle.line_down", (_S.OFFLINE,), "the port is gone: abandon everything", "rule")
-        rows.append(out)
-        rows.append(
-            Row(state, _I.OWN_ADDRESS, "idle.own_address", (state, _S.LISTEN_TOKEN),
-                "somebody has this address: stay out, back off, listen again", _FELSER)
-        )  # fmt: skip
-    for state in (_S.LISTEN_TOKEN, _S.ACTIVE_IDLE):
-        for what in (_I.REQUEST_SEEN, _I.RESPONSE_SEEN, _I.ACTIVITY):
-            rows.append(Row(state, what, "idle.heard", (state,), "drop an answer not yet sent", "rule"))
-        rows.append(Row(state, _I.SENT, "idle.answered", (state,), "the status was answered", _FELSER))
-        rows.append(Row(state, _I.RESPONSE, "idle.late", (state,), "a late answer, or SC: count it", "rule"))
+    idle, watching = (_S.LISTEN_TOKEN, _S.ACTIVE_IDLE), _S.CHECK_TOKEN_PASS
+    others = (_I.TOKEN_TO_ME, _I.TOKEN_SEEN, *_REQUESTS)
     rows.append(Row(_S.LISTEN_TOKEN, _I.REQUEST_TO_ME, "idle.heard", (_S.LISTEN_TOKEN,), "stay silent", _FELSER))
-    for state in (_S.LISTEN_TOKEN, _S.ACTIVE_IDLE, _S.CLAIM_TOKEN):
-        rows.append(Row(state, _I.GO_OFFLINE, "idle.go_offline", (_S.OFFLINE,), "leave; the ring drops TS", _FELSER))
-    for state in _HOLDING:
-        for what in (_I.TOKEN_TO_ME, _I.TOKEN_SEEN, *_REQUESTS):
-            rows.append(
-                Row(state, what, "hold.withdraw", _AS_IDLE,
-                    "somebody else holds the token: withdraw", f"{_FELSER}; spec p12")
-            )  # fmt: skip
-        rows.append(Row(state, _I.RESPONSE_SEEN, "hold.stray", (state,), "count it", "rule"))
-        rows.append(Row(state, _I.ACTIVITY, "hold.noise", (state,), "note it", "rule"))
-    for state in (_S.AWAIT_DATA_RESPONSE, _S.AWAIT_STATUS_RESPONSE, _S.PASS_TOKEN, _S.CHECK_TOKEN_PASS):
-        rows.append(Row(state, _I.GO_OFFLINE, "hold.leave", (state,), "end this, pass the token, then Offline", "rule"))
-    for what in (_I.TOKEN_TO_ME, _I.TOKEN_SEEN, *_REQUESTS, _I.RESPONSE_SEEN):
-        rows.append(
-            Row(_S.CHECK_TOKEN_PASS, what, "passing.confirmed", (*_AS_IDLE, _S.OFFLINE),
-                "NS has the token", _FELSER)
-        )  # fmt: skip
-        rows.append(
-            Row(_S.CLAIM_TOKEN, what, "idle.claim_broken", _AS_IDLE, "the ring lives: no claim", "rule")
-        )  # fmt: skip
-    for what in (_I.RESPONSE, _I.ACTIVITY):
-        rows.append(
-            Row(_S.CLAIM_TOKEN, what, "idle.claim_broken", (_S.ACTIVE_IDLE, _S.LISTEN_TOKEN),
-                "the line lives: no claim", "rule")
-        )  # fmt: skip
+    for what, name, targets, does, source, states in (
+        (_I.LINE_DOWN, "idle.line_down", (_S.OFFLINE,), "the port is gone: abandon everything", "rule", _ONLINE),
+        (_I.OWN_ADDRESS, "idle.own_address", (None, _S.LISTEN_TOKEN, _S.OFFLINE),
+         "somebody has this address: stay out, back off, listen again", _FELSER, _ONLINE),
+        (_I.REQUEST_SEEN, "idle.heard", (None,), "drop an answer not yet sent", "rule", idle),
+        (_I.RESPONSE_SEEN, "idle.heard", (None,), "drop an answer not yet sent", "rule", idle),
+        (_I.ACTIVITY, "idle.heard", (None,), "drop an answer not yet sent", "rule", idle),
+        (_I.SENT, "idle.answered", (None,), "the status was answered", _FELSER, idle),
+        (_I.RESPONSE, "idle.late", (None,), "a late answer, or SC: count it", "rule", idle),
+        (_I.GO_OFFLINE, "idle.go_offline", (_S.OFFLINE,), "leave; the ring drops TS", _FELSER,
+         (*idle, _S.CLAIM_TOKEN)),
+        (_I.RESPONSE_SEEN, "hold.stray", (None,), "count it", "rule", _HOLDING),
+        (_I.ACTIVITY, "hold.noise", (None,), "note it", "rule", _HOLDING),
+        (_I.GO_OFFLINE, "hold.leave", (None,), "end this, pass the token, then Offline", "rule",
+         (*_HOLDING[1:], watching)),
+        (_I.TOKEN_TO_ME, "hold.withdraw", (_S.USE_TOKEN, _S.ACTIVE_IDLE, _S.OFFLINE),
+         "repeated by PS before we started: still ours; else withdraw", f"{_FELSER}; spec p12", (_S.USE_TOKEN,)),
+        (_I.TOKEN_TO_ME, "hold.withdraw", (_S.ACTIVE_IDLE, _S.OFFLINE), "somebody else held the token: withdraw",
+         f"{_FELSER}; spec p12", _HOLDING[1:]),
+        *((what, "hold.withdraw", (_S.ACTIVE_IDLE, _S.OFFLINE), "somebody else holds the token: withdraw",
+           f"{_FELSER}; spec p12", _HOLDING) for what in others[1:]),
+        *((what, "passing.confirmed", (_S.ACTIVE_IDLE, _S.OFFLINE), "NS has the token", _FELSER, (watching,))
+          for what in (*others, _I.RESPONSE_SEEN)),
+        *((what, "idle.claim_broken", (_S.ACTIVE_IDLE, _S.LISTEN_TOKEN), "the line lives: no claim", "rule",
+           (_S.CLAIM_TOKEN,))
+          for what in (*others, _I.RESPONSE_SEEN, _I.RESPONSE, _I.ACTIVITY)),
+    ):  # fmt: skip
+        rows += [Row(s, what, name, tuple(s if t is None else t for t in targets), does, source) for s in states]
     return sorted(rows, key=lambda r: (r.state, r.input))
 
 
@@ -208,8 +205,9 @@ def render() -> str:
     lines = [
         "# The states of an active station",
         "",
-        "Made from `dpstack/fdl/states.py` by `tools/make_state_docs.py`; do not edit. A line that goes down leads from",
+        "Made from `dpstack/fdl/states.py` by `tools/make_state_docs.py`; do not edit. A lost line leads from",
         "every state to Offline and is left out of the diagram. A pair that is not listed is ignored and counted.",
+        "A handler may pass an input on to the state it entered; what happens then is that state's row.",
         "",
         "```mermaid",
         "stateDiagram-v2",

@@ -173,9 +173,13 @@ class LinkStats:
 
     tokens: int = 0
     tokens_lost: int = 0
+    token_retries: int = 0  # token frames repeated because the next station was silent
+    withdrawn: int = 0  # token holds ended because another station sent as a token holder does
     gap_polls: int = 0
     stray: int = 0  # telegrams nobody waited for
     late: int = 0
+    garbled: int = 0  # answers of which only unreadable octets came
+    ignored: int = 0  # inputs without a row in the state table
     stations: dict[int, StationStats] = field(default_factory=dict)
 
     def station(self, address: int) -> StationStats:

@@ -17,7 +17,7 @@ class ParamRef(NamedTuple):
     """
 
     pnu: int
-    index: int
+    ind: int
     array: bool
     spec: ParamSpec | None
     label: str
@@ -31,9 +31,17 @@ Resolver = Callable[["str | int", "int | None", bool], ParamRef]
 class ParamAccess:
     """The master's end of a drive's parameters. ``clock`` tells the time of the current cycle in ns."""
 
-    __slots__ = ("_clock", "_dialect", "client", "resolve")
+    __slots__ = ("_clock", "_dialect", "client", "resolve", "written")
 
-    def __init__(self, dialect: PkwDialect, resolve: Resolver, clock: Callable[[], int]) -> None:
+    def __init__(
+        self,
+        dialect: PkwDialect,
+        resolve: Resolver,
+        clock: Callable[[], int],
+        written: Callable[[ParamRef], None] | None = None,
+    ) -> None:
+        #: told after every accepted write
+        self.written = written
         self._dialect = dialect
         self._clock = clock
         self.resolve = resolve
@@ -41,7 +49,7 @@ class ParamAccess:
 
     def read(self, ref: ParamRef, deadline: int) -> Steps[dict[str, object]]:
         """Read one parameter."""
-        order = Pkw(Order.READ_ARRAY if ref.array else Order.READ, ref.pnu, ref.index)
+        order = Pkw(Order.READ_ARRAY if ref.array else Order.READ, ref.pnu, ref.ind)
         reply = yield from self._exchange(order, ref, deadline)
         return _outcome(ref, reply)
 
@@ -57,7 +65,7 @@ class ParamAccess:
                 raise CommandError("usage", str(error)) from None
             long = spec.long
         else:
-            order = Pkw(Order.READ_ARRAY if ref.array else Order.READ, ref.pnu, ref.index)
+            order = Pkw(Order.READ_ARRAY if ref.array else Order.READ, ref.pnu, ref.ind)
             reply = yield from self._exchange(order, ref, deadline)
             long = reply.id in (Reply.LONG, Reply.ARRAY_LONG)
             pwe = _raw(ref, value, long)
@@ -65,7 +73,9 @@ class ParamAccess:
             kind = Order.WRITE_ARRAY_LONG if long else Order.WRITE_ARRAY_WORD
         else:
             kind = Order.WRITE_LONG if long else Order.WRITE_WORD
-        reply = yield from self._exchange(Pkw(kind, ref.pnu, ref.index, pwe), ref, deadline)
+        reply = yield from self._exchange(Pkw(kind, ref.pnu, ref.ind, pwe), ref, deadline)
+        if self.written is not None:
+            self.written(ref)
         return _outcome(ref, reply)
 
     def _exchange(self, order: Pkw, ref: ParamRef, deadline: int) -> Steps[Pkw]:
@@ -119,4 +129,4 @@ def _raw(ref: ParamRef, value: float, long: bool) -> int:
 def _silence(stray: Pkw | None) -> str:
     if stray is None:
         return "the drive did not answer in its parameter channel in time"
-    return f"the drive answered for parameter {stray.pnu} index {stray.index} (reply {stray.id}) instead"
+    return f"the drive answered for parameter {stray.pnu} index {stray.ind} (reply {stray.id}) instead"

@@ -34,6 +34,8 @@ class DriveCore:
     """
 
     scale: Scale = SPEED
+    #: why an acknowledgement may not be taken, for people
+    lock_hint: str = ""
 
     def __init__(
         self,
@@ -76,9 +78,7 @@ class DriveCore:
         self._jobs: list[Job] = []
         self._events: list[dict[str, object]] = []
         self._told: tuple[object, ...] = ()
-        self._tell_mask = table.status.mask("reached", "remote", "warning") if "warning" in table.status.bits else (
-            table.status.mask("reached", "remote")
-        )
+        self._tell_mask = table.status.mask(*(n for n in ("reached", "remote", "warning") if n in table.status.bits))
         self._outputs = safe_outputs
 
     # -- CyclicUnit -----------------------------------------------------------------------------------------------
@@ -111,13 +111,13 @@ class DriveCore:
     def lost(self, now: int) -> None:
         """The slave left data exchange, or outputs went to their safe values: what is pending ends with a reason."""
         self.now = now
+        self.online = self._fresh = False
         jobs, self._jobs = self._jobs, []
         for job in jobs:
             job.steps.close()
             self._failed(job.token, "lost", _LOST)
         if self.access is not None:
             self.access.client.reset()
-        self.online = self._fresh = False
         self._inputs = b""
         self.set_goal(Goal.IDLE)
         self.state = State.OFFLINE
@@ -145,9 +145,9 @@ class DriveCore:
 
     def take_events(self) -> list[dict[str, object]]:
         """Plain JSON data for the application, oldest first."""
-        events = self._events
-        if events:
-            self._events = []
+        if not self._events:
+            return []
+        events, self._events = self._events, []
         return events
 
     # -- for the application in the same process ------------------------------------------------------------------
@@ -196,17 +196,19 @@ class DriveCore:
         """Derive state and control word from the status word and the goal; tell what changed."""
         if self.online:
             status = self.words[0]
-            table = self.table
-            raw = table.states.decode(status)
-            if self._achieved and self.goal is Goal.RUN and table.state(status, self._control) is not State.RUNNING:
+            raw = self.table.states.decode(status)
+            if (
+                self._achieved
+                and self.goal is Goal.RUN
+                and self.table.state(status, self._control) is not State.RUNNING
+            ):
                 self._achieved = False
                 self.goal = Goal.IDLE
-                why = self.obstacle() or f"it reports {raw}"
-                self.notice(f"left the running state by itself: {why}; it stays off until the next start")
-            control = table.word(self.goal, raw)
-            self.state = table.state(status, control)
+                self.spawn("left", motion.left(self))
+            control = self.table.word(self.goal, raw)
+            self.state = self.table.state(status, control)
         else:
-            control = table.word(self.goal, State.OFFLINE)
+            control = self.table.word(self.goal, State.OFFLINE)
         control |= self.control_bits()
         if control != self._control:
             self._control = control
@@ -256,6 +258,10 @@ class DriveCore:
         """The present faults by name."""
         return ("fault",) if self.raw_state in FAULTED else ()
 
+    def fault_named(self) -> bool:
+        """True when :meth:`faults` tells all that it ever will."""
+        return True
+
     def warnings(self) -> tuple[str, ...]:
         """The present warnings by name."""
         return ()
@@ -266,8 +272,7 @@ class DriveCore:
 
     def prepare(self, deadline: int) -> Steps[None]:
         """Before a start: find out what would make it fail, and raise CommandError with the remedy."""
-        return
-        yield
+        yield from ()
 
     # -- inside ---------------------------------------------------------------------------------------------------
 
@@ -303,9 +308,9 @@ class DriveCore:
         return Job(op, token, steps, motion=False)
 
     def _speed(self, fraction: float) -> Steps[dict[str, object]]:
+        yield from ()
         self.set_speed(fraction)
         return {"value": fraction, "frequency_hz": fraction * self.reference_hz}
-        yield
 
     def _parameter(self, op: str, args: Args) -> Steps[dict[str, object]]:
         access = self.access

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Final
 
 from dpstack.profile.jobs import Args, CommandError, Job, Steps
 from dpstack.profile.states import FAULTED, MOVING, Goal, State
-from dpstack.units import ns_to_s
+from dpstack.units import NS_PER_S
 
 if TYPE_CHECKING:
     from dpstack.profile.core import DriveCore
@@ -37,16 +38,25 @@ def start(core: DriveCore, deadline: int) -> Steps[dict[str, object]]:
         yield from _online(core, deadline)
         yield from settled(core, lambda: core.raw_state not in FAULTED, deadline)
         if core.raw_state in FAULTED:
-            raise CommandError("fault", f"{fault_text(core)}; acknowledge it first")
+            text = yield from _named(core, deadline)
+            raise CommandError("fault", f"{text}; acknowledge it first")
         yield from core.prepare(deadline)
         # a status word that says running already may be older than our last stop
         trust = core.now + (core.settle_ns if core.raw_state in MOVING else 0)
         core.set_goal(Goal.RUN)
+        since: int | None = None
         while core.state is not State.RUNNING or core.now < trust:
             if core.raw_state in FAULTED:
-                raise CommandError("fault", fault_text(core))
+                raise CommandError("fault", (yield from _named(core, deadline)))
             if core.now >= deadline:
                 raise CommandError("timeout", core.obstacle() or f"the drive reports {core.raw_state}, not running")
+            if core.obstacle() is None:
+                since = None
+            elif since is None:
+                since = core.now
+            elif core.now >= since + core.settle_ns:
+                yield from core.prepare(deadline)  # raises when it is there to stay
+                since = None
             yield
     except BaseException:
         core.set_goal(Goal.IDLE)
@@ -83,18 +93,18 @@ def acknowledge(core: DriveCore, deadline: int) -> Steps[dict[str, object]]:
                 while core.now < until:
                     yield
             if core.now >= deadline and core.raw_state in FAULTED:
-                raise CommandError("fault", f"{fault_text(core)}: the drive does not accept the acknowledgement")
+                raise CommandError("fault", f"{fault_text(core)} cannot be acknowledged{core.lock_hint}")
     finally:
         core.set_goal(Goal.IDLE)
     return {"value": str(core.state)}
 
 
 def reached(core: DriveCore, deadline: int, tolerance: float | None) -> Steps[dict[str, object]]:
-    """The drive says that it has reached its reference, or, with ``tolerance``, the speed is that near the set point."""
+    """The drive says that it has reached its reference; with ``tolerance``: the speed is that near the set point."""
     yield from _online(core, deadline)
     while True:
         if core.raw_state in FAULTED:
-            raise CommandError("fault", fault_text(core))
+            raise CommandError("fault", (yield from _named(core, deadline)))
         if core.state is not State.RUNNING and core.goal is not Goal.RUN:
             raise CommandError("usage", f"the drive is not running (it reports {core.state}): start it first")
         status = core.status()
@@ -114,9 +124,17 @@ def reached(core: DriveCore, deadline: int, tolerance: float | None) -> Steps[di
         yield
 
 
-def settled(core: DriveCore, wanted: object, deadline: int) -> Steps[None]:
+def left(core: DriveCore) -> Steps[dict[str, object]]:
+    """Tell, as soon as it has a name, why the drive left RUNNING by itself."""
+    why = core.obstacle() or f"it reports {core.raw_state}"
+    if core.raw_state in FAULTED:
+        why = yield from _named(core, core.now + NS_PER_S)
+    core.notice(f"left the running state by itself: {why}; it stays off until the next start")
+    return {}
+
+
+def settled(core: DriveCore, wanted: Callable[[], bool], deadline: int) -> Steps[None]:
     """Wait until ``wanted()`` is true, at most until the inputs belong to the present outputs."""
-    assert callable(wanted)
     until = min(core.now + core.settle_ns, deadline)
     while not wanted() and core.now < until:
         yield
@@ -132,3 +150,11 @@ def _online(core: DriveCore, deadline: int) -> Steps[None]:
         if core.now >= deadline:
             raise CommandError("lost", "the drive is not in data exchange")
         yield
+
+
+def _named(core: DriveCore, deadline: int) -> Steps[str]:
+    """The fault's text; some drives tell its number only some cycles later."""
+    until = min(core.now + 4 * core.settle_ns, deadline)
+    while core.raw_state in FAULTED and not core.fault_named() and core.now < until:
+        yield
+    return fault_text(core)

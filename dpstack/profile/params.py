@@ -40,7 +40,7 @@ class ParamSpec:
         if not (math.isfinite(value) and self.low <= value <= self.high):
             unit = f" {self.unit}" if self.unit else ""
             raise ValueError(f"{self.label}: {value:g}{unit} is outside {self.low:g}..{self.high:g}{unit}")
-        return round(value * 10**self.decimals)
+        return round(value * float(10**self.decimals))
 
     def to_value(self, raw: int) -> int | float:
         """The value in ``unit`` of an integer on the wire: an int where there are no decimals."""

@@ -46,22 +46,22 @@ class Reply(IntEnum):
 
 
 class Pkw(NamedTuple):
-    """One content of the channel: order or reply id, PNU, subindex, value (32 bits unsigned)."""
+    """One content of the channel: order or reply id, PNU, IND (its high octet), value (32 bits unsigned)."""
 
     id: int
     pnu: int
-    index: int = 0
+    ind: int = 0
     pwe: int = 0
 
     def build(self) -> bytes:
         """The eight octets."""
-        return _LAYOUT.pack(self.id << 12 | self.pnu & 0x7FF, self.index, 0, self.pwe)
+        return _LAYOUT.pack(self.id << 12 | self.pnu & 0x7FF, self.ind, 0, self.pwe)
 
     @classmethod
     def parse(cls, octets: bytes) -> Pkw:
         """From (at least) eight octets; SPM and IND's low octet are ignored."""
-        pke, index, _, pwe = _LAYOUT.unpack_from(octets)
-        return cls(pke >> 12, pke & 0x7FF, index, pwe)
+        pke, ind, _, pwe = _LAYOUT.unpack_from(octets)
+        return cls(pke >> 12, pke & 0x7FF, ind, pwe)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,7 +82,7 @@ class PkwDialect:
 
 
 class Exchange:
-    """One order under way. ``reply`` is set when the drive has answered; ``stray`` is the last reply to another order."""
+    """One order under way. ``reply`` is set when the drive has answered; ``stray``: the last one to another order."""
 
     __slots__ = ("octets", "order", "reply", "stray")
 
@@ -157,7 +157,7 @@ class PkwClient:
             active.stray = reply
 
     def _fits(self, order: Pkw, reply: Pkw) -> bool:
-        if reply.pnu != order.pnu or reply.index != order.index:
+        if reply.pnu != order.pnu or reply.ind != order.ind:
             return False
         # after a zero any reply for this PNU is the answer, right or wrong; without one it may be an old one
         return self._dialect.zero_between or reply.id in self.expected(order.id)
@@ -211,5 +211,5 @@ class PkwServer:
         self._last = octets
         order = Pkw.parse(octets)
         reply, pwe = self._handler(order)
-        self._reply = Pkw(reply, order.pnu, order.index, pwe).build()
+        self._reply = Pkw(reply, order.pnu, order.ind, pwe).build()
         return self._reply

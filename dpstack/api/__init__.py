@@ -1,0 +1,1 @@
+"""What a user imports: configuration, bus, slaves, drives."""

@@ -1,0 +1,390 @@
+"""The bus as an application sees it: :func:`open_bus` and :class:`Bus`."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Final, Protocol
+
+from dpstack.api.compose import attach_core, compose, simulated
+from dpstack.api.config import Config, load_config, make_config, slave_config
+from dpstack.api.drive import Drive
+from dpstack.api.slave import Slave
+from dpstack.api.slave_config import SlaveConfig
+from dpstack.api.statistics import BusStats, collect
+from dpstack.api.streams import EventStream, Waiters
+from dpstack.dp.commands import AddSlave, Mode, RemoveSlave, SetMode, Shutdown
+from dpstack.dp.events import DriveEvent, MasterStopped
+from dpstack.dp.plan import Case
+from dpstack.errors import BusError, ConfigError, DpError, UsageError
+from dpstack.fdl.commands import GoOffline, GoOnline
+from dpstack.fdl.events import AddressCollision, RingLeft
+from dpstack.sim.world import World
+from dpstack.trace import Event, Notice, Severity
+from dpstack.units import ns_to_s
+
+#: with foreign masters on the bus one has to wait until one of them asks for us in its GAP
+JOIN_TIMEOUT_S: Final = 30.0
+#: the ordered end takes a few rotations; nobody waits longer than this for it (plus ten rotations)
+_END_TIMEOUT_S: Final = 2.0
+_HISTORY: Final = 1000
+
+OnEvent = Callable[[Event], None]
+SlaveTable = Mapping[str, object] | SlaveConfig
+
+
+class _Watcher(Protocol):
+    def on_round(self) -> None: ...
+
+
+def open_bus(
+    config: str | Path | Config | None = None,
+    *,
+    port: str | None = None,
+    baud: int | None = None,
+    address: int | None = None,
+    slaves: Iterable[SlaveTable] = (),
+    on_event: OnEvent | None = None,
+    join_timeout: float = JOIN_TIMEOUT_S,
+    world: World | None = None,
+    **bus: object,
+) -> Bus:
+    """A bus from a configuration file (``port``, ``baud``, ``address`` override it), or from arguments alone.
+
+    Use it as ``async with open_bus(...) as bus``: entering listens, joins the token ring and begins to bring the slaves
+    up in Clear; ``await bus.operate()`` lets outputs out. ``slaves`` are mappings with the keys of a [[slave]] table,
+    ``bus`` further keys of [bus]. ``port="virtual"`` simulates the slaves in this process. ``on_event`` is called for
+    every event at once; ``world`` joins an existing simulated bus.
+
+    Raises ConfigError here; PortError and BusError on entering.
+    """
+    if config is None:
+        if baud is None:
+            raise ConfigError("open_bus: no baud; give for instance baud=500000, or a configuration file")
+        if port is None and world is None:
+            raise ConfigError('open_bus: no port; give for instance port="/dev/ttyUSB0", or "virtual"')
+        made = make_config(port or "virtual", baud, 2 if address is None else address, slaves, **bus)
+        return Bus(made, on_event=on_event, join_timeout=join_timeout, world=world)
+    read = config if isinstance(config, Config) else load_config(config)
+    return Bus(
+        read.with_bus(port=port, baud=baud, address=address, **bus).with_slaves(slaves),
+        on_event=on_event,
+        join_timeout=join_timeout,
+        world=world,
+    )
+
+
+class Bus:
+    """A running bus: the slaves of a configuration under a class 1 master. Made by :func:`open_bus`."""
+
+    def __init__(
+        self,
+        config: Config,
+        *,
+        on_event: OnEvent | None = None,
+        join_timeout: float = JOIN_TIMEOUT_S,
+        world: World | None = None,
+    ) -> None:
+        parts = compose(config, self._on_events, self._on_failure, world)
+        self.config = config
+        self.plan = parts.plan
+        self.params = parts.plan.params
+        self.station = parts.station
+        self.master = parts.master
+        self.runtime = parts.runtime
+        #: the simulated bus when there is one
+        self.world = parts.world
+        #: machine time of the start in ns
+        self.started_ns = 0
+        self._on_event = on_event
+        self._join_timeout = join_timeout
+        self._own_world = world is None
+        self._open = False
+        self._ending: asyncio.Task[None] | None = None
+        self._stopped = False
+        self._left = False
+        self._collision: str | None = None
+        self._failure: BusError | None = None
+        self._history: deque[Event] = deque(maxlen=_HISTORY)
+        self._streams: list[EventStream] = []
+        self._waiters = Waiters()
+        self._watchers: list[_Watcher] = []
+        self._slaves: dict[int, Slave] = {}
+        self._drives: dict[int, Drive] = {}
+        for slave in config.slaves:
+            self._register(slave)
+
+    def _register(self, config: SlaveConfig) -> Slave:
+        handler = self.master.handlers[config.address]
+        slave = self._slaves[config.address] = Slave(self, config, handler)
+        core = attach_core(self.master, config)
+        if core is not None:
+            self._drives[config.address] = Drive(self, slave, core, handler.image)
+        return slave
+
+    # --- from beginning to end ----------------------------------------------------------------------------------
+
+    async def __aenter__(self) -> Bus:
+        await self.open()
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        await self.close()
+
+    async def open(self) -> None:
+        """Listen, join the token ring, begin the bring-up in Clear. Raises PortError, BusError."""
+        if self._open or self._ending is not None:
+            raise UsageError("this bus was opened before: make a new one with open_bus()")
+        await self.runtime.open()
+        self._open = True
+        self.started_ns = self.runtime.now()
+        try:
+            for note in (*self.plan.findings, *self.plan.notes):
+                self._tell(Notice(t_ns=self.started_ns, source="plan", message=note, severity=Severity.WARNING))
+            self.runtime.command(GoOnline())
+            await self._join()
+        except BaseException:
+            await self.close()
+            raise
+
+    async def _join(self) -> None:
+        try:
+            await self.until(self._joined, self._join_timeout)
+        except TimeoutError:
+            raise BusError(self._why_not_joined()) from None
+
+    def _joined(self) -> bool:
+        if self._collision is not None:
+            raise BusError(self._collision)
+        return self.station.in_ring
+
+    def _why_not_joined(self) -> str:
+        after = f"station {self.params.address} is not in the token ring after {self._join_timeout:g} s"
+        others = sorted(self.station.las - {self.params.address})
+        if others:
+            return (
+                f"{after}: masters {', '.join(map(str, others))} do not let it in; "
+                f"their HSA must be {self.params.address} or more and their GAP on"
+            )
+        if self.station.decoder_stats.octets:
+            return f"{after}: what is heard is no PROFIBUS at this rate; check the baud rate, A and B, the termination"
+        return f"{after}: nothing is heard and nothing could be sent; check port and cable"
+
+    async def close(self) -> None:
+        """The ordered end: safe values for one cycle, Clear twice, out of the ring, port released. May be repeated."""
+        if self._ending is None:
+            self._ending = asyncio.create_task(self._end())
+        await asyncio.shield(self._ending)
+
+    async def _end(self) -> None:
+        if self._open:
+            limit = _END_TIMEOUT_S + 10 * self.rotation_limit_s
+            await self._ordered(Shutdown(), lambda: self._stopped, limit)
+            await self._ordered(GoOffline(), lambda: self._left, limit)
+        self._open = False
+        await self.runtime.close()
+        error = UsageError("the bus is closed")
+        for drive in self._drives.values():
+            drive.end(error)
+        for stream in tuple(self._streams):
+            stream.end()
+
+    async def _ordered(self, command: object, done: Callable[[], bool], limit: float) -> None:
+        """One step of the end; a bus that can no longer do it does not hold the program up."""
+        with contextlib.suppress(TimeoutError, DpError):
+            self.runtime.command(command)
+            await self.until(done, limit)
+
+    # --- orders -------------------------------------------------------------------------------------------------
+
+    @property
+    def is_open(self) -> bool:
+        """True between a successful opening and the end."""
+        return self._open and self._ending is None
+
+    @property
+    def mode(self) -> Mode:
+        """The mode of the master."""
+        return self.master.mode
+
+    async def operate(self) -> None:
+        """Outputs go out from the next rotation on."""
+        self.command(SetMode(Mode.OPERATE))
+
+    async def clear(self) -> None:
+        """Inputs are read, outputs are zero (empty for Fail_Safe slaves)."""
+        self.command(SetMode(Mode.CLEAR))
+
+    async def stop(self) -> None:
+        """Nothing more is sent to slaves (their watchdogs will expire); the master stays in the ring."""
+        self.command(SetMode(Mode.STOP))
+
+    def command(self, command: object) -> None:
+        """Hand an order to the machine. Raises UsageError when the bus is not open."""
+        if not self._open:
+            raise UsageError("the bus is not open: use it inside `async with open_bus(...)`")
+        self.runtime.command(command)
+
+    async def ready(self, timeout: float | None = 5.0) -> None:
+        """Wait until every slave is in data exchange. Raises SlaveFault or SlaveTimeout for the first that is not."""
+        loop = asyncio.get_running_loop()
+        end = None if timeout is None else loop.time() + timeout
+        for slave in tuple(self._slaves.values()):
+            await slave.ready(None if end is None else max(0.0, end - loop.time()))
+
+    async def add_slave(self, table: SlaveTable) -> Slave:
+        """Take up one more slave while the bus runs: ``table`` has the keys of a [[slave]] table. Raises ConfigError.
+
+        With ``port="virtual"`` it is simulated like the others.
+        """
+        config = table if isinstance(table, SlaveConfig) else slave_config(table)
+        if any(slave.name == config.name for slave in self._slaves.values()):
+            raise ConfigError(f"there is a slave called {config.name!r} already: give the new one another name")
+        self.command(AddSlave(config.setup(self.params.baud)))
+        if self.world is not None and self._own_world:
+            self.world.add(simulated(config, self.params), name=config.name)
+        return self._register(config)
+
+    async def remove(self, slave: Slave | str | int) -> None:
+        """Give a slave up: safe outputs for one cycle, unlock, then forget it."""
+        address = slave.address if isinstance(slave, Slave) else self.slave(slave).address
+        self.command(RemoveSlave(address))
+        del self._slaves[address]
+        drive = self._drives.pop(address, None)
+        if drive is not None:
+            drive.end(UsageError(f"drive {drive.name} was removed from the bus"))
+
+    # --- what there is ------------------------------------------------------------------------------------------
+
+    @property
+    def slaves(self) -> tuple[Slave, ...]:
+        """All slaves by address."""
+        return tuple(self._slaves[address] for address in sorted(self._slaves))
+
+    @property
+    def drives(self) -> tuple[Drive, ...]:
+        """All drives by address."""
+        return tuple(self._drives[address] for address in sorted(self._drives))
+
+    def slave(self, which: str | int) -> Slave:
+        """A slave by name or address. Raises UsageError naming those there are."""
+        for slave in self._slaves.values():
+            if which in (slave.name, slave.address):
+                return slave
+        known = ", ".join(f"{s.name} ({s.address})" for s in self.slaves) or "none"
+        raise UsageError(f"no slave {which!r} on this bus; there are: {known}")
+
+    def drive(self, which: str | int) -> Drive:
+        """A drive by name or address. Raises UsageError naming those there are."""
+        for drive in self._drives.values():
+            if which in (drive.name, drive.slave.address):
+                return drive
+        known = ", ".join(d.name for d in self.drives) or "none"
+        raise UsageError(f"no drive {which!r} on this bus; there are: {known}")
+
+    def events(self) -> EventStream:
+        """What happens, from the start of the bus on: an async iterator, bounded; ``dropped`` counts what was lost."""
+        stream = EventStream(self._history, self._streams.remove)
+        self._streams.append(stream)
+        if self._ending is not None and not self._open:
+            stream.end()
+        return stream
+
+    @property
+    def stats(self) -> BusStats:
+        """Counters and rotation times up to now."""
+        return collect(self)
+
+    @property
+    def seconds(self) -> float:
+        """Bus time since the start in seconds."""
+        return ns_to_s(self.runtime.now() - self.started_ns)
+
+    @property
+    def rotation_limit_s(self) -> float:
+        """The longest rotation of the plan in seconds."""
+        return ns_to_s(self.plan.rotation_ns(Case.LONGEST))
+
+    async def until(self, condition: Callable[[], bool], timeout: float | None = None) -> None:
+        """Wait until ``condition()``, judged after every event; what it raises is raised here. Raises TimeoutError."""
+
+        def judged() -> bool:
+            if self._failure is not None:
+                raise self._failure
+            return condition()
+
+        await self._waiters.until(judged, timeout)
+
+    async def rotated(self, rotations: int | None, timeout: float | None = None) -> None:
+        """Wait until there were so many rotations in all (None: for ever). Raises TimeoutError."""
+        if rotations is None:
+            await self.until(lambda: False, timeout)
+            return
+        self.watch_rounds(self)
+        try:
+            await self.until(lambda: self.master.rotation.count >= rotations, timeout)
+        finally:
+            self.unwatch_rounds(self)
+
+    def on_round(self) -> None:
+        """A round is over: who waits for rotations looks."""
+        self._waiters.check()
+
+    def watch_rounds(self, watcher: _Watcher) -> None:
+        """Call ``watcher.on_round()`` at the end of every round."""
+        if watcher not in self._watchers:
+            self._watchers.append(watcher)
+        self.master.on_round = self._on_round
+
+    def unwatch_rounds(self, watcher: _Watcher) -> None:
+        """No longer."""
+        self._watchers.remove(watcher)
+        if not self._watchers:
+            self.master.on_round = None
+
+    # --- from the machine ---------------------------------------------------------------------------------------
+
+    def _on_round(self, now: int) -> None:
+        for watcher in self._watchers:
+            watcher.on_round()
+
+    def _on_events(self, events: list[Event]) -> None:
+        for event in events:
+            match event:
+                case DriveEvent(address=address, payload=payload):
+                    drive = self._drives.get(address)
+                    if drive is not None:
+                        drive.on_payload(payload)
+                case MasterStopped():
+                    self._stopped = True
+                case RingLeft():
+                    self._left = True
+                case AddressCollision():
+                    self._collision = event.text
+            self._tell(event)
+        self._waiters.check()
+
+    def _on_failure(self, error: Exception) -> None:
+        """The machine raised, which is a defect of ours: everybody who waits is told."""
+        self._failure = BusError(f"the bus was stopped by a defect in dpstack ({type(error).__name__}: {error})")
+        self._failure.__cause__ = error
+        self._tell(Notice(t_ns=self.runtime.now(), source="bus", message=str(self._failure), severity=Severity.ERROR))
+        for drive in self._drives.values():
+            drive.end(self._failure)
+        self._waiters.check()
+
+    def _tell(self, event: Event) -> None:
+        self._history.append(event)
+        for stream in self._streams:
+            stream.put(event)
+        if self._on_event is not None:
+            self._on_event(event)
+
+
+__all__ = ["JOIN_TIMEOUT_S", "Bus", "OnEvent", "open_bus"]

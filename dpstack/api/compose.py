@@ -1,0 +1,129 @@
+"""From a configuration to running parts: parameters, plan, master, station, and what keeps them running."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from dpstack.api.config import Config, rate_findings
+from dpstack.api.slave_config import SlaveConfig
+from dpstack.dp.device import Device
+from dpstack.dp.master import Master
+from dpstack.dp.mirror import MirrorDevice
+from dpstack.dp.plan import Case, Plan, make_plan, t_tr_preset
+from dpstack.dp.setup import SlaveSetup
+from dpstack.dp.slaveapp import make_slave
+from dpstack.drivers.aio import AsyncioRuntime, OnFailure, patience_of
+from dpstack.drivers.base import OnEvents, Runtime
+from dpstack.drivers.virtual import VirtualRuntime
+from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.passive import PassiveStation
+from dpstack.params import BusParams
+from dpstack.phy.patience import EXACT, Patience, slack
+from dpstack.ports import Delivery, Port, open_port
+from dpstack.profile import DriveCore
+from dpstack.sim.world import World
+from dpstack.units import NS_PER_MS
+
+
+def plan_bus(config: Config, baud: int | None = None) -> Plan:
+    """The plan of ``config`` at ``baud`` (default: its own rate). Raises ConfigError."""
+    rate = config.baud if baud is None else baud
+    setups = config.setups(rate)
+    params = with_t_tr(config, config.params(rate), setups)
+    notes = [note for slave in config.slaves for note in slave.notes]
+    pty = config.bus.port is not None and not config.virtual and port_of(config, rate).delivery is Delivery.HOST
+    return make_plan(params, setups, pty=pty, findings=rate_findings(config, rate), notes=notes)
+
+
+def with_t_tr(config: Config, params: BusParams, setups: Sequence[SlaveSetup]) -> BusParams:
+    """``params`` with T_TR enough for the longest normal round, unless the configuration fixes it."""
+    if config.bus.t_tr is not None:
+        return params
+    return params.replace(t_tr=t_tr_preset(params, setups))
+
+
+def port_of(config: Config, baud: int) -> Port:
+    """The port of ``config``, not open yet. Raises PortError."""
+    return open_port(config.port, baud)
+
+
+def patience_for(config: Config, port: Port) -> Patience:
+    """How long to wait on ``port``: the user's ``host_slack_ms``, or by its kind."""
+    if config.bus.host_slack_ms is not None:
+        return slack(round(config.bus.host_slack_ms * NS_PER_MS))
+    return patience_of(port)
+
+
+@dataclass(slots=True)
+class Parts:
+    """Everything one bus is made of."""
+
+    config: Config
+    plan: Plan
+    master: Master
+    station: ActiveStation
+    runtime: Runtime
+    world: World | None
+
+
+def compose(config: Config, on_events: OnEvents, on_failure: OnFailure, world: World | None = None) -> Parts:
+    """Build the parts of ``config``, with simulated slaves when its port is "virtual".
+
+    ``on_failure`` is told when a machine raised (a defect of ours). ``world`` puts the master into an existing
+    simulated bus, with nothing added. Raises ConfigError, PortError.
+    """
+    plan = plan_bus(config)
+    params = plan.params
+    virtual = world is not None or config.virtual
+    port = None if virtual else port_of(config, params.baud)
+    patience = EXACT if port is None else patience_for(config, port)
+    master = Master(params, config.setups(), watchdog_ms=plan.watchdog_ms, absent_share=patience.unknown_share)
+    station = ActiveStation(params, [master], patience=patience)
+    if port is not None:
+        runtime = AsyncioRuntime(port, station, on_events, on_failure=on_failure)
+        return Parts(config, plan, master, station, runtime, None)
+    if world is None:
+        world = World(referee=False)
+        for slave in config.slaves:
+            world.add(simulated(slave, params), name=slave.name)
+    return Parts(config, plan, master, station, VirtualRuntime(world, station, on_events), world)
+
+
+def attach_core(master: Master, slave: SlaveConfig) -> DriveCore | None:
+    """Put the drive plugin of ``slave`` onto its process image; None where it has none."""
+    if slave.profile is None:
+        return None
+    core = slave.profile.core(slave.name, slave.telegram, slave.options)
+    master.handlers[slave.address].image.unit = core
+    return core
+
+
+def device_of(slave: SlaveConfig) -> Device:
+    """What simulates ``slave``: the drive's simulated device, or a mirror of outputs to inputs."""
+    if slave.profile is not None:
+        device = slave.profile.device(slave.telegram)
+        if slave.ident is not None:
+            device.ident = slave.ident
+        return device
+    return MirrorDevice(slave.ident or 0, slave.config, slave.name, fail_safe=slave.fail_safe)
+
+
+def simulated(slave: SlaveConfig, params: BusParams, patience: Patience = EXACT) -> PassiveStation:
+    """A whole simulated slave at the address of ``slave``."""
+    return make_slave(slave.address, device_of(slave), params, patience=patience)
+
+
+__all__ = [
+    "Case",
+    "Parts",
+    "Plan",
+    "attach_core",
+    "compose",
+    "device_of",
+    "patience_for",
+    "plan_bus",
+    "port_of",
+    "simulated",
+    "with_t_tr",
+]

@@ -1,0 +1,322 @@
+"""The configuration file: TOML in, checked settings out; every refusal is one clear line with file and line.
+
+:func:`load_config` reads a file, :func:`parse_config` a text, :func:`slave_config` one slave given in a program. All
+raise :class:`~dpstack.errors.ConfigError`. What a drive implies (ident, identifier octets, user parameters, MaxTsdr)
+comes from the drive registry.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+from dpstack.api.slave_config import SlaveConfig, read_slave
+from dpstack.api.tables import Source, Table
+from dpstack.api.toml_lines import line_numbers
+from dpstack.dp.setup import SlaveSetup
+from dpstack.errors import ConfigError, ParamError
+from dpstack.params import MAX_STATION, BusParams
+from dpstack.units import BAUD_RATES, baud_text
+
+VIRTUAL: Final = "virtual"
+_DRIVERS: Final = ("auto", "asyncio")
+_BUS_KEYS: Final = (
+    "port",
+    "baud",
+    "address",
+    "cycle_ms",
+    "driver",
+    "t_sl",
+    "max_retry",
+    "gap",
+    "hsa",
+    "t_tr",
+    "host_slack_ms",
+    "extra_idle_bits",
+    "echo",
+    "auto_clear",
+    "read_only",
+)
+#: keys whose function comes later, with the values that ask for nothing
+_BUS_LATER: Final[dict[str, tuple[object, ...]]] = {
+    "cycle_ms": (),
+    "echo": ("auto", False),
+    "auto_clear": (False,),
+    "read_only": (False,),
+}
+_TOML_PLACE: Final = re.compile(r"^(.*?)\s*\(at (?:line (\d+), column (\d+)|end of document)\)$", re.DOTALL)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BusConfig:
+    """The [bus] table. ``port`` and ``baud`` may be missing until they are needed. Times in bit times unless named."""
+
+    port: str | None = None
+    baud: int | None = None
+    address: int = 2
+    driver: str = "auto"
+    t_sl: int | None = None
+    t_tr: int | None = None
+    max_retry: int | None = None
+    gap: int | None = None
+    hsa: int = 126
+    host_slack_ms: float | None = None
+    extra_idle_bits: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Config:
+    """A whole configuration. ``source`` names it in messages."""
+
+    bus: BusConfig
+    slaves: tuple[SlaveConfig, ...]
+    source: Source = field(repr=False, compare=False)
+
+    def with_bus(self, **changes: object) -> Config:
+        """A copy with other bus settings (what is None is left as it is), checked again."""
+        given = {key: value for key, value in changes.items() if value is not None}
+        if not given:
+            return self
+        wanted = dataclasses.asdict(self.bus) | given
+        table = {key: value for key, value in wanted.items() if value is not None}
+        bus = _read_bus(Table(Source("argument"), ("bus",), table, "[bus]"))
+        return _checked(dataclasses.replace(self, bus=bus))
+
+    def with_outputs(self, outputs: Mapping[int, bytes]) -> Config:
+        """A copy with initial output octets by slave address."""
+        by_address = {slave.address: slave for slave in self.slaves}
+        for address, octets in outputs.items():
+            slave = by_address.get(address)
+            if slave is None:
+                known = ", ".join(map(str, sorted(by_address))) or "none"
+                raise ConfigError(f"outputs for address {address}: no slave has it; configured: {known}")
+            if len(octets) != slave.output_len:
+                raise ConfigError(
+                    f"outputs for slave {address} ({slave.name}): {len(octets)} octets given; "
+                    f"it has {slave.output_len} octets of outputs"
+                )
+            if slave.profile is not None:
+                raise ConfigError(
+                    f"outputs for slave {address} ({slave.name}): the drive plugin {slave.profile.name} makes its "
+                    f"outputs; describe the slave by ident and config instead of drive to give raw octets"
+                )
+        slaves = tuple(dataclasses.replace(s, initial=outputs.get(s.address, s.initial)) for s in self.slaves)
+        return dataclasses.replace(self, slaves=slaves)
+
+    def with_slaves(self, slaves: Iterable[Mapping[str, object] | SlaveConfig]) -> Config:
+        """A copy with more slaves."""
+        more = tuple(s if isinstance(s, SlaveConfig) else slave_config(s, n) for n, s in enumerate(slaves))
+        return _checked(dataclasses.replace(self, slaves=self.slaves + more)) if more else self
+
+    @property
+    def port(self) -> str:
+        """The port. Raises ConfigError when there is none."""
+        if self.bus.port is None:
+            raise self.source.error(
+                ("bus",), "[bus]: no port", 'add port = "/dev/ttyUSB0" (or "virtual", or socket://host:port)'
+            )
+        return self.bus.port
+
+    @property
+    def baud(self) -> int:
+        """The baud rate. Raises ConfigError when there is none."""
+        if self.bus.baud is None:
+            raise self.source.error(("bus",), "[bus]: no baud", "add for instance baud = 500000")
+        return self.bus.baud
+
+    @property
+    def virtual(self) -> bool:
+        """True when the slaves are simulated in this process."""
+        return self.bus.port == VIRTUAL
+
+    def setups(self, baud: int | None = None) -> tuple[SlaveSetup, ...]:
+        """The slaves as the master parameterises them at ``baud`` (default: the configured rate)."""
+        rate = self.baud if baud is None else baud
+        return tuple(slave.setup(rate) for slave in self.slaves)
+
+    def params(self, baud: int | None = None) -> BusParams:
+        """Bus parameters for these slaves at ``baud``, T_TR as the table or the file says. Raises ConfigError."""
+        rate = self.baud if baud is None else baud
+        bus = self.bus
+        tsdr = [s.max_tsdr for s in self.setups(rate) if s.max_tsdr is not None]
+        try:
+            return BusParams.preset(
+                rate,
+                address=bus.address,
+                slave_max_tsdr=tsdr,
+                t_sl=bus.t_sl,
+                t_tr=bus.t_tr,
+                gap=bus.gap,
+                hsa=bus.hsa,
+                max_retry=bus.max_retry,
+                extra_idle=bus.extra_idle_bits,
+            )
+        except ParamError as error:
+            keys = [key for key in ("t_sl", "t_tr", "gap", "hsa", "max_retry", "address") if key in str(error)]
+            path = ("bus", keys[0]) if keys else ("bus",)
+            raise self.source.error(path, f"[bus]: {error}", "correct the value or leave it out") from None
+
+
+def load_config(path: str | Path) -> Config:
+    """Read a configuration file. Raises ConfigError, one line, also where the file cannot be read."""
+    name = str(path)
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise ConfigError(f"{name}: there is no such file; write one (see the README) or correct the path") from None
+    except IsADirectoryError:
+        raise ConfigError(f"{name}: is a directory; name the configuration file in it") from None
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{name}: is not UTF-8 text (octet {error.start}); save it as UTF-8") from None
+    except OSError as error:
+        raise ConfigError(f"{name}: cannot be read ({error.strerror}); check its permissions") from None
+    return parse_config(text, name)
+
+
+def parse_config(text: str, name: str = "config") -> Config:
+    """Read a configuration from ``text``; ``name`` stands in messages."""
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise _not_toml(error, text, name) from None
+    source = Source(name, line_numbers(text))
+    top = Table(source, (), data, name)
+    for key in data:
+        if key not in ("bus", "slave"):
+            raise source.error((key,), f"unknown table or key {key!r}", "a configuration has [bus] and [[slave]]")
+    if "bus" not in top:
+        raise source.error((), "no [bus] table", "add [bus] with port and baud")
+    bus = _read_bus(Table(source, ("bus",), data["bus"], "[bus]"))
+    entries = data.get("slave", [])
+    if not isinstance(entries, list):
+        raise source.error(("slave",), "[slave] must be [[slave]]", "write two brackets: there may be several slaves")
+    slaves = tuple(
+        read_slave(Table(source, ("slave", n), entry, f"[[slave]] {n + 1}")) for n, entry in enumerate(entries)
+    )
+    return _checked(Config(bus=bus, slaves=slaves, source=source))
+
+
+def make_config(
+    port: str,
+    baud: int,
+    address: int = 2,
+    slaves: Iterable[Mapping[str, object] | SlaveConfig] = (),
+    *,
+    where: str = "open_bus",
+    **bus: object,
+) -> Config:
+    """A configuration from a program: the keys of [bus] as arguments, slaves as tables with the keys of [[slave]]."""
+    source = Source(where)
+    table: dict[str, object] = {"port": port, "baud": baud, "address": address, **bus}
+    read = _read_bus(Table(source, ("bus",), {k: v for k, v in table.items() if v is not None}, "bus"))
+    entries = tuple(s if isinstance(s, SlaveConfig) else slave_config(s, n) for n, s in enumerate(slaves))
+    return _checked(Config(bus=read, slaves=entries, source=source))
+
+
+def slave_config(table: Mapping[str, object], number: int = 0, *, where: str = "open_bus") -> SlaveConfig:
+    """One slave from a mapping with the keys of a [[slave]] table."""
+    source = Source(where)
+    return read_slave(Table(source, ("slave", number), table, f"slave {number + 1}"))
+
+
+def _not_toml(error: tomllib.TOMLDecodeError, text: str, name: str) -> ConfigError:
+    match = _TOML_PLACE.match(str(error))
+    line = max(1, len(text.splitlines()))
+    what, column = str(error), ""
+    if match:
+        what = match[1]
+        if match[2]:
+            line, column = int(match[2]), f" at column {match[3]}"
+    what = " ".join(what.split())
+    return ConfigError(f"{name}:{line}: not valid TOML{column}: {what}; correct that line")
+
+
+def _read_bus(table: Table) -> BusConfig:
+    table.check_keys(_BUS_KEYS)
+    table.refuse_later(_BUS_LATER)
+    driver = table.text("driver") or "auto"
+    if driver == "process":
+        table.fail("driver", 'driver "process" is not supported yet by this version', 'use "auto" or "asyncio"')
+    if driver not in _DRIVERS:
+        table.fail("driver", f"unknown driver {driver!r}", 'it must be "auto" or "asyncio"')
+    return BusConfig(
+        port=table.text("port"),
+        baud=_baud(table),
+        address=_or(table.integer("address", 0, MAX_STATION), 2),
+        driver=driver,
+        t_sl=table.integer("t_sl", 37, 16_383),
+        t_tr=table.integer("t_tr", 256, 16_777_960),
+        max_retry=table.integer("max_retry", 0, 15),
+        gap=table.integer("gap", 0, 100, "0 switches the GAP off"),
+        hsa=_or(table.integer("hsa", 1, 126), 126),
+        host_slack_ms=table.number("host_slack_ms", 0, 10_000),
+        extra_idle_bits=_or(table.integer("extra_idle_bits", 0, 100_000), 0),
+    )
+
+
+def _baud(table: Table) -> int | None:
+    value = table.raw("baud")
+    if value == "auto":
+        table.fail("baud", 'baud "auto" is not supported yet by this version', f"give the rate: {_rates()}")
+    baud = table.integer("baud", 0, 1 << 40)
+    if baud is not None and baud not in BAUD_RATES:
+        near = min(BAUD_RATES, key=lambda rate: abs(rate - baud))
+        table.fail("baud", f"{baud} is no PROFIBUS rate", f"nearest is {near}; known: {_rates()}")
+    return baud
+
+
+def _rates() -> str:
+    return ", ".join(map(str, BAUD_RATES))
+
+
+def _or(value: int | None, default: int) -> int:
+    return default if value is None else value
+
+
+def _checked(config: Config) -> Config:
+    """What concerns several tables: addresses and names are unique, and the master has one of its own."""
+    addresses: dict[int, str] = {}
+    names: dict[str, int] = {}
+    for number, slave in enumerate(config.slaves):
+        path = ("slave", number)
+        if slave.address == config.bus.address:
+            raise config.source.error(
+                (*path, "address"),
+                f"slave {slave.name} has address {slave.address}, which is the master's own",
+                "give one of the two another address",
+            )
+        if slave.address in addresses:
+            raise config.source.error(
+                (*path, "address"),
+                f"slaves {addresses[slave.address]} and {slave.name} both have address {slave.address}",
+                "give one of them another address",
+            )
+        if slave.name in names:
+            raise config.source.error(
+                (*path, "name"),
+                f"the slaves at address {names[slave.name]} and {slave.address} are both called {slave.name!r}",
+                "give each a name of its own",
+            )
+        addresses[slave.address] = slave.name
+        names[slave.name] = slave.address
+    if config.bus.address > config.bus.hsa:
+        raise config.source.error(
+            ("bus", "hsa"),
+            f"[bus]: address {config.bus.address} lies above hsa {config.bus.hsa}",
+            "no other master would ever find it: raise hsa or take a lower address",
+        )
+    return config
+
+
+def rate_findings(config: Config, baud: int) -> list[str]:
+    """Slaves whose manual does not list ``baud``."""
+    return [
+        f"slave {s.address} ({s.name}): {s.profile.name} does not know {baud_text(baud)}; take another rate"
+        for s in config.slaves
+        if s.profile is not None and s.profile.baud_rates and baud not in s.profile.baud_rates
+    ]

@@ -1,0 +1,237 @@
+"""One drive as an application sees it: orders as awaitable calls, errors by type, the latest status."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+from collections.abc import AsyncIterator, Mapping
+from typing import TYPE_CHECKING, Final
+
+from dpstack.api.slave import Slave
+from dpstack.api.streams import Latest
+from dpstack.dp.commands import DriveCommand, Mode
+from dpstack.dp.image import SlaveImage
+from dpstack.errors import (
+    DpError,
+    DriveError,
+    DriveFault,
+    DriveTimeout,
+    ParameterError,
+    UsageError,
+)
+from dpstack.profile import DriveCore, DriveStatus
+
+if TYPE_CHECKING:
+    from dpstack.api.bus import Bus
+
+#: the plugin judges time-outs once a rotation; this much later nobody can have judged them
+_GRACE: Final = 0.25
+_tokens = itertools.count(1)
+
+
+class Drive:
+    """A drive by its name in the configuration. Orders are awaitable and raise DriveFault or DriveTimeout."""
+
+    def __init__(self, bus: Bus, slave: Slave, core: DriveCore, image: SlaveImage) -> None:
+        self._bus = bus
+        self._core = core
+        self._image = image
+        self._pending: dict[int, asyncio.Future[dict[str, object]]] = {}
+        self._readers: list[Latest[DriveStatus]] = []
+        self._seen = b""
+        #: the slave behind it
+        self.slave = slave
+
+    def __repr__(self) -> str:
+        return f"<Drive {self.name!r} {self._core.drive} at {self.slave.address}>"
+
+    @property
+    def name(self) -> str:
+        """The name in the configuration."""
+        return self.slave.name
+
+    @property
+    def status(self) -> DriveStatus:
+        """What the drive tells at this moment."""
+        return self._core.status()
+
+    @property
+    def speed(self) -> float:
+        """The speed set point as a part of the reference (0.5 = 50 %); the actual value is ``status.speed``.
+
+        Assigning goes out in the next rotation. Raises UsageError outside the range.
+        """
+        return self._core.setpoint
+
+    @speed.setter
+    def speed(self, fraction: float) -> None:
+        self._set("speed", fraction, fraction)
+
+    @property
+    def frequency(self) -> float:
+        """The speed set point in Hz, by the drive's reference."""
+        return self._core.setpoint * self._core.reference_hz
+
+    @frequency.setter
+    def frequency(self, hertz: float) -> None:
+        self._set("frequency", hertz, hertz / self._core.reference_hz)
+
+    def _set(self, op: str, value: float, fraction: float) -> None:
+        try:
+            self._core.setpoint_word(fraction)
+        except (ValueError, TypeError) as error:
+            raise UsageError(f"drive {self.name}: {error}") from None
+        self._bus.command(DriveCommand(self.slave.address, op, {"value": value}, next(_tokens)))
+
+    async def start(self, timeout: float = 5.0) -> None:
+        """Walk the state machine until the drive runs. Raises DriveFault or DriveTimeout, which say why not."""
+        await self._order("start", timeout)
+
+    async def stop(self, timeout: float = 60.0) -> None:
+        """Ramp down and switch off."""
+        await self._order("stop", timeout)
+
+    async def quick_stop(self, timeout: float = 60.0) -> None:
+        """Stop by the quick stop ramp."""
+        await self._order("quick_stop", timeout)
+
+    async def coast(self, timeout: float = 5.0) -> None:
+        """Take the power off; the motor runs out."""
+        await self._order("coast", timeout)
+
+    async def acknowledge(self, timeout: float = 20.0) -> None:
+        """Acknowledge a fault until it is gone (some drives lock it for 15 s). Raises DriveFault when it stays."""
+        await self._order("acknowledge", timeout)
+
+    async def reached(self, timeout: float = 60.0, *, tolerance: float | None = None) -> None:
+        """Wait until the drive reports its set point as reached.
+
+        With ``tolerance`` (part of the reference): until the actual speed is that close to it.
+        """
+        await self._order("reached", timeout, tolerance=tolerance)
+
+    async def read(
+        self, number: int | str, *, data_set: int | None = None, index: int | None = None, timeout: float = 5.0
+    ) -> float | int:
+        """A parameter by number or name, decoded and scaled. Raises ParameterError with the drive's reason."""
+        result = await self._order("read", timeout, number=number, data_set=data_set, index=index)
+        return _number(result["value"])
+
+    async def write(
+        self,
+        number: int | str,
+        value: float,
+        *,
+        data_set: int | None = None,
+        index: int | None = None,
+        ram: bool = False,
+        timeout: float = 5.0,
+    ) -> None:
+        """Write a parameter in its own unit; ``ram`` does not store it (EEPROMs wear out). Raises ParameterError."""
+        await self._order("write", timeout, number=number, value=value, data_set=data_set, index=index, ram=ram or None)
+
+    async def statuses(self) -> AsyncIterator[DriveStatus]:
+        """Each new status; the latest wins, a slow reader never meets a backlog. Ends with the bus."""
+        reader: Latest[DriveStatus] = Latest()
+        reader.put(self._core.status())
+        self._readers.append(reader)
+        self._bus.watch_rounds(self)
+        try:
+            while (status := await reader.get()) is not None:
+                yield status
+        finally:
+            self._readers.remove(reader)
+            if not self._readers:
+                self._bus.unwatch_rounds(self)
+
+    # --- from the bus -------------------------------------------------------------------------------------------
+
+    def on_round(self) -> None:
+        """A round is over: hand on the status when the inputs are new."""
+        inputs = self._image.inputs
+        if inputs is not self._seen and inputs != self._seen:
+            self._seen = inputs
+            self._hand_on()
+
+    def on_payload(self, payload: Mapping[str, object]) -> None:
+        """What the plugin told."""
+        kind = payload.get("type")
+        if kind == "result":
+            token = payload.get("token")
+            future = self._pending.pop(token, None) if isinstance(token, int) else None
+            if future is not None and not future.done():
+                if payload.get("ok"):
+                    future.set_result(dict(payload))
+                else:
+                    future.set_exception(self._error(payload))
+        elif kind == "status":
+            self._hand_on()
+        elif kind == "failed":
+            self.end(DriveError(self.name, f"drive {self.name}: its plugin failed: {payload.get('text')}"))
+
+    def end(self, error: DpError) -> None:
+        """Nothing will be answered any more."""
+        pending, self._pending = self._pending, {}
+        for future in pending.values():
+            if not future.done():
+                future.set_exception(error)
+        if isinstance(error, UsageError):  # the bus is closed
+            for reader in self._readers:
+                reader.end()
+
+    # --- inside -------------------------------------------------------------------------------------------------
+
+    def _hand_on(self) -> None:
+        if self._readers:
+            status = self._core.status()
+            for reader in self._readers:
+                reader.put(status)
+
+    async def _order(self, op: str, timeout: float, **args: object) -> dict[str, object]:
+        if not timeout >= 0:
+            raise UsageError(f"drive {self.name}: {op}: timeout must be a number of seconds, not {timeout!r}")
+        token = next(_tokens)
+        given = {key: value for key, value in args.items() if value is not None}
+        future: asyncio.Future[dict[str, object]] = asyncio.get_running_loop().create_future()
+        self._pending[token] = future
+        try:
+            self._bus.command(DriveCommand(self.slave.address, op, {**given, "timeout_s": timeout}, token))
+            async with asyncio.timeout(timeout + _GRACE + self._bus.rotation_limit_s):
+                return await future
+        except TimeoutError as error:
+            if isinstance(error, DpError):
+                raise
+            raise DriveTimeout(self.name, f"drive {self.name}: {op}: {self._why_silent()}") from None
+        finally:
+            self._pending.pop(token, None)
+
+    def _why_silent(self) -> str:
+        slave = self.slave
+        if not slave.ready_now:
+            why = slave.fault.text if slave.fault else f"it is in {slave.state.value}"
+            return f"slave {slave.address} is not in data exchange: {why}"
+        if self._bus.mode is not Mode.OPERATE:
+            return f"the bus is in {self._bus.mode.name.capitalize()}, nothing reaches the drive: call operate() first"
+        return "no answer from the plugin"
+
+    def _error(self, payload: Mapping[str, object]) -> DpError:
+        text = f"drive {self.name}: {payload.get('text')}"
+        number = payload.get("number")
+        match payload.get("error"):
+            case "fault":
+                return DriveFault(self.name, text)
+            case "timeout":
+                return DriveTimeout(self.name, text)
+            case "parameter":
+                return ParameterError(self.name, number if isinstance(number, int) else -1, text)
+            case "usage":
+                return UsageError(text)
+            case "lost":
+                return DriveError(self.name, text)
+        return DriveError(self.name, text)
+
+
+def _number(value: object) -> float | int:
+    if isinstance(value, (int, float)):
+        return value
+    raise TypeError(f"a parameter's value is {value!r}")

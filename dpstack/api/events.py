@@ -1,0 +1,98 @@
+"""Every event an application may meet, and the JSON lines they become."""
+
+from __future__ import annotations
+
+from dpstack.dp.commands import Mode
+from dpstack.dp.events import (
+    DriveEvent,
+    Fault,
+    FaultKind,
+    MasterStopped,
+    ModeChanged,
+    SlaveDiagnosis,
+    SlaveEvent,
+    SlaveFaulted,
+    SlaveRemark,
+    SlaveState,
+    SlaveStateChanged,
+)
+from dpstack.drivers.base import PortBack, PortLost
+from dpstack.fdl.events import AddressCollision, MasterSeen, RingJoined, RingLeft, StationFound, TokenLost
+from dpstack.trace import Event, Notice, Severity
+
+__all__ = [
+    "AddressCollision",
+    "DriveEvent",
+    "Event",
+    "Fault",
+    "FaultKind",
+    "MasterSeen",
+    "MasterStopped",
+    "Mode",
+    "ModeChanged",
+    "Notice",
+    "PortBack",
+    "PortLost",
+    "RingJoined",
+    "RingLeft",
+    "Severity",
+    "SlaveDiagnosis",
+    "SlaveEvent",
+    "SlaveFaulted",
+    "SlaveRemark",
+    "SlaveState",
+    "SlaveStateChanged",
+    "StationFound",
+    "TokenLost",
+    "event_json",
+    "severity_of",
+]
+
+_RING = (RingJoined, RingLeft, MasterSeen, TokenLost, AddressCollision)
+
+
+def severity_of(event: Event) -> Severity:
+    """How much a person should care."""
+    match event:
+        case Notice(severity=severity):
+            return severity
+        case SlaveFaulted() | AddressCollision() | PortLost():
+            return Severity.ERROR
+        case SlaveRemark() | TokenLost():
+            return Severity.WARNING
+        case DriveEvent(payload={"type": "failed"}):
+            return Severity.ERROR
+    return Severity.INFO
+
+
+def event_json(event: Event, t: float) -> dict[str, object] | None:
+    """The JSON line of ``event`` at ``t`` seconds; None for what is not told (answers to orders)."""
+    line: dict[str, object] = {"t": round(t, 6)}
+    if isinstance(event, SlaveEvent):
+        line |= {"address": event.address, "name": event.name}
+    match event:
+        case SlaveStateChanged(state=state):
+            return {"event": "slave", **line, "state": state.value}
+        case SlaveDiagnosis(diagnosis=diagnosis):
+            return {"event": "diagnosis", **line, "flags": list(diagnosis.flags), "texts": []}
+        case SlaveFaulted(fault=fault):
+            return {"event": "fault", **line, "kind": fault.kind.value, "text": fault.text}
+        case SlaveRemark(message=message):
+            return {"event": "remark", **line, "text": message}
+        case DriveEvent(payload=payload):
+            if payload.get("type") == "result":
+                return None
+            rest = {key: value for key, value in payload.items() if key != "type"}
+            return {"event": "drive", **line, "type": payload.get("type"), **rest}
+        case ModeChanged(mode=mode):
+            return {"event": "mode", **line, "mode": mode.name.lower()}
+        case MasterStopped():
+            return {"event": "stopped", **line}
+        case StationFound(address=address):
+            return {"event": "station", **line, "address": address, "text": event.text}
+        case PortLost(port=port) | PortBack(port=port):
+            return {"event": "port", **line, "port": port, "lost": isinstance(event, PortLost), "text": event.text}
+        case Notice():
+            return {"event": "notice", **line, "severity": event.severity.value, "text": event.text}
+    kind = "ring" if isinstance(event, _RING) else "notice"
+    return {"event": kind, **line, "text": event.text}

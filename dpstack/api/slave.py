@@ -1,0 +1,141 @@
+"""One slave as an application sees it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from dpstack.api.slave_config import SlaveConfig
+from dpstack.dp.diagnosis import Diagnosis
+from dpstack.dp.events import Fault, SlaveState
+from dpstack.dp.setup import SlaveSetup
+from dpstack.dp.slave_handler import SlaveHandler
+from dpstack.errors import SlaveFault, SlaveTimeout, UsageError
+
+if TYPE_CHECKING:
+    from dpstack.api.bus import Bus
+
+
+class Slave:
+    """One slave of a bus: inputs, outputs, state, diagnosis. Made by the bus, see ``Bus.slave``."""
+
+    def __init__(self, bus: Bus, config: SlaveConfig, handler: SlaveHandler) -> None:
+        self._bus = bus
+        self._handler = handler
+        self.config = config
+
+    def __repr__(self) -> str:
+        return f"<Slave {self.address} {self.name!r} {self.state.value}>"
+
+    @property
+    def address(self) -> int:
+        """The station address."""
+        return self._handler.setup.address
+
+    @property
+    def name(self) -> str:
+        """The name in the configuration."""
+        return self._handler.setup.name
+
+    @property
+    def setup(self) -> SlaveSetup:
+        """How the master parameterises it."""
+        return self._handler.setup
+
+    @property
+    def state(self) -> SlaveState:
+        """Where the master is with it."""
+        return self._handler.state
+
+    @property
+    def ready_now(self) -> bool:
+        """True while it is in data exchange."""
+        return self._handler.state is SlaveState.DATA_EXCHANGE
+
+    @property
+    def fault(self) -> Fault | None:
+        """Why it is not in data exchange; None when all is well or nothing is known yet."""
+        return self._handler.fault
+
+    @property
+    def diagnosis(self) -> Diagnosis | None:
+        """The last diagnosis read."""
+        return self._handler.diagnosis
+
+    @property
+    def inputs(self) -> bytes:
+        """The last valid inputs, zeros before the first exchange."""
+        return self._handler.image.inputs
+
+    @property
+    def inputs_valid(self) -> bool:
+        """False while the inputs are not those of a slave in data exchange."""
+        return self._handler.image.valid
+
+    @property
+    def outputs(self) -> bytes:
+        """The outputs of the next Data_Exchange in Operate. Assigning is atomic and goes out in the next rotation.
+
+        Raises UsageError where the length does not fit or a drive plugin makes the outputs.
+        """
+        return self._handler.image.outputs
+
+    @outputs.setter
+    def outputs(self, octets: bytes) -> None:
+        image = self._handler.image
+        if image.unit is not None:
+            raise UsageError(f"slave {self.address} ({self.name}): its drive plugin makes the outputs; use bus.drive()")
+        try:
+            image.outputs = octets
+        except ValueError as error:
+            raise UsageError(f"slave {self.address} ({self.name}): {error}") from None
+
+    @property
+    def exchanges(self) -> int:
+        """Successful data exchanges since the start."""
+        return self._handler.exchanges
+
+    @property
+    def retries(self) -> int:
+        """Repeated requests since the start."""
+        return self._bus.station.stats.station(self.address).retries
+
+    @property
+    def timeouts(self) -> int:
+        """Requests given up since the start."""
+        return self._bus.station.stats.station(self.address).timeouts
+
+    @property
+    def watchdog_ms(self) -> int:
+        """The effective watchdog in ms, 0 when off."""
+        return self._handler.watchdog_effective_ns // 1_000_000
+
+    async def wait_state(self, *states: SlaveState, timeout: float | None = None) -> SlaveState:
+        """Wait until the slave is in one of ``states``. Raises SlaveTimeout that says where it is instead."""
+        try:
+            await self._bus.until(lambda: self.state in states, timeout)
+        except TimeoutError:
+            raise self._late(" or ".join(s.value for s in states), timeout) from None
+        return self.state
+
+    async def ready(self, timeout: float | None = 5.0) -> None:
+        """Wait until the slave is in data exchange.
+
+        Raises SlaveFault as soon as it refuses (parameters, configuration, ident, owned by another master),
+        SlaveTimeout with the reason when it is not there in ``timeout`` seconds (None: no limit).
+        """
+        try:
+            await self._bus.until(self._is_ready, timeout)
+        except TimeoutError:
+            raise self._late("data exchange", timeout) from None
+
+    def _is_ready(self) -> bool:
+        fault = self.fault
+        if self.state is SlaveState.FAULT and fault is not None:
+            raise SlaveFault(self.address, f"slave {self.address} ({self.name}): {fault.text}")
+        return self.ready_now
+
+    def _late(self, wanted: str, timeout: float | None) -> SlaveTimeout:
+        fault = self.fault
+        why = fault.text if fault else f"it is in {self.state.value}"
+        text = f"slave {self.address} ({self.name}): not in {wanted} after {timeout:g} s: {why}"
+        return SlaveTimeout(self.address, text)

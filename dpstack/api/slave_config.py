@@ -1,0 +1,254 @@
+"""One [[slave]] table: a known drive by name, or a raw slave by ident and identifier octets."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+from dpstack.api.tables import Table
+from dpstack.dp.identifiers import io_lengths
+from dpstack.dp.setup import SlaveSetup
+from dpstack.errors import ConfigError
+from dpstack.fdl.telegram import MAX_DATA
+from dpstack.params import MAX_STATION
+from dpstack.profile import DriveProfile, registry
+from dpstack.units import NS_PER_US
+
+_KEYS: Final = (
+    "name",
+    "address",
+    "drive",
+    "telegram",
+    "ident",
+    "config",
+    "user_prm",
+    "gsd",
+    "modules",
+    "parameters",
+    "watchdog_ms",
+    "groups",
+    "every",
+    "safe",
+    "min_slave_interval",
+    "fail_safe",
+    "dpv1",
+    "reference_hz",
+    "reference_rpm",
+    "inputs",
+    "outputs",
+)
+#: keys whose function comes later, with the values that ask for nothing
+_LATER: Final[dict[str, tuple[object, ...]]] = {
+    "gsd": (),
+    "modules": (),
+    "parameters": (),
+    "dpv1": (False,),
+    "inputs": (),
+    "outputs": (),
+}
+#: Min_Slave_Interval counts in 100 us, as GSD files do
+_INTERVAL_UNIT: Final = 100 * NS_PER_US
+MAX_WATCHDOG_MS: Final = 650_250
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlaveConfig:
+    """One slave as configured and checked. ``ident`` None: taken from the slave's diagnosis (``ident = "ask"``)."""
+
+    name: str
+    address: int
+    ident: int | None
+    config: bytes
+    user_prm: bytes = b""
+    profile: DriveProfile | None = None
+    telegram: str | None = None
+    options: Mapping[str, object] = field(default_factory=dict)
+    watchdog_ms: int | None = None
+    groups: tuple[int, ...] = ()
+    every: int = 1
+    safe: bytes = b""
+    initial: bytes | None = None
+    min_slave_interval_ns: int = 0
+    fail_safe: bool = False
+    notes: tuple[str, ...] = ()
+
+    @property
+    def input_len(self) -> int:
+        """Octets of inputs."""
+        return io_lengths(self.config)[0]
+
+    @property
+    def output_len(self) -> int:
+        """Octets of outputs."""
+        return io_lengths(self.config)[1]
+
+    def setup(self, baud: int) -> SlaveSetup:
+        """What the master must know of it at ``baud`` bit/s."""
+        profile = self.profile
+        return SlaveSetup(
+            address=self.address,
+            name=self.name,
+            ident=self.ident,
+            config=self.config,
+            user_prm=self.user_prm,
+            watchdog_ms=self.watchdog_ms,
+            groups=self.groups,
+            safe=self.safe,
+            initial=self.initial,
+            fail_safe=self.fail_safe,
+            every=self.every,
+            min_slave_interval_ns=self.min_slave_interval_ns,
+            max_tsdr=profile.max_tsdr.get(baud) if profile else None,
+            on_loss=profile.on_loss if profile else "",
+        )
+
+
+def read_slave(table: Table) -> SlaveConfig:
+    """Check one table. Raises ConfigError, one line."""
+    named = table.raw("name")
+    if isinstance(named, str) and named.strip():
+        table.title = f"[[slave]] {named}" if table.title.startswith("[[") else f"slave {named}"
+    table.check_keys(_KEYS)
+    table.refuse_later(_LATER)
+    address = table.integer("address", 0, MAX_STATION, "stations have 0..125; 126 is a slave without an address yet")
+    if address is None:
+        table.fail(None, "no address", "add its station address, 0..125")
+    drive = table.text("drive")
+    slave = _build(table, address, _raw(table) if drive is None else _drive(table, drive))
+    try:
+        slave.setup(500_000)
+    except ConfigError as error:
+        raise table.error(None, str(error), "correct it") from None
+    return slave
+
+
+@dataclass(frozen=True, slots=True)
+class _Basis:
+    """What the two kinds of slave take from elsewhere: the drive's manual, or nothing."""
+
+    ident: int | None
+    config: bytes
+    user_prm: bytes = b""
+    safe: bytes = b""
+    interval_ns: int = 0
+    fail_safe: bool = False
+    profile: DriveProfile | None = None
+    telegram: str | None = None
+    options: Mapping[str, object] = field(default_factory=dict)
+
+
+def _drive(table: Table, name: str) -> _Basis:
+    for key in ("config", "gsd", "modules"):
+        if key in table:
+            table.fail(key, f"{key} beside drive", f"leave {key} out: it follows from drive and telegram")
+    try:
+        profile = registry.find(name)
+    except ConfigError as error:
+        raise _split(table, "drive", error) from None
+    wanted = table.text("telegram")
+    try:
+        telegram = profile.telegram(wanted)
+    except ConfigError as error:
+        raise _split(table, "telegram", error) from None
+    options: dict[str, object] = {}
+    for key in ("reference_hz", "reference_rpm"):
+        value = table.number(key, 0.001, 1_000_000)
+        if value is not None:
+            options[key] = value
+    try:
+        profile.core("check", telegram.name, options)
+    except ConfigError as error:
+        raise _split(table, next(iter(options), None), error) from None
+    return _Basis(
+        ident=profile.ident,
+        config=telegram.config,
+        user_prm=profile.user_prm,
+        safe=profile.safe_outputs.get(telegram.name, b""),
+        interval_ns=profile.min_slave_interval_ns,
+        fail_safe=profile.fail_safe,
+        profile=profile,
+        telegram=telegram.name,
+        options=options,
+    )
+
+
+def _raw(table: Table) -> _Basis:
+    for key in ("telegram", "reference_hz", "reference_rpm"):
+        if key in table:
+            table.fail(key, f"{key} without drive", f"add drive, or leave {key} out")
+    config = table.octets("config")
+    if config is None:
+        table.fail(
+            None, "neither drive nor config", 'name a drive, or give ident and config (identifier octets, "20 10")'
+        )
+    try:
+        io_lengths(config)
+    except ConfigError as error:
+        raise table.error("config", f"config: {error}", "take the octets from its GSD file") from None
+    if not 1 <= len(config) <= MAX_DATA:
+        table.fail("config", f"config has {len(config)} octets", f"1..{MAX_DATA} are possible")
+    if "ident" not in table:
+        table.fail(None, "no ident", 'add ident = 0x1234 (from its GSD file), or ident = "ask"')
+    return _Basis(ident=None, config=config)
+
+
+def _split(table: Table, key: str | None, error: ConfigError) -> ConfigError:
+    """A refusal of the drive registry (``what; what to do``) with the place in front."""
+    what, _, todo = str(error).partition("; ")
+    return table.error(key, what, todo or "correct it")
+
+
+def _build(table: Table, address: int, basis: _Basis) -> SlaveConfig:
+    watchdog = table.integer("watchdog_ms", 0, MAX_WATCHDOG_MS, "0 is off; leave it out for the plan's recommendation")
+    interval = table.integer("min_slave_interval", 0, 0xFFFF)
+    every = table.integer("every", 1, 10_000)
+    safe = table.octets("safe")
+    outputs = io_lengths(basis.config)[1]
+    if safe is not None and len(safe) != outputs:
+        table.fail("safe", f"safe has {len(safe)} octets", f"the configuration has {outputs} octets of outputs")
+    user_prm = table.octets("user_prm")
+    ident, ident_note = _ident(table, basis)
+    name = table.text("name") or f"slave{address}"
+    profile = basis.profile
+    notes = [f"slave {address} ({name}): {ident_note}"] if ident_note else []
+    if profile is not None and profile.telegram(basis.telegram).made_up:
+        notes.append(
+            f"slave {address} ({name}): the identifier octets {basis.config.hex(' ').upper()} of {profile.name} are in "
+            f"no manual (made up): compare them with its GSD file"
+        )
+    return SlaveConfig(
+        name=name,
+        address=address,
+        ident=ident,
+        config=basis.config,
+        user_prm=basis.user_prm if user_prm is None else user_prm,
+        profile=profile,
+        telegram=basis.telegram,
+        options=basis.options,
+        watchdog_ms=watchdog,
+        groups=table.integers("groups", 1, 8),
+        every=1 if every is None else every,
+        safe=basis.safe if safe is None else safe,
+        min_slave_interval_ns=basis.interval_ns if interval is None else interval * _INTERVAL_UNIT,
+        fail_safe=table.flag("fail_safe", basis.fail_safe),
+        notes=tuple(notes),
+    )
+
+
+def _ident(table: Table, basis: _Basis) -> tuple[int | None, str]:
+    """The ident number and a remark on it. "ask" is None."""
+    profile = basis.profile
+    value = table.raw("ident")
+    if value is None:
+        if profile is not None and profile.ident_made_up:
+            return basis.ident, (
+                f"the ident number 0x{profile.ident:04X} of {profile.name} is in no manual (made up); "
+                f'for a real one give ident = 0x... or ident = "ask"'
+            )
+        return basis.ident, ""
+    if isinstance(value, str):
+        if value.strip().lower() != "ask":
+            table.fail("ident", f"ident = {value!r}", 'give a number like 0x0696, or "ask"')
+        return None, ""
+    return table.integer("ident", 0, 0xFFFF, "an ident number has two octets"), ""

@@ -1,0 +1,101 @@
+"""Counters and rotation times of a bus, as one picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from dpstack.api.bus import Bus
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlaveStats:
+    """One slave's counters since the start."""
+
+    address: int
+    name: str
+    state: str
+    exchanges: int
+    retries: int
+    timeouts: int
+    inputs: bytes
+    outputs: bytes
+
+    def as_dict(self) -> dict[str, object]:
+        """As in the summary line of ``run --json``."""
+        return {
+            "name": self.name,
+            "state": self.state,
+            "exchanges": self.exchanges,
+            "retries": self.retries,
+            "timeouts": self.timeouts,
+            "inputs": self.inputs.hex(),
+            "outputs": self.outputs.hex(),
+        }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BusStats:
+    """The whole bus. Rotation times in whole microseconds: ``min``, ``p50``, ``p99``, ``p999``, ``max``.
+
+    ``rotation_us`` is first Data_Exchange of a round to that of the next, ``token_us`` token receipt to token receipt.
+    ``paced`` is false where no wire gives the octets their time: the figures are the host's. ``bad`` counts octets and
+    telegrams that could not be read, by cause.
+    """
+
+    seconds: float
+    paced: bool
+    rotations: int
+    rotation_us: dict[str, int]
+    token_us: dict[str, int]
+    slaves: dict[int, SlaveStats]
+    tokens: int
+    tokens_lost: int
+    late: int
+    bad: dict[str, int]
+
+    def summary(self) -> dict[str, object]:
+        """The summary line of ``run --json``, without ``event`` and ``t``."""
+        return {
+            "seconds": round(self.seconds, 3),
+            "paced": self.paced,
+            "rotations": self.rotations,
+            "rotation_us": self.rotation_us,
+            "token_us": self.token_us,
+            "tokens": self.tokens,
+            "tokens_lost": self.tokens_lost,
+            "late": self.late,
+            "bad": self.bad,
+            "slaves": {str(address): slave.as_dict() for address, slave in self.slaves.items()},
+        }
+
+
+def collect(bus: Bus) -> BusStats:
+    """The picture at this moment."""
+    link = bus.station.stats
+    decoder = bus.station.decoder_stats.as_dict()
+    return BusStats(
+        seconds=bus.seconds,
+        paced=bus.runtime.paced,
+        rotations=bus.master.rotation.count,
+        rotation_us=bus.master.rotation.summary_us(),
+        token_us=bus.station.token_rotation.summary_us(),
+        slaves={
+            slave.address: SlaveStats(
+                address=slave.address,
+                name=slave.name,
+                state=slave.state.value,
+                exchanges=slave.exchanges,
+                retries=slave.retries,
+                timeouts=slave.timeouts,
+                inputs=slave.inputs,
+                outputs=slave.outputs,
+            )
+            for slave in bus.slaves
+        },
+        tokens=link.tokens,
+        tokens_lost=link.tokens_lost,
+        late=link.late,
+        bad={name: count for name, count in decoder.items() if count and name not in ("telegrams", "octets")},
+    )

@@ -1,0 +1,113 @@
+"""Handing events to the application without ever letting a slow reader hold up the bus."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import AsyncIterator, Callable, Iterable
+from typing import Final, Generic, TypeVar
+
+from dpstack.trace import Event
+
+T = TypeVar("T")
+
+#: Events kept for a reader that does not read.
+DEPTH: Final = 1000
+
+
+class EventStream(AsyncIterator[Event]):
+    """An async iterator over events; bounded: the oldest are dropped and counted in ``dropped``. Ends with the bus."""
+
+    def __init__(self, backlog: Iterable[Event], forget: Callable[[EventStream], None]) -> None:
+        self.dropped = 0
+        self._events: deque[Event] = deque(backlog, DEPTH)
+        self._forget = forget
+        self._more = asyncio.Event()
+        self._ended = False
+
+    def put(self, event: Event) -> None:
+        """From the bus."""
+        if len(self._events) == DEPTH:
+            self.dropped += 1
+        self._events.append(event)
+        self._more.set()
+
+    def end(self) -> None:
+        """No more will come; what is there can still be read."""
+        self._ended = True
+        self._more.set()
+
+    def close(self) -> None:
+        """The reader has had enough."""
+        self._forget(self)
+        self.end()
+
+    def __aiter__(self) -> EventStream:
+        return self
+
+    async def __anext__(self) -> Event:
+        while not self._events:
+            if self._ended:
+                raise StopAsyncIteration
+            self._more.clear()
+            await self._more.wait()
+        return self._events.popleft()
+
+
+class Waiters:
+    """Futures that wait for a condition, judged whenever :meth:`check` is called."""
+
+    def __init__(self) -> None:
+        self._waiting: list[tuple[Callable[[], bool], asyncio.Future[None]]] = []
+
+    def check(self) -> None:
+        """Something changed: wake whose condition holds, or has raised."""
+        for condition, future in tuple(self._waiting):
+            if future.done():
+                continue
+            try:
+                if condition():
+                    future.set_result(None)
+            except Exception as error:
+                future.set_exception(error)
+
+    async def until(self, condition: Callable[[], bool], timeout: float | None) -> None:
+        """Wait until ``condition()``; what it raises is raised here. Raises TimeoutError."""
+        if condition():
+            return
+        future: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        entry = (condition, future)
+        self._waiting.append(entry)
+        try:
+            async with asyncio.timeout(timeout):
+                await future
+        finally:
+            self._waiting.remove(entry)
+
+
+class Latest(Generic[T]):
+    """One value at a time for one reader: the latest wins, never a backlog."""
+
+    def __init__(self) -> None:
+        self._value: list[T] = []
+        self._more = asyncio.Event()
+        self.ended = False
+
+    def put(self, value: T) -> None:
+        """Replace what was not read yet."""
+        self._value = [value]
+        self._more.set()
+
+    def end(self) -> None:
+        """No more will come."""
+        self.ended = True
+        self._more.set()
+
+    async def get(self) -> T | None:
+        """The next value; None at the end."""
+        while not self._value:
+            if self.ended:
+                return None
+            self._more.clear()
+            await self._more.wait()
+        return self._value.pop()

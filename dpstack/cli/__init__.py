@@ -1,0 +1,1 @@
+"""The program ``dpstack``: one module per command, all over the public API."""

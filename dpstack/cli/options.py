@@ -1,0 +1,84 @@
+"""Arguments that several commands share, and their checks."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from typing import TYPE_CHECKING
+
+from dpstack.api.tables import parse_hex
+from dpstack.units import BAUD_RATES
+
+if TYPE_CHECKING:
+    Commands = argparse._SubParsersAction[argparse.ArgumentParser]
+
+
+def command(commands: Commands, name: str, text: str, example: str) -> argparse.ArgumentParser:
+    """A command with its description and, in its help, an example."""
+    return commands.add_parser(
+        name,
+        help=text,
+        description=text,
+        epilog=f"example: {example}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """``--json``."""
+    parser.add_argument("--json", action="store_true", help="print JSON lines")
+
+
+def baud(text: str) -> int:
+    """A rate of PROFIBUS in bit/s."""
+    try:
+        value = int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no baud rate in bit/s, for instance 500000") from None
+    if value not in BAUD_RATES:
+        near = min(BAUD_RATES, key=lambda rate: abs(rate - value))
+        raise argparse.ArgumentTypeError(f"{value} is no PROFIBUS rate, nearest is {near}")
+    return value
+
+
+def baud_not_auto(text: str) -> int:
+    """As :func:`baud`; "auto" is known but comes later."""
+    if text == "auto":
+        raise argparse.ArgumentTypeError('"auto" is not supported yet by this version, give the rate')
+    return baud(text)
+
+
+def seconds(text: str) -> float:
+    """A time in seconds, more than 0."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0 < value < 1e9:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of seconds above 0")
+    return value
+
+
+def count(text: str) -> int:
+    """A whole number from 1 on."""
+    if not text.isdecimal() or not int(text):
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number from 1 on")
+    return int(text)
+
+
+def address(text: str) -> int:
+    """A station address."""
+    if not text.isdecimal() or int(text) > 125:
+        raise argparse.ArgumentTypeError(f"{text!r} is no station address, 0..125")
+    return int(text)
+
+
+def outputs(text: str) -> tuple[int, bytes]:
+    """``ADDRESS=HEX``."""
+    where, equals, octets = text.partition("=")
+    if not equals:
+        raise argparse.ArgumentTypeError(f"{text!r} is not ADDRESS=HEX, for instance 3=00FF")
+    try:
+        return address(where.strip()), parse_hex(octets)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text!r}: {error}; write ADDRESS=HEX, for instance 3=00FF") from None

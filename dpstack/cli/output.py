@@ -1,0 +1,62 @@
+"""Words, tables and JSON lines on standard output: colours on a terminal, plain lines elsewhere."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+
+from rich.console import Console
+from rich.table import Table
+
+
+def on_terminal() -> bool:
+    """True when a person reads along."""
+    return sys.stdout.isatty()
+
+
+def json_line(data: Mapping[str, object] | Sequence[object]) -> None:
+    """One JSON value on a line of its own, at once."""
+    sys.stdout.write(json.dumps(data, separators=(",", ":"), ensure_ascii=False) + "\n")
+    sys.stdout.flush()
+
+
+def line(text: str, style: str = "") -> None:
+    """One line, in ``style`` on a terminal."""
+    if on_terminal():
+        Console(soft_wrap=True).print(text, style=style or None, markup=False, highlight=False)
+    else:
+        sys.stdout.write(text + "\n")
+        sys.stdout.flush()
+
+
+def rich_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> Table:
+    """A table as rich draws it."""
+    table = Table(title=title, title_justify="left", title_style="bold")
+    for column in columns:
+        table.add_column(column)
+    for row in rows:
+        table.add_row(*(str(cell) for cell in row))
+    return table
+
+
+def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """A table: drawn on a terminal, aligned columns elsewhere."""
+    cells = [[str(cell) for cell in row] for row in rows]
+    if on_terminal():
+        Console().print(rich_table(title, columns, cells))
+        return
+    widths = [max(len(row[n]) for row in [list(columns), *cells]) for n in range(len(columns))]
+    aligned = [
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in [list(columns), *cells]
+    ]
+    text = [title, *aligned] if title else aligned
+    sys.stdout.write("\n".join(text) + "\n")
+    sys.stdout.flush()
+
+
+def warn(text: str) -> None:
+    """One line on standard error."""
+    sys.stdout.flush()
+    print(f"dpstack: {' '.join(text.split())}", file=sys.stderr, flush=True)

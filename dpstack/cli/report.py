@@ -1,0 +1,78 @@
+"""What a running bus tells: JSON lines, or lines for people; the summary at the end."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+
+from dpstack.api.bus import Bus
+from dpstack.api.events import DriveEvent, Event, MasterStopped, Severity, SlaveDiagnosis, event_json, severity_of
+from dpstack.api.statistics import BusStats
+from dpstack.cli import output
+from dpstack.units import baud_text, ns_to_s
+
+_STYLES = {Severity.INFO: "", Severity.WARNING: "yellow", Severity.ERROR: "red"}
+
+
+class Reporter:
+    """Prints the start line, then every event of ``bus`` (set before it is opened). ``quiet``: no lines for people."""
+
+    def __init__(self, *, json: bool, driver: str, quiet: bool = False) -> None:
+        self.bus: Bus | None = None
+        self._json = json
+        self._driver = driver
+        self._quiet = quiet
+        self._started = False
+
+    def start(self) -> None:
+        """The start line, once."""
+        bus = self.bus
+        if self._started or bus is None:
+            return
+        self._started = True
+        name, rate = bus.runtime.port_name, bus.params.baud
+        if self._json:
+            now = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+            output.json_line({"event": "start", "time": now, "port": name, "baud": rate, "driver": self._driver})
+        elif not self._quiet:
+            output.line(f"master {bus.params.address} on {name} at {baud_text(rate)}", "bold")
+
+    def event(self, event: Event) -> None:
+        """One event of the bus."""
+        bus = self.bus
+        if bus is None:
+            return
+        self.start()
+        t = ns_to_s(event.t_ns - bus.started_ns)
+        if self._json:
+            line = event_json(event, t)
+            if line is not None:
+                output.json_line(line)
+        elif not self._quiet and not isinstance(event, (DriveEvent, MasterStopped, SlaveDiagnosis)):
+            output.line(f"{t:9.3f} s  {event.text}", _STYLES[severity_of(event)])
+
+    def summary(self, stats: BusStats, **more: object) -> None:
+        """The summary line, or a table with what a person wants to know."""
+        if self._json:
+            output.json_line({"event": "summary", "t": round(stats.seconds, 3), **stats.summary(), **more})
+            return
+        rows = [
+            (s.address, s.name, s.state, s.exchanges, s.retries, s.timeouts, s.inputs.hex(" "), s.outputs.hex(" "))
+            for s in stats.slaves.values()
+        ]
+        columns = ("address", "name", "state", "exchanges", "retries", "time-outs", "inputs", "outputs")
+        output.table("Slaves", columns, rows)
+        output.line(f"{stats.rotations} rotations in {stats.seconds:.3f} s")
+        for name, us in (("bus rotation time", stats.rotation_us), ("token rotation", stats.token_us)):
+            output.line(f"{name}: " + ", ".join(f"{key} {value} us" for key, value in us.items()))
+        if not stats.paced:
+            output.line("no wire gave the octets their time here: the times are this computer's, not a bus's")
+
+
+def not_exchanging(bus: Bus) -> list[str]:
+    """One line for each slave that is not in data exchange."""
+    lines = []
+    for slave in bus.slaves:
+        if not slave.ready_now:
+            why = slave.fault.text if slave.fault else f"it is in {slave.state.value}"
+            lines.append(f"slave {slave.address} ({slave.name}) is not in data exchange: {why}")
+    return lines

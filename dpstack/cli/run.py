@@ -1,0 +1,81 @@
+"""``dpstack run``: the soft master."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+
+from dpstack.api.bus import Bus, open_bus
+from dpstack.api.config import Config, load_config
+from dpstack.cli import options, output
+from dpstack.cli.report import Reporter, not_exchanging
+from dpstack.cli.signals import StopSignal
+from dpstack.errors import UsageError
+
+_LATER = "is not supported yet by this version; leave it out"
+
+
+def add_to(commands: options.Commands) -> None:
+    """The command and its options."""
+    parser = options.command(
+        commands, "run", "the soft master, operating at once", "dpstack run plant.toml --seconds 10 --json"
+    )
+    parser.add_argument("config", metavar="CONFIG", help="configuration file")
+    parser.add_argument("--port", metavar="P", help="another port")
+    parser.add_argument("--baud", metavar="B", type=options.baud_not_auto, help="another rate")
+    parser.add_argument("--seconds", metavar="S", type=options.seconds, help="end after so many seconds")
+    parser.add_argument("--rotations", metavar="N", type=options.count, help="end after so many rotations")
+    parser.add_argument("--driver", choices=("auto", "asyncio", "process"), help="what keeps the bus going")
+    parser.add_argument(
+        "--outputs",
+        metavar="ADDRESS=HEX",
+        type=options.outputs,
+        action="append",
+        default=[],
+        help="initial output octets of a slave without a drive plugin",
+    )
+    parser.add_argument("--clear", action="store_true", help="stay in Clear: read inputs, outputs are zero")
+    parser.add_argument("--read-only", action="store_true", help="only listen and ask, change nothing")
+    options.add_json(parser)
+    parser.set_defaults(execute=execute)
+
+
+def execute(args: argparse.Namespace) -> int:
+    """Run until a limit or a signal; 1 when a slave is not in data exchange at the end."""
+    if args.driver == "process":
+        raise UsageError(f"--driver process {_LATER}, or take --driver asyncio")
+    if args.read_only:
+        raise UsageError(f"--read-only {_LATER}")
+    config = load_config(args.config).with_bus(port=args.port, baud=args.baud, driver=args.driver)
+    return asyncio.run(_run(config.with_outputs(dict(args.outputs)), args))
+
+
+async def _run(config: Config, args: argparse.Namespace) -> int:
+    reporter = Reporter(json=args.json, driver="virtual" if config.virtual else "asyncio")
+    bus = open_bus(config, on_event=reporter.event)
+    reporter.bus = bus
+    with StopSignal() as stop:
+        await stop.or_done(bus.open())
+        if not bus.is_open:
+            output.warn("ended before the token ring was joined")
+            return 1
+        try:
+            reporter.start()
+            if not args.clear:
+                await bus.operate()
+            await stop.or_done(_limit(bus, args.seconds, args.rotations))
+            stats, missing = bus.stats, not_exchanging(bus)
+        finally:
+            await bus.close()
+    reporter.summary(stats)
+    for text in missing:
+        output.warn(text)
+    return 1 if missing else 0
+
+
+async def _limit(bus: Bus, seconds: float | None, rotations: int | None) -> None:
+    """Until the first of the limits; without one for ever."""
+    try:
+        await bus.rotated(rotations, None if seconds is None else max(0.0, seconds - bus.seconds))
+    except TimeoutError:
+        return

@@ -1,0 +1,99 @@
+"""``dpstack sim``: simulated slaves on a port."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+from collections.abc import Callable
+
+from dpstack.api.config import Config, load_config, make_config
+from dpstack.api.events import Event
+from dpstack.api.simulation import DEFAULT_BAUD, Simulation, sim_event_json
+from dpstack.cli import options, output
+from dpstack.cli.signals import StopSignal
+from dpstack.errors import UsageError
+from dpstack.units import baud_text, ns_to_s
+
+
+def add_to(commands: options.Commands) -> None:
+    """The command and its options."""
+    parser = options.command(
+        commands,
+        "sim",
+        "the slaves of a configuration, or one simulated drive, on one port",
+        "dpstack sim plant.toml --port pty\n         dpstack sim --drive fuji-frenic --address 4 --port pty",
+    )
+    parser.add_argument("config", metavar="CONFIG", nargs="?", help="configuration file")
+    parser.add_argument("--drive", metavar="NAME", help="one simulated drive instead of a configuration")
+    parser.add_argument("--address", metavar="A", type=options.address, help="its address")
+    parser.add_argument("--telegram", metavar="T", help="its telegram")
+    parser.add_argument("--port", metavar="P", required=True, help='the port; "pty" makes one and prints its path')
+    parser.add_argument("--baud", metavar="B", type=options.baud_not_auto, help="the rate, else the configuration's")
+    parser.add_argument("--seconds", metavar="S", type=options.seconds, help="end after so many seconds")
+    options.add_json(parser)
+    parser.set_defaults(execute=execute)
+
+
+def execute(args: argparse.Namespace) -> int:
+    """Simulate until a signal; 0 unless something failed."""
+    config = _config(args)
+    rate = args.baud or config.bus.baud or DEFAULT_BAUD
+    return asyncio.run(_run(config, rate, args))
+
+
+def _config(args: argparse.Namespace) -> Config:
+    if args.config is not None:
+        if args.drive is not None or args.address is not None or args.telegram is not None:
+            raise UsageError("sim: a CONFIG or --drive with --address, not both; leave one out")
+        return load_config(args.config)
+    if args.drive is None or args.address is None:
+        raise UsageError("sim: neither CONFIG nor --drive NAME with --address A; give one of them")
+    table: dict[str, object] = {"drive": args.drive, "address": args.address, "name": args.drive}
+    if args.telegram is not None:
+        table["telegram"] = args.telegram
+    master = 2 if args.address != 2 else 1
+    return make_config(args.port, args.baud or DEFAULT_BAUD, master, [table], where="sim")
+
+
+async def _run(config: Config, rate: int, args: argparse.Namespace) -> int:
+    with StopSignal() as stop:
+        simulation = Simulation(config, args.port, rate)
+        async with simulation:
+            if args.port == "pty":
+                output.json_line({"port": simulation.port_name})
+            if not args.json:
+                output.line(f"simulating on {simulation.port_name} at {baud_text(rate)}:")
+                for slave in simulation.slaves:
+                    output.line(f"  {slave.address:3}  {slave.name}  ({slave.kind})")
+            simulation.on_event = _printer(simulation, args.json)
+            await stop.or_done(simulation.failed(args.seconds))
+            _summary(simulation, args.json)
+    return 0
+
+
+def _printer(simulation: Simulation, json: bool) -> Callable[[Event], None]:
+    def show(event: Event) -> None:
+        t = ns_to_s(event.t_ns - simulation.started_ns)
+        if json:
+            output.json_line(sim_event_json(event, t))
+        else:
+            output.line(f"{t:9.3f} s  {event.text}")
+
+    return show
+
+
+def _summary(simulation: Simulation, json: bool) -> None:
+    if json:
+        slaves = {
+            str(s.address): {
+                "name": s.name,
+                "state": s.state.value,
+                "exchanges": s.exchanges,
+                "watchdogs": s.watchdogs,
+            }
+            for s in simulation.slaves
+        }
+        output.json_line({"event": "summary", "t": round(simulation.seconds, 3), "slaves": slaves})
+        return
+    rows = [(s.address, s.name, s.state.value, s.exchanges, s.watchdogs) for s in simulation.slaves]
+    output.table("Slaves", ("address", "name", "state", "exchanges", "watchdog expired"), rows)

@@ -1,0 +1,82 @@
+"""What a slave application tells."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from dpstack.dp.slave_states import AppEv, SlaveAppState
+from dpstack.trace import Event
+from dpstack.units import NS_PER_MS
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlaveAppEvent(Event):
+    """Something about one slave application. ``address`` None: it is not on a station yet."""
+
+    address: int | None
+    name: str
+
+    @property
+    def who(self) -> str:
+        """The slave as it stands in front of every text."""
+        return self.name if self.address is None else f"slave {self.address} ({self.name})"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlaveAppStateChanged(SlaveAppEvent):
+    """The slave reached another state. ``master``: who has locked it."""
+
+    state: SlaveAppState
+    why: AppEv
+    master: int | None
+
+    @property
+    def text(self) -> str:
+        """Which, and why."""
+        owner = "" if self.master is None else f", master {self.master}"
+        return f"{self.who}: {self.state.value} ({self.why.value}{owner})"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WatchdogExpired(SlaveAppEvent):
+    """The master was silent for ``watchdog_ns``: the outputs are cleared."""
+
+    master: int | None
+    watchdog_ns: int
+
+    @property
+    def text(self) -> str:
+        """Who was silent for how long."""
+        return f"{self.who}: nothing from master {self.master} for {self.watchdog_ns // NS_PER_MS} ms, outputs cleared"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RequestRefused(SlaveAppEvent):
+    """A service of ``master`` was refused; ``reason`` names the octet. Told once for the same reason."""
+
+    service: str
+    master: int
+    reason: str
+
+    @property
+    def text(self) -> str:
+        """What and why."""
+        return f"{self.who}: {self.service} of master {self.master} refused: {self.reason}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DeviceFailed(SlaveAppEvent):
+    """An exception in the device ``during`` a service: the slave left data exchange until it is restarted.
+
+    ``origin``: function, file and line of the exception, empty when it was not raised in the device's own code.
+    """
+
+    during: str
+    error: str
+    origin: str = ""
+
+    @property
+    def text(self) -> str:
+        """What failed where, and what to do."""
+        where = f" in {self.origin}" if self.origin else ""
+        return f"{self.who}: the device failed during {self.during} ({self.error}{where}); correct and restart it"

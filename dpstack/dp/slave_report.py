@@ -1,0 +1,106 @@
+"""What a slave application tells and counts: events, each refusal once, counters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from dpstack.dp.device import Device
+from dpstack.dp.slave_events import DeviceFailed, RequestRefused, SlaveAppStateChanged, WatchdogExpired
+from dpstack.dp.slave_states import AppEv, SlaveAppState
+from dpstack.fdl.user import StationControl
+from dpstack.trace import Event
+
+_MAX_TOLD: Final = 50
+#: where exceptions are raised on behalf of the device: their text says it all
+_OURS: Final = ("slaveapp.py", "slave_data.py", "slave_clock.py")
+
+
+@dataclass(slots=True)
+class SlaveAppStats:
+    """Counters of one slave application, always on."""
+
+    exchanges: int = 0
+    services: int = 0  # other services served
+    refused: int = 0  # not open, or refused with a reason
+    foreign: int = 0  # requests of masters that do not own the slave
+    watchdogs: int = 0
+    failures: int = 0  # exceptions in the device
+
+
+class Report:
+    """Events and counters of one slave application."""
+
+    __slots__ = ("_address", "_device", "_events", "_told", "station", "stats")
+
+    def __init__(self, device: Device, address: int | None) -> None:
+        self.stats = SlaveAppStats()
+        self.station: StationControl | None = None
+        self._device = device
+        self._address = address
+        self._events: list[Event] = []
+        self._told: set[tuple[str, int, str]] = set()
+
+    @property
+    def address(self) -> int | None:
+        """The address of the station, or the one given for messages."""
+        return self._address if self.station is None else self.station.address
+
+    def take(self) -> list[Event]:
+        """What there is to tell, oldest first."""
+        events = self._events
+        if events:
+            self._events = []
+        return events
+
+    def forget(self) -> None:
+        """Refusals told before are news again."""
+        self._told.clear()
+
+    def state(self, state: SlaveAppState, why: AppEv, master: int | None, now: int) -> None:
+        """Another state."""
+        name = self._device.name
+        self._events.append(
+            SlaveAppStateChanged(t_ns=now, address=self.address, name=name, state=state, why=why, master=master)
+        )
+
+    def watchdog(self, master: int | None, watchdog_ns: int, now: int) -> None:
+        """The master fell silent."""
+        self.stats.watchdogs += 1
+        name = self._device.name
+        self._events.append(
+            WatchdogExpired(t_ns=now, address=self.address, name=name, master=master, watchdog_ns=watchdog_ns)
+        )
+
+    def failed(self, during: str, error: Exception, now: int) -> None:
+        """An exception in the device."""
+        self.stats.failures += 1
+        name, text, origin = self._device.name, f"{type(error).__name__}: {error}", _origin(error)
+        self._events.append(
+            DeviceFailed(t_ns=now, address=self.address, name=name, during=during, error=text, origin=origin)
+        )
+
+    def refused(self, service: str, master: int, reason: str, now: int) -> None:
+        """A refusal; told once until :meth:`forget`."""
+        self.stats.refused += 1
+        key = (service, master, reason)
+        if key in self._told:
+            return
+        if len(self._told) >= _MAX_TOLD:  # a peer that never repeats itself must not fill the memory
+            self._told.clear()
+        self._told.add(key)
+        name = self._device.name
+        self._events.append(
+            RequestRefused(t_ns=now, address=self.address, name=name, service=service, master=master, reason=reason)
+        )
+
+
+def _origin(error: Exception) -> str:
+    trace = error.__traceback__
+    if trace is None:
+        return ""
+    while trace.tb_next is not None:
+        trace = trace.tb_next
+    code = trace.tb_frame.f_code
+    file = code.co_filename.replace("\\", "/").rpartition("/")[2]
+    return "" if file in _OURS else f"{code.co_name}(), {file} line {trace.tb_lineno}"

@@ -1,0 +1,289 @@
+"""An asyncio event loop whose time is virtual: exact, deterministic, and as fast as the machine can compute.
+
+An unmodified program runs in it: sleeping, timeouts, queues and tasks see the loop's own time, and waiting
+for something advances the worlds attached to the loop to the next event instead of letting real time go by. The program's own
+computing takes no virtual time. ``paced`` holds virtual time back to real time; what happens is the same.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import selectors
+import sys
+import time
+from collections.abc import Callable, Coroutine
+from concurrent.futures import Executor
+from contextvars import Context
+from typing import Any, Final, Protocol, TypeVar, TypeVarTuple, Unpack
+
+from dpstack.errors import DpError
+from dpstack.units import NEVER, NS_PER_MS, NS_PER_S, ns_to_s, s_to_ns
+
+_T = TypeVar("_T")
+_Ts = TypeVarTuple("_Ts")
+
+#: A program that polls with ``sleep(0)`` must not stop the time: after so many turns without waiting ...
+_TURNS: Final = 1_000
+#: ... the time goes on by this much.
+_NUDGE_NS: Final = 100_000
+#: So many world events are run before real file descriptors (signals, sockets) are looked at again.
+_EVENTS_PER_POLL: Final = 500
+#: A paced loop that is later than this does not catch up: virtual time falls behind, it never skips.
+_DEBT_NS: Final = 50 * NS_PER_MS
+
+_Ready = list[tuple[selectors.SelectorKey, int]]
+
+
+class StandstillError(DpError, RuntimeError):
+    """Everybody in a virtual loop waits, and no timer, no world and nothing real can ever wake them."""
+
+
+class Timeline(Protocol):
+    """Something that has its own virtual time and events in it: a simulated world. Times in ns."""
+
+    now: int
+
+    def next_at(self) -> int:
+        """When something may happen next; NEVER when nothing will."""
+
+    def run(self, until_ns: int, stop: Callable[[], bool]) -> bool:
+        """All events up to and including ``until_ns``; then that is ``now`` (unless it is NEVER).
+
+        Ends after the event after which ``stop()`` is true, with ``now`` at this event, and returns True.
+        """
+
+
+class _Attached:
+    """A timeline and the difference between its time and the loop's."""
+
+    __slots__ = ("offset", "timeline", "users")
+
+    def __init__(self, timeline: Timeline, now: int) -> None:
+        self.timeline = timeline
+        self.offset = now - timeline.now
+        self.users = 0
+
+    def next_at(self) -> int:
+        at = self.timeline.next_at()
+        return at if at == NEVER else at + self.offset
+
+
+class _Selector(selectors.DefaultSelector):
+    """A selector whose waiting is the loop's."""
+
+    wait: Callable[[float | None], _Ready] | None = None
+
+    def select(self, timeout: float | None = None) -> _Ready:
+        return self.poll(timeout) if self.wait is None else self.wait(timeout)
+
+    def poll(self, timeout: float | None) -> _Ready:
+        """Really wait."""
+        return super().select(timeout)
+
+
+class VirtualLoop(asyncio.SelectorEventLoop):
+    """An asyncio loop on virtual time, from 0. ``paced``: never ahead of real time.
+
+    Real file descriptors, signals and threads work in both modes. While a thread of an executor is at work, virtual
+    time is held back to real time, for nobody knows how long the thread needs.
+    """
+
+    def __init__(self, *, paced: bool = False) -> None:
+        self.paced = paced
+        self._at_ns = 0
+        self._attached: list[_Attached] = []
+        self._stirred = False  # a callback became ready, or a timer was set, while worlds ran
+        self._events = 0
+        self._turns = 0
+        self._threads = 0
+        self._signals: set[int] = set()
+        self._origin_ns: int | None = None  # real minus virtual time
+        self._waiting = _Selector()
+        super().__init__(self._waiting)
+        self._own_fds = len(self._waiting.get_map())
+        self._waiting.wait = self._wait
+
+    # --- time ---
+    def time(self) -> float:
+        """Virtual time in seconds."""
+        return self._at_ns / NS_PER_S
+
+    def time_ns(self) -> int:
+        """Virtual time in ns."""
+        return self._at_ns
+
+    def attach(self, timeline: Timeline) -> None:
+        """From now on the time of ``timeline`` goes with the loop's. May be repeated; detach as often."""
+        for attached in self._attached:
+            if attached.timeline is timeline:
+                attached.users += 1
+                return
+        attached = _Attached(timeline, self._at_ns)
+        attached.users = 1
+        self._attached.append(attached)
+
+    def detach(self, timeline: Timeline) -> None:
+        """The opposite of :meth:`attach`: ``timeline`` stands still."""
+        for attached in self._attached:
+            if attached.timeline is timeline:
+                attached.users -= 1
+                if not attached.users:
+                    self._attached.remove(attached)
+                return
+
+    # --- what is watched to know when to stop and whether to go on ---
+    def call_soon(
+        self, callback: Callable[[Unpack[_Ts]], object], *args: *_Ts, context: Context | None = None
+    ) -> asyncio.Handle:
+        """As in asyncio."""
+        self._stirred = True
+        return super().call_soon(callback, *args, context=context)
+
+    def call_at(
+        self,
+        when: float,
+        callback: Callable[[Unpack[_Ts]], object],
+        *args: *_Ts,
+        context: Context | None = None,
+    ) -> asyncio.TimerHandle:
+        """As in asyncio, in virtual time."""
+        self._stirred = True
+        return super().call_at(when, callback, *args, context=context)
+
+    def run_in_executor(
+        self, executor: Executor | None, func: Callable[[Unpack[_Ts]], _T], *args: *_Ts
+    ) -> asyncio.Future[_T]:
+        """As in asyncio; virtual time is held back to real time until the thread is done."""
+        future = super().run_in_executor(executor, func, *args)
+        self._threads += 1
+        future.add_done_callback(self._thread_done)
+        return future
+
+    async def shutdown_default_executor(self, timeout: float | None = None) -> None:
+        """As in asyncio; its time-out is real time."""
+        self._threads += 1
+        try:
+            if sys.version_info >= (3, 12):
+                await super().shutdown_default_executor(timeout)
+            else:
+                await super().shutdown_default_executor()
+        finally:
+            self._threads -= 1
+
+    def add_signal_handler(self, sig: int, callback: Callable[[Unpack[_Ts]], object], *args: *_Ts) -> None:
+        """As in asyncio; a loop that waits for nothing but a signal waits in real time."""
+        super().add_signal_handler(sig, callback, *args)
+        self._signals.add(sig)
+
+    def remove_signal_handler(self, sig: int) -> bool:
+        """As in asyncio."""
+        self._signals.discard(sig)
+        return super().remove_signal_handler(sig)
+
+    def _thread_done(self, future: asyncio.Future[Any]) -> None:
+        self._threads -= 1
+
+    # --- the waiting step ---
+    def _wait(self, timeout: float | None) -> _Ready:
+        """What the selector would do: return when something is ready or ``timeout`` seconds are over."""
+        ready = self._waiting.poll(0)
+        if timeout is not None and timeout <= 0:
+            # callbacks are ready: no time goes by
+            self._turns += 1
+            if ready or self._turns < _TURNS:
+                return ready
+            timeout = ns_to_s(_NUDGE_NS)
+        self._turns = 0
+        limit = NEVER if timeout is None else self._at_ns + s_to_ns(timeout)
+        held = self.paced or self._threads > 0
+        if held:
+            self._set_origin()
+        self._stirred = False
+        while not ready and not self._stirred:
+            horizon = min(limit, self._allowed()) if held else limit
+            if self._advance(horizon):
+                ready = self._waiting.poll(0)
+            elif horizon == limit < NEVER:
+                break
+            else:
+                ready = self._wait_really(limit)
+        return ready
+
+    def _advance(self, horizon: int) -> bool:
+        """Run the worlds up to ``horizon``; True when stopped before, to look around."""
+        attached = self._attached
+        if len(attached) > 1:
+            return self._advance_many(horizon)
+        if attached:
+            only = attached[0]
+            self._events = 0
+            until = horizon if horizon == NEVER else horizon - only.offset
+            stopped = only.timeline.run(until, self._stop)
+            at = only.timeline.now + only.offset
+            if at > self._at_ns:
+                self._at_ns = at
+            if stopped:
+                return True
+        if self._at_ns < horizon < NEVER:
+            self._at_ns = horizon
+        return False
+
+    def _advance_many(self, horizon: int) -> bool:
+        """Several worlds: always the one that is next, and none beyond the others."""
+        self._events = 0
+        stopped = False
+        while not stopped:
+            first, second = sorted(self._attached, key=_Attached.next_at)[:2]
+            if first.next_at() > horizon or first.next_at() == NEVER:
+                break
+            until = min(horizon, second.next_at())
+            stopped = first.timeline.run(until if until == NEVER else until - first.offset, self._stop)
+            self._at_ns = max(self._at_ns, first.timeline.now + first.offset)
+        if not stopped and self._at_ns < horizon < NEVER:
+            self._at_ns = horizon
+        for attached in self._attached:
+            attached.timeline.run(self._at_ns - attached.offset, _never)
+        return stopped
+
+    def _stop(self) -> bool:
+        self._events += 1
+        return self._stirred or self._events >= _EVENTS_PER_POLL
+
+    # --- real time ---
+    def _set_origin(self) -> None:
+        real = time.monotonic_ns()
+        if self._origin_ns is None or not self.paced:
+            self._origin_ns = real - self._at_ns
+        elif real - self._origin_ns - self._at_ns > _DEBT_NS:
+            self._origin_ns = real - self._at_ns - _DEBT_NS
+
+    def _allowed(self) -> int:
+        """How far virtual time may go."""
+        assert self._origin_ns is not None
+        return max(self._at_ns, time.monotonic_ns() - self._origin_ns)
+
+    def _wait_really(self, limit: int) -> _Ready:
+        """Until something real happens, or it is time for what is next."""
+        at = min([limit, *(attached.next_at() for attached in self._attached)])
+        if at < NEVER:
+            ready = self._waiting.poll(max(0.0, ns_to_s(at - self._allowed())))
+        elif self._threads or self._signals or len(self._waiting.get_map()) > self._own_fds:
+            ready = self._waiting.poll(None)
+        else:
+            raise StandstillError(
+                "the program waits for ever: no timer is set, nothing will happen on the simulated bus, and no "
+                "socket, signal or thread is waited for"
+            )
+        if ready and self._origin_ns is not None and (self.paced or self._threads):
+            self._advance(min(limit, self._allowed()))
+        return ready
+
+
+def _never() -> bool:
+    return False
+
+
+def run(main: Coroutine[Any, Any, _T], *, paced: bool = False, debug: bool | None = None) -> _T:
+    """``asyncio.run`` in virtual time: runs ``main`` in a :class:`VirtualLoop` of its own."""
+    with asyncio.Runner(debug=debug, loop_factory=lambda: VirtualLoop(paced=paced)) as runner:
+        return runner.run(main)

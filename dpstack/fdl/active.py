@@ -1,0 +1,304 @@
+"""The active station: a master's link layer with the whole token ring, as a machine of :mod:`dpstack.machine`.
+
+It hears octets or whole telegrams, finds out what they are to this station, and runs the handler that the table in
+:mod:`dpstack.fdl.states` names. Deadlines, gates and books are in :class:`~dpstack.fdl.active_link.Link`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Final
+
+from dpstack.errors import UsageError
+from dpstack.fdl import active_exchange, active_hold, active_idle, active_passing
+from dpstack.fdl.active_link import NONE, Link, Rows, classify
+from dpstack.fdl.codec import encode
+from dpstack.fdl.commands import GoOffline, GoOnline
+from dpstack.fdl.decoder import Decoder, DecoderStats
+from dpstack.fdl.states import Input, State, handlers_by_state
+from dpstack.fdl.telegram import Kind, StationType, Telegram
+from dpstack.fdl.user import LinkStats, LinkUser
+from dpstack.machine import LineDown, LineUp
+from dpstack.params import BusParams
+from dpstack.phy.patience import EXACT, Patience
+from dpstack.stats import Histogram
+from dpstack.trace import Event, WireEntry
+from dpstack.units import NEVER, chars_to_ns
+
+#: the longest telegram in octets: what an edge on the line may turn into
+_LONGEST: Final = 255
+
+
+def _ignored(link: Link, _: Telegram, now: int) -> None:
+    link.stats.ignored += 1
+
+
+#: the table with its handlers bound
+ROWS: Final[Rows] = handlers_by_state(
+    {"idle": active_idle, "hold": active_hold, "exchange": active_exchange, "passing": active_passing}, _ignored
+)
+
+_COMMANDS: Final[dict[type, Input]] = {
+    GoOnline: Input.GO_ONLINE,
+    GoOffline: Input.GO_OFFLINE,
+    LineDown: Input.LINE_DOWN,
+    LineUp: Input.LINE_UP,
+}
+
+
+class ActiveStation:
+    """An active station (BusStation) and its ``users``, asked in their order. Offline until :class:`GoOnline`.
+
+    ``patience`` is what the port may be late; ``wire``, when set, is told every telegram heard and sent. Commands
+    that are not its own go to the users; :class:`UsageError` when none takes it.
+    """
+
+    __slots__ = ("_decoder", "_link", "_longest_ns", "_partial", "_sending", "wire")
+
+    def __init__(
+        self, params: BusParams, users: Sequence[LinkUser], *, patience: Patience = EXACT, now: int = 0
+    ) -> None:
+        self._link = Link(params, users, patience, ROWS, now)
+        self._decoder = Decoder(stall_ns=self._link.line.t_stall_ns + patience.stall_ns)
+        self._partial = False  # the decoder holds an unfinished telegram
+        self._longest_ns = chars_to_ns(_LONGEST, params.baud)
+        self._sending = b""
+        self.wire: Callable[[WireEntry], None] | None = None
+
+    # --- what others may know -----------------------------------------------------------------------------------
+    @property
+    def address(self) -> int:
+        """TS."""
+        return self._link.ts
+
+    @property
+    def baud(self) -> int:
+        """The rate of its receiver."""
+        return self._link.params.baud
+
+    @property
+    def hears_all(self) -> bool:
+        """A ring member has to hear every token."""
+        return True
+
+    @property
+    def params(self) -> BusParams:
+        """The bus parameters."""
+        return self._link.params
+
+    @property
+    def state(self) -> State:
+        """The state of the link layer."""
+        return self._link.state
+
+    @property
+    def in_ring(self) -> bool:
+        """It has held the token since it came online, and has not been dropped since."""
+        return self._link.in_ring
+
+    @property
+    def las(self) -> frozenset[int]:
+        """The masters in the ring as far as is known, this one included."""
+        return frozenset(self._link.ring.members)
+
+    @property
+    def stations(self) -> dict[int, StationType]:
+        """The stations found by GAP polls and what they said they are."""
+        return dict(self._link.gap.stations)
+
+    @property
+    def stats(self) -> LinkStats:
+        """Counters of the link."""
+        return self._link.stats
+
+    @property
+    def decoder_stats(self) -> DecoderStats:
+        """Counters of the octets received."""
+        return self._decoder.stats
+
+    @property
+    def last_rotation(self) -> int:
+        """The last token rotation (receipt to receipt) in ns, 0 before the second receipt."""
+        return self._link.last_rotation
+
+    @property
+    def token_rotation(self) -> Histogram:
+        """All token rotations."""
+        return self._link.token_rotation
+
+    # --- hearing ------------------------------------------------------------------------------------------------
+    def receive(self, chunk: bytes, now: int) -> None:
+        """Octets from the line (machine contract)."""
+        link = self._link
+        if link.state is State.OFFLINE:
+            return
+        line = link.line
+        # receiving while sending implies sent, except where nothing is late: there it is a collision
+        if now > line.idle_since or not link.exact:
+            line.idle_since = now
+        if not self._partial and not link.edge_told:
+            link.edge_at = now - len(chunk) * link.char_ns
+        decoder = self._decoder
+        found = decoder.feed(chunk, now)
+        self._arriving(decoder.pending)
+        for telegram in found:
+            self._heard(telegram, now)
+        if not found:
+            link.row[Input.ACTIVITY](link, NONE, now)
+
+    def _arriving(self, pending: bool) -> None:
+        link = self._link
+        self._partial = pending
+        link.after_ns = link.line.t_id1_ns
+        if pending:
+            link.busy_until = self._decoder.stall_at()
+        else:
+            link.busy_until = 0
+            link.edge_told = False
+
+    def activity(self, now: int) -> None:
+        """A start edge (see BusStation): what waits goes on waiting, for the longest telegram at most."""
+        link = self._link
+        if link.state is State.OFFLINE:
+            return
+        link.line.heard(now)
+        link.edge_at = now
+        link.edge_told = True
+        link.after_ns = link.line.t_id1_ns
+        link.busy_until = now + self._longest_ns
+        link.row[Input.ACTIVITY](link, NONE, now)
+
+    def telegram(self, telegram: Telegram, now: int) -> None:
+        """A whole telegram (see BusStation)."""
+        link = self._link
+        if link.state is State.OFFLINE:
+            return
+        line = link.line
+        if now > line.idle_since:
+            line.idle_since = now
+        if not link.edge_told:
+            link.edge_at = now
+        link.edge_told = False
+        link.busy_until = 0
+        link.after_ns = line.t_id1_ns
+        self._heard(telegram, now)
+
+    def _heard(self, telegram: Telegram, now: int) -> None:
+        link = self._link
+        if self.wire is not None:
+            self._tap(telegram, now)
+        link.row[classify(telegram, link.ts)](link, telegram, now)
+
+    def _tap(self, telegram: Telegram, now: int) -> None:
+        if self.wire is None:
+            return
+        octets = _octets(telegram)
+        start = now - chars_to_ns(len(octets), self.baud)
+        sender = str(telegram.sa) if telegram.sa >= 0 else None
+        self.wire(WireEntry(start, now, octets, sender))
+
+    # --- time and sending ---------------------------------------------------------------------------------------
+    def wake_at(self) -> int:
+        """The machine contract: a gate, a deadline, the end of a stalled telegram, or a user's time."""
+        link = self._link
+        if link.tx is not None:
+            at = link.tx_at()
+        else:
+            at = link.deadline
+            if at < link.busy_until:
+                at = link.busy_until
+        if self._partial:
+            stall = self._decoder.stall_at()
+            if stall < at:
+                at = stall
+        for user in link.users:
+            wanted = user.wake_at()
+            if wanted < at:
+                at = wanted
+        return at
+
+    def wake(self, now: int) -> None:
+        """Judge what is due (machine contract)."""
+        link = self._link
+        if self._partial and now >= self._decoder.stall_at():
+            self._stalled(now)
+        if link.tx is None and link.deadline <= now and link.busy_until <= now:
+            link.deadline = NEVER
+            link.row[Input.TIMEOUT](link, NONE, now)
+        for user in link.users:
+            if user.wake_at() <= now:
+                user.tick(now)
+
+    def _stalled(self, now: int) -> None:
+        found = self._decoder.stalled(now)
+        self._arriving(self._decoder.pending)
+        for telegram in found:
+            self._heard(telegram, now)
+
+    def take_tx(self, now: int) -> bytes | None:
+        """The waiting telegram once its gate is open (machine contract)."""
+        link = self._link
+        octets = link.tx
+        if octets is None or now < link.tx_at():
+            return None
+        link.tx = None
+        link.taken_at = now
+        self._sending = octets
+        return octets
+
+    def sent(self, at: int) -> None:
+        """The end of the transmission, known in advance (machine contract)."""
+        link = self._link
+        link.line.idle_since = at
+        link.after_ns = link.line.t_id1_ns
+        if self.wire is not None:
+            self.wire(WireEntry(link.taken_at, at, self._sending, str(link.ts)))
+        link.row[Input.SENT](link, NONE, at)
+
+    # --- orders and news ----------------------------------------------------------------------------------------
+    def take_events(self) -> list[Event]:
+        """The station's events, then its users'."""
+        link = self._link
+        events = link.events
+        if events:
+            link.events = []
+        else:
+            events = []
+        for user in link.users:
+            events += user.take_events()
+        return events
+
+    def command(self, command: object, now: int) -> None:
+        """GoOnline, GoOffline, LineDown, LineUp; everything else is offered to the users. Raises UsageError."""
+        link = self._link
+        what = _COMMANDS.get(type(command))
+        if what is None:
+            self._offer(command, now)
+            return
+        match what:
+            case Input.GO_ONLINE:
+                link.wanted, link.leaving = True, False
+            case Input.GO_OFFLINE:
+                link.wanted = False
+            case Input.LINE_DOWN:
+                link.line_is_down = True
+                self._decoder.reset()
+                self._partial = False
+            case Input.LINE_UP:
+                link.line_is_down = False
+        link.dispatch(what, NONE, now)
+
+    def _offer(self, command: object, now: int) -> None:
+        for user in self._link.users:
+            if user.command(command, now):
+                return
+        raise UsageError(f"nobody on this bus takes the command {command!r}: its user is not attached")
+
+
+def _octets(telegram: Telegram) -> bytes:
+    """The octets of a telegram heard. SD3 is never encoded: it is an SD2 with another head."""
+    if telegram.kind == Kind.SD3:
+        return b"\xa2" + encode(telegram._replace(kind=Kind.SD2))[4:]
+    if telegram.kind == Kind.SD2 and not telegram.data and telegram.dsap is telegram.ssap is None:
+        return encode(telegram._replace(kind=Kind.SD1))  # LE = 3, heard from two slaves
+    return encode(telegram)

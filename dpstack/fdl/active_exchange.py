@@ -1,0 +1,231 @@
+"""One exchange with a station: the request, its answer or the lack of it, repetitions, late answers.
+
+What can be known of an answer, most certain first:
+
+* Another sender, SAPs that are not the request's crosswise, data where the service has none: not ours, counted.
+* SC names nobody. It counts for a service that can be acknowledged, and only while we wait.
+* Exact lines: what begins before min T_SDR after our request cannot be its answer.
+* An exchange that was given up, or needed a repetition, may have left an answer on its way. The first telegram that
+  fits both that exchange and the new one is kept back for one slot time: if a second one follows, the first was the
+  late one; if nothing follows, it was the answer. (A port's delays exceed the wire's times, so time tells nothing.)
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+from dpstack.fdl.active_link import NONE, Link
+from dpstack.fdl.codec import request_octets
+from dpstack.fdl.states import Input, State
+from dpstack.fdl.telegram import SHORT_ACK, Kind, Req, Resp, Telegram
+from dpstack.fdl.user import Failure, LinkUser, Request
+from dpstack.trace import Notice, Severity
+
+
+class _Service(NamedTuple):
+    fc: int
+    counted: bool  # FCB and FCV are used
+    answered: bool
+    acknowledged: bool  # SC is an answer
+
+
+def _service(function: Req, counted: bool, answered: bool, acknowledged: bool) -> _Service:
+    fc = 0xC0 if function is Req.CLOCK_VALUE else 0x40 | function
+    return _Service(fc, counted, answered, acknowledged)
+
+
+# FDL status, ident, LSAP status and SDN carry FCV = 0 and FCB = 0 (protocol facts A4, J).
+_SERVICES: Final[dict[Req, _Service]] = {
+    f: _service(
+        f,
+        f in (Req.SDA_LOW, Req.SDA_HIGH, Req.SRD_LOW, Req.SRD_HIGH, Req.MSRD),
+        f not in (Req.SDN_LOW, Req.SDN_HIGH, Req.TIME_EVENT, Req.CLOCK_VALUE),
+        f in (Req.SDA_LOW, Req.SDA_HIGH, Req.SRD_LOW, Req.SRD_HIGH, Req.MSRD),
+    )
+    for f in Req
+}
+_WITHOUT_DATA: Final = frozenset({int(Resp.OK), int(Resp.UE), int(Resp.RR), int(Resp.RS), int(Resp.NR)})
+
+
+def start(link: Link, user: LinkUser, request: Request) -> None:
+    """Make the telegram of a new request and let it wait for its gate."""
+    da = request.da
+    fc, counted, answered, _ = _SERVICES[request.function]
+    tries = link.max_retry if answered and request.retry else 0
+    if counted:
+        fcb = link.fcb
+        if request.restart:
+            fcb.restart(da)
+        fc |= fcb.bits[da]
+        if not fcb.operational[da]:
+            tries = 0  # spec p119: a first request is not repeated
+    link.user = user
+    link.request = request
+    link.tries_left = tries
+    link.repeats = 0
+    link.wrong = link.garbled = False
+    link.frame = link.tx = request_octets(da, link.ts, fc, request.data, request.dsap, request.ssap)
+    link.gate_ns = link.after_ns
+    link.enter(State.USE_TOKEN)
+
+
+def sent(link: Link, at: int) -> None:
+    """The first attempt goes out; its last bit is on the line at ``at``."""
+    request, user = link.request, link.user
+    link.stats.station(request.da).requests += 1
+    if user is not None:
+        user.started(request, link.taken_at)
+    if _SERVICES[request.function].answered:
+        _await(link, at)
+        return
+    link.after_ns = link.line.t_id2_ns
+    _finish(link, SHORT_ACK, link.taken_at)
+
+
+def repeated(link: Link, _: Telegram, at: int) -> None:
+    """A repetition goes out."""
+    _await(link, at)
+
+
+def _await(link: Link, at: int) -> None:
+    link.enter(State.AWAIT_DATA_RESPONSE)
+    link.deadline = at + (link.slot_known_ns if link.request.patient else link.slot_unknown_ns)
+    if link.exact:
+        link.early_until = at + link.early_ns
+
+
+def response(link: Link, telegram: Telegram, now: int) -> None:
+    """A response to us, or SC, while we wait for one."""
+    request = link.request
+    if not answers(request, telegram) or link.edge_at < link.early_until:
+        _not_ours(link, telegram, now)
+        return
+    if link.owed and _hold_back(link, telegram, now):
+        return
+    _answered(link, telegram, now)
+
+
+def answers(request: Request, telegram: Telegram) -> bool:
+    """Whether ``telegram``, addressed to us or SC, can answer ``request``."""
+    if telegram.kind == Kind.SC:
+        return _SERVICES[request.function].acknowledged
+    if telegram.sa != request.da:
+        return False
+    if request.function == Req.FDL_STATUS:
+        return not telegram.data and telegram.dsap is telegram.ssap is None
+    if telegram.ssap == request.dsap and telegram.dsap == request.ssap:
+        return True
+    # refused or plainly acknowledged: SD1 has no room for SAPs
+    return not telegram.data and telegram.dsap is telegram.ssap is None and telegram.function in _WITHOUT_DATA
+
+
+def _hold_back(link: Link, telegram: Telegram, now: int) -> bool:
+    """True when ``telegram`` may be a late answer and is kept for one slot time (see above)."""
+    first = link.candidate
+    if first is NONE:
+        owing = _owing(link, telegram, now)
+        if owing < 0:
+            return False
+        link.candidate = telegram
+        link.deadline = now + link.line.t_sl_ns + link.patience.known_ns // 4
+        return True
+    link.owed.pop(first.sa if first.sa >= 0 else link.request.da, None)
+    _count_late(link, first)
+    return False
+
+
+def _owing(link: Link, telegram: Telegram, now: int) -> int:
+    """The station that may still owe an answer such as ``telegram``, or -1. Forgets what is too old to come."""
+    owed = link.owed
+    for address in [a for a, (_, until) in owed.items() if now > until]:
+        del owed[address]
+    for address, (request, _) in owed.items():
+        if answers(request, telegram):
+            return address
+    return -1
+
+
+def _owe(link: Link, now: int) -> None:
+    """An answer to the present request may still come, for as long as two rounds of patience."""
+    link.owed[link.request.da] = (link.request, now + 4 * link.slot_known_ns)
+
+
+def _answered(link: Link, telegram: Telegram, now: int) -> None:
+    request = link.request
+    da = request.da
+    if _SERVICES[request.function].counted and link.fcb.answered(da):
+        text = f"station {da} answers only requests with FCV = 1, not the standard's first request with FCV = 0"
+        link.events.append(Notice(t_ns=now, source="fdl", message=text, severity=Severity.WARNING))
+    if link.repeats:
+        _owe(link, now)
+    elif link.owed:
+        link.owed.pop(da, None)
+    _finish(link, telegram, now)
+
+
+def _finish(link: Link, outcome: Telegram | Failure, now: int) -> None:
+    user, request = link.user, link.request
+    link.end_exchange()
+    if user is not None:
+        user.result(request, outcome, now)
+    link.enter(State.CHECK_ACCESS_TIME)
+    link.row[Input.CHECK](link, NONE, now)
+
+
+def timeout(link: Link, _: Telegram, now: int) -> None:
+    """The slot time is over."""
+    request = link.request
+    candidate = link.candidate
+    if candidate is not NONE:
+        # nothing followed: what was kept back is the answer, and nothing is owed any more
+        link.owed.clear()
+        link.repeats = 0
+        _answered(link, candidate, now)
+        return
+    station = link.stats.station(request.da)
+    if link.tries_left:
+        link.tries_left -= 1
+        link.repeats += 1
+        station.retries += 1
+        link.queue(link.frame)
+        return
+    station.timeouts += 1
+    _owe(link, now)
+    if _SERVICES[request.function].counted:
+        link.fcb.given_up(request.da)
+    if link.wrong:
+        failure = Failure.WRONG
+    elif link.garbled:
+        link.stats.garbled += 1
+        failure = Failure.GARBLED
+    else:
+        failure = Failure.NO_ANSWER
+        if not request.patient:
+            link.allowance.charge(link.slot_unknown_ns)
+    _finish(link, failure, now)
+
+
+def _not_ours(link: Link, telegram: Telegram, now: int) -> None:
+    """A telegram to us that does not answer the request: late, wrong, or from nobody we know."""
+    link.garbled = False
+    sa = telegram.sa
+    if sa == link.request.da and link.edge_at >= link.early_until and _owing(link, telegram, now) < 0:
+        link.wrong = True
+        link.stats.station(sa).wrong += 1
+    else:
+        _count_late(link, telegram)
+
+
+def late(link: Link, telegram: Telegram, now: int) -> None:
+    """A response to us, or SC, that nobody waits for: the answer to an exchange that is over."""
+    _count_late(link, telegram)
+    link.owed.pop(telegram.sa, None)
+
+
+def _count_late(link: Link, telegram: Telegram) -> None:
+    """Only an answer of ours can be addressed to us; SC names nobody and counts as stray."""
+    if telegram.sa < 0:
+        link.stats.stray += 1
+        return
+    link.stats.late += 1
+    link.stats.station(telegram.sa).late += 1

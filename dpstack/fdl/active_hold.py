@@ -1,0 +1,164 @@
+"""Handlers of a token hold: Use_Token, Check_Access_Time, the GAP poll; withdrawing from a token that is not ours."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from dpstack.fdl import active_exchange as exchange
+from dpstack.fdl import active_passing as passing
+from dpstack.fdl.active_link import NONE, Link, classify
+from dpstack.fdl.codec import encode_sd1
+from dpstack.fdl.events import RingJoined, StationFound
+from dpstack.fdl.states import Input, State
+from dpstack.fdl.telegram import FC_REQUEST, Kind, Req, StationType, Telegram
+
+_STATUS_FC: Final = FC_REQUEST | Req.FDL_STATUS
+#: after so many holds without time for a GAP poll that was due, low-priority service stands back once
+_GAP_PATIENCE: Final = 8
+
+
+def begin(link: Link, _: Telegram, now: int) -> None:
+    """The token is ours: T_TH = T_TR - T_RR, so it ends one T_TR after the receipt before (spec p12)."""
+    before = link.token_at
+    link.token_at = now
+    if before >= 0:
+        rotation = now - before
+        link.last_rotation = rotation
+        link.token_rotation.add(rotation)
+        link.until = before + link.t_tr_ns
+    else:
+        link.until = now + link.t_tr_ns
+    link.fresh = True
+    link.gap_turn = link.gap.skipped >= _GAP_PATIENCE
+    link.stats.tokens += 1
+    if not link.in_ring:
+        _joined(link, now)
+    for user in link.users:
+        user.token_received(now)
+    link.enter(State.CHECK_ACCESS_TIME)
+    link.row[Input.CHECK](link, NONE, now)
+
+
+def _joined(link: Link, now: int) -> None:
+    link.in_ring = True
+    link.collision_told = False
+    link.gap.restart()
+    masters = tuple(sorted(link.ring.members))
+    link.events.append(RingJoined(t_ns=now, address=link.ts, claimed=link.claimed, masters=masters))
+
+
+def check(link: Link, _: Telegram, now: int) -> None:
+    """What comes next: high priority once even when T_TH is over, everything while time is left, GAP, token."""
+    if not link.leaving:
+        over = now >= link.until
+        if not over or link.fresh:
+            high_only = over or link.gap_turn
+            for user in link.users:
+                request = user.next_request(now, high_only)
+                if request is not None:
+                    link.fresh = False
+                    exchange.start(link, user, request)
+                    return
+        if link.gap.enabled and _poll(link, now):
+            return
+    passing.start(link, now)
+
+
+def _poll(link: Link, now: int) -> bool:
+    """One GAP poll a hold, when it is due, fits into T_TH and into what silent polls may take."""
+    gap = link.gap
+    address = gap.due(link.ring.ns, now)
+    if address < 0:
+        return False
+    if now >= link.until:
+        gap.skipped += 1
+        return False
+    if address not in gap.stations and not link.allowance.allows(now):
+        return False
+    link.polling = address
+    link.garbled = False
+    link.fresh = False
+    link.enter(State.USE_TOKEN)
+    link.queue(encode_sd1(address, link.ts, _STATUS_FC))
+    return True
+
+
+def sent(link: Link, _: Telegram, at: int) -> None:
+    """A request or a GAP poll is on the line; its last bit at ``at``."""
+    if link.polling < 0:
+        exchange.sent(link, at)
+        return
+    link.stats.gap_polls += 1
+    link.enter(State.AWAIT_STATUS_RESPONSE)
+    known = link.polling in link.gap.stations
+    link.deadline = at + (link.slot_known_ns if known else link.slot_unknown_ns)
+    if link.exact:
+        link.early_until = at + link.early_ns
+
+
+def status(link: Link, telegram: Telegram, now: int) -> None:
+    """The answer of the address polled: a ready master becomes NS (spec p11)."""
+    address = link.polling
+    plain = not telegram.data and telegram.dsap is telegram.ssap is None and telegram.kind != Kind.SC
+    if telegram.sa != address or not plain or link.edge_at < link.early_until:
+        link.garbled = False
+        exchange.late(link, telegram, now)
+        return
+    kind = telegram.station_type
+    link.polling = -1
+    if link.gap.polled(address, kind):
+        link.events.append(StationFound(t_ns=now, address=address, kind=kind))
+    # 'in ring' of a station that is not in our LAS: it lost its token as we did, take it in
+    if kind >= StationType.MASTER_READY and link.ring.add(address):
+        link.tell_masters(now)
+    passing.start(link, now)
+
+
+def status_timeout(link: Link, _: Telegram, now: int) -> None:
+    """Nobody answered the GAP poll. Octets that could not be read prove nothing either way."""
+    address = link.polling
+    link.polling = -1
+    known = address in link.gap.stations
+    if link.garbled:
+        link.gap.passed(address)
+    elif link.gap.polled(address, None):
+        link.events.append(StationFound(t_ns=now, address=address, kind=None))
+    if not known:
+        link.allowance.charge(link.slot_unknown_ns)
+    passing.start(link, now)
+
+
+def withdraw(link: Link, telegram: Telegram, now: int) -> None:
+    """Another station sends as only a token holder does: it is not us. What it sent counts in Active_Idle."""
+    repeated = telegram.kind == Kind.SD4 and telegram.da == link.ts and telegram.sa == link.ring.ps
+    if repeated and link.state is State.USE_TOKEN:
+        return  # the predecessor did not see us start in time; the token is still ours
+    link.stats.withdrawn += 1
+    link.abandon(now)
+    link.go_idle(now)
+    if link.state is State.ACTIVE_IDLE:
+        link.dispatch(classify(telegram, link.ts), telegram, now)
+
+
+def stray(link: Link, _: Telegram, now: int) -> None:
+    """A response to somebody else while we hold the token."""
+    link.garbled = False
+    link.stats.stray += 1
+
+
+def noise(link: Link, _: Telegram, now: int) -> None:
+    """An edge or octets: a telegram may follow; if none does, the answer was garbled."""
+    link.garbled = True
+
+
+def leave(link: Link, _: Telegram, now: int) -> None:
+    """Go offline after what is under way; nothing is repeated."""
+    link.leaving = True
+    link.tries_left = 0
+
+
+def leave_now(link: Link, _: Telegram, now: int) -> None:
+    """Nothing is under way: what waits is not sent any more, the token goes on."""
+    link.leaving = True
+    link.abandon(now)
+    passing.start(link, now)

@@ -1,0 +1,286 @@
+"""What the handlers of an active station share: its state, what it is about to send, its deadline, its books.
+
+A handler is a function ``(link, telegram, now)``; which one runs is a matter of the table in
+:mod:`dpstack.fdl.states`. Inputs that are no telegram come with :data:`NONE`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Final
+
+from dpstack.fdl.codec import encode_token
+from dpstack.fdl.events import MasterSeen, RingLeft
+from dpstack.fdl.fcb import FrameCount
+from dpstack.fdl.ring import Allowance, Gap, Ring
+from dpstack.fdl.states import Input, State
+from dpstack.fdl.telegram import FC_FUNCTION, FC_REQUEST, Kind, Req, Telegram
+from dpstack.fdl.user import Failure, LinkStats, LinkUser, Request
+from dpstack.params import BusParams
+from dpstack.phy.line import Line
+from dpstack.phy.patience import Patience
+from dpstack.stats import Histogram
+from dpstack.trace import Event
+from dpstack.units import BITS_PER_CHAR, NEVER
+
+#: stands for "no telegram"; told by identity
+NONE: Final = Telegram(Kind.SC, -1, -1)
+#: stands for "no request"; told by identity
+NO_REQUEST: Final = Request(-1, Req.FDL_STATUS)
+
+Handler = Callable[["Link", Telegram, int], None]
+Rows = tuple[tuple[Handler, ...], ...]
+
+
+def classify(telegram: Telegram, ts: int) -> Input:
+    """What ``telegram`` is to station ``ts``."""
+    fc = telegram.fc
+    if fc < 0:
+        if telegram.kind == Kind.SC:
+            return Input.RESPONSE
+        if telegram.sa == ts:
+            return Input.OWN_ADDRESS
+        return Input.TOKEN_TO_ME if telegram.da == ts else Input.TOKEN_SEEN
+    if telegram.sa == ts:
+        return Input.OWN_ADDRESS
+    if not fc & FC_REQUEST:
+        return Input.RESPONSE if telegram.da == ts else Input.RESPONSE_SEEN
+    if telegram.da != ts:
+        return Input.REQUEST_SEEN
+    return Input.STATUS_REQUEST if fc & (FC_FUNCTION | 0x80) == Req.FDL_STATUS else Input.REQUEST_TO_ME
+
+
+class Link:
+    """The data of one active station. Times in ns; see the groups below."""
+
+    __slots__ = (
+        "after_ns",
+        "allowance",
+        "announced",
+        "attempt",
+        "back_off_until",
+        "busy_until",
+        "candidate",
+        "char_ns",
+        "claim_from",
+        "claimed",
+        "claims_left",
+        "collision_told",
+        "deadline",
+        "early_ns",
+        "early_until",
+        "edge_at",
+        "edge_told",
+        "events",
+        "exact",
+        "fcb",
+        "frame",
+        "fresh",
+        "gap",
+        "gap_turn",
+        "garbled",
+        "gate_ns",
+        "in_ring",
+        "last_rotation",
+        "leaving",
+        "line",
+        "line_is_down",
+        "max_retry",
+        "owed",
+        "own_token_at",
+        "params",
+        "patience",
+        "polling",
+        "refused",
+        "repeats",
+        "request",
+        "ring",
+        "row",
+        "rows",
+        "slot_known_ns",
+        "slot_unknown_ns",
+        "state",
+        "stats",
+        "t_to_ns",
+        "t_tr_ns",
+        "taken_at",
+        "token_at",
+        "token_rotation",
+        "tries_left",
+        "ts",
+        "tx",
+        "until",
+        "user",
+        "users",
+        "wanted",
+        "wrong",
+    )  # fmt: skip
+
+    def __init__(self, params: BusParams, users: Sequence[LinkUser], patience: Patience, rows: Rows, now: int) -> None:
+        self.params = params
+        self.ts = params.address
+        self.users = tuple(users)
+        self.patience = patience
+        self.rows = rows
+        self.line = Line(params, now)
+        self.ring = Ring(self.ts)
+        self.gap = Gap(params)
+        self.fcb = FrameCount()
+        self.stats = LinkStats()
+        self.events: list[Event] = []
+        self.state = State.OFFLINE
+        self.row = rows[State.OFFLINE]
+        self._set_times(now)
+
+        # what goes out next, and when
+        self.tx: bytes | None = None
+        self.gate_ns = 0  # silence that has to precede tx
+        self.after_ns = self.line.t_id1_ns  # silence that has to follow what was on the line last
+        self.taken_at = 0  # first bit of the last transmission
+        self.deadline = NEVER
+        # what is on the line now
+        self.busy_until = 0  # a telegram is arriving; deadlines and starts wait so long
+        self.edge_at = 0  # first bit of what is arriving
+        self.edge_told = False
+        # membership
+        self.wanted = False
+        self.leaving = False
+        self.line_is_down = False
+        self.in_ring = False
+        self.announced: frozenset[int] = frozenset()
+        self.refused = -1  # sender of a token refused once
+        self.claims_left = 0
+        self.claimed = False
+        self.claim_from = State.LISTEN_TOKEN
+        self.own_token_at = -NEVER  # when a token with SA = TS was seen last
+        self.collision_told = False
+        self.back_off_until = 0
+        # the token hold
+        self.token_at = -1  # last receipt of the token, -1 when out of the ring
+        self.until = 0  # end of T_TH
+        self.fresh = False  # nothing was sent in this hold yet
+        self.gap_turn = False  # low priority stands back for the GAP in this hold
+        self.attempt = 0  # of passing the token
+        self.last_rotation = 0
+        self.token_rotation = Histogram()
+        # the exchange under way
+        self.end_exchange()
+        self.frame = b""
+        self.tries_left = 0
+        self.repeats = 0
+        self.polling = -1  # address of the GAP poll under way
+        self.early_until = -NEVER  # what begins before this cannot be the answer
+        self.wrong = False
+        self.garbled = False  # octets came that are no telegram (yet)
+        #: exchanges whose answer may still come: request and until when, by address
+        self.owed: dict[int, tuple[Request, int]] = {}
+
+    def _set_times(self, now: int) -> None:
+        params, patience, line = self.params, self.patience, self.line
+        #: nothing is delivered late, edges are told
+        self.exact = not (patience.known_ns or patience.unknown_ns or patience.stall_ns)
+        self.char_ns = params.ns(BITS_PER_CHAR)
+        # Octets are seen at their end: without edges the slot time counts from there.
+        slot_ns = line.t_sl_ns if self.exact else params.ns(params.t_sl + BITS_PER_CHAR)
+        self.slot_known_ns = slot_ns + patience.known_ns
+        self.slot_unknown_ns = slot_ns + patience.unknown_ns
+        self.t_to_ns = line.t_to_ns + patience.known_ns
+        self.t_tr_ns = params.ns(params.t_tr)
+        self.max_retry = params.max_retry
+        # half a bit of tolerance: telegram and pause are rounded to ns apart from each other
+        self.early_ns = params.ns(params.min_tsdr) - params.ns(1) // 2
+        self.allowance = Allowance(patience.unknown_share, self.slot_unknown_ns, now)
+
+    def end_exchange(self) -> None:
+        """No exchange is under way (any more); the caller tells the user."""
+        self.user: LinkUser | None = None
+        self.request = NO_REQUEST
+        self.candidate = NONE
+
+    # --- states and sending -------------------------------------------------------------------------------------
+    def enter(self, state: State) -> None:
+        """Change state; the deadline of the old one is gone."""
+        self.state = state
+        self.row = self.rows[state]
+        self.deadline = NEVER
+
+    def dispatch(self, what: Input, telegram: Telegram, now: int) -> None:
+        """Run the handler of ``what`` in the present state."""
+        self.row[what](self, telegram, now)
+
+    def queue(self, octets: bytes) -> None:
+        """Send ``octets`` as soon as the gate after the last telegram opens."""
+        self.tx = octets
+        self.gate_ns = self.after_ns
+
+    def reply(self, octets: bytes) -> None:
+        """Answer another master after min T_SDR."""
+        self.tx = octets
+        self.gate_ns = self.line.t_sdr_ns
+
+    def queue_token(self, da: int) -> None:
+        """Queue the token to ``da``."""
+        self.queue(encode_token(da, self.ts))
+
+    def tx_at(self) -> int:
+        """When the waiting telegram may start."""
+        at = self.line.idle_since + self.gate_ns
+        return at if at > self.busy_until else self.busy_until
+
+    def await_silence(self) -> None:
+        """Arm T_TO: counted from the last activity, the host's slack once."""
+        self.deadline = self.line.idle_since + self.t_to_ns
+
+    # --- ways out of a state that several handlers take -----------------------------------------------------------
+    def abandon(self, now: int) -> None:
+        """Drop what is waiting or under way; its user is told."""
+        self.tx = None
+        self.polling = -1
+        user, request = self.user, self.request
+        self.end_exchange()
+        if user is not None:
+            user.result(request, Failure.ABANDONED, now)
+
+    def go_idle(self, now: int) -> None:
+        """Somebody else has the token: Active_Idle, or Offline when this was the last hold."""
+        if self.leaving:
+            self.go_offline(now, "ordered")
+            return
+        self.enter(State.ACTIVE_IDLE)
+        self.await_silence()
+
+    def go_offline(self, now: int, reason: str) -> None:
+        """Silence at once."""
+        self.abandon(now)
+        self.leave_ring(now, reason)
+        self.leaving = False
+        self.busy_until = 0
+        self.owed.clear()
+        self.enter(State.OFFLINE)
+
+    def go_listening(self, now: int) -> None:
+        """Begin to listen: nothing is known of the ring."""
+        self.ring.forget()
+        self.tell_masters(now)
+        self.enter(State.LISTEN_TOKEN)
+        self.await_silence()
+
+    def leave_ring(self, now: int, reason: str) -> None:
+        """Out of the ring; told once."""
+        self.token_at = -1
+        self.refused = -1
+        self.ring.forget()
+        self.announced = frozenset()
+        if self.in_ring:
+            self.in_ring = False
+            self.events.append(RingLeft(t_ns=now, address=self.ts, reason=reason))
+
+    def tell_masters(self, now: int) -> None:
+        """Tell which masters came and went since this was told last."""
+        members = frozenset(self.ring.members) - {self.ts}
+        if members == self.announced:
+            return
+        changed = [(a, True) for a in members - self.announced] + [(a, False) for a in self.announced - members]
+        self.announced = members
+        for address, present in sorted(changed):
+            self.events.append(MasterSeen(t_ns=now, address=address, present=present))

@@ -1,0 +1,108 @@
+"""Ports that are a file descriptor: the lean path of Linux ttys, ptys and sockets."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections.abc import Callable
+from functools import partial
+from typing import Final
+
+from dpstack.ports.base import Port
+
+#: One read takes at most this much; a telegram has up to 255 octets. Small enough for Python's own allocator.
+CHUNK: Final = 470
+
+
+def _read_nothing(_size: int) -> bytes:
+    raise BlockingIOError
+
+
+def _write_nothing(_octets: bytes) -> int:
+    return 0
+
+
+class FdPort(Port):
+    """A port that is read and written by two functions on one non-blocking descriptor."""
+
+    def __init__(self, name: str, baud: int, *, paced: bool) -> None:
+        super().__init__(name, baud, paced=paced)
+        self._fd = -1
+        self._read: Callable[[int], bytes] = _read_nothing
+        self._send: Callable[[bytes], int] = _write_nothing
+
+    @property
+    def fd(self) -> int | None:
+        """The descriptor while the port is open."""
+        return self._fd if self._fd >= 0 else None
+
+    def read_now(self) -> bytes:
+        """Drain the line."""
+        octets = b""
+        while True:
+            try:
+                chunk = self._read(CHUNK)
+            except OSError:  # nothing there; a loss shows itself to the reader in the loop
+                return octets
+            octets += chunk
+            if len(chunk) < CHUNK:
+                return octets
+
+    def write(self, octets: bytes) -> bool:
+        """Write at once or drop."""
+        try:
+            done = self._send(octets)
+        except BlockingIOError:
+            done = 0
+        except OSError as exc:
+            self._lose_soon(reason_of(exc))
+            done = 0
+        if done == len(octets):
+            return True
+        self.dropped += 1
+        return False
+
+    def close(self) -> None:
+        """Detach and close the descriptor."""
+        self.detach()
+        fd, self._fd = self._fd, -1
+        self._read, self._send = _read_nothing, _write_nothing
+        if fd >= 0:
+            self._close_fd(fd)
+
+    def _use(self, fd: int) -> None:
+        """Take over an open, non-blocking descriptor."""
+        self._fd = fd
+        self._read, self._send = partial(os.read, fd), partial(os.write, fd)
+
+    def _close_fd(self, fd: int) -> None:
+        os.close(fd)
+
+    def _start(self, loop: asyncio.AbstractEventLoop) -> None:
+        if self._fd >= 0:
+            loop.add_reader(self._fd, self._readable)
+
+    def _stop(self, loop: asyncio.AbstractEventLoop) -> None:
+        if self._fd >= 0:
+            loop.remove_reader(self._fd)
+
+    def _readable(self) -> None:
+        try:
+            chunk = self._read(CHUNK)
+        except BlockingIOError:
+            return
+        except OSError as exc:
+            self._hung_up(reason_of(exc))
+            return
+        if not chunk:
+            self._hung_up("the other end hung up")
+        elif self._on_data is not None:
+            self._on_data(chunk)
+
+    def _hung_up(self, reason: str) -> None:
+        self._lose(reason)
+
+
+def reason_of(exc: OSError) -> str:
+    """An error of the system in its own words."""
+    return exc.strerror or str(exc) or type(exc).__name__

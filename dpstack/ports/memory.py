@@ -1,0 +1,100 @@
+"""Two ports joined in memory, in one event loop: for tests and for programs that are both ends themselves."""
+
+from __future__ import annotations
+
+import asyncio
+
+from dpstack.errors import PortError
+from dpstack.ports.base import Port
+
+#: As much as a pty holds before it takes no more.
+CAPACITY = 22_000
+
+
+class MemoryPort(Port):
+    """One end; make both with :func:`memory_pair`. Octets for an end that is not open vanish, as on a wire."""
+
+    def __init__(self, name: str, baud: int) -> None:
+        super().__init__(name, baud, paced=False)
+        self._peer: MemoryPort | None = None
+        self._inbox = bytearray()
+        self._is_open = False
+        self._handle: asyncio.Handle | None = None
+        self._unplugged = ""
+
+    async def open(self) -> None:
+        """Open, empty. Raises PortError while unplugged."""
+        if self._unplugged:
+            raise PortError(f"{self.name}: {self._unplugged}")
+        self._inbox.clear()
+        self._is_open = True
+
+    def line_baud(self) -> int | None:
+        """The rate of the other end while it is open."""
+        return self._peer.baud if self._peer is not None and self._peer._is_open else None
+
+    def read_now(self) -> bytes:
+        """Drain."""
+        octets = bytes(self._inbox)
+        self._inbox.clear()
+        return octets
+
+    def write(self, octets: bytes) -> bool:
+        """Hand over to the other end, which is called at the loop's next turn."""
+        if not self._is_open or self._peer is None:
+            self.dropped += 1
+            return False
+        if not self._peer._is_open:
+            return True
+        if self._peer._take(octets):
+            return True
+        self.dropped += 1
+        return False
+
+    def close(self) -> None:
+        """Detach; what is unread is gone."""
+        self.detach()
+        self._is_open = False
+        self._inbox.clear()
+
+    def unplug(self, reason: str = "unplugged") -> None:
+        """Vanish as an adapter that is pulled out; until :meth:`plug` it cannot be opened."""
+        self._unplugged = reason
+        self._is_open = False
+        self._lose_soon(reason)
+
+    def plug(self) -> None:
+        """Be there again."""
+        self._unplugged = ""
+
+    def _take(self, octets: bytes) -> bool:
+        if len(self._inbox) + len(octets) > CAPACITY:
+            return False
+        self._inbox += octets
+        self._wake()
+        return True
+
+    def _wake(self) -> None:
+        if self._handle is None and self._loop is not None:
+            self._handle = self._loop.call_soon(self._hand_over)
+
+    def _hand_over(self) -> None:
+        self._handle = None
+        if self._inbox and self._on_data is not None:
+            self._on_data(self.read_now())
+
+    def _start(self, loop: asyncio.AbstractEventLoop) -> None:
+        if self._inbox:
+            self._handle = loop.call_soon(self._hand_over)
+
+    def _stop(self, loop: asyncio.AbstractEventLoop) -> None:
+        if self._handle is not None:
+            self._handle.cancel()
+            self._handle = None
+
+
+def memory_pair(baud: int, *, names: tuple[str, str] = ("memory:a", "memory:b")) -> tuple[MemoryPort, MemoryPort]:
+    """Two ends of one line at ``baud`` bit/s."""
+    one, other = MemoryPort(names[0], baud), MemoryPort(names[1], baud)
+    one._peer, other._peer = other, one
+    return one, other

@@ -1,0 +1,141 @@
+"""``rfc2217://host:port``: a serial port of another machine, its rate and parity set over the network.
+
+pyserial does the Telnet side, in a thread of its own and without a descriptor, so neither pyserial-asyncio nor a
+selector can wait for it. A second thread here waits and hands over to the loop: about 0.1 ms later than a socket.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import select
+import threading
+import warnings
+from typing import Any, Final
+
+import serial
+
+from dpstack.errors import BaudError, PortError
+from dpstack.ports.base import Delivery, Port, host_and_port
+from dpstack.units import baud_text
+
+_READ_S: Final = 0.2  # how long the reader takes to notice that it shall end
+
+
+class Rfc2217Port(Port):
+    """A serial port served by an RFC 2217 server (``pyserial``'s examples, ser2net, terminal servers)."""
+
+    delivery = Delivery.ADAPTER
+
+    def __init__(self, name: str, baud: int, *, paced: bool = True) -> None:
+        super().__init__(name, baud, paced=paced)
+        host_and_port(name, "rfc2217")
+        self._serial: Any = None
+        self._lock = threading.Lock()
+        self._inbox = bytearray()
+        self._failure = ""
+
+    async def open(self) -> None:
+        """Connect and negotiate 8E1, in a thread since pyserial waits up to 5 s. Raises PortError, BaudError."""
+        self.close()
+        opening = asyncio.ensure_future(asyncio.to_thread(self._open_serial))
+        try:
+            port = await asyncio.shield(opening)
+        except asyncio.CancelledError:
+            opening.add_done_callback(_close_late)
+            raise
+        self._serial = port
+        self._failure = ""
+        self._inbox.clear()
+        threading.Thread(target=self._receive, args=(port,), name=f"reader of {self.name}", daemon=True).start()
+
+    def read_now(self) -> bytes:
+        """Drain."""
+        with self._lock:
+            octets = bytes(self._inbox)
+            self._inbox.clear()
+        return octets
+
+    def write(self, octets: bytes) -> bool:
+        """Write when the connection takes it at once, else drop."""
+        port = self._serial
+        if port is not None:
+            try:
+                # pyserial has no time-out for writing here: ask before. A socket that is ready takes a telegram whole.
+                if select.select((), (port._socket,), (), 0)[1]:
+                    port.write(octets)
+                    return True
+            except (OSError, ValueError) as exc:
+                self._lose_soon(str(exc))
+        self.dropped += 1
+        return False
+
+    def close(self) -> None:
+        """Detach and hang up (in a thread: pyserial sleeps 0.3 s over it)."""
+        self.detach()
+        port, self._serial = self._serial, None
+        if port is not None:
+            threading.Thread(target=_hang_up, args=(port,), name=f"closing {self.name}", daemon=True).start()
+
+    def _open_serial(self) -> Any:
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", DeprecationWarning)  # pyserial 3.5 starts its thread the old way
+                return serial.serial_for_url(self.name, baudrate=self.baud, parity=serial.PARITY_EVEN, timeout=_READ_S)
+        except (OSError, ValueError) as exc:
+            text = str(exc)
+            if "parameter change" in text or "baudrate" in text:
+                raise BaudError(
+                    f"{self.name} refuses {baud_text(self.baud)} 8E1 ({text}): choose another rate or adapter"
+                ) from None
+            raise PortError(f"{self.name}: {text}; is the server running, and does it speak RFC 2217?") from None
+
+    def _receive(self, port: Any) -> None:
+        """The reader thread's life: until the port is closed or fails."""
+        while self._serial is port:
+            try:
+                chunk = port.read(1)
+                if chunk:
+                    chunk += port.read(port.in_waiting)
+            except Exception as exc:  # whatever a dying connection raises in pyserial
+                if self._serial is port:
+                    self._failure = str(exc) or type(exc).__name__
+                    self._tell(self._fail)
+                return
+            if chunk and self._serial is port:
+                with self._lock:
+                    self._inbox += chunk
+                self._tell(self._hand_over)
+
+    def _tell(self, callback: Any) -> None:
+        loop = self._loop
+        if loop is not None:
+            with contextlib.suppress(RuntimeError):  # the loop was closed meanwhile
+                loop.call_soon_threadsafe(callback)
+
+    def _hand_over(self) -> None:
+        if self._on_data is not None and self._inbox:
+            self._on_data(self.read_now())
+
+    def _fail(self) -> None:
+        self._lose(self._failure)
+
+    def _start(self, loop: asyncio.AbstractEventLoop) -> None:
+        loop.call_soon(self._fail if self._failure else self._hand_over)
+
+    def _stop(self, loop: asyncio.AbstractEventLoop) -> None:
+        """Nothing is registered: the reader thread finds no loop."""
+
+
+def _hang_up(port: Any) -> None:
+    """Close; where the far end hung up first, pyserial fails half way and leaves its socket open."""
+    connection = port._socket
+    port.close()
+    if connection is not None:
+        connection.close()
+
+
+def _close_late(opening: asyncio.Future[Any]) -> None:
+    """A connection that came about after nobody wanted it any more."""
+    if not opening.cancelled() and opening.exception() is None:
+        threading.Thread(target=_hang_up, args=(opening.result(),), daemon=True).start()

@@ -1,0 +1,61 @@
+"""A Linux timerfd: a deadline on CLOCK_MONOTONIC in nanoseconds that an event loop waits for like for a port.
+
+``os.timerfd_*`` came with Python 3.13; before, ctypes calls the C library without giving the interpreter up (the calls
+never wait, and with a busy application thread getting it back would take milliseconds). Measured: a loop's ``call_at``
+on epoll is 0.75 ms late, a timerfd 0.04 ms; PR_SET_TIMERSLACK changes nothing for it, so the process's is left alone.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import sys
+from typing import Final
+
+from dpstack.units import NS_PER_S
+
+AVAILABLE: Final = sys.platform == "linux"
+
+_CLOCK_MONOTONIC: Final = 1
+_TFD_NONBLOCK: Final = 0o4000
+_TFD_CLOEXEC: Final = 0o2000000
+_TFD_TIMER_ABSTIME: Final = 1
+
+
+class Timerfd:
+    """One deadline; ``fd`` becomes readable when it is reached."""
+
+    __slots__ = ("_lib", "_reference", "_spec", "fd")
+
+    def __init__(self) -> None:
+        self._lib = ctypes.PyDLL(None, use_errno=True)
+        self._spec = (ctypes.c_long * 4)()  # struct itimerspec: interval s, ns; value s, ns
+        self._reference = ctypes.byref(self._spec)
+        if sys.version_info >= (3, 13):
+            self.fd = os.timerfd_create(_CLOCK_MONOTONIC, flags=os.TFD_NONBLOCK | os.TFD_CLOEXEC)
+            return
+        self.fd = int(self._lib.timerfd_create(_CLOCK_MONOTONIC, _TFD_NONBLOCK | _TFD_CLOEXEC))
+        if self.fd < 0:
+            raise OSError(ctypes.get_errno(), "timerfd_create: " + os.strerror(ctypes.get_errno()))
+
+    def set(self, at: int) -> None:
+        """Wait for ``at`` (CLOCK_MONOTONIC, ns; one in the past is reached at once)."""
+        if at <= 0:
+            at = 1  # 0 would disarm it
+        if sys.version_info >= (3, 13):
+            os.timerfd_settime_ns(self.fd, flags=os.TFD_TIMER_ABSTIME, initial=at)
+            return
+        self._spec[2], self._spec[3] = divmod(at, NS_PER_S)
+        self._lib.timerfd_settime(self.fd, _TFD_TIMER_ABSTIME, self._reference, None)
+
+    def clear(self) -> None:
+        """Take the deadline that was reached off; call it when ``fd`` is readable."""
+        with contextlib.suppress(BlockingIOError):
+            os.read(self.fd, 8)
+
+    def close(self) -> None:
+        """Give the descriptor back; may be called again."""
+        fd, self.fd = self.fd, -1
+        if fd >= 0:
+            os.close(fd)

@@ -1,0 +1,73 @@
+"""What a drive plugin is written against: declared words, states and parameters, the two ends, the registry."""
+
+from dpstack.dp.device import Device, Leave
+from dpstack.dp.image import CyclicUnit
+from dpstack.errors import ConfigError
+from dpstack.profile import drivecom, profidrive
+from dpstack.profile.access import ParamAccess, ParamRef
+from dpstack.profile.core import OPS, DriveCore
+from dpstack.profile.device import DriveDevice
+from dpstack.profile.drive import DriveProfile, OptionSpec, TelegramSpec
+from dpstack.profile.jobs import CommandError, Steps
+from dpstack.profile.motion import settled
+from dpstack.profile.motor import Motor
+from dpstack.profile.params import ParamSpec, ParamTable
+from dpstack.profile.pkw import Order, Pkw, PkwClient, PkwDialect, PkwServer, Reply
+from dpstack.profile.registry import broken, find, known, refresh
+from dpstack.profile.states import FAULTED, MOVING, ControlTable, Goal, State, StateRow, StateTable
+from dpstack.profile.status import DriveStatus
+from dpstack.profile.store import ParamStore
+from dpstack.profile.words import SPEED, Scale, Word, signed16
+from dpstack.units import NEVER, NS_PER_MS, NS_PER_S, NS_PER_US, ns_to_s, s_to_ns
+
+__all__ = [
+    "FAULTED",
+    "MOVING",
+    "NEVER",
+    "NS_PER_MS",
+    "NS_PER_S",
+    "NS_PER_US",
+    "OPS",
+    "SPEED",
+    "CommandError",
+    "ConfigError",
+    "ControlTable",
+    "CyclicUnit",
+    "Device",
+    "DriveCore",
+    "DriveDevice",
+    "DriveProfile",
+    "DriveStatus",
+    "Goal",
+    "Leave",
+    "Motor",
+    "OptionSpec",
+    "Order",
+    "ParamAccess",
+    "ParamRef",
+    "ParamSpec",
+    "ParamStore",
+    "ParamTable",
+    "Pkw",
+    "PkwClient",
+    "PkwDialect",
+    "PkwServer",
+    "Reply",
+    "Scale",
+    "State",
+    "StateRow",
+    "StateTable",
+    "Steps",
+    "TelegramSpec",
+    "Word",
+    "broken",
+    "drivecom",
+    "find",
+    "known",
+    "ns_to_s",
+    "profidrive",
+    "refresh",
+    "s_to_ns",
+    "settled",
+    "signed16",
+]

@@ -1,0 +1,153 @@
+"""The common part of a simulated drive: a DP device with an internal scan, a motor and a parameter channel.
+
+The drive looks at its outputs and refreshes its inputs once in ``scan_ns`` of the bus's clock, on a grid that begins
+when it is switched on (first seen). What happens between two exchanges is caught up at the next one, so results do
+not depend on how often it is asked.
+"""
+
+from __future__ import annotations
+
+import struct
+
+from dpstack.dp.device import Device, Leave
+from dpstack.profile.drive import DriveProfile, TelegramSpec
+from dpstack.profile.motor import Motor
+from dpstack.profile.pkw import PKW_LEN, ZEROS, PkwServer
+
+#: scans that are caught up one by one; of a longer silence the first part is skipped
+_MOST_SCANS = 20_000
+
+
+class DriveDevice(Device):
+    """Subclass it: :meth:`scan` and :meth:`master_lost`. ``telegram`` is the one in use, at first the drive's own.
+
+    Faults and conditions from outside: :meth:`trip`, :meth:`warn`, :meth:`set_load`, :meth:`release`; they take
+    effect at the next scan.
+    """
+
+    def __init__(self, profile: DriveProfile, telegram: TelegramSpec, motor: Motor) -> None:
+        self.profile = profile
+        self.ident = profile.ident
+        self.name = profile.name
+        self.fail_safe = profile.fail_safe
+        configs = [telegram.config, *(spec.config for spec in profile.telegrams.values())]
+        self.configs = tuple(dict.fromkeys(configs))
+        self.telegram = telegram
+        self.motor = motor
+        self.pkw: PkwServer | None = None
+        self.warning_mask = 0
+        self.released = True
+        self._by_config = {spec.config: spec for spec in profile.telegrams.values()}
+        self._outputs: bytes | None = None
+        self._inputs = b""
+        self._next: int | None = None
+        self._trip: int | None = None
+
+    # -- what happens to it from outside --------------------------------------------------------------------------
+
+    def trip(self, code: str) -> None:
+        """A fault by its code or name. Raises ValueError naming what the drive knows."""
+        self._trip = self.fault_code(code)
+
+    def warn(self, mask: int) -> None:
+        """Set the warning word; 0 clears it."""
+        self.warning_mask = mask & 0xFFFF
+
+    def set_load(self, load: float) -> None:
+        """Load torque of the rated torque, against the motion."""
+        self.motor.load = load
+
+    def release(self, on: bool) -> None:
+        """The hardware release inputs."""
+        self.released = on
+
+    # -- Device ---------------------------------------------------------------------------------------------------
+
+    def check_prm(self, user_prm: bytes) -> str | None:
+        """Any octets of the length the drive's GSD gives, and zeros behind them."""
+        length = len(self.profile.user_prm)
+        if len(user_prm) < length:
+            return f"{len(user_prm)} octets of user parameters, {length} are needed"
+        if any(user_prm[length:]):
+            return f"user parameters after octet {length} must be 0"
+        return None
+
+    def enter(self, config: bytes, now: int) -> None:
+        """Data exchange begins; the telegram follows from the identifier octets."""
+        self._advance(now)
+        self.telegram = self._by_config[config]
+        self._outputs = None
+        if self.pkw is not None:
+            self.pkw.reset()
+        self._next = now + self.scan_ns
+        self.motor.advance(now)
+        self._refresh(now)
+
+    def exchange(self, outputs: bytes, now: int) -> bytes:
+        """Take ``outputs`` for the next scan, return the inputs of the last one."""
+        self._advance(now)
+        self._outputs = outputs if len(outputs) == self.telegram.octets else None
+        return self._inputs
+
+    def clear(self, now: int) -> None:
+        """Outputs are void until they come again."""
+        self._advance(now)
+        self._outputs = None
+
+    def leave(self, reason: Leave, now: int) -> None:
+        """Data exchange ended."""
+        self._advance(now)
+        self._outputs = None
+        self.master_lost(reason, now)
+
+    # -- what a drive adds ----------------------------------------------------------------------------------------
+
+    @property
+    def scan_ns(self) -> int:
+        """The internal scan time with the telegram in use."""
+        return 4_000_000
+
+    def fault_code(self, code: str) -> int:
+        """The number of a fault from its code or name. Raises ValueError."""
+        raise ValueError(f"{self.name} knows no fault {code!r}")
+
+    def scan(self, words: tuple[int, ...] | None, now: int) -> tuple[int, ...]:
+        """One internal scan: process data from the master (None: void) -> process data to it."""
+        raise NotImplementedError
+
+    def master_lost(self, reason: Leave, now: int) -> None:
+        """React to the end of data exchange."""
+
+    def take_trip(self) -> int | None:
+        """The trip that came since the last scan."""
+        trip, self._trip = self._trip, None
+        return trip
+
+    # -- inside ---------------------------------------------------------------------------------------------------
+
+    def _advance(self, now: int) -> None:
+        scan_ns = self.scan_ns
+        at = self._next
+        if at is None:  # switched on
+            self._next = now + scan_ns
+            self.motor.advance(now)
+            return
+        behind = (now - at) // scan_ns - _MOST_SCANS
+        if behind > 0:
+            at += behind * scan_ns
+        while at <= now:
+            self.motor.advance(at)
+            self._refresh(at)
+            at += scan_ns
+        self._next = at
+
+    def _refresh(self, now: int) -> None:
+        telegram = self.telegram
+        outputs = self._outputs
+        reply = b""
+        if telegram.pkw and self.pkw is not None:
+            reply = self.pkw.step(ZEROS if outputs is None else outputs[:PKW_LEN])
+        offset = PKW_LEN if telegram.pkw else 0
+        layout = struct.Struct(f">{telegram.words}H")
+        words = None if outputs is None else layout.unpack_from(outputs, offset)
+        self._inputs = reply + layout.pack(*self.scan(words, now))

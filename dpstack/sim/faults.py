@@ -1,0 +1,134 @@
+"""Faults on the medium, all from one seed: bit noise, and what happens to chosen transmissions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import log1p
+from random import Random
+from typing import TYPE_CHECKING, Final
+
+from dpstack.errors import ConfigError
+from dpstack.units import BITS_PER_CHAR
+
+if TYPE_CHECKING:
+    from dpstack.sim.medium import Transmission
+
+#: Chooses transmissions by sender, octets or telegram.
+Which = Callable[["Transmission"], bool]
+
+_DATA_BIT_0: Final = 0x002
+
+
+@dataclass(slots=True)
+class _Order:
+    """What to do with the next ``left`` transmissions that ``which`` chooses; None = all of them."""
+
+    which: Which
+    act: Callable[[Transmission], None]
+    left: int | None
+
+
+class Faults:
+    """The faults of one world. ``armed`` is False while there are none, so that a sound bus costs nothing."""
+
+    def __init__(self, seed: int) -> None:
+        self.armed = False
+        self._rng = Random(seed)
+        self._orders: list[_Order] = []
+        self._per_bit = 0.0
+        self._sound_bits = 0  # until the next error
+
+    # --- what can be ordered ---
+    def noise(self, per_bit: float) -> None:
+        """From now on each bit on the wire is inverted with the probability ``per_bit`` (0..0.5); 0 ends it."""
+        if not 0.0 <= per_bit <= 0.5:
+            raise ConfigError(f"noise of {per_bit} per bit: give a probability from 0 to 0.5")
+        self._per_bit = per_bit
+        if per_bit:
+            self._sound_bits = self._draw()
+        self._rearm()
+
+    def drop(self, which: Which, *, times: int | None = 1) -> None:
+        """Nobody hears the next ``times`` transmissions that ``which`` chooses (None = all); the sender believes so."""
+        self._order(which, _lose, times)
+
+    def damage(
+        self, which: Which, *, octet: int | None = None, flips: int = _DATA_BIT_0, times: int | None = 1
+    ) -> None:
+        """Invert the bits ``flips`` of one octet (its number, from the end when negative; None = one by chance).
+
+        ``flips``: bit 0 start, 1..8 data, 9 parity, 10 stop. One inverted bit drops the octet, two data bits change it.
+        """
+        if not 0 < flips < 1 << BITS_PER_CHAR:
+            raise ConfigError(
+                f"flips = {flips:#x}: a character has {BITS_PER_CHAR} bits, at least one must be inverted"
+            )
+
+        def act(tx: Transmission) -> None:
+            size = len(tx.octets)
+            number = self._rng.randrange(size) if octet is None else octet % size
+            tx.flips[number] = tx.flips.get(number, 0) ^ flips
+
+        self._order(which, act, times)
+
+    def delay(self, which: Which, by_ns: int, *, times: int | None = 1) -> None:
+        """The transmission begins ``by_ns`` later than its station wanted."""
+        if by_ns < 0:
+            raise ConfigError(f"a delay of {by_ns} ns: nothing can be sent before its time")
+
+        def act(tx: Transmission) -> None:
+            tx.start_ns += by_ns
+            tx.end_ns += by_ns
+            tx.forced = True
+            tx.notes.append("delayed")
+
+        self._order(which, act, times)
+
+    def clear(self) -> None:
+        """No faults any more."""
+        self._orders.clear()
+        self._per_bit = 0.0
+        self._rearm()
+
+    # --- what the medium asks ---
+    def judge(self, tx: Transmission) -> None:
+        """Mark what happens to ``tx``: ``lost``, ``flips``, a later start."""
+        for order in list(self._orders):
+            if not order.which(tx):
+                continue
+            order.act(tx)
+            if order.left is not None:
+                order.left -= 1
+                if not order.left:
+                    self._orders.remove(order)
+                    self._rearm()
+        if self._per_bit:
+            self._disturb(tx)
+
+    def _order(self, which: Which, act: Callable[[Transmission], None], times: int | None) -> None:
+        if times is not None and times < 1:
+            raise ConfigError(f"times = {times}: give 1 or more, or None for all")
+        self._orders.append(_Order(which, act, times))
+        self._rearm()
+
+    def _disturb(self, tx: Transmission) -> None:
+        bits = len(tx.octets) * BITS_PER_CHAR
+        at = self._sound_bits
+        while at < bits:
+            number, bit = divmod(at, BITS_PER_CHAR)
+            tx.flips[number] = tx.flips.get(number, 0) ^ 1 << bit
+            at += 1 + self._draw()
+        self._sound_bits = at - bits
+
+    def _draw(self) -> int:
+        """Bits without error before the next one: geometric, so that sound telegrams cost one comparison."""
+        return int(log1p(-self._rng.random()) / log1p(-self._per_bit))
+
+    def _rearm(self) -> None:
+        self.armed = bool(self._orders) or self._per_bit > 0.0
+
+
+def _lose(tx: Transmission) -> None:
+    tx.lost = True
+    tx.notes.append("dropped")

@@ -1,0 +1,348 @@
+"""The shared medium: who sends when, and who hears what of it.
+
+A telegram that reaches everybody intact is decoded once and handed over whole when its last bit is on the line. Octets
+go one by one where receivers differ from that: noise, a collision, another baud rate, octets that are no telegram,
+a sender that is cut off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from random import Random
+from typing import Any, Final, Protocol
+
+from dpstack.fdl.codec import decode
+from dpstack.fdl.telegram import Telegram
+from dpstack.params import BROADCAST
+from dpstack.sim import uart
+from dpstack.sim.faults import Faults
+from dpstack.sim.nodes import Node, Nodes
+from dpstack.trace import WireEntry, WireLog
+from dpstack.units import chars_to_ns
+
+# Order of what falls on the same nanosecond: octets, orders from outside, timers, start edges. A start edge cannot
+# hold back a station whose timer ends at the same instant: both send.
+OCTETS: Final = 0 << 60
+ORDERS: Final = 1 << 60
+TIMERS: Final = 2 << 60
+EDGES: Final = 3 << 60
+
+_LENGTHS: Final = 256
+
+
+class Transmission:
+    """Octets of one sender on the wire, without gaps. ``telegram`` is None when they are not exactly one.
+
+    ``forced``: by an order from outside (injected, delayed), so not a station's doing. ``flips``: inverted bits
+    by octet number (see :mod:`dpstack.sim.uart`). ``lost``: not on the wire at all. ``whole``: intact so far for
+    everybody at its rate.
+    """
+
+    __slots__ = (
+        "baud",
+        "collided",
+        "cut",
+        "end_ns",
+        "flips",
+        "forced",
+        "lost",
+        "node",
+        "notes",
+        "octets",
+        "sender",
+        "start_ns",
+        "telegram",
+        "whole",
+    )
+
+    def __init__(self, node: Node | None, sender: str, octets: bytes, baud: int, start_ns: int, end_ns: int) -> None:
+        self.node = node
+        self.sender = sender
+        self.octets = octets
+        self.baud = baud
+        self.start_ns = start_ns
+        self.end_ns = end_ns
+        self.telegram: Telegram | None = decode(octets)
+        self.flips: dict[int, int] = {}
+        self.notes: list[str] = []
+        self.forced = node is None
+        self.whole = self.lost = self.collided = self.cut = False
+
+
+class Watcher(Protocol):
+    """Who judges what is on the wire."""
+
+    def heard(self, tx: Transmission) -> None:
+        """``tx`` is over (whole, damaged, cut off or collided); the watcher may add to its notes."""
+
+    def collision(self, late: Transmission, early: Transmission) -> None:
+        """``late`` began while ``early`` was on the wire."""
+
+
+class Scheduler(Protocol):
+    """What the medium needs of the world."""
+
+    def schedule(self, at: int, order: int, call: Callable[[Any], None], argument: object) -> None:
+        """Call ``call(argument)`` at ``at``."""
+
+    def settle(self, node: Node, chunk: bytes) -> None:
+        """Pump the station and heed its new deadline."""
+
+    def rearm(self, node: Node) -> None:
+        """Heed the station's new deadline."""
+
+
+class _Stream:
+    """Octets on their way one by one to the stations at ``rate``."""
+
+    __slots__ = ("heard", "index", "rate", "tx")
+
+    def __init__(self, tx: Transmission, rate: int, heard: list[uart.Heard]) -> None:
+        self.tx = tx
+        self.rate = rate
+        self.heard = heard
+        self.index = 0
+
+
+class _Jam:
+    """A collision: one garbled character after another until the last of those who take part has ended."""
+
+    __slots__ = ("baud", "count", "start_ns", "until_ns")
+
+    def __init__(self, baud: int, start_ns: int, until_ns: int) -> None:
+        self.baud = baud
+        self.start_ns = start_ns
+        self.until_ns = until_ns
+        self.count = 0
+
+    def end_of(self, count: int) -> int:
+        return self.start_ns + chars_to_ns(count, self.baud)
+
+
+class Medium:
+    """One line. ``transmissions`` counts what was begun on it, ``baud`` is the rate of the last one."""
+
+    __slots__ = (
+        "_current",
+        "_durations",
+        "_faults",
+        "_jam",
+        "_log",
+        "_nodes",
+        "_rng",
+        "_scheduler",
+        "_watcher",
+        "baud",
+        "starting",
+        "transmissions",
+    )
+
+    def __init__(
+        self, scheduler: Scheduler, nodes: Nodes, log: WireLog, faults: Faults, watcher: Watcher | None, seed: int
+    ) -> None:
+        self.transmissions = 0
+        self.baud = 0
+        #: begun, but nobody has been told of the start edge yet
+        self.starting: list[Transmission] = []
+        self._scheduler = scheduler
+        self._nodes = nodes
+        self._log = log
+        self._faults = faults
+        self._watcher = watcher
+        self._rng = Random(seed)
+        self._durations: dict[int, list[int]] = {}
+        self._current: Transmission | None = None  # of those on the wire the one that ends last
+        self._jam: _Jam | None = None
+
+    # --- sending ---
+    def transmit(self, node: Node, octets: bytes, now: int) -> int:
+        """``node`` puts ``octets`` on the line at ``now``; returns when the last bit is over."""
+        if node.sending_until > now:
+            raise RuntimeError(f"station {node.name} sends {octets.hex(' ')} while it is still sending")
+        baud = node.baud
+        tx = Transmission(node, node.name, octets, baud, now, now + self.duration(len(octets), baud))
+        if self._faults.armed:
+            self._faults.judge(tx)
+        if node.mute_until > now:
+            tx.lost = True
+            tx.notes.append("silenced")
+        end = node.sending_until = tx.end_ns
+        if end > node.hears_from:
+            node.hears_from = end
+        self._put(tx, now)
+        return end
+
+    def inject(self, octets: bytes, baud: int, now: int, sender: str) -> None:
+        """Octets of nobody on the bus begin at ``now``."""
+        tx = Transmission(None, sender, octets, baud, now, now + self.duration(len(octets), baud))
+        if self._faults.armed:
+            self._faults.judge(tx)
+        self._put(tx, now)
+
+    def cut(self, node: Node, now: int) -> None:
+        """``node`` is gone: what it was sending ends here, an unfinished octet is nothing."""
+        tx = self._current
+        if tx is None or tx.node is not node or tx.end_ns <= now:
+            return
+        sent = tx.octets[: uart.complete(now - tx.start_ns, tx.baud, len(tx.octets))]
+        tx.notes.append(f"cut off after {len(sent)} of {len(tx.octets)} octets")
+        whole, tx.whole = tx.whole, False
+        tx.octets = sent
+        tx.telegram = None
+        tx.end_ns = now
+        self._over(tx)
+        tx.cut = True
+        self._current = None
+        if whole and sent:
+            self._hand_octets(sent, tx.baud, tx.start_ns)
+
+    def duration(self, size: int, baud: int) -> int:
+        """The time of ``size`` octets on the wire in ns."""
+        table = self._durations.get(baud)
+        if table is None:
+            table = self._durations[baud] = [chars_to_ns(n, baud) for n in range(_LENGTHS)]
+        return table[size] if size < _LENGTHS else chars_to_ns(size, baud)
+
+    def edge(self, tx: Transmission) -> None:
+        """Tell of the start edge of ``tx``."""
+        if tx.cut:
+            return
+        now = tx.start_ns
+        rearm = self._scheduler.rearm
+        for node in self._nodes.listeners:
+            if node.hears_from <= now:
+                node.station.activity(now)
+                rearm(node)
+        if tx.telegram is not None:
+            for node in self._nodes.by_address.get(tx.telegram.da, ()):
+                if node.hears_from <= now and node.baud == tx.baud:
+                    node.station.activity(now)
+                    rearm(node)
+
+    # --- the line ---
+    def _put(self, tx: Transmission, now: int) -> None:
+        if tx.lost:
+            self._scheduler.schedule(tx.end_ns, OCTETS, self._over, tx)
+        elif tx.start_ns > now:
+            self._scheduler.schedule(tx.start_ns, TIMERS, self._begin_late, tx)
+        else:
+            self._begin(tx)
+
+    def _begin_late(self, tx: Transmission) -> None:
+        if tx.node is None or tx.node.on_bus:
+            self._begin(tx)
+
+    def _begin(self, tx: Transmission) -> None:
+        self.transmissions += 1
+        baud = self.baud = tx.baud
+        self._scheduler.schedule(tx.end_ns, OCTETS, self._over, tx)
+        self.starting.append(tx)
+        before = self._current
+        if before is not None and before.end_ns > tx.start_ns:
+            self._collide(tx, before)
+            if tx.end_ns > before.end_ns:
+                self._current = tx
+            return
+        self._current = tx
+        if tx.flips:
+            tx.notes.append("damaged")
+            self._flow(_Stream(tx, baud, uart.receive(tx.octets, baud, tx.flips)))
+        elif tx.telegram is None:
+            self._flow(_Stream(tx, baud, uart.receive(tx.octets, baud, tx.flips)))
+        else:
+            tx.whole = True
+        rates = self._nodes.by_rate
+        if len(rates) > 1 or baud not in rates:
+            for rate in rates:
+                if rate != baud:
+                    self._flow(_Stream(tx, rate, uart.sample(tx.octets, baud, rate, self._rng)))
+
+    def _over(self, tx: Transmission) -> None:
+        """The last bit of ``tx`` is on the line."""
+        if tx.cut:
+            return
+        if self._watcher is not None and not tx.lost:
+            self._watcher.heard(tx)
+        self._log.add(WireEntry(tx.start_ns, tx.end_ns, tx.octets, tx.sender, "; ".join(tx.notes) if tx.notes else ""))
+        if tx.whole:
+            self._hand_telegram(tx)
+
+    def _hand_telegram(self, tx: Transmission) -> None:
+        telegram = tx.telegram
+        assert telegram is not None
+        start = tx.start_ns
+        end = tx.end_ns
+        baud = tx.baud
+        nodes = self._nodes
+        da = telegram.da
+        others = nodes.by_rate.get(baud, []) if da == BROADCAST else nodes.by_address.get(da, [])
+        heard = [n for n in nodes.listeners if n.hears_from <= start and n.baud == baud]
+        # the sender hears from its own end on; listeners have it already
+        heard += [n for n in others if n.hears_from <= start and n.baud == baud and not n.hears_all]
+        for node in heard:
+            node.station.telegram(telegram, end)
+        settle = self._scheduler.settle
+        for node in heard:
+            settle(node, b"")
+
+    def _hand_octets(self, octets: bytes, rate: int, since: int) -> None:
+        settle = self._scheduler.settle
+        for node in self._nodes.by_rate.get(rate, ()):
+            if node.hears_from <= since and node.on_bus:
+                settle(node, octets)
+
+    # --- octet by octet ---
+    def _flow(self, stream: _Stream) -> None:
+        if stream.heard:
+            self._scheduler.schedule(stream.tx.start_ns + stream.heard[0][0], OCTETS, self._octet, stream)
+
+    def _octet(self, stream: _Stream) -> None:
+        tx = stream.tx
+        if tx.collided or tx.cut:
+            return
+        octet = stream.heard[stream.index][1]
+        stream.index += 1
+        if stream.index < len(stream.heard):
+            at = tx.start_ns + stream.heard[stream.index][0]
+            self._scheduler.schedule(at, OCTETS, self._octet, stream)
+        self._hand_octets(bytes((octet,)), stream.rate, tx.start_ns)
+
+    def _collide(self, late: Transmission, early: Transmission) -> None:
+        """Both are garbled from here to the end of the longer one."""
+        now = late.start_ns
+        if self._watcher is not None:
+            self._watcher.collision(late, early)
+        if not early.collided:
+            early.collided = True
+            early.notes.append("collision")
+            if early.whole:
+                early.whole = False
+                self._scheduler.schedule(now, OCTETS, self._first_part, (early, now))
+        late.collided = True
+        late.notes.append("collision")
+        until = max(early.end_ns, late.end_ns)
+        jam = self._jam
+        if jam is not None and jam.until_ns > now:
+            jam.until_ns = max(until, jam.until_ns)
+            return
+        self._jam = jam = _Jam(late.baud, now, until)
+        self._scheduler.schedule(jam.end_of(1), OCTETS, self._jammed, jam)
+
+    def _first_part(self, collision: tuple[Transmission, int]) -> None:
+        """What was on the line of a telegram before another one fell into it."""
+        tx, at = collision
+        sent = uart.complete(at - tx.start_ns, tx.baud, len(tx.octets))
+        if sent:
+            self._hand_octets(tx.octets[:sent], tx.baud, tx.start_ns)
+
+    def _jammed(self, jam: _Jam) -> None:
+        since = jam.end_of(jam.count)
+        jam.count += 1
+        if jam.end_of(jam.count + 1) <= jam.until_ns:
+            self._scheduler.schedule(jam.end_of(jam.count + 1), OCTETS, self._jammed, jam)
+        octet = uart.garbled(self._rng)
+        if octet is None:
+            return
+        for node in self._nodes:
+            if node.hears_from <= since and node.on_bus:
+                self._scheduler.settle(node, bytes((octet,)))

@@ -1,0 +1,121 @@
+"""The stations on the medium and how they are found: by address, by rate, and those who hear everything.
+
+Looking up a receiver must not cost more the more slaves there are. Lists are replaced, never changed, so that whoever
+goes through one is not disturbed when a station comes or goes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from dpstack.fdl.station import BusStation
+from dpstack.machine import Transmit
+from dpstack.trace import Event
+from dpstack.units import NEVER
+
+
+class Node:
+    """One station on the medium, and what the world knows of it.
+
+    ``due`` is the time of its one live entry in the event heap, ``deadline`` what it asked for last (never earlier
+    than ``due``). It hears transmissions that begin at ``hears_from`` or later: it cannot hear while it sends.
+    """
+
+    __slots__ = (
+        "address",
+        "baud",
+        "deadline",
+        "due",
+        "hears_all",
+        "hears_from",
+        "mute_until",
+        "name",
+        "named",
+        "on_bus",
+        "on_events",
+        "sending_until",
+        "station",
+        "transmit",
+    )
+
+    def __init__(
+        self, station: BusStation, name: str | None, on_events: Callable[[list[Event]], None] | None, now: int
+    ) -> None:
+        self.station = station
+        self.address = station.address
+        self.baud = station.baud
+        self.hears_all = station.hears_all
+        self.named = name is not None
+        self.name = str(station.address) if name is None else name
+        self.on_events = on_events
+        self.on_bus = True
+        self.due = NEVER
+        self.deadline = NEVER
+        self.hears_from = now
+        self.sending_until = now
+        self.mute_until = now
+        self.transmit: Transmit = _not_connected
+
+
+def _not_connected(octets: bytes, now: int) -> int:
+    raise RuntimeError("a station that is on no medium wanted to send")
+
+
+class Nodes:
+    """All stations of a world."""
+
+    __slots__ = ("_by_station", "by_address", "by_rate", "listeners")
+
+    def __init__(self) -> None:
+        self._by_station: dict[int, Node] = {}
+        #: passive stations by address; usually one each, but two may have the same one
+        self.by_address: dict[int, list[Node]] = {}
+        self.by_rate: dict[int, list[Node]] = {}
+        self.listeners: list[Node] = []
+
+    def __iter__(self) -> Iterator[Node]:
+        return iter(list(self._by_station.values()))
+
+    def find(self, station: BusStation) -> Node | None:
+        """The node of ``station``, None when it is not on this medium."""
+        return self._by_station.get(id(station))
+
+    def add(self, node: Node) -> None:
+        """Take ``node`` in."""
+        self._by_station[id(node.station)] = node
+        if node.hears_all:
+            self.listeners = [*self.listeners, node]
+        self._enter(node)
+
+    def remove(self, node: Node) -> None:
+        """Forget ``node``."""
+        del self._by_station[id(node.station)]
+        self.listeners = [other for other in self.listeners if other is not node]
+        self._leave(node)
+
+    def renew(self, node: Node) -> None:
+        """The station's address or rate changed."""
+        self._leave(node)
+        node.address = node.station.address
+        node.baud = node.station.baud
+        if not node.named:
+            node.name = str(node.address)
+        self._enter(node)
+
+    def _enter(self, node: Node) -> None:
+        self.by_rate[node.baud] = [*self.by_rate.get(node.baud, ()), node]
+        if not node.hears_all:
+            self.by_address[node.address] = [*self.by_address.get(node.address, ()), node]
+
+    def _leave(self, node: Node) -> None:
+        _drop(self.by_rate, node.baud, node)
+        if not node.hears_all:
+            _drop(self.by_address, node.address, node)
+
+
+def _drop(index: dict[int, list[Node]], key: int, node: Node) -> None:
+    rest = [other for other in index[key] if other is not node]
+    if rest:
+        index[key] = rest
+    else:
+        del index[key]

@@ -1,0 +1,229 @@
+"""The referee: watches every transmission and fails a run on broken timing or token rules.
+
+It knows only what is on the wire, and the bus parameters of the masters it was told of. What was ordered from outside
+(injected octets, delayed transmissions) is no violation of a station, but what stations make of it is judged.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum, auto
+from typing import Final, NamedTuple
+
+from dpstack.errors import DpError
+from dpstack.fdl.describe import render
+from dpstack.fdl.telegram import FC_FUNCTION, FC_REQUEST, Kind, Req, Telegram
+from dpstack.params import BROADCAST, T_SYN, BusParams
+from dpstack.sim.medium import Transmission
+from dpstack.sim.token_watch import Finding, Rule, TokenWatch
+from dpstack.trace import WireEntry, WireLog
+from dpstack.units import bits_to_ns, ns_to_bits
+
+MIN_TSDR: Final = 11
+_SHOWN_VIOLATIONS: Final = 20
+_SHOWN_ENTRIES: Final = 60
+_UNANSWERED: Final = frozenset((Req.TIME_EVENT, Req.SDN_LOW, Req.SDN_HIGH))
+
+
+class RefereeError(DpError):
+    """A station broke a rule. The text has the violations and the decoded wire log."""
+
+
+@dataclass(frozen=True, slots=True)
+class Violation:
+    """Rule ``rule`` was broken by ``sender`` with the transmission that began at ``t_ns``."""
+
+    t_ns: int
+    rule: Rule
+    sender: str
+    text: str
+
+    def __str__(self) -> str:
+        return f"{self.t_ns / 1000:.3f} us, {self.sender}: {self.rule.value}: {self.text}"
+
+
+class _After(Enum):
+    """What was on the wire last."""
+
+    NOTHING = auto()
+    REQUEST = auto()  # its answer is awaited
+    QUIET = auto()  # a request without answer
+    ANSWER = auto()
+    TOKEN = auto()
+    GARBAGE = auto()  # octets whose end receivers may see differently
+
+
+class _Pending(NamedTuple):
+    sa: int
+    da: int
+    end_ns: int
+
+
+class Referee:
+    """One referee of one wire. ``violations`` are those not allowed, ``allowed`` the others.
+
+    ``token_rules`` False: no rule about the token is judged (a scripted master without a ring).
+    """
+
+    def __init__(self, log: WireLog, start_ns: int = 0) -> None:
+        self.violations: list[Violation] = []
+        self.allowed: list[Violation] = []
+        self.token_rules = True
+        self.tokens = TokenWatch()
+        self._log = log
+        self._masters: dict[int, BusParams] = {}
+        self._allow: dict[Rule, int | None] = {}
+        self._expect: set[Rule] = set()
+        self._after = _After.NOTHING
+        self._last_end = start_ns
+        self._last_sa = -1
+        self._pending: _Pending | None = None
+        self._baud = 0
+        self._excerpt: list[WireEntry] = []
+
+    # --- what tests say ---
+    def know(self, params: BusParams) -> None:
+        """Judge the master ``params.address`` by its own T_SL, T_ID1, T_ID2 and T_TO."""
+        self._masters[params.address] = params
+
+    def allow(self, *rules: Rule, times: int | None = None) -> None:
+        """Breaking ``rules`` is no violation, each the next ``times`` times (None = always)."""
+        for rule in rules:
+            self._allow[rule] = times
+
+    def expect(self, *rules: Rule) -> None:
+        """Each of ``rules`` must be broken at least once: :meth:`check` fails otherwise."""
+        self.allow(*rules)
+        self._expect.update(rules)
+
+    def check(self) -> None:
+        """Raises RefereeError when a rule was broken, or one that had to be was not."""
+        missing = self._expect - {violation.rule for violation in self.allowed}
+        if not self.violations and not missing:
+            return
+        lines = [f"{len(self.violations)} violations on the wire:"] if self.violations else []
+        lines += [f"  {violation}" for violation in self.violations[:_SHOWN_VIOLATIONS]]
+        if len(self.violations) > _SHOWN_VIOLATIONS:
+            lines.append(f"  ... and {len(self.violations) - _SHOWN_VIOLATIONS} more")
+        lines += [f"expected, but never happened: {rule.value}" for rule in sorted(missing, key=lambda r: r.name)]
+        last = list(self._log)[-_SHOWN_ENTRIES:]
+        if self._excerpt and (not last or self._excerpt[-1].start_ns < last[0].start_ns):
+            lines += ["the wire up to the first violation:", render(self._excerpt, self._baud)]
+        if last:
+            lines += ["the last of the wire:", render(last, self._baud)]
+        raise RefereeError("\n".join(lines))
+
+    # --- what the medium says ---
+    def collision(self, late: Transmission, early: Transmission) -> None:
+        """``late`` began while ``early`` was on the wire."""
+        if late.forced or early.forced:
+            return
+        overlap = ns_to_bits(early.end_ns - late.start_ns, late.baud)
+        self._found(late, Finding(Rule.COLLISION, f"begins {overlap} bits before {early.sender} ends"))
+
+    def heard(self, tx: Transmission) -> None:
+        """``tx`` is over."""
+        telegram = tx.telegram
+        self._baud = tx.baud
+        if tx.collided or tx.cut or telegram is None:
+            if telegram is None and not (tx.collided or tx.cut or tx.forced):
+                self._found(tx, Finding(Rule.BROKEN, "the octets are not one telegram without gaps"))
+            self._pending = None
+            after = _After.GARBAGE
+        elif telegram.kind is Kind.SD4:
+            after = self._token(tx, telegram)
+        elif telegram.fc >= 0 and telegram.fc & FC_REQUEST:
+            after = self._request(tx, telegram)
+        else:
+            after = self._answer(tx, telegram)
+        self._after = _After.GARBAGE if tx.flips else after
+        self._last_sa = telegram.sa if telegram is not None else -1
+        if tx.end_ns > self._last_end:
+            self._last_end = tx.end_ns
+
+    # --- rules ---
+    def _request(self, tx: Transmission, telegram: Telegram) -> _After:
+        sa = telegram.sa
+        self._idle(tx, sa)
+        if self.token_rules:
+            self._found(tx, self.tokens.request(sa, tx.node))
+        if telegram.da == BROADCAST or telegram.fc & FC_FUNCTION in _UNANSWERED:
+            self._pending = None
+            return _After.QUIET
+        self._pending = _Pending(sa, telegram.da, tx.end_ns)
+        return _After.REQUEST
+
+    def _token(self, tx: Transmission, telegram: Telegram) -> _After:
+        sa = telegram.sa
+        params = self._masters.get(sa)
+        missing = None
+        silence = tx.start_ns - self._last_end
+        if params is not None and silence < bits_to_ns(params.t_to, tx.baud):
+            missing = f"after {ns_to_bits(silence, tx.baud)} bits of silence; its T_TO is {params.t_to}"
+        self._idle(tx, sa)
+        if self.token_rules:
+            self._found(tx, self.tokens.token(sa, telegram.da, tx.node, missing))
+        self._pending = None
+        return _After.TOKEN
+
+    def _answer(self, tx: Transmission, telegram: Telegram) -> _After:
+        pending = self._pending
+        self._pending = None
+        if pending is None:
+            self._found(tx, Finding(Rule.UNASKED, "no request is open"))
+            return _After.ANSWER
+        if telegram.fc >= 0 and (telegram.sa != pending.da or telegram.da != pending.sa):
+            text = f"{telegram.sa} answers {telegram.da}, the request was {pending.sa} -> {pending.da}"
+            self._found(tx, Finding(Rule.UNASKED, text))
+            return _After.ANSWER
+        waited = tx.start_ns - pending.end_ns
+        if waited < bits_to_ns(MIN_TSDR, tx.baud):
+            text = f"{ns_to_bits(waited, tx.baud)} bits after the request; min T_SDR is {MIN_TSDR}"
+            self._found(tx, Finding(Rule.EARLY, text))
+        params = self._masters.get(pending.sa)
+        if params is not None and waited >= bits_to_ns(params.t_sl, tx.baud):
+            text = f"{ns_to_bits(waited, tx.baud)} bits after the request; T_SL of {pending.sa} is {params.t_sl}"
+            self._found(tx, Finding(Rule.LATE, text))
+        return _After.ANSWER
+
+    def _idle(self, tx: Transmission, sa: int) -> None:
+        """Silence before a request or token."""
+        after = self._after
+        if after is _After.NOTHING or after is _After.GARBAGE:
+            return
+        rule, need, name = Rule.IDLE, T_SYN, "T_SYN"
+        params = self._masters.get(sa)
+        if params is not None:
+            if self._waits(sa):
+                rule, need, name = Rule.SLOT, params.t_sl, "T_SL"
+            elif after is _After.ANSWER or after is _After.TOKEN:
+                need, name = params.t_id1, "T_ID1"
+            elif after is _After.QUIET and sa == self._last_sa:
+                need, name = params.t_id2, "T_ID2"
+        silence = tx.start_ns - self._last_end
+        if silence < bits_to_ns(need, tx.baud):
+            text = f"begins after {ns_to_bits(silence, tx.baud)} bits of silence; {name} is {need}"
+            self._found(tx, Finding(rule, text))
+
+    def _waits(self, sa: int) -> bool:
+        """``sa`` waits for somebody: an answer, or the successor's first sign of life."""
+        if self._after is _After.REQUEST:
+            return self._pending is not None and self._pending.sa == sa
+        return self._after is _After.TOKEN and self.tokens.offered_by == sa
+
+    def _found(self, tx: Transmission, finding: Finding | None) -> None:
+        if finding is None or tx.forced:
+            return
+        rule, text = finding
+        violation = Violation(tx.start_ns, rule, tx.sender, text)
+        tx.notes.append(rule.value.upper())
+        left = self._allow.get(rule, 0)
+        if left is None or left:
+            if left is not None:
+                self._allow[rule] = left - 1
+            self.allowed.append(violation)
+            return
+        if not self.violations:
+            mine = WireEntry(tx.start_ns, tx.end_ns, tx.octets, tx.sender, rule.value.upper())
+            self._excerpt = [*list(self._log)[-_SHOWN_ENTRIES // 2 :], mine]
+        self.violations.append(violation)

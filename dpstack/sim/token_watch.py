@@ -1,0 +1,132 @@
+"""The token rules as the referee sees them: only the holder initiates, the token ascends, there is one of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final, NamedTuple
+
+from dpstack.sim.nodes import Node
+
+#: first attempt and two repetitions before the next station counts as gone
+PASS_ATTEMPTS: Final = 3
+_CIRCLE: Final = 128
+
+
+class Rule(Enum):
+    """What the referee watches."""
+
+    COLLISION = "collision"  # two transmissions overlap
+    EARLY = "answer too early"  # before min T_SDR
+    LATE = "answer too late"  # after T_SL: the master may have moved on
+    UNASKED = "answer nobody asked for"
+    IDLE = "missing idle time"  # T_SYN, T_ID1, T_ID2
+    SLOT = "slot time cut short"  # the next request or token before T_SL, and nobody had answered
+    RIGHT = "sent without the token"
+    TWO_TOKENS = "two tokens"
+    CLAIM = "token claimed too early"  # before T_TO
+    ORDER = "token out of order"  # a member of the ring passed over
+    BROKEN = "broken telegram"  # octets that are no telegram, gaps inside one
+
+
+class Finding(NamedTuple):
+    """A rule that was broken, and how."""
+
+    rule: Rule
+    text: str
+
+
+@dataclass(slots=True)
+class _Offer:
+    """A token on its way: sent ``tries`` times, ``da`` has not acted on it yet."""
+
+    sa: int
+    da: int
+    tries: int
+
+
+class TokenWatch:
+    """Where the token is. ``ring`` are the stations that have used it and were not given up by their predecessor."""
+
+    __slots__ = ("_node", "_offer", "holder", "ring")
+
+    def __init__(self) -> None:
+        self.holder: int | None = None
+        self.ring: set[int] = set()
+        self._node: Node | None = None  # two stations may have one address
+        self._offer: _Offer | None = None
+
+    @property
+    def offered_by(self) -> int | None:
+        """Who waits for its successor to act on the token."""
+        return None if self._offer is None else self._offer.sa
+
+    def request(self, sa: int, node: Node | None) -> Finding | None:
+        """``sa`` sends a request."""
+        offer = self._offer
+        if offer is not None and sa == offer.sa and self.holder == sa:
+            self._offer = None
+            return Finding(Rule.RIGHT, f"station {sa} sends a request after it passed the token to {offer.da}")
+        finding = self._turn(sa, node, "sends a request")
+        if finding is not None:
+            self._take(sa, node)
+        return finding
+
+    def token(self, sa: int, da: int, node: Node | None, missing_silence: str | None) -> Finding | None:
+        """``sa`` sends the token to ``da``. ``missing_silence`` says what a claim would lack, None when nothing."""
+        finding = self._turn(sa, node, f"passes the token to {da}")
+        if finding is not None:
+            if sa == da and finding.rule is not Rule.TWO_TOKENS:
+                finding = (
+                    Finding(Rule.CLAIM, f"station {sa} claims the token {missing_silence}") if missing_silence else None
+                )
+                self.ring = set()
+            elif sa != da:
+                finding = Finding(Rule.TWO_TOKENS, finding.text)
+            self._take(sa, node)
+            self.ring.add(sa)
+        order = self._order(sa, da)
+        tries = 1 + (self._offer.tries if self._offer is not None and self._offer.da == da else 0)
+        self._offer = None if sa == da else _Offer(sa, da, tries)
+        return finding or order
+
+    def _turn(self, sa: int, node: Node | None, does: str) -> Finding | None:
+        """Whether it is ``sa``'s turn; what it does now confirms that it has taken the token."""
+        offer = self._offer
+        if offer is not None and sa == offer.da:
+            self._take(sa, node)
+            self.ring |= {offer.sa, sa}
+            return None
+        if sa != self.holder:
+            holds = "nobody has it" if self.holder is None else f"{self.holder} has it"
+            return Finding(Rule.RIGHT, f"station {sa} {does} without having the token ({holds})")
+        if self._node is not node and node is not None and self._node is not None:
+            return Finding(
+                Rule.TWO_TOKENS, f"a second station {sa} {does}; another one with this address has the token"
+            )
+        return None
+
+    def _take(self, sa: int, node: Node | None) -> None:
+        self.holder = sa
+        self._node = node
+        self._offer = None
+
+    def _order(self, sa: int, da: int) -> Finding | None:
+        offer = self._offer
+        if offer is not None and offer.da != da:
+            self.ring.discard(offer.da)
+            if offer.tries < PASS_ATTEMPTS:
+                return Finding(
+                    Rule.ORDER, f"station {sa} gave up on {offer.da} after {offer.tries} of {PASS_ATTEMPTS} attempts"
+                )
+        reach = _distance(sa, da)
+        skipped = sorted(m for m in self.ring if m != sa and _distance(sa, m) < reach)
+        if not skipped:
+            return None
+        self.ring -= set(skipped)
+        return Finding(Rule.ORDER, f"station {sa} passes the token to {da}, over {', '.join(map(str, skipped))}")
+
+
+def _distance(start: int, end: int) -> int:
+    """Steps upwards round the ring; from a station to itself once round."""
+    return (end - start - 1) % _CIRCLE + 1

@@ -1,0 +1,73 @@
+"""What a receiver's UART makes of what is on the wire: 8E1, parity and framing errors drop the octet.
+
+Only damaged octets, collisions and receivers at another baud rate come here; intact telegrams never do.
+"""
+
+from __future__ import annotations
+
+from random import Random
+from typing import Final
+
+from dpstack.units import BITS_PER_CHAR, chars_to_ns
+
+#: An octet as a receiver gets it: ns from the first start edge of the transmission to the octet's end, value.
+Heard = tuple[int, int]
+
+START_BIT: Final = 0x001
+DATA_BITS: Final = 0x1FE
+PARITY_BIT: Final = 0x200
+STOP_BIT: Final = 0x400
+
+#: falling edges in a character that can pass for a start bit
+_EDGES: Final = 5
+
+
+def flipped(octet: int, flips: int) -> int | None:
+    """What is received of ``octet`` when the bits ``flips`` of its character are inverted; None = dropped.
+
+    Bit 0 of ``flips`` is the start bit, 1..8 the data bits, 9 parity, 10 stop. An odd number of errors in data and
+    parity is a parity error, a wrong stop bit a framing error, without its start bit a character is not seen.
+    """
+    if flips & (START_BIT | STOP_BIT):
+        return None
+    if (flips & (DATA_BITS | PARITY_BIT)).bit_count() & 1:
+        return None
+    return octet ^ (flips & DATA_BITS) >> 1
+
+
+def receive(octets: bytes, baud: int, flips: dict[int, int]) -> list[Heard]:
+    """The octets a receiver at the sender's rate gets; ``flips`` are the inverted bits by octet number."""
+    heard: list[Heard] = []
+    for number, octet in enumerate(octets):
+        mask = flips.get(number)
+        got = octet if mask is None else flipped(octet, mask)
+        if got is not None:
+            heard.append((chars_to_ns(number + 1, baud), got))
+    return heard
+
+
+def garbled(rng: Random) -> int | None:
+    """A character of which nothing can be known (a collision): half of them fail the parity check."""
+    return rng.getrandbits(8) if rng.getrandbits(1) else None
+
+
+def sample(octets: bytes, tx_baud: int, rx_baud: int, rng: Random) -> list[Heard]:
+    """What a receiver at ``rx_baud`` gets of ``octets`` sent at ``tx_baud``: chance octets, most of them dropped.
+
+    No more characters than the receiver has time for, and than there are edges to start one.
+    """
+    size = len(octets)
+    slots = min(size * rx_baud // tx_baud, size * _EDGES)
+    if not slots:
+        return []
+    duration = chars_to_ns(size, tx_baud)
+    # a quarter: the parity is right by chance, and so is the stop bit
+    return [(duration * slot // slots, rng.getrandbits(8)) for slot in range(1, slots + 1) if not rng.getrandbits(2)]
+
+
+def complete(elapsed_ns: int, baud: int, size: int) -> int:
+    """How many of ``size`` octets without gaps are complete ``elapsed_ns`` after the first start edge."""
+    done = min(size, elapsed_ns * baud // (BITS_PER_CHAR * 1_000_000_000) + 1)
+    while done and chars_to_ns(done, baud) > elapsed_ns:
+        done -= 1
+    return done

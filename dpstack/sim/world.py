@@ -1,0 +1,220 @@
+"""The virtual world: stations on one medium, in integer nanoseconds, driven by a heap of events.
+
+Deterministic: the same seed, stations and orders give the same wire log to the nanosecond. Every station is driven
+through :func:`dpstack.machine.pump` and nothing else: on input, when its deadline is reached, after commands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from heapq import heappop, heappush
+from typing import Any
+
+from dpstack.errors import UsageError
+from dpstack.fdl.station import BusStation
+from dpstack.machine import pump
+from dpstack.params import BusParams
+from dpstack.sim.faults import Faults
+from dpstack.sim.medium import EDGES, ORDERS, TIMERS, Medium
+from dpstack.sim.nodes import Node, Nodes
+from dpstack.sim.referee import Referee
+from dpstack.trace import Event, WireLog
+from dpstack.units import NEVER
+
+Callback = Callable[[Any], None]
+
+
+class World:
+    """A bus and its stations in virtual time; ``now`` in ns begins at ``start_ns``.
+
+    ``seed`` decides everything that is left to chance. With ``referee`` the wire is watched: call
+    ``world.referee.check()`` at the end. ``keep`` transmissions are kept in ``log``.
+    """
+
+    def __init__(self, *, seed: int = 0, start_ns: int = 0, referee: bool = True, keep: int = 400) -> None:
+        self.now = start_ns
+        self.log = WireLog(keep)
+        self.faults = Faults(2 * seed)
+        self.referee: Referee | None = Referee(self.log, start_ns) if referee else None
+        self._heap: list[tuple[int, int, Callback, Any]] = []
+        self._count = 0
+        self._nodes = Nodes()
+        self._medium = Medium(self, self._nodes, self.log, self.faults, self.referee, 2 * seed + 1)
+        self._on_due: Callback = self._due
+
+    @property
+    def transmissions(self) -> int:
+        """How many transmissions have begun on the medium."""
+        return self._medium.transmissions
+
+    @property
+    def baud(self) -> int:
+        """The rate of the last transmission (500 kbit/s before the first)."""
+        return self._medium.baud or 500_000
+
+    # --- stations ---
+    def add(
+        self, station: BusStation, *, name: str | None = None, on_events: Callable[[list[Event]], None] | None = None
+    ) -> None:
+        """Plug ``station`` in, now. ``name`` is what the wire log calls it (default: its address).
+
+        ``on_events`` is called with what the station tells, as it happens. Two stations may have one address.
+        """
+        if self._nodes.find(station) is not None:
+            raise UsageError(f"station {station.address} is on this bus already")
+        node = Node(station, name, on_events, self.now)
+        node.transmit = partial(self._medium.transmit, node)
+        self._nodes.add(node)
+        params = getattr(station, "params", None)
+        if self.referee is not None and node.hears_all and isinstance(params, BusParams):
+            self.referee.know(params)
+        self.settle(node, b"")
+
+    def remove(self, station: BusStation) -> None:
+        """Unplug ``station``, or switch it off: at once, in the middle of a telegram too."""
+        node = self._node(station)
+        self._nodes.remove(node)
+        node.on_bus = False
+        node.due = -1  # none of its heap entries is live any more
+        self._medium.cut(node, self.now)
+
+    def command(self, station: BusStation, command: object) -> None:
+        """Hand ``command`` to the station and let it act."""
+        node = self._node(station)
+        station.command(command, self.now)
+        self.settle(node, b"")
+
+    def poke(self, station: BusStation) -> None:
+        """Something about the station was changed from outside (its address, its application): let it act."""
+        self.settle(self._node(station), b"")
+
+    def silence(self, station: BusStation, for_ns: int, *, deaf: bool = False) -> None:
+        """For ``for_ns`` nothing the station sends reaches the wire; ``deaf``: it does not hear either."""
+        node = self._node(station)
+        node.mute_until = self.now + for_ns
+        if deaf:
+            node.hears_from = max(node.hears_from, node.mute_until)
+
+    def inject(self, octets: bytes, *, baud: int | None = None, sender: str = "injected") -> None:
+        """Put ``octets`` on the line now, from nobody; ``baud`` None is the rate the stations have in common."""
+        rates = self._nodes.by_rate
+        if baud is None:
+            if len(rates) != 1:
+                raise UsageError(f"stations at {len(rates)} baud rates: say at which one to inject")
+            (baud,) = rates
+        self._medium.inject(octets, baud, self.now, sender)
+        self._announce()
+
+    # --- time ---
+    def call_at(self, at_ns: int, callback: Callable[[], None]) -> None:
+        """Call ``callback`` when the world's time is ``at_ns`` (after the octets that end then, before timers)."""
+        if at_ns < self.now:
+            raise UsageError(f"call_at({at_ns}): the world's time is {self.now} already")
+        self.schedule(at_ns, ORDERS, _call, callback)
+
+    def next_at(self) -> int:
+        """When something may happen next, in ns; NEVER when nothing will."""
+        heap = self._heap
+        return heap[0][0] if heap else NEVER
+
+    def step(self) -> None:
+        """The next event, whenever it is. Raises UsageError when nothing will ever happen."""
+        if not self._heap:
+            raise UsageError("nothing will ever happen in this world: no station waits for a time, nothing is sent")
+        self.now, _, call, argument = heappop(self._heap)
+        call(argument)
+
+    def run_until(self, at_ns: int) -> None:
+        """Everything up to and including ``at_ns``; then that is the time."""
+        heap = self._heap
+        while heap and heap[0][0] <= at_ns:
+            self.now, _, call, argument = heappop(heap)
+            call(argument)
+        if at_ns > self.now:
+            self.now = at_ns
+
+    def run_for(self, ns: int) -> None:
+        """Everything in the next ``ns`` nanoseconds."""
+        self.run_until(self.now + ns)
+
+    def run(self, until_ns: int, stop: Callable[[], bool]) -> bool:
+        """Like :meth:`run_until`, but ends after the event after which ``stop()`` is true, at its time.
+
+        ``until_ns`` may be NEVER. True when it was stopped.
+        """
+        heap = self._heap
+        while heap and heap[0][0] <= until_ns:
+            self.now, _, call, argument = heappop(heap)
+            call(argument)
+            if stop():
+                return True
+        if self.now < until_ns < NEVER:
+            self.now = until_ns
+        return False
+
+    # --- what the medium calls ---
+    def schedule(self, at: int, order: int, call: Callback, argument: object) -> None:
+        """Call ``call(argument)`` at ``at``; ``order`` decides between those of the same nanosecond."""
+        self._count += 1
+        heappush(self._heap, (at, order + self._count, call, argument))
+
+    def settle(self, node: Node, chunk: bytes) -> None:
+        """Pump the station with ``chunk`` (may be empty), heed its deadline, hand on its events."""
+        if not node.on_bus:
+            return
+        station = node.station
+        deadline = pump(station, chunk, self.now, node.transmit)
+        if station.address != node.address or station.baud != node.baud:
+            self._nodes.renew(node)
+        self._arm(node, deadline)
+        if self._medium.starting:
+            self._announce()
+        events = station.take_events()
+        if events and node.on_events is not None:
+            node.on_events(events)
+
+    def rearm(self, node: Node) -> None:
+        """The station was told something that sends nothing: only its deadline may have changed."""
+        self._arm(node, node.station.wake_at())
+
+    # --- inside ---
+    def _arm(self, node: Node, deadline: int) -> None:
+        """One live heap entry for each station: a new one only when it becomes due earlier."""
+        if deadline < self.now:
+            deadline = self.now
+        node.deadline = deadline
+        if deadline < node.due:
+            node.due = deadline
+            self._count += 1
+            heappush(self._heap, (deadline, TIMERS + self._count, self._on_due, node))
+
+    def _due(self, node: Node) -> None:
+        if node.due != self.now:
+            return  # an earlier entry took its place, or the station is gone
+        node.due = NEVER
+        if node.deadline > self.now:
+            self._arm(node, node.deadline)
+        else:
+            self.settle(node, b"")
+
+    def _announce(self) -> None:
+        """Tell of start edges: after everything else that happens at this instant."""
+        medium = self._medium
+        starting, medium.starting = medium.starting, []
+        heap = self._heap
+        for tx in starting:
+            if heap and heap[0][0] <= self.now:
+                self.schedule(self.now, EDGES, medium.edge, tx)
+            else:
+                medium.edge(tx)
+
+    def _node(self, station: BusStation) -> Node:
+        node = self._nodes.find(station)
+        if node is None:
+            raise UsageError(f"{station!r} is not on this bus: add() it first")
+        return node
+
+
+def _call(callback: Callable[[], None]) -> None:
+    callback()

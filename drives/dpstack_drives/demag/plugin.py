@@ -1,0 +1,192 @@
+"""The master's end of a Demag Dedrive Compact."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from typing import Final
+
+from dpstack.profile import (
+    FAULTED,
+    NS_PER_MS,
+    NS_PER_S,
+    CommandError,
+    DriveCore,
+    DriveProfile,
+    ParamAccess,
+    ParamRef,
+    Steps,
+    TelegramSpec,
+    drivecom,
+    settled,
+)
+from dpstack_drives.demag import table as t
+
+_SELECTOR: Final = 12
+_REMOTE: Final = drivecom.STATUS.mask("remote")
+_WARNING: Final = drivecom.STATUS.mask("warning")
+#: a standing warning is read again after this time
+_WARNING_AGE: Final = NS_PER_S
+#: numbers of EEPROM writes of one parameter at which the user is told
+_TELL_WRITES: Final = frozenset({10, 100, 1000, 10_000, 100_000})
+_NO_RELEASE: Final = "no hardware release: switch on S1 and one of S2 and S3"
+
+
+class DemagCore(DriveCore):
+    """PZD2 reports the frequency; in PPO1 and PPO3 bits 12-14 fetch warning and fault words through it when needed.
+
+    Options: ``reference_hz`` (390, or 375 where 390 is 0) and ``set_412``: start() may set 412 = 1 in RAM itself.
+    """
+
+    lock_hint = f" before it is {t.FAULT_LOCK_S} s old, nor while its cause lasts"
+
+    def __init__(
+        self, profile: DriveProfile, name: str, telegram: TelegramSpec, options: Mapping[str, bool | float | str]
+    ) -> None:
+        self._selector = 0
+        self._actual = 0
+        self._current: int | None = None
+        self._active: int | None = None
+        self._warning_word = 0
+        self._warning_at = 0
+        self._fault_word = 0
+        self._writes: Counter[str] = Counter()
+        super().__init__(
+            name,
+            profile.name,
+            telegram,
+            drivecom.TABLE,
+            scan_ns=t.scan_ms(telegram) * NS_PER_MS,
+            reference_hz=float(options["reference_hz"]),
+            safe_outputs=bytes(telegram.octets),
+        )
+        self._set_412 = bool(options["set_412"])
+        self._wide = telegram.words == 6
+        if telegram.pkw:
+            self.access = ParamAccess(t.PKW, self._resolve, lambda: self.now, self._written)
+
+    def received(self) -> None:
+        """Take the actual value for what ZSW bits 12-14 say it is (11.2.3), or all of them (11.2.4)."""
+        words = self.words
+        if self._wide:
+            _, self._actual, self._current, self._active, self._warning_word, self._fault_word = words
+            return
+        status, value = words
+        match status >> _SELECTOR & 7:
+            case t.SELECT_FREQUENCY:
+                self._actual = value
+            case t.SELECT_WARNING:
+                self._warning_word = value
+                self._warning_at = self.now
+            case t.SELECT_FAULT:
+                self._fault_word = value
+        if self.raw_state in FAULTED:
+            self._selector = 0 if self._fault_word else t.SELECT_FAULT
+            return
+        self._fault_word = 0
+        if not status & _WARNING:
+            self._warning_word = self._selector = 0
+        elif not self._warning_word or self.now >= self._warning_at + _WARNING_AGE:
+            self._selector = t.SELECT_WARNING
+        else:
+            self._selector = 0
+
+    def control_bits(self) -> int:
+        """What PZD2 is to report."""
+        return self._selector << _SELECTOR
+
+    def measured(self) -> tuple[float | None, float | None, float | None]:
+        """Frequency of the reference; currents in PPO2 and PPO4."""
+        decode = self.scale.decode
+        current = None if self._current is None else decode(self._current)
+        torque = None if self._active is None else decode(self._active)
+        return decode(self._actual), current, torque
+
+    def faults(self) -> tuple[str, ...]:
+        """The fault by number and text, as soon as its word has come."""
+        if self.raw_state not in FAULTED:
+            return ()
+        return (t.fault_name(self._fault_word) if self._fault_word else "not yet named",)
+
+    def fault_named(self) -> bool:
+        """The fault word has come."""
+        return bool(self._fault_word)
+
+    def warnings(self) -> tuple[str, ...]:
+        """By name."""
+        if not self.words[0] & _WARNING:
+            return ()
+        return t.warning_names(self._warning_word)
+
+    def obstacle(self) -> str | None:
+        """Bit 9 tells whether the bus controls the drive at all."""
+        if self.words[0] & _REMOTE:
+            return None
+        return f"remote (bit 9) is 0: 412 is not 1 in the active data set, or {_NO_RELEASE}"
+
+    def prepare(self, deadline: int) -> Steps[None]:
+        """Without bit 9 no command is obeyed: find out whether 412 or the release is missing."""
+        yield from settled(self, self._remote, deadline)
+        if self._remote():
+            return
+        if self.access is None:
+            raise CommandError(
+                "fault",
+                f"remote (bit 9) is 0, and {self.telegram.name} has no parameter channel to read or set 412: "
+                f"set 412 = 1 at the keypad or over PPO1 or PPO2 (factory setting 44); if it is 1, {_NO_RELEASE}",
+            )
+        active = yield from self._read(249, None, deadline)
+        mode = yield from self._read(412, active, deadline)
+        if mode != 1 and self._set_412:
+            ref = self._resolve(412, active, True)
+            yield from self.access.write(ref, 1, deadline)
+            self.notice(f"412 was {mode}: set to 1 in data set {active} (RAM only)")
+            yield from settled(self, self._remote, deadline)
+            mode = 1
+        if mode != 1:
+            raise CommandError(
+                "fault",
+                f"412 is {mode}: control not by the bus; write 412 = 1 in the active data set ({active}), "
+                "or let start do it with the option set_412",
+            )
+        if not self._remote():
+            raise CommandError("fault", _NO_RELEASE)
+
+    def _remote(self) -> bool:
+        return bool(self.words[0] & _REMOTE)
+
+    def _read(self, number: int, data_set: int | None, deadline: int) -> Steps[int]:
+        assert self.access is not None
+        outcome = yield from self.access.read(self._resolve(number, data_set, False), deadline)
+        value = outcome["value"]
+        assert isinstance(value, int)
+        return value
+
+    def _written(self, ref: ParamRef) -> None:
+        """About a million EEPROM writes are possible (11.1.4): tell the user who spends them in a loop."""
+        if ref.ind < t.RAM_ONLY:
+            self._writes[ref.label] += 1
+            count = self._writes[ref.label]
+            if count in _TELL_WRITES:
+                self.notice(f"{ref.label} was written to the EEPROM {count} times, which wears it out: use ram = true")
+
+    def _resolve(self, name: str | int, data_set: int | None, ram: bool) -> ParamRef:
+        spec = t.PARAMETERS.named(name) if isinstance(name, str) else t.PARAMETERS.get(name)
+        if spec is None and isinstance(name, str):
+            near = " or ".join(t.PARAMETERS.nearest(name))
+            raise CommandError(
+                "usage", f"no parameter is called {name!r}" + (f"; did you mean {near}?" if near else "")
+            )
+        number = spec.number if spec is not None else int(name)
+        label = f"parameter {spec.label}" if spec is not None else f"parameter {number}"
+        if not 1 <= number <= 999:
+            raise CommandError("usage", f"{label}: parameter numbers are 1..999")
+        if spec is not None and spec.text:
+            raise CommandError("usage", f"{label} is a text, which the parameter channel cannot carry")
+        if data_set is not None and data_set > t.SETS:
+            raise CommandError("usage", f"{label}: data sets are 1..{t.SETS}, 0 for all of them")
+        array = spec.per_set if spec is not None else data_set is not None
+        if data_set and not array:
+            raise CommandError("usage", f"{label} exists once, not in data sets")
+        ind = (data_set or 0) + (t.RAM_ONLY if ram else 0)
+        return ParamRef(number, ind, array, spec, label, (data_set or 0) if array else None)

@@ -1,0 +1,304 @@
+"""The simulated Demag Dedrive Compact: control modes 1 and 2 of 412, parameters, faults, a motor."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+from dpstack.profile import (
+    NS_PER_MS,
+    NS_PER_S,
+    SPEED,
+    DriveDevice,
+    DriveProfile,
+    Leave,
+    Motor,
+    Order,
+    ParamStore,
+    Pkw,
+    PkwServer,
+    Reply,
+    State,
+    TelegramSpec,
+    drivecom,
+)
+from dpstack_drives.demag import table as t
+
+_WORDS: Final = frozenset({Order.WRITE_WORD, Order.WRITE_ARRAY_WORD})
+_LONGS: Final = frozenset({Order.WRITE_LONG, Order.WRITE_ARRAY_LONG})
+_ARRAYS: Final = frozenset({Order.READ_ARRAY, Order.WRITE_ARRAY_WORD, Order.WRITE_ARRAY_LONG})
+_STATE_MACHINE, _REMOTE_CONTACTS = 1, 2
+_POWERED: Final = frozenset({State.RUNNING, State.QUICK_STOP})
+
+
+class _RefusedError(Exception):
+    """A parameter order that ends in reply 7 with ``number``."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.number = number
+
+
+class DemagDevice(DriveDevice):
+    """Options: ``f_max``, ``f_min``, ``acceleration``, ``deceleration`` (Hz, Hz/s), ``load``; parameters by number.
+
+    Readings: modes of 412 other than 1 and 2 leave the drive off (its contacts are not wired for a start); entering
+    mode 1 begins in switch-on inhibit; F2062 comes only when the bus has the power stage on.
+    """
+
+    def __init__(
+        self,
+        profile: DriveProfile,
+        telegram: TelegramSpec,
+        options: Mapping[str, bool | float | str],
+        presets: Mapping[str, object],
+    ) -> None:
+        super().__init__(profile, telegram, Motor(load=float(options["load"])))
+        self.store = ParamStore(t.PARAMETERS, presets, sets=t.SETS, where=f"simulated {profile.name}")
+        self.pkw = PkwServer(t.PKW, self._order)
+        self.machine = drivecom.DrivecomMachine()
+        self.f_max = float(options["f_max"])
+        self.f_min = float(options["f_min"])
+        self.acceleration = float(options["acceleration"])
+        self.deceleration = float(options["deceleration"])
+        #: the fault word; 0 without a fault
+        self.fault = 0
+        self._fault_at = 0
+        self._mode = -1
+        self._still_since: int | None = None
+        self._braking_until: int | None = None
+        self._sign = 1  # of the last line set point that was not 0
+        self._bus_hz = 0.0
+        self._ramp_hz = 0.0
+
+    # -- conditions -----------------------------------------------------------------------------------------------
+
+    @property
+    def scan_ns(self) -> int:
+        """By the telegram in use."""
+        return t.scan_ms(self.telegram) * NS_PER_MS
+
+    @property
+    def active_set(self) -> int:
+        """414, or data set 1 where the contacts choose (none of them is on)."""
+        return int(self.store.value("data_set_selection")) or 1
+
+    def fault_code(self, code: str) -> int:
+        """``F2100`` or ``2100``. Raises ValueError."""
+        try:
+            number = int(code.strip().upper().removeprefix("F"), 16)
+        except ValueError:
+            number = 0
+        if not 0 < number <= 0xFFFF:
+            known = ", ".join(f"F{known:04X}" for known in t.FAULTS)
+            raise ValueError(f"{code!r} is no fault number such as {known}")
+        return number
+
+    def master_lost(self, reason: Leave, now: int) -> None:
+        """The bus no longer controls: F2062 when the watchdog ended it, else the power stage just goes off."""
+        if self._mode in (_STATE_MACHINE, _REMOTE_CONTACTS) and self.machine.state in _POWERED:
+            if reason is Leave.WATCHDOG:
+                self._fail(t.FAULT_MASTER_LOST, now)
+            else:
+                self.machine.enter(State.SWITCH_ON_INHIBITED)
+            self.motor.switch(False)
+
+    # -- the internal scan ----------------------------------------------------------------------------------------
+
+    def scan(self, words: tuple[int, ...] | None, now: int) -> tuple[int, ...]:
+        """Commands, set points, motor; then status and actual values."""
+        control, line = (words[0], words[1]) if words is not None else (0, 0)
+        active = self.active_set
+        mode = int(self.store.value("local_remote", active))
+        machine = self.machine
+        trip = self.take_trip()
+        if trip is not None:
+            self._fail(trip, now)
+        if mode != self._mode:
+            self._mode = mode
+            if machine.state is not State.FAULT:
+                machine.enter(State.SWITCH_ON_INHIBITED if mode == _STATE_MACHINE else State.READY)
+        released = self.released and mode in (_STATE_MACHINE, _REMOTE_CONTACTS)
+        if mode == _STATE_MACHINE:
+            self._obey(control, now)
+        else:
+            self._contacts(control if released else 0, now)
+        if machine.state is not State.FAULT:
+            self.fault = 0
+        self._drive(SPEED.decode(line), SPEED.decode(words[2]) if words and len(words) == 6 else 0.0, active, now)
+        return self._report(control, released, active)
+
+    def _obey(self, control: int, now: int) -> None:
+        machine = self.machine
+        if not self.released:
+            # without the release the control word is not obeyed; a running drive coasts (11.2.1.2)
+            if machine.state in _POWERED:
+                machine.enter(State.READY)
+            return
+        if self._braking_until is not None and machine.state is State.RUNNING:
+            if now < self._braking_until:
+                return  # no new control word until 632's time is over
+            self._braking_until = None
+            machine.enter(State.READY)
+            return
+        self._braking_until = None
+        how = int(self.store.value("state_transition_5"))
+        machine.step(
+            control,
+            stops_at_once=how == 0,
+            ack_allowed=now >= self._fault_at + t.FAULT_LOCK_S * NS_PER_S,
+            still=self._still(now),
+        )
+        if machine.stopping and how == 1:
+            self._braking_until = now + round(self.store.value("braking_time") * NS_PER_S)
+
+    def _contacts(self, control: int, now: int) -> None:
+        """Mode 2: S1 releases, S2 and S3 start (clockwise, anticlockwise); in other modes nothing is wired."""
+        machine = self.machine
+        if machine.state is State.FAULT:
+            return
+        start = bool(control & 1) and bool(control & 2) != bool(control & 4)
+        if start:
+            machine.enter(State.RUNNING)
+        elif machine.state is State.RUNNING:
+            machine.stopping = bool(control & 1)
+            if not machine.stopping or self._still(now):
+                machine.enter(State.READY)
+        else:
+            machine.enter(State.READY)
+
+    def _drive(self, line: float, additional: float, active: int, now: int) -> None:
+        machine, motor = self.machine, self.motor
+        rated = self.store.value("rated_frequency", active)
+        reference = self.store.value("profibus_reference", active) or rated
+        self._bus_hz = line * reference
+        self._ramp_hz = self._combined(self._bus_hz, int(self.store.value("ramp_set_point", active)))
+        wanted = self._ramp_hz + additional * reference
+        wanted = min(max(wanted, -self.f_max), self.f_max)
+        quick = machine.state is State.QUICK_STOP
+        powered = machine.state in _POWERED and self._braking_until is None
+        motor.switch(powered)
+        emergency = "emergency_stop_clockwise" if motor.frequency >= 0 else "emergency_stop_anticlockwise"
+        motor.accel = self.acceleration / rated
+        motor.decel = (self.store.value(emergency) if quick else self.deceleration) / rated
+        motor.setpoint = 0.0 if quick or machine.stopping or not powered else wanted / rated
+        if self._braking_until is not None and motor.speed:
+            # DC brake: the shaft comes to rest, how fast is ours to choose
+            motor.speed *= 0.8
+        if not powered or abs(motor.frequency) * rated > self.store.value("switch_off_threshold") / 100 * self.f_max:
+            self._still_since = None
+        elif self._still_since is None:
+            self._still_since = now
+
+    def _combined(self, line: float, how: int) -> float:
+        """434: 1 internal (0 here), 2 line, limited to fmin, 3 their sum."""
+        if line:
+            self._sign = 1 if line > 0 else -1
+        if how == 1:
+            return 0.0
+        if how == 2 and abs(line) < self.f_min:
+            return self._sign * self.f_min
+        return line
+
+    def _still(self, now: int) -> bool:
+        """Below 637 for 638's time."""
+        since = self._still_since
+        return since is not None and now >= since + round(self.store.value("holding_time") * NS_PER_S)
+
+    def _fail(self, code: int, now: int) -> None:
+        if self.machine.state is not State.FAULT:
+            self.fault = code
+            self._fault_at = now
+            self.machine.enter(State.FAULT)
+
+    # -- inputs ---------------------------------------------------------------------------------------------------
+
+    def _report(self, control: int, remote: bool, active: int) -> tuple[int, ...]:
+        motor = self.motor
+        rated = self.store.value("rated_frequency", active)
+        reference = self.store.value("profibus_reference", active) or rated
+        status = drivecom.SHOWN[self.machine.state]
+        off = abs(motor.frequency * rated - self._ramp_hz)
+        if motor.on and not motor.limited and off <= self.store.value("max_control_deviation") / 100 * rated:
+            status |= 0x0400
+        status |= 0x0200 if remote else 0
+        status |= 0x0800 if motor.limited else 0
+        status |= 0x0080 if self.warning_mask else 0
+        status |= 0x8000 if self.warning_mask & t.TRIPS_SOON else 0
+        frequency = _word(motor.frequency * rated / reference)
+        current, active_current = _word(motor.current), _word(motor.torque if motor.on else 0.0)
+        if self.telegram.words == 6:
+            return status, frequency, current, active_current, self.warning_mask, self.fault
+        select = control >> 12 & 7
+        if select not in t.SELECTABLE:
+            return status, frequency
+        values = {
+            t.SELECT_CURRENT: current,
+            t.SELECT_ACTIVE: active_current,
+            t.SELECT_WARNING: self.warning_mask,
+            t.SELECT_FAULT: self.fault,
+        }
+        return status | select << 12, values[select]
+
+    # -- parameter channel ----------------------------------------------------------------------------------------
+
+    def _order(self, order: Pkw) -> tuple[int, int]:
+        try:
+            return self._carry_out(order)
+        except _RefusedError as refused:
+            return Reply.ERROR, refused.number
+
+    def _carry_out(self, order: Pkw) -> tuple[int, int]:
+        """Readings as in row D3; a plain order on a parameter with data sets takes the data set in IND."""
+        if order.id not in t.PKW.answers:
+            raise _RefusedError(108)
+        spec = t.PARAMETERS.get(order.pnu)
+        if spec is None:
+            raise _RefusedError(0)
+        array = order.id in _ARRAYS
+        if order.ind > t.SETS + t.RAM_ONLY:
+            raise _RefusedError(3)
+        data_set = order.ind % t.RAM_ONLY
+        if not spec.per_set and (array or data_set):
+            raise _RefusedError(4)
+        if order.id in _WORDS or order.id in _LONGS:
+            if spec.read_only:
+                raise _RefusedError(1)
+            if spec.long != (order.id in _LONGS):
+                raise _RefusedError(5)
+            raw = spec.from_pwe(order.pwe)
+            if not spec.low <= spec.to_value(raw) <= spec.high:
+                raise _RefusedError(2)
+            self.store.write(spec, raw, data_set, ram_only=order.ind >= t.RAM_ONLY)
+            if spec.name == "node_id":
+                self.machine.power_up()  # a write resets the drive (6)
+        elif spec.text:
+            raise _RefusedError(101)
+        elif spec.per_set and data_set == 0 and self.store.unequal(spec):
+            raise _RefusedError(107)
+        else:
+            live = self._live(order.pnu)
+            raw = self.store.raw(spec, data_set or 1) if live is None else spec.to_raw(live)
+        plain = Reply.LONG if spec.long else Reply.WORD
+        in_set = Reply.ARRAY_LONG if spec.long else Reply.ARRAY_WORD
+        return in_set if array else plain, spec.pwe(raw)
+
+    def _live(self, number: int) -> float | None:
+        """Actual values."""
+        match number:
+            case 249:
+                return self.active_set
+            case 250:
+                return 0b011 if self.released else 0b010  # S1 is the release, S2 is wired on
+            case 270:
+                return self.warning_mask
+            case 282:
+                return min(max(self._bus_hz, -1000), 1000)
+            case 283:
+                return min(max(self._ramp_hz, -1000), 1000)
+            case _:
+                return None
+
+
+def _word(value: float) -> int:
+    return SPEED.encode(min(max(value, -2.0), 0x7FFF / 0x4000))

@@ -1,0 +1,218 @@
+"""What plugin and simulated drive share. Rows F1 to F14 of the project's check list as far as they are covered.
+
+Source: Fuji, PROFIBUS DP Interface Option OPC-E1-PDP, instruction manual; numbers in the comments are its sections.
+The manual has no GSD file: ident number and identifier octets are made up until the user's GSD overrides them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Final, NamedTuple
+
+from dpstack.profile import ParamSpec, ParamTable, PkwDialect, TelegramSpec, Word, profidrive
+
+IDENT: Final = 0xDD04
+
+#: 2.4: nine rates and 45.45 k, no response times
+BAUD_RATES: Final = (
+    9_600,
+    19_200,
+    45_450,
+    93_750,
+    187_500,
+    500_000,
+    1_500_000,
+    3_000_000,
+    6_000_000,
+    12_000_000,
+)
+
+TELEGRAMS: Final = {
+    spec.name: spec
+    for spec in (
+        TelegramSpec(name="PPO1", config=bytes.fromhex("F3 71"), words=2, pkw=True, made_up=True),
+        TelegramSpec(name="PPO2", config=bytes.fromhex("F3 75"), words=6, pkw=True, made_up=True),
+        TelegramSpec(name="PPO3", config=bytes.fromhex("71"), words=2, made_up=True),
+        TelegramSpec(name="PPO4", config=bytes.fromhex("75"), words=6, made_up=True),
+    )
+}
+#: the internal scan time is in no manual: a reading
+SCAN_MS: Final = 4
+
+#: Table 5.1: what o30 chooses
+_BY_O30: Final = {2: "PPO2", 3: "PPO3", 4: "PPO4", 5: "PPO2"}
+O30: Final = {"PPO1": 1, "PPO2": 2, "PPO3": 3, "PPO4": 4}
+
+
+def telegram_of(o30: int) -> TelegramSpec:
+    """The telegram of the drive's own setting."""
+    return TELEGRAMS[_BY_O30.get(o30, "PPO1")]
+
+
+#: Table 8.5
+CONTROL: Final = Word("CTW", {**profidrive.CONTROL_BITS, "reverse": 11})
+#: Table 8.6. Bit 9 is what others call remote; bit 6 is always the opposite of bit 0
+STATUS: Final = Word("STW", {**profidrive.STATUS_BITS, "reached": 8, "remote": 9, "frequency_detected": 10})
+TABLE: Final = profidrive.table(CONTROL, STATUS)
+
+#: 8.3, tables 8.9 and 8.10
+PKW: Final = PkwDialect(
+    answers={1: (1,), 2: (1,), 6: (4,), 7: (4,), 9: (6,)},
+    errors={
+        0: "nonexistent parameter",
+        1: "writing inhibited",
+        2: "value out of range",
+        3: "invalid subindex",
+        4: "the parameter is no array",
+        11: "write-protected while running",
+        17: "cannot be read now",
+        101: "link priority error",
+        104: "busy writing",
+    },
+    zero_between=False,
+)
+
+#: Table 8.8
+GROUPS: Final = {
+    "S": 0x02,
+    "M": 0x03,
+    "F": 0x04,
+    "E": 0x05,
+    "C": 0x06,
+    "P": 0x07,
+    "H": 0x08,
+    "o": 0x0A,
+    "J": 0x0E,
+    "y": 0x0F,
+    "W": 0x10,
+    "X": 0x11,
+    "Z": 0x12,
+}
+_GROUP_OFFSET: Final = 0x100
+_CODE: Final = re.compile(r"([A-Za-z])(\d{1,3})")
+
+
+def address(code: str) -> tuple[int, int] | None:
+    """PNU and subindex of a function code such as ``F26``; None when it is none. Groups in either case."""
+    match = _CODE.fullmatch(code.strip())
+    if match is None:
+        return None
+    group = next((number for name, number in GROUPS.items() if name.lower() == match[1].lower()), None)
+    number = int(match[2])
+    return None if group is None or number > 0xFF else (group + _GROUP_OFFSET, number)
+
+
+class Alarm(NamedTuple):
+    """One alarm (table 10.1): malfunction code of PNU 947, alarm code of M16 to M19, keypad text, name."""
+
+    malfunction: int
+    code: int
+    keypad: str
+    name: str
+
+    @property
+    def text(self) -> str:
+        """``Er5 field bus communications error``."""
+        return f"{self.keypad} {self.name}"
+
+
+ALARMS: Final = (
+    Alarm(0x2301, 1, "OC1", "overcurrent during acceleration"),
+    Alarm(0x2302, 2, "OC2", "overcurrent during deceleration"),
+    Alarm(0x2303, 3, "OC3", "overcurrent at constant speed"),
+    Alarm(0x2330, 5, "EF", "grounding fault"),
+    Alarm(0x3211, 6, "OU1", "overvoltage during acceleration"),
+    Alarm(0x3212, 7, "OU2", "overvoltage during deceleration"),
+    Alarm(0x3213, 8, "OU3", "overvoltage at constant speed or stopped"),
+    Alarm(0x3220, 10, "LU", "undervoltage"),
+    Alarm(0x3130, 11, "Lin", "input phase loss"),
+    Alarm(0x5450, 14, "FUS", "blown fuse"),
+    Alarm(0x5440, 16, "PbF", "charging circuit fault"),
+    Alarm(0x4310, 17, "OH1", "overheating of the heat sink"),
+    Alarm(0x9000, 18, "OH2", "external alarm"),
+    Alarm(0x4110, 19, "OH3", "inverter overheat"),
+    Alarm(0x4310, 20, "OH4", "motor protection (PTC thermistor)"),
+    Alarm(0x4210, 22, "dbH", "braking resistor overheated"),
+    Alarm(0x2211, 23, "OL1", "motor overload 1"),
+    Alarm(0x2212, 24, "OL2", "motor overload 2"),
+    Alarm(0x2200, 25, "OLU", "inverter overload"),
+    Alarm(0x5500, 31, "Er1", "memory error"),
+    Alarm(0x7520, 32, "Er2", "keypad communication error"),
+    Alarm(0x5220, 33, "Er3", "CPU error"),
+    Alarm(0x7510, 34, "Er4", "interface option communications error"),
+    Alarm(0x7511, 35, "Er5", "field bus communications error"),
+    Alarm(0xF004, 36, "Er6", "operation protection"),
+    Alarm(0x7200, 37, "Er7", "tuning error"),
+    Alarm(0xB100, 38, "Er8", "RS-485 communications error"),
+    Alarm(0x3300, 46, "OPL", "output phase loss"),
+    Alarm(0x6300, 51, "ErF", "data save error due to undervoltage"),
+    Alarm(0x7520, 53, "ErP", "RS-485 communications error of the option"),
+    Alarm(0x5220, 54, "ErH", "LSI error of the power board"),
+)
+ER5: Final = 35
+
+
+def alarm_text(malfunction: int) -> str:
+    """The names behind a malfunction code of PNU 947, which three times stands for two alarms."""
+    return " or ".join(alarm.text for alarm in ALARMS if alarm.malfunction == malfunction) or f"{malfunction:04X}"
+
+
+#: PNUs of arrays (table 8.11)
+ARRAYS: Final = frozenset({947})
+PNU_ACCESS, PNU_ALARMS, PNU_PROFILE, PNU_CTW, PNU_STW = 927, 947, 965, 967, 968
+#: indexes of PNU 947 that hold an alarm, latest first; the others are 0
+ALARM_INDEXES: Final = (1, 9, 17, 25)
+
+
+class _Code(NamedTuple):
+    code: str
+    title: str
+    decimals: int
+    unit: str
+    low: float
+    high: float
+    factory: float
+    made_up: bool = False
+
+
+# Formats of the function codes are in MEH448, which we do not have: decimals of F03, F07, F08, E31, H56 are made up.
+_CODES: Final = (
+    _Code("F03", "Maximum frequency", 1, "Hz", 25, 400, 60, True),
+    _Code("F07", "Acceleration time", 1, "s", 0, 3600, 1, True),
+    _Code("F08", "Deceleration time", 1, "s", 0, 3600, 1, True),
+    _Code("F26", "Motor sound", 0, "", 0, 15, 2, True),
+    _Code("E31", "Frequency detection level, 0: never", 1, "Hz", 0, 400, 0, True),
+    _Code("H56", "Deceleration time for a forced stop", 1, "s", 0, 3600, 0.5, True),
+    _Code("o27", "Reaction to a communications error", 0, "", 0, 15, 0),
+    _Code("o28", "Timer for communications errors", 1, "s", 0, 60, 0),
+    _Code("o30", "PPO type", 0, "", 0, 255, 0),
+    _Code("o31", "Station address", 0, "", 0, 255, 0),
+    _Code("y98", "Run and frequency command source", 0, "", 0, 3, 0),
+)
+
+
+def _specs() -> Iterator[ParamSpec]:
+    for code, title, decimals, unit, low, high, factory, made_up in _CODES:
+        found = address(code)
+        assert found is not None
+        yield ParamSpec(
+            number=found[0],
+            index=found[1],
+            name=code,
+            title=title,
+            decimals=decimals,
+            unit=unit,
+            low=low,
+            high=high,
+            factory=factory,
+            made_up=made_up,
+        )
+    yield ParamSpec(number=PNU_ACCESS, name="access_permission", title="Write access over PCV", high=1, factory=1)
+    yield ParamSpec(number=PNU_ALARMS, name="malfunctions", title="Malfunction history", read_only=True)
+    yield ParamSpec(number=PNU_PROFILE, name="profile_version", title="PROFIdrive version", factory=2, read_only=True)
+    yield ParamSpec(number=PNU_CTW, name="last_ctw", title="Last CTW", read_only=True)
+    yield ParamSpec(number=PNU_STW, name="last_stw", title="Latest STW", read_only=True)
+
+
+PARAMETERS: Final = ParamTable(_specs())

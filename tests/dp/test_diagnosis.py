@@ -1,0 +1,168 @@
+"""The diagnosis: octets of real logs, every bit, blocks whose lengths are true or lie."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dpstack.dp.diagnosis import FLAG, FLAGS, Diagnosis, SetBy
+from dpstack.dp.ext_diagnosis import (
+    Block,
+    ChannelBlock,
+    DeviceBlock,
+    IdentifierBlock,
+    RevisionBlock,
+    split_blocks,
+)
+from dpstack.errors import PduError
+
+PROPERTIES = {
+    "station_non_existent": "station_non_existent",
+    "station_not_ready": "not_ready",
+    "cfg_fault": "cfg_fault",
+    "ext_diag": "ext_diag",
+    "not_supported": "not_supported",
+    "invalid_slave_response": "invalid_response",
+    "prm_fault": "prm_fault",
+    "master_lock": "master_lock",
+    "prm_req": "prm_req",
+    "stat_diag": "stat_diag",
+    "wd_on": "wd_on",
+    "freeze_mode": "freeze",
+    "sync_mode": "sync",
+    "not_present": "not_present",
+    "deactivated": "deactivated",
+    "ext_diag_overflow": "overflow",
+}
+
+
+def parse(octets: str) -> Diagnosis:
+    diagnosis = Diagnosis.parse(bytes.fromhex(octets))
+    assert diagnosis is not None
+    return diagnosis
+
+
+def test_a_slave_that_waits_for_parameters() -> None:
+    """pyprofibus#7."""
+    diagnosis = parse("02 05 00 FF 0C DA")
+    assert diagnosis.master is None
+    assert diagnosis.ident == 0x0CDA
+    assert diagnosis.flags == ("station_not_ready", "prm_req")
+    assert diagnosis.always_one
+    assert diagnosis.build() == bytes.fromhex("02 05 00 FF 0C DA")
+
+
+def test_a_slave_that_is_ready() -> None:
+    """pyprofibus#19: watchdog on, locked to master 2."""
+    diagnosis = parse("00 0C 00 02 0A 35")
+    assert (diagnosis.master, diagnosis.ident, diagnosis.flags) == (2, 0x0A35, ("wd_on",))
+    assert not diagnosis.not_ready
+    assert diagnosis.ext == b""
+    assert diagnosis.blocks == ()
+    assert diagnosis.texts == ("watches its master",)
+
+
+@pytest.mark.parametrize("name", list(PROPERTIES))
+def test_every_bit_by_itself(name: str) -> None:
+    flag = FLAG[name]
+    octets = bytearray(6)
+    octets[flag.octet - 1] = flag.mask
+    diagnosis = Diagnosis.parse(bytes(octets))
+    assert diagnosis is not None
+    assert diagnosis.flags == (name,)
+    assert [flag.name for flag in diagnosis.findings] == [name]
+    assert {of: getattr(diagnosis, attribute) for of, attribute in PROPERTIES.items()} == {
+        of: of == name for of in PROPERTIES
+    }
+    assert diagnosis.texts[0].startswith(flag.text)
+    assert diagnosis.build() == octets
+
+
+def test_the_table_holds_every_bit_once() -> None:
+    assert set(PROPERTIES) == {flag.name for flag in FLAGS}
+    assert len({(flag.octet, flag.mask) for flag in FLAGS}) == len(FLAGS)
+    covered = [sum(flag.mask for flag in FLAGS if flag.octet == octet) for octet in (1, 2, 3)]
+    assert covered == [0xFF, 0xFB, 0x80]  # octet 2 bit 2 is always 1, octet 3 has one bit
+    by_master = {flag.name for flag in FLAGS if flag.set_by is SetBy.MASTER}
+    assert by_master == {
+        "station_non_existent", "invalid_slave_response", "master_lock", "not_present", "deactivated",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("length", [0, 1, 5, 245, 300])
+def test_what_is_no_diagnosis(length: int) -> None:
+    assert Diagnosis.parse(bytes(length)) is None
+
+
+def test_what_real_slaves_do_instead_is_tolerated() -> None:
+    """Section I: the bit that is always 1 is 0; the master address is own + 128."""
+    assert not parse("00 00 00 02 12 34").always_one
+    assert parse("00 08 00 82 12 34").master == 0x82
+
+
+def test_an_extended_diagnosis_that_is_too_long_is_misuse() -> None:
+    assert len(Diagnosis(0, 4, 0, 2, 1, bytes(238)).build()) == 244
+    with pytest.raises(PduError, match="239 octets"):
+        Diagnosis(0, 4, 0, 2, 1, bytes(239)).build()
+
+
+def test_all_kinds_of_blocks() -> None:
+    """Protocol facts B1: device, identifier, channel, revision."""
+    diagnosis = parse("08 0C 00 02 12 34" + "04 AA BB CC" + "43 05 80" + "82 43 A6" + "C7" + "01")
+    assert diagnosis.ext_finding is None
+    device, identifier, channel, revision, empty = diagnosis.blocks
+    assert isinstance(device, DeviceBlock)
+    assert device.data == b"\xaa\xbb\xcc"
+    assert isinstance(identifier, IdentifierBlock)
+    assert identifier.modules == (0, 2, 15)
+    assert isinstance(channel, ChannelBlock)
+    assert (channel.identifier, channel.channel, channel.input, channel.output) == (2, 3, True, False)
+    assert (channel.size, channel.error) == (5, 6)
+    assert channel.text == "module 2, input channel 3 (word): line break"
+    assert isinstance(revision, RevisionBlock)
+    assert revision.revision == 7
+    assert empty == DeviceBlock(b"\x01")
+
+
+@pytest.mark.parametrize(
+    ("octets", "text"),
+    [
+        ("80 80 21", "module 0, output channel 0 (bit): short circuit"),
+        ("BF FF F0", "module 63, in/output channel 63 (reserved): error 16"),
+        ("81 00 09", "module 1, channel 0 (unspecific): error"),
+    ],
+)
+def test_channel_texts(octets: str, text: str) -> None:
+    (block,), finding = split_blocks(bytes.fromhex(octets))
+    assert finding is None
+    assert isinstance(block, ChannelBlock)
+    assert block.text == text
+
+
+@pytest.mark.parametrize(
+    ("ext", "blocks", "finding"),
+    [
+        ("05 01 02", [DeviceBlock(bytes.fromhex("050102"))], "octet 7 announces a block of 5 octets, 3 are left"),
+        ("C1 48 01", [RevisionBlock(b"\xc1", 1), IdentifierBlock(b"\x48\x01")], "octet 8 announces a block of 8"),
+        ("81 00", [], "octet 7 announces a block of 3 octets, 2 are left"),
+        ("00 FF", [], "octet 7 announces a block without any octets, 2 octets are left undecoded"),
+        ("C1 40", [RevisionBlock(b"\xc1", 1)], "octet 8 announces a block without any octets"),
+    ],
+)
+def test_lengths_that_lie(ext: str, blocks: list[Block], finding: str) -> None:
+    found, text = split_blocks(bytes.fromhex(ext))
+    assert list(found) == blocks
+    assert text is not None
+    assert text.startswith(finding)
+
+
+@given(st.binary(min_size=6, max_size=244))
+def test_any_octets(octets: bytes) -> None:
+    diagnosis = Diagnosis.parse(octets)
+    assert diagnosis is not None
+    assert diagnosis.build() == octets
+    joined = b"".join(block.octets for block in diagnosis.blocks)
+    assert octets[6:].startswith(joined)
+    assert diagnosis.ext_finding is not None or joined == octets[6:]
+    assert len(diagnosis.texts) == len(diagnosis.flags)

@@ -1,0 +1,108 @@
+"""Identifier octets against the examples of manuals (protocol facts B3, J), and the watchdog factors."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dpstack.dp.identifiers import Identifier, io_lengths, parse_identifiers
+from dpstack.dp.setup import watchdog_factors, watchdog_ns
+from dpstack.errors import ConfigError
+
+
+@pytest.mark.parametrize(
+    ("octets", "inputs", "outputs"),
+    [
+        ("11", 2, 0),  # 2 octets in
+        ("22", 0, 3),  # 3 octets out
+        ("F3", 8, 8),  # 4 words in and out, consistent
+        ("71", 4, 4),  # 2 words in and out
+        ("21", 0, 2),  # pyprofibus#19
+        ("F3 F1", 12, 12),  # PPO1
+        ("F1", 4, 4),  # PPO3
+        ("00", 0, 0),  # empty slot
+        ("C3 C1 C1 FD 00 01", 4, 4),  # ABB FPBA-01 ST1: two words each way and three octets of the maker
+        ("40 07", 8, 0),  # special, input only
+        ("80 47", 0, 16),  # special, output only, words
+        ("C0 83 C1", 4, 4),  # special: output 4 octets, input 2 words, both consistent
+        ("CF 00 00", 1, 1),  # 15: no octets of the maker follow
+        ("10 00 20", 1, 1),  # an empty slot between modules
+    ],
+)
+def test_lengths(octets: str, inputs: int, outputs: int) -> None:
+    assert io_lengths(bytes.fromhex(octets)) == (inputs, outputs)
+
+
+def test_the_special_format_in_full() -> None:
+    (identifier,) = parse_identifiers(bytes.fromhex("C3 C1 C1 FD 00 01"))
+    assert identifier == Identifier(bytes.fromhex("C3C1C1FD0001"), 4, 4, True, True, bytes.fromhex("FD0001"))
+    assert not identifier.empty
+
+
+def test_output_length_comes_before_input_length() -> None:
+    (identifier,) = parse_identifiers(bytes.fromhex("C0 81 02"))
+    assert (identifier.outputs, identifier.inputs) == (2, 3)
+    assert identifier.output_consistent
+    assert not identifier.input_consistent
+
+
+def test_consistency_of_the_general_format() -> None:
+    whole, unit = parse_identifiers(bytes.fromhex("B0 10"))
+    assert (whole.input_consistent, whole.output_consistent) == (True, True)
+    assert (unit.input_consistent, unit.output_consistent) == (False, False)
+
+
+def test_several_identifiers_keep_their_octets() -> None:
+    config = bytes.fromhex("F3 C3 C1 C1 FD 00 01 00 22")
+    identifiers = parse_identifiers(config)
+    assert [i.octets.hex() for i in identifiers] == ["f3", "c3c1c1fd0001", "00", "22"]
+    assert identifiers[2].empty
+
+
+@pytest.mark.parametrize(
+    ("octets", "finding"),
+    [
+        ("C3", "identifier octet 0 .*missing"),
+        ("C3 C1", "identifier octet 0 .*missing"),
+        ("C3 C1 C1", "announces 3 manufacturer octets, 0 are left"),
+        ("C3 C1 C1 FD 00", "announces 3 manufacturer octets, 2 are left"),
+        ("11 40", "identifier octet 1 "),
+        ("04 01 02", "announces 4 manufacturer octets, 2 are left"),
+    ],
+)
+def test_truncated_ones_name_the_octet(octets: str, finding: str) -> None:
+    with pytest.raises(ConfigError, match=finding):
+        parse_identifiers(bytes.fromhex(octets))
+
+
+@given(st.binary(max_size=244))
+def test_any_octets_are_split_or_refused(config: bytes) -> None:
+    try:
+        identifiers = parse_identifiers(config)
+    except ConfigError:
+        return
+    assert b"".join(i.octets for i in identifiers) == config
+    assert io_lengths(config) == (sum(i.inputs for i in identifiers), sum(i.outputs for i in identifiers))
+    assert all(0 <= i.inputs <= 128 and 0 <= i.outputs <= 128 for i in identifiers)
+
+
+@pytest.mark.parametrize(
+    ("ms", "effective_ms"),
+    [(1, 10), (10, 10), (11, 20), (200, 200), (2550, 2550), (2560, 2560), (2570, 2580), (650_250, 650_250)],
+)
+def test_watchdog_factors(ms: int, effective_ms: int) -> None:
+    """2570 ms: 257 is a prime above 255, so the next product of two factors is taken, 258 = 2 x 129."""
+    factors = watchdog_factors(ms)
+    assert all(1 <= factor <= 255 for factor in factors)
+    assert watchdog_ns(factors) == effective_ms * 1_000_000
+
+
+_PRODUCTS = sorted({a * b for a in range(1, 256) for b in range(1, 256)})
+
+
+@given(st.integers(1, 650_250))
+def test_the_watchdog_is_never_shorter_and_never_longer_than_need_be(ms: int) -> None:
+    first, second = watchdog_factors(ms)
+    ticks = -(-ms // 10)
+    assert first * second == next(product for product in _PRODUCTS if product >= ticks)

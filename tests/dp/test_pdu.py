@@ -1,0 +1,155 @@
+"""Set_Prm and Global_Control, against octets of real bus logs and of manuals (protocol facts A1, B2, B4)."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dpstack.dp.pdu import MAX_USER_PRM, GlobalControl, SetPrm
+from dpstack.errors import DpError, PduError
+
+# pyprofibus#7, data unit of 68 0F 0F 68 82 E3 5D 3D 3E B8 05 01 00 0C DA 01 40 00 00 22 16
+LOG_7 = bytes.fromhex("B8 05 01 00 0C DA 01 40 00 00")
+LOG_7_VALUES = SetPrm(
+    ident=0x0CDA,
+    user_prm=b"\x40\0\0",
+    lock=True,
+    sync=True,
+    freeze=True,
+    watchdog=(5, 1),
+    min_tsdr=0,
+    group_mask=1,
+)
+# Felser's manual, "Telegrammformate": Set Parameters 1 -> 22
+FELSER = bytes.fromhex("B8 01 63 0B 05 AA 22")
+
+
+def test_the_log_of_a_real_bus_both_ways() -> None:
+    assert SetPrm.parse(LOG_7) == LOG_7_VALUES
+    assert LOG_7_VALUES.build() == LOG_7
+
+
+def test_the_manual_s_example_both_ways() -> None:
+    prm = SetPrm.parse(FELSER)
+    assert (prm.watchdog, prm.min_tsdr, prm.ident, prm.group_mask) == ((1, 99), 11, 0x05AA, 0x22)
+    assert prm.build() == FELSER
+
+
+@pytest.mark.parametrize(
+    ("prm", "first"),
+    [
+        (SetPrm(1), 0x80),
+        (SetPrm(1, unlock=True), 0xC0),
+        (SetPrm(1, lock=False, unlock=True), 0x40),
+        (SetPrm(1, lock=False), 0x00),
+        (SetPrm(1, sync=True), 0xA0),
+        (SetPrm(1, freeze=True), 0x90),
+        (SetPrm(1, watchdog=(2, 3)), 0x88),
+    ],
+)
+def test_station_status(prm: SetPrm, first: int) -> None:
+    octets = prm.build()
+    assert octets[0] == first
+    assert octets[1:] == bytes((2, 3) if prm.watchdog else (1, 1)) + b"\x0b\x00\x01\x00"
+    assert SetPrm.parse(octets) == prm
+
+
+def test_reserved_bits_and_zero_factors_are_taken_as_they_come() -> None:
+    prm = SetPrm.parse(bytes.fromhex("8F 00 07 0B 12 34 00"))
+    assert prm.lock
+    assert prm.watchdog == (0, 7)
+
+
+@pytest.mark.parametrize(
+    ("length", "octet"),
+    [(0, "octet 1"), (1, "octet 2"), (2, "octet 3"), (3, "octet 4"), (4, "octet 5"), (5, "octet 6"), (6, "octet 7")],
+)
+def test_too_short_names_the_octet(length: int, octet: str) -> None:
+    with pytest.raises(PduError, match=octet):
+        SetPrm.parse(LOG_7[:length])
+
+
+def test_too_long_names_the_octet() -> None:
+    assert len(SetPrm.parse(LOG_7[:7] + bytes(237)).user_prm) == 237
+    with pytest.raises(PduError, match="octet 244 is the last"):
+        SetPrm.parse(LOG_7[:7] + bytes(238))
+
+
+@pytest.mark.parametrize(
+    ("prm", "what"),
+    [
+        (SetPrm(0x10000), "ident = 65536"),
+        (SetPrm(-1), "ident = -1"),
+        (SetPrm(1, min_tsdr=256), "min_tsdr = 256"),
+        (SetPrm(1, group_mask=256), "group_ident = 256"),
+        (SetPrm(1, watchdog=(0, 1)), "watchdog factors"),
+        (SetPrm(1, watchdog=(1, 256)), "watchdog factors"),
+        (SetPrm(1, user_prm=bytes(MAX_USER_PRM + 1)), "238 octets"),
+    ],
+)
+def test_values_that_do_not_fit_raise_at_once(prm: SetPrm, what: str) -> None:
+    with pytest.raises(PduError, match=what) as caught:
+        prm.build()
+    assert isinstance(caught.value, DpError)
+    assert isinstance(caught.value, ValueError)
+
+
+prms = st.builds(
+    SetPrm,
+    ident=st.integers(0, 0xFFFF),
+    user_prm=st.binary(max_size=237),
+    lock=st.booleans(),
+    unlock=st.booleans(),
+    sync=st.booleans(),
+    freeze=st.booleans(),
+    watchdog=st.none() | st.tuples(st.integers(1, 255), st.integers(1, 255)),
+    min_tsdr=st.integers(0, 255),
+    group_mask=st.integers(0, 255),
+)
+
+
+@given(prms)
+def test_every_set_prm_comes_back(prm: SetPrm) -> None:
+    octets = prm.build()
+    assert len(octets) == 7 + len(prm.user_prm)
+    assert octets[4:6] == prm.ident.to_bytes(2, "big")
+    assert SetPrm.parse(octets) == prm
+
+
+@given(st.binary(max_size=300))
+def test_any_octets_are_read_or_refused(octets: bytes) -> None:
+    for pdu in (SetPrm, GlobalControl):
+        try:
+            pdu.parse(octets)
+        except PduError as error:
+            finding = str(error)
+        else:
+            finding = "octets are fine"
+        assert "octet" in finding
+
+
+@pytest.mark.parametrize(
+    ("control", "octets"),
+    [
+        (GlobalControl(), "00 00"),
+        (GlobalControl(clear=True), "02 00"),
+        (GlobalControl(unfreeze=True), "04 00"),
+        (GlobalControl(freeze=True, group_mask=0x80), "08 80"),
+        (GlobalControl(unsync=True), "10 00"),
+        (GlobalControl(sync=True, group_mask=3), "20 03"),
+        (GlobalControl(clear=True, unfreeze=True, freeze=True, unsync=True, sync=True, group_mask=255), "3E FF"),
+    ],
+)
+def test_global_control(control: GlobalControl, octets: str) -> None:
+    assert control.build() == bytes.fromhex(octets)
+    assert GlobalControl.parse(bytes.fromhex(octets)) == control
+
+
+def test_global_control_ignores_reserved_bits_and_refuses_other_lengths() -> None:
+    assert GlobalControl.parse(b"\xc1\x00") == GlobalControl()
+    for octets in (b"", b"\0", b"\0\0\0"):
+        with pytest.raises(PduError, match=r"octet [12]"):
+            GlobalControl.parse(octets)
+    with pytest.raises(PduError, match="group_select = 256"):
+        GlobalControl(group_mask=256).build()

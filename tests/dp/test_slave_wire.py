@@ -1,0 +1,192 @@
+"""A whole slave on its line, octet by octet: nothing of ours at the other end."""
+
+from __future__ import annotations
+
+import pytest
+from faulty_slaves import (
+    Dies,
+    NeverReady,
+    RefusesParameters,
+    SilentRefusal,
+    WrongLength,
+    locked_by,
+    refuses_config,
+    wrong_ident,
+)
+from slave_kit import CFG, MS, PRM, Bench
+
+from dpstack.dp.mirror import MirrorDevice
+from dpstack.dp.slave_events import SlaveAppStateChanged
+from dpstack.dp.slaveapp import SlaveApp, SlaveAppState, make_slave
+from dpstack.fdl.passive import PassiveStation
+from dpstack.fdl.telegram import Resp
+from dpstack.fdl.user import RS_REPLY, SC_REPLY, Reply
+from dpstack.machine import pump
+from dpstack.params import BusParams
+
+PARAMS = BusParams.preset(500_000)
+BIT = 2_000
+
+
+class Wire:
+    """Feeds octets to a station and takes what it sends, in a time of its own."""
+
+    def __init__(self, station: PassiveStation) -> None:
+        self.station = station
+        self.now = MS
+        self.out: list[tuple[int, bytes]] = []
+
+    def _transmit(self, octets: bytes, now: int) -> int:
+        self.out.append((now, octets))
+        return now + len(octets) * 11 * BIT
+
+    def ask(self, octets: str) -> str:
+        """The answer to ``octets`` as hex, empty for silence."""
+        self.now += 1000 * BIT
+        self.out.clear()
+        end = self.now
+        due = pump(self.station, bytes.fromhex(octets), self.now, self._transmit)
+        while due <= end + 500 * BIT:
+            self.now = max(self.now, due)
+            due = pump(self.station, b"", self.now, self._transmit)
+        return self.out[0][1].hex(" ").upper() if self.out else ""
+
+    def pass_time(self, ns: int) -> None:
+        """Silence, and nothing else."""
+        self.now += ns
+        pump(self.station, b"", self.now, self._transmit)
+
+
+def framed(da: int, sa: int, fc: int, unit: str) -> str:
+    """An SD2 telegram, put together here by hand."""
+    body = bytes((da, sa, fc)) + bytes.fromhex(unit)
+    head = bytes((0x68, len(body), len(body), 0x68))
+    return (head + body + bytes((sum(body) & 0xFF, 0x16))).hex(" ")
+
+
+def test_the_telegrams_of_real_logs() -> None:
+    """pyprofibus#7: Slave_Diag 99 -> 2 and its answer, FDL status (to 2 here), Set_Prm with what the slave needs."""
+    device = MirrorDevice(0x0CDA, bytes.fromhex("21"))
+    wire = Wire(make_slave(2, device, PARAMS))
+    assert wire.ask("68 05 05 68 82 E3 6D 3C 3E 4C 16") == "68 0B 0B 68 E3 82 08 3E 3C 02 05 00 FF 0C DA D3 16"
+    assert wire.ask("10 02 63 49 AE 16") == "10 63 02 00 65 16"
+    assert wire.ask("68 0F 0F 68 82 E3 5D 3D 3E B8 05 01 00 0C DA 01 40 00 00 22 16") == "E5"
+    assert isinstance(wire.station.responder, SlaveApp)
+    assert wire.station.responder.state is SlaveAppState.WAIT_CFG
+    assert wire.station.responder.master == 99
+
+
+def test_the_whole_bring_up() -> None:
+    """Addresses, ident number and diagnosis of pyprofibus#19 (8, master 2, 0A35)."""
+    wire = Wire(make_slave(8, MirrorDevice(0x0A35, bytes.fromhex("10 20")), PARAMS))
+    assert wire.ask("68 05 05 68 88 82 6D 3C 3E F1 16") == "68 0B 0B 68 82 88 08 3E 3C 02 05 00 FF 0A 35 D1 16"
+    assert wire.ask(framed(0x88, 0x82, 0x5D, "3D 3E 88 01 0A 0B 0A 35 02")) == "E5"
+    assert wire.ask(framed(0x88, 0x82, 0x7D, "3E 3E 10 20")) == "E5"
+    # the log of #19: ready, watchdog on, locked to master 2
+    assert wire.ask("68 05 05 68 88 82 5D 3C 3E E1 16") == "68 0B 0B 68 82 88 08 3E 3C 00 0C 00 02 0A 35 D9 16"
+    assert wire.ask("68 04 04 68 08 02 7D 55 DC 16") == "68 04 04 68 02 08 08 55 67 16"
+    # a repetition: the kept answer, nothing is done twice
+    assert wire.ask("68 04 04 68 08 02 7D 55 DC 16") == "68 04 04 68 02 08 08 55 67 16"
+    assert wire.ask("68 04 04 68 08 02 5D 66 CD 16") == "68 04 04 68 02 08 08 66 78 16"
+    app = wire.station.responder
+    assert isinstance(app, SlaveApp)
+    assert app.stats.exchanges == 2
+    # Global_Control Clear to all: no answer, then zeros
+    assert wire.ask(framed(0xFF, 0x82, 0x46, "3A 3E 02 00")) == ""
+    assert app.clear
+    assert wire.ask("68 04 04 68 08 02 7D 55 DC 16") == "68 04 04 68 02 08 08 00 12 16"
+    # Set_Slave_Add is not active: RS
+    assert wire.ask(framed(0x88, 0x82, 0x5D, "37 3E 09 0A 35 00")) == "10 02 08 03 0D 16"
+    changes = [event.state for event in wire.station.take_events() if isinstance(event, SlaveAppStateChanged)]
+    assert changes == [SlaveAppState.WAIT_CFG, SlaveAppState.DATA_EXCH]
+    # the watchdog of 100 ms
+    wire.pass_time(100 * MS)
+    assert wire.ask("68 05 05 68 88 82 7D 3C 3E 01 16") == "68 0B 0B 68 82 88 08 3E 3C 02 05 00 FF 0A 35 D1 16"
+
+
+def test_min_tsdr_of_set_prm_is_kept() -> None:
+    station = make_slave(8, MirrorDevice(0x0A35, bytes.fromhex("10 20")), PARAMS)
+    wire = Wire(station)
+    start = wire.now + 1000 * BIT
+    wire.ask("68 05 05 68 88 82 6D 3C 3E F1 16")
+    assert wire.out[0][0] - start == 11 * BIT
+    wire.ask(framed(0x88, 0x82, 0x5D, "3D 3E 80 01 01 37 0A 35 00"))
+    start = wire.now + 1000 * BIT
+    wire.ask("68 05 05 68 88 82 7D 3C 3E 01 16")
+    assert wire.out[0][0] - start == 0x37 * BIT
+
+
+def test_a_slave_without_inputs_and_one_without_outputs() -> None:
+    wire = Wire(make_slave(8, MirrorDevice(0x0A35, b"\x20"), PARAMS))
+    wire.ask(framed(0x88, 0x82, 0x6D, "3D 3E 80 01 01 0B 0A 35 00"))
+    wire.ask(framed(0x88, 0x82, 0x5D, "3E 3E 20"))
+    assert wire.ask("68 04 04 68 08 02 7D 55 DC 16") == "E5"
+    wire = Wire(make_slave(8, MirrorDevice(0x0A35, b"\x10"), PARAMS))
+    wire.ask(framed(0x88, 0x82, 0x6D, "3D 3E 80 01 01 0B 0A 35 00"))
+    wire.ask(framed(0x88, 0x82, 0x5D, "3E 3E 10"))
+    assert wire.ask("10 08 02 7D 87 16") == "68 04 04 68 02 08 08 00 12 16"  # inputs only: an SD1 request
+
+
+# --- the faulty ones that tests of masters use ------------------------------------------------------------------
+
+
+def bench_of(app: SlaveApp) -> Bench:
+    return Bench(app.device, app)
+
+
+def test_wrong_ident() -> None:
+    bench = bench_of(wrong_ident(MirrorDevice(0x0A35, CFG)))
+    assert bench.diag()[4:] == b"\xde\xad"
+    bench.prm()
+    assert bench.diag()[0] == 0x42
+
+
+def test_refuses_config() -> None:
+    bench = bench_of(refuses_config(0x0A35, b"\x11"))
+    bench.prm()
+    assert bench.cfg() == SC_REPLY
+    assert bench.diag()[0] == 0x06
+    assert bench.ask(59).data == b"\x11"
+
+
+def test_refuses_parameters() -> None:
+    bench = bench_of(SlaveApp(RefusesParameters(0x0A35, CFG)))
+    bench.prm(PRM + b"\x01")
+    assert bench.diag()[0] == 0x42
+
+
+@pytest.mark.parametrize(("extra", "length"), [(1, 2), (-5, 1), (3, 4)])
+def test_wrong_length(extra: int, length: int) -> None:
+    bench = bench_of(WrongLength(MirrorDevice(0x0A35, CFG), extra)).up()
+    assert len(bench.dx().data) == length
+
+
+def test_dies_and_is_revived() -> None:
+    app = Dies(MirrorDevice(0x0A35, CFG), 2)
+    bench = bench_of(app).up()
+    assert [bench.dx(), bench.dx()] == [Reply(Resp.DL, b"\x55")] * 2
+    with pytest.raises(AssertionError):
+        bench.dx()
+    with pytest.raises(AssertionError):
+        bench.ask(60)
+    app.revive(0)
+    assert bench.diag()[:2] == b"\x02\x05"
+
+
+def test_never_ready() -> None:
+    bench = bench_of(NeverReady(MirrorDevice(0x0A35, CFG))).up()
+    assert bench.diag()[:2] == b"\x02\x0c"
+    assert bench.dx() == RS_REPLY
+
+
+def test_silent_refusal() -> None:
+    bench = bench_of(SilentRefusal(MirrorDevice(0x0A35, CFG)))
+    with pytest.raises(AssertionError):
+        bench.prm(PRM[:6])
+    assert bench.prm() == SC_REPLY
+
+
+def test_locked_by_another() -> None:
+    bench = bench_of(locked_by(MirrorDevice(0x0A35, CFG), 9))
+    bench.prm()
+    assert bench.diag() == bytes.fromhex("00 04 00 09 0A 35")

@@ -1,0 +1,82 @@
+"""Every row of the slave's transition table, driven by what causes it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from slave_kit import CFG, KEEP, MS, OTHER, PRM, UNLOCK, Bench
+
+from dpstack.dp.slave_states import TABLE, AppEv, SlaveAppState
+
+Cause = Callable[[Bench], object]
+
+
+def _foreign_cfg(bench: Bench) -> None:
+    bench.cfg(CFG, sa=OTHER)
+
+
+def _break(method: str, then: Cause) -> Cause:
+    def cause(bench: Bench) -> None:
+        bench.recorder.broken = method
+        then(bench)
+
+    return cause
+
+
+def _held_cfg(bench: Bench) -> None:
+    bench.recorder.broken = "check_cfg"
+    bench.cfg()
+    bench.prm()
+    assert bench.app.state is SlaveAppState.WAIT_CFG
+    bench.cfg()
+
+
+CAUSES: dict[AppEv, Cause] = {
+    AppEv.PRM_GOOD: lambda bench: bench.prm(),
+    AppEv.PRM_BAD: lambda bench: bench.prm(b"\x88"),
+    AppEv.PRM_KEEP: lambda bench: bench.prm(KEEP),
+    AppEv.UNLOCK: lambda bench: bench.prm(UNLOCK),
+    AppEv.PRM_FOREIGN: lambda bench: bench.prm(PRM, sa=OTHER),
+    AppEv.CFG_GOOD: lambda bench: bench.cfg(),
+    AppEv.CFG_BAD: lambda bench: bench.cfg(b"\x11"),
+    AppEv.CFG_HELD: _held_cfg,
+    AppEv.CFG_FOREIGN: _foreign_cfg,
+    AppEv.LENGTH: lambda bench: bench.dx(b"\x01\x02"),
+    AppEv.WATCHDOG: lambda bench: bench.pass_time(100 * MS),
+    AppEv.FAILED: _break("ext_diag", lambda bench: bench.diag()),
+    AppEv.POWER_ON: lambda bench: bench.app.restart(bench.now),
+}
+
+
+@pytest.mark.parametrize("row", list(TABLE), ids=lambda row: f"{row[0].value}-{row[1].name.lower()}")
+def test_every_row(row: tuple[SlaveAppState, AppEv], monkeypatch: pytest.MonkeyPatch) -> None:
+    start, event = row
+    bench = Bench()
+    if start is not SlaveAppState.WAIT_PRM:
+        bench.prm()
+    if start is SlaveAppState.DATA_EXCH:
+        bench.cfg()
+    assert bench.app.state is start
+    taken = Rows()
+    monkeypatch.setattr("dpstack.dp.slaveapp.TABLE", taken)
+    CAUSES[event](bench)
+    assert taken.last == row
+    assert bench.app.state is TABLE[row].next
+
+
+class Rows(dict[tuple[SlaveAppState, AppEv], object]):
+    """The table, remembering the row that was looked up last."""
+
+    def __init__(self) -> None:
+        super().__init__(TABLE)
+        self.last: tuple[SlaveAppState, AppEv] | None = None
+
+    def __getitem__(self, row: tuple[SlaveAppState, AppEv]) -> object:
+        self.last = row
+        return super().__getitem__(row)
+
+
+def test_every_row_has_a_clause_and_every_event_a_cause() -> None:
+    assert all(row.clause for row in TABLE.values())
+    assert {event for _, event in TABLE} == set(AppEv) == set(CAUSES)

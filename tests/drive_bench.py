@@ -1,0 +1,146 @@
+"""Benches for drive tests: a plugin fed with literal octets, a simulated drive fed with literal octets, both together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from dpstack.profile import DriveCore, DriveDevice
+
+MS = 1_000_000
+S = 1_000 * MS
+START = 5 * S
+
+
+class PluginBench:
+    """The master's end alone: inputs are what the test says, in hex."""
+
+    def __init__(self, core: DriveCore, inputs: str, rotation: int = 2 * MS) -> None:
+        self.core = core
+        self.now = START
+        self.rotation = rotation
+        self.inputs = bytes.fromhex(inputs)
+        self.events: list[dict[str, object]] = []
+        self._token = 0
+        self.run(2)
+
+    def run(self, rotations: int = 1) -> bytes:
+        """Some rotations with the present inputs; the last outputs."""
+        out = b""
+        for _ in range(rotations):
+            self.now += self.rotation
+            out = self.core.cyclic(self.inputs, self.now)
+            self.events += self.core.take_events()
+        return out
+
+    def see(self, inputs: str, rotations: int = 1) -> str:
+        """The drive answers ``inputs`` (hex) from now on; the outputs after some rotations, in hex."""
+        self.inputs = bytes.fromhex(inputs)
+        return self.run(rotations).hex(" ").upper()
+
+    def order(self, op: str, **args: object) -> int:
+        """Give an order; its token."""
+        self._token += 1
+        self.core.command(op, args, self._token, self.now)
+        self.events += self.core.take_events()
+        return self._token
+
+    def out(self) -> str:
+        """The outputs of one more rotation, in hex."""
+        return self.run().hex(" ").upper()
+
+    def result(self, token: int) -> dict[str, object] | None:
+        """The result of an order, None while it is under way."""
+        for event in self.events:
+            if event["type"] == "result" and event["token"] == token:
+                return event
+        return None
+
+    def notices(self) -> list[str]:
+        return [str(event["text"]) for event in self.events if event["type"] == "notice"]
+
+
+class DeviceBench:
+    """The simulated drive alone: outputs are what the test says, in hex."""
+
+    def __init__(self, device: DriveDevice, config: str, rotation: int = 2 * MS) -> None:
+        self.device = device
+        self.now = START
+        self.rotation = rotation
+        octets = bytes.fromhex(config)
+        assert device.check_cfg(octets) is None
+        device.enter(octets, self.now)
+        device.operate(self.now)
+
+    def send(self, outputs: str, ms: float = 70) -> str:
+        """Exchange ``outputs`` (hex) for ``ms`` (two scans and more); the last inputs, in hex."""
+        octets = bytes.fromhex(outputs)
+        end = self.now + round(ms * MS)
+        inputs = b""
+        while self.now < end:
+            self.now += self.rotation
+            inputs = self.device.exchange(octets, self.now)
+        return inputs.hex(" ").upper()
+
+    def until(self, outputs: str, wanted: str, ms: float) -> list[str]:
+        """Exchange until the inputs are ``wanted``; all different inputs on the way, in order, the last one included."""
+        octets = bytes.fromhex(outputs)
+        end = self.now + round(ms * MS)
+        seen: list[str] = []
+        while self.now < end:
+            self.now += self.rotation
+            inputs = self.device.exchange(octets, self.now).hex(" ").upper()
+            if not seen or seen[-1] != inputs:
+                seen.append(inputs)
+            if inputs == wanted:
+                return seen
+        raise AssertionError(f"{wanted} did not come; seen {seen[-5:]}")
+
+
+class PairBench(PluginBench):
+    """Plugin and simulated drive against each other, one exchange a rotation."""
+
+    def __init__(self, core: DriveCore, device: DriveDevice, rotation: int = 2 * MS) -> None:
+        self.device = device
+        assert device.check_cfg(core.telegram.config) is None
+        device.enter(core.telegram.config, START)
+        device.operate(START)
+        super().__init__(core, "00" * core.telegram.octets, rotation)
+
+    def run(self, rotations: int = 1) -> bytes:
+        out = b""
+        for _ in range(rotations):
+            self.now += self.rotation
+            out = self.core.cyclic(self.inputs, self.now)
+            self.events += self.core.take_events()
+            self.inputs = self.device.exchange(out, self.now)
+        return out
+
+    def pass_time(self, ms: float) -> None:
+        self.run(round(ms * MS) // self.rotation)
+
+    def do(self, op: str, **args: object) -> dict[str, object]:
+        """Give an order and wait for its result."""
+        token = self.order(op, **args)
+        end = self.now + 120 * S
+        while (result := self.result(token)) is None:
+            assert self.now < end, f"{op} never ended"
+            self.run()
+        return result
+
+    def ok(self, op: str, **args: object) -> object:
+        """Like :meth:`do`, for an order that must work; its value."""
+        result = self.do(op, **args)
+        assert result["ok"], result
+        return result["value"]
+
+    def refused(self, op: str, **args: object) -> tuple[str, str]:
+        """Like :meth:`do`, for an order that must fail: kind and text."""
+        result = self.do(op, **args)
+        assert not result["ok"], result
+        return str(result["error"]), str(result["text"])
+
+
+def as_mapping(value: object) -> Mapping[str, object]:
+    """A JSON object out of an event."""
+    assert isinstance(value, dict)
+    return value

@@ -1,0 +1,454 @@
+"""Demag, the master's end alone: fed with literal octets of the manual (D3, D4, D6, D7, D11, D13)."""
+
+from __future__ import annotations
+
+import pytest
+from dpstack_drives.demag import DRIVE
+from drive_bench import MS, S, PluginBench, as_mapping
+
+from dpstack.profile import State
+
+NO_PKW = "00 00 00 00 00 00 00 00 "
+
+
+def ppo3(inputs: str = "02 40 00 00", **options: object) -> PluginBench:
+    return PluginBench(DRIVE.core("hoist", "PPO3", options), inputs)
+
+
+def ppo1(inputs: str = NO_PKW + "02 40 00 00", **options: object) -> PluginBench:
+    return PluginBench(DRIVE.core("hoist", "PPO1", options), inputs)
+
+
+def running() -> PluginBench:
+    bench = ppo3()
+    token = bench.order("start")
+    for word in ("02 21 00 00", "02 23 00 00", "02 27 00 00"):
+        bench.see(word, 2)
+    result = bench.result(token)
+    assert result is not None
+    assert result["value"] == "running"
+    return bench
+
+
+def test_before_any_order_it_sends_zeros() -> None:
+    bench = ppo3()
+    assert bench.out() == "00 00 00 00"
+    assert bench.core.safe_outputs == bytes(4)
+    assert bench.core.status().state is State.SWITCH_ON_INHIBITED
+
+
+def test_d7_the_way_to_operation_enabled_word_by_word() -> None:
+    bench = ppo3()
+    token = bench.order("start")
+    assert bench.out() == "00 06 00 00"  # transition 2
+    assert bench.see("02 21 00 00") == "00 07 00 00"  # 3
+    assert bench.see("02 23 00 00") == "00 0F 00 00"  # 4
+    assert bench.result(token) is None
+    assert bench.see("06 27 00 00") == "00 0F 00 00"
+    assert as_mapping(bench.result(token))["ok"] is True
+
+
+def test_d11_set_point_of_the_example() -> None:
+    """60 Hz reference, 30 Hz wanted: 0x2000."""
+    bench = PluginBench(DRIVE.core("hoist", "PPO3", {"reference_hz": 60}), "02 40 00 00")
+    bench.order("frequency", value=30.0)
+    assert bench.out() == "00 00 20 00"
+    bench.order("speed", value=-2.0)
+    assert bench.out() == "00 00 80 00"
+    token = bench.order("speed", value=2.0)
+    assert bench.out() == "00 00 80 00"
+    result = as_mapping(bench.result(token))
+    assert result["error"] == "usage"
+    assert "-2..1.9999" in str(result["text"])
+
+
+def test_actual_value() -> None:
+    bench = running()
+    bench.see("06 27 20 00")
+    status = bench.core.status()
+    assert (status.speed, status.frequency_hz, status.reached, status.remote) == (0.5, 25.0, True, True)
+    bench.see("02 27 C0 00")
+    assert bench.core.status().speed == -1.0
+
+
+@pytest.mark.parametrize(
+    ("op", "control", "answers", "state"),
+    [
+        ("stop", "00 07", ["02 27 10 00", "02 27 00 00", "02 23 00 00"], "ready"),
+        ("quick_stop", "00 02", ["02 07 10 00", "02 40 00 00"], "switch_on_inhibited"),
+        ("coast", "00 00", ["02 40 00 00"], "switch_on_inhibited"),
+    ],
+)
+def test_ways_to_stop(op: str, control: str, answers: list[str], state: str) -> None:
+    bench = running()
+    token = bench.order(op)
+    assert bench.out() == control + " 00 00"
+    for answer in answers[:-1]:
+        bench.see(answer, 60)
+        assert bench.result(token) is None
+    bench.see(answers[-1], 60)
+    assert as_mapping(bench.result(token))["value"] == state
+
+
+def test_own_command_tells_stopping_from_running() -> None:
+    bench = running()
+    bench.order("stop")
+    bench.see("02 27 10 00")
+    assert bench.core.status().state is State.STOPPING
+    assert not bench.core.status().running
+    bench.order("start")
+    bench.run()
+    assert bench.core.status().state is State.RUNNING
+
+
+def test_reached_needs_the_bit_and_fresh_inputs() -> None:
+    bench = running()
+    bench.see("06 27 00 00")
+    bench.order("speed", value=0.5)
+    token = bench.order("reached")
+    bench.run(3)
+    assert bench.result(token) is None  # the bit belongs to the old set point
+    bench.see("02 27 10 00", 40)
+    assert bench.result(token) is None
+    bench.see("06 27 20 00")
+    assert as_mapping(bench.result(token))["value"] == 0.5
+
+
+def test_reached_with_a_tolerance_is_judged_by_the_speed() -> None:
+    bench = running()
+    bench.order("speed", value=0.5)
+    token = bench.order("reached", tolerance=0.01)
+    bench.see("06 27 00 00", 100)
+    assert bench.result(token) is None
+    bench.see("02 27 1F F0")
+    assert as_mapping(bench.result(token))["ok"] is True
+
+
+def test_reached_of_a_drive_that_does_not_run() -> None:
+    bench = ppo3()
+    result = as_mapping(bench.result(bench.order("reached")))
+    assert result["error"] == "usage"
+    assert "start it first" in str(result["text"])
+
+
+def test_a_trip_drops_the_goal_and_is_named_through_the_selector() -> None:
+    bench = running()
+    # fault: bits 12-14 ask for the fault word, the goal is gone
+    assert bench.see("02 08 00 00") == "60 00 00 00"
+    assert bench.core.status().faults == ("not yet named",)
+    assert bench.see("62 08 21 00") == "00 00 00 00"
+    assert bench.core.status().faults == ("F2100 fieldbus toggle bit OFF",)
+    bench.run(2)
+    assert any("F2100" in text and "until the next start" in text for text in bench.notices())
+    token = bench.order("start")
+    bench.see("02 08 00 00", 200)
+    result = as_mapping(bench.result(token))
+    assert result["error"] == "fault"
+    assert "F2100" in str(result["text"])
+    assert "acknowledge" in str(result["text"])
+
+
+def test_acknowledge_is_repeated_edges_of_bit_7() -> None:
+    bench = ppo3("62 08 20 62")
+    token = bench.order("acknowledge")
+    words = []
+    for _ in range(200):
+        word = bench.out()[:5]
+        if not words or words[-1] != word:
+            words.append(word)
+    assert words[:4] == ["00 80", "00 00", "00 80", "00 00"]
+    bench.see("02 40 00 00", 200)
+    assert as_mapping(bench.result(token))["value"] == "switch_on_inhibited"
+    assert bench.out() == "00 00 00 00"
+
+
+def test_a_fault_that_stays_is_an_error_that_says_why() -> None:
+    bench = ppo3("62 08 20 62")
+    token = bench.order("acknowledge", timeout_s=1)
+    bench.run(800)
+    text = str(as_mapping(bench.result(token))["text"])
+    assert "F2062 Profibus OFF, the DP master failed" in text
+    assert "15 s" in text
+
+
+def test_a_warning_is_fetched_and_the_frequency_kept() -> None:
+    bench = running()
+    bench.see("06 27 20 00")
+    assert bench.see("86 A7 20 00") == "50 0F 00 00"
+    assert bench.see("D6 A7 00 80") == "00 0F 00 00"
+    status = bench.core.status()
+    assert status.warnings == ("motor temperature",)
+    assert status.speed == 0.5
+    bench.see("06 27 20 00")
+    assert bench.core.status().warnings == ()
+
+
+def test_d18_ppo3_start_without_remote_says_412() -> None:
+    bench = ppo3("00 23 00 00")
+    token = bench.order("start")
+    bench.run(200)
+    result = as_mapping(bench.result(token))
+    assert result["error"] == "fault"
+    for part in ("PPO3 has no parameter channel", "412", "44", "S1 and one of S2 and S3"):
+        assert part in str(result["text"])
+    assert bench.out() == "00 00 00 00"
+
+
+def test_ppo1_start_reads_412_and_tells() -> None:
+    bench = ppo1(NO_PKW + "00 23 00 00")
+    token = bench.order("start")
+    bench.run(60)
+    assert bench.out() == "10 F9 00 00 00 00 00 00 00 00 00 00"  # 249, the active data set
+    bench.see("10 F9 00 00 00 00 00 02 00 23 00 00")
+    assert bench.out() == "00 00 00 00 00 00 00 00 00 00 00 00"
+    bench.see(NO_PKW + "00 23 00 00")
+    assert bench.out() == "61 9C 02 00 00 00 00 00 00 00 00 00"  # 412 in data set 2
+    bench.see("41 9C 02 00 00 00 00 2C 00 23 00 00", 2)
+    result = as_mapping(bench.result(token))
+    assert result["error"] == "fault"
+    assert str(result["text"]).startswith("412 is 44: control not by the bus; write 412 = 1 in the active data set (2)")
+
+
+def test_set_412_writes_ram_and_goes_on() -> None:
+    bench = ppo1(NO_PKW + "00 23 00 00", set_412=True)
+    token = bench.order("start")
+    bench.run(60)
+    bench.see("10 F9 00 00 00 00 00 01 00 23 00 00", 2)
+    bench.see(NO_PKW + "00 23 00 00", 2)
+    bench.see("41 9C 01 00 00 00 00 2C 00 23 00 00", 2)
+    assert bench.see(NO_PKW + "00 23 00 00", 2) == "71 9C 06 00 00 00 00 01 00 00 00 00"  # data set 1 + 5
+    bench.see("41 9C 06 00 00 00 00 01 00 23 00 00", 2)
+    assert bench.see(NO_PKW + "02 40 00 00", 2).endswith("00 06 00 00")
+    for word in ("02 21", "02 23", "02 27"):
+        bench.see(NO_PKW + word + " 00 00", 60)
+    assert as_mapping(bench.result(token))["value"] == "running"
+    assert any("412 was 44" in text for text in bench.notices())
+
+
+def test_412_is_1_but_no_release() -> None:
+    bench = ppo1(NO_PKW + "00 40 00 00")
+    token = bench.order("start")
+    bench.run(60)
+    bench.see("10 F9 00 00 00 00 00 01 00 40 00 00", 2)
+    bench.see(NO_PKW + "00 40 00 00", 2)
+    bench.see("41 9C 01 00 00 00 00 01 00 40 00 00", 2)
+    assert "no hardware release" in str(as_mapping(bench.result(token))["text"])
+
+
+def test_d6_read_400() -> None:
+    bench = ppo1()
+    token = bench.order("read", number=400)
+    bench.run()
+    assert bench.out() == "11 90 00 00 00 00 00 00 00 00 00 00"
+    bench.see("11 90 00 00 00 00 00 02 02 40 00 00")
+    result = as_mapping(bench.result(token))
+    assert (result["value"], result["unit"], result["name"]) == (2, "kHz", "switching_frequency")
+    assert bench.out() == NO_PKW + "00 00 00 00"
+
+
+def test_d6_write_480_in_data_set_3() -> None:
+    bench = ppo1()
+    token = bench.order("write", number=480, value=-300.0, data_set=3)
+    bench.run()
+    assert bench.out() == "81 E0 03 00 FF FF 8A D0 00 00 00 00"
+    bench.see("51 E0 03 00 FF FF 8A D0 02 40 00 00")
+    result = as_mapping(bench.result(token))
+    assert (result["value"], result["raw"], result["data_set"]) == (-300.0, -30000, 3)
+
+
+def test_d16_value_of_the_example() -> None:
+    bench = ppo1()
+    token = bench.order("read", number="fixed_frequency_1", data_set=3)
+    bench.run()
+    assert bench.out() == "61 E0 03 00 00 00 00 00 00 00 00 00"
+    bench.see("51 E0 03 00 FF FF EA 84 02 40 00 00")
+    assert as_mapping(bench.result(token))["value"] == -55.0
+
+
+def test_d3_negative_replies() -> None:
+    bench = ppo1()
+    token = bench.order("read", number=412)
+    bench.run(2)
+    bench.see("71 9C 00 00 00 00 00 6B 02 40 00 00")
+    result = as_mapping(bench.result(token))
+    assert (result["error"], result["number"]) == ("parameter", 107)
+    assert "different values" in str(result["text"])
+    bench.see(NO_PKW + "02 40 00 00")
+    token = bench.order("write", number=414, value=2)
+    bench.run(2)
+    bench.see("81 9E 00 00 00 00 00 00 02 40 00 00")
+    result = as_mapping(bench.result(token))
+    assert (result["error"], result["number"]) == ("parameter", None)
+    assert "no control" in str(result["text"])
+
+
+def test_a_reply_that_does_not_fit_the_order() -> None:
+    bench = ppo1()
+    token = bench.order("write", number=414, value=2)
+    bench.run(2)
+    bench.see("21 9E 00 00 00 00 00 02 02 40 00 00")
+    assert "reply 2 does not answer order 2" in str(as_mapping(bench.result(token))["text"])
+
+
+def test_a_second_request_waits_and_a_silent_drive_times_out() -> None:
+    bench = ppo1()
+    first = bench.order("read", number=400, timeout_s=0.1)
+    second = bench.order("read", number=414)
+    bench.run(60)
+    result = as_mapping(bench.result(first))
+    assert (result["error"], "did not answer" in str(result["text"])) == ("timeout", True)
+    assert bench.out().startswith("11 9E 00 00")
+    bench.see("11 9E 00 00 00 00 00 03 02 40 00 00")
+    assert as_mapping(bench.result(second))["value"] == 3
+
+
+def test_an_answer_for_another_number_is_named() -> None:
+    bench = ppo1("11 91 00 00 00 00 00 01 02 40 00 00")
+    token = bench.order("read", number=400, timeout_s=0.05)
+    bench.run(60)
+    assert "answered for parameter 401" in str(as_mapping(bench.result(token))["text"])
+
+
+def test_an_unknown_parameter_is_read_raw_and_its_type_found_before_a_write() -> None:
+    bench = ppo1()
+    token = bench.order("write", number=700, value=-2)
+    bench.run()
+    assert bench.out().startswith("12 BC 00 00 00 00 00 00")
+    bench.see("22 BC 00 00 00 00 00 05 02 40 00 00", 2)
+    assert bench.see(NO_PKW + "02 40 00 00", 2).startswith("32 BC 00 00 FF FF FF FE")
+    bench.see("22 BC 00 00 FF FF FF FE 02 40 00 00")
+    assert as_mapping(bench.result(token))["raw"] == 0xFFFFFFFE
+
+
+@pytest.mark.parametrize(
+    ("op", "args", "text"),
+    [
+        ("write", {"number": 480, "value": 1000.0}, "-999..999 Hz"),
+        ("write", {"number": 249, "value": 1}, "read only"),
+        ("read", {"number": 281}, "text"),
+        ("read", {"number": 1000}, "1..999"),
+        ("read", {"number": "fixed_frequency"}, "did you mean fixed_frequency_1"),
+        ("read", {"number": 400, "data_set": 2}, "exists once"),
+        ("read", {"number": 480, "data_set": 5}, "1..4"),
+        ("read", {"number": 1.5}, "number or name"),
+        ("read", {"number": 400, "data_set": -1}, "whole number"),
+        ("read", {"number": 400, "set": 1}, "unknown argument 'set'"),
+        ("write", {"number": 400, "value": "2"}, "value must be a number"),
+        ("write", {"number": 400, "value": 2, "ram": 1}, "true or false"),
+        ("speed", {}, "value must be a number"),
+        ("start", {"timeout_s": -1}, "negative"),
+        ("fly", {}, "no order 'fly'"),
+    ],
+)
+def test_misuse_is_refused_before_anything_is_sent(op: str, args: dict[str, object], text: str) -> None:
+    bench = ppo1()
+    result = as_mapping(bench.result(bench.order(op, **args)))
+    assert result["error"] == "usage"
+    assert text in str(result["text"])
+    assert bench.out() == NO_PKW + "00 00 00 00"
+
+
+def test_ppo3_has_no_parameters() -> None:
+    bench = ppo3()
+    assert "no parameter channel" in str(as_mapping(bench.result(bench.order("read", number=400)))["text"])
+
+
+def test_eeprom_writes_in_a_loop_are_told() -> None:
+    bench = ppo1()
+    for _ in range(10):
+        bench.order("write", number=414, value=1)
+        bench.run(2)
+        bench.see("11 9E 00 00 00 00 00 01 02 40 00 00", 2)
+        bench.see(NO_PKW + "02 40 00 00", 2)
+    assert sum("10 times" in text for text in bench.notices()) == 1
+
+
+def test_lost_ends_what_is_pending_and_forgets_the_goal() -> None:
+    bench = running()
+    reading = ppo1()
+    token = bench.order("reached")
+    bench.core.lost(bench.now)
+    bench.events += bench.core.take_events()
+    assert as_mapping(bench.result(token))["error"] == "lost"
+    assert bench.core.status().state is State.OFFLINE
+    # taken up again: the first call still has the inputs of before
+    bench.inputs = bytes.fromhex("02 27 20 00")
+    assert bench.out() == "00 00 00 00"
+    assert bench.core.status().state is State.OFFLINE
+    assert bench.see("02 40 00 00", 3) == "00 00 00 00"
+    assert bench.core.status().state is State.SWITCH_ON_INHIBITED
+
+    token = reading.order("read", number=400)
+    reading.run(3)
+    reading.core.lost(reading.now)
+    reading.events += reading.core.take_events()
+    assert as_mapping(reading.result(token))["error"] == "lost"
+    assert reading.out() == NO_PKW + "00 00 00 00"
+
+
+def test_an_order_before_data_exchange_waits_for_it() -> None:
+    core = DRIVE.core("hoist", "PPO3")
+    core.command("start", {"timeout_s": 1}, 7, 5 * S)
+    core.command("read", {"number": 400}, 8, 5 * S)
+    events = core.take_events()
+    assert [event["token"] for event in events] == [8]
+    now = 5 * S
+    for _ in range(3):
+        now += MS
+        out = core.cyclic(bytes.fromhex("02400000"), now)
+    assert out.hex() == "00060000"
+
+
+def test_an_order_for_a_drive_that_never_comes_ends_with_lost() -> None:
+    core = DRIVE.core("hoist", "PPO3")
+    core.command("start", {"timeout_s": 0}, 7, 5 * S)
+    assert as_mapping(core.take_events()[0])["error"] == "lost"
+
+
+def test_a_new_motion_order_supersedes_the_last_one() -> None:
+    bench = ppo3()
+    start = bench.order("start")
+    bench.order("coast")
+    result = as_mapping(bench.result(start))
+    assert result["error"] == "usage"
+    assert "superseded by coast" in str(result["text"])
+    assert bench.out() == "00 00 00 00"
+
+
+def test_a_start_that_fails_leaves_no_command_behind() -> None:
+    bench = ppo3()
+    token = bench.order("start", timeout_s=0.1)
+    bench.see("02 21 00 00", 100)
+    result = as_mapping(bench.result(token))
+    assert result["error"] == "timeout"
+    assert "ready_to_switch_on" in str(result["text"])
+    assert bench.out() == "00 00 00 00"
+
+
+def test_inputs_of_a_wrong_length_are_not_looked_at() -> None:
+    bench = running()
+    assert bench.see("08") == "00 0F 00 00"
+    assert bench.core.status().state is State.RUNNING
+
+
+def test_status_events_only_on_changes() -> None:
+    bench = running()
+    bench.events.clear()
+    for value in range(0x1000, 0x1040):
+        bench.see(f"02 27 {value:04X}")
+    assert bench.events == []
+    bench.see("06 27 20 00")
+    assert [event["type"] for event in bench.events] == ["status"]
+    assert as_mapping(bench.events[0])["reached"] is True
+
+
+def test_wide_telegrams_carry_everything() -> None:
+    bench = PluginBench(DRIVE.core("hoist", "PPO4"), "86 A7 20 00 11 47 0C CC 08 00 00 00")
+    status = bench.core.status()
+    assert status.speed == 0.5
+    assert round(status.current or 0, 2) == 0.27
+    assert round(status.torque or 0, 2) == 0.2
+    assert status.warnings == ("analog input MFI1A",)
+    assert bench.out() == "00 00 00 00 00 00 00 00 00 00 00 00"
+    bench.see("02 08 00 00 00 00 00 00 00 00 20 65")
+    assert bench.core.status().fault == "F2065 Profibus configuration fault"

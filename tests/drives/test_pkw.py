@@ -1,0 +1,150 @@
+"""The parameter channel, each end against literal octets (rows D3, D4, D6, F6)."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dpstack.profile import Pkw, PkwClient, PkwDialect, PkwServer
+
+READ_400 = bytes.fromhex("11 90 00 00 00 00 00 00")
+REPLY_400 = bytes.fromhex("11 90 00 00 00 00 00 02")
+ZERO = bytes(8)
+STRICT = PkwDialect(answers={1: (1, 2), 2: (1,), 6: (4, 5)}, errors={0: "none"})
+LOOSE = PkwDialect(answers={1: (1,), 2: (1,)}, errors={}, zero_between=False)
+
+
+def test_octets_of_the_manuals() -> None:
+    assert Pkw(1, 400).build() == READ_400
+    assert Pkw(8, 480, 3, 0xFFFF8AD0).build() == bytes.fromhex("81 E0 03 00 FF FF 8A D0")
+    assert Pkw.parse(bytes.fromhex("51 E0 03 00 FF FF 8A D0")) == (5, 480, 3, 0xFFFF8AD0)
+    assert Pkw(2, 0x104, 0x1A, 15).build() == bytes.fromhex("21 04 1A 00 00 00 00 0F")
+    # SPM (bit 11) and IND's low octet are not ours to judge
+    assert Pkw.parse(bytes.fromhex("19 90 00 FF 00 00 00 02")) == (1, 400, 0, 2)
+
+
+def test_d4_the_master_holds_takes_sets_zero_and_waits_for_zero() -> None:
+    client = PkwClient(STRICT)
+    assert not client.busy
+    first, second = client.submit(Pkw(1, 400)), client.submit(Pkw(6, 480, 3))
+    assert client.busy
+    client.step(ZERO)
+    for _ in range(3):
+        assert client.octets == READ_400  # held while the reply is 0
+        client.step(ZERO)
+    client.step(REPLY_400)
+    assert first.reply == (1, 400, 0, 2)
+    for _ in range(3):
+        assert client.octets == ZERO  # withdrawn; the reply is not yet 0
+        client.step(REPLY_400)
+    assert second.reply is None
+    client.step(ZERO)
+    assert client.octets == bytes.fromhex("61 E0 03 00 00 00 00 00")
+    client.step(bytes.fromhex("51 E0 03 00 00 00 01 F4"))
+    assert second.reply == (5, 480, 3, 500)
+    client.step(ZERO)
+    assert not client.busy
+    assert client.octets == ZERO
+
+
+def test_an_answer_for_another_parameter_is_not_taken_but_remembered() -> None:
+    client = PkwClient(STRICT)
+    exchange = client.submit(Pkw(1, 400))
+    client.step(ZERO)
+    client.step(bytes.fromhex("11 91 00 00 00 00 00 07"))
+    assert exchange.reply is None
+    assert exchange.stray == (1, 401, 0, 7)
+    assert client.octets == READ_400
+    client.step(REPLY_400)
+    assert exchange.reply is not None
+
+
+def test_a_cancelled_order_is_withdrawn_with_zero() -> None:
+    client = PkwClient(STRICT)
+    running, queued = client.submit(Pkw(1, 400)), client.submit(Pkw(1, 401))
+    client.step(ZERO)
+    client.cancel(queued)
+    client.cancel(running)
+    assert client.octets == ZERO
+    client.step(REPLY_400)
+    assert running.reply is None
+    client.step(ZERO)
+    assert not client.busy
+
+
+def test_without_the_rule_of_zero_a_stale_reply_is_not_the_answer() -> None:
+    client = PkwClient(LOOSE)
+    first, second, third = (client.submit(Pkw(1, pnu)) for pnu in (0x10F, 0x104, 0x104))
+    client.step(ZERO)
+    client.step(bytes.fromhex("11 0F 00 00 00 00 00 03"))
+    assert first.reply is not None
+    client.step(bytes.fromhex("11 0F 00 00 00 00 00 03"))  # the drive still repeats it
+    assert client.octets == bytes.fromhex("11 04 00 00 00 00 00 00")
+    client.step(bytes.fromhex("11 0F 00 00 00 00 00 03"))
+    assert second.reply is None
+    client.step(bytes.fromhex("11 04 00 00 00 00 00 05"))
+    assert second.reply == (1, 0x104, 0, 5)
+    # an equal order: 0 in between
+    client.step(bytes.fromhex("11 04 00 00 00 00 00 05"))
+    assert client.octets == ZERO
+    assert third.reply is None
+    client.step(ZERO)
+    assert client.octets == bytes.fromhex("11 04 00 00 00 00 00 00")
+
+
+def test_reset_starts_at_zero() -> None:
+    client = PkwClient(STRICT)
+    client.submit(Pkw(1, 400))
+    client.step(ZERO)
+    client.reset()
+    assert client.octets == ZERO
+    assert not client.busy
+
+
+def test_d4_the_slave_ignores_a_new_order_until_it_answered_zero_with_zero() -> None:
+    done: list[Pkw] = []
+
+    def handler(order: Pkw) -> tuple[int, int]:
+        done.append(order)
+        return 1, len(done)
+
+    server = PkwServer(STRICT, handler)
+    assert server.step(ZERO) == ZERO
+    assert server.step(READ_400) == bytes.fromhex("11 90 00 00 00 00 00 01")
+    assert server.step(READ_400) == bytes.fromhex("11 90 00 00 00 00 00 01")
+    assert server.step(bytes.fromhex("11 91 00 00 00 00 00 00")) == bytes.fromhex("11 90 00 00 00 00 00 01")
+    assert server.step(ZERO) == ZERO
+    assert server.step(bytes.fromhex("11 91 00 00 00 00 00 00")) == bytes.fromhex("11 91 00 00 00 00 00 02")
+    assert [order.pnu for order in done] == [400, 401]
+    server.reset()
+    assert server.step(READ_400)[7] == 3
+
+
+def test_a_loose_slave_repeats_reads_with_the_momentary_value_and_writes_once() -> None:
+    calls: list[int] = []
+
+    def handler(order: Pkw) -> tuple[int, int]:
+        calls.append(order.id)
+        return 1, len(calls)
+
+    server = PkwServer(LOOSE, handler)
+    write = bytes.fromhex("21 04 1A 00 00 00 00 0F")
+    read = bytes.fromhex("11 04 1A 00 00 00 00 00")
+    assert [server.step(octets)[7] for octets in (write, write, read, read, write)] == [1, 1, 2, 3, 4]
+    assert calls == [2, 1, 1, 2]
+
+
+@given(st.lists(st.binary(min_size=8, max_size=8), max_size=20), st.booleans())
+def test_any_replies_never_raise(replies: list[bytes], strict: bool) -> None:
+    client = PkwClient(STRICT if strict else LOOSE)
+    for reply in replies:
+        if not client.busy:
+            client.submit(Pkw(1, 400))
+        client.step(reply)
+        assert len(client.octets) == 8
+
+
+@pytest.mark.parametrize("dialect", [STRICT, LOOSE])
+def test_error_texts(dialect: PkwDialect) -> None:
+    assert dialect.error_text(4711) == "error without a text in the manual"

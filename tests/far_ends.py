@@ -1,0 +1,165 @@
+"""Other ends of ports for the contract tests: they know octets and the operating system, nothing of the project."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import socket
+import termios
+import threading
+import tty
+from collections.abc import Callable
+from typing import Any
+
+import serial
+from serial import rfc2217
+
+
+async def until(condition: Callable[[], bool], what: str) -> None:
+    """Wait for something to happen; the time limit is for hangs only."""
+    for _ in range(10_000):
+        if condition():
+            return
+        await asyncio.sleep(0.001)
+    raise AssertionError(f"did not happen: {what}")
+
+
+class FarEnd:
+    """A non-blocking descriptor at the other end of a port."""
+
+    def __init__(self, fd: int = -1) -> None:
+        self.fd = fd
+        if fd >= 0:
+            os.set_blocking(fd, False)
+
+    def send(self, octets: bytes) -> None:
+        assert os.write(self.fd, octets) == len(octets)
+
+    def take(self) -> bytes:
+        """What is there now."""
+        with contextlib.suppress(BlockingIOError):
+            return os.read(self.fd, 65_536)
+        return b""
+
+    async def recv(self, count: int) -> bytes:
+        got = b""
+        async with asyncio.timeout(10):
+            while len(got) < count:
+                got += self.take()
+                await asyncio.sleep(0.001)
+        return got
+
+    def hang_up(self) -> None:
+        fd, self.fd = self.fd, -1
+        if fd >= 0:
+            os.close(fd)
+
+
+def open_slave(path: str) -> FarEnd:
+    """The slave end of a pty, raw."""
+    fd = os.open(path, os.O_RDWR | os.O_NOCTTY)
+    tty.setraw(fd)
+    return FarEnd(fd)
+
+
+class PtyFarEnd(FarEnd):
+    """The master end of a pty whose slave end the port under test opens by ``path``."""
+
+    def __init__(self) -> None:
+        master, slave = os.openpty()
+        tty.setraw(slave)
+        self.path = os.ttyname(slave)
+        os.close(slave)
+        super().__init__(master)
+
+
+class TcpFarEnd(FarEnd):
+    """A TCP server for one client at a time."""
+
+    scheme = "socket"
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.path = f"{self.scheme}://127.0.0.1:{self._listener.getsockname()[1]}"
+
+    def _accept(self) -> None:
+        if self.fd < 0:
+            connected, _address = self._listener.accept()
+            connected.setblocking(False)
+            self.fd = connected.detach()
+
+    def send(self, octets: bytes) -> None:
+        self._accept()
+        super().send(octets)
+
+    def take(self) -> bytes:
+        self._accept()
+        return super().take()
+
+    def hang_up(self) -> None:
+        self._accept()
+        super().hang_up()
+
+    def shut(self) -> None:
+        FarEnd.hang_up(self)
+        self._listener.close()
+
+
+class Rfc2217FarEnd(FarEnd):
+    """An RFC 2217 server made of pyserial's own server half, with a serial port that goes nowhere."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.path = f"rfc2217://127.0.0.1:{self._listener.getsockname()[1]}"
+        self.line: Any = serial.serial_for_url("loop://")
+        self._manager: Any = None
+        self._client: socket.socket | None = None
+        self._got = bytearray()
+        self._clients = 0
+        threading.Thread(target=self._serve, daemon=True).start()
+
+    def write(self, octets: bytes) -> None:
+        """What the server half wants to say to its client."""
+        if self._client is not None:
+            self._client.sendall(octets)
+
+    def send(self, octets: bytes) -> None:
+        self.write(b"".join(self._manager.escape(octets)))
+
+    def take(self) -> bytes:
+        got = bytes(self._got)
+        self._got.clear()
+        return got
+
+    def hang_up(self) -> None:
+        client, self._client = self._client, None
+        if client is not None:
+            client.shutdown(socket.SHUT_RDWR)
+
+    def shut(self) -> None:
+        self._listener.shutdown(socket.SHUT_RDWR)
+        self._listener.close()
+        self.line.close()
+
+    def _serve(self) -> None:
+        while True:
+            try:
+                client, _address = self._listener.accept()
+            except OSError:
+                return
+            with client:
+                self._client = client
+                self._manager = rfc2217.PortManager(self.line, self)
+                with contextlib.suppress(OSError):
+                    while chunk := client.recv(4096):
+                        self._got += b"".join(self._manager.filter(chunk))
+
+
+def set_rate(fd: int, speed: int) -> None:
+    """Set a rate that POSIX has a constant for (``termios.B500000`` ...)."""
+    attributes = termios.tcgetattr(fd)
+    attributes[4] = attributes[5] = speed
+    termios.tcsetattr(fd, termios.TCSANOW, attributes)

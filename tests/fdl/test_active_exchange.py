@@ -1,0 +1,351 @@
+"""Requests and answers of an active station, against slaves that are literal octets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from ring_bus import ListUser, RingBus
+
+from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.active_exchange import answers
+from dpstack.fdl.commands import GoOnline
+from dpstack.fdl.states import State
+from dpstack.fdl.telegram import SHORT_ACK, Kind, Req, Telegram
+from dpstack.fdl.user import Failure, Request
+from dpstack.machine import pump
+from dpstack.params import BusParams
+from dpstack.phy.patience import EXACT, HOST, Patience
+from dpstack.trace import Notice
+from dpstack.units import BAUD_RATES, NS_PER_MS
+
+DX = Request(3, Req.SRD_HIGH, b"\x11\x22", patient=True)
+DX_ANSWER = bytes.fromhex("68 05 05 68 02 03 08 AA BB 72 16")
+DIAG = Request(3, Req.SRD_HIGH, b"", 60, 62)
+DIAG_ANSWER = bytes.fromhex("68 0B 0B 68 82 83 08 3E 3C 02 05 00 FF 06 96 29 16")
+
+
+class Slave:
+    """Answers with fixed octets after ``delay`` bits, or as the ``plan`` says: None = stay silent."""
+
+    def __init__(self, answer: bytes = DX_ANSWER, delay: int = 11) -> None:
+        self.answer = answer
+        self.delay = delay
+        self.plan: list[bytes | tuple[int, bytes] | None] = []
+        self.heard: list[bytes] = []
+
+    def __call__(self, octets: bytes, now: int) -> tuple[int, bytes] | None:
+        self.heard.append(octets)
+        step = self.plan.pop(0) if self.plan else self.answer
+        if step is None or isinstance(step, tuple):
+            return step
+        return self.delay, step
+
+    @property
+    def fcs(self) -> list[str]:
+        return [f"{o[6] if o[0] == 0x68 else o[3]:02X}" for o in self.heard]
+
+
+def bus_with(
+    slave: Slave, *requests: Request, mode: str = "whole", patience: Patience = EXACT, baud: int = 500_000
+) -> tuple[RingBus, ListUser, ActiveStation]:
+    bus = RingBus(baud, mode)
+    bus.slaves[3] = slave
+    user = ListUser(high=list(requests))
+    station = bus.master(2, user, patience=patience, gap=0)
+    return bus, user, station
+
+
+def test_literal_octets_of_a_bring_up() -> None:
+    """A1's first telegram with its addresses: diagnosis first with FCB = 1, FCV = 0, then toggling, SDN without."""
+    slave = Slave(DIAG_ANSWER)
+    slave.plan = [DIAG_ANSWER, b"\xe5", DX_ANSWER, DX_ANSWER]
+    set_prm = Request(3, Req.SRD_HIGH, bytes.fromhex("88 01 14 0B 06 96 00"), 61, 62)
+    clear = Request(127, Req.SDN_HIGH, b"\x02\x00", 58, 62)
+    bus, user, _ = bus_with(slave, DIAG, set_prm, clear, DX, DX)
+    bus.run(20 * NS_PER_MS)
+    sent = [s.octets.hex(" ") for s in bus.log if s.sender == 2 and s.octets[0] == 0x68]
+    assert sent == [
+        "68 05 05 68 83 82 6d 3c 3e ec 16",
+        "68 0c 0c 68 83 82 5d 3d 3e 88 01 14 0b 06 96 00 21 16",
+        "68 07 07 68 ff 82 46 3a 3e 02 00 41 16",
+        "68 05 05 68 03 02 7d 11 22 b5 16",
+        "68 05 05 68 03 02 5d 11 22 95 16",
+    ]
+    assert [type(o) for o in user.outcomes] == [Telegram] * 5
+    assert user.outcomes[1] is user.outcomes[2] is SHORT_ACK or user.outcomes[1] == SHORT_ACK
+
+
+@pytest.mark.parametrize("baud", BAUD_RATES)
+def test_gates_are_exact_at_every_rate(baud: int) -> None:
+    clear = Request(127, Req.SDN_HIGH, b"\x02\x00", 58, 62)
+    bus, user, station = bus_with(Slave(), DX, clear, DX, baud=baud)
+    p = station.params
+    bus.run_bits(p.t_to + 5_000)
+    at = [i for i, s in enumerate(bus.log) if s.octets[0] != 0xDC]
+    first, answer, sdn, second = (bus.log[i] for i in at[:4])
+    assert first.start - bus.log[at[0] - 1].end == bus.ns(p.t_id1)
+    assert sdn.start - answer.end == bus.ns(p.t_id1)
+    assert second.start - sdn.end == bus.ns(p.t_id2)
+    assert [at for _, at in user.starts] == [first.start, sdn.start, second.start]
+    assert len(user.results) == 3
+
+
+@pytest.mark.parametrize("mode", ["whole", "octets", "chunk"])
+def test_an_answer_may_begin_until_t_sl_is_over(mode: str) -> None:
+    limit = 200 if mode == "whole" else 200 - 11 - (88 + 22 if mode == "chunk" else 0)
+    for delay, fine in ((limit - 1, True), (limit + 12, False)):
+        bus, user, _ = bus_with(Slave(delay=delay), DX, mode=mode)
+        bus.run(20 * NS_PER_MS)
+        assert isinstance(user.outcomes[0], Telegram) is fine
+
+
+def test_the_first_request_is_not_repeated() -> None:
+    slave = Slave()
+    slave.plan = [None]
+    bus, user, station = bus_with(slave, DX)
+    bus.run(20 * NS_PER_MS)
+    assert slave.fcs == ["6D"]
+    assert user.outcomes == [Failure.NO_ANSWER]
+    assert station.stats.stations[3].timeouts == 1
+    assert station.stats.stations[3].retries == 0
+
+
+def test_an_operational_station_is_repeated_with_the_same_fcb() -> None:
+    slave = Slave()
+    slave.plan = [DX_ANSWER, None, DX_ANSWER, DX_ANSWER]
+    bus, user, station = bus_with(slave, DX, DX, DX)
+    bus.run(20 * NS_PER_MS)
+    assert slave.fcs == ["6D", "5D", "5D", "7D"]
+    assert len(user.starts) == len(user.results) == 3
+    assert station.stats.stations[3].retries == 1
+
+
+def test_a_station_given_up_is_taken_up_afresh() -> None:
+    slave = Slave()
+    slave.plan = [DX_ANSWER, None, None, DX_ANSWER]
+    bus, user, _ = bus_with(slave, DX, DX, DX, DX)
+    bus.run(20 * NS_PER_MS)
+    assert slave.fcs == ["6D", "5D", "5D", "6D", "5D"]
+    assert [isinstance(o, Telegram) for o in user.outcomes] == [True, False, True, True]
+
+
+def test_restart_and_retry_flags() -> None:
+    slave = Slave()
+    slave.plan = [DX_ANSWER, None]
+    bus, _, _ = bus_with(slave, DX, DX._replace(retry=False), DX, DX._replace(restart=True))
+    bus.run(20 * NS_PER_MS)
+    assert slave.fcs == ["6D", "5D", "6D", "6D"]
+
+
+def test_three_silent_rounds_then_the_probe_and_one_notice() -> None:
+    class OnlyFcv(Slave):
+        def __call__(self, octets: bytes, now: int) -> tuple[int, bytes] | None:
+            answer = super().__call__(octets, now)
+            return answer if octets[6] & 0x10 else None
+
+    slave = OnlyFcv()
+    bus, _, _ = bus_with(slave, *[DX] * 6)
+    bus.run(20 * NS_PER_MS)
+    assert slave.fcs == ["6D", "6D", "6D", "5D", "7D", "5D"]
+    notices = [e.text for e in bus.events if isinstance(e, Notice)]
+    assert len(notices) == 1
+    assert "station 3 answers only requests with FCV = 1" in notices[0]
+
+
+def test_fdl_status_of_a_user() -> None:
+    slave = Slave(bytes.fromhex("10 02 03 00 05 16"))
+    bus, user, _ = bus_with(slave, Request(3, Req.FDL_STATUS), Request(3, Req.FDL_STATUS))
+    bus.run(20 * NS_PER_MS)
+    assert [o.hex(" ") for o in slave.heard] == ["10 03 02 49 4e 16"] * 2
+    assert all(isinstance(o, Telegram) for o in user.outcomes)
+
+
+def test_high_priority_goes_first_low_follows_in_the_same_hold() -> None:
+    bus = RingBus()
+    user = ListUser(high=[Request(9, Req.SDN_HIGH)] * 2, low=[Request(9, Req.SDN_LOW)] * 2)
+    bus.master(2, user, gap=0)
+    bus.run(6 * NS_PER_MS)
+    assert [s.octets[3] for s in bus.log[2:6]] == [0x46, 0x46, 0x44, 0x44]
+    assert bus.log[6].octets[0] == 0xDC
+
+
+# --- what is an answer -----------------------------------------------------------------------------------------------
+RS = Telegram(Kind.SD1, 2, 3, 0x03)
+
+
+@pytest.mark.parametrize(
+    ("request_", "telegram", "fits"),
+    [
+        (DX, Telegram(Kind.SD2, 2, 3, 0x08, data=b"\xaa"), True),
+        (DX, Telegram(Kind.SD2, 2, 3, 0x0A, data=b"\xaa"), True),
+        (DX, SHORT_ACK, True),
+        (DX, Telegram(Kind.SD2, 2, 4, 0x08, data=b"\xaa"), False),
+        (DX, Telegram(Kind.SD2, 2, 3, 0x08, 62, 60, b"\xaa"), False),
+        (DX, RS, True),
+        (DIAG, Telegram(Kind.SD2, 2, 3, 0x08, 62, 60, b"\xaa"), True),
+        (DIAG, Telegram(Kind.SD2, 2, 3, 0x08, 60, 62, b"\xaa"), False),
+        (DIAG, Telegram(Kind.SD2, 2, 3, 0x08, 62, 59, b"\xaa"), False),
+        (DIAG, Telegram(Kind.SD2, 2, 3, 0x08, data=b"\xaa"), False),
+        (DIAG, Telegram(Kind.SD1, 2, 3, 0x08), False),
+        (DIAG, SHORT_ACK, True),
+        (DIAG, RS, True),
+        (Request(3, Req.SRD_LOW, b"", 0, 0), Telegram(Kind.SD2, 2, 3, 0x08, 0, 0, b"\xaa"), True),
+        (Request(3, Req.SRD_LOW, b"", 0, 0), Telegram(Kind.SD2, 2, 3, 0x08, data=b"\xaa"), False),
+        (Request(3, Req.FDL_STATUS), Telegram(Kind.SD1, 2, 3, 0x00), True),
+        (Request(3, Req.FDL_STATUS), Telegram(Kind.SD2, 2, 3, 0x08, data=b"\xaa"), False),
+        (Request(3, Req.FDL_STATUS), SHORT_ACK, False),
+        (Request(3, Req.IDENT), SHORT_ACK, False),
+    ],
+)
+def test_what_answers(request_: Request, telegram: Telegram, fits: bool) -> None:
+    assert answers(request_, telegram) is fits
+
+
+def test_a_wrong_answer_is_told_as_such() -> None:
+    slave = Slave(DIAG_ANSWER)
+    bus, user, station = bus_with(slave, DX)
+    bus.run(20 * NS_PER_MS)
+    assert user.outcomes == [Failure.WRONG]
+    assert station.stats.stations[3].wrong == 1
+
+
+def test_a_garbled_answer_is_told_as_such() -> None:
+    for mode in ("octets", "chunk"):
+        bus, user, station = bus_with(Slave(), DX, mode=mode)
+        bus.drop = lambda sent: sent.sender == 3
+        bus.run(20 * NS_PER_MS)
+        assert user.outcomes == [Failure.GARBLED]
+        assert station.stats.garbled == 1
+
+
+@pytest.mark.parametrize("octet", [b"\xe5", b"\x00", b"\xdc"])
+def test_a_lone_octet_too_early_is_no_answer(octet: bytes) -> None:
+    slave = Slave()
+    slave.plan = [(5, octet)]
+    bus, user, station = bus_with(slave, DX, mode="octets")
+    bus.run(20 * NS_PER_MS)
+    assert len(user.outcomes) == 1
+    assert isinstance(user.outcomes[0], Failure)
+    assert station.stats.stray == (1 if octet == b"\xe5" else 0)
+
+
+@pytest.mark.parametrize("mode", ["whole", "octets", "chunk"])
+def test_a_late_answer_is_not_taken_for_that_of_another_station(mode: str) -> None:
+    slave = Slave()
+    slave.plan = [(330, DX_ANSWER)]
+    bus, user, station = bus_with(slave, DX, DX._replace(da=4), mode=mode)
+    bus.run(20 * NS_PER_MS)
+    assert user.outcomes == [Failure.NO_ANSWER, Failure.NO_ANSWER]
+    assert station.stats.late == 1
+    assert station.stats.stations[3].late == 1
+
+
+def late_by_one(bus: RingBus, slave: Slave, lateness: Callable[[int], int | None]) -> None:
+    """The slave answers request n with the octet n; ``lateness(n)`` in bits, None = at once."""
+    count = 0
+
+    def say(octets: bytes, now: int) -> tuple[int, bytes]:
+        nonlocal count
+        slave.heard.append(octets)
+        body = bytes((0x02, 0x03, 0x08, count))
+        telegram = b"\x68\x04\x04\x68" + body + bytes((sum(body) & 0xFF, 0x16))
+        delay = lateness(count)
+        count += 1
+        return (11 if delay is None else delay), telegram
+
+    bus.slaves[3] = say
+
+
+def test_a_late_answer_is_never_taken_for_the_next_one_of_the_same_station() -> None:
+    """On a port that delivers late by more than the patience: the answer to n arrives while n + 1 is waiting."""
+    patience = Patience(known_ns=2 * NS_PER_MS, unknown_ns=2 * NS_PER_MS, unknown_share=100, stall_ns=NS_PER_MS)
+    bus, user, station = bus_with(Slave(), mode="chunk", patience=patience)
+    user.high = [DX._replace(retry=False)] * 8
+    slave = Slave()
+    # request 2 is answered 3 ms late: it arrives after request 3 went out and before that one's own answer
+    late_by_one(bus, slave, lambda n: 1340 if n == 2 else 200 if n == 3 else None)
+    bus.run(60 * NS_PER_MS)
+    got = [o.data[0] if isinstance(o, Telegram) else None for o in user.outcomes]
+    assert got == [0, 1, None, 3, 4, 5, 6, 7]
+    assert station.stats.late == 1
+
+
+def test_the_answer_to_both_attempts_is_not_taken_for_the_next_one() -> None:
+    patience = Patience(known_ns=2 * NS_PER_MS, unknown_ns=2 * NS_PER_MS, unknown_share=100, stall_ns=NS_PER_MS)
+    bus, user, station = bus_with(Slave(), mode="chunk", patience=patience)
+    user.high = [DX] * 6
+    slave = Slave()
+    # 2 is late; its repetition (3) is answered while 4, the next request, waits; 4's answer follows
+    late_by_one(bus, slave, lambda n: {2: 1350, 3: 350, 4: 250}.get(n))
+    bus.run(60 * NS_PER_MS)
+    got = [o.data[0] if isinstance(o, Telegram) else None for o in user.outcomes]
+    assert got == [0, 1, 2, 4, 5, 6]
+    assert station.stats.late == 1
+
+
+def test_a_kept_back_answer_counts_when_nothing_follows() -> None:
+    bus, user, station = bus_with(Slave(), mode="chunk", patience=HOST)
+    slave = Slave()
+    slave.plan = [DX_ANSWER, None, None]
+    bus.slaves[3] = slave
+    user.high = [DX] * 5
+    bus.run(400 * NS_PER_MS)
+    assert [isinstance(o, Telegram) for o in user.outcomes] == [True, False, True, True, True]
+    first, second = (user.results[i][2] - user.starts[i][1] for i in (2, 3))
+    assert first > 10 * NS_PER_MS  # kept back once
+    assert second < 2 * NS_PER_MS
+    assert station.stats.late == 0
+
+
+# --- who holds the token ---------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("foreign", ["dc 09 07", "10 04 07 49 54 16", "68 05 05 68 83 87 6D 3C 3E F1 16"])
+def test_another_holder_makes_us_withdraw(foreign: str) -> None:
+    slave = Slave()
+    slave.plan = [(60, bytes.fromhex(foreign))]
+    bus, user, station = bus_with(slave, DX)
+    while not slave.heard:
+        bus.run(500)
+    bus.run_bits(60 + 11 * 12)
+    assert station.state is State.ACTIVE_IDLE
+    assert user.outcomes == [Failure.ABANDONED]
+    assert station.stats.withdrawn == 1
+    bus.run(20 * NS_PER_MS)
+    assert station.in_ring
+
+
+def test_a_repeated_token_before_we_started_is_still_ours() -> None:
+    bus = RingBus()
+    a = bus.master(2, hsa=6)
+    bus.master(5, hsa=6)
+    bus.run(300 * NS_PER_MS)
+    user = ListUser(per_hold=[Request(4, Req.SDN_HIGH)])
+    a._link.users = (user,)
+    bus.until(a, State.USE_TOKEN)
+    a.telegram(Telegram(Kind.SD4, 2, 5), bus.now)
+    bus.pump(a)
+    assert a.state is State.USE_TOKEN
+    assert a.stats.withdrawn == 0
+    edge = bus.now
+    bus.run_bits(40)
+    assert bus.log[-1].start == edge + bus.ns(37)
+
+
+def test_receiving_while_sending_implies_sent() -> None:
+    user = ListUser(high=[DX, DX])
+    station = ActiveStation(BusParams.preset(500_000, address=2, gap=0), [user], patience=HOST)
+    now, sent = 0, []
+
+    def port(octets: bytes, at: int) -> int:
+        sent.append(at)
+        return at + 5 * NS_PER_MS  # the port's guess is far too late
+
+    station.command(GoOnline(), now)
+    while not user.starts:
+        now = max(now, pump(station, b"", now, port))
+    now += NS_PER_MS
+    deadline = pump(station, DX_ANSWER, now, port)
+    assert len(user.results) == 1
+    assert deadline == now + station.params.ns(37)
+    pump(station, b"", deadline, port)
+    assert sent[-1] == deadline

@@ -1,0 +1,493 @@
+"""The token ring on a wire: gaps, joining, leaving, losing and claiming the token, GAP, collisions."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import pytest
+from ring_bus import ListUser, RingBus, Sent
+
+from dpstack.errors import UsageError
+from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.commands import GoOffline, GoOnline
+from dpstack.fdl.events import AddressCollision, MasterSeen, RingJoined, RingLeft, StationFound, TokenLost
+from dpstack.fdl.states import State
+from dpstack.fdl.telegram import Req, StationType, token
+from dpstack.fdl.user import Failure, Request
+from dpstack.machine import LineDown, LineUp
+from dpstack.params import BusParams
+from dpstack.phy.patience import HOST
+from dpstack.trace import WireEntry
+from dpstack.units import BAUD_RATES, NS_PER_MS
+
+MODES = ["whole", "octets", "chunk"]
+
+
+def members(bus: RingBus) -> list[set[int]]:
+    return [set(station.las) for station in bus.stations]
+
+
+def healed(bus: RingBus) -> bool:
+    everybody = {station.address for station in bus.stations}
+    return all(station.in_ring and station.las == everybody for station in bus.stations)
+
+
+@pytest.mark.parametrize("baud", BAUD_RATES)
+def test_a_lone_master_keeps_exact_gaps(baud: int) -> None:
+    bus = RingBus(baud)
+    station = bus.master(2, gap=0)
+    p = station.params
+    bus.run_bits(p.t_to + 20_000)
+    assert len(bus.log) > 50
+    assert all(sent.octets == b"\xdc\x02\x02" for sent in bus.log)
+    assert bus.log[0].start == bus.ns(p.t_to)
+    gaps = {b.start - a.end for a, b in pairwise(bus.log)}
+    assert gaps == {bus.ns(p.t_id1)}
+    rotation = station.last_rotation
+    assert abs(rotation - bus.ns(33 + p.t_id1)) <= 1
+    assert station.token_rotation.max_ns == station.token_rotation.min_ns == rotation
+    assert station.stats.tokens == len(bus.log) - 1  # two tokens claim one hold
+
+
+def test_a_master_listens_for_t_to_first() -> None:
+    bus = RingBus()
+    station = bus.master(9, gap=0, online=False)
+    bus.run(50 * NS_PER_MS)
+    assert station.state is State.OFFLINE
+    assert bus.log == []
+    start = bus.now
+    bus.command(station, GoOnline())
+    bus.run(50 * NS_PER_MS)
+    assert bus.log[0].start == start + bus.ns((6 + 2 * 9) * 200)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_two_masters_find_each_other(mode: str) -> None:
+    bus = RingBus(mode=mode)
+    bus.master(2)
+    bus.master(5)
+    bus.run(200 * NS_PER_MS)
+    assert members(bus) == [{2, 5}, {2, 5}]
+    joined = [e for e in bus.told(RingJoined) if isinstance(e, RingJoined)]
+    assert [(e.address, e.claimed, e.masters) for e in joined] == [(2, True, (2,)), (5, False, (2, 5))]
+    assert not any(sent.garbled for sent in bus.log)
+    # exactly one holder at any time: tokens alternate
+    tail = [s.octets for s in bus.log if s.octets[0] == 0xDC][-20:]
+    assert set(tail) == {b"\xdc\x05\x02", b"\xdc\x02\x05"}
+    assert all(a != b for a, b in pairwise(tail))
+
+
+def test_the_modes_of_hearing_do_the_same() -> None:
+    logs = []
+    for mode in MODES:
+        bus = RingBus(mode=mode)
+        for address in (2, 5, 9):
+            bus.master(address, hsa=12)
+        bus.run(300 * NS_PER_MS)
+        logs.append([(s.start, s.octets) for s in bus.log])
+    assert logs[0] == logs[1] == logs[2]
+
+
+def test_the_token_goes_up_and_wraps() -> None:
+    bus = RingBus()
+    for address in (9, 2, 5):
+        bus.master(address, hsa=12)
+    bus.run(400 * NS_PER_MS)
+    assert healed(bus)
+    tokens = [s.octets.hex() for s in bus.log if s.octets[0] == 0xDC][-6:]
+    start = tokens.index("dc0502")
+    assert tokens[start : start + 3] == ["dc0502", "dc0905", "dc0209"]
+
+
+def test_a_newcomer_says_not_ready_until_it_knows_the_ring() -> None:
+    bus = RingBus()
+    bus.master(2, hsa=6)
+    bus.run(3 * NS_PER_MS)
+    bus.master(3, hsa=6)
+    bus.run(300 * NS_PER_MS)
+    answers = [s.octets.hex(" ") for s in bus.log if s.octets[0] == 0x10 and s.sender == 3]
+    ready = answers.index("10 02 03 20 25 16")
+    assert all(a == "10 02 03 10 15 16" for a in answers[:ready])
+    assert healed(bus)
+
+
+def test_leaving_hands_the_token_on() -> None:
+    bus = RingBus()
+    a = bus.master(2, hsa=6)
+    b = bus.master(5, hsa=6)
+    bus.run(100 * NS_PER_MS)
+    bus.until(a, State.USE_TOKEN, State.PASS_TOKEN)
+    bus.command(a, GoOffline())
+    bus.run(20 * NS_PER_MS)
+    assert a.state is State.OFFLINE
+    assert b.stats.tokens_lost == 0
+    assert b.las == {5}
+    assert [e.text for e in bus.told(RingLeft)] == ["station 2 left the token ring: ordered"]
+    assert MasterSeen(t_ns=0, address=2, present=False).text in [e.text for e in bus.told(MasterSeen)]
+    bus.command(a, GoOnline())
+    bus.run(500 * NS_PER_MS)
+    assert healed(bus)
+
+
+@pytest.mark.parametrize("state", [State.ACTIVE_IDLE, State.USE_TOKEN, State.PASS_TOKEN, State.CHECK_TOKEN_PASS])
+def test_dying_in_any_state_is_survived(state: State) -> None:
+    bus = RingBus()
+    stations = [bus.master(address, hsa=12) for address in (2, 5, 9)]
+    bus.run(400 * NS_PER_MS)
+    assert healed(bus)
+    bus.until(stations[1], state)
+    bus.kill(stations[1])
+    bus.run_bits((6 + 2 * 9) * 200 + 13 * 200 + 3 * 5000)
+    assert healed(bus)
+    assert members(bus) == [{2, 9}, {2, 9}]
+
+
+def test_the_lowest_address_claims() -> None:
+    bus = RingBus()
+    stations = [bus.master(address, hsa=12) for address in (3, 5, 9)]
+    bus.run(400 * NS_PER_MS)
+    bus.until(stations[0], State.AWAIT_STATUS_RESPONSE)
+    start = bus.now
+    bus.kill(stations[0])
+    quiet = bus.log[-1].end
+    bus.run(30 * NS_PER_MS)
+    claim = next(s for s in bus.log if s.start > start)
+    assert claim.octets == b"\xdc\x05\x05"
+    assert claim.start - quiet == bus.ns((6 + 2 * 5) * 200)
+    assert [e.address for e in bus.told(TokenLost) if isinstance(e, TokenLost)] == [5]
+    assert healed(bus)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_one_lost_token_is_repeated(mode: str) -> None:
+    bus = RingBus(mode=mode)
+    _, a, b = bus.master(2, hsa=12), bus.master(5, hsa=12), bus.master(9, hsa=12)
+    bus.run(300 * NS_PER_MS)
+    lost: list[Sent] = []
+
+    def drop(sent: Sent) -> bool:
+        if not lost and sent.octets == b"\xdc\x09\x05":
+            lost.append(sent)
+            bus.deaf.add(id(b))
+            bus.at(sent.end + 1, lambda: bus.deaf.discard(id(b)))
+        return False
+
+    bus.drop = drop
+    bus.run(20 * NS_PER_MS)
+    retry = next(s for s in bus.log if s.start > lost[0].start)
+    assert retry.octets == b"\xdc\x09\x05"
+    assert retry.start - lost[0].end == bus.ns(200)
+    assert a.stats.token_retries == 1
+    assert healed(bus)
+
+
+def test_noise_after_the_pass_is_taken_for_activity() -> None:
+    bus = RingBus()
+    a, b = bus.master(2, hsa=6), bus.master(5, hsa=6)
+    bus.run(300 * NS_PER_MS)
+    bus.until(a, State.CHECK_TOKEN_PASS)
+    bus.kill(b)
+    bus.at(bus.now + bus.ns(40), lambda: bus._say(b"\xe5", 99))
+    bus.run_bits(100)
+    assert a.state is State.ACTIVE_IDLE
+    assert a.stats.stray == 1
+    bus.run(20 * NS_PER_MS)
+    assert healed(bus)
+    assert a.stats.tokens_lost == 1
+
+
+def test_garbage_after_the_pass_gets_one_more_slot_time() -> None:
+    bus = RingBus(mode="octets")
+    a, b = bus.master(2, hsa=6), bus.master(5, hsa=6)
+    bus.run(300 * NS_PER_MS)
+    bus.until(a, State.CHECK_TOKEN_PASS)
+    bus.kill(b)
+    bus.at(bus.now + bus.ns(40), lambda: bus._say(b"\x00", 99))
+    bus.run_bits(100)
+    assert a.state is State.CHECK_TOKEN_PASS
+    bus.run_bits(200)
+    assert a.state is State.ACTIVE_IDLE
+    bus.run(20 * NS_PER_MS)
+    assert healed(bus)
+
+
+def test_a_token_from_a_stranger_is_refused_once() -> None:
+    bus = RingBus()
+    a = bus.master(2, hsa=6)
+    bus.master(5, hsa=6)
+    bus.run(300 * NS_PER_MS)
+    bus.until(a, State.ACTIVE_IDLE)
+    bus.stations.pop()  # station 5 is silenced with the token
+    bus.run_bits(100)
+    bus._say(b"\xdc\x02\x04", 4)
+    bus.run_bits(100)
+    assert a.state is State.ACTIVE_IDLE
+    bus._say(b"\xdc\x02\x04", 4)
+    bus.run_bits(40)
+    assert a.state is not State.ACTIVE_IDLE
+    assert a.las >= {2, 4}
+
+
+def test_a_master_passed_over_listens_again() -> None:
+    bus = RingBus()
+    a, b = bus.master(2, hsa=6), bus.master(5, hsa=6)
+    bus.run(300 * NS_PER_MS)
+    bus.until(a, State.PASS_TOKEN)
+    bus.deaf.add(id(b))  # b misses what a does and is dropped
+    bus.run(5 * NS_PER_MS)
+    assert a.las == {2}
+    bus.deaf.clear()
+    bus.run(2 * NS_PER_MS)
+    assert b.state is State.LISTEN_TOKEN
+    assert len(bus.told(RingLeft)) == 1
+    bus.run(500 * NS_PER_MS)
+    assert healed(bus)
+
+
+def test_a_second_station_with_the_address_stays_out() -> None:
+    bus = RingBus()
+    first = bus.master(3, hsa=6)
+    bus.run(20 * NS_PER_MS)
+    second = bus.master(3, hsa=6)
+    bus.run(3000 * NS_PER_MS)
+    assert first.in_ring
+    assert second.state is State.LISTEN_TOKEN
+    assert [e.address for e in bus.told(AddressCollision) if isinstance(e, AddressCollision)] == [3]
+    assert all(not s.garbled for s in bus.log)
+    bus.kill(first)
+    bus.run(200 * NS_PER_MS)
+    assert second.in_ring
+
+
+def test_a_collision_in_the_ring_is_told_and_backed_off() -> None:
+    bus = RingBus()
+    a, b = bus.master(2, hsa=6), bus.master(5, hsa=6)
+    bus.run(300 * NS_PER_MS)
+    bus.until(b, State.ACTIVE_IDLE)
+    bus.kill(a)
+    bus._say(bytes.fromhex("10 03 05 49 51 16"), 99)
+    bus.run_bits(80)
+    assert b.state is State.LISTEN_TOKEN
+    assert len(bus.told(AddressCollision)) == 1
+    bus.run(200 * NS_PER_MS)
+    assert b.in_ring
+
+
+def test_one_damaged_token_is_no_collision() -> None:
+    bus = RingBus()
+    bus.master(2, hsa=6)
+    b = bus.master(5, hsa=6)
+    bus.run(300 * NS_PER_MS)
+    bus.until(b, State.ACTIVE_IDLE)
+    b.telegram(token(2, 5), bus.now)
+    bus.run(20 * NS_PER_MS)
+    assert bus.told(AddressCollision) == []
+    assert healed(bus)
+
+
+def test_gap_finds_a_slave_and_loses_it() -> None:
+    bus = RingBus()
+    station = bus.master(2, hsa=6)
+
+    def slave(octets: bytes, now: int) -> tuple[int, bytes] | None:
+        known = octets == bytes.fromhex("10 04 02 49 4F 16")
+        return (11, bytes.fromhex("10 02 04 00 06 16")) if known else None
+
+    bus.slaves[4] = slave
+    bus.run(300 * NS_PER_MS)
+    assert station.stations == {4: StationType.SLAVE}
+    bus.slaves.clear()
+    bus.run(300 * NS_PER_MS)
+    assert station.stations == {}
+    told = [(e.address, e.kind) for e in bus.told(StationFound) if isinstance(e, StationFound)]
+    assert told == [(4, StationType.SLAVE), (4, None)]
+    polls = [s.octets[1] for s in bus.log if s.octets[0] == 0x10 and s.sender == 2]
+    assert polls[:6] == [3, 4, 5, 6, 0, 1]
+
+
+def test_one_gap_poll_a_hold_after_the_traffic() -> None:
+    bus = RingBus()
+    user = ListUser(per_hold=[Request(9, Req.SDN_HIGH, b"\x01"), Request(9, Req.SDN_HIGH, b"\x02")])
+    bus.master(2, user, hsa=20)
+    bus.run(20 * NS_PER_MS)
+    kinds = "".join({0xDC: "t", 0x10: "g", 0x68: "r"}[s.octets[0]] for s in bus.log[2:])
+    assert kinds.startswith("rrgtrrgtrrgt")
+
+
+def test_gap_off_sends_none() -> None:
+    bus = RingBus()
+    station = bus.master(2, gap=0)
+    bus.run(50 * NS_PER_MS)
+    assert station.stats.gap_polls == 0
+    assert {s.octets[0] for s in bus.log} == {0xDC}
+
+
+def test_an_unreadable_gap_answer_proves_nothing() -> None:
+    bus = RingBus()
+    station = bus.master(2, hsa=6)
+    bus.slaves[4] = lambda octets, now: (11, bytes.fromhex("10 02 04 00 06 16"))
+    bus.run(300 * NS_PER_MS)
+    bus.drop = lambda sent: sent.sender == 4
+    bus.run(500 * NS_PER_MS)
+    assert station.stations == {4: StationType.SLAVE}
+    assert len(bus.told(StationFound)) == 1
+
+
+def test_the_host_is_patient_with_silence_only_so_long() -> None:
+    bus = RingBus(mode="chunk")
+    user = ListUser()
+    station = bus.master(2, user, patience=HOST)
+    bus.run(10_000 * NS_PER_MS)
+    spent = station.stats.gap_polls * (2 * NS_PER_MS + bus.ns(200 + 11))
+    assert spent < 10_000 * NS_PER_MS // 100 + 17 * 3 * NS_PER_MS
+
+
+def test_a_lone_idle_master_on_a_real_port_keeps_one_slot_time_between_tokens() -> None:
+    bus = RingBus(mode="chunk")
+    bus.master(2, patience=HOST, gap=0)
+    bus.run(100 * NS_PER_MS)
+    gaps = {b.start - a.end for a, b in pairwise(bus.log[2:])}
+    assert gaps == {bus.ns(200)}
+
+
+def test_two_masters_on_slow_ports() -> None:
+    bus = RingBus(mode="chunk")
+    bus.master(2, patience=HOST, hsa=6)
+    bus.master(5, patience=HOST, hsa=6)
+    bus.run(3000 * NS_PER_MS)
+    assert healed(bus)
+    bus.kill(bus.stations[1])
+    bus.run(1000 * NS_PER_MS)
+    assert healed(bus)
+
+
+def test_t_th_late_means_one_high_request_a_hold() -> None:
+    bus = RingBus()
+    user = ListUser()
+    params = BusParams.preset(500_000, address=2, gap=1, hsa=6, t_tr=256)
+    station = ActiveStation(params, [user])
+    bus.stations.append(station)
+    user.per_hold = [Request(9, Req.SDN_HIGH, bytes(60)), Request(9, Req.SDN_HIGH, bytes(60))]
+    user.low = [Request(9, Req.SDN_LOW, bytes(1)) for _ in range(5)]
+    bus.command(station, GoOnline())
+    bus.run(50 * NS_PER_MS)
+    # every rotation takes longer than T_TR, so each hold has one high-priority request, no low one, no GAP
+    kinds = "".join({0xDC: "t", 0x10: "g", 0x68: "r"}[s.octets[0]] for s in bus.log[2:])
+    assert "rtrtrtrtrtrt" in kinds
+    assert "rr" not in kinds[3:]
+    assert station.stats.gap_polls <= 1
+    assert set(user.asked[4:]) == {True}
+
+
+def test_t_tr_is_kept_by_two_masters() -> None:
+    bus = RingBus()
+    users = []
+    for address in (2, 5):
+        user = ListUser(low=[Request(9, Req.SDN_LOW, bytes(20)) for _ in range(3000)])
+        users.append(user)
+        params = BusParams.preset(500_000, address=address, t_tr=5_000, hsa=6)
+        station = ActiveStation(params, [user])
+        bus.stations.append(station)
+        bus.command(station, GoOnline())
+    bus.run(600 * NS_PER_MS)
+    assert healed(bus)
+    longest = 11 * 35 + 100  # a low-priority telegram begun at the last moment, each
+    for station in bus.stations:
+        assert station.token_rotation.count > 20
+        assert station.last_rotation < bus.ns(5_000 + 2 * longest + 200)
+
+
+def test_low_priority_does_not_starve_the_gap() -> None:
+    bus = RingBus()
+    endless = [Request(9, Req.SDN_LOW, bytes(20)) for _ in range(10_000)]
+    station = bus.master(2, ListUser(low=endless), hsa=6, t_tr=2000)
+    bus.run(200 * NS_PER_MS)
+    assert station.stats.gap_polls >= 6
+
+
+def test_line_down_and_up() -> None:
+    bus = RingBus()
+    user = ListUser(per_hold=[Request(9, Req.SRD_HIGH)])
+    station = bus.master(2, user, gap=0)
+    bus.run(10 * NS_PER_MS)
+    bus.until(station, State.AWAIT_DATA_RESPONSE)
+    bus.command(station, LineDown("unplugged"))
+    assert station.state is State.OFFLINE
+    assert user.outcomes[-1] is Failure.ABANDONED
+    count = len(bus.log)
+    bus.run(100 * NS_PER_MS)
+    bus.command(station, GoOnline())
+    bus.run(100 * NS_PER_MS)
+    assert len(bus.log) == count
+    bus.command(station, LineUp())
+    bus.run(10 * NS_PER_MS)
+    assert station.in_ring
+    bus.command(station, GoOffline())
+    bus.run(10 * NS_PER_MS)
+    bus.command(station, LineDown("again"))
+    bus.command(station, LineUp())
+    assert station.state is State.OFFLINE
+
+
+def test_going_offline_waits_for_the_answer_under_way() -> None:
+    bus = RingBus()
+    user = ListUser(high=[Request(9, Req.SRD_HIGH)])
+    station = bus.master(2, user, gap=0)
+    bus.slaves[9] = lambda octets, now: (60, b"\xe5")
+    bus.until(station, State.AWAIT_DATA_RESPONSE)
+    user.high.append(Request(9, Req.SRD_HIGH))
+    bus.command(station, GoOffline())
+    bus.run(10 * NS_PER_MS)
+    assert station.state is State.OFFLINE
+    assert len(user.outcomes) == 1
+    assert not isinstance(user.outcomes[0], Failure)
+
+
+def test_commands_ticks_and_events_of_users() -> None:
+    bus = RingBus()
+    first, second = ListUser(), ListUser(at=7 * NS_PER_MS)
+    station = bus.master(2, first, second, gap=0)
+    bus.command(station, "mine")
+    assert first.commands == ["mine"]
+    with pytest.raises(UsageError, match="nobody on this bus takes the command 'not mine'"):
+        station.command("not mine", bus.now)
+    first.events.append(StationFound(t_ns=1, address=1, kind=None))
+    bus.run(10 * NS_PER_MS)
+    assert second.ticks == [7 * NS_PER_MS]
+    assert len(bus.told(StationFound)) == 1
+    assert first.tokens == second.tokens
+
+
+def test_the_wire_tap_is_told_everything() -> None:
+    bus = RingBus()
+    heard: list[WireEntry] = []
+    a = bus.master(2, hsa=6)
+    a.wire = heard.append
+    bus.master(5, hsa=6)
+    bus.run(100 * NS_PER_MS)
+    assert [(e.start_ns, e.end_ns, e.octets, e.sender) for e in heard] == [
+        (s.start, s.end, s.octets, str(s.sender)) for s in bus.log if s.end <= heard[-1].end_ns
+    ]
+
+
+@pytest.mark.parametrize("count", [4, 8])
+def test_many_masters_start_at_once(count: int) -> None:
+    bus = RingBus(1_500_000)
+    for i in range(count):
+        bus.master(3 * i, hsa=3 * count)
+    bus.run(2000 * NS_PER_MS)
+    assert healed(bus)
+    assert not any(sent.garbled for sent in bus.log)
+
+
+def test_a_master_answers_rs_to_a_request() -> None:
+    bus = RingBus()
+    a = bus.master(2, hsa=6)
+    bus.master(5, ListUser(high=[]), hsa=6)
+    bus.run(300 * NS_PER_MS)
+    bus.until(a, State.ACTIVE_IDLE)
+    bus.stations.pop()
+    bus._say(bytes.fromhex("68 05 05 68 82 85 6D 3C 3E EE 16"), 5)
+    bus.run_bits(11 * 11 + 80)
+    assert bus.log[-1].octets.hex(" ") == "10 05 02 33 3a 16"
+    assert bus.log[-1].start - bus.log[-2].end == bus.ns(11)

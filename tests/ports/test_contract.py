@@ -1,0 +1,258 @@
+"""One contract for all kinds of ports: the same tests, a subclass per kind."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from typing import Any
+
+import pytest
+from far_ends import FarEnd, PtyFarEnd, Rfc2217FarEnd, TcpFarEnd, open_slave, until
+
+from dpstack.errors import PortError
+from dpstack.ports import Delivery, MemoryPort, Port, memory_pair, open_port
+from dpstack.ports.pyserial import PySerialPort
+
+EVERY_OCTET = bytes(range(256))
+BAUD = 500_000
+
+
+class Heard:
+    """What a port handed over."""
+
+    def __init__(self) -> None:
+        self.octets = b""
+        self.lost: list[str] = []
+
+    def data(self, chunk: bytes) -> None:
+        assert chunk
+        self.octets += chunk
+
+    def gone(self, reason: str) -> None:
+        self.lost.append(reason)
+
+    async def wait(self, count: int) -> bytes:
+        await until(lambda: len(self.octets) >= count, f"{count} octets")
+        return self.octets
+
+
+class PortContract:
+    """Subclasses give ``both``: an open port and its other end."""
+
+    delivery = Delivery.HOST
+    paced = False
+    tells_loss = True
+
+    async def make(self) -> tuple[Port, Any, Callable[[], None]]:
+        raise NotImplementedError
+
+    @pytest.fixture
+    async def both(self) -> AsyncIterator[tuple[Port, Any]]:
+        port, far, shut = await self.make()
+        yield port, far
+        port.close()
+        await asyncio.sleep(0)
+        shut()
+
+    @pytest.fixture
+    async def heard(self, both: tuple[Port, Any]) -> Heard:
+        heard = Heard()
+        both[0].attach(asyncio.get_running_loop(), heard.data, heard.gone)
+        return heard
+
+    async def test_every_octet_comes_in(self, both: tuple[Port, Any], heard: Heard) -> None:
+        both[1].send(EVERY_OCTET)
+        assert await heard.wait(256) == EVERY_OCTET
+
+    async def test_every_octet_goes_out(self, both: tuple[Port, Any], heard: Heard) -> None:
+        port, far = both
+        assert port.write(EVERY_OCTET[:255])
+        assert port.write(EVERY_OCTET[255:])
+        assert await far.recv(256) == EVERY_OCTET
+        assert port.dropped == 0
+
+    async def test_a_burst_is_handed_over_whole_and_in_order(self, both: tuple[Port, Any], heard: Heard) -> None:
+        burst = EVERY_OCTET * 12
+        both[1].send(burst)
+        assert await heard.wait(len(burst)) == burst
+
+    async def test_read_now_drains_and_does_not_wait(self, both: tuple[Port, Any]) -> None:
+        port, far = both
+        assert port.read_now() == b""
+        far.send(b"\xdc\x02\x02")
+        got = b""
+        async with asyncio.timeout(10):
+            while len(got) < 3:
+                got += port.read_now()
+                await asyncio.sleep(0.001)
+        assert got == b"\xdc\x02\x02"
+        assert port.read_now() == b""
+
+    async def test_detached_it_hands_over_nothing_attached_again_it_does(
+        self, both: tuple[Port, Any], heard: Heard
+    ) -> None:
+        port, far = both
+        far.send(b"one")
+        await heard.wait(3)
+        port.detach()
+        later = Heard()
+        port.attach(asyncio.get_running_loop(), later.data, later.gone)
+        far.send(b"two")
+        await later.wait(3)
+        assert (heard.octets, later.octets) == (b"one", b"two")
+
+    async def test_a_closed_port_drops_and_counts_and_close_may_come_again(
+        self, both: tuple[Port, Any], heard: Heard
+    ) -> None:
+        port = both[0]
+        port.close()
+        port.close()
+        assert not port.write(b"\xe5")
+        assert port.dropped == 1
+        assert port.read_now() == b""
+        assert port.fd is None
+        assert not heard.lost
+
+    async def test_a_full_line_drops_and_counts_and_does_not_wait(self, both: tuple[Port, Any], heard: Heard) -> None:
+        port = both[0]
+        for _ in range(100_000):
+            if not port.write(bytes(250)):
+                break
+        assert port.dropped == 1
+        assert not heard.lost
+
+    async def test_a_loss_is_told_once_with_its_reason(self, both: tuple[Port, Any], heard: Heard) -> None:
+        if not self.tells_loss:
+            return
+        port, far = both
+        far.hang_up()
+        await until(lambda: bool(heard.lost), "the loss")
+        port.write(b"\xe5")
+        port.read_now()
+        for _ in range(3):
+            await asyncio.sleep(0)
+        assert len(heard.lost) == 1
+        assert heard.lost[0]
+
+    async def test_what_it_says_of_itself(self, both: tuple[Port, Any]) -> None:
+        port = both[0]
+        assert port.delivery is self.delivery
+        assert port.paced is self.paced
+        assert port.baud == BAUD
+        assert port.name
+        assert all(isinstance(notice, str) for notice in port.notices)
+
+
+class Reopens:
+    """For kinds whose other end is still there after a close."""
+
+    async def test_opened_again_it_is_empty(self, both: tuple[Port, Any], heard: Heard) -> None:
+        port, far = both
+        far.send(b"old")
+        await heard.wait(3)
+        port.close()
+        self.send_stale(far)
+        await port.open()
+        again = Heard()
+        port.attach(asyncio.get_running_loop(), again.data, again.gone)
+        await self.settled(port, far)
+        far.send(b"new")
+        await again.wait(3)
+        assert again.octets == b"new"
+
+    def send_stale(self, far: Any) -> None:
+        """Octets for nobody, where the kind can have them."""
+
+    async def settled(self, port: Port, far: Any) -> None:
+        """Until the other end knows."""
+
+
+class TestTty(PortContract, Reopens):
+    async def make(self) -> tuple[Port, FarEnd, Callable[[], None]]:
+        far = PtyFarEnd()
+        port = open_port(far.path, BAUD)
+        await port.open()
+        return port, far, far.hang_up
+
+    def send_stale(self, far: FarEnd) -> None:
+        far.send(b"stale")
+
+
+class TestPySerial(PortContract, Reopens):
+    delivery = Delivery.ADAPTER
+    paced = True
+
+    async def make(self) -> tuple[Port, FarEnd, Callable[[], None]]:
+        far = PtyFarEnd()
+        port = PySerialPort(far.path, BAUD)
+        await port.open()
+        return port, far, far.hang_up
+
+
+class TestPty(PortContract):
+    tells_loss = False  # an opener that leaves is normal
+
+    async def make(self) -> tuple[Port, FarEnd, Callable[[], None]]:
+        port = open_port("pty", BAUD)
+        await port.open()
+        far = open_slave(port.name)
+        return port, far, far.hang_up
+
+
+class TestSocket(PortContract, Reopens):
+    async def make(self) -> tuple[Port, FarEnd, Callable[[], None]]:
+        far = TcpFarEnd()
+        port = open_port(far.path, BAUD)
+        await port.open()
+        return port, far, far.shut
+
+    def send_stale(self, far: TcpFarEnd) -> None:
+        FarEnd.hang_up(far)
+
+
+class TestRfc2217(PortContract, Reopens):
+    delivery = Delivery.ADAPTER
+    paced = True
+
+    async def make(self) -> tuple[Port, FarEnd, Callable[[], None]]:
+        far = Rfc2217FarEnd()
+        port = open_port(far.path, BAUD)
+        await port.open()
+        assert (far.line.baudrate, far.line.parity) == (BAUD, "E")
+        return port, far, far.shut
+
+
+class MemoryFarEnd:
+    """The other MemoryPort with the manners of a far end."""
+
+    def __init__(self, far: MemoryPort, near: MemoryPort) -> None:
+        self._far, self._near = far, near
+
+    def send(self, octets: bytes) -> None:
+        assert self._far.write(octets)
+
+    async def recv(self, _count: int) -> bytes:
+        return self._far.read_now()
+
+    def hang_up(self) -> None:
+        self._near.unplug("pulled out")
+
+
+class TestMemory(PortContract, Reopens):
+    async def make(self) -> tuple[Port, MemoryFarEnd, Callable[[], None]]:
+        port, far = memory_pair(BAUD)
+        await far.open()
+        await port.open()
+        return port, MemoryFarEnd(far, port), far.close
+
+    def send_stale(self, far: MemoryFarEnd) -> None:
+        far.send(b"stale")
+
+    async def test_unplugged_it_cannot_be_opened_until_it_is_plugged(self, both: tuple[MemoryPort, Any]) -> None:
+        port = both[0]
+        port.unplug("pulled out")
+        with pytest.raises(PortError, match="pulled out"):
+            await port.open()
+        port.plug()
+        await port.open()
+        assert port.line_baud() == BAUD

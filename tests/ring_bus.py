@@ -1,0 +1,247 @@
+"""A wire in a few lines for tests of the active station: exact, in virtual time, with its own idea of the octets.
+
+It delivers whole telegrams, octets, or chunks; what overlaps is garbled for everybody. Its parser knows literal octets
+only where a test slave answers.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.codec import decode
+from dpstack.fdl.commands import GoOnline
+from dpstack.fdl.states import State
+from dpstack.fdl.telegram import Telegram
+from dpstack.fdl.user import Failure, LinkUser, Request
+from dpstack.machine import pump
+from dpstack.params import BusParams
+from dpstack.phy.patience import EXACT, Patience
+from dpstack.trace import Event
+from dpstack.units import NEVER, chars_to_ns
+
+
+@dataclass
+class Sent:
+    """One transmission on the wire."""
+
+    start: int
+    end: int
+    octets: bytes
+    sender: int
+    garbled: bool = False
+
+
+@dataclass
+class ListUser:
+    """A link user that sends what is in its list and writes down what comes back."""
+
+    high: list[Request] = field(default_factory=list)
+    low: list[Request] = field(default_factory=list)
+    #: asked for more in every hold: made afresh at each token
+    per_hold: list[Request] = field(default_factory=list)
+    results: list[tuple[Request, Telegram | Failure, int]] = field(default_factory=list)
+    starts: list[tuple[Request, int]] = field(default_factory=list)
+    tokens: list[int] = field(default_factory=list)
+    asked: list[bool] = field(default_factory=list)
+    commands: list[object] = field(default_factory=list)
+    ticks: list[int] = field(default_factory=list)
+    at: int = NEVER
+    events: list[Event] = field(default_factory=list)
+    _hold: list[Request] = field(default_factory=list)
+
+    def token_received(self, now: int) -> None:
+        self.tokens.append(now)
+        self._hold = list(self.per_hold)
+
+    def next_request(self, now: int, high_only: bool) -> Request | None:
+        self.asked.append(high_only)
+        if self._hold:
+            return self._hold.pop(0)
+        if self.high:
+            return self.high.pop(0)
+        if self.low and not high_only:
+            return self.low.pop(0)
+        return None
+
+    def started(self, request: Request, at: int) -> None:
+        self.starts.append((request, at))
+
+    def result(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
+        self.results.append((request, outcome, now))
+
+    def command(self, command: object, now: int) -> bool:
+        if command == "mine":
+            self.commands.append(command)
+            return True
+        return False
+
+    def wake_at(self) -> int:
+        return self.at
+
+    def tick(self, now: int) -> None:
+        self.ticks.append(now)
+        self.at = NEVER
+
+    def take_events(self) -> list[Event]:
+        events, self.events = self.events, []
+        return events
+
+    @property
+    def outcomes(self) -> list[Telegram | Failure]:
+        return [outcome for _, outcome, _ in self.results]
+
+
+#: what a slave made of octets says: (delay in bits after the request's end, octets), or nothing
+Answer = Callable[[bytes, int], tuple[int, bytes] | None]
+
+
+class RingBus:
+    """The wire. ``mode`` is 'whole', 'octets' or 'chunk'; ``noise(sent)`` may garble a transmission."""
+
+    def __init__(self, baud: int = 500_000, mode: str = "whole") -> None:
+        self.baud = baud
+        self.mode = mode
+        self.now = 0
+        self.stations: list[ActiveStation] = []
+        self.slaves: dict[int, Answer] = {}
+        self.log: list[Sent] = []
+        self.events: list[Event] = []
+        self.drop: Callable[[Sent], bool] = lambda sent: False
+        self._heap: list[tuple[int, int, Callable[[], None]]] = []
+        self._count = 0
+        self._due: dict[int, int] = {}
+        self.deaf: set[int] = set()
+
+    # --- stations ------------------------------------------------------------------------------------------------
+    def master(
+        self, address: int, *users: LinkUser, patience: Patience = EXACT, online: bool = True, **changes: int
+    ) -> ActiveStation:
+        params = BusParams.preset(self.baud, address=address).replace(**changes)
+        station = ActiveStation(params, users, patience=patience, now=self.now)
+        self.stations.append(station)
+        if online:
+            self.command(station, GoOnline())
+        return station
+
+    def kill(self, station: ActiveStation) -> None:
+        self.stations.remove(station)
+
+    def command(self, station: ActiveStation, command: object) -> None:
+        station.command(command, self.now)
+        self.pump(station)
+
+    def pump(self, station: ActiveStation, chunk: bytes = b"") -> None:
+        if station not in self.stations:
+            return
+        at = pump(station, chunk, self.now, lambda octets, now: self.transmit(octets, now, station.address, station))
+        self.events += station.take_events()
+        if at < NEVER:
+            self._due[id(station)] = at
+            self.at(max(at, self.now), lambda: self._wake(station, at))
+
+    def _wake(self, station: ActiveStation, at: int) -> None:
+        if self._due.get(id(station)) == at:
+            self._due[id(station)] = -1
+            self.pump(station)
+
+    # --- the wire ------------------------------------------------------------------------------------------------
+    def at(self, when: int, call: Callable[[], None]) -> None:
+        self._count += 1
+        heapq.heappush(self._heap, (when, self._count, call))
+
+    def ns(self, bits: int) -> int:
+        return (bits * 1_000_000_000 + self.baud // 2) // self.baud
+
+    def transmit(self, octets: bytes, now: int, sender: int, station: ActiveStation | None = None) -> int:
+        end = now + chars_to_ns(len(octets), self.baud)
+        sent = Sent(now, end, octets, sender)
+        if self.drop(sent):
+            sent.garbled = True
+        for other in reversed(self.log):
+            if other.end > now:
+                sent.garbled = other.garbled = True
+            if other.end < now - self.ns(3000):
+                break
+        self.log.append(sent)
+        self.at(now, lambda: self._edge(sent, station))
+        if self.mode == "octets":
+            for i in range(len(octets)):
+                self.at(now + chars_to_ns(i + 1, self.baud), lambda i=i: self._octet(sent, station, i))  # type: ignore[misc]
+        self.at(end, lambda: self._end(sent, station))
+        return end
+
+    def _hearers(self, station: ActiveStation | None) -> list[ActiveStation]:
+        return [s for s in self.stations if s is not station and id(s) not in self.deaf]
+
+    def _edge(self, sent: Sent, sender: ActiveStation | None) -> None:
+        if self.mode == "whole":
+            for station in self._hearers(sender):
+                station.activity(self.now)
+                self.pump(station)
+
+    def _octet(self, sent: Sent, sender: ActiveStation | None, i: int) -> None:
+        octet = sent.octets[i : i + 1] if not sent.garbled else bytes((sent.octets[i] ^ 0x5A,))
+        for station in self._hearers(sender):
+            self.pump(station, octet)
+
+    def _end(self, sent: Sent, sender: ActiveStation | None) -> None:
+        telegram = None if sent.garbled else decode(sent.octets)
+        for station in self._hearers(sender):
+            if self.mode == "octets":
+                continue
+            if sent.garbled or telegram is None:
+                self.pump(station, bytes(o ^ 0x5A for o in sent.octets))
+            elif self.mode == "chunk":
+                self.pump(station, sent.octets)
+            else:
+                station.telegram(telegram, self.now)
+                self.pump(station)
+        if not sent.garbled and len(sent.octets) > 3:
+            da = sent.octets[4 if sent.octets[0] == 0x68 else 1] & 0x7F
+            slave = self.slaves.get(da)
+            answer = slave(sent.octets, self.now) if slave is not None else None
+            if answer is not None:
+                bits, octets = answer
+                self.at(self.now + self.ns(bits), lambda: self._say(octets, da))
+
+    def _say(self, octets: bytes, sender: int) -> None:
+        self.transmit(octets, self.now, sender)
+
+    # --- time ----------------------------------------------------------------------------------------------------
+    def run(self, ns: int) -> None:
+        self.run_until(self.now + ns)
+
+    def run_until(self, at: int) -> None:
+        while self._heap and self._heap[0][0] <= at:
+            self.now, _, call = heapq.heappop(self._heap)
+            call()
+        self.now = at
+
+    def run_bits(self, bits: int) -> None:
+        self.run(self.ns(bits))
+
+    def until(self, station: ActiveStation, *states: State) -> None:
+        """Run in small steps until ``station`` is in one of ``states``."""
+        for _ in range(1_000_000):
+            if station.state in states:
+                return
+            self.run_bits(1)
+        raise AssertionError(f"{states} not reached")
+
+    def octets(self) -> list[str]:
+        return [sent.octets.hex(" ") for sent in self.log]
+
+    def told(self, kind: type[Event]) -> list[Event]:
+        return [event for event in self.events if isinstance(event, kind)]
+
+
+def fixed(request: str, answer: str, delay: int = 11) -> Answer:
+    """A slave that knows one request and one answer, both in hex."""
+
+    def say(octets: bytes, now: int) -> tuple[int, bytes] | None:
+        return (delay, bytes.fromhex(answer)) if octets == bytes.fromhex(request) else None
+
+    return say
