@@ -1,4 +1,4 @@
-"""Benches for drive tests: a plugin fed with literal octets, a simulated drive fed with literal octets, both together."""
+"""Benches for drive tests: a plugin and a simulated drive, each fed with literal octets, and both together."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ class DeviceBench:
         return inputs.hex(" ").upper()
 
     def until(self, outputs: str, wanted: str, ms: float) -> list[str]:
-        """Exchange until the inputs are ``wanted``; all different inputs on the way, in order, the last one included."""
+        """Exchange until the inputs are ``wanted``; the different inputs on the way, in order, with the last one."""
         octets = bytes.fromhex(outputs)
         end = self.now + round(ms * MS)
         seen: list[str] = []

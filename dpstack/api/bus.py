@@ -67,7 +67,7 @@ def open_bus(
             raise ConfigError("open_bus: no baud; give for instance baud=500000, or a configuration file")
         if port is None and world is None:
             raise ConfigError('open_bus: no port; give for instance port="/dev/ttyUSB0", or "virtual"')
-        made = make_config(port or "virtual", baud, 2 if address is None else address, slaves, **bus)
+        made = make_config(port or "virtual", baud, 2 if address is None else address, slaves, bus=bus)
         return Bus(made, on_event=on_event, join_timeout=join_timeout, world=world)
     read = config if isinstance(config, Config) else load_config(config)
     return Bus(
@@ -141,9 +141,9 @@ class Bus:
         """Listen, join the token ring, begin the bring-up in Clear. Raises PortError, BusError."""
         if self._open or self._ending is not None:
             raise UsageError("this bus was opened before: make a new one with open_bus()")
+        self.started_ns = self.runtime.now()
         await self.runtime.open()
         self._open = True
-        self.started_ns = self.runtime.now()
         try:
             for note in (*self.plan.findings, *self.plan.notes):
                 self._tell(Notice(t_ns=self.started_ns, source="plan", message=note, severity=Severity.WARNING))

@@ -87,12 +87,12 @@ def compose(config: Config, on_events: OnEvents, on_failure: OnFailure, world: W
         world = World(referee=False)
         for slave in config.slaves:
             world.add(simulated(slave, params), name=slave.name)
-    return Parts(config, plan, master, station, VirtualRuntime(world, station, on_events), world)
+    return Parts(config, plan, master, station, VirtualRuntime(world, station, on_events, on_failure=on_failure), world)
 
 
 def attach_core(master: Master, slave: SlaveConfig) -> DriveCore | None:
     """Put the drive plugin of ``slave`` onto its process image; None where it has none."""
-    if slave.profile is None:
+    if slave.profile is None or slave.raw:
         return None
     core = slave.profile.core(slave.name, slave.telegram, slave.options)
     master.handlers[slave.address].image.unit = core
@@ -105,6 +105,7 @@ def device_of(slave: SlaveConfig) -> Device:
         device = slave.profile.device(slave.telegram)
         if slave.ident is not None:
             device.ident = slave.ident
+        device.name = slave.name
         return device
     return MirrorDevice(slave.ident or 0, slave.config, slave.name, fail_safe=slave.fail_safe)
 

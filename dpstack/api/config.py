@@ -88,7 +88,7 @@ class Config:
         return _checked(dataclasses.replace(self, bus=bus))
 
     def with_outputs(self, outputs: Mapping[int, bytes]) -> Config:
-        """A copy with initial output octets by slave address."""
+        """A copy with initial output octets by slave address; a drive that gets some is run without its plugin."""
         by_address = {slave.address: slave for slave in self.slaves}
         for address, octets in outputs.items():
             slave = by_address.get(address)
@@ -100,12 +100,10 @@ class Config:
                     f"outputs for slave {address} ({slave.name}): {len(octets)} octets given; "
                     f"it has {slave.output_len} octets of outputs"
                 )
-            if slave.profile is not None:
-                raise ConfigError(
-                    f"outputs for slave {address} ({slave.name}): the drive plugin {slave.profile.name} makes its "
-                    f"outputs; describe the slave by ident and config instead of drive to give raw octets"
-                )
-        slaves = tuple(dataclasses.replace(s, initial=outputs.get(s.address, s.initial)) for s in self.slaves)
+        slaves = tuple(
+            dataclasses.replace(s, initial=outputs[s.address], raw=True) if s.address in outputs else s
+            for s in self.slaves
+        )
         return dataclasses.replace(self, slaves=slaves)
 
     def with_slaves(self, slaves: Iterable[Mapping[str, object] | SlaveConfig]) -> Config:
@@ -208,13 +206,13 @@ def make_config(
     slaves: Iterable[Mapping[str, object] | SlaveConfig] = (),
     *,
     where: str = "open_bus",
-    **bus: object,
+    bus: Mapping[str, object] | None = None,
 ) -> Config:
-    """A configuration from a program: the keys of [bus] as arguments, slaves as tables with the keys of [[slave]]."""
+    """A configuration from a program: ``slaves`` with the keys of [[slave]], ``bus`` with further keys of [bus]."""
     source = Source(where)
-    table: dict[str, object] = {"port": port, "baud": baud, "address": address, **bus}
+    table: dict[str, object] = {"port": port, "baud": baud, "address": address, **(bus or {})}
     read = _read_bus(Table(source, ("bus",), {k: v for k, v in table.items() if v is not None}, "bus"))
-    entries = tuple(s if isinstance(s, SlaveConfig) else slave_config(s, n) for n, s in enumerate(slaves))
+    entries = tuple(s if isinstance(s, SlaveConfig) else slave_config(s, n, where=where) for n, s in enumerate(slaves))
     return _checked(Config(bus=read, slaves=entries, source=source))
 
 

@@ -110,8 +110,8 @@ class Simulation:
                 await asyncio.shield(self._failure)
 
     async def __aenter__(self) -> Simulation:
-        await self.runtime.open()
         self.started_ns = self.runtime.now()
+        await self.runtime.open()
         return self
 
     async def __aexit__(

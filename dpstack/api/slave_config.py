@@ -71,6 +71,8 @@ class SlaveConfig:
     initial: bytes | None = None
     min_slave_interval_ns: int = 0
     fail_safe: bool = False
+    #: the application makes the outputs octet by octet, also where there is a drive plugin
+    raw: bool = False
     notes: tuple[str, ...] = ()
 
     @property

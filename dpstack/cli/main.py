@@ -1,4 +1,4 @@
-"""The entry point: finds the command, turns every expected error into one line, and gives the exit code.
+"""The entry point: finds the command, turns every expected error into one line and gives the exit code.
 
 0 success, 1 a finding or a failed run, 2 wrong use (arguments, configuration). No traceback for what a user or the
 world outside can cause.

@@ -9,6 +9,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from rich.console import Console
 from rich.table import Table
 
+#: columns whose text may be long; the others keep their width
+_MAY_WRAP = frozenset({"inputs", "outputs", "story", "when the master stops", "name"})
+
 
 def on_terminal() -> bool:
     """True when a person reads along."""
@@ -34,7 +37,7 @@ def rich_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[objec
     """A table as rich draws it."""
     table = Table(title=title, title_justify="left", title_style="bold")
     for column in columns:
-        table.add_column(column)
+        table.add_column(column, no_wrap=column not in _MAY_WRAP)
     for row in rows:
         table.add_row(*(str(cell) for cell in row))
     return table

@@ -56,7 +56,7 @@ class Reporter:
             output.json_line({"event": "summary", "t": round(stats.seconds, 3), **stats.summary(), **more})
             return
         rows = [
-            (s.address, s.name, s.state, s.exchanges, s.retries, s.timeouts, s.inputs.hex(" "), s.outputs.hex(" "))
+            (s.address, s.name, s.state, s.exchanges, s.retries, s.timeouts, s.inputs.hex(), s.outputs.hex())
             for s in stats.slaves.values()
         ]
         columns = ("address", "name", "state", "exchanges", "retries", "time-outs", "inputs", "outputs")

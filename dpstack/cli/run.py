@@ -32,7 +32,7 @@ def add_to(commands: options.Commands) -> None:
         type=options.outputs,
         action="append",
         default=[],
-        help="initial output octets of a slave without a drive plugin",
+        help="initial output octets; a drive that gets some is run without its plugin",
     )
     parser.add_argument("--clear", action="store_true", help="stay in Clear: read inputs, outputs are zero")
     parser.add_argument("--read-only", action="store_true", help="only listen and ask, change nothing")

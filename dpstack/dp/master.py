@@ -34,6 +34,9 @@ _GC_SHARE: Final = 100
 _GC_OCTETS: Final = 13
 #: Global_Control after a change of mode, and at the end, is sent this often
 _GC_URGENT: Final = 2
+#: The end: safe values for at least one cycle, and for so long, because drives look at their outputs only every 4 to
+#: 32 ms (drives, row D17) and Clear's zeros mean nothing to some of them (bit 10 of STW1).
+_SAFE_HOLD: Final = 50 * NS_PER_MS
 #: without a token for so long nobody can be in data exchange any more
 _SILENCE: Final = NS_PER_S
 
@@ -271,6 +274,8 @@ class Master:
             self.on_round(now)
         if self._stopping and not self._stopped:
             if self.mode is Mode.OPERATE:
+                if self._exchanging and now - self._stopping < _SAFE_HOLD:
+                    return
                 self.mode = Mode.CLEAR  # the safe values are out: now Clear, twice
                 self._gc_urgent = _GC_URGENT
                 self._events.append(ModeChanged(t_ns=now, mode=Mode.CLEAR))

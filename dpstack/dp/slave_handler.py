@@ -109,6 +109,7 @@ class SlaveHandler:
         self._cfg_sent = False
         self._ask_cfg = False
         self._left = False
+        self._pause = 0
         self._request: Request | None = None
 
     @property
@@ -389,6 +390,8 @@ class SlaveHandler:
         elif state is SlaveState.SET_PRM:
             self._cfg_sent = False
             self._unacked = ""
+            self.due = now + self._pause
+            self._pause = 0
         elif state is SlaveState.FAULT:
             self.due = now + self._refused.take()
             self._prm_rounds = 0
@@ -405,12 +408,12 @@ class SlaveHandler:
         self.image.valid = False
         self.diag_due = False
         self._restart = True
+        self.due = now
         if now - self._since >= _STABLE:
             self._absent.reset()
             self._refused.reset()
-            self.due = now
-        else:
-            self.due = now + self._refused.take()
+        else:  # its diagnosis is read at once, the next bring-up waits
+            self._pause = self._refused.take()
         self.unit.lost(now)
 
     def line_lost(self, reason: str, now: int) -> None:

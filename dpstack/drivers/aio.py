@@ -216,7 +216,7 @@ class AsyncioRuntime:
         wanted = self._echo_wanted
         self._echo = None if wanted is Echo.OFF else EchoFilter(wanted)
         self._port.attach(self._loop, self._step if self._echo is None else self._filtered, self._lost)
-        self._tell([self._notice(text, Severity.WARNING) for text in self._port.notices])
+        self._tell([self._notice(text) for text in self._port.notices])
 
     def _filtered(self, chunk: bytes) -> None:
         echo = self._echo

@@ -1,8 +1,8 @@
 """An asyncio event loop whose time is virtual: exact, deterministic, and as fast as the machine can compute.
 
-An unmodified program runs in it: sleeping, timeouts, queues and tasks see the loop's own time, and waiting
-for something advances the worlds attached to the loop to the next event instead of letting real time go by. The program's own
-computing takes no virtual time. ``paced`` holds virtual time back to real time; what happens is the same.
+An unmodified program runs in it: sleeping, timeouts, queues and tasks see the loop's own time, and waiting for
+something advances the worlds attached to the loop to the next event instead of letting real time go by. The program's
+own computing takes no virtual time. ``paced`` holds virtual time back to real time; what happens is the same.
 """
 
 from __future__ import annotations
@@ -41,7 +41,9 @@ class StandstillError(DpError, RuntimeError):
 class Timeline(Protocol):
     """Something that has its own virtual time and events in it: a simulated world. Times in ns."""
 
-    now: int
+    @property
+    def now(self) -> int:
+        """The time of the last event, or what it was run up to."""
 
     def next_at(self) -> int:
         """When something may happen next; NEVER when nothing will."""

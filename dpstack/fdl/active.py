@@ -255,6 +255,13 @@ class ActiveStation:
             self.wire(WireEntry(link.taken_at, at, self._sending, str(link.ts)))
         link.row[Input.SENT](link, NONE, at)
 
+    def set_patience(self, patience: Patience, now: int) -> None:
+        """Wait as long as the port turned out to need; counts from the next deadline on."""
+        link = self._link
+        link.patience = patience
+        link.set_times(now)
+        self._decoder.stall_ns = link.line.t_stall_ns + patience.stall_ns
+
     # --- orders and news ----------------------------------------------------------------------------------------
     def take_events(self) -> list[Event]:
         """The station's events, then its users'."""

@@ -44,6 +44,9 @@ _SERVICES: Final[dict[Req, _Service]] = {
     )
     for f in Req
 }
+#: so many slot times with the port's patience an answer may come late
+_OWED_SLOTS: Final = 4
+#: responses that say no or plainly yes
 _WITHOUT_DATA: Final = frozenset({int(Resp.OK), int(Resp.UE), int(Resp.RR), int(Resp.RS), int(Resp.NR)})
 
 
@@ -146,8 +149,13 @@ def _owing(link: Link, telegram: Telegram, now: int) -> int:
 
 
 def _owe(link: Link, now: int) -> None:
-    """An answer to the present request may still come, for as long as two rounds of patience."""
-    link.owed[link.request.da] = (link.request, now + 4 * link.slot_known_ns)
+    """An answer to the present request may still come."""
+    link.owed[link.request.da] = (link.request, now + _OWED_SLOTS * link.slot_known_ns)
+
+
+def owe_status(link: Link, address: int, now: int) -> None:
+    """A station that used to answer GAP polls did not: its answer may come while the next request waits."""
+    link.owed[address] = (Request(address, Req.FDL_STATUS), now + _OWED_SLOTS * link.slot_known_ns)
 
 
 def _answered(link: Link, telegram: Telegram, now: int) -> None:

@@ -123,7 +123,9 @@ def status_timeout(link: Link, _: Telegram, now: int) -> None:
         link.gap.passed(address)
     elif link.gap.polled(address, None):
         link.events.append(StationFound(t_ns=now, address=address, kind=None))
-    if not known:
+    if known:
+        exchange.owe_status(link, address, now)
+    else:
         link.allowance.charge(link.slot_unknown_ns)
     passing.start(link, now)
 

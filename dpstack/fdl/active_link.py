@@ -16,9 +16,9 @@ from dpstack.fdl.ring import Allowance, Gap, Ring
 from dpstack.fdl.states import Input, State
 from dpstack.fdl.telegram import FC_FUNCTION, FC_REQUEST, Kind, Req, Telegram
 from dpstack.fdl.user import Failure, LinkStats, LinkUser, Request
-from dpstack.params import BusParams
+from dpstack.params import MAX_STATION, BusParams
 from dpstack.phy.line import Line
-from dpstack.phy.patience import Patience
+from dpstack.phy.patience import EXACT, Patience
 from dpstack.stats import Histogram
 from dpstack.trace import Event
 from dpstack.units import BITS_PER_CHAR, NEVER
@@ -38,6 +38,8 @@ def classify(telegram: Telegram, ts: int) -> Input:
     if fc < 0:
         if telegram.kind == Kind.SC:
             return Input.RESPONSE
+        if telegram.da > MAX_STATION or telegram.sa > MAX_STATION:
+            return Input.ACTIVITY  # no master can have such an address: a damaged token
         if telegram.sa == ts:
             return Input.OWN_ADDRESS
         return Input.TOKEN_TO_ME if telegram.da == ts else Input.TOKEN_SEEN
@@ -130,7 +132,7 @@ class Link:
         self.events: list[Event] = []
         self.state = State.OFFLINE
         self.row = rows[State.OFFLINE]
-        self._set_times(now)
+        self.set_times(now)
 
         # what goes out next, and when
         self.tx: bytes | None = None
@@ -175,10 +177,11 @@ class Link:
         #: exchanges whose answer may still come: request and until when, by address
         self.owed: dict[int, tuple[Request, int]] = {}
 
-    def _set_times(self, now: int) -> None:
+    def set_times(self, now: int) -> None:
+        """Work out all durations from ``params`` and ``patience``."""
         params, patience, line = self.params, self.patience, self.line
         #: nothing is delivered late, edges are told
-        self.exact = not (patience.known_ns or patience.unknown_ns or patience.stall_ns)
+        self.exact = patience == EXACT
         self.char_ns = params.ns(BITS_PER_CHAR)
         # Octets are seen at their end: without edges the slot time counts from there.
         slot_ns = line.t_sl_ns if self.exact else params.ns(params.t_sl + BITS_PER_CHAR)

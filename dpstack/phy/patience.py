@@ -30,9 +30,7 @@ class Patience:
 EXACT: Final = Patience()
 
 #: ptys, sockets and everything else whose other end is a process of this kind of machine (measured stalls 10..30 ms).
-HOST: Final = Patience(
-    known_ns=50 * NS_PER_MS, unknown_ns=2 * NS_PER_MS, unknown_share=100, stall_ns=50 * NS_PER_MS
-)
+HOST: Final = Patience(known_ns=50 * NS_PER_MS, unknown_ns=2 * NS_PER_MS, unknown_share=100, stall_ns=50 * NS_PER_MS)
 
 #: A USB adapter before it was measured: three frames of 1 ms each way and the 16 ms of an untouched latency timer.
 ADAPTER: Final = Patience(

@@ -46,7 +46,7 @@ class PySerialPort(Port):
             self._serial = self._open_serial(serial.PARITY_EVEN)
         except TermiosError:  # a pty refuses parity at the second open
             self._serial = self._open_serial(serial.PARITY_NONE)
-            self.notices.append(f"{self.name}: has no parity bit (8E1 was asked for), only check sums protect the data")
+            self.notices.append("has no parity bit (8E1 was asked for), only check sums protect the data")
         self._serial.reset_input_buffer()
 
     def read_now(self) -> bytes:

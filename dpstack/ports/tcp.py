@@ -41,7 +41,7 @@ class SocketPort(FdPort):
         self._socket = connected
         self._fd = connected.fileno()
         self._read, self._send = connected.recv, connected.send
-        self.notices = [f"{self.name}: the far end must be set to {self.baud} bit/s 8E1 itself"]
+        self.notices = [f"the far end must be set to {self.baud} bit/s 8E1 itself"]
 
     def _close_fd(self, fd: int) -> None:
         if self._socket is not None:

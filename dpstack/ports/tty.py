@@ -90,7 +90,7 @@ class TtyPort(FdPort):
                 f"{self.name} is held by {holder_of(fd)}: end that program or take another port"
             ) from None
         except OSError as exc:
-            self.notices.append(f"{self.name}: cannot be locked ({reason_of(exc)}), other programs may open it too")
+            self.notices.append(f"cannot be locked ({reason_of(exc)}), other programs may open it too")
 
     def _set(self, fd: int) -> None:
         try:
@@ -105,9 +105,9 @@ class TtyPort(FdPort):
                 f"choose another rate or adapter"
             )
         if applied.baud != self.baud:
-            self.notices.append(f"{self.name}: runs at {applied.baud} bit/s instead of {self.baud}")
+            self.notices.append(f"runs at {applied.baud} bit/s instead of {self.baud}")
         if not applied.parity:
-            self.notices.append(f"{self.name}: has no parity bit (8E1 was asked for), only check sums protect the data")
+            self.notices.append("has no parity bit (8E1 was asked for), only check sums protect the data")
         _ask_low_latency(fd)
 
 

@@ -74,7 +74,7 @@ class DriveDevice(Device):
 
     def enter(self, config: bytes, now: int) -> None:
         """Data exchange begins; the telegram follows from the identifier octets."""
-        self._advance(now)
+        self.advance(now)
         self.telegram = self._by_config[config]
         self._outputs = None
         if self.pkw is not None:
@@ -85,20 +85,37 @@ class DriveDevice(Device):
 
     def exchange(self, outputs: bytes, now: int) -> bytes:
         """Take ``outputs`` for the next scan, return the inputs of the last one."""
-        self._advance(now)
+        self.advance(now)
         self._outputs = outputs if len(outputs) == self.telegram.octets else None
         return self._inputs
 
     def clear(self, now: int) -> None:
         """Outputs are void until they come again."""
-        self._advance(now)
+        self.advance(now)
         self._outputs = None
 
     def leave(self, reason: Leave, now: int) -> None:
         """Data exchange ended."""
-        self._advance(now)
+        self.advance(now)
         self._outputs = None
         self.master_lost(reason, now)
+
+    def advance(self, now: int) -> None:
+        """Catch up with the bus's clock: every scan up to ``now``. For whoever looks at the drive between exchanges."""
+        scan_ns = self.scan_ns
+        at = self._next
+        if at is None:  # switched on
+            self._next = now + scan_ns
+            self.motor.advance(now)
+            return
+        behind = (now - at) // scan_ns - _MOST_SCANS
+        if behind > 0:
+            at += behind * scan_ns
+        while at <= now:
+            self.motor.advance(at)
+            self._refresh(at)
+            at += scan_ns
+        self._next = at
 
     # -- what a drive adds ----------------------------------------------------------------------------------------
 
@@ -124,22 +141,6 @@ class DriveDevice(Device):
         return trip
 
     # -- inside ---------------------------------------------------------------------------------------------------
-
-    def _advance(self, now: int) -> None:
-        scan_ns = self.scan_ns
-        at = self._next
-        if at is None:  # switched on
-            self._next = now + scan_ns
-            self.motor.advance(now)
-            return
-        behind = (now - at) // scan_ns - _MOST_SCANS
-        if behind > 0:
-            at += behind * scan_ns
-        while at <= now:
-            self.motor.advance(at)
-            self._refresh(at)
-            at += scan_ns
-        self._next = at
 
     def _refresh(self, now: int) -> None:
         telegram = self.telegram

@@ -190,8 +190,8 @@ class Medium:
         tx.octets = sent
         tx.telegram = None
         tx.end_ns = now
-        self._over(tx)
         tx.cut = True
+        self._record(tx)
         self._current = None
         if whole and sent:
             self._hand_octets(sent, tx.baud, tx.start_ns)
@@ -261,11 +261,14 @@ class Medium:
         """The last bit of ``tx`` is on the line."""
         if tx.cut:
             return
+        self._record(tx)
+        if tx.whole:
+            self._hand_telegram(tx)
+
+    def _record(self, tx: Transmission) -> None:
         if self._watcher is not None and not tx.lost:
             self._watcher.heard(tx)
         self._log.add(WireEntry(tx.start_ns, tx.end_ns, tx.octets, tx.sender, "; ".join(tx.notes) if tx.notes else ""))
-        if tx.whole:
-            self._hand_telegram(tx)
 
     def _hand_telegram(self, tx: Transmission) -> None:
         telegram = tx.telegram

@@ -142,7 +142,7 @@ def test_a_broken_device_is_out_and_told() -> None:
                 raise KeyError("plugin")
             return super().exchange(outputs, now)
 
-    plant = Plant(SlaveApp(Breaks(IDENT, CFG))).run(200)
+    plant = Plant(SlaveApp(Breaks(IDENT, CFG))).run(1200)  # the master's back-off for those that fall out early: 1 s
     assert plant.app.failure == "KeyError: 'plugin'"
     assert plant.states().count(SlaveState.DATA_EXCHANGE) == 1
     assert plant.faults()[0] is FaultKind.LEFT

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import pytest
-from dpstack_drives.demag import DRIVE
 
 from dpstack.dp.identifiers import io_lengths
 from dpstack.errors import ConfigError
 from dpstack.profile import State, drivecom
 from dpstack.profile.drivecom import TRANSITIONS, Command, DrivecomMachine, command
+from dpstack_drives.demag import DRIVE
 
 
 def test_d1_gsd_facts() -> None:
@@ -83,6 +83,8 @@ ROWS = [
 @pytest.mark.parametrize(("word", "state"), ROWS)
 def test_d7_states(word: int, state: State) -> None:
     assert drivecom.STATES.decode(word) is state
+    assert drivecom.STATES.decode(word ^ 0x0010) is state  # bit 4 is in no row
+    assert drivecom.STATES.decode(word ^ 0xFF80) is state  # nor are bits 7 to 15
 
 
 @pytest.mark.parametrize(
@@ -149,16 +151,18 @@ def test_d7_no_other_transition_by_command() -> None:
 
 def test_d7_transition_12_at_standstill_and_15_by_the_edge() -> None:
     machine = DrivecomMachine()
+
+    def after(control: int) -> State:
+        machine.step(control, stops_at_once=False, ack_allowed=True, still=True)
+        return machine.state
+
     machine.enter(State.QUICK_STOP)
-    machine.step(0x02, stops_at_once=False, ack_allowed=True, still=True)
-    assert machine.state is State.SWITCH_ON_INHIBITED
-    machine.step(0x80, stops_at_once=False, ack_allowed=True, still=True)
+    assert after(0x02) is State.SWITCH_ON_INHIBITED
+    assert after(0x80) is State.SWITCH_ON_INHIBITED
     machine.enter(State.FAULT)
-    machine.step(0x80, stops_at_once=False, ack_allowed=True, still=True)
-    assert machine.state is State.FAULT  # no edge
-    machine.step(0x00, stops_at_once=False, ack_allowed=True, still=True)
-    machine.step(0x80, stops_at_once=False, ack_allowed=True, still=True)
-    assert machine.state is State.SWITCH_ON_INHIBITED
+    assert after(0x80) is State.FAULT  # no edge
+    assert after(0x00) is State.FAULT
+    assert after(0x80) is State.SWITCH_ON_INHIBITED
 
 
 def test_telegrams_and_options_are_checked() -> None:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pytest
-from dpstack_drives.demag import DRIVE
-from drive_bench import MS, S, PluginBench, as_mapping
+from drive_bench import MS, PluginBench, S, as_mapping
 
 from dpstack.profile import State
+from dpstack_drives.demag import DRIVE
 
 NO_PKW = "00 00 00 00 00 00 00 00 "
 
@@ -151,7 +151,7 @@ def test_a_trip_drops_the_goal_and_is_named_through_the_selector() -> None:
 def test_acknowledge_is_repeated_edges_of_bit_7() -> None:
     bench = ppo3("62 08 20 62")
     token = bench.order("acknowledge")
-    words = []
+    words: list[str] = []
     for _ in range(200):
         word = bench.out()[:5]
         if not words or words[-1] != word:

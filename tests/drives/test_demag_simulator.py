@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import pytest
-from dpstack_drives.demag import DRIVE
-from dpstack_drives.demag.simulator import DemagDevice
-from drive_bench import MS, S, DeviceBench
+from drive_bench import MS, DeviceBench, S
 
 from dpstack.profile import Leave
+from dpstack_drives.demag import DRIVE
+from dpstack_drives.demag.simulator import DemagDevice
 
 ZERO = "00 00 00 00 00 00 00 00 "
 
@@ -170,7 +171,7 @@ def test_d17_inputs_change_once_a_scan() -> None:
                 if inputs != last:
                     changes.append(bench.now)
                     last = inputs
-        gaps = {(b - a) // MS for a, b in zip(changes[1:], changes[2:], strict=False)}
+        gaps = {(b - a) // MS for a, b in pairwise(changes[1:])}
         assert gaps
         assert all(gap % scan == 0 for gap in gaps)
 

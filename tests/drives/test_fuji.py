@@ -5,14 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from dpstack_drives.fuji import DRIVE
-from dpstack_drives.fuji import table as t
-from dpstack_drives.fuji.simulator import FujiDevice
-from drive_bench import MS, S, DeviceBench, PluginBench, as_mapping
+from drive_bench import MS, DeviceBench, PluginBench, S, as_mapping
 
 from dpstack.dp.identifiers import io_lengths
 from dpstack.errors import ConfigError
 from dpstack.profile import Leave, State
+from dpstack_drives.fuji import DRIVE
+from dpstack_drives.fuji import table as t
+from dpstack_drives.fuji.simulator import FujiDevice
 
 ZERO = "00 00 00 00 00 00 00 00 "
 
@@ -317,6 +317,17 @@ def test_clear_is_ignored_by_bit_10() -> None:
     bench.device.clear(bench.now)
     bench.now += 500 * MS
     assert bench.device.exchange(bytes(4), bench.now).hex() == "03374000"
+
+
+def test_safe_outputs_of_one_frame_count_although_clear_follows_at_once() -> None:
+    bench = sim()
+    bench.send("04 7E 40 00")
+    bench.until("04 7F 40 00", "03 37 40 00", 3000)
+    bench.device.exchange(DRIVE.safe_outputs["PPO3"], bench.now + 10_000)
+    bench.device.clear(bench.now + 20_000)
+    bench.now += 3 * S
+    bench.device.advance(bench.now)
+    assert bench.device.exchange(bytes(4), bench.now).hex() == "02310000"
 
 
 # -- parameters ----------------------------------------------------------------------------------------------------

@@ -18,6 +18,10 @@ def started(**more: float) -> Motor:
     return motor
 
 
+def limited(motor: Motor) -> bool:
+    return motor.limited
+
+
 @given(st.lists(st.integers(1, 400 * MS), min_size=1, max_size=30))
 def test_results_do_not_depend_on_how_often_it_is_asked(pauses: list[int]) -> None:
     often, once = started(), started()
@@ -52,10 +56,10 @@ def test_current_rises_while_accelerating() -> None:
 def test_the_limit_holds_the_ramp_back() -> None:
     motor = started(accel=10, load=0.2, inertia=1.0, limit=1.2)
     motor.advance(200 * MS)
-    assert motor.limited
+    assert limited(motor)
     assert motor.frequency < 0.5
     motor.advance(5 * S)
-    assert not motor.limited
+    assert not limited(motor)
     assert motor.frequency == 1.0
 
 

@@ -14,7 +14,15 @@ from dpstack.profile.drivecom import Command, command
 
 @pytest.mark.parametrize(
     ("fraction", "word"),
-    [(0.5, 0x2000), (1.0, 0x4000), (-1.0, 0xC000), (-2.0, 0x8000), (1.99993896484375, 0x7FFF), (0.0, 0), (-0.5, 0xE000)],
+    [
+        (0.5, 0x2000),
+        (1.0, 0x4000),
+        (-1.0, 0xC000),
+        (-2.0, 0x8000),
+        (1.99993896484375, 0x7FFF),
+        (0.0, 0),
+        (-0.5, 0xE000),
+    ],
 )
 def test_d11_and_f4_scaling(fraction: float, word: int) -> None:
     assert SPEED.encode(fraction) == word

@@ -298,6 +298,36 @@ def test_a_kept_back_answer_counts_when_nothing_follows() -> None:
     assert station.stats.late == 0
 
 
+def test_a_late_gap_answer_is_not_taken_for_an_empty_data_exchange() -> None:
+    patience = Patience(known_ns=NS_PER_MS, unknown_ns=NS_PER_MS, unknown_share=100, stall_ns=NS_PER_MS)
+    bus = RingBus(mode="chunk")
+    late = [False]
+
+    def say(octets: bytes, now: int) -> tuple[int, bytes]:
+        if octets[0] != 0x10:
+            return (200 if late[0] else 11), DX_ANSWER
+        return (910 if late[0] else 11), bytes.fromhex("10 02 03 00 05 16")
+
+    bus.slaves[3] = say
+    user = ListUser(per_hold=[DX])
+    station = bus.master(2, user, patience=patience, hsa=3, t_tr=5000)
+    bus.run(100 * NS_PER_MS)
+    assert 3 in station.stations
+    late[0] = True
+    bus.run(100 * NS_PER_MS)
+    assert station.stats.late >= 1
+    assert all(isinstance(o, Telegram) and o.data == b"\xaa\xbb" for o in user.outcomes)
+
+
+def test_patience_can_be_changed_while_running() -> None:
+    bus, user, station = bus_with(Slave(delay=300), mode="chunk")
+    bus.run(20 * NS_PER_MS)
+    station.set_patience(HOST, bus.now)
+    user.high = [DX]
+    bus.run(20 * NS_PER_MS)
+    assert isinstance(user.outcomes[-1], Telegram)
+
+
 # --- who holds the token ---------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("foreign", ["dc 09 07", "10 04 07 49 54 16", "68 05 05 68 83 87 6D 3C 3E F1 16"])
 def test_another_holder_makes_us_withdraw(foreign: str) -> None:

@@ -70,6 +70,7 @@ class DemagDevice(DriveDevice):
         self._sign = 1  # of the last line set point that was not 0
         self._bus_hz = 0.0
         self._ramp_hz = 0.0
+        self._wanted_hz = 0.0
 
     # -- conditions -----------------------------------------------------------------------------------------------
 
@@ -173,8 +174,8 @@ class DemagDevice(DriveDevice):
         reference = self.store.value("profibus_reference", active) or rated
         self._bus_hz = line * reference
         self._ramp_hz = self._combined(self._bus_hz, int(self.store.value("ramp_set_point", active)))
-        wanted = self._ramp_hz + additional * reference
-        wanted = min(max(wanted, -self.f_max), self.f_max)
+        wanted = min(max(self._ramp_hz + additional * reference, -self.f_max), self.f_max)
+        self._wanted_hz = wanted
         quick = machine.state is State.QUICK_STOP
         powered = machine.state in _POWERED and self._braking_until is None
         motor.switch(powered)
@@ -218,7 +219,7 @@ class DemagDevice(DriveDevice):
         rated = self.store.value("rated_frequency", active)
         reference = self.store.value("profibus_reference", active) or rated
         status = drivecom.SHOWN[self.machine.state]
-        off = abs(motor.frequency * rated - self._ramp_hz)
+        off = abs(motor.frequency * rated - self._wanted_hz)
         if motor.on and not motor.limited and off <= self.store.value("max_control_deviation") / 100 * rated:
             status |= 0x0400
         status |= 0x0200 if remote else 0

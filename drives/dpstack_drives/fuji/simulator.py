@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Mapping
 from typing import Final
 
@@ -28,6 +29,7 @@ _POWERED: Final = frozenset({State.RUNNING, State.STOPPING, State.QUICK_STOP})
 #: reference reached within this part of F03 (a reading)
 _NEAR: Final = 0.005
 _AT_ONCE: Final = 1e6
+_COMMAND: Final = struct.Struct(">HH")
 
 
 class FujiDevice(DriveDevice):
@@ -81,9 +83,14 @@ class FujiDevice(DriveDevice):
         raise ValueError(f"{code!r} is no alarm; known: {', '.join(alarm.keypad for alarm in t.ALARMS)}")
 
     def exchange(self, outputs: bytes, now: int) -> bytes:
-        """Also notes that data were received once."""
+        """A frame with bit 10 stands until the next one, even when it was there for less than a scan (a reading)."""
+        inputs = super().exchange(outputs, now)
         self._received = True
-        return super().exchange(outputs, now)
+        if len(outputs) == self.telegram.octets:
+            control, mrv = _COMMAND.unpack_from(outputs, 8 if self.telegram.pkw else 0)
+            if control & 0x0400:
+                self._control, self._mrv = control, mrv
+        return inputs
 
     def master_lost(self, reason: Leave, now: int) -> None:
         """o27 and o28 (table 9.1)."""
@@ -103,9 +110,7 @@ class FujiDevice(DriveDevice):
                 self._loss = (now, False, False)
 
     def scan(self, words: tuple[int, ...] | None, now: int) -> tuple[int, ...]:
-        """Obey CTW where bit 10 and y98 allow it, move the motor, report."""
-        if words is not None and words[0] & 0x0400:
-            self._control, self._mrv = words[0], words[1]
+        """Obey CTW where y98 allows it, move the motor, report."""
         source = int(self.store.value("y98"))
         machine, motor = self.machine, self.motor
         trip = self.take_trip()

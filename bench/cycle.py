@@ -1,0 +1,146 @@
+"""Turn-around and CPU time per exchange: the asyncio driver at 12 Mbit/s parameters over a pty.
+
+Turn-around is from the return of the read with an answer's last octet to the return of the write of the next request,
+with every rule of the standard in force (T_ID1 among them; the token to itself once a round is part of the one
+turn-around in which it happens). The other end is a table of octets in a process of its own. Durations are
+multiples of the calibration loop of the same run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+from bench.calibration import calibrate
+from bench.report import Report, quantile
+from dpstack.dp.commands import Mode, SetMode
+from dpstack.dp.events import SlaveState
+from dpstack.dp.master import Master
+from dpstack.dp.setup import SlaveSetup
+from dpstack.drivers.aio import AsyncioRuntime, patience_of
+from dpstack.drivers.echo import Echo
+from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.commands import GoOnline
+from dpstack.params import BusParams
+from dpstack.ports.pty import PtyPort
+from dpstack.trace import Event
+
+_BAUD: Final = 12_000_000
+_PPO1: Final = bytes((0xF3, 0x71))
+_RESPONDER: Final = Path(__file__).resolve().parent.parent / "tests" / "support_responder.py"
+_TOKEN: Final = 0xDC
+#: turn-around of the asyncio driver in calibration loops
+_GOAL: Final = 45.0
+_FIRST: Final = 3
+
+
+class MeasuredPty(PtyPort):
+    """A pty that notes when reads and writes return."""
+
+    def __init__(self) -> None:
+        super().__init__(_BAUD)
+        self.turns: list[int] = []
+        self._read_at = 0
+
+    def _use(self, fd: int) -> None:
+        super()._use(fd)
+        read, send, clock = os.read, os.write, time.perf_counter_ns
+
+        def timed_read(size: int) -> bytes:
+            octets = read(fd, size)
+            self._read_at = clock()
+            return octets
+
+        def timed_write(octets: bytes) -> int:
+            done = send(fd, octets)
+            if octets[0] != _TOKEN and self._read_at:
+                self.turns.append(clock() - self._read_at)
+                self._read_at = 0
+            return done
+
+        self._read, self._send = timed_read, timed_write
+
+
+@contextlib.contextmanager
+def responder(path: str, slaves: int) -> Iterator[None]:
+    """The other end in a process of its own."""
+    specs = [f"{_FIRST + i}:0696:f371:12:12" for i in range(slaves)]
+    with subprocess.Popen([sys.executable, str(_RESPONDER), path, *specs], stdout=subprocess.PIPE) as process:
+        try:
+            if process.stdout is None or not process.stdout.readline():
+                raise RuntimeError("the responder did not start")
+            yield
+        finally:
+            process.kill()
+
+
+async def measure(slaves: int, seconds: float) -> tuple[list[float], float, int]:
+    """(turn-arounds in ns, CPU time per exchange in ns, exchanges) with ``slaves`` in data exchange."""
+    params = BusParams.preset(_BAUD, address=2, gap=0)
+    setups = [SlaveSetup(address=_FIRST + i, name=f"s{i}", ident=0x0696, config=_PPO1) for i in range(slaves)]
+    port = MeasuredPty()
+    patience = patience_of(port)
+    master = Master(params, setups, watchdog_ms=1000, absent_share=patience.unknown_share)
+    station = ActiveStation(params, [master], patience=patience)
+    events: list[Event] = []
+    runtime = AsyncioRuntime(port, station, events.extend, echo=Echo.OFF)
+    await runtime.open()
+    try:
+        with responder(port.name, slaves):
+            runtime.command(GoOnline())
+            runtime.command(SetMode(Mode.OPERATE))
+            await _all_exchanging(master)
+            await asyncio.sleep(seconds / 4)
+            before = sum(h.exchanges for h in master.handlers.values())
+            port.turns.clear()
+            cpu = time.process_time_ns()
+            await asyncio.sleep(seconds)
+            cpu = time.process_time_ns() - cpu
+            done = sum(h.exchanges for h in master.handlers.values()) - before
+            if any(h.state is not SlaveState.DATA_EXCHANGE for h in master.handlers.values()):
+                raise RuntimeError("a slave was lost during the measurement: " + "; ".join(e.text for e in events[-5:]))
+            return [float(t) for t in port.turns], cpu / max(done, 1), done
+    finally:
+        await runtime.close()
+
+
+async def _all_exchanging(master: Master) -> None:
+    async with asyncio.timeout(10):
+        while any(h.state is not SlaveState.DATA_EXCHANGE for h in master.handlers.values()):
+            await asyncio.sleep(0.01)
+
+
+def run(argv: list[str]) -> Report:
+    """The benchmark with its own options."""
+    parser = argparse.ArgumentParser(prog="python -m bench cycle")
+    parser.add_argument("--slaves", type=int, nargs="*", default=[1, 4, 16])
+    parser.add_argument("--seconds", type=float, default=2.0)
+    parser.add_argument("--rounds", type=int, default=3, help="runs per number of slaves; the median is reported")
+    args = parser.parse_args(argv)
+    report = Report("cycle")
+    loops, results = [], {n: [] for n in args.slaves}  # type: ignore[var-annotated]
+    for _ in range(args.rounds):
+        loops.append(calibrate())
+        for n in args.slaves:
+            results[n].append(asyncio.run(measure(n, args.seconds)))
+    loop = quantile(loops, 0.5)
+    report.add("calibration loop", loop / 1000, "us")
+    for n, runs in results.items():
+        p50 = quantile([quantile(turns, 0.5) for turns, _, _ in runs], 0.5)
+        p99 = quantile([quantile(turns, 0.99) for turns, _, _ in runs], 0.5)
+        cpu = quantile([c for _, c, _ in runs], 0.5)
+        report.add(f"asyncio, {n} slaves: turn-around p50", p50 / loop, "loops", _GOAL)
+        report.add(f"asyncio, {n} slaves: turn-around p99", p99 / loop, "loops")
+        report.add(f"asyncio, {n} slaves: CPU time per exchange", cpu / loop, "loops")
+        report.add(f"asyncio, {n} slaves: exchanges per second", quantile([d for *_, d in runs], 0.5) / args.seconds, "1/s")
+    idle = BusParams.preset(_BAUD).t_id1
+    report.notes.append(f"T_ID1 = {idle} bit times = {idle / 12:.1f} us is part of every turn-around")
+    return report

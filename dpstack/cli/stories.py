@@ -1,0 +1,81 @@
+"""What the drives of ``dpstack demo`` are put through: one short program for each, written as a user would."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from typing import Final
+
+from dpstack.api.drive import Drive
+from dpstack.errors import DriveError
+
+#: Takes one line of a story.
+Tell = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Story:
+    """``play`` runs the drive in ``telegram`` (None: its default); what it raises ends the demo with 1."""
+
+    play: Callable[[Drive, Tell], Awaitable[None]]
+    telegram: str | None = None
+
+
+async def any_drive(drive: Drive, tell: Tell) -> None:
+    """Start, half speed, stop."""
+    await _run(drive, tell, 0.5)
+    await _stop(drive, tell)
+
+
+async def demag(drive: Drive, tell: Tell) -> None:
+    """Parameter 412 leaves the factory as 44; only 1 lets the bus control the drive."""
+    mode = await drive.read(412)
+    tell(f"parameter 412 (local/remote) is {mode}: its contacts control it")
+    _expect(drive, mode == 44, f"412 is {mode} instead of 44")
+    await drive.write(412, 1)
+    mode = await drive.read(412)
+    tell(f"412 written and read back: {mode}, the bus controls it")
+    _expect(drive, mode == 1, f"412 is {mode} instead of 1")
+    await drive.write("ramp_set_point", 2)
+    tell("434 (ramp set point) = 2: the line's set point alone counts")
+    await _run(drive, tell, 0.5)
+    kilohertz = await drive.read(400)
+    tell(f"parameter 400 (switching frequency) read while it runs: {kilohertz} kHz")
+    await _stop(drive, tell)
+
+
+async def fuji(drive: Drive, tell: Tell) -> None:
+    """Forward, stop, reverse: the worked run of the manual."""
+    await _run(drive, tell, 1.0)
+    await _stop(drive, tell)
+    await _run(drive, tell, -0.5)
+    await _stop(drive, tell)
+
+
+STORIES: Final[dict[str, Story]] = {
+    "demag-dedrive": Story(demag, "PPO1"),
+    "fuji-frenic": Story(fuji, "PPO3"),
+}
+OTHERS: Final = Story(any_drive)
+
+
+async def _run(drive: Drive, tell: Tell, speed: float) -> None:
+    drive.speed = speed
+    await drive.start()
+    tell(f"running towards {speed:.0%}")
+    await drive.reached()
+    actual = drive.status.speed
+    _expect(drive, actual is not None and abs(actual - speed) < 0.02, f"reached, but at {actual} instead of {speed}")
+    tell(f"{speed:.0%} of the reference reached")
+
+
+async def _stop(drive: Drive, tell: Tell) -> None:
+    await drive.stop()
+    status = drive.status
+    _expect(drive, not status.running and abs(status.speed or 0.0) < 0.02, f"stopped, but at {status.speed}")
+    tell("ramped down and switched off")
+
+
+def _expect(drive: Drive, as_told: bool, otherwise: str) -> None:
+    if not as_told:
+        raise DriveError(drive.name, f"drive {drive.name}: {otherwise}")

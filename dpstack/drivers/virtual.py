@@ -1,0 +1,208 @@
+"""The virtual driver: one station of a simulated bus, driven by the application's event loop.
+
+In a :class:`~dpstack.drivers.virtual_loop.VirtualLoop` the world's time is the loop's, exactly. In an ordinary loop the
+world is held back to real time: a timer runs it up to the real time elapsed, in bounded portions. Where the
+machine cannot keep up virtual time falls behind; it never skips.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from time import monotonic_ns
+from typing import Final, Protocol
+
+from dpstack.drivers.base import OnEvents
+from dpstack.drivers.virtual_loop import Timeline, VirtualLoop
+from dpstack.errors import UsageError
+from dpstack.fdl.station import BusStation
+from dpstack.trace import Event
+from dpstack.units import NEVER, NS_PER_MS, ns_to_s
+
+#: Told when a machine raised: a defect of ours, the world stands still.
+OnFailure = Callable[[Exception], None]
+
+#: In an ordinary loop: the shortest and the longest pause between two portions, and how long a portion computes.
+_TICK_NS: Final = NS_PER_MS
+_LONG_TICK_NS: Final = 10 * NS_PER_MS
+_PORTION_NS: Final = 4 * NS_PER_MS
+#: Later than this is not caught up any more.
+_DEBT_NS: Final = 50 * NS_PER_MS
+_EVENTS_PER_LOOK: Final = 16
+
+
+class SimulatedBus(Timeline, Protocol):
+    """What the driver needs of a world (:class:`dpstack.sim.world.World` is one)."""
+
+    def add(
+        self, station: BusStation, *, name: str | None = None, on_events: Callable[[list[Event]], None] | None = None
+    ) -> None:
+        """Plug ``station`` in."""
+
+    def remove(self, station: BusStation) -> None:
+        """Unplug ``station``."""
+
+    def command(self, station: BusStation, command: object) -> None:
+        """Hand ``command`` to the station and let it act."""
+
+
+class VirtualRuntime:
+    """Keeps ``station`` running on ``world``; implements :class:`dpstack.drivers.base.Runtime`.
+
+    Several runtimes may share one world. When a machine of the world raises, which it never should, the world stands
+    still and ``on_failure`` is told (without one: the loop's exception handler; a VirtualLoop raises it).
+    """
+
+    #: octets take their time on the virtual wire
+    paced = True
+
+    def __init__(
+        self,
+        world: SimulatedBus,
+        station: BusStation,
+        on_events: OnEvents,
+        *,
+        on_failure: OnFailure | None = None,
+        port_name: str = "virtual",
+    ) -> None:
+        self.port_name = port_name
+        self.on_failure = on_failure
+        self._world = world
+        self._station = station
+        self._on_events = on_events
+        self._clockwork: _Clockwork | None = None
+
+    async def open(self) -> None:
+        """Plug the station in; from now on the world's time goes. Raises UsageError when it is open."""
+        if self._clockwork is not None:
+            raise UsageError(f"{self.port_name} is open already")
+        clockwork = _clockwork(self._world, asyncio.get_running_loop())
+        self._world.add(self._station, on_events=self._tell)
+        self._clockwork = _clockworks[self._world] = clockwork
+        clockwork.join(self)
+
+    async def close(self) -> None:
+        """Unplug the station; with the last one the world stands still."""
+        clockwork = self._clockwork
+        if clockwork is not None:
+            self._clockwork = None
+            self._world.remove(self._station)
+            clockwork.leave(self)
+
+    def command(self, command: object) -> None:
+        """Hand an order to the station and let it act at once. Raises UsageError when not open."""
+        if self._clockwork is None:
+            raise UsageError(f"{self.port_name} is not open")
+        self._world.command(self._station, command)
+        self._clockwork.hurry()
+
+    def now(self) -> int:
+        """The world's time in ns."""
+        return self._world.now
+
+    def _tell(self, events: list[Event]) -> None:
+        try:
+            self._on_events(events)
+        except Exception as exc:
+            text = f"{self.port_name}: the application's event handler raised"
+            asyncio.get_running_loop().call_exception_handler({"message": text, "exception": exc})
+
+
+class _Clockwork:
+    """Makes the time of one world go, for all runtimes on it. A Timeline itself."""
+
+    def __init__(self, world: SimulatedBus, loop: asyncio.AbstractEventLoop) -> None:
+        self.loop = loop
+        self._world = world
+        self._users: list[VirtualRuntime] = []
+        self._failed = False
+        self._timer: asyncio.TimerHandle | None = None
+        self._resting = False  # the timer is a long one
+        self._origin_ns = 0  # real minus virtual time
+        self._events = 0
+        self._until_ns = 0
+
+    # --- who uses it ---
+    def join(self, user: VirtualRuntime) -> None:
+        self._users.append(user)
+        if len(self._users) > 1:
+            return
+        if isinstance(self.loop, VirtualLoop):
+            self.loop.attach(self)
+        else:
+            self._origin_ns = monotonic_ns() - self.now
+            self._set_timer(_TICK_NS)
+
+    def leave(self, user: VirtualRuntime) -> None:
+        self._users.remove(user)
+        if self._users:
+            return
+        del _clockworks[self._world]
+        if isinstance(self.loop, VirtualLoop):
+            self.loop.detach(self)
+        elif self._timer is not None:
+            self._timer.cancel()
+
+    def hurry(self) -> None:
+        """There may be something to do earlier than it seemed."""
+        if self._resting and self._timer is not None:
+            self._timer.cancel()
+            self._set_timer(_TICK_NS)
+
+    # --- Timeline ---
+    @property
+    def now(self) -> int:
+        return self._world.now
+
+    def next_at(self) -> int:
+        return NEVER if self._failed else self._world.next_at()
+
+    def run(self, until_ns: int, stop: Callable[[], bool]) -> bool:
+        if self._failed:
+            return False
+        try:
+            return self._world.run(until_ns, stop)
+        except Exception as exc:
+            self._failed = True
+            told = [user.on_failure for user in self._users if user.on_failure is not None]
+            if not told and isinstance(self.loop, VirtualLoop):
+                raise
+            for on_failure in told:
+                on_failure(exc)
+            if not told:
+                self.loop.call_exception_handler({"message": "the simulated bus stands still", "exception": exc})
+            return True
+
+    # --- in an ordinary loop ---
+    def _tick(self) -> None:
+        real = monotonic_ns()
+        if real - self._origin_ns - self.now > _DEBT_NS:
+            self._origin_ns = real - self.now - _DEBT_NS
+        self._until_ns = real + _PORTION_NS
+        self._events = 0
+        stopped = self.run(max(self.now, real - self._origin_ns), self._enough)
+        if self._failed or not self._users:
+            return
+        pause = 0 if stopped else min(max(self.next_at() - self.now, _TICK_NS), _LONG_TICK_NS)
+        self._set_timer(pause)
+
+    def _set_timer(self, pause_ns: int) -> None:
+        self._resting = pause_ns > _TICK_NS
+        self._timer = self.loop.call_later(ns_to_s(pause_ns), self._tick)
+
+    def _enough(self) -> bool:
+        self._events += 1
+        return self._events % _EVENTS_PER_LOOK == 0 and monotonic_ns() > self._until_ns
+
+
+#: worlds that are going
+_clockworks: dict[SimulatedBus, _Clockwork] = {}
+
+
+def _clockwork(world: SimulatedBus, loop: asyncio.AbstractEventLoop) -> _Clockwork:
+    clockwork = _clockworks.get(world)
+    if clockwork is None or clockwork.loop.is_closed():
+        return _Clockwork(world, loop)
+    if clockwork.loop is not loop:
+        raise UsageError("this simulated bus is driven by another event loop already: close its runtimes there first")
+    return clockwork

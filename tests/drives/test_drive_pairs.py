@@ -1,0 +1,207 @@
+"""Plugin and simulated drive against each other, in addition to the literal tests of each end."""
+
+from __future__ import annotations
+
+import json
+import random
+from collections.abc import Mapping
+
+import pytest
+from drive_bench import MS, PairBench
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dpstack.profile import DriveProfile, State
+from dpstack_drives.demag import DRIVE as DEMAG
+from dpstack_drives.fuji import DRIVE as FUJI
+
+NONE: Mapping[str, object] = {}
+BUS = {"412": 1}
+ALL = [
+    (DEMAG, "PPO1", BUS),
+    (DEMAG, "PPO2", BUS),
+    (DEMAG, "PPO3", BUS),
+    (DEMAG, "PPO4", BUS),
+    (FUJI, "PPO1", NONE),
+    (FUJI, "PPO2", NONE),
+    (FUJI, "PPO3", NONE),
+    (FUJI, "PPO4", NONE),
+]
+
+
+def pair(
+    drive: DriveProfile,
+    telegram: str,
+    presets: Mapping[str, object] = NONE,
+    options: Mapping[str, object] = NONE,
+    rotation: int = 2 * MS,
+) -> PairBench:
+    return PairBench(drive.core("it", telegram, options), drive.device(telegram, presets), rotation)
+
+
+@pytest.mark.parametrize("rotation", [MS // 2, 2 * MS, 7 * MS, 40 * MS])
+@pytest.mark.parametrize(("drive", "telegram", "presets"), ALL)
+def test_one_program_for_every_drive(
+    drive: DriveProfile, telegram: str, presets: Mapping[str, object], rotation: int
+) -> None:
+    bench = pair(drive, telegram, presets, rotation=rotation)
+    bench.ok("speed", value=0.5)
+    assert bench.ok("start", timeout_s=3) == "running"
+    assert bench.ok("reached", timeout_s=10) == pytest.approx(0.5, abs=0.01)
+    assert bench.core.status().running
+    bench.ok("stop")
+    assert bench.core.status().state not in (State.RUNNING, State.STOPPING)
+    assert bench.core.status().speed == pytest.approx(0, abs=0.02)
+    bench.ok("speed", value=-0.25)
+    bench.ok("start")
+    bench.ok("reached", tolerance=0.001)
+    assert bench.core.status().speed == pytest.approx(-0.25, abs=0.001)
+    bench.ok("quick_stop")
+    bench.ok("start")
+    bench.ok("coast")
+    assert bench.core.status().state is State.SWITCH_ON_INHIBITED
+    bench.ok("start")
+    bench.device.trip("F2100" if drive is DEMAG else "OC1")
+    bench.pass_time(400)
+    assert bench.core.status().state is State.FAULT
+    assert bench.refused("start")[0] == "fault"
+    bench.ok("acknowledge")
+    assert bench.ok("start") == "running"
+    for event in bench.events:
+        json.dumps(event)
+
+
+def test_the_demo_story_of_demag() -> None:
+    bench = pair(DEMAG, "PPO1")
+    kind, text = bench.refused("start")
+    assert kind == "fault"
+    assert "412 is 44" in text
+    assert bench.ok("read", number=412) == 44
+    assert bench.ok("write", number=412, value=1) == 1
+    assert bench.ok("start", timeout_s=3) == "running"
+    bench.ok("speed", value=0.5)
+    assert bench.ok("reached") == pytest.approx(0.5, abs=0.001)
+    assert bench.ok("read", number=400) == 2
+    assert bench.ok("read", number=480, data_set=3) == 5.0
+    assert bench.ok("stop") == "ready"
+
+
+def test_set_412_starts_at_once_and_spares_the_eeprom() -> None:
+    bench = pair(DEMAG, "PPO1", options={"set_412": True})
+    assert bench.ok("start") == "running"
+    assert bench.ok("read", number=412, data_set=1) == 1
+    assert bench.ok("read", number=412, data_set=2) == 44
+    assert bench.refused("read", number=412)[0] == "parameter"
+
+
+def test_release_lost_and_given_back_does_not_restart() -> None:
+    bench = pair(DEMAG, "PPO1", BUS)
+    bench.ok("speed", value=0.5)
+    bench.ok("start")
+    bench.device.release(False)
+    bench.pass_time(300)
+    assert bench.core.status().state is State.READY
+    assert not bench.core.status().remote
+    assert "no hardware release" in bench.refused("start")[1]
+    bench.device.release(True)
+    bench.pass_time(500)
+    assert bench.core.status().state is State.SWITCH_ON_INHIBITED
+    assert not bench.device.motor.on
+    assert bench.ok("start") == "running"
+
+
+def test_release_lost_during_the_start() -> None:
+    bench = pair(DEMAG, "PPO1", BUS)
+    token = bench.order("start")
+    bench.pass_time(50)
+    bench.device.release(False)
+    bench.pass_time(1500)
+    result = bench.result(token)
+    assert result is not None
+    assert "no hardware release" in str(result["text"])
+
+
+def test_load_shows_in_current_and_torque() -> None:
+    bench = pair(DEMAG, "PPO2", BUS)
+    bench.ok("speed", value=0.5)
+    bench.ok("start")
+    bench.ok("reached")
+    bench.pass_time(500)
+    before = bench.core.status()
+    bench.device.set_load(0.8)
+    bench.pass_time(500)
+    after = bench.core.status()
+    assert before.torque == pytest.approx(0.2, abs=0.01)
+    assert after.torque == pytest.approx(0.8, abs=0.01)
+    assert (after.current or 0) > (before.current or 0)
+    bench.device.set_load(2.0)
+    bench.pass_time(500)
+    assert "limit" in bench.core.status().bits
+
+
+def test_many_parameter_orders_at_once() -> None:
+    bench = pair(DEMAG, "PPO1", BUS)
+    numbers = [400, 412, 414, 392, 480, 549] * 4
+    tokens = [bench.order("read", number=number) for number in numbers]
+    bench.pass_time(3000)
+    for number, token in zip(numbers, tokens, strict=True):
+        result = bench.result(token)
+        assert result is not None
+        assert result["number"] == number
+
+
+@pytest.mark.parametrize(("drive", "telegram", "presets"), ALL)
+def test_unchanged_inputs_cost_nothing(drive: DriveProfile, telegram: str, presets: Mapping[str, object]) -> None:
+    bench = pair(drive, telegram, presets)
+    bench.ok("start")
+    inputs = bench.inputs
+    first = bench.core.cyclic(inputs, bench.now)
+    assert bench.core.cyclic(inputs, bench.now + 1) is first
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.data())
+def test_random_outputs_never_break_a_simulated_drive(data: st.DataObject) -> None:
+    drive, telegram, presets = data.draw(st.sampled_from(ALL))
+    device = drive.device(telegram, presets)
+    core = drive.core("it", telegram)
+    config = core.telegram.config
+    octets = core.telegram.octets
+    now = 0
+    device.enter(config, now)
+    for outputs in data.draw(st.lists(st.binary(min_size=octets, max_size=octets), max_size=40)):
+        now += data.draw(st.integers(0, 60 * MS))
+        inputs = device.exchange(outputs, now)
+        assert len(inputs) == octets
+        core.cyclic(inputs, now)
+        assert core.status().state is not State.UNKNOWN
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.data())
+def test_random_inputs_and_orders_never_break_a_plugin(data: st.DataObject) -> None:
+    drive, telegram, _ = data.draw(st.sampled_from(ALL))
+    core = drive.core("it", telegram)
+    octets = core.telegram.octets
+    rng = random.Random(data.draw(st.integers(0, 1 << 30)))
+    ops = ["start", "stop", "coast", "quick_stop", "acknowledge", "speed", "frequency", "reached", "read", "write", "x"]
+    now = 0
+    answered: set[object] = set()
+    tokens = 0
+    for _ in range(80):
+        now += rng.randrange(0, 200 * MS)
+        if rng.random() < 0.3:
+            tokens += 1
+            args: dict[str, object] = rng.choice(
+                [{}, {"value": rng.uniform(-3, 3)}, {"number": rng.choice([412, 480, 947, 7])}, {"number": "F26"}]
+            )
+            core.command(rng.choice(ops), {**args, "timeout_s": 1} if rng.random() < 0.7 else args, tokens, now)
+        if rng.random() < 0.03:
+            core.lost(now)
+        out = core.cyclic(rng.randbytes(octets if rng.random() < 0.95 else rng.randrange(0, 21)), now)
+        assert len(out) == octets
+        json.dumps(core.status().as_dict())
+        answered |= {event["token"] for event in core.take_events() if event["type"] == "result"}
+    core.lost(now)
+    answered |= {event["token"] for event in core.take_events() if event["type"] == "result"}
+    assert answered == set(range(1, tokens + 1))

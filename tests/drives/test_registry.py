@@ -1,0 +1,87 @@
+"""Drives by entry point: found, nearest names, and third-party packages that are broken."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+
+from dpstack import profile
+from dpstack.errors import ConfigError
+from dpstack_drives.demag import DRIVE as DEMAG
+from dpstack_drives.fuji import DRIVE as FUJI
+
+GOOD = [
+    metadata.EntryPoint("demag-dedrive", "dpstack_drives.demag:DRIVE", "dpstack.drives"),
+    metadata.EntryPoint("fuji-frenic", "dpstack_drives.fuji:DRIVE", "dpstack.drives"),
+]
+BAD = [
+    metadata.EntryPoint("gone", "no_such_package.drive:DRIVE", "dpstack.drives"),
+    metadata.EntryPoint("other", "dpstack_drives.demag:DRIVE", "dpstack.drives"),
+    metadata.EntryPoint("path", "pathlib:Path", "dpstack.drives"),
+]
+
+
+@pytest.fixture
+def points(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    def entry_points(*, group: str) -> metadata.EntryPoints:
+        assert group == "dpstack.drives"
+        return metadata.EntryPoints([*BAD, *GOOD])
+
+    monkeypatch.setattr(metadata, "entry_points", entry_points)
+    profile.refresh()
+    yield
+    profile.refresh()
+
+
+@pytest.mark.usefixtures("points")
+def test_known_drives_in_spite_of_broken_packages() -> None:
+    assert profile.known() == {"demag-dedrive": DEMAG, "fuji-frenic": FUJI}
+    assert profile.find("fuji-frenic") is FUJI
+    broken = profile.broken()
+    assert set(broken) == {"gone", "other", "path"}
+    assert "no_such_package" in broken["gone"]
+    assert "calls itself demag-dedrive" in broken["other"]
+    assert "not a DriveProfile" in broken["path"]
+
+
+@pytest.mark.usefixtures("points")
+def test_names_that_are_not_there() -> None:
+    with pytest.raises(ConfigError, match="did you mean demag-dedrive"):
+        profile.find("Demag-Drive")
+    with pytest.raises(ConfigError, match="known: demag-dedrive, fuji-frenic"):
+        profile.find("zzz")
+    with pytest.raises(ConfigError, match="cannot be loaded: no_such_package"):
+        profile.find("gone")
+
+
+def test_the_entry_points_of_this_project_load() -> None:
+    text = (Path(__file__).resolve().parents[2] / "pyproject.toml").read_text()
+    group = tomllib.loads(text)["project"]["entry-points"]["dpstack.drives"]
+    for name, value in group.items():
+        drive = metadata.EntryPoint(name, value, "dpstack.drives").load()
+        assert isinstance(drive, profile.DriveProfile)
+        assert drive.name == name
+
+
+def test_what_the_package_exports_is_there() -> None:
+    for name in profile.__all__:
+        assert hasattr(profile, name)
+
+
+@pytest.mark.parametrize("drive", [DEMAG, FUJI])
+def test_profiles_are_whole(drive: profile.DriveProfile) -> None:
+    assert drive.default_telegram in drive.telegrams
+    assert set(drive.safe_outputs) == set(drive.telegrams)
+    for name, spec in drive.telegrams.items():
+        core = drive.core("it", name)
+        assert core.safe_outputs == drive.safe_outputs[name]
+        assert len(core.safe_outputs) == spec.octets
+        device = drive.device(name)
+        assert device.configs[0] == spec.config
+        assert device.ident == drive.ident
+    assert drive.device().telegram.name == drive.default_telegram
+    assert "Clear" in drive.on_loss

@@ -1,0 +1,84 @@
+"""Names of ports, and what is wrong with some."""
+
+from __future__ import annotations
+
+import socket
+import sys
+
+import pytest
+
+from dpstack.errors import DpError, PortBusyError, PortError
+from dpstack.ports import memory_pair, open_port
+from dpstack.ports.pyserial import PySerialPort
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("", "no port given"),
+        ("http://x:1", "not http://"),
+        ("socket://", "socket://host:port"),
+        ("socket://host", "socket://host:port"),
+        ("socket://host:0", "socket://host:port"),
+        ("socket://host:99999", "socket://host:port"),
+        ("rfc2217://host:x", "rfc2217://host:port"),
+    ],
+)
+def test_names_that_can_be_no_port(name: str, says: str) -> None:
+    with pytest.raises(PortError) as caught:
+        open_port(name, 9600)
+    assert says in str(caught.value)
+    assert isinstance(caught.value, DpError)
+
+
+def test_a_port_object_is_passed_through() -> None:
+    port, _far = memory_pair(9600)
+    assert open_port(port, 12_000_000) is port
+
+
+def test_ipv6_hosts_are_written_in_brackets() -> None:
+    assert open_port("socket://[::1]:7000", 9600).name == "socket://[::1]:7000"
+
+
+def _free_tcp_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        return int(server.getsockname()[1])
+
+
+@pytest.mark.parametrize("scheme", ["socket", "rfc2217"])
+async def test_a_server_that_is_not_there(scheme: str) -> None:
+    port = open_port(f"{scheme}://127.0.0.1:{_free_tcp_port()}", 9600)
+    with pytest.raises(PortError, match="running"):
+        await port.open()
+
+
+async def test_a_socket_says_that_the_far_end_has_the_rate() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = open_port(f"socket://127.0.0.1:{server.getsockname()[1]}", 187_500)
+        await port.open()
+        assert port.notices == ["the far end must be set to 187500 bit/s 8E1 itself"]
+        port.close()
+
+
+async def test_other_systems_use_pyserial(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "platform", "darwin")
+    port = open_port("/dev/cu.usbserial-1420", 9600)
+    assert isinstance(port, PySerialPort)
+    with pytest.raises(PortError, match="check the name"):
+        await port.open()
+    with pytest.raises(PortError, match="needs Linux"):
+        open_port("pty", 9600)
+
+
+async def test_a_port_held_under_pyserial_is_busy() -> None:
+    import os
+
+    master, slave = os.openpty()
+    path = os.ttyname(slave)
+    os.close(slave)
+    first, second = PySerialPort(path, 9600), PySerialPort(path, 9600)
+    await first.open()
+    with pytest.raises(PortBusyError, match="held"):
+        await second.open()
+    first.close()
+    os.close(master)

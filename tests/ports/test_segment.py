@@ -1,0 +1,246 @@
+"""The virtual segment: ptys joined as one bus, seen by stations that are plain files."""
+
+from __future__ import annotations
+
+import os
+import random
+import stat
+import termios
+from pathlib import Path
+from time import monotonic_ns
+from typing import Any
+
+import pytest
+from far_ends import FarEnd, open_slave, set_rate, until
+
+from dpstack.errors import ConfigError, PortBusyError, PortError, UsageError
+from dpstack.ports.garble import Noise, misread
+from dpstack.ports.pacing import slice_octets
+from dpstack.ports.segment import Segment, default_directory
+
+TELEGRAM = bytes.fromhex("68 05 05 68 82 E3 6D 3C 3E 4C 16")
+
+
+@pytest.fixture
+def directory(tmp_path: Path) -> Path:
+    return tmp_path / "bus"
+
+
+def _stations(segment: Segment) -> list[FarEnd]:
+    return [open_slave(path) for path in segment.paths]
+
+
+def _leave(stations: list[FarEnd]) -> None:
+    for station in stations:
+        station.hang_up()
+
+
+async def test_all_others_hear_what_one_sends(directory: Path) -> None:
+    async with Segment(4, directory) as segment:
+        stations = _stations(segment)
+        for sender in stations:
+            sender.send(TELEGRAM)
+            for station in stations:
+                if station is not sender:
+                    assert await station.recv(len(TELEGRAM)) == TELEGRAM
+        assert all(station.take() == b"" for station in stations)
+        _leave(stations)
+
+
+async def test_with_echo_the_sender_too(directory: Path) -> None:
+    async with Segment(2, directory, echo=True) as segment:
+        stations = _stations(segment)
+        stations[0].send(TELEGRAM)
+        assert [await station.recv(len(TELEGRAM)) for station in stations] == [TELEGRAM, TELEGRAM]
+        _leave(stations)
+
+
+async def test_the_links_come_and_go(directory: Path) -> None:
+    segment = Segment(3, directory)
+    await segment.open()
+    assert segment.paths == [str(directory / name) for name in "012"]
+    assert all(os.readlink(path).startswith("/dev/pts/") for path in segment.paths)
+    assert stat.S_IMODE(directory.stat().st_mode) == 0o700
+    with pytest.raises(UsageError):
+        await segment.open()
+    await segment.close()
+    await segment.close()
+    assert not directory.exists()
+
+
+async def test_a_directory_that_was_there_stays_with_all_that_is_not_ours(directory: Path) -> None:
+    directory.mkdir()
+    (directory / "notes").write_text("mine")
+    (directory / "7").symlink_to("/dev/pts/left-over-by-a-killed-segment")
+    async with Segment(2, directory) as segment:
+        os.unlink(segment.paths[1])
+        os.symlink("/dev/null", segment.paths[1])  # replaced by somebody: not ours any more
+    assert sorted(path.name for path in directory.iterdir()) == ["1", "notes"]
+
+
+async def test_a_second_segment_in_one_directory_is_refused(directory: Path) -> None:
+    async with Segment(2, directory) as segment:
+        with pytest.raises(PortBusyError, match=f"pid {os.getpid()}"):
+            await Segment(2, directory).open()
+        assert all(os.path.exists(path) for path in segment.paths)
+
+
+async def test_a_station_name_taken_by_a_file_is_refused(directory: Path) -> None:
+    directory.mkdir()
+    (directory / "1").write_text("mine")
+    with pytest.raises(PortError, match="--dir"):
+        await Segment(2, directory).open()
+    assert (directory / "1").read_text() == "mine"
+    assert not (directory / "0").is_symlink()
+
+
+async def test_a_directory_that_is_none_of_ours_is_refused(directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    directory.write_text("a file")
+    with pytest.raises(PortError, match="no directory of yours"):
+        await Segment(2, directory).open()
+    directory.unlink()
+    directory.mkdir()
+    monkeypatch.setattr(os, "geteuid", lambda: 12345)
+    with pytest.raises(PortError, match="no directory of yours"):
+        await Segment(2, directory).open()
+
+
+def test_the_default_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    assert default_directory() == tmp_path / "dpstack-segment"
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "missing"))
+    assert default_directory().name == f"dpstack-segment-{os.getuid()}"
+
+
+@pytest.mark.parametrize(
+    "bad", [{"stations": 1}, {"stations": 1000}, {"baud": 115_200}, {"error_rate": -0.1}, {"error_rate": 1.0}]
+)
+def test_impossible_segments(bad: dict[str, Any]) -> None:
+    with pytest.raises(ConfigError):
+        Segment(**bad)
+
+
+async def test_a_station_that_leaves_and_returns_finds_no_old_octets(directory: Path) -> None:
+    async with Segment(2, directory) as segment:
+        one, other = _stations(segment)
+        one.send(TELEGRAM)
+        await until(lambda: segment._stations[1].stats.received == len(TELEGRAM), "the delivery")
+        other.hang_up()
+        await until(lambda: not segment._stations[1].present, "the departure")
+        one.send(b"for nobody")
+        await until(lambda: segment._stations[0].stats.sent == len(TELEGRAM) + 10, "the sending")
+        back = FarEnd(os.open(segment.paths[1], os.O_RDWR | os.O_NOCTTY))  # sets nothing, flushes nothing
+        one.send(b"fresh")
+        assert await back.recv(5) == b"fresh"
+        back.send(b"answer")
+        assert await one.recv(6) == b"answer"
+        _leave([one, back])
+
+
+async def test_octets_sent_just_before_leaving_are_still_forwarded(directory: Path) -> None:
+    async with Segment(2, directory) as segment:
+        one, other = _stations(segment)
+        one.send(TELEGRAM)
+        one.hang_up()
+        assert await other.recv(len(TELEGRAM)) == TELEGRAM
+        other.hang_up()
+
+
+async def test_a_station_that_does_not_read_costs_octets_only(directory: Path) -> None:
+    async with Segment(3, directory) as segment:
+        one, lazy, busy = _stations(segment)
+        got = 0
+        for _ in range(300):
+            one.send(bytes(250))
+            got += len(await busy.recv(250))
+        assert got == 75_000
+        stats = segment._stations[1].stats
+        assert stats.dropped > 0
+        assert stats.received + stats.dropped == 75_000
+        told = segment.stats()
+        assert told["damaged"] == 0
+        stations = told["stations"]
+        assert isinstance(stations, list)
+        assert stations[0] == {"path": segment.paths[0], "sent": 75_000, "received": 0, "dropped": 0}
+        _leave([one, lazy, busy])
+
+
+async def test_stations_at_other_rates_read_nonsense(directory: Path) -> None:
+    async with Segment(3, directory, baud=500_000, seed=7) as segment:
+        one, same, other = _stations(segment)
+        set_rate(one.fd, termios.B500000)  # as the segment's own: 'same' has set none
+        set_rate(other.fd, termios.B1500000)
+        for _ in range(20):
+            one.send(TELEGRAM)
+            assert await same.recv(len(TELEGRAM)) == TELEGRAM
+        assert TELEGRAM not in other.take()
+        set_rate(other.fd, termios.B500000)  # without closing, as a search for the rate does it
+        other.take()
+        one.send(TELEGRAM)
+        assert await other.recv(len(TELEGRAM)) == TELEGRAM
+        _leave([one, same, other])
+
+
+async def test_noise_drops_octets_for_all_alike(directory: Path) -> None:
+    async with Segment(3, directory, error_rate=0.01, seed=3) as segment:
+        stations = _stations(segment)
+        sent = bytes(range(250)) * 20
+        for first in range(0, len(sent), 250):
+            stations[0].send(sent[first : first + 250])
+        await until(lambda: segment._stations[0].stats.sent == 5000, "forwarded")
+        damaged = segment._noise.damaged
+        assert 300 < damaged < 800  # 1 - 0.99^11 = 10.5 % of 5000
+        one, other = await stations[1].recv(5000 - damaged), await stations[2].recv(5000 - damaged)
+        assert one == other
+        assert len(one) == 5000 - damaged
+        segment.error_rate = 0.0
+        stations[0].send(TELEGRAM)
+        assert await stations[1].recv(len(TELEGRAM)) == TELEGRAM
+        assert segment.stats()["damaged"] == damaged
+        _leave(stations)
+
+
+def test_noise_is_the_same_with_the_same_seed() -> None:
+    def run(seed: int) -> tuple[bytes, int]:
+        noise = Noise(1e-3, random.Random(seed))
+        return b"".join(noise.strike(bytes(range(n))) for n in range(256)), noise.damaged
+
+    assert run(1) == run(1)
+    assert run(1) != run(2)
+    assert 200 < run(1)[1] < 550  # 32 640 octets, 1.1 % of them
+
+
+def test_no_noise_touches_nothing() -> None:
+    noise = Noise(0.0, random.Random(1))
+    assert noise.strike(TELEGRAM) is TELEGRAM
+
+
+def test_a_faster_receiver_sees_more_characters() -> None:
+    def lengths(read: int, sent: int) -> int:
+        rng = random.Random(5)
+        return sum(len(misread(bytes(100), sent, read, rng)) for _ in range(20))
+
+    assert lengths(3_000_000, 500_000) > lengths(500_000, 500_000) > lengths(500_000, 3_000_000)
+
+
+@pytest.mark.parametrize(
+    ("baud", "octets"),
+    [(9_600, 2), (19_200, 2), (45_450, 14), (93_750, 8), (500_000, 45), (12_000_000, 1090)],
+)
+def test_slices_are_a_quarter_slot_time_or_a_millisecond(baud: int, octets: int) -> None:
+    # 9.6: 25 bits; 45.45: 160 bits; 93.75: 93 bits in 1 ms; 500: 500 bits; 12 M: 12 000 bits
+    assert slice_octets(baud) == octets
+
+
+async def test_a_paced_segment_delivers_all_in_order_and_not_before_its_time(directory: Path) -> None:
+    async with Segment(2, directory, baud=93_750, paced=True) as segment:
+        one, other = _stations(segment)
+        octets = bytes(range(200))
+        start = monotonic_ns()
+        one.send(octets[:100])
+        one.send(octets[100:])
+        assert await other.recv(200) == octets
+        assert monotonic_ns() - start >= 200 * 11 * 10**9 // 93_750
+        one.send(octets)
+        await until(lambda: segment._stations[0].stats.sent == 400, "taken up")
+        _leave([one, other])  # and closed with octets on the wire

@@ -1,0 +1,234 @@
+"""The Linux tty: what is set, what is refused, and that every refusal says what to do."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import fcntl
+import glob
+import grp
+import os
+import subprocess
+import sys
+import termios
+from pathlib import Path
+
+import pytest
+from far_ends import PtyFarEnd
+
+from dpstack.errors import BaudError, PortBusyError, PortError
+from dpstack.ports import Delivery, termios2, tty
+from dpstack.ports.tty import TtyPort
+from dpstack.units import BAUD_RATES
+
+
+@pytest.fixture
+def far() -> PtyFarEnd:
+    return PtyFarEnd()
+
+
+@pytest.mark.parametrize("baud", BAUD_RATES)
+async def test_every_rate_is_set_and_seen_from_the_other_end(far: PtyFarEnd, baud: int) -> None:
+    port = TtyPort(far.path, baud)
+    for _ in range(2):  # a second open at the same rate is where the C library reports EINVAL on a pty
+        await port.open()
+        assert termios2.RateReader().read(far.fd) == baud
+        assert port.line_baud() == baud
+        assert any("no parity" in notice for notice in port.notices)
+        port.close()
+    far.hang_up()
+
+
+async def test_raw_without_echo_and_flow_control(far: PtyFarEnd) -> None:
+    port = TtyPort(far.path, 9600)
+    await port.open()
+    assert port.fd is not None
+    iflag, oflag, cflag, lflag, *_ = termios.tcgetattr(port.fd)
+    assert (oflag, lflag) == (0, 0)
+    assert iflag == termios.INPCK | termios.IGNPAR | termios.IGNBRK
+    assert cflag & termios.CSIZE == termios.CS8
+    assert not cflag & (termios.CSTOPB | termios.CRTSCTS | termios.HUPCL)
+    port.close()
+    far.hang_up()
+
+
+def test_even_parity_is_asked_for_in_the_same_call(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[tuple[int, bytes]] = []
+    layout = termios2._LAYOUT
+
+    def ioctl(_fd: int, request: int, argument: bytearray | bytes, _mutate: bool = True) -> int:
+        if request == termios2.TCSETS2:
+            calls.append((request, bytes(argument)))
+        elif calls and isinstance(argument, bytearray):
+            argument[:] = calls[-1][1]
+        return 0
+
+    monkeypatch.setattr(fcntl, "ioctl", ioctl)
+    assert termios2.set_raw(7, 187_500) == (187_500, True)
+    ((_request, octets),) = calls
+    _i, _o, cflag, _l, _line, _cc, ispeed, ospeed = layout.unpack(octets)
+    assert cflag & termios.PARENB
+    assert not cflag & termios.PARODD
+    assert (ispeed, ospeed) == (187_500, 187_500)
+
+
+async def _refused(port: TtyPort, kind: type[PortError] = PortError) -> str:
+    with pytest.raises(kind) as caught:
+        await port.open()
+    text = str(caught.value)
+    assert "\n" not in text
+    assert port.name in text
+    assert port.fd is None
+    return text
+
+
+async def test_a_substituted_rate_is_refused_with_both(far: PtyFarEnd, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(termios2, "set_raw", lambda _fd, _baud: termios2.Applied(9_600, True))
+    text = await _refused(TtyPort(far.path, 12_000_000), BaudError)
+    assert "12 Mbit/s" in text
+    assert "9.6 kbit/s" in text
+    far.hang_up()
+
+
+async def test_a_rate_divided_nearly_right_is_taken_with_a_notice(
+    far: PtyFarEnd, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(termios2, "set_raw", lambda _fd, _baud: termios2.Applied(45_455, True))
+    port = TtyPort(far.path, 45_450)
+    await port.open()
+    assert port.notices == ["runs at 45455 bit/s instead of 45450"]
+    port.close()
+    far.hang_up()
+
+
+async def test_a_rate_the_driver_refuses(far: PtyFarEnd, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(_fd: int, _baud: int) -> termios2.Applied:
+        raise OSError(errno.EINVAL, "Invalid argument")
+
+    monkeypatch.setattr(termios2, "set_raw", refuse)
+    assert "6 Mbit/s 8E1" in await _refused(TtyPort(far.path, 6_000_000), BaudError)
+    far.hang_up()
+
+
+async def test_a_missing_port_names_those_that_exist(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tty, "existing_ports", lambda: ["/dev/ttyUSB0", "/dev/ttyUSB1"])
+    assert "these exist: /dev/ttyUSB0, /dev/ttyUSB1" in await _refused(TtyPort("/dev/ttyUSB9", 9600))
+    monkeypatch.setattr(tty, "existing_ports", list)
+    text = await _refused(TtyPort("/dev/ttyUSB9", 9600))
+    assert "no serial adapter is plugged in" in text
+
+
+async def test_what_is_no_tty_is_named(tmp_path: Path) -> None:
+    file = tmp_path / "notes.txt"
+    file.write_text("hello")
+    assert "but a file" in await _refused(TtyPort(str(file), 9600))
+    assert "another device" in await _refused(TtyPort("/dev/null", 9600))
+    assert "a directory" in await _refused(TtyPort(str(tmp_path), 9600))
+
+
+@pytest.mark.parametrize(
+    ("number", "kind", "says"),
+    [
+        (errno.EACCES, PortError, "no permission; "),
+        (errno.EBUSY, PortBusyError, "held by another program"),
+        (errno.ENXIO, PortError, "no device behind it"),
+        (errno.EIO, PortError, "no device behind it"),
+        (errno.EMFILE, PortError, "cannot be opened (Too many open files)"),
+    ],
+)
+async def test_what_the_system_refuses(
+    far: PtyFarEnd, monkeypatch: pytest.MonkeyPatch, number: int, kind: type[PortError], says: str
+) -> None:
+    def refuse(*_args: object) -> int:
+        raise OSError(number, os.strerror(number))
+
+    port = TtyPort(far.path, 9600)
+    monkeypatch.setattr(os, "open", refuse)
+    assert says in await _refused(port, kind)
+    monkeypatch.undo()
+    far.hang_up()
+
+
+@pytest.mark.parametrize(
+    ("group", "says"),
+    [("dialout", "add yourself to the group dialout (sudo usermod -aG dialout $USER)"), ("root", "udev rule")],
+)
+def test_how_to_be_permitted(far: PtyFarEnd, monkeypatch: pytest.MonkeyPatch, group: str, says: str) -> None:
+    class Group:
+        gr_name = group
+
+    monkeypatch.setattr(grp, "getgrgid", lambda _gid: Group)
+    assert says in tty._how_to_be_permitted(far.path)
+    far.hang_up()
+
+
+async def test_a_held_port_names_its_holder(far: PtyFarEnd) -> None:
+    port = TtyPort(far.path, 9600)
+    await port.open()
+    assert f"this program itself (pid {os.getpid()})" in await _refused(TtyPort(far.path, 9600), PortBusyError)
+    port.close()
+    code = (
+        "import fcntl, os, sys; fd = os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY);"
+        "fcntl.flock(fd, fcntl.LOCK_EX); print('held', flush=True); sys.stdin.read()"
+    )
+    holder = await asyncio.create_subprocess_exec(
+        sys.executable, "-c", code, far.path, stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
+    assert holder.stdout is not None
+    assert await holder.stdout.readline() == b"held\n"
+    assert f"(pid {holder.pid})" in await _refused(port, PortBusyError)
+    await holder.communicate()
+    await port.open()
+    port.close()
+    far.hang_up()
+
+
+async def test_a_port_that_cannot_be_locked_is_used_with_a_notice(
+    far: PtyFarEnd, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def flock(_fd: int, _how: int) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(fcntl, "flock", flock)
+    port = TtyPort(far.path, 9600)
+    await port.open()
+    assert any("cannot be locked" in notice for notice in port.notices)
+    port.close()
+    far.hang_up()
+
+
+def test_a_pty_has_no_pace_a_uart_has(far: PtyFarEnd, tmp_path: Path) -> None:
+    link = tmp_path / "0"
+    link.symlink_to(far.path)
+    assert TtyPort(str(link), 9600).delivery is Delivery.HOST
+    assert not TtyPort(str(link), 9600).paced
+    assert TtyPort(str(link), 9600, paced=True).paced
+    assert TtyPort("/dev/ttyUSB9", 9600).paced
+    assert TtyPort("/dev/ttyUSB9", 9600).delivery is Delivery.ADAPTER
+    far.hang_up()
+
+
+def test_low_latency_is_asked_of_drivers_that_have_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    written: list[bytes] = []
+
+    def ioctl(_fd: int, request: int, argument: bytearray, _mutate: bool) -> int:
+        if request == tty._TIOCSSERIAL:
+            written.append(bytes(argument))
+        else:
+            argument[16] = 0x40
+        return 0
+
+    monkeypatch.setattr(fcntl, "ioctl", ioctl)
+    tty._ask_low_latency(7)
+    assert written[0][16:20] == bytes((0x40, 0x20, 0, 0))  # ASYNC_LOW_LATENCY is bit 13
+
+
+def test_adapters_are_listed_with_their_lasting_names(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = {
+        "/dev/serial/by-id/*": ["/dev/serial/by-id/usb-FTDI_0"],
+        "/dev/ttyUSB*": ["/dev/ttyUSB0"],
+        "/dev/ttyACM*": ["/dev/ttyACM3"],
+    }
+    monkeypatch.setattr(glob, "glob", lambda pattern: found.get(pattern, []))
+    monkeypatch.setattr(os.path, "realpath", lambda _path: "/dev/ttyUSB0")
+    assert tty.existing_ports() == ["/dev/ttyACM3", "/dev/ttyUSB0 (/dev/serial/by-id/usb-FTDI_0)"]
