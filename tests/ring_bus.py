@@ -9,6 +9,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 
 from dpstack.fdl.active import ActiveStation
 from dpstack.fdl.codec import decode
@@ -169,7 +170,7 @@ class RingBus:
         self.at(now, lambda: self._edge(sent, station))
         if self.mode == "octets":
             for i in range(len(octets)):
-                self.at(now + chars_to_ns(i + 1, self.baud), lambda i=i: self._octet(sent, station, i))  # type: ignore[misc]
+                self.at(now + chars_to_ns(i + 1, self.baud), partial(self._octet, sent, station, i))
         self.at(end, lambda: self._end(sent, station))
         return end
 

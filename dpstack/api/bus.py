@@ -25,13 +25,15 @@ from dpstack.fdl.commands import GoOffline, GoOnline
 from dpstack.fdl.events import AddressCollision, RingLeft
 from dpstack.sim.world import World
 from dpstack.trace import Event, Notice, Severity
-from dpstack.units import ns_to_s
+from dpstack.units import BITS_PER_CHAR, ns_to_s
 
 #: with foreign masters on the bus one has to wait until one of them asks for us in its GAP
 JOIN_TIMEOUT_S: Final = 30.0
 #: the ordered end takes a few rotations; nobody waits longer than this for it (plus ten rotations)
 _END_TIMEOUT_S: Final = 2.0
 _HISTORY: Final = 1000
+#: Global_Control, the longest telegram of the end
+_LAST_OCTETS: Final = 13
 
 OnEvent = Callable[[Event], None]
 SlaveTable = Mapping[str, object] | SlaveConfig
@@ -107,6 +109,7 @@ class Bus:
         self._ending: asyncio.Task[None] | None = None
         self._stopped = False
         self._left = False
+        self._ended_ns = 0
         self._collision: str | None = None
         self._failure: BusError | None = None
         self._history: deque[Event] = deque(maxlen=_HISTORY)
@@ -187,6 +190,7 @@ class Bus:
             limit = _END_TIMEOUT_S + 10 * self.rotation_limit_s
             await self._ordered(Shutdown(), lambda: self._stopped, limit)
             await self._ordered(GoOffline(), lambda: self._left, limit)
+            await self._drained()
         self._open = False
         await self.runtime.close()
         error = UsageError("the bus is closed")
@@ -200,6 +204,11 @@ class Bus:
         with contextlib.suppress(TimeoutError, DpError):
             self.runtime.command(command)
             await self.until(done, limit)
+
+    async def _drained(self) -> None:
+        """Events tell of transmissions whose last bit lies ahead: let it leave before the port is closed."""
+        last = self.params.ns(_LAST_OCTETS * BITS_PER_CHAR + self.params.t_id2)
+        await asyncio.sleep(ns_to_s(max(0, self._ended_ns - self.runtime.now()) + last))
 
     # --- orders -------------------------------------------------------------------------------------------------
 
@@ -361,10 +370,12 @@ class Bus:
                     drive = self._drives.get(address)
                     if drive is not None:
                         drive.on_payload(payload)
-                case MasterStopped():
+                case MasterStopped(t_ns=t_ns):
                     self._stopped = True
-                case RingLeft():
+                    self._ended_ns = t_ns
+                case RingLeft(t_ns=t_ns):
                     self._left = True
+                    self._ended_ns = t_ns
                 case AddressCollision():
                     self._collision = event.text
             self._tell(event)

@@ -159,7 +159,7 @@ def _drive(table: Table, name: str) -> _Basis:
         if value is not None:
             options[key] = value
     try:
-        profile.core("check", telegram.name, options)
+        profile.core(table.text("name") or name, telegram.name, options)
     except ConfigError as error:
         raise _split(table, next(iter(options), None), error) from None
     return _Basis(

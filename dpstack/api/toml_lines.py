@@ -30,6 +30,7 @@ def line_numbers(text: str) -> dict[Path, int]:
         if header:
             prefix = _table(_parts(header[2]), header[1] == "[[", counts)
             lines.setdefault(prefix, number)
+            lines.setdefault(tuple(part for part in prefix if isinstance(part, str)), number)
             continue
         key = _KEY.match(line)
         if key:

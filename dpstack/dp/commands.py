@@ -27,7 +27,8 @@ class SetMode:
 
 @dataclass(frozen=True, slots=True)
 class Shutdown:
-    """The end in order: safe values for one cycle, Clear twice, out of the ring; then ``MasterStopped``."""
+    """The end in order: safe values (a cycle, and 50 ms), Clear twice, out of the ring; then
+    ``MasterStopped``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +40,7 @@ class AddSlave:
 
 @dataclass(frozen=True, slots=True)
 class RemoveSlave:
-    """Give a slave up: safe outputs for one cycle, unlock, then forget it."""
+    """Give a slave up: safe outputs for 50 ms, unlock, then forget it."""
 
     address: int
 

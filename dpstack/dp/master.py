@@ -15,6 +15,7 @@ from typing import Final
 from dpstack.dp.commands import AddSlave, DriveCommand, Mode, RemoveSlave, SetMode, Shutdown
 from dpstack.dp.events import MasterStopped, ModeChanged, SlaveState
 from dpstack.dp.image import SlaveImage
+from dpstack.dp.ms0 import unlock_prm
 from dpstack.dp.pdu import GlobalControl
 from dpstack.dp.setup import SlaveSetup
 from dpstack.dp.slave_handler import SlaveHandler
@@ -77,6 +78,7 @@ class Master:
         self._open = False
         self._cursor = 0
         self._service_left = 0
+        self._farewells = 0
         self._mark = False
         self._round_at = 0
         self._not_before = 0
@@ -108,7 +110,7 @@ class Master:
             case AddSlave(setup):
                 self._add(setup)
             case RemoveSlave(address):
-                self._remove(address)
+                self._remove(address, now)
             case DriveCommand(address, op, args, token):
                 self._handler(address).unit.command(op, args, token, now)
             case LineDown(reason):
@@ -151,14 +153,14 @@ class Master:
         )
         self._stale = True
 
-    def _remove(self, address: int) -> None:
-        """Safe values for one cycle, then Unlock, then it is forgotten."""
+    def _remove(self, address: int, now: int) -> None:
+        """Safe values as at the end, then Unlock, then it is forgotten."""
         handler = self._handler(address)
         del self.handlers[address]
         self._stale = True
         if handler.state is SlaveState.DATA_EXCHANGE:
-            self._leaving.append((handler, 0))
-            handler.unit.lost(self._round_at)
+            self._leaving.append((handler, now + _SAFE_HOLD))
+            handler.unit.lost(now)
 
     def _set_mode(self, mode: Mode, now: int) -> None:
         if self._stopping:
@@ -210,6 +212,7 @@ class Master:
         self._open = True
         self._cursor = 0
         self._mark = bool(self._exchanging)
+        self._farewells = len(self._leaving)
         self._service_left = 1 if self._exchanging else len(self._services)
         if self._stopping or self.mode is Mode.STOP:
             self._service_left = 0
@@ -228,8 +231,9 @@ class Master:
             if handler.state is not SlaveState.DATA_EXCHANGE or self.rounds % handler.setup.every:
                 continue
             return handler.data_request(self._outputs(handler, now))
-        if self._leaving:
-            return self._farewell()
+        if self._farewells:
+            self._farewells -= 1
+            return self._farewell(now)
         if self._gc_urgent or (now >= self._gc_due and exchanging):
             return self._global_control(now)
         while self._service_left:
@@ -320,12 +324,12 @@ class Master:
         self._services = deque(kept + [h for h in handlers if h in wanting and h not in kept])
         self._interval = max((h.setup.min_slave_interval_ns for h in self._exchanging), default=0)
 
-    def _farewell(self) -> Request:
-        handler, stage = self._leaving.popleft()
-        if not stage:
-            self._leaving.append((handler, 1))
+    def _farewell(self, now: int) -> Request:
+        handler, until = self._leaving.popleft()
+        if now < until:
+            self._leaving.append((handler, until))
             return Request(handler.setup.address, Req.SRD_HIGH, handler.setup.safe_outputs, patient=True)
-        data = handler.set_prm(unlock=True)
+        data = unlock_prm(handler.setup, handler.ident or 0)
         return Request(handler.setup.address, Req.SRD_HIGH, data, SAP_SET_PRM, SSAP_MS0, patient=True)
 
     # --- without a token ----------------------------------------------------------------------------------------

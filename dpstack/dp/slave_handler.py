@@ -22,7 +22,7 @@ from dpstack.dp.events import (
 from dpstack.dp.findings import Backoff, Findings
 from dpstack.dp.image import SlaveImage
 from dpstack.dp.judge import deviations, foreign_owner, verdict_exchanging, verdict_ready
-from dpstack.dp.pdu import SetPrm
+from dpstack.dp.ms0 import DATA_STATUS, EMPTY_STATUS, SERVICE_NAMES, positive, refusal_text, set_prm
 from dpstack.dp.setup import SlaveSetup, watchdog_factors, watchdog_ns
 from dpstack.dp.unit_host import UnitHost
 from dpstack.fdl.telegram import (
@@ -52,17 +52,8 @@ _STATIC_PAUSE: Final = 100 * NS_PER_MS
 _MAX_BUSY: Final = 5
 _MAX_WRONG: Final = 3
 _TOLD_ABSENT_AFTER: Final = 3
-
-_SERVICE_NAMES: Final = {
-    SAP_SLAVE_DIAG: "Slave_Diag",
-    SAP_SET_PRM: "Set_Prm",
-    SAP_CHK_CFG: "Chk_Cfg",
-    SAP_GET_CFG: "Get_Cfg",
-}
 _DL: Final = int(Resp.DL)
 _DH: Final = int(Resp.DH)
-_DATA_STATUS: Final = frozenset((_DL, _DH))
-_EMPTY_STATUS: Final = frozenset((_DL, _DH, int(Resp.OK)))
 
 
 class SlaveHandler:
@@ -137,7 +128,7 @@ class SlaveHandler:
             status = outcome.fc & 0x0F
             # SC (fc = -1) and an empty LE = 3 answer are legal where there are no inputs (B6, section I)
             image = self.image
-            if status in _DATA_STATUS if image.input_len else (outcome.fc < 0 or status in _EMPTY_STATUS):
+            if status in DATA_STATUS if image.input_len else (outcome.fc < 0 or status in EMPTY_STATUS):
                 data = outcome.data
                 if len(data) == image.input_len:
                     image.inputs = data
@@ -205,36 +196,20 @@ class SlaveHandler:
             tag=self,
         )
 
-    def set_prm(self, *, unlock: bool = False) -> bytes:
-        """The octets of Set_Prm for this slave (``unlock``: give it free)."""
-        setup = self.setup
-        return SetPrm(
-            ident=self.ident or 0,
-            user_prm=setup.user_prm,
-            lock=not unlock,
-            unlock=unlock,
-            sync=setup.sync,
-            freeze=setup.freeze,
-            watchdog=None if unlock else self.watchdog,
-            min_tsdr=setup.min_tsdr,
-            group_mask=setup.group_mask,
-        ).build()
+    def set_prm(self) -> bytes:
+        """The octets of Set_Prm for this slave."""
+        return set_prm(self.setup, self.ident or 0, self.watchdog)
 
     def service_result(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
         """The end of a request that :meth:`service_request` made."""
         if outcome is Failure.ABANDONED:
             return
-        service = _SERVICE_NAMES[request.dsap or 0]
+        service = SERVICE_NAMES[request.dsap or 0]
         if not isinstance(outcome, Telegram):
             self._on_silence(request, service, now)
             return
         self._silent = 0
-        data_status = outcome.kind is not Kind.SC and outcome.fc & 0x0F in _DATA_STATUS
-        if request.dsap in (SAP_SET_PRM, SAP_CHK_CFG):
-            positive = outcome.kind is Kind.SC or data_status or outcome.fc & 0x0F == Resp.OK
-        else:
-            positive = data_status
-        if not positive:
+        if not positive(request.dsap, outcome):
             self._on_refusal(request, outcome, service, now)
             return
         self._busy = 0
@@ -271,8 +246,7 @@ class SlaveHandler:
         self.due = now + _POLL_PAUSE
         if self._busy >= _MAX_BUSY:
             self._busy = 0
-            status = "a bare acknowledgement" if outcome.kind is Kind.SC else _status_name(outcome.fc & 0x0F)
-            self._step(Ev.REFUSED, now, faults.refused(service, status))
+            self._step(Ev.REFUSED, now, faults.refused(service, refusal_text(outcome)))
 
     # --- diagnosis ----------------------------------------------------------------------------------------------
 
@@ -426,10 +400,3 @@ class SlaveHandler:
             self._ask_cfg = False
             self._enter(SlaveState.OFFLINE, now)
             self.due = now
-
-
-def _status_name(status: int) -> str:
-    try:
-        return Resp(status).name
-    except ValueError:
-        return f"status {status}"

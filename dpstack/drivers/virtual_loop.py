@@ -94,6 +94,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         self.paced = paced
         self._at_ns = 0
         self._attached: list[_Attached] = []
+        self._running: _Attached | None = None
         self._stirred = False  # a callback became ready, or a timer was set, while worlds ran
         self._events = 0
         self._turns = 0
@@ -108,11 +109,13 @@ class VirtualLoop(asyncio.SelectorEventLoop):
     # --- time ---
     def time(self) -> float:
         """Virtual time in seconds."""
-        return self._at_ns / NS_PER_S
+        return self.time_ns() / NS_PER_S
 
     def time_ns(self) -> int:
         """Virtual time in ns."""
-        return self._at_ns
+        running = self._running
+        # called from within a world: its time is ahead of the loop's
+        return self._at_ns if running is None else running.timeline.now + running.offset
 
     def attach(self, timeline: Timeline) -> None:
         """From now on the time of ``timeline`` goes with the loop's. May be repeated; detach as often."""
@@ -217,14 +220,8 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         if len(attached) > 1:
             return self._advance_many(horizon)
         if attached:
-            only = attached[0]
             self._events = 0
-            until = horizon if horizon == NEVER else horizon - only.offset
-            stopped = only.timeline.run(until, self._stop)
-            at = only.timeline.now + only.offset
-            if at > self._at_ns:
-                self._at_ns = at
-            if stopped:
+            if self._run(attached[0], horizon):
                 return True
         if self._at_ns < horizon < NEVER:
             self._at_ns = horizon
@@ -238,14 +235,21 @@ class VirtualLoop(asyncio.SelectorEventLoop):
             first, second = sorted(self._attached, key=_Attached.next_at)[:2]
             if first.next_at() > horizon or first.next_at() == NEVER:
                 break
-            until = min(horizon, second.next_at())
-            stopped = first.timeline.run(until if until == NEVER else until - first.offset, self._stop)
-            self._at_ns = max(self._at_ns, first.timeline.now + first.offset)
+            stopped = self._run(first, min(horizon, second.next_at()))
         if not stopped and self._at_ns < horizon < NEVER:
             self._at_ns = horizon
         for attached in self._attached:
             attached.timeline.run(self._at_ns - attached.offset, _never)
         return stopped
+
+    def _run(self, attached: _Attached, until: int) -> bool:
+        timeline = attached.timeline
+        self._running = attached
+        try:
+            return timeline.run(until if until == NEVER else until - attached.offset, self._stop)
+        finally:
+            self._running = None
+            self._at_ns = max(self._at_ns, timeline.now + attached.offset)
 
     def _stop(self) -> bool:
         self._events += 1

@@ -156,13 +156,15 @@ class Referee:
     def _token(self, tx: Transmission, telegram: Telegram) -> _After:
         sa = telegram.sa
         params = self._masters.get(sa)
-        missing = None
-        silence = tx.start_ns - self._last_end
-        if params is not None and silence < bits_to_ns(params.t_to, tx.baud):
-            missing = f"after {ns_to_bits(silence, tx.baud)} bits of silence; its T_TO is {params.t_to}"
+        lacks = None
+        if params is not None:
+            silence = tx.start_ns - self._last_end
+            lacks = ""
+            if silence < bits_to_ns(params.t_to, tx.baud):
+                lacks = f"after {ns_to_bits(silence, tx.baud)} bits of silence; its T_TO is {params.t_to}"
         self._idle(tx, sa)
         if self.token_rules:
-            self._found(tx, self.tokens.token(sa, telegram.da, tx.node, missing))
+            self._found(tx, self.tokens.token(sa, telegram.da, tx.node, lacks))
         self._pending = None
         return _After.TOKEN
 

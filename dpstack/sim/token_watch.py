@@ -72,23 +72,30 @@ class TokenWatch:
             self._take(sa, node)
         return finding
 
-    def token(self, sa: int, da: int, node: Node | None, missing_silence: str | None) -> Finding | None:
-        """``sa`` sends the token to ``da``. ``missing_silence`` says what a claim would lack, None when nothing."""
-        finding = self._turn(sa, node, f"passes the token to {da}")
+    def token(self, sa: int, da: int, node: Node | None, lacks: str | None = None) -> Finding | None:
+        """``sa`` sends the token to ``da``.
+
+        ``lacks`` says what a claim would lack, "" when the bus was silent for T_TO, None when nobody knows its T_TO.
+        """
+        finding = None
+        if sa == da and lacks == "":
+            self._claim(sa, node)
+        else:
+            finding = self._turn(sa, node, f"passes the token to {da}")
         if finding is not None:
-            if sa == da and finding.rule is not Rule.TWO_TOKENS:
-                finding = (
-                    Finding(Rule.CLAIM, f"station {sa} claims the token {missing_silence}") if missing_silence else None
-                )
-                self.ring = set()
-            elif sa != da:
+            if sa != da:
                 finding = Finding(Rule.TWO_TOKENS, finding.text)
-            self._take(sa, node)
-            self.ring.add(sa)
+            elif finding.rule is Rule.RIGHT:
+                finding = Finding(Rule.CLAIM, f"station {sa} claims the token {lacks}") if lacks else None
+            self._claim(sa, node)
         order = self._order(sa, da)
         tries = 1 + (self._offer.tries if self._offer is not None and self._offer.da == da else 0)
         self._offer = None if sa == da else _Offer(sa, da, tries)
         return finding or order
+
+    def _claim(self, sa: int, node: Node | None) -> None:
+        self._take(sa, node)
+        self.ring = {sa}
 
     def _turn(self, sa: int, node: Node | None, does: str) -> Finding | None:
         """Whether it is ``sa``'s turn; what it does now confirms that it has taken the token."""

@@ -389,9 +389,11 @@ def test_add_and_remove_while_running() -> None:
     assert bus.master.handlers[4].state is SlaveState.DATA_EXCHANGE
     bus.requests.clear()
     bus.master.command(RemoveSlave(4), bus.now)
-    bus.run(2 * MS)
+    bus.run(60 * MS)
     made = [(r.dsap, r.data) for r in bus.requests if r.da == 4]
-    assert made == [(None, bytes(4)), (61, bytes.fromhex("40 01 01 0B 06 96 00"))]
+    assert len(made) > 10
+    assert set(made[:-1]) == {(None, bytes(4))}
+    assert made[-1] == (61, bytes.fromhex("40 01 01 0B 06 96 00"))
     with pytest.raises(UsageError, match="no slave with address 4"):
         bus.master.command(RemoveSlave(4), bus.now)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+
 from dpstack.dp.plan import Case, make_plan, rotation, t_tr_preset, watchdog_ms
 from dpstack.dp.setup import SlaveSetup
 from dpstack.params import BusParams

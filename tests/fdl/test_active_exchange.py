@@ -299,7 +299,7 @@ def test_a_kept_back_answer_counts_when_nothing_follows() -> None:
 
 
 def test_a_late_gap_answer_is_not_taken_for_an_empty_data_exchange() -> None:
-    patience = Patience(known_ns=NS_PER_MS, unknown_ns=NS_PER_MS, unknown_share=100, stall_ns=NS_PER_MS)
+    patience = Patience(known_ns=NS_PER_MS, unknown_ns=NS_PER_MS, stall_ns=NS_PER_MS)
     bus = RingBus(mode="chunk")
     late = [False]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from functools import partial
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -133,7 +134,7 @@ def test_the_ring_heals(addresses: set[int], seed: int, troubles: list[str]) -> 
             case "leave":
                 bus.command(victim, GoOffline())
                 back = rng.randrange(50 * NS_PER_MS)
-                bus.at(bus.now + back, lambda victim=victim: bus.command(victim, GoOnline()))  # type: ignore[misc]
+                bus.at(bus.now + back, partial(bus.command, victim, GoOnline()))
             case "join" if gone:
                 bus.master(gone.pop(), hsa=14, gap=1, t_tr=20_000)
             case "deaf":

@@ -1,0 +1,56 @@
+"""The acyclic services of DP-V0 between a class 1 master and its slave (MS0): names, requests, positive answers."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from dpstack.dp.pdu import SetPrm
+from dpstack.dp.setup import SlaveSetup
+from dpstack.fdl.telegram import SAP_CHK_CFG, SAP_GET_CFG, SAP_SET_PRM, SAP_SLAVE_DIAG, Kind, Resp, Telegram
+
+#: FC status values that carry data: DL and DH
+DATA_STATUS: Final = frozenset((int(Resp.DL), int(Resp.DH)))
+#: how a slave without inputs may answer Data_Exchange besides SC
+EMPTY_STATUS: Final = DATA_STATUS | {int(Resp.OK)}
+
+SERVICE_NAMES: Final = {
+    SAP_SLAVE_DIAG: "Slave_Diag",
+    SAP_SET_PRM: "Set_Prm",
+    SAP_CHK_CFG: "Chk_Cfg",
+    SAP_GET_CFG: "Get_Cfg",
+}
+
+
+def set_prm(setup: SlaveSetup, ident: int, watchdog: tuple[int, int] | None) -> bytes:
+    """The octets of Set_Prm that lock ``setup``'s slave to this master."""
+    return SetPrm(
+        ident=ident,
+        user_prm=setup.user_prm,
+        sync=setup.sync,
+        freeze=setup.freeze,
+        watchdog=watchdog,
+        min_tsdr=setup.min_tsdr,
+        group_mask=setup.group_mask,
+    ).build()
+
+
+def unlock_prm(setup: SlaveSetup, ident: int) -> bytes:
+    """The octets of Set_Prm that give the slave free."""
+    return SetPrm(ident=ident, lock=False, unlock=True, min_tsdr=setup.min_tsdr).build()
+
+
+def positive(dsap: int | None, answer: Telegram) -> bool:
+    """Whether ``answer`` is a positive one to the service at ``dsap``: Set_Prm and Chk_Cfg are acknowledged, the
+    others answered with data."""
+    status = answer.fc & 0x0F if answer.fc >= 0 else -1
+    if dsap in (SAP_SET_PRM, SAP_CHK_CFG):
+        return answer.kind is Kind.SC or status in EMPTY_STATUS
+    return status in DATA_STATUS
+
+
+def refusal_text(answer: Telegram) -> str:
+    """How a negative answer is called: RS, UE, RR ..."""
+    if answer.kind is Kind.SC:
+        return "a bare acknowledgement"
+    status = answer.fc & 0x0F
+    return Resp(status).name if status in Resp.__members__.values() else f"status {status}"
