@@ -140,7 +140,9 @@ def run(argv: list[str]) -> Report:
         report.add(f"asyncio, {n} slaves: turn-around p50", p50 / loop, "loops", _GOAL)
         report.add(f"asyncio, {n} slaves: turn-around p99", p99 / loop, "loops")
         report.add(f"asyncio, {n} slaves: CPU time per exchange", cpu / loop, "loops")
-        report.add(f"asyncio, {n} slaves: exchanges per second", quantile([d for *_, d in runs], 0.5) / args.seconds, "1/s")
+        report.add(
+            f"asyncio, {n} slaves: exchanges per second", quantile([d for *_, d in runs], 0.5) / args.seconds, "1/s"
+        )
     idle = BusParams.preset(_BAUD).t_id1
     report.notes.append(f"T_ID1 = {idle} bit times = {idle / 12:.1f} us is part of every turn-around")
     return report

@@ -38,7 +38,7 @@ _GC_URGENT: Final = 2
 #: The end: safe values for at least one cycle, and for so long, because drives look at their outputs only every 4 to
 #: 32 ms (drives, row D17) and Clear's zeros mean nothing to some of them (bit 10 of STW1).
 _SAFE_HOLD: Final = 50 * NS_PER_MS
-#: without a token for so long nobody can be in data exchange any more
+#: without a token for T_TR and so long nobody can be in data exchange any more
 _SILENCE: Final = NS_PER_S
 
 
@@ -90,6 +90,8 @@ class Master:
         self._stopped = False
         self._leaving: deque[tuple[SlaveHandler, int]] = deque()
         self._token_at = NEVER
+        # at 9.6 kbit/s one rotation may rightly take T_TR = 5 s
+        self._silence = _SILENCE + params.ns(params.t_tr)
         for setup in slaves:
             self._add(setup)
 
@@ -338,7 +340,7 @@ class Master:
         """The watch over the token: without one for a second nobody is in data exchange any more."""
         if self._stopped or self._token_at == NEVER:
             return NEVER
-        return max(self._token_at, self._stopping) + _SILENCE
+        return max(self._token_at, self._poll_at, self._stopping) + self._silence
 
     def tick(self, now: int) -> None:
         """No token for long: say so, or end an end that cannot be sent any more."""

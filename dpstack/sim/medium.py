@@ -20,9 +20,10 @@ from dpstack.sim.nodes import Node, Nodes
 from dpstack.trace import WireEntry, WireLog
 from dpstack.units import chars_to_ns
 
-# Order of what falls on the same nanosecond: octets, orders from outside, timers, start edges. A start edge cannot
-# hold back a station whose timer ends at the same instant: both send.
-OCTETS: Final = 0 << 60
+# Order of what falls on the same nanosecond: octets, ends of transmissions, orders from outside, timers, start edges.
+# A start edge cannot hold back a station whose timer ends at the same instant: both send.
+OCTETS: Final = 0
+ENDS: Final = 1 << 59
 ORDERS: Final = 1 << 60
 TIMERS: Final = 2 << 60
 EDGES: Final = 3 << 60
@@ -35,7 +36,7 @@ class Transmission:
 
     ``forced``: by an order from outside (injected, delayed), so not a station's doing. ``flips``: inverted bits
     by octet number (see :mod:`dpstack.sim.uart`). ``lost``: not on the wire at all. ``whole``: intact so far for
-    everybody at its rate.
+    everybody at its rate. ``heard_ns``: when the last octet of it that could be read was over.
     """
 
     __slots__ = (
@@ -45,6 +46,7 @@ class Transmission:
         "end_ns",
         "flips",
         "forced",
+        "heard_ns",
         "lost",
         "node",
         "notes",
@@ -61,7 +63,7 @@ class Transmission:
         self.octets = octets
         self.baud = baud
         self.start_ns = start_ns
-        self.end_ns = end_ns
+        self.end_ns = self.heard_ns = end_ns
         self.telegram: Telegram | None = decode(octets)
         self.flips: dict[int, int] = {}
         self.notes: list[str] = []
@@ -75,8 +77,8 @@ class Watcher(Protocol):
     def heard(self, tx: Transmission) -> None:
         """``tx`` is over (whole, damaged, cut off or collided); the watcher may add to its notes."""
 
-    def collision(self, late: Transmission, early: Transmission) -> None:
-        """``late`` began while ``early`` was on the wire."""
+    def collision(self, late: Transmission, early: Transmission, heard_ns: int) -> None:
+        """``late`` began while ``early`` was on the wire; until ``heard_ns`` that could be heard."""
 
 
 class Scheduler(Protocol):
@@ -129,6 +131,7 @@ class Medium:
         "_jam",
         "_log",
         "_nodes",
+        "_octet_ns",
         "_rng",
         "_scheduler",
         "_watcher",
@@ -153,6 +156,7 @@ class Medium:
         self._durations: dict[int, list[int]] = {}
         self._current: Transmission | None = None  # of those on the wire the one that ends last
         self._jam: _Jam | None = None
+        self._octet_ns = 0  # the end of the last octet that was heard one by one
 
     # --- sending ---
     def transmit(self, node: Node, octets: bytes, now: int) -> int:
@@ -187,6 +191,8 @@ class Medium:
         sent = tx.octets[: uart.complete(now - tx.start_ns, tx.baud, len(tx.octets))]
         tx.notes.append(f"cut off after {len(sent)} of {len(tx.octets)} octets")
         whole, tx.whole = tx.whole, False
+        if whole:
+            self._octet_ns = now
         tx.octets = sent
         tx.telegram = None
         tx.end_ns = now
@@ -222,7 +228,7 @@ class Medium:
     # --- the line ---
     def _put(self, tx: Transmission, now: int) -> None:
         if tx.lost:
-            self._scheduler.schedule(tx.end_ns, OCTETS, self._over, tx)
+            self._scheduler.schedule(tx.end_ns, ENDS, self._over, tx)
         elif tx.start_ns > now:
             self._scheduler.schedule(tx.start_ns, TIMERS, self._begin_late, tx)
         else:
@@ -235,7 +241,7 @@ class Medium:
     def _begin(self, tx: Transmission) -> None:
         self.transmissions += 1
         baud = self.baud = tx.baud
-        self._scheduler.schedule(tx.end_ns, OCTETS, self._over, tx)
+        self._scheduler.schedule(tx.end_ns, ENDS, self._over, tx)
         self.starting.append(tx)
         before = self._current
         if before is not None and before.end_ns > tx.start_ns:
@@ -244,6 +250,7 @@ class Medium:
                 self._current = tx
             return
         self._current = tx
+        self._octet_ns = tx.start_ns
         if tx.flips:
             tx.notes.append("damaged")
             self._flow(_Stream(tx, baud, uart.receive(tx.octets, baud, tx.flips)))
@@ -267,6 +274,8 @@ class Medium:
 
     def _record(self, tx: Transmission) -> None:
         if self._watcher is not None and not tx.lost:
+            if not tx.whole:
+                tx.heard_ns = self._octet_ns
             self._watcher.heard(tx)
         self._log.add(WireEntry(tx.start_ns, tx.end_ns, tx.octets, tx.sender, "; ".join(tx.notes) if tx.notes else ""))
 
@@ -303,23 +312,27 @@ class Medium:
         tx = stream.tx
         if tx.collided or tx.cut:
             return
-        octet = stream.heard[stream.index][1]
+        offset, octet = stream.heard[stream.index]
+        at_ns = tx.start_ns + offset
         stream.index += 1
         if stream.index < len(stream.heard):
             at = tx.start_ns + stream.heard[stream.index][0]
             self._scheduler.schedule(at, OCTETS, self._octet, stream)
+        if stream.rate == tx.baud:
+            self._octet_ns = at_ns
         self._hand_octets(bytes((octet,)), stream.rate, tx.start_ns)
 
     def _collide(self, late: Transmission, early: Transmission) -> None:
         """Both are garbled from here to the end of the longer one."""
         now = late.start_ns
         if self._watcher is not None:
-            self._watcher.collision(late, early)
+            self._watcher.collision(late, early, now if early.whole else self._octet_ns)
         if not early.collided:
             early.collided = True
             early.notes.append("collision")
             if early.whole:
                 early.whole = False
+                self._octet_ns = now
                 self._scheduler.schedule(now, OCTETS, self._first_part, (early, now))
         late.collided = True
         late.notes.append("collision")
@@ -346,6 +359,7 @@ class Medium:
         octet = uart.garbled(self._rng)
         if octet is None:
             return
+        self._octet_ns = jam.end_of(jam.count)
         for node in self._nodes:
             if node.hears_from <= since and node.on_bus:
                 self._scheduler.settle(node, bytes((octet,)))

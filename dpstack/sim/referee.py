@@ -50,7 +50,7 @@ class _After(Enum):
     QUIET = auto()  # a request without answer
     ANSWER = auto()
     TOKEN = auto()
-    GARBAGE = auto()  # octets whose end receivers may see differently
+    GARBAGE = auto()  # octets that nobody could make a telegram of
 
 
 class _Pending(NamedTuple):
@@ -114,9 +114,9 @@ class Referee:
         raise RefereeError("\n".join(lines))
 
     # --- what the medium says ---
-    def collision(self, late: Transmission, early: Transmission) -> None:
-        """``late`` began while ``early`` was on the wire."""
-        if late.forced or early.forced:
+    def collision(self, late: Transmission, early: Transmission, heard_ns: int) -> None:
+        """``late`` began while ``early`` was on the wire; until ``heard_ns`` that could be heard."""
+        if late.forced or early.forced or late.start_ns - heard_ns >= bits_to_ns(T_SYN, late.baud):
             return
         overlap = ns_to_bits(early.end_ns - late.start_ns, late.baud)
         self._found(late, Finding(Rule.COLLISION, f"begins {overlap} bits before {early.sender} ends"))
@@ -138,8 +138,8 @@ class Referee:
             after = self._answer(tx, telegram)
         self._after = _After.GARBAGE if tx.flips else after
         self._last_sa = telegram.sa if telegram is not None else -1
-        if tx.end_ns > self._last_end:
-            self._last_end = tx.end_ns
+        if tx.heard_ns > self._last_end:
+            self._last_end = tx.heard_ns
 
     # --- rules ---
     def _request(self, tx: Transmission, telegram: Telegram) -> _After:
@@ -191,7 +191,7 @@ class Referee:
     def _idle(self, tx: Transmission, sa: int) -> None:
         """Silence before a request or token."""
         after = self._after
-        if after is _After.NOTHING or after is _After.GARBAGE:
+        if after is _After.NOTHING:
             return
         rule, need, name = Rule.IDLE, T_SYN, "T_SYN"
         params = self._masters.get(sa)

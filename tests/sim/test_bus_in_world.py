@@ -109,7 +109,7 @@ def test_a_slave_slower_than_t_sl_is_seen_by_the_referee(world: WorldFactory) ->
     assert w.referee is not None
     w.referee.expect(Rule.COLLISION)
     w.referee.allow(*Rule)
-    slow = mirror(5, P500, t_sdr=P500.t_sl - 1 + 40)
+    slow = mirror(5, P500, t_sdr=P500.t_sl + 15)
     bus = SimBus(w, P500, [])
     w.add(slow)
     w.run_for(S)

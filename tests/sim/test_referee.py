@@ -358,13 +358,30 @@ def test_what_a_fault_delayed_is_nobodys_fault(script: Script) -> None:
     assert script.verdict() == []
 
 
-def test_after_damage_the_idle_time_is_not_judged(script: Script) -> None:
+@pytest.mark.parametrize(("pause", "found"), [(22, []), (21, [Rule.IDLE])])
+def test_after_damage_silence_counts_from_the_last_octet_that_could_be_heard(
+    script: Script, pause: int, found: list[Rule]
+) -> None:
     script.claim()
     script.send("m2", 37, ASK)
     script.world.faults.damage(lambda tx: tx.sender == "s5", octet=-1)
     script.send("s5", 20, ANSWER)
-    script.send("m2", 30, ASK)
-    assert script.verdict() == []
+    script.send("m2", pause, ASK)
+    assert script.verdict() == found
+
+
+@pytest.mark.parametrize(("bits", "found"), [(22 + 32, [Rule.COLLISION]), (22 + 33, [])])
+def test_who_heard_nothing_for_t_syn_may_begin(world: WorldFactory, bits: int, found: list[Rule]) -> None:
+    w = world()
+    assert w.referee is not None
+    w.referee.token_rules = False
+    for octet in (2, 3, 4, 5):
+        w.faults.damage(lambda tx: tx.sender == "2", octet=octet)
+    w.add(Dummy(2, plan=[(1_000, ASK)]))
+    w.add(Dummy(3, plan=[(1_000 + bits * BIT, ASK)]))
+    w.run_until(1_000_000)
+    assert [violation.rule for violation in w.referee.violations] == found
+    w.referee.violations.clear()
 
 
 def test_allowed_violations_are_kept_apart(script: Script) -> None:
