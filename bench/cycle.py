@@ -69,11 +69,24 @@ class MeasuredPty(PtyPort):
         self._read, self._send = timed_read, timed_write
 
 
+def pin() -> tuple[str, int | None]:
+    """Put this process on one processor; the other end gets the next one. (What was done, the other's processor)."""
+    if not hasattr(os, "sched_setaffinity"):
+        return "processors not pinned", None
+    mine, *others = sorted(os.sched_getaffinity(0))
+    if not others:
+        return "one processor for both ends", None
+    os.sched_setaffinity(0, {mine})
+    return f"master on processor {mine}, responder on processor {others[0]}", others[0]
+
+
 @contextlib.contextmanager
-def responder(path: str, slaves: int) -> Iterator[None]:
+def responder(path: str, slaves: int, processor: int | None) -> Iterator[None]:
     """The other end in a process of its own."""
     specs = [f"{_FIRST + i}:0696:f371:12:12" for i in range(slaves)]
     with subprocess.Popen([sys.executable, str(_RESPONDER), path, *specs], stdout=subprocess.PIPE) as process:
+        if processor is not None:
+            os.sched_setaffinity(process.pid, {processor})
         try:
             if process.stdout is None or not process.stdout.readline():
                 raise RuntimeError("the responder did not start")
@@ -82,7 +95,7 @@ def responder(path: str, slaves: int) -> Iterator[None]:
             process.kill()
 
 
-async def measure(slaves: int, seconds: float) -> tuple[list[float], float, int]:
+async def measure(slaves: int, seconds: float, processor: int | None) -> tuple[list[float], float, int]:
     """(turn-arounds in ns, CPU time per exchange in ns, exchanges) with ``slaves`` in data exchange."""
     params = BusParams.preset(_BAUD, address=2, gap=0)
     setups = [SlaveSetup(address=_FIRST + i, name=f"s{i}", ident=0x0696, config=_PPO1) for i in range(slaves)]
@@ -91,13 +104,20 @@ async def measure(slaves: int, seconds: float) -> tuple[list[float], float, int]
     master = Master(params, setups, watchdog_ms=1000, absent_share=patience.unknown_share)
     station = ActiveStation(params, [master], patience=patience)
     events: list[Event] = []
-    runtime = AsyncioRuntime(port, station, events.extend, echo=Echo.OFF)
+    all_up = asyncio.Event()
+
+    def on_events(new: list[Event]) -> None:
+        events.extend(new)
+        if all(h.state is SlaveState.DATA_EXCHANGE for h in master.handlers.values()):
+            all_up.set()
+
+    runtime = AsyncioRuntime(port, station, on_events, echo=Echo.OFF)
     await runtime.open()
     try:
-        with responder(port.name, slaves):
+        with responder(port.name, slaves, processor):
             runtime.command(GoOnline())
             runtime.command(SetMode(Mode.OPERATE))
-            await _all_exchanging(master)
+            await asyncio.wait_for(all_up.wait(), 10)
             await asyncio.sleep(seconds / 4)
             before = sum(h.exchanges for h in master.handlers.values())
             port.turns.clear()
@@ -112,12 +132,6 @@ async def measure(slaves: int, seconds: float) -> tuple[list[float], float, int]
         await runtime.close()
 
 
-async def _all_exchanging(master: Master) -> None:
-    async with asyncio.timeout(10):
-        while any(h.state is not SlaveState.DATA_EXCHANGE for h in master.handlers.values()):
-            await asyncio.sleep(0.01)
-
-
 def run(argv: list[str]) -> Report:
     """The benchmark with its own options."""
     parser = argparse.ArgumentParser(prog="python -m bench cycle")
@@ -125,12 +139,13 @@ def run(argv: list[str]) -> Report:
     parser.add_argument("--seconds", type=float, default=2.0)
     parser.add_argument("--rounds", type=int, default=3, help="runs per number of slaves; the median is reported")
     args = parser.parse_args(argv)
-    report = Report("cycle")
+    pinned, processor = pin()
+    report = Report("cycle", notes=[pinned])
     loops, results = [], {n: [] for n in args.slaves}  # type: ignore[var-annotated]
     for _ in range(args.rounds):
         loops.append(calibrate())
         for n in args.slaves:
-            results[n].append(asyncio.run(measure(n, args.seconds)))
+            results[n].append(asyncio.run(measure(n, args.seconds, processor)))
     loop = quantile(loops, 0.5)
     report.add("calibration loop", loop / 1000, "us")
     for n, runs in results.items():

@@ -64,7 +64,7 @@ def modules(under: Path) -> list[Path]:
 
 
 def imports(path: Path) -> Iterator[tuple[int, str]]:
-    """Every imported module of ``path`` with its line; ``from a import b`` counts as ``a`` and, within ours, ``a.b``."""
+    """Every imported module of ``path`` with its line; ``from dpstack import b`` counts as ``dpstack.b`` too."""
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path))):
         if isinstance(node, ast.Import):
             for alias in node.names:

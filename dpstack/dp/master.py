@@ -38,7 +38,7 @@ _GC_URGENT: Final = 2
 #: The end: safe values for at least one cycle, and for so long, because drives look at their outputs only every 4 to
 #: 32 ms (drives, row D17) and Clear's zeros mean nothing to some of them (bit 10 of STW1).
 _SAFE_HOLD: Final = 50 * NS_PER_MS
-#: without a token for T_TR and so long nobody can be in data exchange any more
+#: without a token for T_TR and so long nobody can be in data exchange any more; an ordered end waits only so long
 _SILENCE: Final = NS_PER_S
 
 
@@ -191,6 +191,7 @@ class Master:
             self._stop(now)
         else:
             self._open = False  # the next hold begins the safe round
+            self._watch_at = self._quiet_at()
             self._gc_urgent = 0 if self.mode is Mode.OPERATE else _GC_URGENT
 
     def _stop(self, now: int) -> None:
@@ -205,6 +206,8 @@ class Master:
     def token_received(self, now: int) -> None:
         """A hold begins; so does a new round when the last one is through and the next one may."""
         self._token_at = now
+        if self._watch_at == NEVER:
+            self._watch_at = self._quiet_at()
         if not self._open and now >= self._not_before:
             self._begin_round(now)
 
@@ -337,21 +340,29 @@ class Master:
     # --- without a token ----------------------------------------------------------------------------------------
 
     def wake_at(self) -> int:
-        """The watch over the token: without one for a second nobody is in data exchange any more."""
+        """The watch over the token: without one for long nobody is in data exchange any more."""
+        return self._watch_at
+
+    def _quiet_at(self) -> int:
+        """When the present silence is too long; what was sent since the token came counts as its sign of life."""
         if self._stopped or self._token_at == NEVER:
             return NEVER
-        return max(self._token_at, self._poll_at, self._stopping) + self._silence
+        if self._stopping:
+            return max(self._token_at, self._poll_at, self._stopping) + _SILENCE
+        return max(self._token_at, self._poll_at) + self._silence
 
     def tick(self, now: int) -> None:
-        """No token for long: say so, or end an end that cannot be sent any more."""
-        if now < self.wake_at():
+        """No token for long: say so, or end an end that cannot be sent any more. (The watch is moved on only here.)"""
+        quiet_at = self._quiet_at()
+        if now < quiet_at:
+            self._watch_at = quiet_at
             return
         if self._stopping:
             self._stop(now)
         self._line_lost("this station holds no token", now)
 
     def _line_lost(self, reason: str, now: int) -> None:
-        self._token_at = NEVER
+        self._token_at = self._watch_at = NEVER
         self._open = False
         self._round_at = 0
         self._not_before = 0

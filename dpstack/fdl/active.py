@@ -211,11 +211,7 @@ class ActiveStation:
             stall = self._decoder.stall_at()
             if stall < at:
                 at = stall
-        for user in link.users:
-            wanted = user.wake_at()
-            if wanted < at:
-                at = wanted
-        return at
+        return at if at < link.users_at else link.users_at
 
     def wake(self, now: int) -> None:
         """Judge what is due (machine contract)."""
@@ -225,9 +221,11 @@ class ActiveStation:
         if link.tx is None and link.deadline <= now and link.busy_until <= now:
             link.deadline = NEVER
             link.row[Input.TIMEOUT](link, NONE, now)
-        for user in link.users:
-            if user.wake_at() <= now:
-                user.tick(now)
+        if link.users_at <= now:
+            for user in link.users:
+                if user.wake_at() <= now:
+                    user.tick(now)
+            link.ask_times()
 
     def _stalled(self, now: int) -> None:
         found = self._decoder.stalled(now)
@@ -294,10 +292,15 @@ class ActiveStation:
             case Input.LINE_UP:
                 link.line_is_down = False
         link.dispatch(what, NONE, now)
+        if what in (Input.LINE_DOWN, Input.LINE_UP):  # concerns everyone
+            for user in link.users:
+                user.command(command, now)
+            link.ask_times()
 
     def _offer(self, command: object, now: int) -> None:
         for user in self._link.users:
             if user.command(command, now):
+                self._link.ask_times()
                 return
         raise UsageError(f"nobody on this bus takes the command {command!r}: its user is not attached")
 

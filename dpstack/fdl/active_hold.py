@@ -35,6 +35,7 @@ def begin(link: Link, _: Telegram, now: int) -> None:
         _joined(link, now)
     for user in link.users:
         user.token_received(now)
+    link.ask_times()
     link.enter(State.CHECK_ACCESS_TIME)
     link.row[Input.CHECK](link, NONE, now)
 

@@ -114,6 +114,7 @@ class Link:
         "until",
         "user",
         "users",
+        "users_at",
         "wanted",
         "wrong",
     )  # fmt: skip
@@ -122,6 +123,7 @@ class Link:
         self.params = params
         self.ts = params.address
         self.users = tuple(users)
+        self.users_at = NEVER  # the earliest time a user wants its tick
         self.patience = patience
         self.rows = rows
         self.line = Line(params, now)
@@ -200,6 +202,10 @@ class Link:
         self.request = NO_REQUEST
         self.candidate = NONE
 
+    def ask_times(self) -> None:
+        """A user was called that may want its tick at another time now."""
+        self.users_at = min((user.wake_at() for user in self.users), default=NEVER)
+
     # --- states and sending -------------------------------------------------------------------------------------
     def enter(self, state: State) -> None:
         """Change state; the deadline of the old one is gone."""
@@ -243,6 +249,7 @@ class Link:
         self.end_exchange()
         if user is not None:
             user.result(request, Failure.ABANDONED, now)
+            self.ask_times()
 
     def go_idle(self, now: int) -> None:
         """Somebody else has the token: Active_Idle, or Offline when this was the last hold."""

@@ -97,7 +97,10 @@ class LinkUser(Protocol):
         """An order of the application; False when it is none of this user's."""
 
     def wake_at(self) -> int:
-        """When this user wants :meth:`tick`, in ns, or NEVER. (Deadlines that are not tied to the token.)"""
+        """When this user wants :meth:`tick`, in ns, or NEVER. (Deadlines that are not tied to the token.)
+
+        Asked after a token receipt, a tick, a command and an abandoned request: only these may move it.
+        """
 
     def tick(self, now: int) -> None:
         """The time asked for has come."""

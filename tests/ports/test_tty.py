@@ -177,7 +177,7 @@ async def test_a_held_port_names_its_holder(far: PtyFarEnd) -> None:
     assert holder.stdout is not None
     assert await holder.stdout.readline() == b"held\n"
     assert f"(pid {holder.pid})" in await _refused(port, PortBusyError)
-    await holder.communicate()
+    await holder.communicate(b"")
     await port.open()
     port.close()
     far.hang_up()

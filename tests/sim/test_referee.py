@@ -384,6 +384,21 @@ def test_who_heard_nothing_for_t_syn_may_begin(world: WorldFactory, bits: int, f
     w.referee.violations.clear()
 
 
+def test_a_token_that_noise_made_another_one_of_is_nobodys_fault(script: Script) -> None:
+    script.claim()
+    # 2 -> 2 becomes 2 -> 3: bit 0 of DA and its parity bit
+    script.world.faults.damage(lambda tx: tx.octets == TOKEN, octet=1, flips=0x202)
+    script.send("m2", 37, TOKEN)
+    assert "heard as the token 2 -> 3" in list(script.world.log)[-1].note
+    script.send("m3", 37, encode_sd1(5, 3, 0x49))
+    assert script.verdict() == []
+    script.at += 258 * 200 * BIT
+    script.send("m3", 37, encode_sd1(5, 3, 0x49))
+    assert script.verdict() == []
+    script.send("m2", 37, ASK)
+    assert script.verdict() == [Rule.RIGHT]
+
+
 def test_allowed_violations_are_kept_apart(script: Script) -> None:
     script.referee.allow(Rule.RIGHT, times=1)
     script.referee.allow(Rule.EARLY)

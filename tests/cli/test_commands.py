@@ -1,0 +1,253 @@
+"""The commands in this process: what they print, their exit codes, and one clear line for wrong use."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dpstack.cli.main import main
+
+PLANT = """
+[bus]
+port = "virtual"
+baud = 500000
+gap = 0
+
+[[slave]]
+name = "hoist"
+address = 3
+drive = "demag-dedrive"
+watchdog_ms = 200
+
+[[slave]]
+name = "raw"
+address = 9
+ident = 0x1234
+config = "20 10"
+"""
+
+
+@pytest.fixture
+def plant(tmp_path: Path) -> str:
+    path = tmp_path / "plant.toml"
+    path.write_text(PLANT, encoding="utf-8")
+    return str(path)
+
+
+Out = pytest.CaptureFixture[str]
+
+
+def call(*args: str) -> int:
+    """The exit code, also where argparse ends by itself."""
+    try:
+        return main(args)
+    except SystemExit as end:
+        return end.code if isinstance(end.code, int) else 1
+
+
+def lines(out: str) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in out.splitlines()]
+
+
+# --- run ------------------------------------------------------------------------------------------------------------
+
+
+def test_run_json_is_the_documented_one(plant: str, capsys: Out) -> None:
+    assert call("run", plant, "--rotations", "50", "--json", "--outputs", "9=5A") == 0
+    printed = capsys.readouterr()
+    assert printed.err == ""
+    told = lines(printed.out)
+    start, summary = told[0], told[-1]
+    assert set(start) == {"event", "time", "port", "baud", "driver"}
+    assert (start["event"], start["port"], start["baud"], start["driver"]) == ("start", "virtual", 500_000, "virtual")
+    assert start["time"].endswith("Z")
+    states = [e["state"] for e in told if e["event"] == "slave" and e["address"] == 3]
+    assert states == ["set_prm", "chk_cfg", "wait_ready", "data_exchange"]
+    diagnosis = next(e for e in told if e["event"] == "diagnosis" and e["address"] == 3)
+    assert "station_not_ready" in diagnosis["flags"]
+    assert diagnosis["texts"] == []
+    assert all(isinstance(e["t"], float) for e in told[1:])
+    assert summary["event"] == "summary"
+    assert summary["paced"] is True
+    assert 50 <= summary["rotations"] < 60
+    for name in ("rotation_us", "token_us"):
+        assert list(summary[name]) == ["min", "p50", "p99", "p999", "max"]
+    assert summary["rotation_us"]["p50"] == pytest.approx(1696, abs=1)  # counted by hand: 848 bits
+    raw = summary["slaves"]["9"]
+    assert raw["state"] == "data_exchange"
+    assert (raw["inputs"], raw["outputs"]) == ("5a", "5a")
+    assert (raw["retries"], raw["timeouts"]) == (0, 0)
+    assert raw["exchanges"] >= 50
+
+
+def test_run_in_clear_sends_zeros(plant: str, capsys: Out) -> None:
+    assert call("run", plant, "--rotations", "20", "--json", "--outputs", "9=5A", "--clear") == 0
+    summary = lines(capsys.readouterr().out)[-1]
+    assert summary["slaves"]["9"]["inputs"] == "00"
+
+
+def test_run_for_people(plant: str, capsys: Out) -> None:
+    assert call("run", plant, "--seconds", "0.3") == 0
+    out = capsys.readouterr().out
+    assert out.startswith("master 2 on virtual at 500 kbit/s\n")
+    assert "slave 3 (hoist): data_exchange" in out
+    assert "bus rotation time: min 16" in out
+
+
+def test_run_ends_with_1_when_a_slave_is_missing(plant: str, capsys: Out) -> None:
+    assert call("run", plant, "--seconds", "0.001", "--json") == 1
+    err = capsys.readouterr().err.splitlines()
+    assert err[0].startswith("dpstack: slave 3 (hoist) is not in data exchange: it is in ")
+    assert len(err) == 2
+
+
+# --- wrong use ------------------------------------------------------------------------------------------------------
+
+WRONG: list[tuple[list[str], int, str]] = [
+    ([], 2, "dpstack: the following arguments are required: COMMAND; see dpstack --help"),
+    (["scann"], 2, "dpstack: argument COMMAND: invalid choice: 'scann'"),
+    (["run"], 2, "dpstack run: the following arguments are required: CONFIG; see dpstack run --help"),
+    (["run", "nosuch.toml"], 2, "dpstack: nosuch.toml: there is no such file; "),
+    (["run", "PLANT", "--port", "/dev/nosuch"], 1, "dpstack: /dev/nosuch: no such port; "),
+    (["run", "PLANT", "--port", "/dev/null"], 1, "dpstack: /dev/null is no serial port but another device; "),
+    (["run", "PLANT", "--port", "what://x"], 1, "dpstack: what://x: ports are /dev/..., socket://host:port, "),
+    (["run", "PLANT", "--baud", "300"], 2, "dpstack run: argument --baud: 300 is no PROFIBUS rate, nearest is 9600;"),
+    (["run", "PLANT", "--baud", "x"], 2, "dpstack run: argument --baud: 'x' is no baud rate in bit/s, for instance"),
+    (["run", "PLANT", "--baud", "auto"], 2, 'dpstack run: argument --baud: "auto" is not supported yet by this ver'),
+    (["run", "PLANT", "--seconds", "0"], 2, "dpstack run: argument --seconds: '0' is no number of seconds above 0"),
+    (["run", "PLANT", "--rotations", "-1"], 2, "dpstack run: argument --rotations: '-1' is no whole number from 1"),
+    (["run", "PLANT", "--outputs", "9"], 2, "dpstack run: argument --outputs: '9' is not ADDRESS=HEX, for instance"),
+    (["run", "PLANT", "--outputs", "9=5"], 2, "dpstack run: argument --outputs: '9=5': an odd number of digits;"),
+    (["run", "PLANT", "--outputs", "9=5A5A"], 2, "dpstack: outputs for slave 9 (raw): 2 octets given; it has 1 oct"),
+    (["run", "PLANT", "--outputs", "7=5A"], 2, "dpstack: outputs for address 7: no slave has it; configured: 3, 9"),
+    (["run", "PLANT", "--driver", "process"], 2, "dpstack: --driver process is not supported yet by this version;"),
+    (["run", "PLANT", "--read-only"], 2, "dpstack: --read-only is not supported yet by this version; leave it out"),
+    (["sim", "PLANT"], 2, "dpstack sim: the following arguments are required: --port; see dpstack sim --help"),
+    (["sim", "--port", "pty"], 2, "dpstack: sim: neither CONFIG nor --drive NAME with --address A; give one of them"),
+    (["sim", "PLANT", "--drive", "x", "--port", "pty"], 2, "dpstack: sim: a CONFIG or --drive with --address, not bo"),
+    (["sim", "PLANT", "--port", "virtual"], 2, 'dpstack: port "virtual" has no other end; take "pty" or a device'),
+    (["sim", "PLANT", "--port", "/dev/nosuch"], 1, "dpstack: /dev/nosuch: no such port; "),
+    (
+        ["sim", "--drive", "fuji-frenik", "--address", "4", "--port", "pty"],
+        2,
+        "dpstack: sim: slave fuji-frenik: no drive is called 'fuji-frenik'; did you mean fuji-frenic?",
+    ),
+    (
+        ["sim", "--drive", "fuji-frenic", "--address", "4", "--telegram", "PPO9", "--port", "pty"],
+        2,
+        "dpstack: sim: slave fuji-frenic: fuji-frenic has no telegram 'PPO9'; it has PPO1, PPO2, PPO3, PPO4",
+    ),
+    (["sim", "--drive", "x", "--address", "126", "--port", "pty"], 2, "dpstack sim: argument --address: '126' is no"),
+    (["segment", "--stations", "1"], 2, "dpstack: 1 stations: a segment joins 2 to 64"),
+    (["segment", "--error-rate", "2"], 2, "dpstack segment: argument --error-rate: '2' is no probability, 0 up to 1"),
+    (["plan", "PLANT", "--baud", "7"], 2, "dpstack plan: argument --baud: 7 is no PROFIBUS rate, nearest is 9600;"),
+    (["demo", "--baud", "7"], 2, "dpstack demo: argument --baud: 7 is no PROFIBUS rate, nearest is 9600; see dpstack"),
+]
+
+
+@pytest.mark.parametrize(("args", "code", "line"), WRONG, ids=[" ".join(args) or "nothing" for args, _, _ in WRONG])
+def test_wrong_use_gets_one_clear_line(plant: str, capsys: Out, args: list[str], code: int, line: str) -> None:
+    assert call(*(plant if arg == "PLANT" else arg for arg in args)) == code
+    printed = capsys.readouterr()
+    assert printed.err.startswith(line)
+    assert printed.err.count("\n") == 1
+    assert printed.out == ""
+
+
+def test_a_bad_configuration_is_one_line_and_2(tmp_path: Path, capsys: Out) -> None:
+    path = tmp_path / "bad.toml"
+    path.write_text(PLANT.replace("address = 9", "address = 3"), encoding="utf-8")
+    for command in ("run", "plan"):
+        assert call(command, str(path)) == 2
+        err = capsys.readouterr().err
+        assert err == (
+            f"dpstack: {path}:15: slaves hoist and raw both have address 3; give one of them another address\n"
+        )
+
+
+@pytest.mark.parametrize("command", ["demo", "run", "sim", "segment", "plan"])
+def test_help_has_an_example(command: str, capsys: Out) -> None:
+    assert call(command, "--help") == 0
+    assert f"example: dpstack {command}" in capsys.readouterr().out
+
+
+# --- plan -----------------------------------------------------------------------------------------------------------
+
+
+def test_plan_json(plant: str, capsys: Out) -> None:
+    assert call("plan", plant, "--json") == 0
+    (plan,) = lines(capsys.readouterr().out)
+    assert plan["baud"] == 500_000
+    assert plan["rotation_us"]["min"] == 1696.0
+    assert set(plan["rotation_us"]) == {"min", "typical", "max"}
+    assert plan["parameters"]["t_sl"] == 200
+    assert [s["address"] for s in plan["slaves"]] == [3, 9]
+    assert plan["slaves"][0]["watchdog_ms"] == 200
+    assert "F2062" in plan["slaves"][0]["on_loss"]
+    assert plan["findings"] == []
+
+
+def test_plan_of_all_rates(plant: str, capsys: Out) -> None:
+    assert call("plan", plant, "--baud", "all", "--json") == 1  # at 9.6 kbit/s 200 ms are too short a watchdog
+    (plans,) = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [p["baud"] for p in plans][:3] == [9600, 19_200, 31_250]
+    assert len(plans) == 11
+    assert any("its watchdog of 200 ms is shorter" in f for f in plans[0]["findings"])
+    assert any("does not know 31.25 kbit/s" in f for f in plans[2]["findings"])
+    assert plans[6]["findings"] == []
+
+
+def test_plan_for_people(plant: str, capsys: Out) -> None:
+    assert call("plan", plant) == 0
+    out = capsys.readouterr().out
+    assert "T_SL       200        400.0" in out
+    assert "shortest  848        1.696 ms" in out
+    assert "nothing is out of bounds" in out
+    assert call("plan", plant, "--baud", "all") == 1
+    assert "500 kbit/s    1.696 ms" in capsys.readouterr().out
+
+
+# --- demo -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("baud", ["500000", "12000000", "19200"])
+def test_demo_fast(baud: str, capsys: Out) -> None:
+    assert call("demo", "--fast", "--json", "--baud", baud) == 0
+    printed = capsys.readouterr()
+    assert printed.err == ""
+    told = lines(printed.out)
+    assert told[0]["event"] == "start"
+    summary = told[-1]
+    assert summary["event"] == "summary"
+    assert summary["stories"] == {"ended": 2, "of": 2}
+    assert summary["rotation_us"]["p50"] == pytest.approx(summary["planned_us"], rel=0.02)
+    story = [e["text"] for e in told if e["event"] == "story" and e["name"] == "demag"]
+    assert story[0] == "in data exchange"
+    assert story[-1] == "the end"
+    assert any("parameter 412 (local/remote) is 44" in text for text in story)
+    assert all(s["state"] == "data_exchange" for s in summary["slaves"].values())
+
+
+def test_demo_for_people_goes_on_as_long_as_asked(capsys: Out) -> None:
+    assert call("demo", "--fast", "--seconds", "6") == 0
+    out = capsys.readouterr().out
+    assert "planned 1.828 ms, measured 1.8" in out
+    assert "rotations in 6.0" in out
+
+
+def test_demo_says_which_story_failed(capsys: Out, monkeypatch: pytest.MonkeyPatch) -> None:
+    from dpstack.api.drive import Drive
+    from dpstack.cli import stories
+    from dpstack.errors import DriveError
+
+    async def fails(drive: Drive, tell: stories.Tell) -> None:
+        raise DriveError(drive.name, "it will not")
+
+    monkeypatch.setitem(stories.STORIES, "fuji-frenic", stories.Story(fails, "PPO3"))
+    assert call("demo", "--fast", "--json") == 1
+    printed = capsys.readouterr()
+    assert printed.err == "dpstack: it will not\n"
+    assert lines(printed.out)[-1]["stories"] == {"ended": 1, "of": 2}

@@ -1,0 +1,250 @@
+"""The program as users start it: several processes on one segment, signals, a simulator that dies and comes back.
+
+Assert what happens, never when: the figures belong to the benchmarks.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import re
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+PLANT = """
+[bus]
+port = "{port}"
+baud = 500000
+
+[[slave]]
+name = "hoist"
+address = 3
+drive = "demag-dedrive"
+
+[[slave]]
+name = "fan"
+address = 4
+drive = "fuji-frenic"
+ident = "ask"
+telegram = "PPO3"
+
+[[slave]]
+name = "raw"
+address = 9
+ident = 0x1234
+config = "20 10"
+"""
+
+
+class Program:
+    """One ``dpstack`` process; its output goes to files, so that it never waits for a reader."""
+
+    def __init__(self, folder: Path, *args: str) -> None:
+        self._out = folder / f"out{len(list(folder.iterdir()))}"
+        with self._out.open("wb") as out, self._out.with_suffix(".err").open("wb") as err:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "dpstack.cli.main", *args], stdout=out, stderr=err, stdin=subprocess.DEVNULL
+            )
+
+    @property
+    def out(self) -> str:
+        return self._out.read_text(encoding="utf-8")
+
+    @property
+    def err(self) -> str:
+        return self._out.with_suffix(".err").read_text(encoding="utf-8")
+
+    @property
+    def lines(self) -> list[dict[str, Any]]:
+        return [json.loads(line) for line in self.out.splitlines() if line.endswith("}")]
+
+    def wait_for(self, text: str, times: int = 1, limit: float = 20.0) -> None:
+        end = time.monotonic() + limit
+        while self.out.count(text) < times:
+            assert self.process.poll() is None, f"ended with {self.process.returncode}: {self.out}{self.err}"
+            assert time.monotonic() < end, f"{text!r} not seen in: {self.out}{self.err}"
+            time.sleep(0.02)
+
+    def end(self, number: int | None = None, limit: float = 20.0) -> int:
+        if number is not None:
+            self.process.send_signal(number)
+        return self.process.wait(limit)
+
+
+class Starter:
+    """Starts programs and sees to it that none is left."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._programs: list[Program] = []
+
+    def __call__(self, *args: str) -> Program:
+        program = Program(self.folder, *args)
+        self._programs.append(program)
+        return program
+
+    def close(self) -> None:
+        for program in self._programs:
+            if program.process.poll() is None:
+                program.process.kill()
+            program.process.wait()
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Starter]:
+    folder = tmp_path / "output"
+    folder.mkdir()
+    starter = Starter(folder)
+    yield starter
+    starter.close()
+
+
+@pytest.fixture
+def segment(tmp_path: Path, start: Starter) -> Path:
+    directory = tmp_path / "bus"
+    program = start("segment", "--stations", "2", "--dir", str(directory))
+    program.wait_for(str(directory / "1"))
+    return directory
+
+
+def plant(tmp_path: Path, port: object) -> str:
+    path = tmp_path / "plant.toml"
+    path.write_text(PLANT.format(port=port), encoding="utf-8")
+    return str(path)
+
+
+def test_a_plant_on_a_segment(tmp_path: Path, start: Starter, segment: Path) -> None:
+    config = plant(tmp_path, segment / "1")
+    sim = start("sim", config, "--port", str(segment / "0"))
+    sim.wait_for("raw")
+    run = start("run", config, "--seconds", "2", "--json", "--outputs", "9=5A")
+    assert run.end() == 0
+    assert run.err == ""
+    summary = run.lines[-1]
+    assert summary["event"] == "summary"
+    assert summary["paced"] is False
+    assert all(s["state"] == "data_exchange" for s in summary["slaves"].values())
+    assert all(s["exchanges"] > 50 for s in summary["slaves"].values())
+    assert summary["slaves"]["9"]["inputs"] == "5a"
+    assert sim.end(signal.SIGTERM) == 0
+    assert "Slaves" in sim.out
+    assert sim.err == ""
+
+
+def test_the_simulator_dies_and_comes_back(tmp_path: Path, start: Starter, segment: Path) -> None:
+    config = plant(tmp_path, segment / "1")
+    sim = start("sim", config, "--port", str(segment / "0"))
+    sim.wait_for("raw")
+    run = start("run", config, "--json")
+    run.wait_for('"state":"data_exchange"', 3)
+    sim.end(signal.SIGKILL)
+    run.wait_for('"kind":"lost"', 3)
+    start("sim", config, "--port", str(segment / "0")).wait_for("raw")
+    run.wait_for('"state":"data_exchange"', 6)
+    assert run.end(signal.SIGINT) == 0
+    assert all(s["state"] == "data_exchange" for s in run.lines[-1]["slaves"].values())
+
+
+def test_a_pty_made_by_sim(tmp_path: Path, start: Starter) -> None:
+    sim = start("sim", "--drive", "fuji-frenic", "--address", "4", "--telegram", "PPO3", "--port", "pty", "--json")
+    sim.wait_for("}")
+    first = sim.lines[0]
+    assert set(first) == {"port"}
+    text = PLANT.format(port="/dev/elsewhere")
+    fan_only = text[: text.index("[[slave]]")] + text[text.index('[[slave]]\nname = "fan"') : text.rindex("[[slave]]")]
+    config = tmp_path / "fan.toml"
+    config.write_text(fan_only, encoding="utf-8")
+    run = start("run", str(config), "--port", first["port"], "--json")
+    run.wait_for('"state":"data_exchange"')
+    assert run.end(signal.SIGTERM) == 0
+    assert run.lines[0]["port"] == first["port"]
+    assert sim.end(signal.SIGINT) == 0
+    told = sim.lines
+    assert [e["state"] for e in told if e.get("event") == "slave"][:2] == ["wait_cfg", "data_exchange"]
+    assert told[-1]["event"] == "summary"
+    assert told[-1]["slaves"]["4"]["exchanges"] > 0
+
+
+def test_the_end_leaves_safe_outputs(tmp_path: Path, start: Starter, segment: Path) -> None:
+    config = plant(tmp_path, segment / "1")
+    start("sim", config, "--port", str(segment / "0")).wait_for("raw")
+    run = start("run", config, "--json")
+    run.wait_for('"state":"data_exchange"', 3)
+    assert run.end(signal.SIGTERM) == 0
+    told = run.lines
+    assert [e["mode"] for e in told if e["event"] == "mode"] == ["operate", "clear", "offline"]
+    assert told[-2]["event"] == "ring"
+    assert told[-1]["event"] == "summary"
+
+
+def test_the_port_vanishes(tmp_path: Path, start: Starter) -> None:
+    directory = tmp_path / "bus"
+    segment = start("segment", "--stations", "2", "--dir", str(directory))
+    segment.wait_for(str(directory / "1"))
+    config = plant(tmp_path, directory / "1")
+    sim = start("sim", config, "--port", str(directory / "0"))
+    sim.wait_for("raw")
+    run = start("run", config, "--json")
+    run.wait_for('"state":"data_exchange"', 3)
+    segment.end(signal.SIGTERM)
+    run.wait_for('"lost":true')
+    start("segment", "--stations", "2", "--dir", str(directory)).wait_for(str(directory / "1"))
+    run.wait_for('"lost":false')
+    run.wait_for('"state":"data_exchange"', 6)
+    assert run.end(signal.SIGINT) == 0
+    assert run.err == ""
+
+
+def test_a_bus_without_slaves_ends_with_1(tmp_path: Path, start: Starter, segment: Path) -> None:
+    run = start("run", plant(tmp_path, segment / "1"), "--seconds", "1", "--json")
+    assert run.end() == 1
+    errors = run.err.splitlines()
+    assert len(errors) == 3
+    assert errors[0].startswith("dpstack: slave 3 (hoist) is not in data exchange: no answer from address 3")
+
+
+def test_a_held_port_names_its_holder(tmp_path: Path, start: Starter, segment: Path) -> None:
+    config = plant(tmp_path, segment / "1")
+    sim = start("sim", config, "--port", str(segment / "1"))
+    sim.wait_for("raw")
+    run = start("run", config, "--seconds", "1")
+    assert run.end() == 1
+    assert "is held by" in run.err
+    assert str(sim.process.pid) in run.err
+    assert run.err.count("\n") == 1
+
+
+def test_the_demo_on_a_terminal() -> None:
+    """A live table, and the end as promised."""
+    child, terminal = pty.fork()
+    if child == 0:
+        os.environ["TERM"] = "xterm"
+        os.environ["COLUMNS"] = "100"
+        os.execv(sys.executable, [sys.executable, "-m", "dpstack.cli.main", "demo"])
+    shown = b""
+    end = time.monotonic() + 60
+    while time.monotonic() < end:
+        if select.select([terminal], [], [], 0.5)[0]:
+            try:
+                chunk = os.read(terminal, 65_536)
+            except OSError:  # the child is gone
+                break
+            if not chunk:
+                break
+            shown += chunk
+    _, status = os.waitpid(child, 0)
+    os.close(terminal)
+    text = re.sub(rb"\x1b\[[0-9;?]*[A-Za-z]", b"", shown).decode()
+    assert os.waitstatus_to_exitcode(status) == 0, text[-2000:]
+    assert "the end" in text
+    assert "running" in text
+    assert "planned 1.828 ms" in text

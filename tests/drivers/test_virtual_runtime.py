@@ -1,0 +1,285 @@
+"""The virtual driver: exact in a VirtualLoop, held back to real time in an ordinary loop."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+
+import pytest
+from bus_kit import mirror, setup
+from support import MS, Dummy
+
+from dpstack.dp.commands import Mode, SetMode
+from dpstack.dp.events import SlaveState, SlaveStateChanged
+from dpstack.dp.master import Master
+from dpstack.drivers.base import Runtime
+from dpstack.drivers.virtual import VirtualRuntime
+from dpstack.drivers.virtual_loop import run
+from dpstack.errors import UsageError
+from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.commands import GoOnline
+from dpstack.params import BusParams
+from dpstack.sim.world import World
+from dpstack.trace import Event, Notice
+
+PARAMS = BusParams.preset(500_000, address=2, hsa=10)
+ASK = bytes.fromhex("10 05 02 49 50 16")
+
+
+class Breaks(Dummy):
+    """Its machine raises when it is woken."""
+
+    def wake(self, now: int) -> None:
+        raise ZeroDivisionError("a defect")
+
+
+class Plant:
+    """A master on a runtime, slaves in the world."""
+
+    def __init__(self) -> None:
+        self.world = World()
+        for address in (5, 6):
+            self.world.add(mirror(address, PARAMS))
+        self.master = Master(PARAMS, [setup(5), setup(6)])
+        self.station = ActiveStation(PARAMS, [self.master])
+        self.events: list[Event] = []
+        self.up = asyncio.Event()
+        self.runtime = VirtualRuntime(self.world, self.station, self.take)
+
+    def take(self, events: list[Event]) -> None:
+        self.events += events
+        states = [event.state for event in self.events if isinstance(event, SlaveStateChanged)]
+        if states.count(SlaveState.DATA_EXCHANGE) == 2:
+            self.up.set()
+
+    async def bring_up(self) -> None:
+        await self.runtime.open()
+        self.runtime.command(GoOnline())
+        self.runtime.command(SetMode(Mode.OPERATE))
+        await self.up.wait()
+
+    def check(self) -> None:
+        assert self.world.referee is not None
+        self.world.referee.check()
+
+
+async def story() -> tuple[list[bytes], int]:
+    """A program: bring two slaves up, talk to them, go."""
+    plant = Plant()
+    await plant.bring_up()
+    seen = []
+    for number in range(3):
+        plant.master.images[5].outputs = bytes([number] * 12)
+        await asyncio.sleep(0.01)
+        seen.append(plant.master.images[5].inputs)
+    await plant.runtime.close()
+    plant.check()
+    return seen, plant.runtime.now()
+
+
+def test_it_is_a_runtime() -> None:
+    runtime: Runtime = VirtualRuntime(World(), Dummy(), list.clear)
+    assert runtime.paced
+    assert runtime.port_name == "virtual"
+
+
+def test_in_a_virtual_loop_the_course_is_always_the_same() -> None:
+    seen, end = run(story())
+    assert seen == [bytes([number] * 12) for number in range(3)]
+    assert run(story()) == (seen, end)
+    assert run(story(), paced=True) == (seen, end)
+
+
+async def test_in_an_ordinary_loop_the_world_goes_at_real_time() -> None:
+    began = time.monotonic_ns()
+    plant = Plant()
+    await plant.bring_up()
+    await asyncio.sleep(0.1)
+    real = time.monotonic_ns() - began
+    assert plant.runtime.now() <= real
+    assert plant.master.images[5].valid
+    await plant.runtime.close()
+    stopped = plant.runtime.now()
+    await asyncio.sleep(0.02)
+    assert plant.runtime.now() == stopped
+    plant.check()
+
+
+async def test_in_an_ordinary_loop_what_was_missed_is_not_skipped() -> None:
+    plant = Plant()
+    await plant.bring_up()
+    before = plant.runtime.now()
+    compute(0.25)  # the application blocks the loop
+    await asyncio.sleep(0.05)
+    # 200 ms of the 250 were forgotten: virtual time fell behind, and no slave was lost
+    assert plant.runtime.now() - before < 200 * MS
+    assert not [
+        event for event in plant.events if isinstance(event, SlaveStateChanged) and event.state is SlaveState.FAULT
+    ]
+    await plant.runtime.close()
+    plant.check()
+
+
+def compute(seconds: float) -> None:
+    time.sleep(seconds)
+
+
+async def test_a_world_too_big_for_the_machine_leaves_the_loop_alive() -> None:
+    world = World()
+    beats = 0
+
+    def beat() -> None:
+        nonlocal beats
+        beats += 1
+        world.call_at(world.now + 1, beat)  # a thousand million a second
+
+    world.call_at(0, beat)
+    runtime = VirtualRuntime(world, Dummy(), list.clear)
+    await runtime.open()
+    turns = 0
+    began = time.monotonic()
+    while time.monotonic() - began < 0.1:
+        await asyncio.sleep(0)
+        turns += 1
+    await runtime.close()
+    assert turns > 10
+    assert beats > 1_000
+    assert runtime.now() < 50 * MS
+
+
+async def test_a_command_wakes_a_resting_world() -> None:
+    class Obeys(Dummy):
+        def command(self, command: object, now: int) -> None:
+            assert isinstance(command, bytes)
+            self.plan.append((now, command))
+
+    world = World()
+    assert world.referee is not None
+    world.referee.token_rules = False
+    heard = Dummy(5)
+    world.add(heard)
+    runtime = VirtualRuntime(world, Obeys(2), list.clear)
+    await runtime.open()
+    await asyncio.sleep(0.03)
+    runtime.command(ASK)
+    async with asyncio.timeout(5):
+        while not heard.heard:
+            await asyncio.sleep(0.001)
+    await runtime.close()
+
+
+@pytest.mark.parametrize("virtual", [True, False])
+def test_two_runtimes_share_one_world(virtual: bool) -> None:
+    async def main() -> None:
+        world = World()
+        stations = [ActiveStation(PARAMS.replace(address=address), []) for address in (2, 3)]
+        runtimes = [VirtualRuntime(world, station, list.clear) for station in stations]
+        for runtime in runtimes:
+            await runtime.open()
+            runtime.command(GoOnline())
+        async with asyncio.timeout(20):
+            while not all(station.las == {2, 3} for station in stations):
+                await asyncio.sleep(0.01)
+        await runtimes[0].close()
+        async with asyncio.timeout(20):
+            while stations[1].las != {3}:
+                await asyncio.sleep(0.01)
+        await runtimes[1].close()
+
+    if virtual:
+        run(main())
+    else:
+        asyncio.run(main())
+
+
+@pytest.mark.parametrize("virtual", [True, False])
+def test_a_defect_stops_the_world_and_is_told(virtual: bool) -> None:
+    async def main() -> None:
+        failures: list[Exception] = []
+        told = asyncio.Event()
+
+        def failed(exc: Exception) -> None:
+            failures.append(exc)
+            told.set()
+
+        world = World()
+        runtime = VirtualRuntime(world, Breaks(plan=[(5 * MS, b"")]), list.clear, on_failure=failed)
+        await runtime.open()
+        async with asyncio.timeout(10):
+            await told.wait()
+        await asyncio.sleep(0.05)
+        assert [type(failure) for failure in failures] == [ZeroDivisionError]
+        assert world.now == 5 * MS
+        await runtime.close()
+
+    if virtual:
+        run(main())
+    else:
+        asyncio.run(main())
+
+
+def test_without_on_failure_a_virtual_loop_raises_it() -> None:
+    async def main() -> None:
+        runtime = VirtualRuntime(World(), Breaks(plan=[(5 * MS, b"")]), list.clear)
+        await runtime.open()
+        await asyncio.sleep(1)
+
+    with pytest.raises(ZeroDivisionError):
+        run(main())
+
+
+async def test_without_on_failure_an_ordinary_loops_handler_is_told() -> None:
+    contexts: list[dict[str, object]] = []
+    asyncio.get_running_loop().set_exception_handler(lambda _, context: contexts.append(context))
+    runtime = VirtualRuntime(World(), Breaks(plan=[(1, b"")]), list.clear)
+    await runtime.open()
+    await asyncio.sleep(0.05)
+    await runtime.close()
+    assert [context["message"] for context in contexts] == ["the simulated bus stands still"]
+
+
+def test_an_event_handler_that_raises_does_not_stop_the_bus() -> None:
+    contexts: list[dict[str, object]] = []
+
+    async def main() -> None:
+        asyncio.get_running_loop().set_exception_handler(lambda _, context: contexts.append(context))
+        world = World()
+        station = Dummy(events=[Notice(t_ns=0, source="x", message="y")])
+
+        def handler(events: list[Event]) -> None:
+            raise KeyError("application")
+
+        runtime = VirtualRuntime(world, station, handler)
+        await runtime.open()
+        await asyncio.sleep(1)
+        assert world.now == 1_000 * MS
+        await runtime.close()
+
+    run(main())
+    assert [context["message"] for context in contexts] == ["virtual: the application's event handler raised"]
+
+
+async def test_misuse_is_told() -> None:
+    runtime = VirtualRuntime(World(), Dummy(), list.clear)
+    with pytest.raises(UsageError, match="virtual is not open"):
+        runtime.command(GoOnline())
+    await runtime.close()
+    await runtime.open()
+    with pytest.raises(UsageError, match="open already"):
+        await runtime.open()
+    await runtime.close()
+
+
+def test_a_world_belongs_to_one_loop_at_a_time() -> None:
+    world = World()
+    first = VirtualRuntime(world, Dummy(5), list.clear)
+    second = VirtualRuntime(world, Dummy(6), list.clear)
+    loop = asyncio.new_event_loop()
+    loop.run_until_complete(first.open())
+    with pytest.raises(UsageError, match="driven by another event loop"):
+        run(second.open())
+    loop.run_until_complete(first.close())
+    loop.close()
+    run(second.open())  # and never closed: the loop is gone, the world may be taken over
+    third = VirtualRuntime(world, Dummy(7), list.clear)
+    run(third.open())
