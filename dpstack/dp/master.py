@@ -90,6 +90,7 @@ class Master:
         self._stopped = False
         self._leaving: deque[tuple[SlaveHandler, int]] = deque()
         self._token_at = NEVER
+        self._watch_at = NEVER
         # at 9.6 kbit/s one rotation may rightly take T_TR = 5 s
         self._silence = _SILENCE + params.ns(params.t_tr)
         for setup in slaves:
