@@ -2,7 +2,6 @@
 PYTHON ?= python3
 VENV := .venv
 PY := $(VENV)/bin/python
-SECONDS ?= 10
 
 .NOTPARALLEL:
 .PHONY: help demo test check soak clean
@@ -14,7 +13,7 @@ help:
 	@echo "make soak    the long runs"
 
 demo: $(VENV)/.core
-	$(VENV)/bin/dpstack demo --seconds $(SECONDS)
+	$(VENV)/bin/dpstack demo
 
 test: $(VENV)/.test
 	$(PY) -m pytest -m "not soak"

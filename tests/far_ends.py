@@ -42,6 +42,9 @@ class FarEnd:
             return os.read(self.fd, 65_536)
         return b""
 
+    def stall(self) -> None:
+        """Read nothing any more; a descriptor is read by the tests only, so nothing is to be done."""
+
     async def recv(self, count: int) -> bytes:
         got = b""
         async with asyncio.timeout(10):
@@ -118,7 +121,8 @@ class Rfc2217FarEnd(FarEnd):
         self._manager: Any = None
         self._client: socket.socket | None = None
         self._got = bytearray()
-        self._clients = 0
+        self._reading = threading.Event()
+        self._reading.set()
         threading.Thread(target=self._serve, daemon=True).start()
 
     def write(self, octets: bytes) -> None:
@@ -139,7 +143,11 @@ class Rfc2217FarEnd(FarEnd):
         if client is not None:
             client.shutdown(socket.SHUT_RDWR)
 
+    def stall(self) -> None:
+        self._reading.clear()
+
     def shut(self) -> None:
+        self._reading.set()
         self._listener.shutdown(socket.SHUT_RDWR)
         self._listener.close()
         self.line.close()
@@ -156,6 +164,7 @@ class Rfc2217FarEnd(FarEnd):
                 with contextlib.suppress(OSError):
                     while chunk := client.recv(4096):
                         self._got += b"".join(self._manager.filter(chunk))
+                        self._reading.wait()
 
 
 def set_rate(fd: int, speed: int) -> None:

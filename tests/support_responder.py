@@ -8,7 +8,7 @@ status and the DP services needed for data exchange are answered, a repeated fra
 SPEC is ``ADDRESS:IDENT:IDENTIFIERS:INPUTS:OUTPUTS[,key=value...]``: ident and identifier octets in hex, lengths in
 octets. Inputs mirror the outputs. Keys: ``refuse=prm`` or ``refuse=cfg`` (the fault shows in the diagnosis),
 ``owner=N`` (locked to master N from the start), ``answer=N`` (Data_Exchange answers have N octets), ``dies=N`` (silent
-after N data exchanges), ``inputs=HEX`` (fixed inputs instead of the mirror).
+after N data exchanges), ``fixed=HEX`` (these inputs instead of the mirror).
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Slave:
         self.outputs = bytes(outputs)
         self.output_count = outputs
         self.answer_count = int(keys.get("answer", inputs))
-        self.fixed_inputs = bytes.fromhex(keys["inputs"]) if "inputs" in keys else None
+        self.fixed_inputs = bytes.fromhex(keys["fixed"]) if "fixed" in keys else None
         self.refuse = keys.get("refuse", "")
         self.dies = int(keys.get("dies", 0))
         self.owner = int(keys.get("owner", 255))

@@ -13,6 +13,7 @@ from typing import Final, Protocol
 from dpstack.api.compose import attach_core, compose, simulated
 from dpstack.api.config import Config, load_config, make_config, slave_config
 from dpstack.api.drive import Drive
+from dpstack.api.joining import why_not_joined
 from dpstack.api.slave import Slave
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.api.statistics import BusStats, collect
@@ -70,14 +71,10 @@ def open_bus(
         if port is None and world is None:
             raise ConfigError('open_bus: no port; give for instance port="/dev/ttyUSB0", or "virtual"')
         made = make_config(port or "virtual", baud, 2 if address is None else address, slaves, bus=bus)
-        return Bus(made, on_event=on_event, join_timeout=join_timeout, world=world)
-    read = config if isinstance(config, Config) else load_config(config)
-    return Bus(
-        read.with_bus(port=port, baud=baud, address=address, **bus).with_slaves(slaves),
-        on_event=on_event,
-        join_timeout=join_timeout,
-        world=world,
-    )
+    else:
+        made = config if isinstance(config, Config) else load_config(config)
+        made = made.with_bus(port=port, baud=baud, address=address, **bus).with_slaves(slaves)
+    return Bus(made, on_event=on_event, join_timeout=join_timeout, world=world)
 
 
 class Bus:
@@ -150,7 +147,7 @@ class Bus:
         try:
             for note in (*self.plan.findings, *self.plan.notes):
                 self._tell(Notice(t_ns=self.started_ns, source="plan", message=note, severity=Severity.WARNING))
-            self.runtime.command(GoOnline())
+            self._hand_on(GoOnline())
             await self._join()
         except BaseException:
             await self.close()
@@ -160,24 +157,12 @@ class Bus:
         try:
             await self.until(self._joined, self._join_timeout)
         except TimeoutError:
-            raise BusError(self._why_not_joined()) from None
+            raise BusError(why_not_joined(self.station, self._join_timeout)) from None
 
     def _joined(self) -> bool:
         if self._collision is not None:
             raise BusError(self._collision)
         return self.station.in_ring
-
-    def _why_not_joined(self) -> str:
-        after = f"station {self.params.address} is not in the token ring after {self._join_timeout:g} s"
-        others = sorted(self.station.las - {self.params.address})
-        if others:
-            return (
-                f"{after}: masters {', '.join(map(str, others))} do not let it in; "
-                f"their HSA must be {self.params.address} or more and their GAP on"
-            )
-        if self.station.decoder_stats.octets:
-            return f"{after}: what is heard is no PROFIBUS at this rate; check the baud rate, A and B, the termination"
-        return f"{after}: nothing is heard and nothing could be sent; check port and cable"
 
     async def close(self) -> None:
         """The ordered end: safe values for one cycle, Clear twice, out of the ring, port released. May be repeated."""
@@ -189,6 +174,7 @@ class Bus:
         if self._open:
             limit = _END_TIMEOUT_S + 10 * self.rotation_limit_s
             await self._ordered(Shutdown(), lambda: self._stopped, limit)
+            self._left = not self.station.in_ring  # it may have left and come back before
             await self._ordered(GoOffline(), lambda: self._left, limit)
             await self._drained()
         self._open = False
@@ -202,7 +188,7 @@ class Bus:
     async def _ordered(self, command: object, done: Callable[[], bool], limit: float) -> None:
         """One step of the end; a bus that can no longer do it does not hold the program up."""
         with contextlib.suppress(TimeoutError, DpError):
-            self.runtime.command(command)
+            self._hand_on(command)
             await self.until(done, limit)
 
     async def _drained(self) -> None:
@@ -238,7 +224,15 @@ class Bus:
         """Hand an order to the machine. Raises UsageError when the bus is not open."""
         if not self._open:
             raise UsageError("the bus is not open: use it inside `async with open_bus(...)`")
-        self.runtime.command(command)
+        self._hand_on(command)
+
+    def _hand_on(self, command: object) -> None:
+        try:
+            self.runtime.command(command)
+        except BusError:
+            if self._failure is not None:
+                raise self._failure from None
+            raise
 
     async def ready(self, timeout: float | None = 5.0) -> None:
         """Wait until every slave is in data exchange. Raises SlaveFault or SlaveTimeout for the first that is not."""
@@ -383,7 +377,9 @@ class Bus:
 
     def _on_failure(self, error: Exception) -> None:
         """The machine raised, which is a defect of ours: everybody who waits is told."""
-        self._failure = BusError(f"the bus was stopped by a defect in dpstack ({type(error).__name__}: {error})")
+        self._failure = BusError(
+            f"the bus was stopped by a defect in dpstack ({type(error).__name__}: {error}); please report it"
+        )
         self._failure.__cause__ = error
         self._tell(Notice(t_ns=self.runtime.now(), source="bus", message=str(self._failure), severity=Severity.ERROR))
         for drive in self._drives.values():

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+import traceback
 from collections.abc import Sequence
 from typing import NoReturn
 
@@ -17,6 +18,8 @@ from dpstack.errors import ConfigError, DpError, UsageError
 
 _COMMANDS = (demo, run, sim, segment, plan)
 _INTERRUPTED = 130
+#: set to anything: errors are shown with where they come from
+_DEBUG = "DPSTACK_DEBUG"
 
 
 class Parser(argparse.ArgumentParser):
@@ -61,6 +64,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _say(error: Exception, code: int) -> int:
     text = " ".join(str(error).split())
+    if os.environ.get(_DEBUG):
+        traceback.print_exception(error)
     print(f"dpstack: {text}", file=sys.stderr)
     return code
 

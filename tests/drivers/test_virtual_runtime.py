@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections.abc import Callable
 
 import pytest
 from bus_kit import mirror, setup
@@ -56,7 +57,8 @@ class Plant:
         await self.runtime.open()
         self.runtime.command(GoOnline())
         self.runtime.command(SetMode(Mode.OPERATE))
-        await self.up.wait()
+        async with asyncio.timeout(20):
+            await self.up.wait()
 
     def check(self) -> None:
         assert self.world.referee is not None
@@ -75,6 +77,15 @@ async def story() -> tuple[list[bytes], int]:
     await plant.runtime.close()
     plant.check()
     return seen, plant.runtime.now()
+
+
+async def until(reached: Callable[[], bool]) -> None:
+    """Look every few milliseconds of the loop's time."""
+    for _ in range(4_000):
+        if reached():
+            return
+        await asyncio.sleep(0.005)
+    raise AssertionError("never reached")
 
 
 def test_it_is_a_runtime() -> None:
@@ -162,9 +173,7 @@ async def test_a_command_wakes_a_resting_world() -> None:
     await runtime.open()
     await asyncio.sleep(0.03)
     runtime.command(ASK)
-    async with asyncio.timeout(5):
-        while not heard.heard:
-            await asyncio.sleep(0.001)
+    await until(lambda: bool(heard.heard))
     await runtime.close()
 
 
@@ -177,13 +186,9 @@ def test_two_runtimes_share_one_world(virtual: bool) -> None:
         for runtime in runtimes:
             await runtime.open()
             runtime.command(GoOnline())
-        async with asyncio.timeout(20):
-            while not all(station.las == {2, 3} for station in stations):
-                await asyncio.sleep(0.01)
+        await until(lambda: all(station.las == {2, 3} for station in stations))
         await runtimes[0].close()
-        async with asyncio.timeout(20):
-            while stations[1].las != {3}:
-                await asyncio.sleep(0.01)
+        await until(lambda: stations[1].las == {3})
         await runtimes[1].close()
 
     if virtual:

@@ -114,7 +114,8 @@ class PortContract:
         assert not heard.lost
 
     async def test_a_full_line_drops_and_counts_and_does_not_wait(self, both: tuple[Port, Any], heard: Heard) -> None:
-        port = both[0]
+        port, far = both
+        far.stall()
         for _ in range(100_000):
             if not port.write(bytes(250)):
                 break
@@ -233,6 +234,9 @@ class MemoryFarEnd:
 
     async def recv(self, _count: int) -> bytes:
         return self._far.read_now()
+
+    def stall(self) -> None:
+        """It reads only when asked."""
 
     def hang_up(self) -> None:
         self._near.unplug("pulled out")

@@ -1,0 +1,20 @@
+"""Why a master did not get into the token ring, for people."""
+
+from __future__ import annotations
+
+from dpstack.fdl.active import ActiveStation
+
+
+def why_not_joined(station: ActiveStation, after_s: float) -> str:
+    """One line that says what was heard instead, and what to do."""
+    own = station.address
+    late = f"station {own} is not in the token ring after {after_s:g} s"
+    others = sorted(station.las - {own})
+    if others:
+        return (
+            f"{late}: masters {', '.join(map(str, others))} do not let it in; "
+            f"their HSA must be {own} or more and their GAP on"
+        )
+    if station.decoder_stats.octets:
+        return f"{late}: what is heard is no PROFIBUS at this rate; check the baud rate, A and B, the termination"
+    return f"{late}: nothing is heard and nothing could be sent; check port and cable"

@@ -1,0 +1,324 @@
+"""The asyncio driver with a machine that does as it is told: steps, deadlines, loss, defects."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+from time import monotonic_ns
+from typing import Any
+
+import pytest
+from aio_rig import BACKOFF, REQUEST, TOKEN, Rig, Script
+from far_ends import PtyFarEnd, until
+
+from dpstack.drivers import aio
+from dpstack.drivers.aio import AsyncioRuntime, patience_of
+from dpstack.drivers.base import PortBack, PortLost
+from dpstack.drivers.echo import Echo
+from dpstack.errors import BusError, PortError, UsageError
+from dpstack.machine import LineDown, LineUp
+from dpstack.phy.patience import ADAPTER, HOST
+from dpstack.ports import MemoryPort, open_port, timerfd
+from dpstack.ports.pty import PtyPort
+from dpstack.trace import Event, Notice
+from dpstack.units import NEVER, NS_PER_MS, chars_to_ns
+
+
+async def test_octets_go_to_the_machine_and_its_answer_to_the_line() -> None:
+    async with Rig() as rig:
+        rig.machine.on_receive = lambda _chunk, _now: rig.machine.tx.append(TOKEN)
+        rig.far.write(REQUEST)
+        await rig.settle()
+        assert [entry[1] for entry in rig.machine.did("receive")] == [REQUEST]
+        assert rig.far.read_now() == TOKEN
+        assert rig.calls == 0
+
+
+async def test_a_transmission_is_over_when_written_where_no_wire_gives_it_time() -> None:
+    async with Rig() as rig:
+        before = monotonic_ns()
+        rig.driver.command(REQUEST)
+        ((_sent, at, after),) = rig.machine.did("sent")
+        assert before <= at <= after
+        assert not rig.driver.paced
+
+
+async def test_a_transmission_takes_its_time_on_a_wire() -> None:
+    rig = Rig()
+    rig.port.paced = True
+    rig.driver = AsyncioRuntime(rig.port, rig.machine, rig.told)
+    async with rig:
+        before = monotonic_ns()
+        rig.driver.command(REQUEST)
+        ((_sent, at, after),) = rig.machine.did("sent")
+        wire = chars_to_ns(6, 500_000)
+        assert before + wire <= at <= after + wire
+        assert rig.driver.paced
+
+
+@pytest.mark.parametrize("wait_ns", [1_000, 15_000, 25_000, 300_000, 3_000_000])
+@pytest.mark.parametrize("fd_timer", [True, False])
+async def test_a_deadline_is_judged_once_and_never_early(
+    monkeypatch: pytest.MonkeyPatch, wait_ns: int, fd_timer: bool
+) -> None:
+    monkeypatch.setattr(timerfd, "AVAILABLE", fd_timer)
+    async with Rig() as rig:
+        rig.driver.command(wait_ns)
+        await until(lambda: bool(rig.machine.did("wake")), "the deadline")
+        await asyncio.sleep(0.002)
+        ((_wake, deadline, now),) = rig.machine.did("wake")
+        assert now >= deadline
+
+
+async def test_a_deadline_that_moves_later_is_not_judged_before() -> None:
+    async with Rig() as rig:
+        rig.driver.command(2 * NS_PER_MS)
+        rig.driver.command(20 * NS_PER_MS)
+        rig.driver.command(8 * NS_PER_MS)
+        await until(lambda: bool(rig.machine.did("wake")), "the deadline")
+        ((_wake, deadline, now),) = rig.machine.did("wake")
+        assert now >= deadline
+
+
+async def test_one_deadline_may_set_the_next() -> None:
+    async with Rig() as rig:
+
+        def again(now: int) -> None:
+            if len(rig.machine.did("wake")) < 20:
+                rig.machine.deadline = now + 100_000
+
+        rig.machine.on_wake = again
+        rig.driver.command(100_000)
+        await until(lambda: len(rig.machine.did("wake")) == 20, "all deadlines")
+
+
+async def test_a_late_timer_reads_the_port_before_it_judges() -> None:
+    async with Rig() as rig:
+
+        def answered(_chunk: bytes, _now: int) -> None:
+            rig.machine.deadline = NEVER
+
+        rig.machine.on_receive = answered
+        rig.driver.command(NS_PER_MS)
+        end = monotonic_ns() + 3 * NS_PER_MS
+        while monotonic_ns() < end:  # the application holds the loop up: deadline and answer are both there afterwards
+            pass
+        rig.far.write(TOKEN)
+        rig.driver._timer_due()
+        assert not rig.machine.did("wake")
+        assert [entry[1] for entry in rig.machine.did("receive")] == [TOKEN]
+
+
+async def test_endless_near_deadlines_leave_the_loop_its_turns() -> None:
+    async with Rig() as rig:
+
+        def at_once(now: int) -> None:
+            rig.machine.deadline = now + 2_000
+
+        rig.machine.on_wake = at_once
+        rig.driver.command(2_000)
+        before = len(rig.machine.did("wake"))
+        await asyncio.sleep(0.005)
+        assert len(rig.machine.did("wake")) > before + aio._BURST
+        rig.machine.on_wake = lambda _now: None
+
+
+async def test_events_are_handed_over_after_the_step_and_only_when_there_are_some() -> None:
+    async with Rig() as rig:
+        rig.far.write(TOKEN)
+        await rig.settle()
+        assert rig.calls == 0
+        notice = Notice(t_ns=1, source="test", message="hello")
+        rig.machine.on_receive = lambda _chunk, _now: rig.machine.events.append(notice)
+        rig.far.write(TOKEN)
+        await rig.settle()
+        assert rig.events == [notice]
+
+
+async def test_what_is_told_last_is_not_lost_at_close() -> None:
+    rig = Rig()
+    notice = Notice(t_ns=1, source="test", message="goodbye")
+    async with rig:
+        rig.machine.events.append(notice)
+    assert rig.events == [notice]
+    await rig.driver.close()
+
+
+async def test_a_handler_that_raises_does_not_stop_the_bus() -> None:
+    reported: list[dict[str, Any]] = []
+    asyncio.get_running_loop().set_exception_handler(lambda _loop, context: reported.append(context))
+    rig = Rig()
+
+    def broken(_events: list[Event]) -> None:
+        raise ValueError("the application's own")
+
+    rig.driver = AsyncioRuntime(rig.port, rig.machine, broken, echo=Echo.OFF)
+    async with rig:
+        rig.machine.events.append(Notice(t_ns=1, source="test", message="hello"))
+        rig.driver.command(TOKEN)
+        rig.driver.command(REQUEST)
+        assert rig.far.read_now() == TOKEN + REQUEST
+    assert isinstance(reported[0]["exception"], ValueError)
+
+
+async def test_misuse_raises_at_once() -> None:
+    rig = Rig()
+    with pytest.raises(UsageError, match="open"):
+        rig.driver.command(TOKEN)
+    async with rig:
+        with pytest.raises(UsageError, match="already"):
+            await rig.driver.open()
+        with pytest.raises(KeyError):
+            rig.driver.command(KeyError("the machine refuses the order"))
+        rig.driver.command(TOKEN)  # which stops nothing
+        assert rig.far.read_now() == TOKEN
+    with pytest.raises(UsageError, match="open"):
+        rig.driver.command(TOKEN)
+
+
+async def test_a_defect_of_the_machine_stops_the_driver_and_is_told() -> None:
+    async with Rig() as rig:
+
+        def defect(_chunk: bytes, _now: int) -> None:
+            raise ZeroDivisionError("a defect")
+
+        rig.machine.on_receive = defect
+        rig.far.write(TOKEN)
+        await rig.settle()
+        assert [type(exc) for exc in rig.failures] == [ZeroDivisionError]
+        assert rig.driver.failed is rig.failures[0]
+        assert "a defect" in rig.events[-1].text
+        with pytest.raises(BusError):
+            rig.driver.command(TOKEN)
+        rig.far.write(TOKEN)
+        await rig.settle()
+        assert len(rig.failures) == 1
+    with pytest.raises(BusError):
+        await rig.driver.open()
+
+
+async def test_a_defect_without_an_owner_goes_to_the_loops_handler() -> None:
+    reported: list[dict[str, Any]] = []
+    asyncio.get_running_loop().set_exception_handler(lambda _loop, context: reported.append(context))
+    async with Rig(on_failure=None) as rig:
+
+        def defect(_now: int) -> None:
+            raise ZeroDivisionError("a defect")
+
+        rig.machine.on_wake = defect
+        rig.driver.command(NS_PER_MS)
+        await until(lambda: bool(reported), "the report")
+    assert isinstance(reported[0]["exception"], ZeroDivisionError)
+
+
+async def test_a_machine_that_never_settles_is_a_defect() -> None:
+    async with Rig() as rig:
+
+        def never(_now: int) -> None:
+            rig.machine.deadline = 0
+
+        rig.machine.on_wake = never
+        rig.driver.command(1)
+        assert "does not settle" in str(rig.failures[0])
+
+
+async def test_a_lost_port_is_told_and_opened_again() -> None:
+    async with Rig() as rig:
+        rig.port.unplug("pulled out")
+        await until(lambda: len(rig.events) >= 2, "the loss")
+        assert isinstance(rig.events[0], PortLost)
+        assert rig.events[0].reason == "pulled out"
+        assert "pulled out" in rig.events[1].text  # why it cannot be opened again: told once, not at every attempt
+        rig.driver.command(TOKEN)  # goes nowhere
+        await asyncio.sleep(0.02)
+        assert len(rig.events) == 2
+        rig.port.plug()
+        await until(lambda: len(rig.events) == 3, "the return")
+        assert isinstance(rig.events[2], PortBack)
+        assert [entry[1] for entry in rig.machine.did("command")] == [LineDown("pulled out"), TOKEN, LineUp()]
+        rig.driver.command(REQUEST)
+        assert rig.far.read_now() == REQUEST
+
+
+async def test_a_lost_port_may_be_closed() -> None:
+    async with Rig() as rig:
+        rig.port.unplug()
+        await until(lambda: bool(rig.events), "the loss")
+    rig.port.plug()
+    await asyncio.sleep(0.005)
+    assert not any(isinstance(event, PortBack) for event in rig.events)
+
+
+async def test_a_machine_that_fails_over_the_loss_is_a_defect(monkeypatch: pytest.MonkeyPatch) -> None:
+    async with Rig() as rig:
+
+        def defect(_self: Script, _command: object, _now: int) -> None:
+            raise ZeroDivisionError("a defect")
+
+        monkeypatch.setattr(Script, "command", defect)
+        rig.port.unplug()
+        await until(lambda: bool(rig.failures), "the failure")
+
+
+async def test_a_port_class_that_fails_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    async with Rig() as rig:
+
+        async def broken(_self: MemoryPort) -> None:
+            raise ZeroDivisionError("in a port")
+
+        monkeypatch.setattr(MemoryPort, "open", broken)
+        rig.port.unplug()
+        await until(lambda: bool(rig.failures), "the failure")
+
+
+async def test_dropped_telegrams_are_told_by_powers_of_ten() -> None:
+    async with Rig() as rig:
+        for _ in range(500):
+            rig.driver.command(bytes(250))
+        await rig.settle()
+        assert rig.port.dropped > 100
+        assert [event.text.split(": ")[1].split()[0] for event in rig.events] == ["1", "10", "100"]
+
+
+async def test_a_port_that_cannot_be_opened_raises() -> None:
+    rig = Rig()
+    rig.port.unplug("not there")
+    with pytest.raises(PortError, match="not there"):
+        await rig.driver.open()
+    await rig.driver.close()
+
+
+async def test_a_pty_that_vanishes_and_its_name_coming_back(tmp_path: Any) -> None:
+    link = tmp_path / "port"
+    far = PtyFarEnd()
+    link.symlink_to(far.path)
+    machine, events = Script(), list[Event]()
+    driver = AsyncioRuntime(open_port(str(link), 500_000), machine, events.extend, backoff_ns=BACKOFF)
+    await driver.open()
+    driver.command(TOKEN)
+    assert await far.recv(3) == TOKEN
+    far.hang_up()
+    await until(lambda: any(isinstance(event, PortLost) for event in events), "the loss")
+    link.unlink()
+    far = PtyFarEnd()
+    link.symlink_to(far.path)
+    await until(lambda: any(isinstance(event, PortBack) for event in events), "the return")
+    driver.command(REQUEST)
+    assert await far.recv(6) == REQUEST
+    await driver.close()
+    far.hang_up()
+    gc.collect()
+
+
+async def test_a_pty_made_here_is_named_by_its_other_end() -> None:
+    driver = AsyncioRuntime(open_port("pty", 500_000), Script(), lambda _events: None)
+    assert driver.port_name == "pty"
+    await driver.open()
+    assert driver.port_name.startswith("/dev/pts/")
+    assert driver.now() <= monotonic_ns()
+    await driver.close()
+
+
+def test_patience_follows_the_kind_of_port() -> None:
+    assert patience_of(PtyPort(9600)) is HOST
+    assert patience_of(open_port("/dev/ttyUSB9", 9600)) is ADAPTER

@@ -1,0 +1,100 @@
+"""The whole stack in an asyncio loop on ptys, against slaves that know only octets: what happens, never when."""
+
+from __future__ import annotations
+
+import asyncio
+import subprocess
+import sys
+from pathlib import Path
+from time import monotonic_ns
+
+from far_ends import open_slave, until
+
+from dpstack.dp.commands import Mode, SetMode, Shutdown
+from dpstack.dp.device import FunctionDevice
+from dpstack.dp.events import MasterStopped, SlaveState
+from dpstack.dp.master import Master
+from dpstack.dp.setup import SlaveSetup
+from dpstack.dp.slaveapp import SlaveApp
+from dpstack.drivers.aio import AsyncioRuntime, patience_of
+from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.commands import GoOnline
+from dpstack.fdl.passive import PassiveStation
+from dpstack.params import BusParams
+from dpstack.ports import open_port
+from dpstack.ports.segment import Segment
+from dpstack.trace import Event
+
+RESPONDER = str(Path(__file__).parents[1] / "support_responder.py")
+SPECS = ("3:0696:f3f1:12:12", "4:1234:2010:1:1,fixed=5a")
+
+
+async def _responder(path: str) -> asyncio.subprocess.Process:
+    process = await asyncio.create_subprocess_exec(sys.executable, RESPONDER, path, *SPECS, stdout=subprocess.PIPE)
+    assert process.stdout is not None
+    assert await process.stdout.readline() == b"ready\n"
+    return process
+
+
+async def test_bring_up_exchange_restart_and_an_ordered_end(tmp_path: Path) -> None:
+    async with Segment(2, tmp_path / "bus", baud=1_500_000) as segment:
+        responder = await _responder(segment.paths[1])
+        port = open_port(segment.paths[0], 1_500_000)
+        params = BusParams.preset(1_500_000, address=2, gap=0)
+        master = Master(
+            params,
+            [
+                SlaveSetup(address=3, name="drive", ident=0x0696, config=bytes.fromhex("f3f1")),
+                SlaveSetup(address=4, name="valves", ident=0x1234, config=bytes.fromhex("2010")),
+            ],
+            watchdog_ms=1000,
+        )
+        station = ActiveStation(params, [master], patience=patience_of(port), now=monotonic_ns())
+        events: list[Event] = []
+        driver = AsyncioRuntime(port, station, events.extend)
+        await driver.open()
+        driver.command(GoOnline())
+        driver.command(SetMode(Mode.OPERATE))
+
+        def exchanging() -> list[int]:
+            return [a for a, handler in master.handlers.items() if handler.state is SlaveState.DATA_EXCHANGE]
+
+        await until(lambda: exchanging() == [3, 4], "data exchange with both")
+        master.images[3].outputs = bytes(range(12))
+        await until(lambda: bytes(master.images[3].inputs) == bytes(range(12)), "the mirrored outputs")
+        assert bytes(master.images[4].inputs) == b"\x5a"
+
+        responder.kill()
+        await responder.wait()
+        await until(lambda: exchanging() == [], "the loss of both")
+        responder = await _responder(segment.paths[1])
+        await until(lambda: exchanging() == [3, 4], "data exchange again")
+
+        driver.command(Shutdown())
+        await until(lambda: any(isinstance(event, MasterStopped) for event in events), "the ordered end")
+        await driver.close()
+        responder.kill()
+        await responder.wait()
+        assert driver.failed is None
+
+
+async def test_a_slave_of_ours_on_a_pty_answers_a_master_of_literal_octets() -> None:
+    params = BusParams.preset(500_000, address=2)
+    port = open_port("pty", 500_000)
+    app = SlaveApp(FunctionDevice(0x1234, b"\x20\x10", lambda outputs, _elapsed: outputs), address=3)
+    driver = AsyncioRuntime(port, PassiveStation(3, app, params, patience=patience_of(port)), lambda _events: None)
+    await driver.open()
+    for _ in range(2):  # and again for a master that comes later
+        master = open_slave(port.name)
+        for request, answer in (
+            ("10 03 02 49 4E 16", "10 02 03 00 05 16"),
+            ("68 0C 0C 68 83 82 6D 3D 3E 80 01 01 0B 12 34 00 C0 16", "E5"),
+            ("68 07 07 68 83 82 5D 3E 3E 20 10 0E 16", "E5"),
+            ("68 04 04 68 03 02 7D 77 F9 16", "68 04 04 68 02 03 08 77 84 16"),
+        ):
+            master.send(bytes.fromhex(request))
+            expected = bytes.fromhex(answer)
+            assert await master.recv(len(expected)) == expected
+        master.hang_up()
+        await until(lambda: not port.write(b""), "the departure")
+    await driver.close()

@@ -1,0 +1,147 @@
+"""README, documents and examples are what they say: code runs, configurations load, commands exist, links lead on."""
+
+from __future__ import annotations
+
+import json
+import re
+import runpy
+import shlex
+from pathlib import Path
+
+import pytest
+
+import dpstack
+from dpstack.api.config import parse_config
+from dpstack.cli.main import build_parser
+from dpstack.errors import ConfigError
+from dpstack.params import BusParams
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+_BLOCK = re.compile(r"(?:<!-- (?P<mark>[^>]*?) -->\n)?```(?P<kind>\w+)\n(?P<text>.*?)^```", re.DOTALL | re.MULTILINE)
+_LINK = re.compile(r"\[[^\]]*\]\(([^)#]+)(?:#[^)]*)?\)")
+
+
+def blocks(page: Path, kind: str) -> list[tuple[str, str]]:
+    """(mark, text) of every block of ``kind``."""
+    found = _BLOCK.finditer(page.read_text(encoding="utf-8"))
+    return [(match["mark"] or "", match["text"]) for match in found if match["kind"] == kind]
+
+
+@pytest.fixture
+def fast(monkeypatch: pytest.MonkeyPatch) -> None:
+    """``asyncio.run`` in virtual time: examples take no longer than their computing."""
+    monkeypatch.setattr("asyncio.run", dpstack.run_virtual)
+
+
+@pytest.mark.usefixtures("fast")
+def test_the_readmes_program_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    readme = ROOT / "README.md"
+    for mark, text in blocks(readme, "toml"):
+        if mark.startswith("file: "):
+            (tmp_path / mark.removeprefix("file: ")).write_text(text, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    programs = [text for mark, text in blocks(readme, "python") if mark == "run"]
+    assert programs
+    for number, text in enumerate(programs):
+        program = tmp_path / f"program{number}.py"
+        program.write_text(text, encoding="utf-8")
+        runpy.run_path(str(program), run_name="__main__")
+    out = capsys.readouterr().out
+    assert out.splitlines() == ["fan at 30 Hz", "parameter 412 is 44", "inputs 0f"]
+
+
+@pytest.mark.usefixtures("fast")
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda p: p.stem)
+def test_examples_run(example: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    runpy.run_path(str(example), run_name="__main__")
+    out = capsys.readouterr().out
+    wanted = {
+        "two_drives": ["hoist at 25 Hz", "fan at 24 Hz", "fan at -24 Hz"],
+        "watch_events": ["slave 3 (hoist): data_exchange", "8 valves data_exchange 00"],
+    }[example.stem]
+    assert [line for line in wanted if line not in out] == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_configurations_load(page: Path) -> None:
+    for _, text in blocks(page, "toml"):
+        try:
+            parse_config(text, page.name)
+        except ConfigError as error:
+            pytest.fail(f"{error}\n{text}")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_json_is_json(page: Path) -> None:
+    for _, text in blocks(page, "json"):
+        for line in text.splitlines():
+            json.loads(line)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_commands_exist(page: Path) -> None:
+    parser = build_parser()
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    for _, text in blocks(page, "console"):
+        for line in text.splitlines():
+            words = shlex.split(line.removeprefix("$ "))
+            if words[0] == "dpstack":
+                parser.parse_args(words[1:])
+            else:
+                assert words[0] == "make"
+                assert f"\n{words[1]}:" in makefile
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_links_lead_somewhere(page: Path) -> None:
+    for target in _LINK.findall(page.read_text(encoding="utf-8")):
+        if "://" not in target:
+            assert (page.parent / target).exists(), f"{page.name}: {target}"
+
+
+def test_every_command_and_option_is_documented() -> None:
+    text = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
+    for name in ("demo", "run", "sim", "segment", "plan"):
+        assert f"`dpstack {name}" in text
+
+
+def test_every_configuration_key_is_documented() -> None:
+    from dpstack.api import config, slave_config
+
+    text = (ROOT / "docs" / "configuration.md").read_text(encoding="utf-8")
+    later = {*config._BUS_LATER, *slave_config._LATER, "reference_rpm"}
+    missing = [k for k in (*config._BUS_KEYS, *slave_config._KEYS) if k not in later and f"`{k}`" not in text]
+    assert not missing
+
+
+def test_the_table_of_bus_parameters_is_the_programs() -> None:
+    text = (ROOT / "docs" / "bus-parameters.md").read_text(encoding="utf-8")
+    rows = [row.strip("|").split("|") for row in text.splitlines() if re.match(r"\| [\d.]", row)]
+    seen = 0
+    for row in rows:
+        names, *numbers = (cell.strip() for cell in row)
+        for rate in names.split(","):
+            p = BusParams.preset(round(float(rate) * 1000))
+            wanted = [p.t_sl, p.min_tsdr, p.max_tsdr, p.t_set, p.t_qui, p.gap, p.max_retry, p.t_tr]
+            assert [int(n.replace(" ", "")) for n in numbers] == wanted, rate
+            seen += 1
+    assert seen == 11
+
+
+def test_every_fault_is_in_the_troubleshooting() -> None:
+    from dpstack.dp.events import FaultKind
+
+    text = (ROOT / "docs" / "troubleshooting.md").read_text(encoding="utf-8")
+    assert [kind.value for kind in FaultKind if f"| `{kind.value}` |" not in text] == []
+
+
+def test_public_names() -> None:
+    for name in dpstack.__all__:
+        assert getattr(dpstack, name) is not None
+        assert name in dir(dpstack)
+    with pytest.raises(AttributeError, match="has no attribute 'nonsense'"):
+        _ = dpstack.nonsense
