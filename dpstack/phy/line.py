@@ -14,7 +14,7 @@ from dpstack.units import BITS_PER_CHAR
 class Line:
     """Silence and gates of one station. Times in ns, gates converted once from the bus parameters."""
 
-    __slots__ = ("_baud", "idle_since", "t_id1_ns", "t_id2_ns", "t_sl_ns", "t_stall_ns", "t_sdr_ns", "t_to_ns")
+    __slots__ = ("_baud", "idle_since", "t_id1_ns", "t_id2_ns", "t_sdr_ns", "t_sl_ns", "t_stall_ns", "t_to_ns")
 
     def __init__(self, params: BusParams, now: int = 0) -> None:
         #: end of the last activity; the line has been silent since then as far as is known

@@ -175,7 +175,7 @@ def test_extended_diagnosis_is_fetched_at_once_and_once() -> None:
 def test_a_removed_slave_is_given_free() -> None:
     plant = Plant(SlaveApp(mirror())).run(100)
     plant.world.command(plant.station, RemoveSlave(4))
-    plant.run(40)
+    plant.run(100)
     assert (plant.app.state, plant.app.master) == (SlaveAppState.WAIT_PRM, None)
     assert plant.app.stats.watchdogs == 0
     plant.assert_the_other_goes_on()

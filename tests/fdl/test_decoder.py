@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from dpstack.fdl.codec import Flaw
@@ -287,6 +287,7 @@ def test_garbage_never_raises_and_every_octet_is_accounted_for(parts: list[tuple
 
 
 @given(garbage, st.lists(st.integers(0, 1000), max_size=6))
+@example(b"\x10\x10\xdc\x10\x10", [231])
 def test_cuts_do_not_matter_in_garbage(octets: bytes, cuts: list[int]) -> None:
     whole, pieces = fresh(), fresh()
     expected = whole.feed(octets, 0) + whole.stalled(0)

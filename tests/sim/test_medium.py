@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from hypothesis import given
+from hypothesis import strategies as st
 from support import MS, Dummy, WorldFactory, ends
 
 from dpstack.fdl.telegram import Kind, Telegram
 from dpstack.sim.token_watch import Rule
+from dpstack.sim.world import World
 from dpstack.trace import WireEntry
+from dpstack.units import NEVER
 
 BIT = 2_000
 #: FDL status request 2 -> 5, and the answer of a slave (FCS by hand: 05 + 02 + 49 = 50, 02 + 05 + 00 = 07)
@@ -233,3 +237,46 @@ class _Counting(Dummy):
         if name in ("wake_at", "wake", "telegram", "activity", "receive", "take_tx", "take_events", "hears_all"):
             self.touches += 1
         return super().__getattribute__(name)
+
+
+def test_a_station_that_changes_its_address_when_told_to_is_found_at_once(world: WorldFactory) -> None:
+    class Obeys(Dummy):
+        def telegram(self, telegram: Telegram, now: int) -> None:
+            super().telegram(telegram, now)
+            self.address = 5
+
+    w = world()
+    assert w.referee is not None
+    w.referee.token_rules = False
+    station = Obeys(6)
+    w.add(station)
+    w.inject(bytes.fromhex("10 06 02 49 51 16"))
+    w.run_until(MS)
+    w.inject(ASK)
+    w.run_until(2 * MS)
+    assert [telegram.da for _, telegram in station.heard] == [6, 5]
+
+
+@given(
+    starts=st.lists(st.tuples(st.integers(0, 2_000), st.integers(0, 3)), max_size=12),
+    seed=st.integers(0, 3),
+)
+def test_a_telegram_arrives_whole_if_and_only_if_nobody_disturbed_it(starts: list[tuple[int, int]], seed: int) -> None:
+    octets = (ASK, DATA, ALL, TOKEN)
+    # one sender each, so that only the medium decides
+    sent = sorted((at * 500, ends(at * 500, octets[which]), octets[which]) for at, which in starts)
+    w = World(seed=seed, referee=False)
+    listener = Dummy(9, hears_all=True)
+    w.add(listener)
+    for number, (at, _, text) in enumerate(sent):
+        w.add(Dummy(10 + number, plan=[(at + 1, text)]))
+    w.run_until(10 * MS)
+    alone = [
+        end + 1
+        for number, (at, end, _) in enumerate(sent)
+        if not any(a < end and at < e for other, (a, e, _) in enumerate(sent) if other != number)
+    ]
+    assert [at for at, _ in listener.heard] == sorted(alone)
+    assert len(w.log) == len(sent)
+    assert all(at <= max(end for _, end, _ in sent) + 1 for at, _ in listener.octets)
+    assert w.next_at() == NEVER
