@@ -68,7 +68,7 @@ class Parts:
 
 
 def compose(config: Config, on_events: OnEvents, on_failure: OnFailure, world: World | None = None) -> Parts:
-    """Build the parts of ``config``, with simulated slaves when its port is "virtual".
+    """Build the parts of ``config``, with a world of its own when its port is "virtual" (no slave in it yet).
 
     ``on_failure`` is told when a machine raised (a defect of ours). ``world`` puts the master into an existing
     simulated bus, with nothing added. Raises ConfigError, PortError.
@@ -85,8 +85,6 @@ def compose(config: Config, on_events: OnEvents, on_failure: OnFailure, world: W
         return Parts(config, plan, master, station, runtime, None)
     if world is None:
         world = World(referee=False)
-        for slave in config.slaves:
-            world.add(simulated(slave, params), name=slave.name)
     return Parts(config, plan, master, station, VirtualRuntime(world, station, on_events, on_failure=on_failure), world)
 
 
