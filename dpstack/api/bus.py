@@ -1,17 +1,16 @@
-"""The bus as an application sees it: :func:`open_bus` and :class:`Bus`."""
+"""The bus as an application sees it."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
-from pathlib import Path
+from collections.abc import Callable, Mapping
 from types import TracebackType
 from typing import Final, Protocol
 
 from dpstack.api.compose import attach_core, compose, simulated
-from dpstack.api.config import Config, load_config, make_config, slave_config
+from dpstack.api.config import Config, slave_config
 from dpstack.api.drive import Drive
 from dpstack.api.joining import why_not_joined
 from dpstack.api.slave import Slave
@@ -45,41 +44,8 @@ class _Watcher(Protocol):
     def on_round(self) -> None: ...
 
 
-def open_bus(
-    config: str | Path | Config | None = None,
-    *,
-    port: str | None = None,
-    baud: int | None = None,
-    address: int | None = None,
-    slaves: Iterable[SlaveTable] = (),
-    on_event: OnEvent | None = None,
-    join_timeout: float = JOIN_TIMEOUT_S,
-    world: World | None = None,
-    **bus: object,
-) -> Bus:
-    """A bus from a configuration file (``port``, ``baud``, ``address`` override it), or from arguments alone.
-
-    Use it as ``async with open_bus(...) as bus``: entering listens, joins the token ring and begins to bring the slaves
-    up in Clear; ``await bus.operate()`` lets outputs out. ``slaves`` are mappings with the keys of a [[slave]] table,
-    ``bus`` further keys of [bus]. ``port="virtual"`` simulates the slaves in this process. ``on_event`` is called for
-    every event at once; ``world`` joins an existing simulated bus.
-
-    Raises ConfigError here; PortError and BusError on entering.
-    """
-    if config is None:
-        if baud is None:
-            raise ConfigError("open_bus: no baud; give for instance baud=500000, or a configuration file")
-        if port is None and world is None:
-            raise ConfigError('open_bus: no port; give for instance port="/dev/ttyUSB0", or "virtual"')
-        made = make_config(port or "virtual", baud, 2 if address is None else address, slaves, bus=bus)
-    else:
-        made = config if isinstance(config, Config) else load_config(config)
-        made = made.with_bus(port=port, baud=baud, address=address, **bus).with_slaves(slaves)
-    return Bus(made, on_event=on_event, join_timeout=join_timeout, world=world)
-
-
 class Bus:
-    """A running bus: the slaves of a configuration under a class 1 master. Made by :func:`open_bus`."""
+    """A running bus: the slaves of a configuration under a class 1 master. Made by :func:`dpstack.open_bus`."""
 
     def __init__(
         self,
@@ -421,4 +387,4 @@ class Bus:
                 )
 
 
-__all__ = ["JOIN_TIMEOUT_S", "Bus", "OnEvent", "open_bus"]
+__all__ = ["JOIN_TIMEOUT_S", "Bus", "OnEvent", "SlaveTable"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import itertools
 from collections.abc import AsyncIterator, Mapping
 from typing import TYPE_CHECKING, Final
@@ -12,6 +13,7 @@ from dpstack.api.streams import Latest
 from dpstack.dp.commands import DriveCommand, Mode
 from dpstack.dp.image import SlaveImage
 from dpstack.errors import (
+    BusError,
     DpError,
     DriveError,
     DriveFault,
@@ -210,7 +212,10 @@ class Drive:
                 raise
             raise DriveTimeout(self.name, f"drive {self.name}: {op}: {self._why_silent()}") from None
         finally:
-            self._pending.pop(token, None)
+            if self._pending.pop(token, None) is not None and not self._over:
+                # Cancelled, or out of patience: the plugin must not start the motor when nobody waits for it any more.
+                with contextlib.suppress(UsageError, BusError):
+                    self._bus.command(DriveCommand(self.slave.address, "cancel", {"order": token}, next(_tokens)))
 
     def _why_silent(self) -> str:
         slave = self.slave

@@ -12,10 +12,11 @@ from rich.console import Group
 from rich.live import Live
 from rich.text import Text
 
-from dpstack.api.bus import Bus, open_bus
+from dpstack.api.bus import Bus
 from dpstack.api.compose import Case
 from dpstack.api.config import Config, make_config
 from dpstack.api.drive import Drive
+from dpstack.api.opening import open_bus
 from dpstack.api.profiles import known_drives
 from dpstack.api.virtual import run_virtual
 from dpstack.cli import options, output

@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 import asyncio
 
-from dpstack.api.bus import Bus, open_bus
+from dpstack.api.bus import Bus
 from dpstack.api.config import Config, load_config
+from dpstack.api.opening import open_bus
 from dpstack.cli import options
 from dpstack.cli.report import Reporter, not_exchanging
 from dpstack.cli.signals import StopSignal

@@ -299,10 +299,21 @@ class DriveCore:
                 steps = motion.reached(self, self.now + args.timeout_ns(60.0), args.optional("tolerance"))
             case "read" | "write":
                 steps = self._parameter(op, args)
+            case "cancel":
+                steps = self._cancel(args.integer("order"))
             case _:
                 raise CommandError("usage", f"{self.drive} has no order {op!r}; it has {', '.join(OPS)}")
         args.done()
         return Job(op, token, steps, motion=False)
+
+    def _cancel(self, token: int | None) -> Steps[dict[str, object]]:
+        """Nobody waits any more for the order with ``token``: it ends now, and a start() never comes true later."""
+        yield from ()
+        ended = [job for job in self._jobs if job.token == token and token is not None]
+        for job in ended:
+            self._jobs.remove(job)
+            job.steps.close()
+        return {"value": len(ended)}
 
     def _speed(self, fraction: float) -> Steps[dict[str, object]]:
         yield from ()
