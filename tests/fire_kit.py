@@ -17,6 +17,7 @@ from dpstack.fdl.active import ActiveStation
 from dpstack.fdl.commands import GoOffline, GoOnline
 from dpstack.fdl.events import RingJoined, RingLeft, TokenLost
 from dpstack.fdl.passive import PassiveStation
+from dpstack.fdl.states import State
 from dpstack.fdl.telegram import Kind
 from dpstack.fdl.user import LinkUser
 from dpstack.params import BusParams
@@ -32,10 +33,19 @@ SLAVE_OF = 100
 class FireRing:
     """Masters ``addresses`` in ``world``, all with ``params`` but the address; ``slaves``: each has one to serve."""
 
-    def __init__(self, world: World, params: BusParams, addresses: tuple[int, ...], *, slaves: bool = False) -> None:
+    def __init__(
+        self,
+        world: World,
+        params: BusParams,
+        addresses: tuple[int, ...],
+        *,
+        slaves: bool = False,
+        watchdog_ms: int = 200,
+    ) -> None:
         self.world = world
         self.params = params
         self.with_slaves = slaves
+        self._watchdog_ms = watchdog_ms
         self.masters: dict[int, ActiveStation] = {}
         self.dp: dict[int, Master] = {}
         self.slaves: dict[int, PassiveStation] = {}
@@ -63,7 +73,7 @@ class FireRing:
         if slave not in self.slaves:
             self.slaves[slave] = mirror(slave, params)
             self.world.add(self.slaves[slave])
-        self.dp[address] = Master(params, [setup(slave)])
+        self.dp[address] = Master(params, [setup(slave)], watchdog_ms=self._watchdog_ms)
         return self.dp[address]
 
     def die(self, address: int) -> ActiveStation:
@@ -126,9 +136,10 @@ class FireRing:
 
     @property
     def one_ring(self) -> bool:
-        """The members agree on who is in the ring, and there are some."""
+        """The members have each other in their LAS, and nobody else but who was found ready and waits for the token."""
         members = {address for address, station in self.masters.items() if station.in_ring}
-        return bool(members) and all(self.masters[a].las == members for a in members)
+        waiting = {address for address, station in self.masters.items() if station.state is State.ACTIVE_IDLE}
+        return bool(members) and all(members <= self.masters[a].las <= members | waiting for a in members)
 
     @property
     def exchanging(self) -> bool:

@@ -164,12 +164,12 @@ def test_masters_with_slaves_heal(scenario: Scenario) -> None:
 
 
 @pytest.mark.soak
-@driven(2_000)
+@driven(1_000)
 def test_bare_masters_heal_again_and_again(scenario: Scenario) -> None:
     run(scenario, slaves=False)
 
 
 @pytest.mark.soak
-@driven(1_000)
+@driven(500)
 def test_masters_with_slaves_heal_again_and_again(scenario: Scenario) -> None:
     run(scenario, slaves=True)
