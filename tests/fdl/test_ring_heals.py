@@ -25,8 +25,6 @@ from dpstack.sim.world import World
 
 #: Data_Exchange of the masters' slaves, twice a hold, in bit times
 TRAFFIC = 1_020
-#: an edge on the line may be the begin of the longest telegram
-LONGEST = 255 * 11
 HOLDING = (State.USE_TOKEN, State.AWAIT_STATUS_RESPONSE, State.PASS_TOKEN, State.CHECK_TOKEN_PASS)
 
 
@@ -126,7 +124,7 @@ def run(scenario: Scenario, *, slaves: bool) -> None:
     world.faults.clear()
     masters, highest = len(ring.masters), max(ring.masters)
     traffic = TRAFFIC if slaves else 0
-    healing = healing_bits(ring.params, highest, masters, traffic) + LONGEST
+    healing = healing_bits(ring.params, highest, masters, traffic)
     if any(isinstance(event, AddressCollision) for event in ring.events):
         healing += 10 * ring.params.replace(address=highest).t_to
     inclusion = inclusion_bits(ring.params, masters, traffic)
