@@ -55,7 +55,7 @@ def port_of(config: Config, baud: int) -> Port:
 def patience_for(config: Config, port: Port) -> Patience:
     """How long to wait on ``port``: the user's ``host_slack_ms``, or by its kind."""
     if config.bus.host_slack_ms is not None:
-        return slack(round(config.bus.host_slack_ms * NS_PER_MS))
+        return slack(round(config.bus.host_slack_ms * NS_PER_MS), patience_of(port))
     return patience_of(port)
 
 

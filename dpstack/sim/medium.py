@@ -95,14 +95,15 @@ class Scheduler(Protocol):
 
 
 class _Stream:
-    """Octets on their way one by one to the stations at ``rate``."""
+    """Octets on their way one by one to the stations at ``rate``; of an intact telegram only to ports."""
 
-    __slots__ = ("heard", "index", "rate", "tx")
+    __slots__ = ("heard", "index", "ports_only", "rate", "tx")
 
-    def __init__(self, tx: Transmission, rate: int, heard: list[uart.Heard]) -> None:
+    def __init__(self, tx: Transmission, rate: int, heard: list[uart.Heard], ports_only: bool = False) -> None:
         self.tx = tx
         self.rate = rate
         self.heard = heard
+        self.ports_only = ports_only
         self.index = 0
 
 
@@ -200,7 +201,7 @@ class Medium:
         self._record(tx)
         self._current = None
         if whole and sent:
-            self._hand_octets(sent, tx.baud, tx.start_ns)
+            self._hand_octets(sent, tx.baud, tx.start_ns, ports=False)
 
     def duration(self, size: int, baud: int) -> int:
         """The time of ``size`` octets on the wire in ns."""
@@ -258,6 +259,8 @@ class Medium:
             self._flow(_Stream(tx, baud, uart.receive(tx.octets, baud, tx.flips)))
         else:
             tx.whole = True
+            if self._nodes.ports:
+                self._flow(_Stream(tx, baud, uart.receive(tx.octets, baud, tx.flips), ports_only=True))
         rates = self._nodes.by_rate
         if len(rates) > 1 or baud not in rates:
             for rate in rates:
@@ -297,10 +300,11 @@ class Medium:
         for node in heard:
             settle(node, b"")
 
-    def _hand_octets(self, octets: bytes, rate: int, since: int) -> None:
+    def _hand_octets(self, octets: bytes, rate: int, since: int, *, ports: bool = True, others: bool = True) -> None:
+        """To the ``ports``, which have a whole telegram's octets already, and to the ``others``."""
         settle = self._scheduler.settle
         for node in self._nodes.by_rate.get(rate, ()):
-            if node.hears_from <= since and node.on_bus:
+            if node.hears_from <= since and node.on_bus and (ports if node.by_octets else others):
                 settle(node, octets)
 
     # --- octet by octet ---
@@ -318,6 +322,9 @@ class Medium:
         if stream.index < len(stream.heard):
             at = tx.start_ns + stream.heard[stream.index][0]
             self._scheduler.schedule(at, OCTETS, self._octet, stream)
+        if stream.ports_only:
+            self._hand_octets(bytes((octet,)), stream.rate, tx.start_ns, others=False)
+            return
         if stream.rate == tx.baud:
             self._octet_ns = at_ns
         self._hand_octets(bytes((octet,)), stream.rate, tx.start_ns)
@@ -349,7 +356,7 @@ class Medium:
         tx, at = collision
         sent = uart.complete(at - tx.start_ns, tx.baud, len(tx.octets))
         if sent:
-            self._hand_octets(tx.octets[:sent], tx.baud, tx.start_ns)
+            self._hand_octets(tx.octets[:sent], tx.baud, tx.start_ns, ports=False)
 
     def _jammed(self, jam: _Jam) -> None:
         since = jam.end_of(jam.count)
