@@ -133,8 +133,8 @@ def test_another_rate_gets_what_it_samples_of_the_waveform_whatever_the_seed(wor
         assert wrong.octets
         texts.append(wrong.octets)
     assert texts[0] == texts[1]
-    # at three times the rate: 68 gives a break and FC with a bad stop bit; 05 is 0 1 0 1 ..., so space for start, d0 and
-    # d1, mark to d4, space to d7 and mark for parity and stop: 1C, 7333 ns after its start edge; the second 05 as well
+    # at three times the rate: 68 gives a break and FC with a bad stop bit; 05 is 0 1 0 1: space for start, d0 and d1,
+    # mark to d4, space to d7 and mark for parity and stop: 1C, 7333 ns after its start edge; the second 05 as well
     assert texts[0][:2] == [(MS + 29_333, b"\x1c"), (MS + 51_333, b"\x1c")]
 
 
