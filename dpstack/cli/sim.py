@@ -6,7 +6,7 @@ import argparse
 import asyncio
 from collections.abc import Callable
 
-from dpstack.api.config import Config, load_config, make_config
+from dpstack.api.config import AUTO, Config, load_config, make_config
 from dpstack.api.events import Event
 from dpstack.api.simulation import DEFAULT_BAUD, Simulation, sim_event_json
 from dpstack.cli import options, output
@@ -28,7 +28,7 @@ def add_to(commands: options.Commands) -> None:
     parser.add_argument("--address", metavar="A", type=options.address, help="its address")
     parser.add_argument("--telegram", metavar="T", help="its telegram")
     parser.add_argument("--port", metavar="P", required=True, help='the port; "pty" makes one and prints its path')
-    parser.add_argument("--baud", metavar="B", type=options.baud_not_auto, help="the rate, else the configuration's")
+    parser.add_argument("--baud", metavar="B", type=options.baud, help="the rate, else the configuration's")
     parser.add_argument("--seconds", metavar="S", type=options.seconds, help="end after so many seconds")
     options.add_json(parser)
     parser.set_defaults(execute=execute)
@@ -37,7 +37,7 @@ def add_to(commands: options.Commands) -> None:
 def execute(args: argparse.Namespace) -> int:
     """Simulate until a signal; 0 unless something failed."""
     config = _config(args)
-    rate = args.baud or config.bus.baud or DEFAULT_BAUD
+    rate = args.baud or (DEFAULT_BAUD if config.bus.baud in (None, AUTO) else config.baud)
     return asyncio.run(_run(config, rate, args))
 
 

@@ -61,6 +61,7 @@ class BaudFound(Event):
     """The bus runs at ``baud`` bit/s; ``telegrams`` in a row were heard, ``tried`` dwells were needed."""
 
     baud: int
+    listened_ns: int
     confidence: Confidence
     telegrams: int
     tried: int
@@ -355,7 +356,12 @@ class AutoBaud:
         confidence = evidence.confidence
         if confidence is not None:
             self.result = BaudFound(
-                t_ns=now, baud=self.baud, confidence=confidence, telegrams=evidence.run, tried=self.tried
+                t_ns=now,
+                baud=self.baud,
+                listened_ns=now - self._start,
+                confidence=confidence,
+                telegrams=evidence.run,
+                tried=self.tried,
             )
             self._events.append(self.result)
             return True

@@ -152,7 +152,7 @@ def test_the_result_is_told_once_and_nothing_is_ever_sent() -> None:
         raise AssertionError(f"sent {octets.hex(' ')} at {now}")
 
     assert pump(search, STATUS + ANSWER, 1000, transmit) == NEVER
-    wanted = BaudFound(t_ns=1000, baud=500_000, confidence=Confidence.CHECKED, telegrams=2, tried=1)
+    wanted = BaudFound(t_ns=1000, baud=500_000, listened_ns=1000, confidence=Confidence.CHECKED, telegrams=2, tried=1)
     assert search.result == wanted
     assert search.take_events() == [wanted]
     assert search.take_events() == []
