@@ -37,7 +37,7 @@ def state_of(station: SearchingSlave) -> BaudState:
     return station.state
 
 
-def master_at(world: World, baud: int, *addresses: int, watchdog_ms: int | None = 500) -> tuple[ActiveStation, Master]:
+def master_at(world: World, baud: int, *addresses: int, watchdog_ms: int = 500) -> tuple[ActiveStation, Master]:
     params = BusParams.preset(baud, address=2, hsa=10)
     master = Master(params, [setup(address) for address in addresses], watchdog_ms=watchdog_ms)
     station = ActiveStation(params, [master], now=world.now)
@@ -99,7 +99,7 @@ def test_without_a_watchdog_it_searches_and_stays_in_data_exchange(world: WorldF
     w = world()
     searching = slave(3)
     w.add(searching)
-    station, master = master_at(w, 500_000, 3, watchdog_ms=None)
+    station, master = master_at(w, 500_000, 3, watchdog_ms=0)
     run_until_exchanging(w, master, 5 * S)
     w.run_for(20 * MS)
     assert state_of(searching) is BaudState.CONTROL
