@@ -21,10 +21,11 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     from dpstack import profile
     from dpstack.api.baud import BaudReport, find_baud
-    from dpstack.api.bus import Bus, open_bus
+    from dpstack.api.bus import Bus
     from dpstack.api.config import Config, load_config
     from dpstack.api.drive import Drive
     from dpstack.api.events import Event, Mode, SlaveState
+    from dpstack.api.opening import open_bus
     from dpstack.api.slave import Slave
     from dpstack.api.virtual import run_virtual
     from dpstack.dp.slaveapp import SlaveApp
@@ -87,7 +88,7 @@ _WHERE: Final = {
     "BaudReport": "api.baud",
     "find_baud": "api.baud",
     "Bus": "api.bus",
-    "open_bus": "api.bus",
+    "open_bus": "api.opening",
     "Config": "api.config",
     "load_config": "api.config",
     "Drive": "api.drive",

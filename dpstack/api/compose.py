@@ -33,8 +33,12 @@ def plan_bus(config: Config, baud: int | None = None) -> Plan:
     setups = config.setups(rate)
     params = with_t_tr(config, config.params(rate), setups)
     notes = [note for slave in config.slaves for note in slave.notes]
-    pty = config.bus.port is not None and not config.virtual and port_of(config, rate).delivery is Delivery.HOST
-    return make_plan(params, setups, pty=pty, findings=rate_findings(config, rate), notes=notes)
+    pty, slack_ns = False, 0
+    if config.bus.port is not None and not config.virtual:
+        port = port_of(config, rate)
+        pty, slack_ns = port.delivery is Delivery.HOST, patience_for(config, port).known_ns
+    findings = rate_findings(config, rate)
+    return make_plan(params, setups, pty=pty, host_slack_ns=slack_ns, findings=findings, notes=notes)
 
 
 def with_t_tr(config: Config, params: BusParams, setups: Sequence[SlaveSetup]) -> BusParams:
@@ -69,7 +73,7 @@ class Parts:
 
 
 def compose(config: Config, on_events: OnEvents, on_failure: OnFailure, world: World | None = None) -> Parts:
-    """Build the parts of ``config``, with simulated slaves when its port is "virtual".
+    """Build the parts of ``config``, with a world of its own when its port is "virtual" (no slave in it yet).
 
     ``on_failure`` is told when a machine raised (a defect of ours). ``world`` puts the master into an existing
     simulated bus, with nothing added. Raises ConfigError, PortError.
@@ -86,8 +90,6 @@ def compose(config: Config, on_events: OnEvents, on_failure: OnFailure, world: W
         return Parts(config, plan, master, station, runtime, None)
     if world is None:
         world = World(referee=False)
-        for slave in config.slaves:
-            world.add(simulated(slave, params), name=slave.name)
     return Parts(config, plan, master, station, VirtualRuntime(world, station, on_events, on_failure=on_failure), world)
 
 
@@ -111,14 +113,15 @@ def device_of(slave: SlaveConfig) -> Device:
     return MirrorDevice(slave.ident or 0, slave.config, slave.name, fail_safe=slave.fail_safe)
 
 
-def simulated(
-    slave: SlaveConfig, params: BusParams, patience: Patience = EXACT, *, auto_baud: bool = False
-) -> PassiveStation | SearchingSlave:
-    """A whole simulated slave at the address of ``slave``; with ``auto_baud`` it finds the rate by itself."""
-    if auto_baud:
-        known = slave.profile.baud_rates if slave.profile else ()
-        return make_searching_slave(slave.address, device_of(slave), rates=known or BAUD_RATES, patience=patience)
+def simulated(slave: SlaveConfig, params: BusParams, patience: Patience = EXACT) -> PassiveStation:
+    """A whole simulated slave at the address of ``slave``."""
     return make_slave(slave.address, device_of(slave), params, patience=patience)
+
+
+def simulated_searching(slave: SlaveConfig, patience: Patience = EXACT) -> SearchingSlave:
+    """As :func:`simulated`, but it finds the rate by itself, among those that its device knows."""
+    known = slave.profile.baud_rates if slave.profile else ()
+    return make_searching_slave(slave.address, device_of(slave), rates=known or BAUD_RATES, patience=patience)
 
 
 __all__ = [
@@ -132,5 +135,6 @@ __all__ = [
     "plan_bus",
     "port_of",
     "simulated",
+    "simulated_searching",
     "with_t_tr",
 ]

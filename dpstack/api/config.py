@@ -172,7 +172,7 @@ def load_config(path: str | Path) -> Config:
     """Read a configuration file. Raises ConfigError, one line, also where the file cannot be read."""
     name = str(path)
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        text = Path(path).read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise ConfigError(f"{name}: there is no such file; write one (see the README) or correct the path") from None
     except IsADirectoryError:
@@ -268,7 +268,7 @@ def _read_bus(table: Table) -> BusConfig:
 def _baud(table: Table) -> int | Literal["auto"] | None:
     if table.raw("baud") == AUTO:
         return AUTO
-    baud = table.integer("baud", 0, 1 << 40)
+    baud = table.integer("baud")
     if baud is not None and baud not in BAUD_RATES:
         near = min(BAUD_RATES, key=lambda rate: abs(rate - baud))
         table.fail("baud", f"{baud} is no PROFIBUS rate", f"nearest is {near}; known: {_rates()}")

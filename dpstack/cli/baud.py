@@ -8,6 +8,7 @@ import asyncio
 from dpstack.api.baud import SILENCE_S, BaudReport, find_baud
 from dpstack.cli import options, output
 from dpstack.cli.signals import StopSignal
+from dpstack.cli.streams import warn
 
 
 def add_to(commands: options.Commands) -> None:
@@ -43,7 +44,7 @@ async def _run(args: argparse.Namespace) -> int:
 
     with StopSignal() as stop:
         if not await stop.or_done(listen()):
-            output.warn("ended before the baud rate was found")
+            warn("ended before the baud rate was found")
             return 1
     (report,) = found
     if args.json:
@@ -51,5 +52,5 @@ async def _run(args: argparse.Namespace) -> int:
     elif report.baud is not None:
         output.line(f"{report.text} ({report.telegrams} in a row, after {report.seconds:.1f} s)")
     else:
-        output.warn(f"{args.port}: {report.text}")
+        warn(f"{args.port}: {report.text}")
     return 0 if report.baud is not None else 1

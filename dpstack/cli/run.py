@@ -6,11 +6,13 @@ import argparse
 import asyncio
 
 from dpstack.api.baud import with_rate
-from dpstack.api.bus import Bus, open_bus
+from dpstack.api.bus import Bus
 from dpstack.api.config import Config, load_config
-from dpstack.cli import options, output
+from dpstack.api.opening import open_bus
+from dpstack.cli import options
 from dpstack.cli.report import Reporter, not_exchanging
 from dpstack.cli.signals import StopSignal
+from dpstack.cli.streams import warn
 from dpstack.errors import UsageError
 
 _LATER = "is not supported yet by this version; leave it out"
@@ -59,14 +61,14 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
 
     with StopSignal() as stop:
         if not await stop.or_done(listen()):
-            output.warn("ended before the baud rate was found")
+            warn("ended before the baud rate was found")
             return 1
         (config,) = found
         reporter = Reporter(json=args.json, driver="virtual" if config.virtual else "asyncio")
         bus = reporter.bus = open_bus(config, on_event=reporter.event)
         await stop.or_done(bus.open())
         if not bus.is_open:
-            output.warn("ended before the token ring was joined")
+            warn("ended before the token ring was joined")
             return 1
         try:
             reporter.start()
@@ -78,7 +80,7 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
             await bus.close()
     reporter.summary(stats)
     for text in missing:
-        output.warn(text)
+        warn(text)
     return 1 if missing else 0
 
 

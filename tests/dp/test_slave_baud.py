@@ -6,7 +6,7 @@ import pytest
 from bus_kit import IDENT, PPO1, setup
 from support import MS, S, WorldFactory
 
-from dpstack.api.compose import simulated
+from dpstack.api.compose import simulated_searching
 from dpstack.api.config import slave_config
 from dpstack.dp.commands import Mode, SetMode
 from dpstack.dp.events import SlaveState
@@ -17,7 +17,6 @@ from dpstack.dp.slaveapp import SlaveAppState
 from dpstack.errors import UsageError
 from dpstack.fdl.active import ActiveStation
 from dpstack.fdl.commands import GoOnline
-from dpstack.fdl.passive import PassiveStation
 from dpstack.machine import LineUp, pump
 from dpstack.params import BusParams
 from dpstack.sim.world import World
@@ -183,12 +182,10 @@ def test_a_port_that_returns_begins_the_search_anew() -> None:
 
 def test_a_simulated_drive_finds_those_rates_that_its_device_knows() -> None:
     config = slave_config({"name": "hoist", "address": 3, "drive": "demag-dedrive"})
-    station = simulated(config, BusParams.preset(500_000), auto_baud=True)
-    assert isinstance(station, SearchingSlave)
+    station = simulated_searching(config)
     heard_at: set[int] = set()
     wire = Wire(station)
     for _ in range(5000):
         wire.hear(b"", MS)
         heard_at.add(station.baud)
     assert heard_at == set(BAUD_RATES) - {31_250}
-    assert isinstance(simulated(config, BusParams.preset(500_000)), PassiveStation)
