@@ -6,6 +6,8 @@ from random import Random
 
 import pytest
 from baud_rig import TRAFFIC, Line, exchange, found, lone_token, upside_down
+from hypothesis import given
+from hypothesis import strategies as st
 
 from dpstack.errors import ConfigError, UsageError
 from dpstack.fdl.autobaud import AutoBaud, BaudFound, BaudNotFound, Confidence, Evidence, Missing
@@ -200,6 +202,22 @@ def test_a_line_that_vanishes_begins_the_dwell_anew() -> None:
 def test_impossible_rates(rates: tuple[int, ...]) -> None:
     with pytest.raises(ConfigError, match="give some of"):
         AutoBaud(0, rates=rates)
+
+
+@given(st.lists(st.tuples(st.binary(max_size=40), st.integers(0, 300 * NS_PER_MS)), max_size=40))
+def test_nothing_on_the_line_makes_it_raise_or_stand_still(steps: list[tuple[bytes, int]]) -> None:
+    search = AutoBaud(0, silence_ns=5 * S, limit_ns=20 * S)
+    now = 0
+    for chunk, pause in steps:
+        now += pause
+        search.receive(chunk, now)
+        while search.wake_at() <= now:
+            before = search.wake_at()
+            search.wake(now)
+            assert search.wake_at() > before
+        assert search.baud in BAUD_RATES
+    while search.result is None:
+        search.wake(search.wake_at())
 
 
 # --- giving up --------------------------------------------------------------------------------------------------------
