@@ -41,18 +41,16 @@ class BaudReport:
         return line | {"confidence": self.confidence}
 
 
-async def find_baud(port: str, *, timeout: float = SILENCE_S, silence: float | None = None) -> BaudReport:
+async def find_baud(port: str, *, timeout: float | None = SILENCE_S, silence: float | None = None) -> BaudReport:
     """Listen at ``port`` (nothing is sent) for at most ``timeout`` seconds, or ``silence`` seconds of silence.
 
-    Raises ConfigError for a port that has no wire; PortError.
+    None is no limit. Raises ConfigError for a port that has no wire; PortError.
     """
     if port in (VIRTUAL, "pty"):
         raise ConfigError(f'port "{port}": nobody else is on it who could be listened to; give the rate')
     # every adapter can do the slowest rate, so a port that does not open there is not there
     line = open_port(port, BAUD_RATES[0])
-    result = await search_baud(
-        line, limit_ns=s_to_ns(timeout), silence_ns=NEVER if silence is None else s_to_ns(silence)
-    )
+    result = await search_baud(line, limit_ns=_limit(timeout), silence_ns=_limit(silence))
     seconds = ns_to_s(result.listened_ns)
     if isinstance(result, BaudFound):
         return BaudReport(
@@ -63,6 +61,10 @@ async def find_baud(port: str, *, timeout: float = SILENCE_S, silence: float | N
             text=result.text,
         )
     return BaudReport(baud=None, seconds=seconds, missing=result.why.value, text=result.text)
+
+
+def _limit(seconds: float | None) -> int:
+    return NEVER if seconds is None else s_to_ns(seconds)
 
 
 async def with_rate(config: Config) -> Config:

@@ -228,9 +228,10 @@ def test_the_rate_of_a_running_bus_is_found_and_a_second_master_joins_at_it(tmp_
     start("segment", "--stations", "4", "--dir", str(directory), "--baud", "187500").wait_for(str(directory / "3"))
     config = tmp_path / "first.toml"
     config.write_text(PLANT.format(port=directory / "1").replace("500000", "187500"), encoding="utf-8")
-    start("sim", str(config), "--port", str(directory / "0")).wait_for("raw")
+    sim = start("sim", str(config), "--port", str(directory / "0"), "--baud", "auto")
     run = start("run", str(config), "--json")
     run.wait_for('"state":"data_exchange"', 3)
+    assert "at 187.5 kbit/s" in sim.out
     found = start("baud", "--port", str(directory / "2"), "--timeout", "20", "--json")
     assert found.end() == 0
     (line,) = found.lines
@@ -248,7 +249,7 @@ def test_the_rate_of_a_running_bus_is_found_and_a_second_master_joins_at_it(tmp_
     assert run.err == ""
 
 
-def test_nothing_to_be_found_on_a_silent_bus(tmp_path: Path, start: Starter, segment: Path) -> None:
+def test_nothing_to_be_found_on_a_silent_bus(start: Starter, segment: Path) -> None:
     told = start("baud", "--port", str(segment / "0"), "--timeout", "0.3", "--json")
     words = start("baud", "--port", str(segment / "1"), "--timeout", "0.3")
     assert told.end() == words.end() == 1
@@ -257,6 +258,10 @@ def test_nothing_to_be_found_on_a_silent_bus(tmp_path: Path, start: Starter, seg
     assert told.err == ""
     assert words.err.startswith(f"dpstack: {segment / '1'}: silence: no octet in 0.3 s; is a master running, ")
     assert words.err.count("\n") == 1
+    slave = ("--drive", "demag-dedrive", "--address", "3")
+    sim = start("sim", *slave, "--port", str(segment / "0"), "--baud", "auto", "--seconds", "0.3")
+    assert sim.end() == 1
+    assert f"{segment / '0'}: the baud rate was not found: silence: no octet in 0.3 s" in sim.err
 
 
 def test_a_reader_that_has_seen_enough_is_no_traceback(plant_file: str) -> None:
