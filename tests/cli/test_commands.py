@@ -112,6 +112,15 @@ def test_run_ends_with_1_when_a_slave_is_missing(plant: str, capsys: Out) -> Non
     assert len(err) == 2
 
 
+def test_plan_of_a_bus_whose_rate_is_found_by_listening(plant: str, capsys: Out) -> None:
+    path = Path(plant)
+    path.write_text(PLANT.replace("500000", '"auto"'), encoding="utf-8")
+    assert call("plan", plant, "--baud", "all", "--json") == 0  # none is the bus's own rate
+    assert len(lines(capsys.readouterr().out)[0]) == 11
+    assert call("plan", plant) == 2
+    assert 'baud "auto" is found by `dpstack run` only; give the rate' in capsys.readouterr().err
+
+
 # --- wrong use ------------------------------------------------------------------------------------------------------
 
 WRONG: list[tuple[list[str], int, str]] = [
