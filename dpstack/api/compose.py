@@ -12,6 +12,7 @@ from dpstack.dp.master import Master
 from dpstack.dp.mirror import MirrorDevice
 from dpstack.dp.plan import Case, Plan, make_plan, t_tr_preset
 from dpstack.dp.setup import SlaveSetup
+from dpstack.dp.slave_baud import SearchingSlave, make_searching_slave
 from dpstack.dp.slaveapp import make_slave
 from dpstack.drivers.aio import AsyncioRuntime, OnFailure, patience_of
 from dpstack.drivers.base import OnEvents, Runtime
@@ -23,7 +24,7 @@ from dpstack.phy.patience import EXACT, Patience, slack
 from dpstack.ports import Delivery, Port, open_port
 from dpstack.profile import DriveCore
 from dpstack.sim.world import World
-from dpstack.units import NS_PER_MS
+from dpstack.units import BAUD_RATES, NS_PER_MS
 
 
 def plan_bus(config: Config, baud: int | None = None) -> Plan:
@@ -117,6 +118,12 @@ def simulated(slave: SlaveConfig, params: BusParams, patience: Patience = EXACT)
     return make_slave(slave.address, device_of(slave), params, patience=patience)
 
 
+def simulated_searching(slave: SlaveConfig, patience: Patience = EXACT) -> SearchingSlave:
+    """As :func:`simulated`, but it finds the rate by itself, among those that its device knows."""
+    known = slave.profile.baud_rates if slave.profile else ()
+    return make_searching_slave(slave.address, device_of(slave), rates=known or BAUD_RATES, patience=patience)
+
+
 __all__ = [
     "Case",
     "Parts",
@@ -128,5 +135,6 @@ __all__ = [
     "plan_bus",
     "port_of",
     "simulated",
+    "simulated_searching",
     "with_t_tr",
 ]

@@ -13,12 +13,12 @@ from dpstack.api.config import Config
 from dpstack.dp.slave_events import SlaveAppEvent, SlaveAppStateChanged
 from dpstack.dp.slaveapp import SlaveApp, SlaveAppState
 from dpstack.drivers.aio import AsyncioRuntime, patience_of
+from dpstack.drivers.segment import Segment, default_directory
 from dpstack.errors import BusError, ConfigError
 from dpstack.fdl.multidrop import Multidrop
 from dpstack.fdl.passive import PassiveStation
 from dpstack.params import BusParams
 from dpstack.ports import open_port
-from dpstack.ports.segment import Segment, default_directory
 from dpstack.trace import Event
 from dpstack.units import ns_to_s
 

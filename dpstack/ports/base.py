@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from enum import Enum
 
-from dpstack.errors import PortError
+from dpstack.errors import BaudError, PortError
 
 #: Takes octets read from the line, in order; called from the loop.
 OnData = Callable[[bytes], None]
@@ -78,6 +78,13 @@ class Port(ABC):
     def line_baud(self) -> int | None:
         """The rate the line runs at as far as the port can see (a pty: what its opener set); None when it cannot."""
         return None
+
+    def set_baud(self, baud: int) -> None:
+        """Change the rate of the open line at once; what was received before and not read is gone.
+
+        Raises BaudError where the line, or this kind of port, cannot: the old rate stays then.
+        """
+        raise BaudError(f"{self.name}: a port of this kind keeps the rate it was opened with; give the rate")
 
     def attach(self, loop: asyncio.AbstractEventLoop, on_data: OnData, on_lost: OnLost) -> None:
         """Hand over what arrives from now on, from within ``loop``."""

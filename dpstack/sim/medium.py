@@ -14,11 +14,12 @@ from typing import Any, Final, Protocol
 from dpstack.fdl.codec import decode
 from dpstack.fdl.telegram import Telegram
 from dpstack.params import BROADCAST
+from dpstack.phy.uart import Receiver, waveform
 from dpstack.sim import uart
 from dpstack.sim.faults import Faults
 from dpstack.sim.nodes import Node, Nodes
 from dpstack.trace import WireEntry, WireLog
-from dpstack.units import chars_to_ns
+from dpstack.units import NEVER, chars_to_ns
 
 # Order of what falls on the same nanosecond: octets, ends of transmissions, orders from outside, timers, start edges.
 # A start edge cannot hold back a station whose timer ends at the same instant: both send.
@@ -84,6 +85,8 @@ class Watcher(Protocol):
 class Scheduler(Protocol):
     """What the medium needs of the world."""
 
+    now: int
+
     def schedule(self, at: int, order: int, call: Callable[[Any], None], argument: object) -> None:
         """Call ``call(argument)`` at ``at``."""
 
@@ -133,6 +136,7 @@ class Medium:
         "_log",
         "_nodes",
         "_octet_ns",
+        "_receivers",
         "_rng",
         "_scheduler",
         "_watcher",
@@ -157,6 +161,7 @@ class Medium:
         self._durations: dict[int, list[int]] = {}
         self._current: Transmission | None = None  # of those on the wire the one that ends last
         self._jam: _Jam | None = None
+        self._receivers: dict[int, Receiver] = {}  # of the stations that listen at another rate than is sent at
         self._octet_ns = 0  # the end of the last octet that was heard one by one
 
     # --- sending ---
@@ -263,9 +268,7 @@ class Medium:
                 self._flow(_Stream(tx, baud, uart.receive(tx.octets, baud, tx.flips), ports_only=True))
         rates = self._nodes.by_rate
         if len(rates) > 1 or baud not in rates:
-            for rate in rates:
-                if rate != baud:
-                    self._flow(_Stream(tx, rate, uart.sample(tx.octets, baud, rate, self._rng)))
+            self._sample(tx)
 
     def _over(self, tx: Transmission) -> None:
         """The last bit of ``tx`` is on the line."""
@@ -308,6 +311,27 @@ class Medium:
                 settle(node, octets)
 
     # --- octet by octet ---
+    def _sample(self, tx: Transmission) -> None:
+        """What the receivers at other rates make of ``tx``."""
+        levels = waveform(tx.octets, tx.flips)
+        for rate in self._nodes.by_rate:
+            if rate == tx.baud:
+                continue
+            receiver = self._receivers.get(rate)
+            if receiver is None:
+                receiver = self._receivers[rate] = Receiver(rate)
+            got = receiver.hear(tx.start_ns, levels, tx.baud)
+            self._flow(_Stream(tx, rate, [(c.at_ns - tx.start_ns, c.octet) for c in got if c.good]))
+            if receiver.due < NEVER:
+                self._scheduler.schedule(receiver.due, OCTETS, self._tail, (receiver, tx.start_ns))
+
+    def _tail(self, late: tuple[Receiver, int]) -> None:
+        """A character that reached beyond the end of a transmission, unless another one fell into it."""
+        receiver, since = late
+        for char in receiver.idle(self._scheduler.now):
+            if char.good:
+                self._hand_octets(bytes((char.octet,)), receiver.baud, since)
+
     def _flow(self, stream: _Stream) -> None:
         if stream.heard:
             self._scheduler.schedule(stream.tx.start_ns + stream.heard[0][0], OCTETS, self._octet, stream)
@@ -343,6 +367,8 @@ class Medium:
                 self._scheduler.schedule(now, OCTETS, self._first_part, (early, now))
         late.collided = True
         late.notes.append("collision")
+        for receiver in self._receivers.values():
+            receiver.reset()
         until = max(early.end_ns, late.end_ns)
         jam = self._jam
         if jam is not None and jam.until_ns > now:
