@@ -62,6 +62,8 @@ def start(link: Link, user: LinkUser, request: Request) -> None:
         fc |= fcb.bits[da]
         if not fcb.operational[da]:
             tries = 0  # spec p119: a first request is not repeated
+    elif answered and not request.patient and link.knows(da):
+        request = request._replace(patient=True)  # whoever asks: the silence of a station that is there is news
     link.user = user
     link.request = request
     link.tries_left = tries
@@ -161,6 +163,7 @@ def owe_status(link: Link, address: int, now: int) -> None:
 def _answered(link: Link, telegram: Telegram, now: int) -> None:
     request = link.request
     da = request.da
+    link.stats.station(da).answers += 1
     if _SERVICES[request.function].counted and link.fcb.answered(da):
         text = f"station {da} answers only requests with FCV = 1, not the standard's first request with FCV = 0"
         link.events.append(Notice(t_ns=now, source="fdl", message=text, severity=Severity.WARNING))
@@ -198,7 +201,9 @@ def timeout(link: Link, _: Telegram, now: int) -> None:
         link.queue(link.frame)
         return
     station.timeouts += 1
-    _owe(link, now)
+    # what a late FDL status says is true whenever it comes; it must not pass for another service's answer, though
+    if request.patient or request.function != Req.FDL_STATUS:
+        _owe(link, now)
     if _SERVICES[request.function].counted:
         link.fcb.given_up(request.da)
     if link.wrong:

@@ -74,7 +74,7 @@ def _poll(link: Link, now: int) -> bool:
     if now >= link.until:
         gap.skipped += 1
         return False
-    if not _known(link, address) and not link.allowance.allows(now):
+    if not link.knows(address) and not link.allowance.allows(now):
         return False
     link.polling = address
     link.garbled = False
@@ -84,11 +84,6 @@ def _poll(link: Link, now: int) -> bool:
     return True
 
 
-def _known(link: Link, address: int) -> bool:
-    """It answered our last GAP poll, or answers our requests: its silence would be news."""
-    return address in link.gap.stations or link.fcb.operational[address]
-
-
 def sent(link: Link, _: Telegram, at: int) -> None:
     """A request or a GAP poll is on the line; its last bit at ``at``."""
     if link.polling < 0:
@@ -96,7 +91,7 @@ def sent(link: Link, _: Telegram, at: int) -> None:
         return
     link.stats.gap_polls += 1
     link.enter(State.AWAIT_STATUS_RESPONSE)
-    known = _known(link, link.polling)
+    known = link.knows(link.polling)
     link.deadline = at + (link.slot_known_ns if known else link.slot_unknown_ns)
     if link.exact:
         link.early_until = at + link.early_ns
@@ -124,7 +119,7 @@ def status_timeout(link: Link, _: Telegram, now: int) -> None:
     """Nobody answered the GAP poll. Octets that could not be read prove nothing either way."""
     address = link.polling
     link.polling = -1
-    known = _known(link, address)
+    known = link.knows(address)
     if link.garbled:
         link.gap.passed(address)
     elif link.gap.polled(address, None):

@@ -122,7 +122,7 @@ class Link:
     def __init__(self, params: BusParams, users: Sequence[LinkUser], patience: Patience, rows: Rows, now: int) -> None:
         self.params = params
         self.ts = params.address
-        self.users = tuple(users)
+        self.users: tuple[LinkUser, ...] = tuple(users)
         self.users_at = NEVER  # the earliest time a user wants its tick
         self.patience = patience
         self.rows = rows
@@ -201,6 +201,10 @@ class Link:
         self.user: LinkUser | None = None
         self.request = NO_REQUEST
         self.candidate = NONE
+
+    def knows(self, address: int) -> bool:
+        """It answered our last GAP poll, or answers our requests: its silence would be news."""
+        return address in self.gap.stations or self.fcb.operational[address]
 
     def ask_times(self) -> None:
         """A user was called that may want its tick at another time now."""
