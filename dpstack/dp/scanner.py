@@ -99,6 +99,18 @@ class StationSeen(Event):
         return self.found.text if self.present else f"station {self.found.address} no longer answers"
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScanDone(Event):
+    """Everything was asked once."""
+
+    stations: int
+
+    @property
+    def text(self) -> str:
+        """How many answered."""
+        return f"live list complete: {self.stations} stations besides this one"
+
+
 @dataclass(slots=True)
 class _Question:
     address: int
@@ -126,6 +138,8 @@ class Scanner:
     ) -> None:
         self.live = live
         self.found: dict[int, Found] = {}
+        #: everything was asked, once at least
+        self.done = False
         self._own = own
         self._configs = configs
         self._skip = frozenset(skip)
@@ -137,11 +151,6 @@ class Scanner:
         self._turn = False
         self._told: dict[int, Found] = {}
         self._events: list[Event] = []
-
-    @property
-    def done(self) -> bool:
-        """Everything was asked, once at least."""
-        return self.live.done and not self._questions and self._asked is None
 
     # --- link user ----------------------------------------------------------------------------------------------
     def token_received(self, now: int) -> None:
@@ -187,6 +196,9 @@ class Scanner:
             self._answered(question, outcome.data, now)
         else:
             self._not_answered(question, now, silent=outcome is Failure.NO_ANSWER)
+        if not self.done and self.live.done and not self._questions:
+            self.done = True
+            self._events.append(ScanDone(t_ns=now, stations=len(self.found)))
 
     def command(self, command: object, now: int) -> bool:
         """It takes no orders."""

@@ -107,6 +107,11 @@ class ActiveStation:
         return self._link.in_ring
 
     @property
+    def claimed(self) -> bool:
+        """It claimed the token on a silent bus; nobody has passed it one since."""
+        return self._link.claimed
+
+    @property
     def las(self) -> frozenset[int]:
         """The masters in the ring as far as is known, this one included."""
         return frozenset(self._link.ring.members)
@@ -264,6 +269,11 @@ class ActiveStation:
         if self.wire is not None:
             self.wire(WireEntry(link.taken_at, at, self._sending, str(link.ts)))
         link.row[Input.SENT](link, NONE, at)
+
+    @property
+    def patience(self) -> Patience:
+        """How long it waits for whom."""
+        return self._link.patience
 
     def set_patience(self, patience: Patience, now: int) -> None:
         """Wait as long as the port turned out to need; counts from the next deadline on."""

@@ -200,10 +200,13 @@ def timeout(link: Link, _: Telegram, now: int) -> None:
         station.retries += 1
         link.queue(link.frame)
         return
-    station.timeouts += 1
-    # what a late FDL status says is true whenever it comes; it must not pass for another service's answer, though
     if request.patient or request.function != Req.FDL_STATUS:
+        station.timeouts += 1
         _owe(link, now)
+    else:  # nobody is known there: no fault, and an FDL status that comes late is as true as one in time
+        link.stats.silent_polls += 1
+        if not (station.answers or link.garbled):
+            del link.stats.stations[request.da]
     if _SERVICES[request.function].counted:
         link.fcb.given_up(request.da)
     if link.wrong:

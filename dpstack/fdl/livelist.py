@@ -36,7 +36,7 @@ class LiveList:
 
     ``addresses`` are asked in turn, the silent ones in ``passes`` passes: one damaged answer or a host that stalls
     must not hide a station. Then the list is ``done``; with ``period_ns`` it begins again so long after a pass began.
-    ``allowance`` None: nothing but the live list counts, no limit.
+    ``allowance`` None: nothing but the live list counts, no limit; ``quick_start``: none the first time.
     """
 
     def __init__(
@@ -47,6 +47,7 @@ class LiveList:
         passes: int = 2,
         period_ns: int = 0,
         allowance: Allowance | None = None,
+        quick_start: bool = False,
     ) -> None:
         #: the stations that answered last time, with their type
         self.stations: dict[int, StationType] = {}
@@ -59,6 +60,7 @@ class LiveList:
         self._passes_left = passes - 1  # after this one
         self._period_ns = period_ns
         self._allowance = allowance
+        self._limited = allowance is not None and not quick_start
         self._queue = deque(self._addresses)
         self._silent: list[int] = []  # of this pass
         self._turn = False  # nothing was asked in this hold yet
@@ -93,7 +95,7 @@ class LiveList:
             return None
         address = self._queue[0]
         known = address in self.stations
-        if not known and self._allowance is not None and not self._allowance.allows(now):
+        if not known and self._limited and self._allowance is not None and not self._allowance.allows(now):
             return None
         self._turn = False
         self._waiting = self._queue.popleft()
@@ -145,6 +147,7 @@ class LiveList:
             self._silent = []
         else:
             self.done = True
+            self._limited = True
 
     def command(self, command: object, now: int) -> bool:
         """It takes no orders."""

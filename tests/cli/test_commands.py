@@ -124,7 +124,16 @@ WRONG: list[tuple[list[str], int, str]] = [
     (["run", "PLANT", "--outputs", "9=5A5A"], 2, "dpstack: outputs for slave 9 (raw): 2 octets given; it has 1 oct"),
     (["run", "PLANT", "--outputs", "7=5A"], 2, "dpstack: outputs for address 7: no slave has it; configured: 3, 9"),
     (["run", "PLANT", "--driver", "process"], 2, "dpstack: --driver process is not supported yet by this version;"),
-    (["run", "PLANT", "--read-only"], 2, "dpstack: --read-only is not supported yet by this version; leave it out"),
+    (["run", "PLANT", "--read-only", "--outputs", "9=5A"], 2, "dpstack: --outputs on a read-only bus: nothing is writ"),
+    (["scan"], 2, "dpstack scan: the following arguments are required: --port; see dpstack scan --help"),
+    (
+        ["scan", "--port", "pty", "--baud", "500000"],
+        2,
+        'dpstack: scan: nobody is on port "pty"; name the port of a bus',
+    ),
+    (["scan", "--port", "/dev/nosuch", "--baud", "500000"], 1, "dpstack: /dev/nosuch: no such port; "),
+    (["scan", "--port", "/dev/null"], 2, "dpstack: scan: finding the rate is not supported yet by this version; give"),
+    (["scan", "--port", "x", "--baud", "auto"], 2, 'dpstack scan: argument --baud: "auto" is not supported yet by th'),
     (["sim", "PLANT"], 2, "dpstack sim: the following arguments are required: --port; see dpstack sim --help"),
     (["sim", "--port", "pty"], 2, "dpstack: sim: neither CONFIG nor --drive NAME with --address A; give one of them"),
     (["sim", "PLANT", "--drive", "x", "--port", "pty"], 2, "dpstack: sim: a CONFIG or --drive with --address, not bo"),
@@ -168,7 +177,7 @@ def test_a_bad_configuration_is_one_line_and_2(tmp_path: Path, capsys: Out) -> N
         )
 
 
-@pytest.mark.parametrize("command", ["demo", "run", "sim", "segment", "plan"])
+@pytest.mark.parametrize("command", ["demo", "run", "sim", "segment", "scan", "plan"])
 def test_help_has_an_example(command: str, capsys: Out) -> None:
     assert call(command, "--help") == 0
     assert f"example: dpstack {command}" in capsys.readouterr().out
