@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from dpstack.api.slave_config import SlaveConfig
+from dpstack.dp import faults
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.events import Fault, SlaveState
 from dpstack.dp.scanner import Found, SlaveView
@@ -67,7 +68,15 @@ class Slave:
     @property
     def fault(self) -> Fault | None:
         """Why it is not in data exchange; None when all is well or nothing is known yet."""
-        return self._handler.fault
+        watcher = self._bus.watcher
+        if watcher is None:
+            return self._handler.fault
+        found = self.found
+        if found is None:
+            return faults.absent(self.address, self._bus.params.baud) if watcher.done else None
+        if self.state is SlaveState.FAULT and found.ident is not None:
+            return faults.wrong_ident(self.setup, found.ident)
+        return None
 
     @property
     def diagnosis(self) -> Diagnosis | None:

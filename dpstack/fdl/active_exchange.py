@@ -77,7 +77,8 @@ def start(link: Link, user: LinkUser, request: Request) -> None:
 def sent(link: Link, at: int) -> None:
     """The first attempt goes out; its last bit is on the line at ``at``."""
     request, user = link.request, link.user
-    link.stats.station(request.da).requests += 1
+    asked = link.asked = link.stats.station(request.da)
+    asked.requests += 1
     if user is not None:
         user.started(request, link.taken_at)
     if _SERVICES[request.function].answered:
@@ -163,7 +164,7 @@ def owe_status(link: Link, address: int, now: int) -> None:
 def _answered(link: Link, telegram: Telegram, now: int) -> None:
     request = link.request
     da = request.da
-    link.stats.station(da).answers += 1
+    link.asked.answers += 1
     if _SERVICES[request.function].counted and link.fcb.answered(da):
         text = f"station {da} answers only requests with FCV = 1, not the standard's first request with FCV = 0"
         link.events.append(Notice(t_ns=now, source="fdl", message=text, severity=Severity.WARNING))
@@ -193,7 +194,7 @@ def timeout(link: Link, _: Telegram, now: int) -> None:
         link.repeats = 0
         _answered(link, candidate, now)
         return
-    station = link.stats.station(request.da)
+    station = link.asked
     if link.tries_left:
         link.tries_left -= 1
         link.repeats += 1

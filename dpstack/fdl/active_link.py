@@ -15,7 +15,7 @@ from dpstack.fdl.fcb import FrameCount
 from dpstack.fdl.ring import Allowance, Gap, Ring
 from dpstack.fdl.states import Input, State
 from dpstack.fdl.telegram import FC_FUNCTION, FC_REQUEST, Kind, Req, Telegram
-from dpstack.fdl.user import Failure, LinkStats, LinkUser, Request
+from dpstack.fdl.user import Failure, LinkStats, LinkUser, Request, StationStats
 from dpstack.params import MAX_STATION, BusParams
 from dpstack.phy.line import Line
 from dpstack.phy.patience import EXACT, Patience
@@ -59,6 +59,7 @@ class Link:
         "after_ns",
         "allowance",
         "announced",
+        "asked",
         "attempt",
         "back_off_until",
         "busy_until",
@@ -170,6 +171,7 @@ class Link:
         # the exchange under way
         self.end_exchange()
         self.frame = b""
+        self.asked = StationStats()  # counters of the station asked last
         self.tries_left = 0
         self.repeats = 0
         self.polling = -1  # address of the GAP poll under way

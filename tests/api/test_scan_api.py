@@ -147,6 +147,11 @@ def test_a_read_only_bus_shows_and_changes_nothing() -> None:
                 assert raw.diagnosis.wd_on
                 assert hoist.state is dpstack.SlaveState.OFFLINE
                 assert fan.state is dpstack.SlaveState.FAULT  # another device: 0x2222
+                assert raw.fault is None
+                assert hoist.fault is not None
+                assert hoist.fault.text.startswith("no answer from address 30")
+                assert fan.fault is not None
+                assert "0x2222" in fan.fault.text
                 assert bus.mode is dpstack.Mode.STOP
                 for refused in (bus.operate, bus.clear, bus.drive("hoist").start):
                     with pytest.raises(dpstack.UsageError, match="read-only"):

@@ -104,6 +104,25 @@ def test_run_ends_with_1_when_a_slave_is_missing(plant: str, capsys: Out) -> Non
     assert len(err) == 2
 
 
+def test_run_read_only_leaves_everybody_as_he_is(plant: str, capsys: Out) -> None:
+    assert call("run", plant, "--read-only", "--seconds", "1", "--json") == 1  # nobody is in data exchange
+    printed = capsys.readouterr()
+    assert printed.err.splitlines() == [
+        f"dpstack: slave {a} ({name}) is not in data exchange: it is in diagnosis"
+        for a, name in ((3, "hoist"), (9, "raw"))
+    ]
+    told = lines(printed.out)
+    seen = {e["address"]: e for e in told if e["event"] == "station" and "state" in e}
+    assert {a: (e["type"], e["state"], e["master"]) for a, e in seen.items()} == dict.fromkeys(
+        (3, 9), ("slave", "wait_prm", None)
+    )
+    assert [e["mode"] for e in told if e["event"] == "mode"] == ["offline"]
+    assert any(e["text"].startswith("bus: listened first: silence") for e in told if e["event"] == "notice")
+    summary = told[-1]
+    assert {s["exchanges"] for s in summary["slaves"].values()} == {0}
+    assert summary["timeouts"] == 0
+
+
 # --- wrong use ------------------------------------------------------------------------------------------------------
 
 WRONG: list[tuple[list[str], int, str]] = [
