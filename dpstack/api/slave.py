@@ -75,7 +75,7 @@ class Slave:
         if found is None:
             return faults.absent(self.address, self._bus.params.baud) if watcher.done else None
         if self.state is SlaveState.FAULT and found.ident is not None:
-            return faults.wrong_ident(self.setup, found.ident)
+            return faults.wrong_ident(self.setup.ident, found.ident)
         return None
 
     @property

@@ -55,13 +55,18 @@ class Reporter:
         if self._json:
             output.json_line({"event": "summary", "t": round(stats.seconds, 3), **stats.summary(), **more})
             return
-        rows = [_slave_row(s) for s in stats.slaves.values()]
-        columns = ("address", "name", "state", "exchanges", "retries", "time-outs", "late", "bad", "inputs", "outputs")
-        output.table("Slaves", columns, rows)
+        slaves = stats.slaves.values()
+        columns = ("address", "name", "state", "exchanges", "retries", "time-outs", "late", "bad")
+        output.table("Slaves", columns, [_slave_row(s) for s in slaves])
+        output.table(
+            "Process data",
+            ("address", "name", "inputs", "outputs"),
+            [(s.address, s.name, s.inputs.hex(), s.outputs.hex()) for s in slaves],
+        )
         output.line(f"{stats.rotations} rotations in {stats.seconds:.3f} s, {_traffic(stats)}")
         for name, us in (("bus rotation time", stats.rotation_us), ("token rotation", stats.token_us)):
             if us["max"]:
-                output.line(f"{name}: " + ", ".join(f"{key} {value} us" for key, value in us.items()))
+                output.line(f"{name} in us: " + ", ".join(f"{key} {value}" for key, value in us.items()))
         if not stats.paced:
             output.line("no wire gave the octets their time here: the times are this computer's, not a bus's")
 
@@ -70,7 +75,7 @@ def _slave_row(s: SlaveStats) -> tuple[object, ...]:
     state = s.state if s.master is None else f"{s.state} (master {s.master})"
     link = s.link
     counters = (s.exchanges, s.retries, s.timeouts, link.late + link.wrong, sum(link.bad.values()))
-    return (s.address, s.name, state, *counters, s.inputs.hex(), s.outputs.hex())
+    return (s.address, s.name, state, *counters)
 
 
 def _traffic(stats: BusStats) -> str:

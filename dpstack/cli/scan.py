@@ -12,6 +12,7 @@ from dpstack.api.livelist import LiveListResult, scan_port
 from dpstack.api.skeleton import config_skeleton, drive_of
 from dpstack.cli import options, output
 from dpstack.cli.signals import StopSignal
+from dpstack.cli.streams import warn
 from dpstack.errors import UsageError
 from dpstack.units import baud_text
 
@@ -55,9 +56,9 @@ async def _run(args: argparse.Namespace) -> int:
 
     def tell(event: Event) -> None:
         if severity_of(event) is not Severity.INFO:
-            output.warn(event.text)
+            warn(event.text)
         elif isinstance(event, MasterSeen) and event.present and not args.json:
-            output.warn(f"master {event.address} is on this bus: the scan waits until it is let into the ring")
+            warn(f"master {event.address} is on this bus: the scan waits until it is let into the ring")
 
     async def scan() -> None:
         nonlocal result
@@ -66,12 +67,12 @@ async def _run(args: argparse.Namespace) -> int:
     with StopSignal() as stop:
         await stop.or_done(scan())
     if result is None:
-        output.warn("ended before the live list was complete")
+        warn("ended before the live list was complete")
         return 1
     _show(result, args)
     if result.stations:
         return 0
-    output.warn(f"nobody answers at {baud_text(result.baud)}: check rate, power, A and B, and the termination")
+    warn(f"nobody answers at {baud_text(result.baud)}: check rate, power, A and B, and the termination")
     return 1
 
 
@@ -87,7 +88,7 @@ def _show(result: LiveListResult, args: argparse.Namespace) -> None:
         columns = ("address", "type", "ident", "state", "master", "device")
         output.table(title, columns, [_row(found) for found in result.stations])
     for note in result.notes:
-        output.warn(note)
+        warn(note)
 
 
 def _row(found: Found) -> tuple[object, ...]:

@@ -2,8 +2,9 @@
 
 Host slack enters deadlines only, never minimum gaps. It is paid for every silent address, and too little of it loses
 slaves when a virtual machine stalls 10 to 30 ms: so a station whose silence has consequences (in data exchange, or
-just given the token) is given ``known_ns``, an address that never answered ``unknown_ns``, and all silent polls of the
-latter together at most ``unknown_share`` of the bus time.
+just given the token) is given ``known_ns``, an address that never answered ``unknown_ns``. Silent polls of the latter
+take at most 1/``unknown_share`` of the bus time for the GAP, and as much for a master's absent slaves: one account for
+both would let a few absent slaves keep every other master out of the ring.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ class Patience:
 
     known_ns: int = 0
     unknown_ns: int = 0
-    #: silent polls of addresses that never answered may take 1/unknown_share of the bus time; 0 = no limit
+    #: silent polls of addresses that never answered may take 1/unknown_share of the bus time (see above); 0 = no limit
     unknown_share: int = 0
     #: added to the stall time of a telegram that arrives in pieces
     stall_ns: int = 0
