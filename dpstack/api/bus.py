@@ -4,25 +4,29 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from types import TracebackType
-from typing import Final, Protocol
+from typing import Final
 
 from dpstack.api.compose import attach_core, compose, simulated
 from dpstack.api.config import Config, slave_config
 from dpstack.api.drive import Drive
-from dpstack.api.joining import why_not_joined
+from dpstack.api.joining import what_was_heard, why_not_joined
+from dpstack.api.livelist import scan_on
 from dpstack.api.slave import Slave
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.api.statistics import BusStats, collect
-from dpstack.api.streams import EventStream, Waiters
+from dpstack.api.streams import EventStream, Rounds, Waiters
 from dpstack.dp.commands import AddSlave, Mode, RemoveSlave, SetMode, Shutdown
 from dpstack.dp.events import DriveEvent, MasterStopped
 from dpstack.dp.plan import Case
+from dpstack.dp.scanner import Found
 from dpstack.errors import BusError, ConfigError, DpError, UsageError
 from dpstack.fdl.commands import GoOffline, GoOnline
-from dpstack.fdl.events import AddressCollision, RingLeft
+from dpstack.fdl.events import AddressCollision, RingJoined, RingLeft
+from dpstack.fdl.livelist import ALL_ADDRESSES
 from dpstack.fdl.passive import PassiveStation
 from dpstack.sim.world import World
 from dpstack.trace import Event, Notice, Severity
@@ -40,10 +44,6 @@ OnEvent = Callable[[Event], None]
 SlaveTable = Mapping[str, object] | SlaveConfig
 
 
-class _Watcher(Protocol):
-    def on_round(self) -> None: ...
-
-
 class Bus:
     """A running bus: the slaves of a configuration under a class 1 master. Made by :func:`dpstack.open_bus`."""
 
@@ -54,14 +54,19 @@ class Bus:
         on_event: OnEvent | None = None,
         join_timeout: float = JOIN_TIMEOUT_S,
         world: World | None = None,
+        watched: bool = True,
     ) -> None:
-        parts = compose(config, self._on_events, self._on_failure, world)
+        parts = compose(config, self._on_events, self._on_failure, world, watched=watched)
         self.config = config
         self.plan = parts.plan
         self.params = parts.plan.params
         self.station = parts.station
         self.master = parts.master
         self.runtime = parts.runtime
+        #: of a read-only bus: what shows the state of its stations
+        self.watcher = parts.watcher
+        #: addresses whose answers to the last scan could not be read
+        self.unreadable: frozenset[int] = frozenset()
         #: the simulated bus when there is one
         self.world = parts.world
         #: machine time of the start in ns
@@ -77,6 +82,7 @@ class Bus:
         self._ending: asyncio.Task[None] | None = None
         self._stopped = False
         self._left = False
+        self._has_joined = False
         self._ended_ns = 0
         self._collision: str | None = None
         #: why nothing will happen any more: a failure, or the end
@@ -84,7 +90,7 @@ class Bus:
         self._history: deque[Event] = deque(maxlen=_HISTORY)
         self._streams: list[EventStream] = []
         self._waiters = Waiters()
-        self._watchers: list[_Watcher] = []
+        self.rounds = Rounds(self.master)
         self._slaves: dict[int, Slave] = {}
         self._drives: dict[int, Drive] = {}
         for slave in config.slaves:
@@ -271,6 +277,21 @@ class Bus:
         known = ", ".join(d.name for d in self.drives) or "none"
         raise UsageError(f"no drive {which!r} on this bus; there are: {known}")
 
+    async def scan(
+        self, *, configs: bool = False, addresses: Iterable[int] = ALL_ADDRESSES, quick: bool | None = None
+    ) -> tuple[Found, ...]:
+        """The live list 0..126 without this station, with ident, state and owner of each slave; it changes nothing.
+
+        ``configs``: ask for the identifier octets too. ``quick``: silent addresses without regard to the port's share
+        for them (default: while no slave of this bus is in data exchange).
+        """
+        return await scan_on(self, configs=configs, addresses=addresses, quick=quick)
+
+    @property
+    def collided(self) -> bool:
+        """Another station uses this one's address."""
+        return self._collision is not None
+
     def events(self) -> EventStream:
         """What happens, from the start of the bus on: an async iterator, bounded; ``dropped`` counts what was lost."""
         stream = EventStream(self._history, self._streams.remove)
@@ -309,33 +330,14 @@ class Bus:
         if rotations is None:
             await self.until(lambda: False, timeout)
             return
-        self.watch_rounds(self)
+        round_over = functools.partial(self._waiters.check)  # one of its own for each caller
+        self.rounds.watch(round_over)
         try:
             await self.until(lambda: self.master.rotation.count >= rotations, timeout)
         finally:
-            self.unwatch_rounds(self)
-
-    def on_round(self) -> None:
-        """A round is over: who waits for rotations looks."""
-        self._waiters.check()
-
-    def watch_rounds(self, watcher: _Watcher) -> None:
-        """Call ``watcher.on_round()`` at the end of every round."""
-        if watcher not in self._watchers:
-            self._watchers.append(watcher)
-        self.master.on_round = self._on_round
-
-    def unwatch_rounds(self, watcher: _Watcher) -> None:
-        """No longer."""
-        self._watchers.remove(watcher)
-        if not self._watchers:
-            self.master.on_round = None
+            self.rounds.unwatch(round_over)
 
     # --- from the machine ---------------------------------------------------------------------------------------
-
-    def _on_round(self, now: int) -> None:
-        for watcher in self._watchers:
-            watcher.on_round()
 
     def _on_events(self, events: list[Event]) -> None:
         for event in events:
@@ -353,6 +355,9 @@ class Bus:
                 case AddressCollision():
                     self._collision = event.text
             self._tell(event)
+            if isinstance(event, RingJoined) and not self._has_joined:
+                self._has_joined = True
+                self._tell(Notice(t_ns=event.t_ns, source="bus", message=what_was_heard(self.station)))
         self._waiters.check()
 
     def _on_failure(self, error: Exception) -> None:

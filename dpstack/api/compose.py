@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 from dpstack.api.config import Config, rate_findings
 from dpstack.api.slave_config import SlaveConfig
@@ -11,6 +12,8 @@ from dpstack.dp.device import Device
 from dpstack.dp.master import Master
 from dpstack.dp.mirror import MirrorDevice
 from dpstack.dp.plan import Case, Plan, make_plan, t_tr_preset
+from dpstack.dp.reading import reading_only
+from dpstack.dp.scanner import Scanner
 from dpstack.dp.setup import SlaveSetup
 from dpstack.dp.slave_baud import SearchingSlave, make_searching_slave
 from dpstack.dp.slaveapp import make_slave
@@ -18,13 +21,19 @@ from dpstack.drivers.aio import AsyncioRuntime, OnFailure, patience_of
 from dpstack.drivers.base import OnEvents, Runtime
 from dpstack.drivers.virtual import VirtualRuntime
 from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.livelist import LiveList, live_allowance
 from dpstack.fdl.passive import PassiveStation
+from dpstack.fdl.user import LinkUser
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT, Patience, slack
 from dpstack.ports import Delivery, Port, open_port
 from dpstack.profile import DriveCore
 from dpstack.sim.world import World
-from dpstack.units import BAUD_RATES, NS_PER_MS
+from dpstack.units import BAUD_RATES, NS_PER_MS, NS_PER_S
+
+#: a read-only bus asks the whole live list and the diagnosis of each slave anew so often
+_LIST_PERIOD: Final = 10 * NS_PER_S
+_DIAGNOSIS_PERIOD: Final = 500 * NS_PER_MS
 
 
 def plan_bus(config: Config, baud: int | None = None) -> Plan:
@@ -70,27 +79,59 @@ class Parts:
     station: ActiveStation
     runtime: Runtime
     world: World | None
+    #: of a read-only bus: what shows the state of its stations
+    watcher: Scanner | None
 
 
-def compose(config: Config, on_events: OnEvents, on_failure: OnFailure, world: World | None = None) -> Parts:
+def compose(
+    config: Config,
+    on_events: OnEvents,
+    on_failure: OnFailure,
+    world: World | None = None,
+    *,
+    watched: bool = True,
+) -> Parts:
     """Build the parts of ``config``, with a world of its own when its port is "virtual" (no slave in it yet).
 
     ``on_failure`` is told when a machine raised (a defect of ours). ``world`` puts the master into an existing
-    simulated bus, with nothing added. Raises ConfigError, PortError.
+    simulated bus, with nothing added. A read-only bus has a guard in front of all that could write, and is watched
+    unless told otherwise. Raises ConfigError, PortError.
     """
     plan = plan_bus(config)
     params = plan.params
     virtual = world is not None or config.virtual
     port = None if virtual else port_of(config, params.baud)
     patience = EXACT if port is None else patience_for(config, port)
-    master = Master(params, config.setups(), watchdog_ms=plan.watchdog_ms, absent_share=patience.unknown_share)
-    station = ActiveStation(params, [master], patience=patience)
+    read_only = config.bus.read_only
+    master = Master(
+        params,
+        config.setups(),
+        watchdog_ms=plan.watchdog_ms,
+        absent_share=patience.unknown_share,
+        read_only=read_only,
+    )
+    watcher = _watcher(config, params, patience) if read_only and watched else None
+    users: list[LinkUser] = [master] if watcher is None else [master, watcher]
+    station = ActiveStation(params, users, patience=patience, guard=reading_only if read_only else None)
     if port is not None:
         runtime = AsyncioRuntime(port, station, on_events, on_failure=on_failure)
-        return Parts(config, plan, master, station, runtime, None)
+        return Parts(config, plan, master, station, runtime, None, watcher)
     if world is None:
         world = World(referee=False)
-    return Parts(config, plan, master, station, VirtualRuntime(world, station, on_events, on_failure=on_failure), world)
+    simulation = VirtualRuntime(world, station, on_events, on_failure=on_failure)
+    return Parts(config, plan, master, station, simulation, world, watcher)
+
+
+def _watcher(config: Config, params: BusParams, patience: Patience) -> Scanner:
+    """The scanner of a read-only bus: the whole list quickly once, then within its share, slaves twice a second."""
+    live = LiveList(
+        params.address,
+        period_ns=_LIST_PERIOD,
+        allowance=live_allowance(params, patience, 0),
+        quick_start=True,
+    )
+    wanted = [slave.address for slave in config.slaves]
+    return Scanner(params.address, live, period_ns=_DIAGNOSIS_PERIOD, wanted=wanted)
 
 
 def attach_core(master: Master, slave: SlaveConfig) -> DriveCore | None:

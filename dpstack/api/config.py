@@ -49,7 +49,6 @@ _BUS_LATER: Final[dict[str, tuple[object, ...]]] = {
     "cycle_ms": (),
     "echo": ("auto", False),
     "auto_clear": (False,),
-    "read_only": (False,),
 }
 _TOML_PLACE: Final = re.compile(r"^(.*?)\s*\(at (?:line (\d+), column (\d+)|end of document)\)$", re.DOTALL)
 
@@ -69,6 +68,7 @@ class BusConfig:
     hsa: int = 126
     host_slack_ms: float | None = None
     extra_idle_bits: int = 0
+    read_only: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -262,6 +262,7 @@ def _read_bus(table: Table) -> BusConfig:
         hsa=_or(table.integer("hsa", 1, 126), 126),
         host_slack_ms=table.number("host_slack_ms", 0, 10_000),
         extra_idle_bits=_or(table.integer("extra_idle_bits", 0, 100_000), 0),
+        read_only=table.flag("read_only", False),
     )
 
 

@@ -140,14 +140,14 @@ class Drive:
         if self._over:
             reader.end()
         self._readers.append(reader)
-        self._bus.watch_rounds(self)
+        self._bus.rounds.watch(self.on_round)
         try:
             while (status := await reader.get()) is not None:
                 yield status
         finally:
             self._readers.remove(reader)
             if not self._readers:
-                self._bus.unwatch_rounds(self)
+                self._bus.rounds.unwatch(self.on_round)
 
     # --- from the bus -------------------------------------------------------------------------------------------
 

@@ -16,6 +16,7 @@ from dpstack.dp.events import (
     SlaveState,
     SlaveStateChanged,
 )
+from dpstack.dp.scanner import Found, ScanDone, SlaveView, StationSeen
 from dpstack.drivers.base import PortBack, PortLost
 from dpstack.fdl.events import AddressCollision, MasterSeen, RingJoined, RingLeft, StationFound, TokenLost
 from dpstack.trace import Event, Notice, Severity
@@ -26,6 +27,7 @@ __all__ = [
     "Event",
     "Fault",
     "FaultKind",
+    "Found",
     "MasterSeen",
     "MasterStopped",
     "Mode",
@@ -35,6 +37,7 @@ __all__ = [
     "PortLost",
     "RingJoined",
     "RingLeft",
+    "ScanDone",
     "Severity",
     "SlaveDiagnosis",
     "SlaveEvent",
@@ -42,7 +45,9 @@ __all__ = [
     "SlaveRemark",
     "SlaveState",
     "SlaveStateChanged",
+    "SlaveView",
     "StationFound",
+    "StationSeen",
     "TokenLost",
     "event_json",
     "severity_of",
@@ -88,6 +93,8 @@ def event_json(event: Event, t: float) -> dict[str, object] | None:
             return {"event": "mode", **line, "mode": mode.name.lower()}
         case MasterStopped():
             return {"event": "stopped", **line}
+        case StationSeen(found=found, present=present):
+            return {"event": "station", **line, **found.as_dict(), "present": present, "text": event.text}
         case StationFound(address=address):
             return {"event": "station", **line, "address": address, "text": event.text}
         case PortLost(port=port) | PortBack(port=port):

@@ -18,3 +18,14 @@ def why_not_joined(station: ActiveStation, after_s: float) -> str:
     if station.decoder_stats.octets:
         return f"{late}: what is heard is no PROFIBUS at this rate; check the baud rate, A and B, the termination"
     return f"{late}: nothing is heard and nothing could be sent; check port and cable"
+
+
+def what_was_heard(station: ActiveStation) -> str:
+    """One line: what a station that has just joined heard before, of its own address nothing."""
+    heard, bad = station.stats.heard, station.decoder_stats.bad
+    others = sorted(station.las - {station.address})
+    unreadable = f"{bad} damaged" if heard else f"{bad} damaged telegrams, no readable one: is this the right rate?"
+    words = [f"{heard} telegrams"] if heard else []
+    words += [unreadable] if bad else []
+    words += [f"master{'s' if len(others) > 1 else ''} {', '.join(map(str, others))}"] if others else []
+    return f"listened first: {', '.join(words) or 'silence'}; nobody has address {station.address}"

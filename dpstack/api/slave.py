@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from dpstack.api.slave_config import SlaveConfig
+from dpstack.dp import faults
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.events import Fault, SlaveState
+from dpstack.dp.scanner import Found, SlaveView
 from dpstack.dp.setup import SlaveSetup
 from dpstack.dp.slave_handler import SlaveHandler
 from dpstack.errors import SlaveFault, SlaveTimeout, UsageError
@@ -43,23 +45,44 @@ class Slave:
 
     @property
     def state(self) -> SlaveState:
-        """Where the master is with it."""
-        return self._handler.state
+        """Where the master is with it; on a read-only bus what its diagnosis says of it and its own master."""
+        found = self.found
+        if found is None:
+            return self._handler.state
+        if self.setup.ident not in (None, found.ident) and found.ident is not None:
+            return SlaveState.FAULT
+        exchanging = found.state is SlaveView.DATA_EXCHANGE
+        return SlaveState.DATA_EXCHANGE if exchanging else SlaveState.DIAGNOSIS
+
+    @property
+    def found(self) -> Found | None:
+        """What a read-only bus has found at its address: type, ident, state, owner."""
+        watcher = self._bus.watcher
+        return None if watcher is None else watcher.found.get(self.address)
 
     @property
     def ready_now(self) -> bool:
         """True while it is in data exchange."""
-        return self._handler.state is SlaveState.DATA_EXCHANGE
+        return self.state is SlaveState.DATA_EXCHANGE
 
     @property
     def fault(self) -> Fault | None:
         """Why it is not in data exchange; None when all is well or nothing is known yet."""
-        return self._handler.fault
+        watcher = self._bus.watcher
+        if watcher is None:
+            return self._handler.fault
+        found = self.found
+        if found is None:
+            return faults.absent(self.address, self._bus.params.baud) if watcher.done else None
+        if self.state is SlaveState.FAULT and found.ident is not None:
+            return faults.wrong_ident(self.setup.ident, found.ident)
+        return None
 
     @property
     def diagnosis(self) -> Diagnosis | None:
         """The last diagnosis read."""
-        return self._handler.diagnosis
+        found = self.found
+        return self._handler.diagnosis if found is None else found.diagnosis
 
     @property
     def inputs(self) -> bytes:
@@ -75,13 +98,15 @@ class Slave:
     def outputs(self) -> bytes:
         """The outputs of the next Data_Exchange in Operate. Assigning is atomic and goes out in the next rotation.
 
-        Raises UsageError where the length does not fit or a drive plugin makes the outputs.
+        Raises UsageError where the length does not fit, a drive plugin makes the outputs, or the bus is read-only.
         """
         return self._handler.image.outputs
 
     @outputs.setter
     def outputs(self, octets: bytes) -> None:
         image = self._handler.image
+        if self._bus.master.read_only:
+            raise UsageError(f"slave {self.address} ({self.name}): this bus is read-only; leave read_only out")
         if image.unit is not None:
             raise UsageError(f"slave {self.address} ({self.name}): its drive plugin makes the outputs; use bus.drive()")
         try:

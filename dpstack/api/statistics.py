@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
+
+from dpstack.fdl.user import LinkStats, StationStats
 
 if TYPE_CHECKING:
     from dpstack.api.bus import Bus
@@ -11,7 +14,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SlaveStats:
-    """One slave's counters since the start."""
+    """One slave's counters since the start; ``link`` are those of the link layer.
+
+    ``master`` owns it on a read-only bus, as far as is known.
+    """
 
     address: int
     name: str
@@ -21,6 +27,8 @@ class SlaveStats:
     timeouts: int
     inputs: bytes
     outputs: bytes
+    link: StationStats
+    master: int | None = None
 
     def as_dict(self) -> dict[str, object]:
         """As in the summary line of ``run --json``."""
@@ -32,7 +40,14 @@ class SlaveStats:
             "timeouts": self.timeouts,
             "inputs": self.inputs.hex(),
             "outputs": self.outputs.hex(),
+            **_link_dict(self.link),
+            **({} if self.master is None else {"master": self.master}),
         }
+
+
+def _link_dict(link: StationStats) -> dict[str, object]:
+    """What is printed beside requests given up and repeated."""
+    return {"telegrams": link.telegrams, "late": link.late, "wrong": link.wrong, "bad": dict(link.bad)}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,7 +56,8 @@ class BusStats:
 
     ``rotation_us`` is first Data_Exchange of a round to that of the next, ``token_us`` token receipt to token receipt.
     ``paced`` is false where no wire gives the octets their time: the figures are the host's. ``bad`` counts octets and
-    telegrams that could not be read, by cause.
+    telegrams that could not be read, by cause (names of DecoderStats). ``stations`` are the link layer's counters of
+    every station that was asked anything, ``link`` those of this station; ``retries``, ``timeouts`` are their sums.
     """
 
     seconds: float
@@ -54,6 +70,27 @@ class BusStats:
     tokens_lost: int
     late: int
     bad: dict[str, int]
+    link: LinkStats
+
+    @property
+    def stations(self) -> dict[int, StationStats]:
+        """Counters by station address."""
+        return self.link.stations
+
+    @property
+    def telegrams(self) -> int:
+        """Sent and heard, tokens included."""
+        return self.link.sent + self.link.heard
+
+    @property
+    def retries(self) -> int:
+        """Repeated requests."""
+        return sum(station.retries for station in self.stations.values())
+
+    @property
+    def timeouts(self) -> int:
+        """Requests given up."""
+        return sum(station.timeouts for station in self.stations.values())
 
     def summary(self) -> dict[str, object]:
         """The summary line of ``run --json``, without ``event`` and ``t``."""
@@ -65,15 +102,23 @@ class BusStats:
             "token_us": self.token_us,
             "tokens": self.tokens,
             "tokens_lost": self.tokens_lost,
+            "telegrams": self.telegrams,
+            "sent": self.link.sent,
+            "retries": self.retries,
+            "timeouts": self.timeouts,
             "late": self.late,
+            "stray": self.link.stray,
+            "garbled": self.link.garbled,
+            "token_retries": self.link.token_retries,
+            "gap_polls": self.link.gap_polls,
             "bad": self.bad,
             "slaves": {str(address): slave.as_dict() for address, slave in self.slaves.items()},
         }
 
 
 def collect(bus: Bus) -> BusStats:
-    """The picture at this moment."""
-    link = bus.station.stats
+    """The picture at this moment: a copy, later counts do not change it."""
+    link = copy.deepcopy(bus.station.stats)
     decoder = bus.station.decoder_stats.as_dict()
     return BusStats(
         seconds=bus.seconds,
@@ -91,6 +136,8 @@ def collect(bus: Bus) -> BusStats:
                 timeouts=slave.timeouts,
                 inputs=slave.inputs,
                 outputs=slave.outputs,
+                link=link.station(slave.address),
+                master=slave.found.master if slave.found is not None else None,
             )
             for slave in bus.slaves
         },
@@ -98,4 +145,5 @@ def collect(bus: Bus) -> BusStats:
         tokens_lost=link.tokens_lost,
         late=link.late,
         bad={name: count for name, count in decoder.items() if count and name not in ("telegrams", "octets")},
+        link=link,
     )

@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterable
 from typing import Final, Generic, TypeVar
 
+from dpstack.dp.master import Master
 from dpstack.trace import Event
 
 T = TypeVar("T")
@@ -86,6 +87,30 @@ class Waiters:
                 await future
         finally:
             self._waiting.remove(entry)
+
+
+class Rounds:
+    """Calls back at the end of every round with data exchange; while nobody wants it, it costs the bus nothing."""
+
+    def __init__(self, master: Master) -> None:
+        self._master = master
+        self._watchers: list[Callable[[], None]] = []
+
+    def watch(self, watcher: Callable[[], None]) -> None:
+        """Call ``watcher()`` at the end of every round."""
+        if watcher not in self._watchers:
+            self._watchers.append(watcher)
+        self._master.on_round = self._on_round
+
+    def unwatch(self, watcher: Callable[[], None]) -> None:
+        """No longer."""
+        self._watchers.remove(watcher)
+        if not self._watchers:
+            self._master.on_round = None
+
+    def _on_round(self, now: int) -> None:
+        for watcher in tuple(self._watchers):
+            watcher()
 
 
 class Latest(Generic[T]):

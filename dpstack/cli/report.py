@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 
 from dpstack.api.bus import Bus
 from dpstack.api.events import DriveEvent, Event, MasterStopped, Severity, SlaveDiagnosis, event_json, severity_of
-from dpstack.api.statistics import BusStats
+from dpstack.api.statistics import BusStats, SlaveStats
 from dpstack.cli import output
 from dpstack.units import baud_text, ns_to_s
 
@@ -56,21 +56,41 @@ class Reporter:
             output.json_line({"event": "summary", "t": round(stats.seconds, 3), **stats.summary(), **more})
             return
         slaves = stats.slaves.values()
-        output.table(
-            "Slaves",
-            ("address", "name", "state", "exchanges", "retries", "time-outs"),
-            [(s.address, s.name, s.state, s.exchanges, s.retries, s.timeouts) for s in slaves],
-        )
+        columns = ("address", "name", "state", "exchanges", "retries", "time-outs", "late", "bad")
+        output.table("Slaves", columns, [_slave_row(s) for s in slaves])
         output.table(
             "Process data",
             ("address", "name", "inputs", "outputs"),
             [(s.address, s.name, s.inputs.hex(), s.outputs.hex()) for s in slaves],
         )
-        output.line(f"{stats.rotations} rotations in {stats.seconds:.3f} s")
+        output.line(f"{stats.rotations} rotations in {stats.seconds:.3f} s, {_traffic(stats)}")
         for name, us in (("bus rotation time", stats.rotation_us), ("token rotation", stats.token_us)):
-            output.line(f"{name} in us: " + ", ".join(f"{key} {value}" for key, value in us.items()))
+            if us["max"]:
+                output.line(f"{name} in us: " + ", ".join(f"{key} {value}" for key, value in us.items()))
         if not stats.paced:
             output.line("no wire gave the octets their time here: the times are this computer's, not a bus's")
+
+
+def _slave_row(s: SlaveStats) -> tuple[object, ...]:
+    state = s.state if s.master is None else f"{s.state} (master {s.master})"
+    link = s.link
+    counters = (s.exchanges, s.retries, s.timeouts, link.late + link.wrong, sum(link.bad.values()))
+    return (s.address, s.name, state, *counters)
+
+
+def _traffic(stats: BusStats) -> str:
+    """What went over the bus, and what of it went wrong, for people: zeros are left out."""
+    counters = {
+        "repeated": stats.retries,
+        "given up": stats.timeouts,
+        "late": stats.late,
+        "stray": stats.link.stray,
+        "tokens lost": stats.tokens_lost,
+        "tokens repeated": stats.link.token_retries,
+        **{f"bad: {cause.replace('_', ' ')}": count for cause, count in stats.bad.items()},
+    }
+    wrong = [f"{count} {name}" for name, count in counters.items() if count]
+    return f"{stats.telegrams} telegrams" + (f" ({', '.join(wrong)})" if wrong else ", nothing went wrong")
 
 
 def not_exchanging(bus: Bus) -> list[str]:

@@ -47,9 +47,11 @@ def execute(args: argparse.Namespace) -> int:
     """Run until a limit or a signal; 1 when a slave is not in data exchange at the end."""
     if args.driver == "process":
         raise UsageError(f"--driver process {_LATER}, or take --driver asyncio")
-    if args.read_only:
-        raise UsageError(f"--read-only {_LATER}")
-    config = load_config(args.config).with_bus(port=args.port, baud=args.baud, driver=args.driver)
+    config = load_config(args.config).with_bus(
+        port=args.port, baud=args.baud, driver=args.driver, read_only=args.read_only or None
+    )
+    if config.bus.read_only and args.outputs:
+        raise UsageError("--outputs on a read-only bus: nothing is written there; leave one of the two out")
     return asyncio.run(_run(config.with_outputs(dict(args.outputs)), args))
 
 
@@ -72,7 +74,7 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
             return 1
         try:
             reporter.start()
-            if not args.clear:
+            if not (args.clear or config.bus.read_only):
                 await bus.operate()
             await stop.or_done(_limit(bus, args.seconds, args.rotations))
             stats, missing = bus.stats, not_exchanging(bus)

@@ -43,7 +43,8 @@ class Master:
     """A DP class 1 master over ``slaves``. Starts in Clear; ``watchdog_ms`` is the default of slaves without their own.
 
     ``absent_share``: while any slave is in data exchange, silent polls of absent ones take at most 1/absent_share of
-    the bus time; 0 = no limit. ``on_round(now)`` is called at the end of every round with data exchange.
+    the bus time; 0 = no limit. ``read_only``: it stays in Stop, where nothing is sent to slaves. ``on_round(now)`` is
+    called at the end of every round with data exchange.
     """
 
     def __init__(
@@ -53,10 +54,12 @@ class Master:
         *,
         watchdog_ms: int = 200,
         absent_share: int = 0,
+        read_only: bool = False,
         on_round: Callable[[int], None] | None = None,
     ) -> None:
         self.params = params
-        self.mode = Mode.CLEAR
+        self.mode = Mode.STOP if read_only else Mode.CLEAR
+        self.read_only = read_only
         self.handlers: dict[int, SlaveHandler] = {}
         self.rotation = Histogram()
         self.rounds = 0
@@ -112,6 +115,8 @@ class Master:
             case RemoveSlave(address):
                 self._remove(address, now)
             case DriveCommand(address, op, args, token):
+                if self.read_only:
+                    raise UsageError("this bus is read-only: no drive can be commanded; leave read_only out")
                 self._handler(address).unit.command(op, args, token, now)
             case LineDown(reason):
                 self._line_lost(f"the port vanished ({reason})", now)
@@ -170,6 +175,8 @@ class Master:
     def _set_mode(self, mode: Mode, now: int) -> None:
         if self._target is Mode.OFFLINE:
             raise UsageError("the master is being stopped: open the bus anew")
+        if self.read_only:
+            raise UsageError("this bus is read-only: its master stays in Stop; leave read_only out")
         if mode is Mode.OFFLINE:
             raise UsageError("a master goes offline by Shutdown, so that outputs become safe first")
         if mode is not self._target:

@@ -13,8 +13,9 @@ from dpstack.errors import UsageError
 from dpstack.fdl import active_exchange, active_hold, active_idle, active_passing
 from dpstack.fdl.active_link import NONE, Link, Rows, classify
 from dpstack.fdl.codec import encode
-from dpstack.fdl.commands import GoOffline, GoOnline
+from dpstack.fdl.commands import AttachUser, DetachUser, GoOffline, GoOnline
 from dpstack.fdl.decoder import Decoder, DecoderStats
+from dpstack.fdl.guard import Guard, GuardedUser, unguarded
 from dpstack.fdl.states import Input, State, handlers_by_state
 from dpstack.fdl.telegram import Kind, StationType, Telegram
 from dpstack.fdl.user import LinkStats, LinkUser
@@ -22,7 +23,7 @@ from dpstack.machine import LineDown, LineUp
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT, Patience
 from dpstack.stats import Histogram
-from dpstack.trace import Event, WireEntry
+from dpstack.trace import Event, Notice, Severity, WireEntry
 from dpstack.units import NEVER, chars_to_ns
 
 #: the longest telegram in octets: what an edge on the line may turn into
@@ -49,17 +50,26 @@ _COMMANDS: Final[dict[type, Input]] = {
 class ActiveStation:
     """An active station (BusStation) and its ``users``, asked in their order. Offline until :class:`GoOnline`.
 
-    ``patience`` is what the port may be late; ``wire``, when set, is told every telegram heard and sent. Commands
-    that are not its own go to the users; :class:`UsageError` when none takes it.
+    ``patience`` is what the port may be late; what ``guard`` refuses no user can send; ``wire``, when set, is told
+    every telegram heard and sent. Commands that are not its own go to the users; :class:`UsageError` when none takes
+    it.
     """
 
-    __slots__ = ("_decoder", "_link", "_longest_ns", "_partial", "_sending", "wire")
+    __slots__ = ("_decoder", "_guard", "_link", "_longest_ns", "_partial", "_sending", "wire")
 
     def __init__(
-        self, params: BusParams, users: Sequence[LinkUser], *, patience: Patience = EXACT, now: int = 0
+        self,
+        params: BusParams,
+        users: Sequence[LinkUser],
+        *,
+        patience: Patience = EXACT,
+        guard: Guard | None = None,
+        now: int = 0,
     ) -> None:
-        self._link = Link(params, users, patience, ROWS, now)
+        self._guard = guard
+        self._link = Link(params, [self._guarded(user) for user in users], patience, ROWS, now)
         self._decoder = Decoder(stall_ns=self._link.line.t_stall_ns + patience.stall_ns)
+        self._decoder.on_bad = self._bad
         self._partial = False  # the decoder holds an unfinished telegram
         self._longest_ns = chars_to_ns(_LONGEST, params.baud)
         self._sending = b""
@@ -95,6 +105,11 @@ class ActiveStation:
     def in_ring(self) -> bool:
         """It has held the token since it came online, and has not been dropped since."""
         return self._link.in_ring
+
+    @property
+    def claimed(self) -> bool:
+        """It claimed the token on a silent bus; nobody has passed it one since."""
+        return self._link.claimed
 
     @property
     def las(self) -> frozenset[int]:
@@ -185,6 +200,7 @@ class ActiveStation:
 
     def _heard(self, telegram: Telegram, now: int) -> None:
         link = self._link
+        link.stats.heard += 1
         if self.wire is not None:
             octets = _octets(telegram)
             sender = str(telegram.sa) if telegram.sa >= 0 else None
@@ -241,12 +257,18 @@ class ActiveStation:
     def sent(self, at: int) -> None:
         """The end of the transmission, known in advance (machine contract)."""
         link = self._link
+        link.stats.sent += 1
         if self.wire is not None:
             self.wire(WireEntry(link.taken_at, at, self._sending, str(link.ts)))
         at += link.patience.sending_ns  # an answer cuts this short, silence does not
         link.line.idle_since = at
         link.after_ns = link.line.t_id1_ns
         link.row[Input.SENT](link, NONE, at)
+
+    @property
+    def patience(self) -> Patience:
+        """How long it waits for whom."""
+        return self._link.patience
 
     def set_patience(self, patience: Patience, now: int) -> None:
         """Wait as long as the port turned out to need; counts from the next deadline on."""
@@ -269,7 +291,7 @@ class ActiveStation:
         return events
 
     def command(self, command: object, now: int) -> None:
-        """GoOnline, GoOffline, LineDown, LineUp; everything else is offered to the users. Raises UsageError."""
+        """GoOnline, GoOffline, AttachUser, DetachUser, LineDown, LineUp; all else goes to the users, or UsageError."""
         link = self._link
         what = _COMMANDS.get(type(command))
         if what is None:
@@ -292,7 +314,41 @@ class ActiveStation:
                 user.command(command, now)
             link.ask_times()
 
+    def _guarded(self, user: LinkUser) -> LinkUser:
+        return user if self._guard is None else GuardedUser(user, self._guard, self._refused)
+
+    def _refused(self, text: str, now: int, news: bool) -> None:
+        link = self._link
+        link.stats.refused += 1
+        if news:
+            link.events.append(Notice(t_ns=now, source="fdl", message=text, severity=Severity.ERROR))
+
+    def _bad(self, cause: str) -> None:
+        """Something damaged: while an answer is awaited it counts for the station asked, too."""
+        link = self._link
+        if link.state is State.AWAIT_DATA_RESPONSE:
+            bad = link.stats.station(link.request.da).bad
+        elif link.state is State.AWAIT_STATUS_RESPONSE and link.knows(link.polling):
+            bad = link.stats.station(link.polling).bad
+        else:
+            return
+        bad[cause] = bad.get(cause, 0) + 1
+
+    def _attach(self, user: LinkUser) -> None:
+        self._link.users += (self._guarded(user),)
+
+    def _detach(self, user: LinkUser) -> None:
+        link = self._link
+        if link.user is not None and unguarded(link.user) is user:
+            link.user = None
+        link.users = tuple(other for other in link.users if unguarded(other) is not user)
+
     def _offer(self, command: object, now: int) -> None:
+        if isinstance(command, (AttachUser, DetachUser)):
+            change = self._attach if isinstance(command, AttachUser) else self._detach
+            change(command.user)
+            self._link.ask_times()
+            return
         for user in self._link.users:
             if user.command(command, now):
                 self._link.ask_times()

@@ -63,6 +63,8 @@ def start(link: Link, user: LinkUser, request: Request) -> None:
         fc |= fcb.bits[da]
         if not fcb.operational[da]:
             tries = 0  # spec p119: a first request is not repeated
+    elif answered and not request.patient and link.knows(da):
+        request = request._replace(patient=True)  # whoever asks: the silence of a station that is there is news
     link.user = user
     link.request = request
     link.tries_left = tries
@@ -76,7 +78,8 @@ def start(link: Link, user: LinkUser, request: Request) -> None:
 def sent(link: Link, at: int) -> None:
     """The first attempt goes out; its last bit is on the line at ``at``."""
     request, user = link.request, link.user
-    link.stats.station(request.da).requests += 1
+    asked = link.asked = link.stats.station(request.da)
+    asked.requests += 1
     link.garbled = False  # what came before the request is no answer to it
     if user is not None:
         user.started(request, link.taken_at)
@@ -165,6 +168,7 @@ def owe_status(link: Link, address: int, now: int) -> None:
 def _answered(link: Link, telegram: Telegram, now: int) -> None:
     request = link.request
     da = request.da
+    link.asked.answers += 1
     if _SERVICES[request.function].counted and link.fcb.answered(da):
         text = (
             f"station {da} answered a request with FCV = 1 after three silent ones with FCV = 0: "
@@ -200,16 +204,21 @@ def timeout(link: Link, _: Telegram, now: int) -> None:
         link.repeats = 0
         _answered(link, candidate, now)
         return
-    station = link.stats.station(request.da)
+    station = link.asked
     if link.tries_left:
         link.tries_left -= 1
         link.repeats += 1
         station.retries += 1
         link.queue(link.frame)
         return
-    station.timeouts += 1
     link.slow.discard(request.da)
-    _owe(link, now)
+    if request.patient or request.function != Req.FDL_STATUS:
+        station.timeouts += 1
+        _owe(link, now)
+    else:  # nobody is known there: no fault, and an FDL status that comes late is as true as one in time
+        link.stats.silent_polls += 1
+        if not (station.answers or link.garbled):
+            del link.stats.stations[request.da]
     if _SERVICES[request.function].counted:
         link.fcb.given_up(request.da)
     if link.wrong:

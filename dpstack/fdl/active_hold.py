@@ -74,18 +74,13 @@ def _poll(link: Link, now: int) -> bool:
     if now >= link.until:
         gap.skipped += 1
         return False
-    if not _known(link, address) and not link.allowance.allows(now):
+    if not link.knows(address) and not link.allowance.allows(now):
         return False
     link.polling = address
     link.fresh = False
     link.enter(State.USE_TOKEN)
     link.queue(encode_sd1(address, link.ts, _STATUS_FC))
     return True
-
-
-def _known(link: Link, address: int) -> bool:
-    """It answered our last GAP poll, if late, or answers our requests: its silence would be news."""
-    return address in link.gap.stations or link.fcb.operational[address] or address in link.slow
 
 
 def sent(link: Link, _: Telegram, at: int) -> None:
@@ -96,7 +91,7 @@ def sent(link: Link, _: Telegram, at: int) -> None:
     link.stats.gap_polls += 1
     link.garbled = False  # what came before the poll is no answer to it
     link.enter(State.AWAIT_STATUS_RESPONSE)
-    known = _known(link, link.polling)
+    known = link.knows(link.polling)
     link.deadline = at + (link.slot_known_ns if known else link.slot_unknown_ns)
     if link.exact:
         link.early_until = at + link.early_ns
@@ -124,7 +119,7 @@ def status_timeout(link: Link, _: Telegram, now: int) -> None:
     """Nobody answered the GAP poll. Octets that could not be read prove nothing either way."""
     address = link.polling
     link.polling = -1
-    known = _known(link, address)
+    known = link.knows(address)
     link.slow.discard(address)
     if link.garbled:
         link.gap.passed(address)

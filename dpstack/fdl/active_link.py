@@ -15,7 +15,7 @@ from dpstack.fdl.fcb import FrameCount
 from dpstack.fdl.ring import Allowance, Gap, Ring
 from dpstack.fdl.states import Input, State
 from dpstack.fdl.telegram import FC_FUNCTION, FC_REQUEST, Kind, Req, Telegram
-from dpstack.fdl.user import Failure, LinkStats, LinkUser, Request
+from dpstack.fdl.user import Failure, LinkStats, LinkUser, Request, StationStats
 from dpstack.params import MAX_STATION, BusParams
 from dpstack.phy.line import Line
 from dpstack.phy.patience import EXACT, Patience
@@ -59,6 +59,7 @@ class Link:
         "after_ns",
         "allowance",
         "announced",
+        "asked",
         "attempt",
         "back_off_until",
         "busy_until",
@@ -123,7 +124,7 @@ class Link:
     def __init__(self, params: BusParams, users: Sequence[LinkUser], patience: Patience, rows: Rows, now: int) -> None:
         self.params = params
         self.ts = params.address
-        self.users = tuple(users)
+        self.users: tuple[LinkUser, ...] = tuple(users)
         self.users_at = NEVER  # the earliest time a user wants its tick
         self.patience = patience
         self.rows = rows
@@ -171,6 +172,7 @@ class Link:
         # the exchange under way
         self.end_exchange()
         self.frame = b""
+        self.asked = StationStats()  # counters of the station asked last
         self.tries_left = 0
         self.repeats = 0
         self.polling = -1  # address of the GAP poll under way
@@ -204,6 +206,10 @@ class Link:
         self.user: LinkUser | None = None
         self.request = NO_REQUEST
         self.candidate = NONE
+
+    def knows(self, address: int) -> bool:
+        """It answered our last GAP poll, if late, or answers our requests: its silence would be news."""
+        return address in self.gap.stations or self.fcb.operational[address] or address in self.slow
 
     def ask_times(self) -> None:
         """A user was called that may want its tick at another time now."""

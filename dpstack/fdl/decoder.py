@@ -12,6 +12,7 @@ silent for the stall time.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Final
 
@@ -62,11 +63,13 @@ class Decoder:
     An SD2 with LE = 3 comes out as a telegram without data and SAPs (``Telegram.empty_le3`` tells it) and is counted.
     """
 
-    __slots__ = ("_doubt", "_held", "_last", "stall_ns", "stats")
+    __slots__ = ("_doubt", "_held", "_last", "on_bad", "stall_ns", "stats")
 
     def __init__(self, *, stall_ns: int) -> None:
         self.stall_ns = stall_ns
         self.stats = DecoderStats()
+        #: told the counter's name of every damaged telegram, for whoever knows whose it may have been
+        self.on_bad: Callable[[str], None] | None = None
         self._held = bytearray()  # octets of an unfinished telegram
         self._doubt = 0  # so many of the octets held or to come lie inside a rejected frame
         self._last = 0  # when octets came last; kept only while octets are held or in doubt
@@ -102,7 +105,7 @@ class Decoder:
         if not held:
             return []
         if not self._doubt:  # else a start inside a damaged frame, which is counted already
-            self.stats.stalled += 1
+            self._count("stalled")
         # silence has ended whatever these octets are: none of them waits for more
         self._doubt = len(held)
         found: list[Telegram] = []
@@ -164,8 +167,12 @@ class Decoder:
         return at
 
     def _reject(self, flaw: Flaw, at: int) -> None:
-        stats = self.stats
-        name = flaw.value
-        setattr(stats, name, getattr(stats, name) + 1)
+        self._count(flaw.value)
         if flaw is not Flaw.BAD_START:
             self._doubt = at + claimed(self._held, at, len(self._held))
+
+    def _count(self, name: str) -> None:
+        stats = self.stats
+        setattr(stats, name, getattr(stats, name) + 1)
+        if self.on_bad is not None:
+            self.on_bad(name)

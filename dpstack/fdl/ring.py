@@ -202,6 +202,6 @@ class Allowance:
         return self._credit_ns >= self._cost_ns
 
     def charge(self, ns: int) -> None:
-        """A poll of ``ns`` was silent."""
+        """A poll of ``ns`` was silent. Debts are bounded too: whoever overdraws it does not end the GAP for long."""
         if self._share:
-            self._credit_ns -= ns
+            self._credit_ns = max(-self._cap_ns, self._credit_ns - ns)

@@ -69,6 +69,7 @@ class Failure(Enum):
     GARBLED = "garbled answer"  # octets came, no telegram
     WRONG = "wrong answer"  # a telegram that does not answer this request: other SAPs, another station
     ABANDONED = "abandoned"  # the station left the ring or went offline meanwhile
+    REFUSED = "refused by this station's guard"  # never sent: this station may not (dpstack.fdl.guard)
 
 
 class LinkUser(Protocol):
@@ -164,24 +165,36 @@ class StationStats:
     """Counters of one remote station, always on."""
 
     requests: int = 0
+    answers: int = 0
     retries: int = 0
     timeouts: int = 0  # requests given up
     late: int = 0  # answers that came after their time-out
     wrong: int = 0
+    #: damaged telegrams and stray octets while its answer was awaited, by cause (names of DecoderStats)
+    bad: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def telegrams(self) -> int:
+        """Telegrams to it and from it: requests, their repetitions, answers taken, late and wrong ones."""
+        return self.requests + self.retries + self.answers + self.late + self.wrong
 
 
 @dataclass(slots=True)
 class LinkStats:
     """Counters of one active station's link, always on."""
 
+    sent: int = 0  # telegrams of this station, tokens included
+    heard: int = 0  # readable telegrams of all others
     tokens: int = 0
     tokens_lost: int = 0
     token_retries: int = 0  # token frames repeated because the next station was silent
     withdrawn: int = 0  # token holds ended because another station sent as a token holder does
     gap_polls: int = 0
+    silent_polls: int = 0  # FDL status asked by users where nobody was known to be, and nobody answered
     stray: int = 0  # telegrams nobody waited for
     late: int = 0
     garbled: int = 0  # answers of which only unreadable octets came
+    refused: int = 0  # requests of users that the guard did not let through
     ignored: int = 0  # inputs without a row in the state table
     stations: dict[int, StationStats] = field(default_factory=dict)
 

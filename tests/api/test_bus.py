@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Coroutine
-from typing import Any, TypeVar
 
 import pytest
+from api_kit import FAN, HOIST, RAW, bus_of, slave_in, virtual
 from support import WorldFactory
 
 import dpstack
@@ -21,28 +20,6 @@ from dpstack.fdl.user import Reply
 from dpstack.params import BusParams
 from dpstack.sim.world import World
 from dpstack.stats import Histogram
-
-T = TypeVar("T")
-RAW: dict[str, object] = {"name": "raw", "address": 9, "ident": 0x1234, "config": "20 10"}
-HOIST: dict[str, object] = {"name": "hoist", "address": 3, "drive": "demag-dedrive"}
-FAN: dict[str, object] = {"name": "fan", "address": 4, "drive": "fuji-frenic", "telegram": "PPO3"}
-
-
-def virtual(program: Coroutine[Any, Any, T]) -> T:
-    return dpstack.run_virtual(program)
-
-
-def bus_of(*slaves: dict[str, object], **more: Any) -> dpstack.Bus:
-    return dpstack.open_bus(port="virtual", baud=500_000, slaves=slaves, **more)
-
-
-def slave_in(world: World, device: FunctionDevice | MirrorDevice, address: int) -> tuple[PassiveStation, SlaveApp]:
-    station = make_slave(address, device, BusParams.preset(500_000))
-    world.add(station)
-    app = station.responder
-    assert isinstance(app, SlaveApp)
-    return station, app
-
 
 # --- bring-up and process data --------------------------------------------------------------------------------------
 

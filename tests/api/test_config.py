@@ -205,7 +205,6 @@ LATER: list[tuple[str, str]] = [
     (BUS + "cycle_ms = 4.0\n", "plant.toml:4: [bus]: cycle_ms is not supported yet by this version; leave it out"),
     (BUS + "echo = true\n", "plant.toml:4: [bus]: echo is not supported yet by this version; leave it out"),
     (BUS + "auto_clear = true\n", "plant.toml:4: [bus]: auto_clear is not supported yet by this version; leave it out"),
-    (BUS + "read_only = true\n", "plant.toml:4: [bus]: read_only is not supported yet by this version; leave it out"),
     (BUS + 'driver = "process"\n', 'plant.toml:4: [bus]: driver "process" is not supported yet by this version; use'),
     (BUS + RAW + 'gsd = "x.gsd"\n', "plant.toml:9: [[slave]] raw: gsd is not supported yet by this version; leave it"),
     (BUS + RAW + "modules = []\n", "plant.toml:9: [[slave]] raw: modules is not supported yet by this version; leave"),

@@ -73,10 +73,10 @@ def test_run_json_is_the_documented_one(plant: str, capsys: Out) -> None:
     assert all(isinstance(e["t"], float) for e in told[1:])
     assert summary["event"] == "summary"
     assert summary["paced"] is True
-    assert 50 <= summary["rotations"] < 60
+    assert summary["rotations"] >= 50
     for name in ("rotation_us", "token_us"):
         assert list(summary[name]) == ["min", "p50", "p99", "p999", "max"]
-    assert summary["rotation_us"]["p50"] == pytest.approx(1696, abs=1)  # counted by hand: 848 bits
+    assert summary["rotation_us"]["p50"] == pytest.approx(1696, rel=0.004)  # 848 bits, by hand; buckets of 0.4 %
     raw = summary["slaves"]["9"]
     assert raw["state"] == "data_exchange"
     assert (raw["inputs"], raw["outputs"]) == ("5a", "5a")
@@ -95,7 +95,7 @@ def test_run_for_people(plant: str, capsys: Out) -> None:
     out = capsys.readouterr().out
     assert out.startswith("master 2 on virtual at 500 kbit/s\n")
     assert "slave 3 (hoist): data_exchange" in out
-    assert "bus rotation time in us: min 16" in out
+    assert "bus rotation time in us: min " in out
     assert "\nSlaves\naddress  name   state" in out
     assert "\nProcess data\naddress  name   inputs" in out
 
@@ -106,9 +106,10 @@ def test_version(capsys: Out) -> None:
 
 
 def test_run_ends_with_1_when_a_slave_is_missing(plant: str, capsys: Out) -> None:
-    assert call("run", plant, "--seconds", "0.001", "--json") == 1
+    """Nobody is at the other end of a new pty."""
+    assert call("run", plant, "--port", "pty", "--seconds", "0.2", "--json") == 1
     err = capsys.readouterr().err.splitlines()
-    assert err[0].startswith("dpstack: slave 3 (hoist) is not in data exchange: it is in ")
+    assert err[0].startswith("dpstack: slave 3 (hoist) is not in data exchange: ")
     assert len(err) == 2
 
 
@@ -119,6 +120,25 @@ def test_plan_of_a_bus_whose_rate_is_found_by_listening(plant: str, capsys: Out)
     assert len(lines(capsys.readouterr().out)[0]) == 11
     assert call("plan", plant) == 2
     assert 'baud "auto" is found by `dpstack run` only; give the rate' in capsys.readouterr().err
+
+
+def test_run_read_only_leaves_everybody_as_he_is(plant: str, capsys: Out) -> None:
+    assert call("run", plant, "--read-only", "--seconds", "1", "--json") == 1  # nobody is in data exchange
+    printed = capsys.readouterr()
+    assert printed.err.splitlines() == [
+        f"dpstack: slave {a} ({name}) is not in data exchange: it is in diagnosis"
+        for a, name in ((3, "hoist"), (9, "raw"))
+    ]
+    told = lines(printed.out)
+    seen = {e["address"]: e for e in told if e["event"] == "station" and "state" in e}
+    assert {a: (e["type"], e["state"], e["master"]) for a, e in seen.items()} == dict.fromkeys(
+        (3, 9), ("slave", "wait_prm", None)
+    )
+    assert [e["mode"] for e in told if e["event"] == "mode"] == ["offline"]
+    assert any(e["text"].startswith("bus: listened first: silence") for e in told if e["event"] == "notice")
+    summary = told[-1]
+    assert {s["exchanges"] for s in summary["slaves"].values()} == {0}
+    assert summary["timeouts"] == 0
 
 
 # --- wrong use ------------------------------------------------------------------------------------------------------
@@ -145,7 +165,15 @@ WRONG: list[tuple[list[str], int, str]] = [
     (["run", "PLANT", "--outputs", "9=5A5A"], 2, "dpstack: outputs for slave 9 (raw): 2 octets given; it has 1 oct"),
     (["run", "PLANT", "--outputs", "7=5A"], 2, "dpstack: outputs for address 7: no slave has it; configured: 3, 9"),
     (["run", "PLANT", "--driver", "process"], 2, "dpstack: --driver process is not supported yet by this version;"),
-    (["run", "PLANT", "--read-only"], 2, "dpstack: --read-only is not supported yet by this version; leave it out"),
+    (["run", "PLANT", "--read-only", "--outputs", "9=5A"], 2, "dpstack: --outputs on a read-only bus: nothing is writ"),
+    (["scan"], 2, "dpstack scan: the following arguments are required: --port; see dpstack scan --help"),
+    (
+        ["scan", "--port", "pty", "--baud", "500000"],
+        2,
+        'dpstack: scan: nobody is on port "pty"; name the port of a bus',
+    ),
+    (["scan", "--port", "/dev/nosuch", "--baud", "500000"], 1, "dpstack: /dev/nosuch: no such port; "),
+    (["scan", "--port", "x"], 1, "dpstack: x: no such port;"),
     (["sim", "PLANT"], 2, "dpstack sim: the following arguments are required: --port; see dpstack sim --help"),
     (["sim", "--port", "pty"], 2, "dpstack: sim: neither CONFIG nor --drive NAME with --address A; give one of them"),
     (["sim", "PLANT", "--drive", "x", "--port", "pty"], 2, "dpstack: sim: a CONFIG or --drive with --address, not bo"),
@@ -189,7 +217,7 @@ def test_a_bad_configuration_is_one_line_and_2(tmp_path: Path, capsys: Out) -> N
         )
 
 
-@pytest.mark.parametrize("command", ["demo", "run", "sim", "segment", "plan"])
+@pytest.mark.parametrize("command", ["demo", "run", "sim", "segment", "scan", "plan"])
 def test_help_has_an_example(command: str, capsys: Out) -> None:
     assert call(command, "--help") == 0
     assert f"example: dpstack {command}" in capsys.readouterr().out

@@ -163,3 +163,11 @@ def test_no_share_is_no_limit() -> None:
     for _ in range(100):
         account.charge(1000)
     assert account.allows(0)
+
+
+def test_an_overdrawn_allowance_is_in_debt_for_so_long_only() -> None:
+    allowance = Allowance(100, 1_000, 0)
+    for _ in range(200):
+        allowance.charge(1_000)
+    assert not allowance.allows(16 * 1_000 * 100)
+    assert allowance.allows(17 * 1_000 * 100)

@@ -1,0 +1,123 @@
+"""The live list of a running bus, and of a port that nobody holds yet."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from dpstack.dp.events import SlaveState
+from dpstack.dp.scanner import Found, Scanner, SlaveView, view_of
+from dpstack.errors import BusError, DpError
+from dpstack.fdl.commands import AttachUser, DetachUser
+from dpstack.fdl.livelist import LiveList, live_allowance
+from dpstack.fdl.telegram import StationType
+from dpstack.params import MAX_STATION
+
+if TYPE_CHECKING:
+    from dpstack.api.bus import Bus
+    from dpstack.api.slave import Slave
+
+#: so many addresses in use are tried before somebody has to name one
+_TRIES: Final = 8
+
+
+async def scan_on(bus: Bus, *, configs: bool, addresses: Iterable[int], quick: bool | None) -> tuple[Found, ...]:
+    """See ``Bus.scan``."""
+    if quick is None:
+        quick = not any(slave.ready_now for slave in bus.slaves if not bus.master.read_only)
+    own = bus.params.address
+    allowance = None if quick else live_allowance(bus.params, bus.station.patience, bus.runtime.now())
+    mine = {} if bus.master.read_only else {slave.address: slave for slave in bus.slaves}
+    scanner = Scanner(own, LiveList(own, addresses=addresses, allowance=allowance), configs=configs, skip=mine)
+    bus.command(AttachUser(scanner))
+    try:
+        await bus.until(lambda: scanner.done)
+    finally:
+        with contextlib.suppress(DpError):  # the bus may have ended meanwhile
+            bus.command(DetachUser(scanner))
+    bus.unreadable = frozenset(scanner.live.unreadable)
+    return tuple(_of_ours(found, mine.get(address), own) for address, found in sorted(scanner.found.items()))
+
+
+def _of_ours(found: Found, slave: Slave | None, own: int) -> Found:
+    """What the master knows of a slave of its own; asking it again would take a diagnosis away from the master."""
+    if slave is None or found.kind is not StationType.SLAVE:
+        return found
+    exchanging = slave.state is SlaveState.DATA_EXCHANGE
+    return dataclasses.replace(
+        found,
+        state=SlaveView.DATA_EXCHANGE if exchanging else view_of(slave.diagnosis),
+        ident=None if slave.diagnosis is None else slave.diagnosis.ident,
+        master=own if exchanging else None,
+        config=slave.config.config if exchanging else None,
+        diagnosis=slave.diagnosis,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LiveListResult:
+    """What is on a bus. ``address`` is the one that this station asked from; ``notes`` are worth a line each."""
+
+    baud: int
+    address: int
+    stations: tuple[Found, ...]
+    unreadable: tuple[int, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def as_dict(self) -> dict[str, object]:
+        """As ``scan --json`` prints it."""
+        return {
+            "baud": self.baud,
+            "stations": [found.as_dict() for found in self.stations],
+            "address": self.address,
+            "unreadable": list(self.unreadable),
+            "notes": list(self.notes),
+        }
+
+
+#: Makes a bus at a station address that may only read and is not open yet.
+MakeBus = Callable[[int], "Bus"]
+
+
+async def scan_port(make_bus: MakeBus, *, address: int | None = None, configs: bool = False) -> LiveListResult:
+    """Join the bus, ask everybody, leave in order; on a silent bus then ask the own address from another one.
+
+    The address is the lowest that is not heard (0 is the one kept for tools) unless given. Raises PortError, BusError.
+    """
+    for tries, own in enumerate(range(MAX_STATION + 1) if address is None else (address,)):
+        bus = make_bus(own)
+        try:
+            async with bus:
+                stations = await bus.scan(configs=configs)
+        except BusError:
+            if bus.collided and not bus.station.in_ring and address is None and tries < _TRIES:
+                continue
+            raise
+        break
+    notes = list(_notes(stations, bus.unreadable))
+    if bus.station.claimed:  # else another master asked the own address and understood the one answer it got
+        taken = {own, *(found.address for found in stations)}
+        other = next(free for free in range(MAX_STATION + 1) if free not in taken)
+        try:
+            async with make_bus(other) as second:
+                stations += await second.scan(configs=configs, addresses=(own,))
+        except BusError as error:
+            notes.append(f"address {own} itself could not be asked from {other}: {error}")
+    return LiveListResult(
+        baud=bus.params.baud,
+        address=own,
+        stations=tuple(sorted(stations, key=lambda found: found.address)),
+        unreadable=tuple(sorted(bus.unreadable)),
+        notes=tuple(notes),
+    )
+
+
+def _notes(stations: tuple[Found, ...], unreadable: Iterable[int]) -> Iterator[str]:
+    for address in sorted(unreadable):
+        yield f"address {address} answers, but not readably: two stations with one address, or a bad line"
+    for found in stations:
+        if found.kind is StationType.SLAVE and found.ident is None:
+            yield f"station {found.address} does not tell its diagnosis: it may be no DP slave"

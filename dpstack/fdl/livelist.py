@@ -1,0 +1,166 @@
+"""The live list: which stations 0..126 are on the bus, of what type and how ready, asked by FDL status.
+
+A user of the link layer beside others, with the lowest claim of all: one request a token hold, in time that is left
+(spec p102: low priority), silent polls within the allowance it is given. It changes nothing in any station.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+from typing import Final
+
+from dpstack.fdl.events import StationFound
+from dpstack.fdl.ring import Allowance
+from dpstack.fdl.telegram import Req, StationType, Telegram
+from dpstack.fdl.user import Failure, Request
+from dpstack.params import UNADDRESSED, BusParams
+from dpstack.phy.patience import Patience
+from dpstack.trace import Event
+from dpstack.units import BITS_PER_CHAR, NEVER
+
+#: 126 is the address of a slave as delivered; 127 is nobody's
+ALL_ADDRESSES: Final = range(UNADDRESSED + 1)
+#: the GAP lives on the same silent polls: the live list leaves it half of what they may take
+_SHARES: Final = 2
+
+
+def live_allowance(params: BusParams, patience: Patience, now: int) -> Allowance:
+    """What silent polls of a live list may take beside data exchange: half of what the port's patience allows."""
+    cost_ns = params.ns(params.t_sl + BITS_PER_CHAR) + patience.unknown_ns
+    return Allowance(_SHARES * patience.unknown_share, cost_ns, now)
+
+
+class LiveList:
+    """The stations of a bus as a ``LinkUser``; ``own`` is the asking station's address and is left out.
+
+    ``addresses`` are asked in turn, the silent ones in ``passes`` passes: one damaged answer or a host that stalls
+    must not hide a station. Then the list is ``done``; with ``period_ns`` it begins again so long after a pass began.
+    ``allowance`` None: nothing but the live list counts, no limit; ``quick_start``: none the first time.
+    """
+
+    def __init__(
+        self,
+        own: int,
+        *,
+        addresses: Iterable[int] = ALL_ADDRESSES,
+        passes: int = 2,
+        period_ns: int = 0,
+        allowance: Allowance | None = None,
+        quick_start: bool = False,
+    ) -> None:
+        #: the stations that answered last time, with their type
+        self.stations: dict[int, StationType] = {}
+        #: addresses from which only damaged octets came: two stations with one address, or a bad line
+        self.unreadable: set[int] = set()
+        #: every address was asked as often as it takes, once at least
+        self.done = False
+        self._addresses = [address for address in addresses if address != own]
+        self._passes = passes
+        self._passes_left = passes - 1  # after this one
+        self._period_ns = period_ns
+        self._allowance = allowance
+        self._limited = allowance is not None and not quick_start
+        self._queue = deque(self._addresses)
+        self._silent: list[int] = []  # of this pass
+        self._turn = False  # nothing was asked in this hold yet
+        self._waiting = -1  # the address under way
+        self._begun = -1
+        self._started = 0
+        self._events: list[Event] = []
+
+    def ask_soon(self, address: int) -> None:
+        """Ask ``address`` before all others, once."""
+        if address != self._waiting and address not in self._queue:
+            self._queue.appendleft(address)
+
+    def forget(self, address: int, now: int) -> None:
+        """``address`` has fallen silent, as somebody else found out."""
+        self._settle(address, None, now)
+
+    # --- link user ----------------------------------------------------------------------------------------------
+    def token_received(self, now: int) -> None:
+        """One request a hold."""
+        self._turn = True
+        if self._begun < 0:
+            self._begun = now
+        if self._period_ns and now - self._begun >= self._period_ns and not self._queue and self._waiting < 0:
+            self._begun = now
+            self._passes_left = self._passes - 1
+            self._queue.extend(self._addresses)
+
+    def next_request(self, now: int, high_only: bool) -> Request | None:
+        """The next address; its patience and repetitions are those of a station that answered before, or none."""
+        if high_only or not self._turn or not self._queue:
+            return None
+        address = self._queue[0]
+        known = address in self.stations
+        if not known and self._limited and self._allowance is not None and not self._allowance.allows(now):
+            return None
+        self._turn = False
+        self._waiting = self._queue.popleft()
+        return Request(address, Req.FDL_STATUS, patient=known, retry=known)
+
+    def started(self, request: Request, at: int) -> None:
+        """What a silent poll takes counts from here."""
+        self._started = at
+
+    def result(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
+        """The answer says the type; silence is believed in the end."""
+        address = request.da
+        self._waiting = -1
+        if outcome in (Failure.ABANDONED, Failure.REFUSED):
+            self._queue.appendleft(address)
+        elif isinstance(outcome, Telegram):
+            self.unreadable.discard(address)
+            self._settle(address, outcome.station_type, now)
+        else:
+            self._no_answer(address, outcome is Failure.NO_ANSWER, now)
+        if not self._queue:
+            self._end_pass()
+
+    def _no_answer(self, address: int, silent: bool, now: int) -> None:
+        if not silent:
+            self.unreadable.add(address)
+        elif address not in self.stations and self._allowance is not None:
+            self._allowance.charge(now - self._started)
+        if self._passes_left > 0:
+            self._silent.append(address)
+        elif silent:  # what cannot be read proves nothing
+            self._settle(address, None, now)
+
+    def _settle(self, address: int, kind: StationType | None, now: int) -> None:
+        known = self.stations.get(address)
+        if kind is known:
+            return
+        if kind is None:
+            del self.stations[address]
+        else:
+            self.stations[address] = kind
+        self._events.append(StationFound(t_ns=now, address=address, kind=kind))
+
+    def _end_pass(self) -> None:
+        """The silent ones again, while there are passes left."""
+        if self._silent and self._passes_left > 0:
+            self._passes_left -= 1
+            self._queue.extend(self._silent)
+            self._silent = []
+        else:
+            self.done = True
+            self._limited = True
+
+    def command(self, command: object, now: int) -> bool:
+        """It takes no orders."""
+        return False
+
+    def wake_at(self) -> int:
+        """Everything here is tied to the token."""
+        return NEVER
+
+    def tick(self, now: int) -> None:
+        """Nothing to do."""
+
+    def take_events(self) -> list[Event]:
+        """Stations found and lost."""
+        events, self._events = self._events, []
+        return events

@@ -1,0 +1,35 @@
+"""What tests of the API use: configured slaves, a bus of them, a program in virtual time."""
+
+from __future__ import annotations
+
+from collections.abc import Coroutine
+from typing import Any, TypeVar
+
+import dpstack
+from dpstack.dp.device import FunctionDevice
+from dpstack.dp.mirror import MirrorDevice
+from dpstack.dp.slaveapp import SlaveApp, make_slave
+from dpstack.fdl.passive import PassiveStation
+from dpstack.params import BusParams
+from dpstack.sim.world import World
+
+T = TypeVar("T")
+RAW: dict[str, object] = {"name": "raw", "address": 9, "ident": 0x1234, "config": "20 10"}
+HOIST: dict[str, object] = {"name": "hoist", "address": 3, "drive": "demag-dedrive"}
+FAN: dict[str, object] = {"name": "fan", "address": 4, "drive": "fuji-frenic", "telegram": "PPO3"}
+
+
+def virtual(program: Coroutine[Any, Any, T]) -> T:
+    return dpstack.run_virtual(program)
+
+
+def bus_of(*slaves: dict[str, object], **more: Any) -> dpstack.Bus:
+    return dpstack.open_bus(port="virtual", baud=500_000, slaves=slaves, **more)
+
+
+def slave_in(world: World, device: FunctionDevice | MirrorDevice, address: int) -> tuple[PassiveStation, SlaveApp]:
+    station = make_slave(address, device, BusParams.preset(500_000))
+    world.add(station)
+    app = station.responder
+    assert isinstance(app, SlaveApp)
+    return station, app

@@ -1,0 +1,118 @@
+"""``dpstack scan`` and ``run --read-only`` as users start them, on a segment of ptys: what happens, never when."""
+
+from __future__ import annotations
+
+import json
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from programs import PLANT, Starter
+
+from dpstack.api.config import load_config
+from dpstack.cli.main import main
+
+SLAVES = [("0x0696", "demag-dedrive"), ("0xDD04", "fuji-frenic"), ("0x1234", None)]
+
+
+@pytest.fixture
+def starter(tmp_path: Path) -> Iterator[Starter]:
+    folder = tmp_path / "output"
+    folder.mkdir()
+    made = Starter(folder)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def bus(tmp_path: Path, starter: Starter) -> Path:
+    """A segment of three with the slaves of a plant on port 0; ports 1 and 2 are free."""
+    directory = tmp_path / "bus"
+    starter("segment", "--stations", "3", "--dir", str(directory)).wait_for(str(directory / "2"))
+    starter("sim", plant(tmp_path, directory / "1"), "--port", str(directory / "0")).wait_for("raw")
+    return directory
+
+
+def plant(tmp_path: Path, port: object) -> str:
+    path = tmp_path / "plant.toml"
+    path.write_text(PLANT.format(port=port), encoding="utf-8")
+    return str(path)
+
+
+def scan(capsys: pytest.CaptureFixture[str], port: Path, *more: str) -> tuple[int, str, str]:
+    code = main(["scan", "--port", str(port), "--baud", "500000", *more])
+    printed = capsys.readouterr()
+    return code, printed.out, printed.err
+
+
+def test_a_silent_bus(tmp_path: Path, bus: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, err = scan(capsys, bus / "1", "--json")
+    assert (code, err) == (0, "")
+    assert out.count("\n") == 1
+    told: dict[str, Any] = json.loads(out)
+    assert told["baud"] == 500_000
+    assert told["stations"] == [
+        {"address": address, "type": "slave", "ident": ident, "state": "wait_prm", "master": None}
+        for address, (ident, _) in zip((3, 4, 9), SLAVES, strict=True)
+    ]
+    code, out, err = scan(capsys, bus / "1", "--config")
+    assert (code, err) == (0, "")
+    path = tmp_path / "found.toml"
+    path.write_text(out, encoding="utf-8")
+    config = load_config(path)
+    assert [s.profile and s.profile.name for s in config.slaves] == [drive for _, drive in SLAVES]
+    assert main(["plan", str(path)]) == 0
+    assert "nothing is out of bounds" in capsys.readouterr().out
+
+
+def test_for_people(bus: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, err = scan(capsys, bus / "1", "--address", "7")
+    assert (code, err) == (0, "")
+    lines = out.splitlines()
+    assert lines[0] == "3 stations at 500 kbit/s, asked by 7"
+    assert lines[1].split() == ["address", "type", "ident", "state", "master", "device"]
+    assert lines[2].split()[:5] == ["3", "slave", "0x0696", "wait_prm", "Demag"]
+
+
+def test_nobody(tmp_path: Path, starter: Starter, capsys: pytest.CaptureFixture[str]) -> None:
+    directory = tmp_path / "bus"
+    starter("segment", "--stations", "2", "--dir", str(directory)).wait_for(str(directory / "1"))
+    code, out, err = scan(capsys, directory / "0", "--json")
+    assert code == 1
+    assert json.loads(out)["stations"] == []
+    assert err == "dpstack: nobody answers at 500 kbit/s: check rate, power, A and B, and the termination\n"
+
+
+def test_beside_a_master_and_read_only(
+    tmp_path: Path, bus: Path, starter: Starter, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The slaves of the running master are shown with their owner; it keeps all of them."""
+    config = tmp_path / "few.toml"
+    # hsa: its GAP is short, so that it soon lets others in
+    text = Path(plant(tmp_path, bus / "1")).read_text(encoding="utf-8").replace("500000", "500000\nhsa = 5")
+    config.write_text(text, encoding="utf-8")
+    run = starter("run", str(config), "--json")
+    run.wait_for('"state":"data_exchange"', 3)
+    code, out, err = scan(capsys, bus / "2", "--json")
+    assert (code, err) == (0, "")
+    stations = json.loads(out)["stations"]
+    assert [(s["address"], s["type"], s["state"], s["master"]) for s in stations] == [
+        (2, "master_in_ring", None, None),
+        (3, "slave", "data_exchange", 2),
+        (4, "slave", "data_exchange", 2),
+        (9, "slave", "data_exchange", 2),
+    ]
+    watch = tmp_path / "watch.toml"
+    watch.write_text(text.replace("hsa = 5", "hsa = 5\naddress = 1\nread_only = true"), encoding="utf-8")
+    reader = starter("run", str(watch), "--port", str(bus / "2"), "--json")
+    reader.wait_for('"state":"data_exchange","master":2', 3)
+    assert reader.end(signal.SIGTERM) == 0
+    summary = reader.lines[-1]
+    assert {s["master"] for s in summary["slaves"].values()} == {2}
+    assert {s["state"] for s in summary["slaves"].values()} == {"data_exchange"}
+    assert run.end(signal.SIGTERM) == 0
+    lost = [line for line in run.lines if line["event"] == "fault" and line["kind"] in ("lost", "left")]
+    assert lost == []
+    assert all(s["state"] == "data_exchange" for s in run.lines[-1]["slaves"].values())

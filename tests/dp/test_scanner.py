@@ -1,0 +1,300 @@
+"""The scanner: ident, state and owner of every slave, and nobody notices that it was there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import pytest
+from bus_kit import IDENT, PPO1, SimBus, mirror
+from ring_bus import ListUser, RingBus
+from support import MS, S, WorldFactory
+
+from dpstack.dp.commands import Mode, SetMode
+from dpstack.dp.diagnosis import Diagnosis
+from dpstack.dp.events import SlaveStateChanged
+from dpstack.dp.master import Master
+from dpstack.dp.mirror import MirrorDevice
+from dpstack.dp.reading import reading_only
+from dpstack.dp.scanner import Found, Scanner, SlaveView, StationSeen, view_of
+from dpstack.dp.setup import SlaveSetup
+from dpstack.dp.slaveapp import SlaveApp, SlaveAppState
+from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.commands import GoOffline, GoOnline
+from dpstack.fdl.livelist import LiveList
+from dpstack.fdl.passive import PassiveStation
+from dpstack.fdl.telegram import Req, StationType
+from dpstack.fdl.user import Failure, Request
+from dpstack.params import BusParams
+from dpstack.sim.world import World
+from dpstack.trace import Event, Notice
+
+
+@dataclass
+class Scan:
+    """A scanning master in ``world``."""
+
+    world: World
+    address: int = 0
+    baud: int = 500_000
+    configs: bool = False
+
+    def __post_init__(self) -> None:
+        params = BusParams.preset(self.baud, address=self.address)
+        self.events: list[Event] = []
+        self.scanner = Scanner(self.address, LiveList(self.address), configs=self.configs)
+        self.station = ActiveStation(params, [self.scanner], guard=reading_only, now=self.world.now)
+        self.world.add(self.station, on_events=self.events.extend)
+
+    def run(self, within_ns: int = 10 * S) -> dict[int, Found]:
+        """Join, scan, leave."""
+        self.world.command(self.station, GoOnline())
+        end = self.world.now + within_ns
+        while not self.scanner.done:
+            assert self.world.now < end, f"{self.station.state.name}, {len(self.scanner.found)} found"
+            self.world.run_for(MS)
+        self.world.command(self.station, GoOffline())
+        while self.station.in_ring:
+            assert self.world.now < end
+            self.world.run_for(MS)
+        self.world.remove(self.station)
+        assert self.station.stats.refused == 0
+        return self.scanner.found
+
+
+def brief(found: dict[int, Found]) -> list[tuple[object, ...]]:
+    return [(f.address, f.kind.name, f.ident, f.state and f.state.value, f.master) for _, f in sorted(found.items())]
+
+
+@pytest.mark.parametrize("baud", [9_600, 500_000, 12_000_000])
+def test_a_silent_bus(world: WorldFactory, baud: int) -> None:
+    w = world()
+    params = BusParams.preset(baud)
+    for address in (3, 126):
+        w.add(mirror(address, params))
+    found = Scan(w, baud=baud, configs=True).run(60 * S)
+    assert brief(found) == [(3, "SLAVE", IDENT, "wait_prm", None), (126, "SLAVE", IDENT, "wait_prm", None)]
+    assert {f.config for f in found.values()} == {PPO1}
+
+
+def apps(bus: SimBus) -> list[SlaveApp]:
+    found = [slave.responder for slave in bus.slaves]
+    assert all(isinstance(app, SlaveApp) for app in found)
+    return [app for app in found if isinstance(app, SlaveApp)]
+
+
+def test_beside_another_master_that_notices_nothing(world: WorldFactory) -> None:
+    """The same plant with and without the scan: no slave lost, no retry, a rotation longer by one poll at most."""
+    figures = []
+    for scanned in (False, True):
+        w = world()
+        params = BusParams.preset(500_000, address=2)
+        bus = SimBus(w, params, (3, 4, 5))
+        bus.until_exchanging()
+        w.run_for(500 * MS)
+        before = len([e for e in bus.events if isinstance(e, SlaveStateChanged)])
+        if scanned:
+            found = Scan(w, configs=True).run()
+            assert brief(found) == [
+                (2, "MASTER_IN_RING", None, None, None),
+                *((a, "SLAVE", IDENT, "data_exchange", 2) for a in (3, 4, 5)),
+            ]
+            assert {found[a].config for a in (3, 4, 5)} == {PPO1}
+        w.run_for(2 * S)
+        assert bus.exchanging
+        assert len([e for e in bus.events if isinstance(e, SlaveStateChanged)]) == before
+        stats = bus.station.stats
+        assert [(s.retries, s.timeouts, s.late, s.wrong) for a, s in stats.stations.items() if a in (3, 4, 5)] == [
+            (0, 0, 0, 0)
+        ] * 3
+        assert stats.tokens_lost == 0
+        for app in apps(bus):
+            assert app.state is SlaveAppState.DATA_EXCH
+            assert app.master == 2
+            assert app.stats.watchdogs == 0
+        figures.append((bus.master.rotation.quantile_ns(0.5), bus.master.rotation.max_ns))
+    (p50, _), (p50_scanned, longest) = figures
+    assert p50_scanned < p50 * 1.2  # most rotations of the run were without the scanner
+    token_and_poll = params.ns(2 * 33 + 6 * 11 + 3 * params.t_id1 + params.t_sl)
+    diagnosis = params.ns(11 * (9 + 17) + 2 * params.t_id1 + 11)
+    assert longest < figures[0][1] + token_and_poll + diagnosis + params.ns(2 * params.t_sl)
+
+
+def test_the_owners_watchdog_still_runs_while_others_ask(world: WorldFactory) -> None:
+    """A Slave_Diag of another master is no sign of life of the owner."""
+    w = world()
+    params = BusParams.preset(500_000, address=2)
+    bus = SimBus(w, params, (3,))
+    bus.until_exchanging()
+    scan = Scan(w)
+    scan.scanner = Scanner(0, LiveList(0, addresses=[3]), period_ns=MS)
+    scan.station = ActiveStation(BusParams.preset(500_000, address=0), [scan.scanner], guard=reading_only, now=w.now)
+    w.add(scan.station, on_events=scan.events.extend)
+    w.command(scan.station, GoOnline())
+    w.run_for(500 * MS)
+    assert bus.exchanging
+    states = [e.found.state for e in scan.events if isinstance(e, StationSeen)]
+    assert states == [SlaveView.DATA_EXCHANGE]
+    w.command(bus.station, SetMode(Mode.STOP))
+    w.run_for(1 * S)
+    assert apps(bus)[0].stats.watchdogs == 1
+    states = [e.found.state for e in scan.events if isinstance(e, StationSeen)]
+    assert states == [SlaveView.DATA_EXCHANGE, SlaveView.WAIT_PRM]
+
+
+def test_a_slave_that_goes_and_comes_while_it_is_watched(world: WorldFactory) -> None:
+    w = world()
+    params = BusParams.preset(500_000)
+    slave = mirror(3, params)
+    w.add(slave)
+    scan = Scan(w)
+    scan.scanner = Scanner(0, LiveList(0), period_ns=50 * MS, wanted=[3])
+    scan.station = ActiveStation(BusParams.preset(500_000, address=0), [scan.scanner], guard=reading_only, now=w.now)
+    w.add(scan.station, on_events=scan.events.extend)
+    w.command(scan.station, GoOnline())
+    w.run_for(1 * S)
+    w.remove(slave)
+    w.run_for(1 * S)
+    assert scan.scanner.found == {}
+    w.add(slave)
+    w.run_for(1 * S)
+    told = [(e.present, e.text) for e in scan.events if isinstance(e, StationSeen)]
+    assert told == [
+        (True, "station 3: slave, ident 0x1234, wait_prm"),
+        (False, "station 3 no longer answers"),
+        (True, "station 3: slave, ident 0x1234, wait_prm"),
+    ]
+
+
+def test_what_is_no_dp_slave_stays_unknown() -> None:
+    """It answers FDL status, and RS to everything else."""
+    bus = RingBus()
+    status, refusal = bytes.fromhex("10 02 04 00 06 16"), bytes.fromhex("10 02 04 03 09 16")
+    bus.slaves[4] = lambda octets, now: (11, status if octets[0] == 0x10 else refusal)
+    scanner = Scanner(2, LiveList(2, addresses=range(8)), configs=True)
+    bus.master(2, scanner, gap=0)
+    bus.run(200 * MS)
+    assert scanner.done
+    assert brief(scanner.found) == [(4, "SLAVE", None, "unknown", None)]
+    assert scanner.found[4].as_dict() == {
+        "address": 4,
+        "type": "slave",
+        "ident": None,
+        "state": "unknown",
+        "master": None,
+    }
+
+
+def test_literal_octets() -> None:
+    """Slave 4, in data exchange with master 1, ident 0x0CDA; it knows octets only."""
+    bus = RingBus()
+    answers = {
+        "10 04 02 49 4f 16": "10 02 04 00 06 16",
+        "68 05 05 68 84 82 6d 3c 3e ed 16": "68 0b 0b 68 82 84 08 3e 3c 00 0c 00 01 0c da 7b 16",
+        "68 05 05 68 84 82 5d 3b 3e dc 16": "68 06 06 68 82 84 08 3e 3b 21 a8 16",
+    }
+
+    def slave(octets: bytes, now: int) -> tuple[int, bytes] | None:
+        answer = answers.get(octets.hex(" "))
+        return None if answer is None else (11, bytes.fromhex(answer))
+
+    bus.slaves[4] = slave
+    scanner = Scanner(2, LiveList(2, addresses=[4]), configs=True)
+    bus.master(2, scanner, gap=0)
+    bus.run(50 * MS)
+    assert brief(scanner.found) == [(4, "SLAVE", 0x0CDA, "data_exchange", 1)]
+    assert scanner.found[4].config == b"\x21"
+    assert scanner.found[4].text == "station 4: slave, ident 0x0CDA, data_exchange, master 1"
+
+
+def test_a_slave_that_names_whoever_asks_has_no_owner() -> None:
+    bus = RingBus()
+    answers = {
+        "10 04 02 49 4f 16": "10 02 04 00 06 16",
+        "68 05 05 68 84 82 6d 3c 3e ed 16": "68 0b 0b 68 82 84 08 3e 3c 00 0c 00 02 0c da 7c 16",
+    }
+    bus.slaves[4] = lambda octets, now: (11, bytes.fromhex(answers.get(octets.hex(" "), "e5")))
+    scanner = Scanner(2, LiveList(2, addresses=[4]))
+    bus.master(2, scanner, gap=0)
+    bus.run(50 * MS)
+    assert brief(scanner.found) == [(4, "SLAVE", 0x0CDA, "data_exchange", None)]
+
+
+@pytest.mark.parametrize(
+    ("octets", "state"),
+    [
+        ("02 05 00 ff 12 34", SlaveView.WAIT_PRM),
+        ("42 05 00 ff 12 34", SlaveView.WAIT_PRM),
+        ("02 04 00 02 12 34", SlaveView.WAIT_CFG),
+        ("00 0c 00 02 12 34", SlaveView.DATA_EXCHANGE),
+        ("08 0e 00 02 12 34", SlaveView.DATA_EXCHANGE),
+        ("00 04 00 ff 12 34", SlaveView.UNKNOWN),
+    ],
+)
+def test_states_from_diagnosis(octets: str, state: SlaveView) -> None:
+    assert view_of(Diagnosis.parse(bytes.fromhex(octets))) is state
+
+
+# --- the guard of a read-only bus -----------------------------------------------------------------------------------
+
+READS = [
+    Request(3, Req.FDL_STATUS),
+    Request(3, Req.IDENT),
+    Request(3, Req.SRD_HIGH, b"", 60, 62),
+    Request(3, Req.SRD_LOW, b"", 59, 62),
+    Request(3, Req.SRD_HIGH, b"", 56, 62),
+    Request(3, Req.SRD_HIGH, b"", 57, 62),
+]
+WRITES = [
+    Request(3, Req.SRD_HIGH, b""),
+    Request(3, Req.SRD_HIGH, b"\x01"),
+    Request(3, Req.SRD_HIGH, b"\x80", 61, 62),
+    Request(3, Req.SRD_HIGH, b"\x20", 62, 62),
+    Request(3, Req.SRD_HIGH, b"\x01", 60, 62),
+    Request(3, Req.SRD_HIGH, b"", 51, 51),
+    Request(3, Req.SRD_HIGH, b"", 0, 50),
+    Request(3, Req.SDA_LOW, b"", 60, 62),
+    Request(127, Req.SDN_HIGH, b"\x00\x00", 58, 62),
+    Request(127, Req.CLOCK_VALUE),
+]
+
+
+@pytest.mark.parametrize("request_", READS)
+def test_reading_passes(request_: Request) -> None:
+    assert reading_only(request_) is None
+
+
+def test_nothing_else_leaves_a_guarded_station() -> None:
+    bus = RingBus()
+    user = ListUser(high=[*WRITES, *READS])
+    station = ActiveStation(BusParams.preset(500_000, address=2, gap=0), [user], guard=reading_only)
+    bus.stations.append(station)
+    bus.command(station, GoOnline())
+    bus.run(100 * MS)
+    assert [request for request, outcome, _ in user.results if outcome is Failure.REFUSED] == WRITES
+    assert [request.dsap for request, _ in user.starts] == [request.dsap for request in READS]
+    assert station.stats.refused == len(WRITES)
+    told = [e for e in bus.told(Notice) if isinstance(e, Notice)]
+    assert len(told) == 8  # each kind once: Data_Exchange with 0 and with 1 octet is the same
+    assert told[0].message.startswith("Data_Exchange to station 3 was not sent: this bus is read-only")
+
+
+def test_a_master_behind_the_guard_takes_no_slave(world: WorldFactory) -> None:
+    """Whatever a DP master tries: the slave stays where it is, and the attempt is a finding."""
+    w = world()
+    params = BusParams.preset(500_000, address=2)
+    slave: PassiveStation = mirror(3, params)
+    w.add(slave)
+    events: list[Event] = []
+    master = Master(params, [SlaveSetup(address=3, name="s3", ident=IDENT, config=PPO1)])
+    station = ActiveStation(params, [master], guard=reading_only)
+    w.add(station, on_events=events.extend)
+    w.command(station, GoOnline())
+    w.command(station, SetMode(Mode.OPERATE))
+    w.run_for(2 * S)
+    app = slave.responder
+    assert isinstance(app, SlaveApp)
+    assert app.state is SlaveAppState.WAIT_PRM
+    assert isinstance(app.device, MirrorDevice)
+    assert [e for e in events if isinstance(e, Notice) and "Set_Prm to station 3 was not sent" in e.text]
+    assert station.stats.stations[3].answers > 0
+    assert StationType.SLAVE in station.stations.values()

@@ -1,0 +1,156 @@
+"""The live list: types and readiness by FDL status, low priority, silent polls within their allowance."""
+
+from __future__ import annotations
+
+from ring_bus import ListUser, RingBus, fixed
+
+from dpstack.fdl.commands import AttachUser, DetachUser
+from dpstack.fdl.events import StationFound
+from dpstack.fdl.livelist import LiveList, live_allowance
+from dpstack.fdl.telegram import Req, StationType
+from dpstack.fdl.user import Request
+from dpstack.params import BusParams
+from dpstack.phy.patience import HOST
+from dpstack.units import NS_PER_MS
+
+#: FDL status of station 2 to 4 and to 126, answers: a slave
+TO_4, SLAVE_4 = "10 04 02 49 4F 16", "10 02 04 00 06 16"
+TO_126, SLAVE_126 = "10 7E 02 49 C9 16", "10 02 7E 00 80 16"
+
+
+def polls(bus: RingBus, sender: int = 2) -> list[int]:
+    return [s.octets[1] for s in bus.log if s.octets[0] == 0x10 and s.sender == sender and s.octets[3] == 0x49]
+
+
+def test_all_addresses_but_the_own_one() -> None:
+    bus = RingBus()
+    live = LiveList(2)
+    bus.slaves[4] = fixed(TO_4, SLAVE_4)
+    bus.slaves[126] = fixed(TO_126, SLAVE_126)
+    bus.master(2, live, gap=0)
+    bus.run(2000 * NS_PER_MS)
+    assert live.done
+    assert live.stations == {4: StationType.SLAVE, 126: StationType.SLAVE}
+    everybody = [a for a in range(127) if a != 2]
+    silent = [a for a in everybody if a not in (4, 126)]
+    assert polls(bus) == everybody + silent  # what was silent is asked a second time
+    told = [(e.address, e.kind) for e in bus.told(StationFound) if isinstance(e, StationFound)]
+    assert told == [(4, StationType.SLAVE), (126, StationType.SLAVE)]
+
+
+def test_one_poll_a_hold_after_all_other_traffic() -> None:
+    bus = RingBus()
+    user = ListUser(per_hold=[Request(9, Req.SDN_HIGH, b"\x01"), Request(9, Req.SDN_HIGH, b"\x02")])
+    bus.master(2, user, LiveList(2), gap=0)
+    bus.run(20 * NS_PER_MS)
+    kinds = "".join({0xDC: "t", 0x10: "p", 0x68: "r"}[s.octets[0]] for s in bus.log[2:])
+    assert kinds.startswith("rrptrrptrrpt")
+
+
+def test_nothing_when_the_time_is_over() -> None:
+    bus = RingBus()
+    user = ListUser(per_hold=[Request(9, Req.SDN_HIGH, bytes(60))])
+    station = bus.master(2, user, LiveList(2), gap=0, t_tr=256)
+    bus.run(100 * NS_PER_MS)
+    assert station.stats.tokens > 10
+    assert len(polls(bus)) <= 1
+
+
+def test_the_types_of_masters() -> None:
+    bus = RingBus()
+    live = LiveList(2)
+    bus.master(2, live, hsa=10)
+    bus.master(7, hsa=10)
+    bus.run(1000 * NS_PER_MS)
+    assert live.done
+    assert live.stations == {7: StationType.MASTER_IN_RING}
+
+
+def test_a_damaged_answer_hides_nobody() -> None:
+    bus = RingBus()
+    live = LiveList(2)
+    bus.slaves[4] = fixed(TO_4, SLAVE_4)
+    damaged: list[int] = []
+
+    def once(sent: object) -> bool:
+        if getattr(sent, "sender", 0) == 4 and not damaged:
+            damaged.append(1)
+            return True
+        return False
+
+    bus.drop = once
+    station = bus.master(2, live, gap=0)
+    bus.run(2000 * NS_PER_MS)
+    assert damaged
+    assert live.stations == {4: StationType.SLAVE}
+    assert live.unreadable == set()
+    assert station.stats.stations[4].bad
+
+
+def test_an_address_that_is_never_readable_is_told() -> None:
+    bus = RingBus()
+    live = LiveList(2)
+    bus.slaves[4] = fixed(TO_4, SLAVE_4)
+    bus.drop = lambda sent: sent.sender == 4
+    bus.master(2, live, gap=0)
+    bus.run(2000 * NS_PER_MS)
+    assert live.done
+    assert live.stations == {}
+    assert live.unreadable == {4}
+
+
+def test_a_repeated_list_loses_who_is_gone() -> None:
+    bus = RingBus()
+    live = LiveList(2, addresses=[3, 4], period_ns=100 * NS_PER_MS)
+    bus.slaves[4] = fixed(TO_4, SLAVE_4)
+    bus.master(2, live, gap=0)
+    bus.run(300 * NS_PER_MS)
+    assert live.stations == {4: StationType.SLAVE}
+    assert live.done
+    bus.slaves.clear()
+    bus.run(300 * NS_PER_MS)
+    assert live.stations == {}
+    told = [(e.address, e.kind) for e in bus.told(StationFound) if isinstance(e, StationFound)]
+    assert told == [(4, StationType.SLAVE), (4, None)]
+    assert live.done
+
+
+def test_silent_polls_on_a_host_port_keep_to_their_share_and_leave_the_gap_its_own() -> None:
+    bus = RingBus(mode="chunk")
+    params = BusParams.preset(500_000, address=2)
+    live = LiveList(2, period_ns=1, allowance=live_allowance(params, HOST, 0))
+    station = bus.master(2, live, patience=HOST)
+    bus.run(60_000 * NS_PER_MS)
+    cost = 2 * NS_PER_MS + bus.ns(200 + 11)
+    mine = len(polls(bus)) - station.stats.gap_polls
+    assert mine * cost < 60_000 * NS_PER_MS // 200 + 17 * cost
+    assert mine > 50
+    assert station.stats.gap_polls > 50
+
+
+def test_a_user_that_comes_and_goes() -> None:
+    bus = RingBus()
+    station = bus.master(2, gap=0)
+    bus.run(10 * NS_PER_MS)
+    live = LiveList(2)
+    bus.command(station, AttachUser(live))
+    bus.run(10 * NS_PER_MS)
+    asked = len(polls(bus))
+    assert asked
+    bus.command(station, DetachUser(live))
+    bus.run(10 * NS_PER_MS)
+    assert len(polls(bus)) == asked
+    assert station.in_ring
+
+
+def test_soon_and_forgotten() -> None:
+    bus = RingBus()
+    live = LiveList(2, addresses=range(10))
+    live.ask_soon(77)
+    live.ask_soon(77)
+    bus.slaves[4] = fixed(TO_4, SLAVE_4)
+    bus.master(2, live, gap=0)
+    bus.run(100 * NS_PER_MS)
+    assert polls(bus)[:3] == [77, 0, 1]
+    live.forget(4, bus.now)
+    assert live.stations == {}
