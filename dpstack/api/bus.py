@@ -10,7 +10,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final, Protocol
 
-from dpstack.api.compose import attach_core, compose, simulated
+from dpstack.api.compose import attach_core, compose
 from dpstack.api.config import Config, load_config, make_config, slave_config
 from dpstack.api.drive import Drive
 from dpstack.api.joining import why_not_joined
@@ -97,11 +97,12 @@ class Bus:
         self.runtime = parts.runtime
         #: the simulated bus when there is one
         self.world = parts.world
+        #: its simulated slaves, where they are part of this bus
+        self.bench = parts.bench
         #: machine time of the start in ns
         self.started_ns = 0
         self._on_event = on_event
         self._join_timeout = join_timeout
-        self._own_world = world is None
         self._open = False
         self._ending: asyncio.Task[None] | None = None
         self._stopped = False
@@ -250,8 +251,8 @@ class Bus:
         if any(slave.name == config.name for slave in self._slaves.values()):
             raise ConfigError(f"there is a slave called {config.name!r} already: give the new one another name")
         self.command(AddSlave(config.setup(self.params.baud)))
-        if self.world is not None and self._own_world:
-            self.world.add(simulated(config, self.params), name=config.name)
+        if self.bench is not None:
+            self.bench.add(config)
         return self._register(config)
 
     async def remove(self, slave: Slave | str | int) -> None:

@@ -5,19 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from dpstack.api.bench import VirtualBench
 from dpstack.api.config import Config, rate_findings
 from dpstack.api.slave_config import SlaveConfig
-from dpstack.dp.device import Device
 from dpstack.dp.master import Master
-from dpstack.dp.mirror import MirrorDevice
 from dpstack.dp.plan import Case, Plan, make_plan, t_tr_preset
 from dpstack.dp.setup import SlaveSetup
-from dpstack.dp.slaveapp import make_slave
 from dpstack.drivers.aio import AsyncioRuntime, OnFailure, patience_of
 from dpstack.drivers.base import OnEvents, Runtime
 from dpstack.drivers.virtual import VirtualRuntime
 from dpstack.fdl.active import ActiveStation
-from dpstack.fdl.passive import PassiveStation
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT, Patience, slack
 from dpstack.ports import Delivery, Port, open_port
@@ -65,6 +62,8 @@ class Parts:
     station: ActiveStation
     runtime: Runtime
     world: World | None
+    #: the simulated slaves, where they are part of it
+    bench: VirtualBench | None
 
 
 def compose(config: Config, on_events: OnEvents, on_failure: OnFailure, world: World | None = None) -> Parts:
@@ -82,12 +81,15 @@ def compose(config: Config, on_events: OnEvents, on_failure: OnFailure, world: W
     station = ActiveStation(params, [master], patience=patience)
     if port is not None:
         runtime = AsyncioRuntime(port, station, on_events, on_failure=on_failure)
-        return Parts(config, plan, master, station, runtime, None)
+        return Parts(config, plan, master, station, runtime, None, None)
+    bench = None
     if world is None:
         world = World(referee=False)
+        bench = VirtualBench(world, params)
         for slave in config.slaves:
-            world.add(simulated(slave, params), name=slave.name)
-    return Parts(config, plan, master, station, VirtualRuntime(world, station, on_events, on_failure=on_failure), world)
+            bench.add(slave)
+    virtual_runtime = VirtualRuntime(world, station, on_events, on_failure=on_failure)
+    return Parts(config, plan, master, station, virtual_runtime, world, bench)
 
 
 def attach_core(master: Master, slave: SlaveConfig) -> DriveCore | None:
@@ -99,32 +101,14 @@ def attach_core(master: Master, slave: SlaveConfig) -> DriveCore | None:
     return core
 
 
-def device_of(slave: SlaveConfig) -> Device:
-    """What simulates ``slave``: the drive's simulated device, or a mirror of outputs to inputs."""
-    if slave.profile is not None:
-        device = slave.profile.device(slave.telegram)
-        if slave.ident is not None:
-            device.ident = slave.ident
-        device.name = slave.name
-        return device
-    return MirrorDevice(slave.ident or 0, slave.config, slave.name, fail_safe=slave.fail_safe)
-
-
-def simulated(slave: SlaveConfig, params: BusParams, patience: Patience = EXACT) -> PassiveStation:
-    """A whole simulated slave at the address of ``slave``."""
-    return make_slave(slave.address, device_of(slave), params, patience=patience)
-
-
 __all__ = [
     "Case",
     "Parts",
     "Plan",
     "attach_core",
     "compose",
-    "device_of",
     "patience_for",
     "plan_bus",
     "port_of",
-    "simulated",
     "with_t_tr",
 ]

@@ -13,8 +13,6 @@ import fcntl
 import os
 import random
 import select
-import stat
-import tempfile
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
@@ -24,8 +22,9 @@ from dpstack.ports.fdport import reason_of
 from dpstack.ports.garble import Noise, misread
 from dpstack.ports.pacing import PacedWire
 from dpstack.ports.ptymaster import PtyMaster
+from dpstack.ports.runtime_dir import own_directory, runtime_path
 from dpstack.ports.tty import holder_of
-from dpstack.units import BAUD_RATES
+from dpstack.units import BAUD_RATES, ns_to_s
 
 MAX_STATIONS: Final = 64
 _CHUNK: Final = 4096  # a pty hands over no more at once
@@ -42,11 +41,13 @@ class StationStats:
 
 
 class _Station:
-    __slots__ = ("master", "present", "stats")
+    __slots__ = ("cut_off", "master", "present", "stats")
 
     def __init__(self, master: PtyMaster, link: str) -> None:
         self.master = master
         self.present = False
+        #: neither heard nor hearing until this handle ends it (True: until told)
+        self.cut_off: asyncio.TimerHandle | bool = False
         self.stats = StationStats(link)
 
 
@@ -104,6 +105,28 @@ class Segment:
         damaged = self._noise.damaged
         self._noise = Noise(value, random.Random(self._rng.random()))
         self._noise.damaged = damaged
+
+    def silence(self, number: int, for_ns: int | None = None) -> None:
+        """Cut station ``number`` off for a time, None: until :meth:`resume`. Raises UsageError."""
+        station = self._connected(number)
+        if for_ns is None or self._loop is None:
+            station.cut_off = True
+        else:
+            station.cut_off = self._loop.call_later(ns_to_s(for_ns), self.resume, number)
+
+    def resume(self, number: int) -> None:
+        """Connect it again."""
+        self._connected(number)
+
+    def _connected(self, number: int) -> _Station:
+        """Station ``number``, no longer cut off. Raises UsageError."""
+        if not 0 <= number < len(self._stations):
+            raise UsageError(f"no station {number} on this segment; it has 0 to {self._count - 1}")
+        station = self._stations[number]
+        if isinstance(station.cut_off, asyncio.TimerHandle):
+            station.cut_off.cancel()
+        station.cut_off = False
+        return station
 
     def stats(self) -> dict[str, object]:
         """``stations``: per station its ``path``, octets ``sent``, ``received``, ``dropped``; ``damaged`` octets."""
@@ -172,6 +195,8 @@ class Segment:
 
     def _forward(self, sender: _Station, chunk: bytes) -> None:
         sender.stats.sent += len(chunk)
+        if sender.cut_off:
+            return
         baud = sender.master.baud() or self.baud
         if self._wire is not None:
             self._wire.send(sender, chunk, baud)
@@ -182,7 +207,7 @@ class Segment:
         """``chunk`` is on the wire: every other station hears it."""
         chunk = self._noise.strike(chunk)
         for station in self._stations:
-            if station is sender and not self.echo:
+            if (station is sender and not self.echo) or station.cut_off:
                 continue
             if not station.present:
                 if station.master.deserted():
@@ -206,12 +231,9 @@ class Segment:
     def _take_directory(self) -> None:
         """Make the directory or check it, and hold it against a second segment. Raises PortError, OSError."""
         try:
-            self.directory.mkdir(mode=0o700, parents=True)
-            self._made_directory = True
-        except FileExistsError:
-            info = os.lstat(self.directory)
-            if stat.S_ISLNK(info.st_mode) or not stat.S_ISDIR(info.st_mode) or info.st_uid != os.geteuid():
-                raise PortError(f"{self.directory} is no directory of yours: give another one with --dir") from None
+            self._made_directory = own_directory(self.directory)
+        except PortError as error:
+            raise PortError(f"{error}: give another one with --dir") from None
         self._lock_fd = os.open(self.directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         try:
             fcntl.flock(self._lock_fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -242,7 +264,8 @@ class Segment:
         if self._wire is not None:
             self._wire.close()
             self._wire = None
-        for station in self._stations:
+        for number, station in enumerate(self._stations):
+            self._connected(number)
             _remove_link(Path(station.stats.path), station.master.path)
             station.master.close()
         self._stations = []
@@ -273,7 +296,4 @@ def _remove_link(link: Path, target: str) -> None:
 
 def default_directory() -> Path:
     """``dpstack-segment`` in the user's runtime directory, else one in the temporary directory with the user's id."""
-    runtime = os.environ.get("XDG_RUNTIME_DIR")
-    if runtime and Path(runtime).is_dir():
-        return Path(runtime) / "dpstack-segment"
-    return Path(tempfile.gettempdir()) / f"dpstack-segment-{os.getuid()}"
+    return runtime_path("dpstack-segment")
