@@ -7,7 +7,9 @@ import asyncio
 
 from dpstack.api.bus import Bus, open_bus
 from dpstack.api.config import Config, load_config
+from dpstack.api.control.programs import control_run
 from dpstack.cli import options, output
+from dpstack.cli.control import reachable
 from dpstack.cli.report import Reporter, not_exchanging
 from dpstack.cli.signals import StopSignal
 from dpstack.errors import UsageError
@@ -60,10 +62,11 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
             output.warn("ended before the token ring was joined")
             return 1
         try:
-            reporter.start()
-            if not args.clear:
-                await bus.operate()
-            await stop.or_done(_limit(bus, args.seconds, args.rotations))
+            async with reachable(control_run(bus, config.port)):
+                reporter.start()
+                if not args.clear:
+                    await bus.operate()
+                await stop.or_done(_limit(bus, args.seconds, args.rotations))
             stats, missing = bus.stats, not_exchanging(bus)
         finally:
             await bus.close()

@@ -7,9 +7,11 @@ import asyncio
 from collections.abc import Callable
 
 from dpstack.api.config import Config, load_config, make_config
+from dpstack.api.control.programs import control_sim
 from dpstack.api.events import Event
 from dpstack.api.simulation import DEFAULT_BAUD, Simulation, sim_event_json
 from dpstack.cli import options, output
+from dpstack.cli.control import reachable
 from dpstack.cli.signals import StopSignal
 from dpstack.errors import UsageError
 from dpstack.units import baud_text, ns_to_s
@@ -58,7 +60,7 @@ def _config(args: argparse.Namespace) -> Config:
 async def _run(config: Config, rate: int, args: argparse.Namespace) -> int:
     with StopSignal() as stop:
         simulation = Simulation(config, args.port, rate)
-        async with simulation:
+        async with simulation, reachable(control_sim(simulation, args.port)):
             if args.port == "pty":
                 output.json_line({"port": simulation.port_name})
             if not args.json:

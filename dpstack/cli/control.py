@@ -1,0 +1,21 @@
+"""The control socket beside a running command: nice to have, never a reason not to run."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import AsyncExitStack, asynccontextmanager
+
+from dpstack.api.control.server import ControlServer
+from dpstack.cli import output
+from dpstack.errors import PortError
+
+
+@asynccontextmanager
+async def reachable(server: ControlServer) -> AsyncIterator[None]:
+    """``dpstack ctl`` works within; where it cannot, a line says so."""
+    async with AsyncExitStack() as stack:
+        try:
+            await stack.enter_async_context(server)
+        except PortError as error:
+            output.warn(str(error))
+        yield
