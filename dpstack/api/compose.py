@@ -42,7 +42,7 @@ def with_t_tr(config: Config, params: BusParams, setups: Sequence[SlaveSetup]) -
 
 def port_of(config: Config, baud: int) -> Port:
     """The port of ``config``, not open yet. Raises PortError."""
-    return open_port(config.port, baud)
+    return open_port(config.port, baud, event_char=config.bus.event_char)
 
 
 def patience_for(config: Config, port: Port) -> Patience:

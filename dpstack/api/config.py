@@ -39,6 +39,7 @@ _BUS_KEYS: Final = (
     "host_slack_ms",
     "extra_idle_bits",
     "echo",
+    "event_char",
     "auto_clear",
     "read_only",
 )
@@ -67,6 +68,7 @@ class BusConfig:
     hsa: int = 126
     host_slack_ms: float | None = None
     extra_idle_bits: int = 0
+    event_char: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -254,6 +256,7 @@ def _read_bus(table: Table) -> BusConfig:
         hsa=_or(table.integer("hsa", 1, 126), 126),
         host_slack_ms=table.number("host_slack_ms", 0, 10_000),
         extra_idle_bits=_or(table.integer("extra_idle_bits", 0, 100_000), 0),
+        event_char=table.flag("event_char", False),
     )
 
 

@@ -41,7 +41,7 @@ class BusStats:
 
     ``rotation_us`` is first Data_Exchange of a round to that of the next, ``token_us`` token receipt to token receipt.
     ``paced`` is false where no wire gives the octets their time: the figures are the host's. ``bad`` counts octets and
-    telegrams that could not be read, by cause.
+    telegrams that could not be read, by cause; ``uart_...`` are octets that the adapter or its driver found damaged.
     """
 
     seconds: float
@@ -74,7 +74,8 @@ class BusStats:
 def collect(bus: Bus) -> BusStats:
     """The picture at this moment."""
     link = bus.station.stats
-    decoder = bus.station.decoder_stats.as_dict()
+    bad = {k: v for k, v in bus.station.decoder_stats.as_dict().items() if k not in ("telegrams", "octets")}
+    bad |= {f"uart_{cause}": count for cause, count in bus.runtime.damage().items()}
     return BusStats(
         seconds=bus.seconds,
         paced=bus.runtime.paced,
@@ -97,5 +98,5 @@ def collect(bus: Bus) -> BusStats:
         tokens=link.tokens,
         tokens_lost=link.tokens_lost,
         late=link.late,
-        bad={name: count for name, count in decoder.items() if count and name not in ("telegrams", "octets")},
+        bad={name: count for name, count in bad.items() if count},
     )

@@ -92,6 +92,10 @@ class AsyncioRuntime:
         """True where octets take their time on a wire."""
         return self._port.paced
 
+    def damage(self) -> dict[str, int]:
+        """Octets that arrived damaged, by cause, as far as the port can tell."""
+        return self._port.damage()
+
     @property
     def echo(self) -> Echo:
         """Whether the line returns what is sent, as far as is known."""

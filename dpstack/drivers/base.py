@@ -48,6 +48,9 @@ class Runtime(Protocol):
     def paced(self) -> bool:
         """True where octets take their time on a wire (or the virtual one), False on plain ptys and sockets."""
 
+    def damage(self) -> dict[str, int]:
+        """Octets that arrived damaged, by cause, as far as the port can tell."""
+
     async def open(self) -> None:
         """Open the line and begin. Raises PortError."""
 

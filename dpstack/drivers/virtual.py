@@ -72,6 +72,10 @@ class VirtualRuntime:
         self._on_events = on_events
         self._clockwork: _Clockwork | None = None
 
+    def damage(self) -> dict[str, int]:
+        """A medium in virtual time tells every octet as it is; the decoder's counters are all there is."""
+        return {}
+
     async def open(self) -> None:
         """Plug the station in; from now on the world's time goes. Raises UsageError when it is open."""
         if self._clockwork is not None:

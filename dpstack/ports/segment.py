@@ -20,10 +20,10 @@ from typing import Final
 from dpstack.errors import ConfigError, PortBusyError, PortError, UsageError
 from dpstack.ports.fdport import reason_of
 from dpstack.ports.garble import Noise, misread
+from dpstack.ports.holders import holder_of
 from dpstack.ports.pacing import PacedWire
 from dpstack.ports.ptymaster import PtyMaster
 from dpstack.ports.runtime_dir import own_directory, runtime_path
-from dpstack.ports.tty import holder_of
 from dpstack.units import BAUD_RATES, ns_to_s
 
 MAX_STATIONS: Final = 64
