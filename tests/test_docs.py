@@ -105,7 +105,7 @@ def test_links_lead_somewhere(page: Path) -> None:
 
 def test_every_command_and_option_is_documented() -> None:
     text = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
-    for name in ("demo", "run", "sim", "segment", "ctl", "plan"):
+    for name in ("demo", "run", "sim", "segment", "ctl", "plan", "ports", "doctor"):
         assert f"`dpstack {name}" in text
 
 

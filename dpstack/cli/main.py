@@ -13,10 +13,10 @@ import traceback
 from collections.abc import Sequence
 from typing import NoReturn
 
-from dpstack.cli import ctl, demo, plan, run, segment, sim
+from dpstack.cli import ctl, demo, doctor, plan, ports, run, segment, sim
 from dpstack.errors import ConfigError, DpError, UsageError
 
-_COMMANDS = (demo, run, sim, segment, ctl, plan)
+_COMMANDS = (demo, run, sim, segment, ctl, plan, ports, doctor)
 _INTERRUPTED = 130
 #: set to anything: errors are shown with where they come from
 _DEBUG = "DPSTACK_DEBUG"

@@ -46,6 +46,14 @@ class UartErrors(NamedTuple):
         return {name: (now - then) % (1 << 32) for name, now, then in zip(self._fields, self, before, strict=True)}
 
 
+def get_low_latency(fd: int) -> bool:
+    """Whether the driver delivers at once."""
+    buffer = bytearray(_SERIAL_SIZE)
+    fcntl.ioctl(fd, TIOCGSERIAL, buffer, True)
+    (flags,) = _FLAGS.unpack_from(buffer, _FLAGS_AT)
+    return bool(flags & ASYNC_LOW_LATENCY)
+
+
 def set_low_latency(fd: int, on: bool) -> bool:
     """Ask the driver to deliver at once (FTDI: 1 ms instead of 16), or no longer; returns what it was."""
     buffer = bytearray(_SERIAL_SIZE)
