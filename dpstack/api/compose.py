@@ -80,7 +80,11 @@ def compose(config: Config, on_events: OnEvents, on_failure: OnFailure, world: W
     master = Master(params, config.setups(), watchdog_ms=plan.watchdog_ms, absent_share=patience.unknown_share)
     station = ActiveStation(params, [master], patience=patience)
     if port is not None:
-        runtime = AsyncioRuntime(port, station, on_events, on_failure=on_failure)
+        # a pty is given what a stalled computer needs, and a user's own figure stands
+        tune = port.delivery is Delivery.ADAPTER and config.bus.host_slack_ms is None
+        runtime = AsyncioRuntime(
+            port, station, on_events, on_failure=on_failure, tune=station.set_patience if tune else None
+        )
         return Parts(config, plan, master, station, runtime, None, None)
     bench = None
     if world is None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from dpstack.units import NS_PER_MS
+
 if TYPE_CHECKING:
     from dpstack.api.bus import Bus
 
@@ -54,6 +56,10 @@ class BusStats:
     tokens_lost: int
     late: int
     bad: dict[str, int]
+    #: how late answers are delivered, as ``rotation_us``: host, adapter and T_SDR; None where nothing was measured
+    host_us: dict[str, int] | None
+    #: how long a station that matters is waited for beyond its slot time, in ms
+    host_slack_ms: float
 
     def summary(self) -> dict[str, object]:
         """The summary line of ``run --json``, without ``event`` and ``t``."""
@@ -67,6 +73,8 @@ class BusStats:
             "tokens_lost": self.tokens_lost,
             "late": self.late,
             "bad": self.bad,
+            "host_us": self.host_us,
+            "host_slack_ms": self.host_slack_ms,
             "slaves": {str(address): slave.as_dict() for address, slave in self.slaves.items()},
         }
 
@@ -74,6 +82,7 @@ class BusStats:
 def collect(bus: Bus) -> BusStats:
     """The picture at this moment."""
     link = bus.station.stats
+    lateness = bus.runtime.lateness
     bad = {k: v for k, v in bus.station.decoder_stats.as_dict().items() if k not in ("telegrams", "octets")}
     bad |= {f"uart_{cause}": count for cause, count in bus.runtime.damage().items()}
     return BusStats(
@@ -99,4 +108,6 @@ def collect(bus: Bus) -> BusStats:
         tokens_lost=link.tokens_lost,
         late=link.late,
         bad={name: count for name, count in bad.items() if count},
+        host_us=lateness.histogram.summary_us() if lateness.histogram.count else None,
+        host_slack_ms=bus.station.patience.known_ns / NS_PER_MS,
     )

@@ -64,6 +64,12 @@ class Reporter:
         output.line(f"{stats.rotations} rotations in {stats.seconds:.3f} s")
         for name, us in (("bus rotation time", stats.rotation_us), ("token rotation", stats.token_us)):
             output.line(f"{name}: " + ", ".join(f"{key} {value} us" for key, value in us.items()))
+        if stats.host_us is not None:
+            late = stats.host_us
+            output.line(
+                f"port and computer cost {late['p50']} us an exchange (p99.9 {late['p999']} us); "
+                f"a missing answer is waited for {stats.host_slack_ms:g} ms longer"
+            )
         if not stats.paced:
             output.line("no wire gave the octets their time here: the times are this computer's, not a bus's")
 

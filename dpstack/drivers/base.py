@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
+from dpstack.drivers.lateness import Lateness
 from dpstack.trace import Event
 
 #: Takes what a machine told, in order; called from the loop, never from another thread.
@@ -39,6 +40,8 @@ class PortBack(Event):
 
 class Runtime(Protocol):
     """A running driver. Constructed with its machine, its line and an :data:`OnEvents`."""
+
+    lateness: Lateness
 
     @property
     def port_name(self) -> str:

@@ -253,6 +253,11 @@ class ActiveStation:
             self.wire(WireEntry(link.taken_at, at, self._sending, str(link.ts)))
         link.row[Input.SENT](link, NONE, at)
 
+    @property
+    def patience(self) -> Patience:
+        """What the port may be late."""
+        return self._link.patience
+
     def set_patience(self, patience: Patience, now: int) -> None:
         """Wait as long as the port turned out to need; counts from the next deadline on."""
         link = self._link
