@@ -20,10 +20,11 @@ from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from dpstack import profile
-    from dpstack.api.bus import Bus, open_bus
+    from dpstack.api.bus import Bus
     from dpstack.api.config import Config, load_config
     from dpstack.api.drive import Drive
     from dpstack.api.events import Event, Mode, SlaveState
+    from dpstack.api.opening import open_bus
     from dpstack.api.slave import Slave
     from dpstack.api.virtual import run_virtual
     from dpstack.dp.slaveapp import SlaveApp
@@ -82,7 +83,7 @@ __all__ = [
 
 _WHERE: Final = {
     "Bus": "api.bus",
-    "open_bus": "api.bus",
+    "open_bus": "api.opening",
     "Config": "api.config",
     "load_config": "api.config",
     "Drive": "api.drive",

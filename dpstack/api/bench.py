@@ -50,7 +50,11 @@ class VirtualBench:
         self._silent: dict[int, object] = {}
 
     def add(self, config: SlaveConfig) -> None:
-        """One more."""
+        """One more; one that stood at its address before goes."""
+        before = self._units.get(config.address)
+        if before is not None and before.powered:
+            self._unplug(config.address)
+        self._silent.pop(config.address, None)
         unit = self._units[config.address] = Unit(config, self._params)
         self._world.add(unit.station, name=config.name)
 

@@ -1,17 +1,16 @@
-"""The bus as an application sees it: :func:`open_bus` and :class:`Bus`."""
+"""The bus as an application sees it."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
-from pathlib import Path
+from collections.abc import Callable, Mapping
 from types import TracebackType
 from typing import Final, Protocol
 
 from dpstack.api.compose import attach_core, compose
-from dpstack.api.config import Config, load_config, make_config, slave_config
+from dpstack.api.config import Config, slave_config
 from dpstack.api.drive import Drive
 from dpstack.api.joining import why_not_joined
 from dpstack.api.slave import Slave
@@ -44,41 +43,8 @@ class _Watcher(Protocol):
     def on_round(self) -> None: ...
 
 
-def open_bus(
-    config: str | Path | Config | None = None,
-    *,
-    port: str | None = None,
-    baud: int | None = None,
-    address: int | None = None,
-    slaves: Iterable[SlaveTable] = (),
-    on_event: OnEvent | None = None,
-    join_timeout: float = JOIN_TIMEOUT_S,
-    world: World | None = None,
-    **bus: object,
-) -> Bus:
-    """A bus from a configuration file (``port``, ``baud``, ``address`` override it), or from arguments alone.
-
-    Use it as ``async with open_bus(...) as bus``: entering listens, joins the token ring and begins to bring the slaves
-    up in Clear; ``await bus.operate()`` lets outputs out. ``slaves`` are mappings with the keys of a [[slave]] table,
-    ``bus`` further keys of [bus]. ``port="virtual"`` simulates the slaves in this process. ``on_event`` is called for
-    every event at once; ``world`` joins an existing simulated bus.
-
-    Raises ConfigError here; PortError and BusError on entering.
-    """
-    if config is None:
-        if baud is None:
-            raise ConfigError("open_bus: no baud; give for instance baud=500000, or a configuration file")
-        if port is None and world is None:
-            raise ConfigError('open_bus: no port; give for instance port="/dev/ttyUSB0", or "virtual"')
-        made = make_config(port or "virtual", baud, 2 if address is None else address, slaves, bus=bus)
-    else:
-        made = config if isinstance(config, Config) else load_config(config)
-        made = made.with_bus(port=port, baud=baud, address=address, **bus).with_slaves(slaves)
-    return Bus(made, on_event=on_event, join_timeout=join_timeout, world=world)
-
-
 class Bus:
-    """A running bus: the slaves of a configuration under a class 1 master. Made by :func:`open_bus`."""
+    """A running bus: the slaves of a configuration under a class 1 master. Made by :func:`dpstack.open_bus`."""
 
     def __init__(
         self,
@@ -109,7 +75,8 @@ class Bus:
         self._left = False
         self._ended_ns = 0
         self._collision: str | None = None
-        self._failure: BusError | None = None
+        #: why nothing will happen any more: a failure, or the end
+        self._over: DpError | None = None
         self._history: deque[Event] = deque(maxlen=_HISTORY)
         self._streams: list[EventStream] = []
         self._waiters = Waiters()
@@ -172,19 +139,19 @@ class Bus:
         await asyncio.shield(self._ending)
 
     async def _end(self) -> None:
-        if self._open:
-            limit = _END_TIMEOUT_S + 10 * self.rotation_limit_s
-            await self._ordered(Shutdown(), lambda: self._stopped, limit)
-            self._left = not self.station.in_ring  # it may have left and come back before
-            await self._ordered(GoOffline(), lambda: self._left, limit)
-            await self._drained()
-        self._open = False
-        await self.runtime.close()
-        error = UsageError("the bus is closed")
-        for drive in self._drives.values():
-            drive.end(error)
-        for stream in tuple(self._streams):
-            stream.end()
+        try:
+            if self._open:
+                limit = _END_TIMEOUT_S + 10 * self.rotation_limit_s
+                await self._ordered(Shutdown(), lambda: self._stopped, limit)
+                self._left = not self.station.in_ring  # it may have left and come back before
+                await self._ordered(GoOffline(), lambda: self._left, limit)
+                await self._drained()
+        finally:  # cut short by the end of the loop: the port is released all the same
+            self._open = False
+            try:
+                await self.runtime.close()
+            finally:
+                self._nothing_more(UsageError("the bus is closed"))
 
     async def _ordered(self, command: object, done: Callable[[], bool], limit: float) -> None:
         """One step of the end; a bus that can no longer do it does not hold the program up."""
@@ -231,8 +198,8 @@ class Bus:
         try:
             self.runtime.command(command)
         except BusError:
-            if self._failure is not None:
-                raise self._failure from None
+            if self._over is not None:
+                raise self._over from None
             raise
 
     async def ready(self, timeout: float | None = 5.0) -> None:
@@ -296,7 +263,7 @@ class Bus:
         """What happens, from the start of the bus on: an async iterator, bounded; ``dropped`` counts what was lost."""
         stream = EventStream(self._history, self._streams.remove)
         self._streams.append(stream)
-        if self._ending is not None and not self._open:
+        if self._over is not None:
             stream.end()
         return stream
 
@@ -319,8 +286,8 @@ class Bus:
         """Wait until ``condition()``, judged after every event; what it raises is raised here. Raises TimeoutError."""
 
         def judged() -> bool:
-            if self._failure is not None:
-                raise self._failure
+            if self._over is not None:
+                raise self._over
             return condition()
 
         await self._waiters.until(judged, timeout)
@@ -378,13 +345,21 @@ class Bus:
 
     def _on_failure(self, error: Exception) -> None:
         """The machine raised, which is a defect of ours: everybody who waits is told."""
-        self._failure = BusError(
+        failure = BusError(
             f"the bus was stopped by a defect in dpstack ({type(error).__name__}: {error}); please report it"
         )
-        self._failure.__cause__ = error
-        self._tell(Notice(t_ns=self.runtime.now(), source="bus", message=str(self._failure), severity=Severity.ERROR))
+        failure.__cause__ = error
+        self._tell(Notice(t_ns=self.runtime.now(), source="bus", message=str(failure), severity=Severity.ERROR))
+        self._nothing_more(failure)
+
+    def _nothing_more(self, error: DpError) -> None:
+        """Everybody who waits is told why, now and later; the first reason stands."""
+        if self._over is None:
+            self._over = error
         for drive in self._drives.values():
-            drive.end(self._failure)
+            drive.end(self._over)
+        for stream in self._streams:
+            stream.end()
         self._waiters.check()
 
     def _tell(self, event: Event) -> None:
@@ -392,7 +367,12 @@ class Bus:
         for stream in self._streams:
             stream.put(event)
         if self._on_event is not None:
-            self._on_event(event)
+            try:
+                self._on_event(event)
+            except Exception as exc:  # the application's: no other event may be lost by it
+                asyncio.get_running_loop().call_exception_handler(
+                    {"message": f"on_event raised at {event.text!r}", "exception": exc}
+                )
 
 
-__all__ = ["JOIN_TIMEOUT_S", "Bus", "OnEvent", "open_bus"]
+__all__ = ["JOIN_TIMEOUT_S", "Bus", "OnEvent", "SlaveTable"]

@@ -29,8 +29,12 @@ def plan_bus(config: Config, baud: int | None = None) -> Plan:
     setups = config.setups(rate)
     params = with_t_tr(config, config.params(rate), setups)
     notes = [note for slave in config.slaves for note in slave.notes]
-    pty = config.bus.port is not None and not config.virtual and port_of(config, rate).delivery is Delivery.HOST
-    return make_plan(params, setups, pty=pty, findings=rate_findings(config, rate), notes=notes)
+    pty, slack_ns = False, 0
+    if config.bus.port is not None and not config.virtual:
+        port = port_of(config, rate)
+        pty, slack_ns = port.delivery is Delivery.HOST, patience_for(config, port).known_ns
+    findings = rate_findings(config, rate)
+    return make_plan(params, setups, pty=pty, host_slack_ns=slack_ns, findings=findings, notes=notes)
 
 
 def with_t_tr(config: Config, params: BusParams, setups: Sequence[SlaveSetup]) -> BusParams:
@@ -67,7 +71,7 @@ class Parts:
 
 
 def compose(config: Config, on_events: OnEvents, on_failure: OnFailure, world: World | None = None) -> Parts:
-    """Build the parts of ``config``, with simulated slaves when its port is "virtual".
+    """Build the parts of ``config``, with simulated slaves in a world of its own when its port is "virtual".
 
     ``on_failure`` is told when a machine raised (a defect of ours). ``world`` puts the master into an existing
     simulated bus, with nothing added. Raises ConfigError, PortError.

@@ -166,7 +166,7 @@ def load_config(path: str | Path) -> Config:
     """Read a configuration file. Raises ConfigError, one line, also where the file cannot be read."""
     name = str(path)
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        text = Path(path).read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise ConfigError(f"{name}: there is no such file; write one (see the README) or correct the path") from None
     except IsADirectoryError:
@@ -264,7 +264,7 @@ def _baud(table: Table) -> int | None:
     value = table.raw("baud")
     if value == "auto":
         table.fail("baud", 'baud "auto" is not supported yet by this version', f"give the rate: {_rates()}")
-    baud = table.integer("baud", 0, 1 << 40)
+    baud = table.integer("baud")
     if baud is not None and baud not in BAUD_RATES:
         near = min(BAUD_RATES, key=lambda rate: abs(rate - baud))
         table.fail("baud", f"{baud} is no PROFIBUS rate", f"nearest is {near}; known: {_rates()}")

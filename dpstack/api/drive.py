@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import itertools
 from collections.abc import AsyncIterator, Mapping
 from typing import TYPE_CHECKING, Final
@@ -12,6 +13,7 @@ from dpstack.api.streams import Latest
 from dpstack.dp.commands import DriveCommand, Mode
 from dpstack.dp.image import SlaveImage
 from dpstack.errors import (
+    BusError,
     DpError,
     DriveError,
     DriveFault,
@@ -39,6 +41,7 @@ class Drive:
         self._pending: dict[int, asyncio.Future[dict[str, object]]] = {}
         self._readers: list[Latest[DriveStatus]] = []
         self._seen = b""
+        self._over = False
         #: the slave behind it
         self.slave = slave
 
@@ -134,6 +137,8 @@ class Drive:
         """Each new status; the latest wins, a slow reader never meets a backlog. Ends with the bus."""
         reader: Latest[DriveStatus] = Latest()
         reader.put(self._core.status())
+        if self._over:
+            reader.end()
         self._readers.append(reader)
         self._bus.watch_rounds(self)
         try:
@@ -167,19 +172,23 @@ class Drive:
         elif kind == "status":
             self._hand_on()
         elif kind == "failed":
-            self.end(DriveError(self.name, f"drive {self.name}: its plugin failed: {payload.get('text')}"))
+            self._refuse(DriveError(self.name, f"drive {self.name}: its plugin failed: {payload.get('text')}"))
 
     def end(self, error: DpError) -> None:
-        """Nothing will be answered any more."""
+        """The bus is over, or the drive was removed: nothing will be answered or told any more."""
+        self._over = True
+        self._refuse(error)
+        for reader in self._readers:
+            reader.end()
+
+    # --- inside -------------------------------------------------------------------------------------------------
+
+    def _refuse(self, error: DpError) -> None:
+        """What is pending will not be answered."""
         pending, self._pending = self._pending, {}
         for future in pending.values():
             if not future.done():
                 future.set_exception(error)
-        if isinstance(error, UsageError):  # the bus is closed
-            for reader in self._readers:
-                reader.end()
-
-    # --- inside -------------------------------------------------------------------------------------------------
 
     def _hand_on(self) -> None:
         if self._readers:
@@ -203,7 +212,10 @@ class Drive:
                 raise
             raise DriveTimeout(self.name, f"drive {self.name}: {op}: {self._why_silent()}") from None
         finally:
-            self._pending.pop(token, None)
+            if self._pending.pop(token, None) is not None and not self._over:
+                # Cancelled, or out of patience: the plugin must not start the motor when nobody waits for it any more.
+                with contextlib.suppress(UsageError, BusError):
+                    self._bus.command(DriveCommand(self.slave.address, "cancel", {"order": token}, next(_tokens)))
 
     def _why_silent(self) -> str:
         slave = self.slave

@@ -109,7 +109,7 @@ class SlaveConfig:
 def read_slave(table: Table) -> SlaveConfig:
     """Check one table. Raises ConfigError, one line."""
     named = table.raw("name")
-    if isinstance(named, str) and named.strip():
+    if isinstance(named, str) and named.strip() and named.isprintable():
         table.title = f"[[slave]] {named}" if table.title.startswith("[[") else f"slave {named}"
     table.check_keys(_KEYS)
     table.refuse_later(_LATER)

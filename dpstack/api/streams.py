@@ -24,6 +24,7 @@ class EventStream(AsyncIterator[Event]):
         self._forget = forget
         self._more = asyncio.Event()
         self._ended = False
+        self._closed = False
 
     def put(self, event: Event) -> None:
         """From the bus."""
@@ -38,8 +39,10 @@ class EventStream(AsyncIterator[Event]):
         self._more.set()
 
     def close(self) -> None:
-        """The reader has had enough."""
-        self._forget(self)
+        """The reader has had enough. May be repeated."""
+        if not self._closed:
+            self._closed = True
+            self._forget(self)
         self.end()
 
     def __aiter__(self) -> EventStream:

@@ -80,7 +80,7 @@ class Table:
         return self._data.get(key)
 
     def text(self, key: str) -> str | None:
-        """A text that is not empty."""
+        """A text that is not empty and stays on its line."""
         value = self._data.get(key)
         if value is None:
             return None
@@ -88,6 +88,8 @@ class Table:
             self._wrong(key, "a text in quotes")
         if not value.strip():
             self.fail(key, f"{key} is empty", "give it a value or leave it out")
+        if not value.isprintable():
+            self.fail(key, f"{key} = {value!r} holds a control character", "take it out")
         return value
 
     def flag(self, key: str, default: bool) -> bool:
@@ -97,7 +99,7 @@ class Table:
             self._wrong(key, "true or false")
         return value
 
-    def integer(self, key: str, low: int, high: int, hint: str = "") -> int | None:
+    def integer(self, key: str, low: float = -math.inf, high: float = math.inf, hint: str = "") -> int | None:
         """An integer within limits (both included)."""
         value = self._data.get(key)
         if value is None:

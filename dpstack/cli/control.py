@@ -6,7 +6,7 @@ from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
 
 from dpstack.api.control.server import ControlServer
-from dpstack.cli import output
+from dpstack.cli.streams import warn
 from dpstack.errors import PortError
 
 
@@ -17,5 +17,5 @@ async def reachable(server: ControlServer) -> AsyncIterator[None]:
         try:
             await stack.enter_async_context(server)
         except PortError as error:
-            output.warn(str(error))
+            warn(str(error))
         yield

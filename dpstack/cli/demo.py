@@ -4,23 +4,26 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import contextlib
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from rich.console import Group
 from rich.live import Live
-from rich.table import Table
+from rich.text import Text
 
-from dpstack.api.bus import Bus, open_bus
+from dpstack.api.bus import Bus
 from dpstack.api.compose import Case
 from dpstack.api.config import Config, make_config
 from dpstack.api.drive import Drive
+from dpstack.api.opening import open_bus
 from dpstack.api.profiles import known_drives
 from dpstack.api.virtual import run_virtual
 from dpstack.cli import options, output
 from dpstack.cli.report import Reporter, not_exchanging
 from dpstack.cli.signals import StopSignal
 from dpstack.cli.stories import OTHERS, STORIES
+from dpstack.cli.streams import guarded, warn
 from dpstack.errors import ConfigError, DpError
 
 _BAUD = 500_000
@@ -30,6 +33,10 @@ _PATIENCE_S = 120.0
 #: measured and planned rotation may differ by so much
 _TOLERANCE = 0.02
 _REFRESH_S = 0.1
+#: lines of the stories under the live table
+_SHOWN = 15
+#: half of the speed bar, in characters
+_BAR = 6
 
 
 def add_to(commands: options.Commands) -> None:
@@ -66,12 +73,12 @@ def plant(baud: int) -> Config:
 
 @dataclass(slots=True)
 class _Stage:
-    """The stories under way: the last line of each, and how they ended."""
+    """The stories under way: their last lines, and how they ended."""
 
     bus: Bus
     json: bool
     live: bool
-    last: dict[int, str] = field(default_factory=dict)
+    lines: deque[str] = field(default_factory=lambda: deque(maxlen=_SHOWN))
     ended: set[int] = field(default_factory=set)
     failures: list[str] = field(default_factory=list)
 
@@ -96,14 +103,15 @@ class _Stage:
     def tell(self, drive: Drive, text: str) -> None:
         """One line of a story."""
         address, t = drive.slave.address, self.bus.seconds
-        self.last[address] = text
+        line = f"{t:9.3f} s  {drive.name}: {text}"
+        self.lines.append(line)
         if self.json:
             output.json_line({"event": "story", "t": round(t, 6), "address": address, "name": drive.name, "text": text})
         elif not self.live:
-            output.line(f"{t:9.3f} s  {drive.name}: {text}")
+            output.line(line)
 
-    def table(self) -> Table:
-        """The live picture."""
+    def picture(self) -> Group:
+        """What moves: a line for each drive, and the stories so far. Its height stays the same."""
         bus = self.bus
         p50 = bus.master.rotation.quantile_ns(0.5) / 1e6
         title = f"dpstack demo  {bus.seconds:6.1f} s  rotation {p50:.3f} ms"
@@ -111,9 +119,18 @@ class _Stage:
         for drive in bus.drives:
             slave, status = drive.slave, drive.status
             state = str(status.state) if slave.ready_now else slave.state.value
-            speed = "" if status.speed is None else f"{status.speed:7.1%}"
-            rows.append((slave.address, drive.name, state, speed, slave.exchanges, self.last.get(slave.address, "")))
-        return output.rich_table(title, ("address", "drive", "state", "speed", "exchanges", "story"), rows)
+            speed = "" if status.speed is None else f"{status.speed:7.1%} {_bar(status.speed)}"
+            rows.append((slave.address, drive.name, f"{state:<19}", f"{speed:<21}", slave.exchanges))
+        table = output.rich_table(title, ("address", "drive", "state", "speed", "exchanges"), rows)
+        lines = [*self.lines, *[""] * (_SHOWN - len(self.lines))]
+        return Group(table, *(Text(line, no_wrap=True, overflow="ellipsis") for line in lines))
+
+
+def _bar(speed: float) -> str:
+    """A bar from the middle: reverse to the left, forward to the right."""
+    length = min(_BAR, round(abs(speed) * _BAR))
+    back, forth = ("█" * length, "") if speed < 0 else ("", "█" * length)
+    return f"{back:>{_BAR}}|{forth:<{_BAR}}"
 
 
 async def _demo(config: Config, args: argparse.Namespace) -> int:
@@ -145,7 +162,7 @@ async def _demo(config: Config, args: argparse.Namespace) -> int:
     if not problems and abs(off) > _TOLERANCE:
         problems.append(f"the rotation is {off:+.1%} off the plan")
     for problem in problems:
-        output.warn(problem)
+        warn(problem)
     return 1 if problems else 0
 
 
@@ -164,9 +181,10 @@ async def _play(stage: _Stage, seconds: float | None) -> None:
 
 
 async def _watched(stage: _Stage, stories: Sequence[asyncio.Future[None]]) -> None:
-    """The live table, redrawn a few times a second until all is over."""
-    with Live(stage.table(), auto_refresh=False, transient=False) as live:
-        while any(not story.done() for story in stories):
-            with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(asyncio.shield(asyncio.gather(*stories)), _REFRESH_S)
-            live.update(stage.table(), refresh=True)
+    """The live picture, redrawn a few times a second until all is over."""
+    with guarded(), Live(stage.picture(), auto_refresh=False) as live:
+        pending = set(stories)
+        while pending:
+            _, pending = await asyncio.wait(pending, timeout=_REFRESH_S)
+            live.update(stage.picture(), refresh=True)
+    await asyncio.gather(*stories)

@@ -7,16 +7,19 @@ world outside can cause.
 from __future__ import annotations
 
 import argparse
+import importlib
 import os
 import sys
 import traceback
 from collections.abc import Sequence
 from typing import NoReturn
 
-from dpstack.cli import ctl, demo, doctor, plan, ports, run, segment, sim
+from dpstack import __version__
+from dpstack.cli import streams
 from dpstack.errors import ConfigError, DpError, UsageError
 
-_COMMANDS = (demo, run, sim, segment, ctl, plan, ports, doctor)
+#: modules of this package, imported when the program runs: an early Ctrl-C is no traceback
+_COMMANDS = ("demo", "run", "sim", "segment", "ctl", "plan", "ports", "doctor")
 _INTERRUPTED = 130
 #: set to anything: errors are shown with where they come from
 _DEBUG = "DPSTACK_DEBUG"
@@ -37,36 +40,39 @@ def build_parser() -> Parser:
         description="PROFIBUS-DP: a soft master, simulated slaves, and what belongs to them.",
         epilog="example: dpstack demo",
     )
+    parser.add_argument("--version", action="version", version=f"dpstack {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=Parser)
-    for module in _COMMANDS:
-        module.add_to(commands)
+    for name in _COMMANDS:
+        importlib.import_module(f"dpstack.cli.{name}").add_to(commands)
     return parser
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
-    args = build_parser().parse_args(argv)
+    streams.fill()
     try:
-        code: int = args.execute(args)
-        sys.stdout.flush()
-        return code
-    except (ConfigError, UsageError) as error:
-        return _say(error, 2)
-    except DpError as error:
-        return _say(error, 1)
-    except BrokenPipeError:
-        # the reader of our output has gone: nothing more can be said, and nothing may be said at exit either
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
+        args = build_parser().parse_args(argv)
+        return _execute(args)
     except KeyboardInterrupt:
         return _INTERRUPTED
 
 
+def _execute(args: argparse.Namespace) -> int:
+    try:
+        code: int = args.execute(args)
+    except (ConfigError, UsageError) as error:
+        code = _say(error, 2)
+    except DpError as error:
+        code = _say(error, 1)
+    with streams.guarded():
+        sys.stdout.flush()
+    return code or int(streams.lost.error is not None)
+
+
 def _say(error: Exception, code: int) -> int:
-    text = " ".join(str(error).split())
     if os.environ.get(_DEBUG):
         traceback.print_exception(error)
-    print(f"dpstack: {text}", file=sys.stderr)
+    streams.warn(str(error))
     return code
 
 

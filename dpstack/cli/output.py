@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Final
 
 from rich.console import Console
 from rich.table import Table
 
+from dpstack.cli.streams import guarded
+
 #: columns whose text may be long; the others keep their width
-_MAY_WRAP = frozenset({"inputs", "outputs", "story", "when the master stops", "name"})
+_MAY_WRAP: Final = frozenset({"inputs", "outputs", "when the master stops"})
 
 
 def on_terminal() -> bool:
@@ -20,24 +23,23 @@ def on_terminal() -> bool:
 
 def json_line(data: Mapping[str, object] | Sequence[object]) -> None:
     """One JSON value on a line of its own, at once."""
-    sys.stdout.write(json.dumps(data, separators=(",", ":"), ensure_ascii=False) + "\n")
-    sys.stdout.flush()
+    _write(json.dumps(data, separators=(",", ":"), ensure_ascii=False))
 
 
 def line(text: str, style: str = "") -> None:
     """One line, in ``style`` on a terminal."""
     if on_terminal():
-        Console(soft_wrap=True).print(text, style=style or None, markup=False, highlight=False)
+        with guarded():
+            Console(soft_wrap=True).print(text, style=style or None, markup=False, highlight=False)
     else:
-        sys.stdout.write(text + "\n")
-        sys.stdout.flush()
+        _write(text)
 
 
 def rich_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> Table:
     """A table as rich draws it."""
-    table = Table(title=title, title_justify="left", title_style="bold")
+    table = Table(title=title or None, title_justify="left", title_style="bold")
     for column in columns:
-        table.add_column(column, no_wrap=column not in _MAY_WRAP)
+        table.add_column(column, no_wrap=column not in _MAY_WRAP, overflow="fold")
     for row in rows:
         table.add_row(*(str(cell) for cell in row))
     return table
@@ -47,19 +49,18 @@ def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) 
     """A table: drawn on a terminal, aligned columns elsewhere."""
     cells = [[str(cell) for cell in row] for row in rows]
     if on_terminal():
-        Console().print(rich_table(title, columns, cells))
+        with guarded():
+            Console().print(rich_table(title, columns, cells))
         return
     widths = [max(len(row[n]) for row in [list(columns), *cells]) for n in range(len(columns))]
     aligned = [
         "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
         for row in [list(columns), *cells]
     ]
-    text = [title, *aligned] if title else aligned
-    sys.stdout.write("\n".join(text) + "\n")
-    sys.stdout.flush()
+    _write("\n".join([title, *aligned] if title else aligned))
 
 
-def warn(text: str) -> None:
-    """One line on standard error."""
-    sys.stdout.flush()
-    print(f"dpstack: {' '.join(text.split())}", file=sys.stderr, flush=True)
+def _write(text: str) -> None:
+    with guarded():
+        sys.stdout.write(text + "\n")
+        sys.stdout.flush()

@@ -55,15 +55,20 @@ class Reporter:
         if self._json:
             output.json_line({"event": "summary", "t": round(stats.seconds, 3), **stats.summary(), **more})
             return
-        rows = [
-            (s.address, s.name, s.state, s.exchanges, s.retries, s.timeouts, s.inputs.hex(), s.outputs.hex())
-            for s in stats.slaves.values()
-        ]
-        columns = ("address", "name", "state", "exchanges", "retries", "time-outs", "inputs", "outputs")
-        output.table("Slaves", columns, rows)
+        slaves = stats.slaves.values()
+        output.table(
+            "Slaves",
+            ("address", "name", "state", "exchanges", "retries", "time-outs"),
+            [(s.address, s.name, s.state, s.exchanges, s.retries, s.timeouts) for s in slaves],
+        )
+        output.table(
+            "Process data",
+            ("address", "name", "inputs", "outputs"),
+            [(s.address, s.name, s.inputs.hex(), s.outputs.hex()) for s in slaves],
+        )
         output.line(f"{stats.rotations} rotations in {stats.seconds:.3f} s")
         for name, us in (("bus rotation time", stats.rotation_us), ("token rotation", stats.token_us)):
-            output.line(f"{name}: " + ", ".join(f"{key} {value} us" for key, value in us.items()))
+            output.line(f"{name} in us: " + ", ".join(f"{key} {value}" for key, value in us.items()))
         if stats.host_us is not None:
             late = stats.host_us
             output.line(

@@ -5,13 +5,15 @@ from __future__ import annotations
 import argparse
 import asyncio
 
-from dpstack.api.bus import Bus, open_bus
+from dpstack.api.bus import Bus
 from dpstack.api.config import Config, load_config
 from dpstack.api.control.programs import control_run
-from dpstack.cli import options, output
+from dpstack.api.opening import open_bus
+from dpstack.cli import options
 from dpstack.cli.control import reachable
 from dpstack.cli.report import Reporter, not_exchanging
 from dpstack.cli.signals import StopSignal
+from dpstack.cli.streams import warn
 from dpstack.errors import UsageError
 
 _LATER = "is not supported yet by this version; leave it out"
@@ -59,7 +61,7 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
     with StopSignal() as stop:
         await stop.or_done(bus.open())
         if not bus.is_open:
-            output.warn("ended before the token ring was joined")
+            warn("ended before the token ring was joined")
             return 1
         try:
             async with reachable(control_run(bus, config.port)):
@@ -72,7 +74,7 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
             await bus.close()
     reporter.summary(stats)
     for text in missing:
-        output.warn(text)
+        warn(text)
     return 1 if missing else 0
 
 

@@ -1,4 +1,4 @@
-"""SIGINT and SIGTERM: the first ends in order, a second one at once."""
+"""SIGINT, SIGTERM and SIGHUP, and output that nobody takes: the first ends in order, a second signal at once."""
 
 from __future__ import annotations
 
@@ -8,11 +8,13 @@ import signal
 from collections.abc import Coroutine
 from types import FrameType
 
+from dpstack.cli import streams
+
 _AT_ONCE = 130
 
 
 class StopSignal:
-    """An event that SIGINT and SIGTERM set. Works in every kind of loop; use it as a context manager."""
+    """What the signals set, and the loss of standard output. Works in every kind of loop; a context manager."""
 
     def __init__(self) -> None:
         self._event = asyncio.Event()
@@ -21,11 +23,13 @@ class StopSignal:
         self.received = False
 
     def __enter__(self) -> StopSignal:
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in (signal.SIGINT, signal.SIGTERM, *_hangup()):
             self._old[number] = signal.signal(number, self._caught)
+        streams.lost.told = self._stop
         return self
 
     def __exit__(self, *_: object) -> None:
+        streams.lost.told = None
         for number, old in self._old.items():
             if callable(old) or isinstance(old, signal.Handlers):
                 signal.signal(number, old)
@@ -33,6 +37,9 @@ class StopSignal:
     def _caught(self, number: int, frame: FrameType | None) -> None:
         if self.received:
             os._exit(_AT_ONCE)  # what is in the way of an orderly end is in the way of every other
+        self._stop()
+
+    def _stop(self) -> None:
         self.received = True
         self._loop.call_soon_threadsafe(self._event.set)
 
@@ -54,3 +61,9 @@ class StopSignal:
             for each in (task, waiting):
                 each.cancel()
             await asyncio.gather(task, waiting, return_exceptions=True)
+
+
+def _hangup() -> list[signal.Signals]:
+    """SIGHUP, the terminal's end; not where it is ignored (nohup), nor on systems without it."""
+    number = getattr(signal, "SIGHUP", None)
+    return [] if number is None or signal.getsignal(number) is signal.SIG_IGN else [number]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import Final
@@ -9,6 +10,7 @@ from typing import Final
 from dpstack.api.drive import Drive
 from dpstack.errors import DriveError
 
+_HOLD_S: Final = 0.5
 #: Takes one line of a story.
 Tell = Callable[[str], None]
 
@@ -40,7 +42,7 @@ async def demag(drive: Drive, tell: Tell) -> None:
     tell("434 (ramp set point) = 2: the line's set point alone counts")
     await _run(drive, tell, 0.5)
     kilohertz = await drive.read(400)
-    tell(f"parameter 400 (switching frequency) read while it runs: {kilohertz} kHz")
+    tell(f"parameter 400 (switching frequency) read: {kilohertz} kHz")
     await _stop(drive, tell)
 
 
@@ -67,6 +69,7 @@ async def _run(drive: Drive, tell: Tell, speed: float) -> None:
     actual = drive.status.speed
     _expect(drive, actual is not None and abs(actual - speed) < 0.02, f"reached, but at {actual} instead of {speed}")
     tell(f"{speed:.0%} of the reference reached")
+    await asyncio.sleep(_HOLD_S)  # long enough to be seen
 
 
 async def _stop(drive: Drive, tell: Tell) -> None:

@@ -20,14 +20,17 @@ class Mode(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class SetMode:
-    """Go to ``mode``, through the modes between."""
+    """Go to ``mode``, up at once; down from Operate through safe values (as at the end) and Clear.
+
+    Each mode reached on the way is told by ``ModeChanged``.
+    """
 
     mode: Mode
 
 
 @dataclass(frozen=True, slots=True)
 class Shutdown:
-    """The end in order: safe values (a cycle, and 50 ms), Clear twice, out of the ring; then
+    """The end in order: safe values (a cycle, and 50 ms where they are not zeros), Clear twice, out of the ring; then
     ``MasterStopped``."""
 
 
@@ -40,7 +43,7 @@ class AddSlave:
 
 @dataclass(frozen=True, slots=True)
 class RemoveSlave:
-    """Give a slave up: safe outputs for 50 ms, unlock, then forget it."""
+    """Give a slave up: safe outputs for 50 ms, unlock; one that was added at its address meanwhile waits for that."""
 
     address: int
 

@@ -29,11 +29,16 @@ def lost(during: str) -> Fault:
     )
 
 
-def wrong_ident(setup: SlaveSetup, found: int) -> Fault:
+def bus_gone(reason: str) -> Fault:
+    """The port vanished, or this station is out of the ring."""
+    return Fault(FaultKind.LOST, reason, "it is taken up again as soon as the bus is back")
+
+
+def wrong_ident(expected: int | None, found: int) -> Fault:
     """Another device than the configuration says."""
     return Fault(
         FaultKind.WRONG_IDENT,
-        f"is another device: ident 0x{found:04X} instead of 0x{setup.ident or 0:04X}",
+        f"is another device: ident 0x{found:04X} instead of 0x{expected or 0:04X}",
         'put the right device there, or correct drive, gsd or ident (ident = "ask" takes what is found)',
     )
 
@@ -54,6 +59,13 @@ def not_supported() -> Fault:
         "does not support something that Set_Prm asked for (Not_Supported)",
         "take sync, freeze or the group out of its configuration",
     )
+
+
+def refusal(setup: SlaveSetup, diagnosis: Diagnosis, sent: bytes) -> Fault | None:
+    """What a diagnosis says of Set_Prm, whose octets were ``sent``; None when it is about the configuration."""
+    if diagnosis.prm_fault:
+        return prm_fault(setup, diagnosis, sent)
+    return not_supported() if diagnosis.not_supported else None
 
 
 def prm_fault(setup: SlaveSetup, diagnosis: Diagnosis, sent: bytes) -> Fault:
@@ -91,6 +103,15 @@ def not_ready(seconds: float) -> Fault:
         FaultKind.NOT_READY,
         f"accepted parameters and configuration but is not ready after {seconds:g} s (Station_Not_Ready)",
         "look at the device: it may wait for its own start-up or for modules",
+    )
+
+
+def not_taken() -> Fault:
+    """Prm_Req after everything was acknowledged, again and again."""
+    return Fault(
+        FaultKind.NOT_READY,
+        "acknowledges parameters and configuration, and then wants parameters again (Prm_Req)",
+        "check ident, config and user parameters with its GSD file, and whether its watchdog is too short for this bus",
     )
 
 

@@ -1,4 +1,4 @@
-"""What is told about one slave: faults when they are new, remarks once; and the back-off of retries."""
+"""What is told about one slave: faults when they are new, remarks once."""
 
 from __future__ import annotations
 
@@ -38,22 +38,3 @@ class Findings:
     def clear(self) -> None:
         """The slave is well again: the next fault is told even if it is the same."""
         self.fault, self._told = None, ""
-
-
-class Backoff:
-    """A delay in ns that doubles from ``first`` to ``last`` with every use until it is reset."""
-
-    __slots__ = ("_first", "_last", "_next")
-
-    def __init__(self, first: int, last: int) -> None:
-        self._first, self._last, self._next = first, last, first
-
-    def take(self) -> int:
-        """The delay to wait now."""
-        delay = self._next
-        self._next = min(2 * delay, self._last)
-        return delay
-
-    def reset(self) -> None:
-        """Begin with the first delay again."""
-        self._next = self._first

@@ -14,7 +14,10 @@ class CyclicUnit(Protocol):
     """
 
     def cyclic(self, inputs: bytes, now: int) -> bytes:
-        """Called just before each Data_Exchange in Operate: the last inputs, the time in ns -> the outputs."""
+        """Called just before each Data_Exchange in Operate: the last inputs, the time in ns -> the outputs.
+
+        ``inputs`` are empty while there are no valid ones of this stay in data exchange.
+        """
 
     def lost(self, now: int) -> None:
         """The slave left data exchange, or outputs went to their safe values: what is pending ends with a reason."""

@@ -14,13 +14,13 @@ from typing import Final
 
 from dpstack.dp.commands import AddSlave, DriveCommand, Mode, RemoveSlave, SetMode, Shutdown
 from dpstack.dp.events import MasterStopped, ModeChanged, SlaveState
+from dpstack.dp.farewell import SAFE_HOLD, Farewells
 from dpstack.dp.image import SlaveImage
-from dpstack.dp.ms0 import unlock_prm
 from dpstack.dp.pdu import GlobalControl
 from dpstack.dp.setup import SlaveSetup
 from dpstack.dp.slave_handler import SlaveHandler
 from dpstack.errors import ConfigError, UsageError
-from dpstack.fdl.telegram import SAP_GLOBAL_CONTROL, SAP_SET_PRM, SSAP_MS0, Req, Telegram
+from dpstack.fdl.telegram import SAP_GLOBAL_CONTROL, SSAP_MS0, Req, Telegram
 from dpstack.fdl.user import Failure, Request
 from dpstack.machine import LineDown, LineUp
 from dpstack.params import BROADCAST, BusParams
@@ -35,9 +35,6 @@ _GC_SHARE: Final = 100
 _GC_OCTETS: Final = 13
 #: Global_Control after a change of mode, and at the end, is sent this often
 _GC_URGENT: Final = 2
-#: The end: safe values for at least one cycle, and for so long, because drives look at their outputs only every 4 to
-#: 32 ms (drives, row D17) and Clear's zeros mean nothing to some of them (bit 10 of STW1).
-_SAFE_HOLD: Final = 50 * NS_PER_MS
 #: without a token for T_TR and so long nobody can be in data exchange any more; an ordered end waits only so long
 _SILENCE: Final = NS_PER_S
 
@@ -78,17 +75,17 @@ class Master:
         self._open = False
         self._cursor = 0
         self._service_left = 0
-        self._farewells = 0
+        self._farewells = Farewells()
         self._mark = False
         self._round_at = 0
         self._not_before = 0
         self._interval = 0
         self._poll_from = 0
         self._poll_at = 0
-        # the end
-        self._stopping = 0
-        self._stopped = False
-        self._leaving: deque[tuple[SlaveHandler, int]] = deque()
+        # the way down: where the modes lead, until when safe values stand, when the end was ordered
+        self._target = Mode.CLEAR
+        self._safe_until = 0
+        self._end_at = 0
         self._token_at = NEVER
         self._watch_at = NEVER
         # at 9.6 kbit/s one rotation may rightly take T_TR = 5 s
@@ -161,45 +158,76 @@ class Master:
         handler = self._handler(address)
         del self.handlers[address]
         self._stale = True
-        if handler.state is SlaveState.DATA_EXCHANGE:
-            self._leaving.append((handler, now + _SAFE_HOLD))
-            handler.unit.lost(now)
+        if handler in self._services:
+            self._services.remove(handler)
+        if self.mode > Mode.STOP:
+            self._farewells.add(handler, now)
+        handler.unit.lost(now)
+        handler.state = SlaveState.OFFLINE  # nothing more for it in this round
+
+    # --- modes and the ordered end ------------------------------------------------------------------------------
 
     def _set_mode(self, mode: Mode, now: int) -> None:
-        if self._stopping:
+        if self._target is Mode.OFFLINE:
             raise UsageError("the master is being stopped: open the bus anew")
         if mode is Mode.OFFLINE:
             raise UsageError("a master goes offline by Shutdown, so that outputs become safe first")
-        if mode is self.mode:
-            return
-        was, self.mode = self.mode, mode
-        if was is Mode.OPERATE:
-            for handler in self.handlers.values():
-                handler.unit.lost(now)
-        self._gc_urgent = _GC_URGENT
-        self._events.append(ModeChanged(t_ns=now, mode=mode))
-
-    # --- the ordered end ----------------------------------------------------------------------------------------
+        if mode is not self._target:
+            self._head_for(mode, now)
 
     def _shutdown(self, now: int) -> None:
-        if self._stopping:
-            return
-        self._stopping = now or 1
-        if self.mode is Mode.OPERATE:
+        if self._target is not Mode.OFFLINE:
+            self._end_at = now
+            self._head_for(Mode.OFFLINE, now)
+            self._watch_at = self._quiet_at()
+
+    def _head_for(self, target: Mode, now: int) -> None:
+        """Up at once. Down from Operate over safe values and Clear, and further down when everybody had that."""
+        if self._target is Mode.OPERATE:
             for handler in self.handlers.values():
                 handler.unit.lost(now)
-        if self.mode is Mode.STOP or self._token_at == NEVER:
-            self._stop(now)
+        self._target = target
+        if target >= self.mode:
+            if target > self.mode:
+                self._reach(target, now)
+        elif self.mode is Mode.STOP or self._token_at == NEVER:
+            self._reach(target, now)
         else:
-            self._open = False  # the next hold begins the safe round
-            self._watch_at = self._quiet_at()
-            self._gc_urgent = 0 if self.mode is Mode.OPERATE else _GC_URGENT
+            self._open = False  # a whole round follows
+            if self.mode is Mode.OPERATE:
+                if self._clear_is_safe():
+                    self._reach(Mode.CLEAR, now)
+                else:
+                    self._safe_until = now + SAFE_HOLD
+            elif target is Mode.OFFLINE:
+                self._gc_urgent = _GC_URGENT
+            elif not self._gc_urgent:
+                self._reach(target, now)
 
-    def _stop(self, now: int) -> None:
-        if not self._stopped:
-            self._stopped = True
-            self.mode = Mode.OFFLINE
-            self._events.append(ModeChanged(t_ns=now, mode=Mode.OFFLINE))
+    def _clear_is_safe(self) -> bool:
+        """Whether Clear's zeros are the safe values of all slaves in data exchange."""
+        exchanging = (h for h in self.handlers.values() if h.state is SlaveState.DATA_EXCHANGE)
+        return not any(any(handler.setup.safe_outputs) for handler in exchanging)
+
+    def _descend(self, now: int) -> None:
+        """A round on the way down is through."""
+        if self.mode is Mode.OPERATE:
+            if now >= self._safe_until:
+                self._reach(Mode.CLEAR, now)
+        elif not (self._gc_urgent or self._farewells):
+            self._reach(self._target, now)
+
+    def _reach(self, mode: Mode, now: int) -> None:
+        self.mode = mode
+        self._gc_urgent = _GC_URGENT
+        self._events.append(ModeChanged(t_ns=now, mode=mode))
+        if mode <= Mode.STOP:
+            self._open = False
+            self._round_at = 0
+            self._farewells.clear()
+            for handler in self.handlers.values():
+                handler.image.valid = False
+        if mode is Mode.OFFLINE:
             self._events.append(MasterStopped(t_ns=now))
 
     # --- link user ----------------------------------------------------------------------------------------------
@@ -209,7 +237,7 @@ class Master:
         self._token_at = now
         if self._watch_at == NEVER:
             self._watch_at = self._quiet_at()
-        if not self._open and now >= self._not_before:
+        if not self._open and now >= self._not_before and self.mode > Mode.STOP:
             self._begin_round(now)
 
     def _begin_round(self, now: int) -> None:
@@ -218,9 +246,9 @@ class Master:
         self._open = True
         self._cursor = 0
         self._mark = bool(self._exchanging)
-        self._farewells = len(self._leaving)
+        self._farewells.begin_round()
         self._service_left = 1 if self._exchanging else len(self._services)
-        if self._stopping or self.mode is Mode.STOP:
+        if self._target is Mode.OFFLINE:
             self._service_left = 0
         if not self._mark:
             self._round_at = 0
@@ -228,18 +256,19 @@ class Master:
 
     def next_request(self, now: int, high_only: bool) -> Request | None:
         """Everything a master sends to its slaves is high priority, so ``high_only`` changes nothing."""
-        if not self._open or self.mode <= Mode.STOP:
+        if not self._open:
             return None
         exchanging = self._exchanging
         while self._cursor < len(exchanging):
             handler = exchanging[self._cursor]
             self._cursor += 1
-            if handler.state is not SlaveState.DATA_EXCHANGE or self.rounds % handler.setup.every:
+            if handler.state is not SlaveState.DATA_EXCHANGE:
                 continue
+            if self.rounds % handler.setup.every and self._target is self.mode:
+                continue  # on the way down nobody is left out
             return handler.data_request(self._outputs(handler, now))
-        if self._farewells:
-            self._farewells -= 1
-            return self._farewell(now)
+        if self._farewells and (request := self._farewells.request(now)) is not None:
+            return request
         if self._gc_urgent or (now >= self._gc_due and exchanging):
             return self._global_control(now)
         while self._service_left:
@@ -251,10 +280,8 @@ class Master:
         return None
 
     def _outputs(self, handler: SlaveHandler, now: int) -> bytes:
-        if self._stopping and self.mode is Mode.OPERATE:
-            return handler.setup.safe_outputs
         if self.mode is Mode.OPERATE:
-            return handler.unit.outputs(now)
+            return handler.unit.outputs(now) if self._target is Mode.OPERATE else handler.setup.safe_outputs
         # Clear: a Fail_Safe slave gets an empty frame, the others zeros (section J, Siemens CP5613)
         return b"" if handler.setup.fail_safe else bytes(handler.image.output_len)
 
@@ -266,31 +293,33 @@ class Master:
         return Request(BROADCAST, Req.SDN_HIGH, data, SAP_GLOBAL_CONTROL, SSAP_MS0)
 
     def _next_service(self, now: int) -> Request | None:
-        """The next slave that wants a service, fairly in turn; absent ones within their share of the bus."""
-        for _ in range(len(self._services)):
-            handler = self._services[0]
-            self._services.rotate(-1)
-            if not handler.wants_service(now):
-                continue
-            if handler.state is SlaveState.OFFLINE and now < self._poll_from:
-                continue
-            return handler.service_request(now)
-        return None
+        """The next slave that wants a service, fairly in turn; with one a round a bring-up under way goes first."""
+        chosen: SlaveHandler | None = None
+        for handler in self._services:
+            if self._may_serve(handler, now):
+                if handler.under_way and self._exchanging:
+                    chosen = handler
+                    break
+                chosen = chosen or handler
+        if chosen is None:
+            return None
+        self._services.remove(chosen)
+        self._services.append(chosen)
+        return chosen.service_request(now)
+
+    def _may_serve(self, handler: SlaveHandler, now: int) -> bool:
+        """Absent ones within their share of the bus; nobody before the one removed at its address is unlocked."""
+        if not handler.wants_service(now) or (handler.state is SlaveState.OFFLINE and now < self._poll_from):
+            return False
+        return not (self._farewells and self._farewells.awaits(handler.setup.address))
 
     def _end_round(self, now: int) -> None:
         self._open = False
         self.rounds += 1
         if self._exchanging and self.on_round is not None:
             self.on_round(now)
-        if self._stopping and not self._stopped:
-            if self.mode is Mode.OPERATE:
-                if self._exchanging and now - self._stopping < _SAFE_HOLD:
-                    return
-                self.mode = Mode.CLEAR  # the safe values are out: now Clear, twice
-                self._gc_urgent = _GC_URGENT
-                self._events.append(ModeChanged(t_ns=now, mode=Mode.CLEAR))
-            else:
-                self._stop(now)
+        if self._target < self.mode:
+            self._descend(now)
 
     def started(self, request: Request, at: int) -> None:
         """The rotation is taken from first bit to first bit of a round's first Data_Exchange."""
@@ -304,21 +333,20 @@ class Master:
     def result(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
         """Hand the end of a request to the handling of its slave."""
         handler = request.tag
-        if not isinstance(handler, SlaveHandler):
-            return
+        if not isinstance(handler, SlaveHandler) or self.handlers.get(handler.setup.address) is not handler:
+            return  # of nobody, or of a slave that was removed meanwhile
         if request.dsap is None:
             handler.data_result(outcome, now)
             return
         if handler.state is SlaveState.OFFLINE and self._absent_share and self._exchanging:
             self._poll_from = now + (now - self._poll_at) * self._absent_share
-        if handler.setup.address in self.handlers:
-            handler.service_result(request, outcome, now)
+        handler.service_result(request, outcome, now)
 
     # --- slaves come and go -------------------------------------------------------------------------------------
 
     def _slave_changed(self, handler: SlaveHandler) -> None:
         self._stale = True
-        if handler.state is SlaveState.DATA_EXCHANGE and not handler.diag_due:
+        if handler.state is SlaveState.DATA_EXCHANGE and handler not in self._exchanging:
             self._gc_urgent = max(self._gc_urgent, 1)  # Operate after every re-entry (section I)
 
     def _sort(self) -> None:
@@ -330,14 +358,6 @@ class Master:
         self._services = deque(kept + [h for h in handlers if h in wanting and h not in kept])
         self._interval = max((h.setup.min_slave_interval_ns for h in self._exchanging), default=0)
 
-    def _farewell(self, now: int) -> Request:
-        handler, until = self._leaving.popleft()
-        if now < until:
-            self._leaving.append((handler, until))
-            return Request(handler.setup.address, Req.SRD_HIGH, handler.setup.safe_outputs, patient=True)
-        data = unlock_prm(handler.setup, handler.ident or 0)
-        return Request(handler.setup.address, Req.SRD_HIGH, data, SAP_SET_PRM, SSAP_MS0, patient=True)
-
     # --- without a token ----------------------------------------------------------------------------------------
 
     def wake_at(self) -> int:
@@ -346,10 +366,10 @@ class Master:
 
     def _quiet_at(self) -> int:
         """When the present silence is too long; what was sent since the token came counts as its sign of life."""
-        if self._stopped or self._token_at == NEVER:
+        if self.mode is Mode.OFFLINE or self._token_at == NEVER:
             return NEVER
-        if self._stopping:
-            return max(self._token_at, self._poll_at, self._stopping) + _SILENCE
+        if self._target is Mode.OFFLINE:
+            return max(self._token_at, self._poll_at, self._end_at) + _SILENCE
         return max(self._token_at, self._poll_at) + self._silence
 
     def tick(self, now: int) -> None:
@@ -358,8 +378,6 @@ class Master:
         if now < quiet_at:
             self._watch_at = quiet_at
             return
-        if self._stopping:
-            self._stop(now)
         self._line_lost("this station holds no token", now)
 
     def _line_lost(self, reason: str, now: int) -> None:
@@ -367,7 +385,8 @@ class Master:
         self._open = False
         self._round_at = 0
         self._not_before = 0
+        self._farewells.clear()
         for handler in self.handlers.values():
             handler.line_lost(reason, now)
-        if self._stopping:
-            self._stop(now)
+        if self._target < self.mode:
+            self._reach(self._target, now)

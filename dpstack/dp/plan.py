@@ -179,9 +179,13 @@ def t_tr_preset(params: BusParams, setups: Sequence[SlaveSetup]) -> int:
     return min(max(params.t_tr, rotation(params, setups, Case.NORMAL).bits), MAX_T_TR)
 
 
-def watchdog_ms(params: BusParams, setups: Sequence[SlaveSetup], *, pty: bool = False) -> int:
-    """The recommended watchdog: three times the longest rotation, at least 200 ms (1000 ms on ptys), in 10 ms steps."""
-    longest = 3 * params.ns(rotation(params, setups, Case.LONGEST).bits)
+def watchdog_ms(params: BusParams, setups: Sequence[SlaveSetup], *, pty: bool = False, host_slack_ns: int = 0) -> int:
+    """The recommended watchdog: three times the longest rotation, at least 200 ms (1000 ms on ptys), in 10 ms steps.
+
+    While one slave dies the others wait for its slot time and the host's slack, with every retry: that is part of it.
+    """
+    dying = (params.max_retry + 1) * (params.ns(params.t_sl) + host_slack_ns) if host_slack_ns else 0
+    longest = 3 * (params.ns(rotation(params, setups, Case.LONGEST).bits) + dying)
     steps = -(-longest // (10 * NS_PER_MS))
     least = MIN_WATCHDOG_PTY_MS if pty else MIN_WATCHDOG_MS
     return min(max(least, steps * 10), MAX_WATCHDOG_MS)
@@ -192,16 +196,18 @@ def make_plan(
     setups: Iterable[SlaveSetup],
     *,
     pty: bool = False,
+    host_slack_ns: int = 0,
     findings: Iterable[str] = (),
     notes: Iterable[str] = (),
 ) -> Plan:
     """The whole plan of a bus with ``setups`` at ``params``; ``pty`` where another process stands at the other end.
 
+    ``host_slack_ns`` is how much later than the wire's deadline a known station's answer may come (see Patience).
     ``findings`` and ``notes`` are what the caller knows beyond that; they come first.
     """
     slaves = tuple(sorted(setups, key=lambda s: s.address))
     rotations = {case: rotation(params, slaves, case) for case in Case}
-    recommended = watchdog_ms(params, slaves, pty=pty)
+    recommended = watchdog_ms(params, slaves, pty=pty, host_slack_ns=host_slack_ns)
     plans = tuple(_slave_plan(s, rotations[Case.SHORTEST], recommended) for s in slaves)
     return Plan(
         params=params,

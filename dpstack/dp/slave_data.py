@@ -77,6 +77,8 @@ class CyclicData:
 
     def control(self, command: GlobalControl, now: int) -> None:
         """A Global_Control that concerns this slave (B4: each further SYNC or FREEZE acts; the Un- ones win)."""
+        if self.plain:  # the slave application's short way leaves it to us to note what came last
+            self._received = self.outputs
         self._clear = command.clear
         if command.clear:
             self._make_void(now)

@@ -1,7 +1,8 @@
 """The master's handling of one slave: what to ask it next, and what its answers mean.
 
-The table of states is :mod:`dpstack.dp.bringup`, the texts of the faults :mod:`dpstack.dp.faults`; here is the judging
-of answers (:meth:`SlaveHandler.service_result`, :meth:`SlaveHandler.data_result`) and the book-keeping.
+The table of states is :mod:`dpstack.dp.bringup`, the texts of the faults :mod:`dpstack.dp.faults`, the back-off
+:mod:`dpstack.dp.pacing`; here is the judging of answers (:meth:`SlaveHandler.service_result`,
+:meth:`SlaveHandler.data_result`) and the book-keeping.
 """
 
 from __future__ import annotations
@@ -12,17 +13,12 @@ from typing import Final
 from dpstack.dp import faults
 from dpstack.dp.bringup import TABLE, Ev
 from dpstack.dp.diagnosis import Diagnosis
-from dpstack.dp.events import (
-    Fault,
-    FaultKind,
-    SlaveDiagnosis,
-    SlaveState,
-    SlaveStateChanged,
-)
-from dpstack.dp.findings import Backoff, Findings
+from dpstack.dp.events import Fault, SlaveDiagnosis, SlaveState, SlaveStateChanged
+from dpstack.dp.findings import Findings
 from dpstack.dp.image import SlaveImage
 from dpstack.dp.judge import deviations, foreign_owner, verdict_exchanging, verdict_ready
 from dpstack.dp.ms0 import DATA_STATUS, EMPTY_STATUS, SERVICE_NAMES, positive, refusal_text, set_prm
+from dpstack.dp.pacing import Pacing
 from dpstack.dp.setup import SlaveSetup, watchdog_factors, watchdog_ns
 from dpstack.dp.unit_host import UnitHost
 from dpstack.fdl.telegram import (
@@ -40,11 +36,6 @@ from dpstack.fdl.user import Failure, Request
 from dpstack.trace import Event
 from dpstack.units import NS_PER_MS, NS_PER_S
 
-# design, "Bring-up and end": absent 0.1 to 1 s, refused 1 to 10 s
-_ABSENT: Final = (100 * NS_PER_MS, NS_PER_S)
-_REFUSED: Final = (NS_PER_S, 10 * NS_PER_S)
-#: shorter stays in data exchange do not reset the back-off: a slave that flaps is not re-initialised for ever
-_STABLE: Final = NS_PER_S
 _READY_LIMIT: Final = 10 * NS_PER_S
 _UNACKED_LIMIT: Final = NS_PER_S
 _POLL_PAUSE: Final = 10 * NS_PER_MS
@@ -82,15 +73,14 @@ class SlaveHandler:
         self.state = SlaveState.OFFLINE
         self.diagnosis: Diagnosis | None = None
         self.exchanges = 0
-        #: no service request before this time
-        self.due = 0
+        #: Set_Prm was sent, and no answer since says that the slave is not (or no longer) this master's
+        self.owned = False
         #: Slave_Diag is wanted while in data exchange (DH, Stat_Diag)
         self.diag_due = False
         self._emit = emit
         self._changed = changed
         self._since = 0
-        self._absent = Backoff(*_ABSENT)
-        self._refused = Backoff(*_REFUSED)
+        self._pacing = Pacing()
         self._silent = 0
         self._busy = 0
         self._wrong = 0
@@ -100,7 +90,6 @@ class SlaveHandler:
         self._cfg_sent = False
         self._ask_cfg = False
         self._left = False
-        self._pause = 0
         self._request: Request | None = None
 
     @property
@@ -166,7 +155,20 @@ class SlaveHandler:
 
     def wants_service(self, now: int) -> bool:
         """True when a request other than Data_Exchange is due."""
-        return self.due <= now and (self.state is not SlaveState.DATA_EXCHANGE or self.diag_due)
+        return self._pacing.due <= now and (self.state is not SlaveState.DATA_EXCHANGE or self.diag_due)
+
+    @property
+    def under_way(self) -> bool:
+        """Between the diagnosis that gave it free and the first one after Chk_Cfg: others wait, because its watchdog
+        runs, and because that diagnosis must not grow old.
+        """
+        match self.state:
+            case SlaveState.SET_PRM | SlaveState.CHK_CFG:
+                return True
+            case SlaveState.WAIT_READY:
+                return self._pacing.due <= self._since
+            case _:
+                return False
 
     def service_request(self, now: int) -> Request:
         """The next step of the bring-up, or the diagnosis while in data exchange."""
@@ -177,6 +179,7 @@ class SlaveHandler:
         if self._ask_cfg:
             return self._service(SAP_GET_CFG, b"")
         if state is SlaveState.SET_PRM:
+            self.owned = True
             return self._service(SAP_SET_PRM, self.set_prm())
         if state is SlaveState.CHK_CFG:
             self._cfg_sent = True
@@ -226,7 +229,7 @@ class SlaveHandler:
             return
         if self.state is SlaveState.OFFLINE:
             self._silent += 1
-            self.due = now + self._absent.take()
+            self._pacing.absent(now)
             if self._silent >= _TOLD_ABSENT_AFTER and self.findings.fault is None:
                 self.findings.tell(faults.absent(self.setup.address, self.baud), now)
             self._step(Ev.SILENT, now)
@@ -243,7 +246,7 @@ class SlaveHandler:
             self._refuse(faults.cfg_fault(self.setup, None), now)
             return
         self._busy += 1
-        self.due = now + _POLL_PAUSE
+        self._pacing.due = now + _POLL_PAUSE
         if self._busy >= _MAX_BUSY:
             self._busy = 0
             self._step(Ev.REFUSED, now, faults.refused(service, refusal_text(outcome)))
@@ -263,8 +266,10 @@ class SlaveHandler:
         for deviation in deviations(diagnosis, self.own):
             self.findings.remark(deviation, now)
         owner = foreign_owner(diagnosis, self.own)
+        if diagnosis.prm_req or owner is not None or diagnosis.ident != self.ident:
+            self.owned = False
         if diagnosis.ident != self.ident:
-            self._step(Ev.DIAG_OTHER, now, faults.wrong_ident(self.setup, diagnosis.ident))
+            self._step(Ev.DIAG_OTHER, now, faults.wrong_ident(self.ident, diagnosis.ident))
         elif owner is not None:
             self._step(Ev.DIAG_LOCKED, now, faults.locked(owner))
         elif self.state is SlaveState.DATA_EXCHANGE:
@@ -275,7 +280,8 @@ class SlaveHandler:
             if self._left:
                 self._left = False
                 self.findings.tell(faults.left(diagnosis), now)
-            self._step(Ev.DIAG_FREE, now)
+            if not self._pacing.pauses(now):
+                self._step(Ev.DIAG_FREE, now)
 
     def _judge_ready(self, diagnosis: Diagnosis, now: int) -> None:
         verdict = verdict_ready(diagnosis, cfg_sent=self._cfg_sent)
@@ -284,17 +290,16 @@ class SlaveHandler:
         elif verdict is Ev.DIAG_WAIT:
             self._wait(diagnosis, now)
         elif verdict is Ev.DIAG_PRM_REQ and self._prm_rounds >= _MAX_WRONG:
-            fault = faults.silent(self._unacked) if self._unacked else faults.left(diagnosis)
+            fault = faults.silent(self._unacked) if self._unacked else faults.not_taken()
             self._step(Ev.REFUSED, now, fault)
         else:
             self._prm_rounds += verdict is Ev.DIAG_PRM_REQ
             self._step(verdict, now)
 
     def _judge_refusal(self, diagnosis: Diagnosis, now: int) -> None:
-        if diagnosis.prm_fault:
-            self._refuse(self._prm_fault(diagnosis), now)
-        elif diagnosis.not_supported:
-            self._refuse(faults.not_supported(), now)
+        fault = faults.refusal(self.setup, diagnosis, self.set_prm())
+        if fault is not None:
+            self._refuse(fault, now)
         else:  # what it has instead belongs into the message
             self._ask_cfg = True
 
@@ -306,24 +311,20 @@ class SlaveHandler:
             ill = faults.statically_ill if diagnosis.stat_diag else faults.not_ready
             self._step(Ev.TOO_LONG, now, ill(_READY_LIMIT / NS_PER_S))
         else:
-            self.due = now + min(_POLL_PAUSE, waited >> 2)
+            self._pacing.due = now + min(_POLL_PAUSE, waited >> 2)
             self._step(Ev.DIAG_WAIT, now)
 
     def _judge_exchanging(self, diagnosis: Diagnosis, now: int) -> None:
         verdict = verdict_exchanging(diagnosis)
         self.diag_due = verdict is Ev.DIAG_WAIT
-        self.due = now + _STATIC_PAUSE if self.diag_due else now
+        self._pacing.due = now + _STATIC_PAUSE if self.diag_due else now
         self.image.valid = verdict is Ev.DIAG_READY
         self._left = verdict is Ev.DIAG_PRM_REQ
         fault = None
         if verdict is Ev.DIAG_REFUSED:
-            prm = diagnosis.prm_fault
-            fault = self._prm_fault(diagnosis) if prm else faults.cfg_fault(self.setup, None)
+            fault = faults.refusal(self.setup, diagnosis, self.set_prm()) or faults.cfg_fault(self.setup, None)
         self._step(verdict, now, fault)
         self._changed(self)
-
-    def _prm_fault(self, diagnosis: Diagnosis) -> Fault:
-        return faults.prm_fault(self.setup, diagnosis, self.set_prm())
 
     def _refuse(self, fault: Fault, now: int) -> None:
         self._ask_cfg = False
@@ -358,21 +359,21 @@ class SlaveHandler:
         self._busy = self._wrong = 0
         if state is SlaveState.DATA_EXCHANGE:
             self.findings.clear()
+            self.unit.remind(now)
             self._prm_rounds = 0
             self._unacked = ""
             self._request = None
         elif state is SlaveState.SET_PRM:
             self._cfg_sent = False
             self._unacked = ""
-            self.due = now + self._pause
-            self._pause = 0
         elif state is SlaveState.FAULT:
-            self.due = now + self._refused.take()
+            self._pacing.refused(now)
             self._prm_rounds = 0
         elif state is SlaveState.OFFLINE:
             self._restart = True
+            self.owned = self._left = self._ask_cfg = False
             self._silent = 0
-            self.due = max(self.due, now + self._absent.take())
+            self._pacing.absent(now)
         name, address = self.setup.name, self.setup.address
         self._emit(SlaveStateChanged(t_ns=now, address=address, name=name, state=state))
         self._changed(self)
@@ -382,21 +383,13 @@ class SlaveHandler:
         self.image.valid = False
         self.diag_due = False
         self._restart = True
-        self.due = now
-        if now - self._since >= _STABLE:
-            self._absent.reset()
-            self._refused.reset()
-        else:  # its diagnosis is read at once, the next bring-up waits
-            self._pause = self._refused.take()
+        self._pacing.left(now, now - self._since)
         self.unit.lost(now)
 
     def line_lost(self, reason: str, now: int) -> None:
         """The bus is gone (port vanished, out of the ring): nobody is in data exchange any more."""
         if self.state is not SlaveState.OFFLINE:
             if self.state is SlaveState.DATA_EXCHANGE:
-                self.findings.tell(
-                    Fault(FaultKind.LOST, reason, "it is taken up again as soon as the bus is back"), now
-                )
-            self._ask_cfg = False
+                self.findings.tell(faults.bus_gone(reason), now)
             self._enter(SlaveState.OFFLINE, now)
-            self.due = now
+            self._pacing.due = now

@@ -380,12 +380,7 @@ class SlaveApp:
 
 
 def make_slave(
-    address: int,
-    device: Device,
-    params: BusParams,
-    *,
-    t_sdr: int | None = None,
-    patience: Patience = EXACT,
+    address: int, device: Device, params: BusParams, *, t_sdr: int | None = None, patience: Patience = EXACT
 ) -> PassiveStation:
     """A whole slave: a passive station at ``address`` with a :class:`SlaveApp` around ``device`` as its responder.
 

@@ -17,7 +17,7 @@ from dpstack.trace import Event
 class UnitHost:
     """The cyclic unit of one slave. ``tell`` takes its fault, ``emit`` its events."""
 
-    __slots__ = ("_address", "_emit", "_image", "_name", "_safe", "_tell", "failed")
+    __slots__ = ("_address", "_emit", "_image", "_name", "_safe", "_tell", "fault")
 
     def __init__(
         self,
@@ -28,7 +28,8 @@ class UnitHost:
         emit: Callable[[Event], None],
         tell: Callable[[Fault, int], None],
     ) -> None:
-        self.failed = False
+        #: set once and for all when the unit raises
+        self.fault: Fault | None = None
         self._image = image
         self._safe = safe
         self._address = address
@@ -42,9 +43,9 @@ class UnitHost:
         unit = image.unit
         if unit is None:
             return image.outputs
-        if not self.failed:
+        if self.fault is None:
             try:
-                image.outputs = unit.cyclic(image.inputs, now)
+                image.outputs = unit.cyclic(image.inputs if image.valid else b"", now)
                 self._drain(now)
             except Exception as error:
                 self._fail(error, now)
@@ -53,7 +54,7 @@ class UnitHost:
     def command(self, op: str, args: Mapping[str, object], token: int, now: int) -> None:
         """Hand an order to the unit; where there is none, or a failed one, the answer is an event too."""
         unit = self._image.unit
-        if unit is None or self.failed:
+        if unit is None or self.fault is not None:
             why = "has no drive plugin" if unit is None else "is faulted: its plugin failed"
             text = f"{self._name} {why}"
             self._event({"type": "result", "token": token, "ok": False, "error": "usage", "text": text}, now)
@@ -67,13 +68,18 @@ class UnitHost:
     def lost(self, now: int) -> None:
         """Data exchange ended or outputs went to their safe values: what the unit has pending ends."""
         unit = self._image.unit
-        if unit is None or self.failed:
+        if unit is None or self.fault is not None:
             return
         try:
             unit.lost(now)
             self._drain(now)
         except Exception as error:
             self._fail(error, now)
+
+    def remind(self, now: int) -> None:
+        """The slave is in data exchange again; a failed unit still is its fault."""
+        if self.fault is not None:
+            self._tell(self.fault, now)
 
     def _drain(self, now: int) -> None:
         unit = self._image.unit
@@ -82,9 +88,9 @@ class UnitHost:
                 self._event(payload, now)
 
     def _fail(self, error: Exception, now: int) -> None:
-        self.failed = True
+        self.fault = faults.plugin(error)
         self._image.outputs = self._safe
-        self._tell(faults.plugin(error), now)
+        self._tell(self.fault, now)
         self._event({"type": "failed", "text": f"{type(error).__name__}: {error}"}, now)
 
     def _event(self, payload: dict[str, object], now: int) -> None:

@@ -137,7 +137,7 @@ class ActiveStation:
         if now > line.idle_since or not link.exact:
             line.idle_since = now
         if not self._partial and not link.edge_told:
-            link.edge_at = now - len(chunk) * link.char_ns
+            link.edge_at = now - chars_to_ns(len(chunk), self.baud) if link.exact else now
         decoder = self._decoder
         found = decoder.feed(chunk, now)
         self._arriving(decoder.pending)
@@ -186,16 +186,10 @@ class ActiveStation:
     def _heard(self, telegram: Telegram, now: int) -> None:
         link = self._link
         if self.wire is not None:
-            self._tap(telegram, now)
+            octets = _octets(telegram)
+            sender = str(telegram.sa) if telegram.sa >= 0 else None
+            self.wire(WireEntry(now - chars_to_ns(len(octets), self.baud), now, octets, sender))
         link.row[classify(telegram, link.ts)](link, telegram, now)
-
-    def _tap(self, telegram: Telegram, now: int) -> None:
-        if self.wire is None:
-            return
-        octets = _octets(telegram)
-        start = now - chars_to_ns(len(octets), self.baud)
-        sender = str(telegram.sa) if telegram.sa >= 0 else None
-        self.wire(WireEntry(start, now, octets, sender))
 
     # --- time and sending ---------------------------------------------------------------------------------------
     def wake_at(self) -> int:
@@ -311,9 +305,9 @@ class ActiveStation:
 
 
 def _octets(telegram: Telegram) -> bytes:
-    """The octets of a telegram heard. SD3 is never encoded: it is an SD2 with another head."""
-    if telegram.kind == Kind.SD3:
+    """The octets of a telegram heard. SD3 and LE = 3 are never sent: they are SD2 and SD1 with another head."""
+    if telegram.kind is Kind.SD3:
         return b"\xa2" + encode(telegram._replace(kind=Kind.SD2))[4:]
-    if telegram.kind == Kind.SD2 and not telegram.data and telegram.dsap is telegram.ssap is None:
-        return encode(telegram._replace(kind=Kind.SD1))  # LE = 3, heard from two slaves
+    if telegram.empty_le3:
+        return b"\x68\x03\x03\x68" + encode(telegram._replace(kind=Kind.SD1))[1:]
     return encode(telegram)

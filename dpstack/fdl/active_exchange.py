@@ -16,6 +16,7 @@ from typing import Final, NamedTuple
 
 from dpstack.fdl.active_link import NONE, Link
 from dpstack.fdl.codec import request_octets
+from dpstack.fdl.events import le3_notice
 from dpstack.fdl.states import Input, State
 from dpstack.fdl.telegram import SHORT_ACK, Kind, Req, Resp, Telegram
 from dpstack.fdl.user import Failure, LinkUser, Request
@@ -66,7 +67,7 @@ def start(link: Link, user: LinkUser, request: Request) -> None:
     link.request = request
     link.tries_left = tries
     link.repeats = 0
-    link.wrong = link.garbled = False
+    link.wrong = False
     link.frame = link.tx = request_octets(da, link.ts, fc, request.data, request.dsap, request.ssap)
     link.gate_ns = link.after_ns
     link.enter(State.USE_TOKEN)
@@ -76,6 +77,7 @@ def sent(link: Link, at: int) -> None:
     """The first attempt goes out; its last bit is on the line at ``at``."""
     request, user = link.request, link.user
     link.stats.station(request.da).requests += 1
+    link.garbled = False  # what came before the request is no answer to it
     if user is not None:
         user.started(request, link.taken_at)
     if _SERVICES[request.function].answered:
@@ -92,7 +94,9 @@ def repeated(link: Link, _: Telegram, at: int) -> None:
 
 def _await(link: Link, at: int) -> None:
     link.enter(State.AWAIT_DATA_RESPONSE)
-    link.deadline = at + (link.slot_known_ns if link.request.patient else link.slot_unknown_ns)
+    request = link.request
+    patient = request.patient or request.da in link.slow
+    link.deadline = at + (link.slot_known_ns if patient else link.slot_unknown_ns)
     if link.exact:
         link.early_until = at + link.early_ns
 
@@ -164,6 +168,9 @@ def _answered(link: Link, telegram: Telegram, now: int) -> None:
     if _SERVICES[request.function].counted and link.fcb.answered(da):
         text = f"station {da} answers only requests with FCV = 1, not the standard's first request with FCV = 0"
         link.events.append(Notice(t_ns=now, source="fdl", message=text, severity=Severity.WARNING))
+    if not telegram.data and telegram.empty_le3 and da not in link.told_le3:
+        link.told_le3.add(da)
+        link.events.append(le3_notice("fdl", da, now))
     if link.repeats:
         _owe(link, now)
     elif link.owed:
@@ -198,6 +205,7 @@ def timeout(link: Link, _: Telegram, now: int) -> None:
         link.queue(link.frame)
         return
     station.timeouts += 1
+    link.slow.discard(request.da)
     _owe(link, now)
     if _SERVICES[request.function].counted:
         link.fcb.given_up(request.da)
@@ -208,8 +216,6 @@ def timeout(link: Link, _: Telegram, now: int) -> None:
         failure = Failure.GARBLED
     else:
         failure = Failure.NO_ANSWER
-        if not request.patient:
-            link.allowance.charge(link.slot_unknown_ns)
     _finish(link, failure, now)
 
 
@@ -235,5 +241,6 @@ def _count_late(link: Link, telegram: Telegram) -> None:
     if telegram.sa < 0:
         link.stats.stray += 1
         return
+    link.slow.add(telegram.sa)
     link.stats.late += 1
     link.stats.station(telegram.sa).late += 1

@@ -77,7 +77,6 @@ def _poll(link: Link, now: int) -> bool:
     if not _known(link, address) and not link.allowance.allows(now):
         return False
     link.polling = address
-    link.garbled = False
     link.fresh = False
     link.enter(State.USE_TOKEN)
     link.queue(encode_sd1(address, link.ts, _STATUS_FC))
@@ -85,8 +84,8 @@ def _poll(link: Link, now: int) -> bool:
 
 
 def _known(link: Link, address: int) -> bool:
-    """It answered our last GAP poll, or answers our requests: its silence would be news."""
-    return address in link.gap.stations or link.fcb.operational[address]
+    """It answered our last GAP poll, if late, or answers our requests: its silence would be news."""
+    return address in link.gap.stations or link.fcb.operational[address] or address in link.slow
 
 
 def sent(link: Link, _: Telegram, at: int) -> None:
@@ -95,6 +94,7 @@ def sent(link: Link, _: Telegram, at: int) -> None:
         exchange.sent(link, at)
         return
     link.stats.gap_polls += 1
+    link.garbled = False  # what came before the poll is no answer to it
     link.enter(State.AWAIT_STATUS_RESPONSE)
     known = _known(link, link.polling)
     link.deadline = at + (link.slot_known_ns if known else link.slot_unknown_ns)
@@ -125,6 +125,7 @@ def status_timeout(link: Link, _: Telegram, now: int) -> None:
     address = link.polling
     link.polling = -1
     known = _known(link, address)
+    link.slow.discard(address)
     if link.garbled:
         link.gap.passed(address)
     elif link.gap.polled(address, None):

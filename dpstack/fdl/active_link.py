@@ -63,7 +63,6 @@ class Link:
         "back_off_until",
         "busy_until",
         "candidate",
-        "char_ns",
         "claim_from",
         "claimed",
         "claims_left",
@@ -101,6 +100,7 @@ class Link:
         "rows",
         "slot_known_ns",
         "slot_unknown_ns",
+        "slow",
         "state",
         "stats",
         "t_to_ns",
@@ -108,6 +108,7 @@ class Link:
         "taken_at",
         "token_at",
         "token_rotation",
+        "told_le3",
         "tries_left",
         "ts",
         "tx",
@@ -176,6 +177,9 @@ class Link:
         self.early_until = -NEVER  # what begins before this cannot be the answer
         self.wrong = False
         self.garbled = False  # octets came that are no telegram (yet)
+        self.told_le3: set[int] = set()  # stations whose answers with LE = 3 were told
+        #: stations that answered late: they are there, and given the slack of a known one until they are silent again
+        self.slow: set[int] = set()
         #: exchanges whose answer may still come: request and until when, by address
         self.owed: dict[int, tuple[Request, int]] = {}
 
@@ -184,7 +188,6 @@ class Link:
         params, patience, line = self.params, self.patience, self.line
         #: nothing is delivered late, edges are told
         self.exact = patience == EXACT
-        self.char_ns = params.ns(BITS_PER_CHAR)
         # Octets are seen at their end: without edges the slot time counts from there.
         slot_ns = line.t_sl_ns if self.exact else params.ns(params.t_sl + BITS_PER_CHAR)
         self.slot_known_ns = slot_ns + patience.known_ns

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from dpstack.fdl.telegram import StationType
-from dpstack.trace import Event
+from dpstack.trace import Event, Notice, Severity
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,3 +90,12 @@ class StationFound(Event):
         if self.kind is None:
             return f"station {self.address} no longer answers"
         return f"station {self.address} found: {self.kind.name.lower().replace('_', ' ')}"
+
+
+def le3_notice(source: str, sender: int, now: int) -> Notice:
+    """Told once of each ``sender`` of SD2 telegrams with LE = 3."""
+    message = (
+        f"station {sender} sends SD2 telegrams without a data unit (LE = 3), which no standard knows; "
+        "they are taken as empty"
+    )
+    return Notice(t_ns=now, source=source, message=message, severity=Severity.WARNING)

@@ -12,13 +12,14 @@ from typing import Final
 from dpstack.errors import ConfigError, UsageError
 from dpstack.fdl.codec import SC_OCTETS, encode_sd1, request_octets
 from dpstack.fdl.decoder import Decoder
+from dpstack.fdl.events import le3_notice
 from dpstack.fdl.telegram import FC_FCB, FC_FCV, FC_FUNCTION, FC_REQUEST, Req, Resp, Telegram
 from dpstack.fdl.user import RS_REPLY, Reply, Responder
 from dpstack.machine import LineDown, LineUp
 from dpstack.params import BROADCAST, UNADDRESSED, BusParams
 from dpstack.phy.line import Line
 from dpstack.phy.patience import EXACT, Patience
-from dpstack.trace import Event, Notice, Severity
+from dpstack.trace import Event
 from dpstack.units import NEVER
 
 #: T_SDR of a station is never less than this (IEC 61158; Felser, "Zeitverhaeltnisse").
@@ -307,15 +308,7 @@ class PassiveStation:
     def _tell_le3(self, sa: int, now: int) -> None:
         if sa not in self._told_le3:
             self._told_le3.add(sa)
-            self._events.append(
-                Notice(
-                    t_ns=now,
-                    source=f"station {self._address}",
-                    message=f"station {sa} sends SD2 telegrams without a data unit (LE = 3), which no standard knows; "
-                    "they are taken as empty",
-                    severity=Severity.WARNING,
-                )
-            )
+            self._events.append(le3_notice(f"station {self._address}", sa, now))
 
 
 def _checked(address: int) -> int:

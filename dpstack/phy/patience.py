@@ -2,13 +2,14 @@
 
 Host slack enters deadlines only, never minimum gaps. It is paid for every silent address, and too little of it loses
 slaves when a virtual machine stalls 10 to 30 ms: so a station whose silence has consequences (in data exchange, or
-just given the token) is given ``known_ns``, an address that never answered ``unknown_ns``, and all silent polls of the
-latter together at most ``unknown_share`` of the bus time.
+just given the token) is given ``known_ns``, an address that never answered ``unknown_ns``. Silent polls of the latter
+take at most 1/``unknown_share`` of the bus time for the GAP, and as much for a master's absent slaves: one account for
+both would let a few absent slaves keep every other master out of the ring.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from dpstack.units import NS_PER_MS
@@ -20,7 +21,7 @@ class Patience:
 
     known_ns: int = 0
     unknown_ns: int = 0
-    #: silent polls of addresses that never answered may take 1/unknown_share of the bus time; 0 = no limit
+    #: silent polls of addresses that never answered may take 1/unknown_share of the bus time (see above); 0 = no limit
     unknown_share: int = 0
     #: added to the stall time of a telegram that arrives in pieces
     stall_ns: int = 0
@@ -39,17 +40,19 @@ ADAPTER: Final = Patience(
 
 #: The least that a measured adapter is given: one whose 16 ms timer comes back does not lose its slaves.
 _LEAST_KNOWN_NS: Final = 20 * NS_PER_MS
-_MOST_NS: Final = 500 * NS_PER_MS
-_LEAST_NS: Final = 2 * NS_PER_MS
+_LEAST_UNKNOWN_NS: Final = 2 * NS_PER_MS
 
 
 def measured(p999_ns: int) -> Patience:
-    """Patience for an adapter whose answers are ``p999_ns`` late in 999 of 1000 cases: three times that for stations
-    that matter, once for addresses that never answered.
+    """Patience for an adapter whose answers are ``p999_ns`` late in 999 of 1000 cases.
+
+    Three times that for stations that matter, once for addresses that never answered; never more than before it was
+    measured, because the slaves' watchdogs were told that.
     """
-    once = min(max(p999_ns, _LEAST_NS), _MOST_NS)
-    return Patience(
-        known_ns=min(max(3 * once, _LEAST_KNOWN_NS), _MOST_NS), unknown_ns=once, unknown_share=100, stall_ns=once
+    return replace(
+        ADAPTER,
+        known_ns=min(max(3 * p999_ns, _LEAST_KNOWN_NS), ADAPTER.known_ns),
+        unknown_ns=min(max(p999_ns, _LEAST_UNKNOWN_NS), ADAPTER.unknown_ns),
     )
 
 

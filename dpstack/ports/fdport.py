@@ -13,6 +13,9 @@ from dpstack.ports.base import Port
 #: One read takes at most this much; a telegram has up to 255 octets. Small enough for Python's own allocator.
 CHUNK: Final = 470
 
+#: Drained at once are no more than these: a far end that never stops shall not hold the loop for ever.
+_CHUNKS: Final = 64
+
 
 def _read_nothing(_size: int) -> bytes:
     raise BlockingIOError
@@ -39,14 +42,15 @@ class FdPort(Port):
     def read_now(self) -> bytes:
         """Drain the line."""
         octets = b""
-        while True:
+        for _ in range(_CHUNKS):
             try:
                 chunk = self._read(CHUNK)
             except OSError:  # nothing there; a loss shows itself to the reader in the loop
-                return octets
+                break
             octets += chunk
             if len(chunk) < CHUNK:
-                return octets
+                break
+        return octets
 
     def write(self, octets: bytes) -> bool:
         """Write at once or drop."""

@@ -29,7 +29,10 @@ Resolver = Callable[["str | int", "int | None", bool], ParamRef]
 
 
 class ParamAccess:
-    """The master's end of a drive's parameters. ``clock`` tells the time of the current cycle in ns."""
+    """The master's end of a drive's parameters. ``clock`` tells the time of the current cycle in ns.
+
+    ``settle_ns``: after this time the drive's reply belongs to what is sent now. ``written`` is told after a write.
+    """
 
     __slots__ = ("_clock", "_dialect", "client", "resolve", "written")
 
@@ -38,14 +41,14 @@ class ParamAccess:
         dialect: PkwDialect,
         resolve: Resolver,
         clock: Callable[[], int],
+        settle_ns: int,
         written: Callable[[ParamRef], None] | None = None,
     ) -> None:
-        #: told after every accepted write
         self.written = written
         self._dialect = dialect
         self._clock = clock
         self.resolve = resolve
-        self.client = PkwClient(dialect)
+        self.client = PkwClient(dialect, settle_ns)
 
     def read(self, ref: ParamRef, deadline: int) -> Steps[dict[str, object]]:
         """Read one parameter."""
@@ -88,7 +91,7 @@ class ParamAccess:
                     raise CommandError("timeout", f"{ref.label}: {_silence(exchange.stray)}")
                 yield
         finally:
-            self.client.cancel(exchange)
+            self.client.cancel(exchange, self._clock())
         reply = exchange.reply
         if reply.id == Reply.ERROR:
             number = reply.pwe & 0xFFFF

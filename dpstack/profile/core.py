@@ -68,7 +68,6 @@ class DriveCore:
         self._setpoint_word = 0
         self._control = table.word(Goal.IDLE, State.OFFLINE)
         self._achieved = False
-        self._fresh = False
         self._dirty = True
         self._inputs = b""
         self._offset = PKW_LEN if telegram.pkw else 0
@@ -84,13 +83,11 @@ class DriveCore:
     # -- CyclicUnit -----------------------------------------------------------------------------------------------
 
     def cyclic(self, inputs: bytes, now: int) -> bytes:
-        """Called just before each Data_Exchange in Operate: the last inputs, the time in ns -> the outputs."""
+        """Called just before each Data_Exchange in Operate: the last inputs, the time in ns -> the outputs.
+
+        ``inputs`` are empty while there are no valid ones of this stay in data exchange.
+        """
         self.now = now
-        if not self._fresh:
-            # the first call after the drive was taken up: these inputs are older than that
-            self._fresh = True
-            self._build()
-            return self._outputs
         if inputs != self._inputs and len(inputs) == self.telegram.octets:
             self._inputs = inputs
             self.words = self._unpack(inputs, self._offset)
@@ -99,7 +96,7 @@ class DriveCore:
             self.update()
         access = self.access
         if access is not None and access.client.busy and self.online:
-            access.client.step(self._inputs)
+            access.client.step(self._inputs, now)
             self._dirty = True
         if self._jobs:
             for job in tuple(self._jobs):
@@ -111,7 +108,7 @@ class DriveCore:
     def lost(self, now: int) -> None:
         """The slave left data exchange, or outputs went to their safe values: what is pending ends with a reason."""
         self.now = now
-        self.online = self._fresh = False
+        self.online = False
         jobs, self._jobs = self._jobs, []
         for job in jobs:
             job.steps.close()
@@ -302,10 +299,21 @@ class DriveCore:
                 steps = motion.reached(self, self.now + args.timeout_ns(60.0), args.optional("tolerance"))
             case "read" | "write":
                 steps = self._parameter(op, args)
+            case "cancel":
+                steps = self._cancel(args.integer("order"))
             case _:
                 raise CommandError("usage", f"{self.drive} has no order {op!r}; it has {', '.join(OPS)}")
         args.done()
         return Job(op, token, steps, motion=False)
+
+    def _cancel(self, token: int | None) -> Steps[dict[str, object]]:
+        """Nobody waits any more for the order with ``token``: it ends now, and a start() never comes true later."""
+        yield from ()
+        ended = [job for job in self._jobs if job.token == token and token is not None]
+        for job in ended:
+            self._jobs.remove(job)
+            job.steps.close()
+        return {"value": len(ended)}
 
     def _speed(self, fraction: float) -> Steps[dict[str, object]]:
         yield from ()

@@ -94,16 +94,21 @@ class Exchange:
 
 
 class PkwClient:
-    """The master's end: one order at a time, the others queue. ``octets`` is what to send now."""
+    """The master's end: one order at a time, the others queue. ``octets`` is what to send now.
 
-    __slots__ = ("_active", "_dialect", "_last", "_queue", "_release", "octets")
+    ``settle_ns``: after this time the drive's reply belongs to the octets sent now.
+    """
 
-    def __init__(self, dialect: PkwDialect) -> None:
+    __slots__ = ("_active", "_dialect", "_last", "_queue", "_quiet_until", "_release", "_settle_ns", "octets")
+
+    def __init__(self, dialect: PkwDialect, settle_ns: int = 0) -> None:
         self._dialect = dialect
+        self._settle_ns = settle_ns
         self._queue: deque[Exchange] = deque()
         self._active: Exchange | None = None
         self._release = False  # our order is withdrawn, the drive's reply is not yet 0
-        self._last = ZEROS
+        self._quiet_until = 0  # a 0 before this may be older than an order that was withdrawn unanswered
+        self._last: Pkw | None = None
         self.octets = ZEROS
 
     @property
@@ -117,10 +122,11 @@ class PkwClient:
         self._queue.append(exchange)
         return exchange
 
-    def cancel(self, exchange: Exchange) -> None:
+    def cancel(self, exchange: Exchange, now: int) -> None:
         """Give an order up; harmless when it is done."""
         if exchange is self._active:
             self._withdraw()
+            self._quiet_until = now + self._settle_ns
         elif exchange in self._queue:
             self._queue.remove(exchange)
 
@@ -129,27 +135,41 @@ class PkwClient:
         self._queue.clear()
         self._active = None
         self._release = False
-        self._last = ZEROS
+        self._quiet_until = 0
+        self._last = None
         self.octets = ZEROS
 
-    def step(self, inputs: bytes) -> None:
+    def step(self, inputs: bytes, now: int) -> None:
         """Judge the channel's octets in ``inputs`` (the first eight) and advance the handshake."""
-        replied = inputs[0] & 0xF0
-        if self._release:
-            if replied:
-                follows = self._queue and not self._dialect.zero_between and self._queue[0].octets[:3] != self._last[:3]
-                if not follows:
-                    return
-            self._release = False
+        replied = bool(inputs[0] & 0xF0)
         active = self._active
         if active is None:
-            if self._queue:
-                self._active = active = self._queue.popleft()
-                self.octets = self._last = active.octets
+            if replied and self._queue and not self._release:
+                self._queue[0].stray = Pkw.parse(inputs)  # nobody asked for that
+            self._next(replied, now)
+        elif replied:
+            self._judge(active, Pkw.parse(inputs))
+
+    def _next(self, replied: bool, now: int) -> None:
+        """Send the next order as soon as what the drive says cannot be taken for its answer."""
+        if replied:
+            self._quiet_until = 0  # the drive has seen the last order: its next 0 answers our 0
+        if (replied or now < self._quiet_until) and not self._may_follow():
             return
-        if not replied:
-            return
-        reply = Pkw.parse(inputs)
+        self._release = False
+        if self._queue:
+            self._active = active = self._queue.popleft()
+            self._last, self.octets = active.order, active.octets
+
+    def _may_follow(self) -> bool:
+        """Without a 0 between: only an order for something else, whose answer shows by PNU and index."""
+        last = self._last
+        if self._dialect.zero_between or last is None or not self._queue:
+            return False
+        order = self._queue[0].order
+        return (order.pnu, order.ind) != (last.pnu, last.ind)
+
+    def _judge(self, active: Exchange, reply: Pkw) -> None:
         if self._fits(active.order, reply):
             active.reply = reply
             self._withdraw()

@@ -539,3 +539,135 @@ def test_types_of_the_event_module_are_told() -> None:
     assert issubclass(DriveEvent, dpstack.Event)
     assert issubclass(SlaveFaulted, dpstack.Event)
     assert SlaveAppState.DATA_EXCH
+
+
+# --- what must not be lost, and who must not wait for ever ----------------------------------------------------------
+
+
+def test_a_handler_that_raises_loses_no_event_and_does_not_hold_up_the_end() -> None:
+    seen: list[str] = []
+    told: list[str] = []
+
+    def on_event(event: dpstack.Event) -> None:
+        seen.append(event.text)
+        raise ZeroDivisionError(event.text)
+
+    async def program() -> int:
+        loop = asyncio.get_running_loop()
+        loop.set_exception_handler(lambda _, context: told.append(context["message"]))
+        async with bus_of(RAW, on_event=on_event) as bus:
+            await bus.ready()
+            await bus.operate()
+            end = asyncio.get_running_loop().time()
+        assert asyncio.get_running_loop().time() - end < 0.2
+        assert [event.text async for event in bus.events()] == seen
+        return len(seen)
+
+    assert virtual(program()) == len(told) > 8
+    assert told[0].startswith("on_event raised at '")
+    assert seen[-1] == "station 2 left the token ring: ordered"
+
+
+def test_who_waits_is_told_of_the_end() -> None:
+    async def program() -> None:
+        async with bus_of(RAW) as bus:
+            waiting = [
+                asyncio.ensure_future(bus.slave("raw").wait_state(dpstack.SlaveState.FAULT)),
+                asyncio.ensure_future(bus.rotated(None)),
+            ]
+            await bus.ready()
+        for each in waiting:
+            with pytest.raises(dpstack.UsageError, match="the bus is closed"):
+                await each
+        with pytest.raises(dpstack.UsageError, match="the bus is closed"):
+            await bus.slave("raw").wait_state(dpstack.SlaveState.FAULT)
+
+    virtual(program())
+
+
+def test_statuses_asked_for_after_the_end_end() -> None:
+    async def program() -> None:
+        async with bus_of(FAN) as bus:
+            await bus.ready()
+        assert len([status async for status in bus.drive("fan").statuses()]) == 1
+
+    virtual(program())
+
+
+def test_a_defect_ends_streams_and_statuses(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def program() -> None:
+        async with bus_of(FAN) as bus:
+            await bus.ready()
+            events, statuses = bus.events(), bus.drive("fan").statuses()
+
+            async def texts() -> str:
+                return [event.text async for event in events][-1]
+
+            async def count() -> int:
+                return len([status async for status in statuses])
+
+            readers = asyncio.gather(texts(), count())
+            await asyncio.sleep(0)
+
+            def broken(now: int) -> None:
+                raise ZeroDivisionError("a defect")
+
+            monkeypatch.setattr(bus.master, "on_round", broken)
+            text, number = await readers
+            assert "stopped by a defect in dpstack (ZeroDivisionError: a defect)" in text
+            assert number >= 1
+            with pytest.raises(dpstack.BusError, match="stopped by a defect"):
+                await bus.until(lambda: False)
+
+    virtual(program())
+
+
+def test_an_event_stream_may_be_closed_twice() -> None:
+    async def program() -> None:
+        async with bus_of(RAW) as bus:
+            stream = bus.events()
+            stream.close()
+            stream.close()
+
+    virtual(program())
+
+
+def test_the_port_is_released_when_the_end_is_cut_short(monkeypatch: pytest.MonkeyPatch) -> None:
+    closed: list[bool] = []
+
+    async def program() -> None:
+        bus = bus_of(RAW)
+        await bus.open()
+        close = bus.runtime.close
+
+        async def watched() -> None:
+            await close()
+            closed.append(True)
+
+        monkeypatch.setattr(bus.runtime, "close", watched)
+        ending = asyncio.ensure_future(bus.close())
+        await asyncio.sleep(0.0001)
+        for task in asyncio.all_tasks() - {asyncio.current_task()}:
+            task.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await ending
+        await asyncio.sleep(0)
+
+    virtual(program())
+    assert closed == [True]
+
+
+def test_a_slave_that_was_removed_may_come_again() -> None:
+    """With port "virtual" there is one simulated slave at the address, not two."""
+
+    async def program() -> None:
+        async with bus_of(RAW) as bus:
+            await bus.ready()
+            await bus.remove("raw")
+            await asyncio.sleep(0.1)
+            again = await bus.add_slave(RAW | {"name": "again", "config": "21 11"})
+            await again.ready()
+            assert len(again.inputs) == 2
+            assert bus.stats.bad == {}
+
+    virtual(program())

@@ -186,6 +186,12 @@ BAD: list[tuple[str, str]] = [
         BUS.replace("500000", "500001"),
         "plant.toml:3: [bus]: 500001 is no PROFIBUS rate; nearest is 500000; known: 9600",
     ),
+    (BUS.replace("500000", "-1"), "plant.toml:3: [bus]: -1 is no PROFIBUS rate; nearest is 9600; "),
+    (BUS.replace("ttyX", "tty\\u0000X"), "plant.toml:2: [bus]: port = '/dev/tty\\x00X' holds a control character; "),
+    (
+        BUS + RAW.replace('"raw"', '"r\\u001bw"'),
+        "plant.toml:5: [[slave]] 1: name = 'r\\x1bw' holds a control char",
+    ),
     (BUS.replace("500000", '"fast"'), "plant.toml:3: [bus]: baud = 'fast' is a text; it must be an integer"),
     (BUS + "address = 126\n", "plant.toml:4: [bus]: address = 126 is outside 0..125; correct it or leave it out"),
     (BUS + "hsa = 1\n", "plant.toml:4: [bus]: address 2 lies above hsa 1; no other master would ever find it"),
@@ -209,6 +215,13 @@ LATER: list[tuple[str, str]] = [
     (BUS + RAW + 'inputs = { a = "bool@0.3" }\n', "plant.toml:9: [[slave]] raw: inputs is not supported yet by this"),
     (BUS + RAW + 'outputs = { a = "i16@2" }\n', "plant.toml:9: [[slave]] raw: outputs is not supported yet by this"),
 ]
+
+
+def test_a_byte_order_mark_is_no_error(tmp_path: Path) -> None:
+    """As some editors write one in front."""
+    path = tmp_path / "plant.toml"
+    path.write_text(BUS + RAW, encoding="utf-8-sig")
+    assert load_config(path).slaves[0].name == "raw"
 
 
 @pytest.mark.parametrize(("text", "line"), BAD + LATER)

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+import dpstack
 from dpstack.cli.main import main
 
 PLANT = """
@@ -94,7 +95,14 @@ def test_run_for_people(plant: str, capsys: Out) -> None:
     out = capsys.readouterr().out
     assert out.startswith("master 2 on virtual at 500 kbit/s\n")
     assert "slave 3 (hoist): data_exchange" in out
-    assert "bus rotation time: min 16" in out
+    assert "bus rotation time in us: min 16" in out
+    assert "\nSlaves\naddress  name   state" in out
+    assert "\nProcess data\naddress  name   inputs" in out
+
+
+def test_version(capsys: Out) -> None:
+    assert call("--version") == 0
+    assert capsys.readouterr().out == f"dpstack {dpstack.__version__}\n"
 
 
 def test_run_ends_with_1_when_a_slave_is_missing(plant: str, capsys: Out) -> None:

@@ -10,6 +10,7 @@ import pty
 import re
 import select
 import signal
+import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -143,6 +144,52 @@ def test_a_held_port_names_its_holder(tmp_path: Path, start: Starter, segment: P
     assert run.err.count("\n") == 1
 
 
+def test_a_reader_that_has_seen_enough_is_no_traceback(plant_file: str) -> None:
+    """The bus is left in order, nothing is said of it."""
+    run = [sys.executable, "-m", "dpstack.cli.main", "run", plant_file, "--json", "--seconds", "600"]
+    with subprocess.Popen(run, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        while b'"data_exchange"' not in process.stdout.readline():
+            pass
+        process.stdout.close()
+        err = process.stderr.read().decode()
+    assert process.returncode == 1
+    assert "Traceback" not in err
+    assert "raised" not in err
+
+
+@pytest.mark.parametrize(
+    ("redirected", "code", "line"),
+    [
+        (">&-", 0, ""),
+        (">&- 2>&- <&-", 0, ""),
+        (">/dev/full", 1, "dpstack: standard output cannot be written (No space left on device)"),
+    ],
+)
+@pytest.mark.parametrize("command", ["run --rotations 20", "plan"])
+def test_standard_output_that_takes_nothing(
+    plant_file: str, command: str, redirected: str, code: int, line: str
+) -> None:
+    script = f'exec "{sys.executable}" -m dpstack.cli.main {command} "{plant_file}" {redirected}'
+    ended = subprocess.run(["sh", "-c", script], stderr=subprocess.PIPE, text=True, timeout=60, check=False)
+    assert ended.returncode == code
+    assert ended.stderr.startswith(line)
+    assert "Traceback" not in ended.stderr
+
+
+def test_a_terminal_that_is_closed_ends_in_order(tmp_path: Path, start: Starter, segment: Path) -> None:
+    run = start("run", plant(tmp_path, segment / "1"))
+    run.wait_for("operate")
+    assert run.end(signal.SIGHUP) == 1
+    assert "left the token ring: ordered" in run.out
+
+
+@pytest.fixture
+def plant_file(tmp_path: Path) -> str:
+    return plant(tmp_path, "virtual")
+
+
 def test_the_demo_on_a_terminal() -> None:
     """A live table, and the end as promised."""
     child, terminal = pty.fork()
@@ -168,3 +215,6 @@ def test_the_demo_on_a_terminal() -> None:
     assert "the end" in text
     assert "running" in text
     assert "planned 1.828 ms" in text
+    assert "parameter 412 (local/remote) is 44" in text
+    assert "|███" in text
+    assert "███|" in text

@@ -176,3 +176,11 @@ def test_as_dict_has_the_shape_of_the_command() -> None:
     assert data["notes"] == ["a note"]
     (one,) = data["slaves"] if isinstance(data["slaves"], list) else []
     assert one["address"] == 3
+
+
+def test_the_watchdog_outlasts_the_death_of_a_neighbour_on_a_slow_adapter() -> None:
+    """60 ms of slack, one retry: the others wait 2 x (T_SL + 60 ms) = 120.8 ms; three times that is over 200 ms."""
+    params = BusParams.preset(500_000, address=2)
+    setups = [SlaveSetup(address=3, name="one", ident=1, config=b"\x71")]
+    assert watchdog_ms(params, setups) == 200
+    assert watchdog_ms(params, setups, host_slack_ns=60_000_000) >= 370

@@ -93,6 +93,19 @@ def test_sync_holds_outputs_and_every_further_one_passes_on() -> None:
     assert bench.recorder.take() == ["exchange 33", "exchange 44", "exchange 55"]
 
 
+def test_sync_holds_what_came_last_also_after_many_exchanges() -> None:
+    bench = Bench().up()
+    for octets in (b"\x11", b"\x22", b"\x33"):
+        bench.dx(octets)
+    bench.control(SYNC)
+    assert bench.app.outputs == b"\x33"
+    bench.control(UNSYNC)
+    bench.dx(b"\x44")
+    bench.control(OPERATE)
+    assert bench.app.outputs == b"\x44"
+    assert bench.recorder.take()[-1] == "exchange 44"
+
+
 def test_inputs_go_on_during_sync() -> None:
     bench = Bench().up()
     bench.dx()

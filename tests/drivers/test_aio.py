@@ -109,6 +109,23 @@ async def test_a_late_timer_reads_the_port_before_it_judges() -> None:
         assert [entry[1] for entry in rig.machine.did("receive")] == [TOKEN]
 
 
+async def test_an_order_after_the_loop_was_held_up_reads_the_port_before_deadlines_are_judged() -> None:
+    async with Rig() as rig:
+
+        def answered(_chunk: bytes, _now: int) -> None:
+            rig.machine.deadline = NEVER
+
+        rig.machine.on_receive = answered
+        rig.driver.command(NS_PER_MS)
+        rig.far.write(TOKEN)
+        end = monotonic_ns() + 3 * NS_PER_MS
+        while monotonic_ns() < end:  # the application holds the loop up, and then gives an order
+            pass
+        rig.driver.command("something")
+        assert not rig.machine.did("wake")
+        assert [entry[1] for entry in rig.machine.did("receive")] == [TOKEN]
+
+
 async def test_endless_near_deadlines_leave_the_loop_its_turns() -> None:
     async with Rig() as rig:
 

@@ -38,21 +38,21 @@ def test_d4_the_master_holds_takes_sets_zero_and_waits_for_zero() -> None:
     assert not busy(client)
     first, second = client.submit(Pkw(1, 400)), client.submit(Pkw(6, 480, 3))
     assert busy(client)
-    client.step(ZERO)
+    client.step(ZERO, 0)
     for _ in range(3):
         assert client.octets == READ_400  # held while the reply is 0
-        client.step(ZERO)
-    client.step(REPLY_400)
+        client.step(ZERO, 0)
+    client.step(REPLY_400, 0)
     assert first.reply == (1, 400, 0, 2)
     for _ in range(3):
         assert client.octets == ZERO  # withdrawn; the reply is not yet 0
-        client.step(REPLY_400)
+        client.step(REPLY_400, 0)
     assert not answered(second)
-    client.step(ZERO)
+    client.step(ZERO, 0)
     assert client.octets == bytes.fromhex("61 E0 03 00 00 00 00 00")
-    client.step(bytes.fromhex("51 E0 03 00 00 00 01 F4"))
+    client.step(bytes.fromhex("51 E0 03 00 00 00 01 F4"), 0)
     assert second.reply == (5, 480, 3, 500)
-    client.step(ZERO)
+    client.step(ZERO, 0)
     assert not busy(client)
     assert client.octets == ZERO
 
@@ -60,52 +60,102 @@ def test_d4_the_master_holds_takes_sets_zero_and_waits_for_zero() -> None:
 def test_an_answer_for_another_parameter_is_not_taken_but_remembered() -> None:
     client = PkwClient(STRICT)
     exchange = client.submit(Pkw(1, 400))
-    client.step(ZERO)
-    client.step(bytes.fromhex("11 91 00 00 00 00 00 07"))
+    client.step(ZERO, 0)
+    client.step(bytes.fromhex("11 91 00 00 00 00 00 07"), 0)
     assert exchange.reply is None
     assert exchange.stray == (1, 401, 0, 7)
     assert client.octets == READ_400
-    client.step(REPLY_400)
+    client.step(REPLY_400, 0)
     assert exchange.reply is not None
 
 
 def test_a_cancelled_order_is_withdrawn_with_zero() -> None:
     client = PkwClient(STRICT)
     running, queued = client.submit(Pkw(1, 400)), client.submit(Pkw(1, 401))
-    client.step(ZERO)
-    client.cancel(queued)
-    client.cancel(running)
+    client.step(ZERO, 0)
+    client.cancel(queued, 0)
+    client.cancel(running, 0)
     assert client.octets == ZERO
-    client.step(REPLY_400)
+    client.step(REPLY_400, 0)
     assert running.reply is None
-    client.step(ZERO)
+    client.step(ZERO, 0)
     assert not busy(client)
 
 
 def test_without_the_rule_of_zero_a_stale_reply_is_not_the_answer() -> None:
     client = PkwClient(LOOSE)
     first, second, third = (client.submit(Pkw(1, pnu)) for pnu in (0x10F, 0x104, 0x104))
-    client.step(ZERO)
-    client.step(bytes.fromhex("11 0F 00 00 00 00 00 03"))
+    client.step(ZERO, 0)
+    client.step(bytes.fromhex("11 0F 00 00 00 00 00 03"), 0)
     assert first.reply is not None
-    client.step(bytes.fromhex("11 0F 00 00 00 00 00 03"))  # the drive still repeats it
+    client.step(bytes.fromhex("11 0F 00 00 00 00 00 03"), 0)  # the drive still repeats it
     assert client.octets == bytes.fromhex("11 04 00 00 00 00 00 00")
-    client.step(bytes.fromhex("11 0F 00 00 00 00 00 03"))
+    client.step(bytes.fromhex("11 0F 00 00 00 00 00 03"), 0)
     assert not answered(second)
-    client.step(bytes.fromhex("11 04 00 00 00 00 00 05"))
+    client.step(bytes.fromhex("11 04 00 00 00 00 00 05"), 0)
     assert second.reply == (1, 0x104, 0, 5)
     # an equal order: 0 in between
-    client.step(bytes.fromhex("11 04 00 00 00 00 00 05"))
+    client.step(bytes.fromhex("11 04 00 00 00 00 00 05"), 0)
     assert client.octets == ZERO
     assert third.reply is None
-    client.step(ZERO)
+    client.step(ZERO, 0)
     assert client.octets == bytes.fromhex("11 04 00 00 00 00 00 00")
+
+
+def test_without_the_rule_of_zero_a_write_is_not_answered_by_the_read_before_it() -> None:
+    """A drive repeats its last reply: F26 read as 2, then F26 := 15, must not end with that 2."""
+    client = PkwClient(LOOSE)
+    read, write = client.submit(Pkw(1, 0x104, 0x1A)), client.submit(Pkw(2, 0x104, 0x1A, 15))
+    client.step(ZERO, 0)
+    for _ in range(3):
+        client.step(bytes.fromhex("11 04 1A 00 00 00 00 02"), 0)
+    assert read.reply == (1, 0x104, 0x1A, 2)
+    assert (client.octets, write.reply) == (ZERO, None)
+    client.step(ZERO, 0)
+    assert client.octets == bytes.fromhex("21 04 1A 00 00 00 00 0F")
+    client.step(bytes.fromhex("11 04 1A 00 00 00 00 0F"), 0)
+    assert write.reply == (1, 0x104, 0x1A, 15)
+
+
+@pytest.mark.parametrize("dialect", [STRICT, LOOSE])
+def test_an_order_that_timed_out_is_not_answered_into_the_next_one(dialect: PkwDialect) -> None:
+    """The drive looks every 32 ms: it may take the withdrawn order up after our 0 and answer it then."""
+    client = PkwClient(dialect, settle_ns=100)
+    late, again = client.submit(Pkw(2, 400, 0, 1)), client.submit(Pkw(2, 400, 0, 2))
+    client.step(ZERO, 0)
+    client.cancel(late, 10)
+    for now in (12, 50, 109):
+        client.step(ZERO, now)
+        assert client.octets == ZERO
+    client.step(bytes.fromhex("11 90 00 00 00 00 00 01"), 60)
+    assert (client.octets, again.reply) == (ZERO, None)
+    client.step(ZERO, 70)  # the drive has seen both: nothing to wait for
+    assert client.octets == bytes.fromhex("21 90 00 00 00 00 00 02")
+    silent = client.submit(Pkw(1, 400))
+    client.cancel(again, 200)
+    client.step(ZERO, 299)
+    assert client.octets == ZERO
+    client.step(ZERO, 300)
+    assert client.octets == READ_400
+    assert silent.reply is None
+
+
+def test_the_first_order_waits_until_the_drive_says_zero() -> None:
+    """D4: both start at 0; after a re-entry a drive may show its last reply for one more scan."""
+    client = PkwClient(STRICT)
+    exchange = client.submit(Pkw(1, 400))
+    client.step(REPLY_400, 0)
+    client.step(REPLY_400, 0)
+    assert (client.octets, exchange.reply) == (ZERO, None)
+    assert exchange.stray == (1, 400, 0, 2)
+    client.step(ZERO, 0)
+    assert client.octets == READ_400
 
 
 def test_reset_starts_at_zero() -> None:
     client = PkwClient(STRICT)
     client.submit(Pkw(1, 400))
-    client.step(ZERO)
+    client.step(ZERO, 0)
     client.reset()
     assert client.octets == ZERO
     assert not busy(client)
@@ -150,7 +200,7 @@ def test_any_replies_never_raise(replies: list[bytes], strict: bool) -> None:
     for reply in replies:
         if not client.busy:
             client.submit(Pkw(1, 400))
-        client.step(reply)
+        client.step(reply, 0)
         assert len(client.octets) == 8
 
 

@@ -16,8 +16,8 @@ from dpstack.fdl.user import Failure, Request
 from dpstack.machine import pump
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT, HOST, Patience
-from dpstack.trace import Notice
-from dpstack.units import BAUD_RATES, NS_PER_MS
+from dpstack.trace import Notice, WireEntry
+from dpstack.units import BAUD_RATES, NEVER, NS_PER_MS
 
 DX = Request(3, Req.SRD_HIGH, b"\x11\x22", patient=True)
 DX_ANSWER = bytes.fromhex("68 05 05 68 02 03 08 AA BB 72 16")
@@ -284,6 +284,39 @@ def test_the_answer_to_both_attempts_is_not_taken_for_the_next_one() -> None:
     assert station.stats.late == 1
 
 
+def test_who_answered_late_is_waited_for_longer() -> None:
+    """A simulated slave on a busy machine needs 5 ms: its first answer is late, which shows that it is there."""
+    user = ListUser()
+    station = ActiveStation(BusParams.preset(500_000, address=2, gap=0), [user], patience=HOST)
+    answer_at, answers_now, asked = NEVER, True, 0
+
+    def port(octets: bytes, at: int) -> int:
+        nonlocal answer_at
+        if octets[0] == 0x68 and answers_now:
+            answer_at = at + 5 * NS_PER_MS
+        return at
+
+    now = 0
+    station.command(GoOnline(), now)
+    due = now
+    while len(user.results) < 5:
+        if answer_at == NEVER and asked == len(user.results):
+            asked += 1
+            answers_now = asked <= 3
+            user.high = [DIAG._replace(restart=True)]
+        now = max(now, min(due, answer_at))
+        chunk = b""
+        if answer_at <= now:
+            chunk, answer_at = DIAG_ANSWER, NEVER
+        due = pump(station, chunk, now, port)
+    assert [isinstance(o, Telegram) for o in user.outcomes] == [False, True, True, False, False]
+    assert station.stats.late == 1
+    waited = [ended - started for (_, _, ended), (_, started) in zip(user.results, user.starts, strict=True)]
+    assert waited[0] < 3 * NS_PER_MS
+    assert waited[3] > 50 * NS_PER_MS
+    assert waited[4] < 3 * NS_PER_MS  # silent once, it is as any other address
+
+
 def test_a_kept_back_answer_counts_when_nothing_follows() -> None:
     bus, user, station = bus_with(Slave(), mode="chunk", patience=HOST)
     slave = Slave()
@@ -326,6 +359,45 @@ def test_patience_can_be_changed_while_running() -> None:
     user.high = [DX]
     bus.run(20 * NS_PER_MS)
     assert isinstance(user.outcomes[-1], Telegram)
+
+
+def test_octets_before_the_request_are_no_garbled_answer_to_it() -> None:
+    bus, user, station = bus_with(Slave(), mode="chunk", patience=HOST)
+    bus.slaves.clear()
+    bus.until(station, State.PASS_TOKEN)
+    user.high = [DIAG]
+    bus.until(station, State.USE_TOKEN)
+    bus.pump(station, b"\x55")
+    bus.run(20 * NS_PER_MS)
+    assert user.outcomes == [Failure.NO_ANSWER]
+    assert station.stats.garbled == 0
+
+
+def test_answers_with_le_3_are_taken_as_empty_and_told_once() -> None:
+    slave = Slave(bytes.fromhex("68 03 03 68 02 03 08 0D 16"))
+    bus, user, _ = bus_with(slave, DX, DX, DX)
+    bus.run(20 * NS_PER_MS)
+    assert [o.data for o in user.outcomes if isinstance(o, Telegram)] == [b"", b"", b""]
+    (told,) = [e for e in bus.told(Notice) if "LE = 3" in e.text]
+    assert "station 3 " in told.text
+
+
+@pytest.mark.parametrize(
+    "octets",
+    [
+        "68 03 03 68 09 03 08 14 16",  # LE = 3
+        "68 04 04 68 89 03 08 41 D5 16",  # a region/segment address and no data unit
+        "68 04 04 68 09 83 08 41 D5 16",
+        "68 06 06 68 89 83 08 C1 3C 05 16 16",  # and a SAP behind it
+        "A2 09 03 08 01 02 03 04 05 06 07 08 38 16",
+    ],
+)
+def test_whoever_listens_is_told_the_octets_as_they_were(octets: str) -> None:
+    bus, _, station = bus_with(Slave())
+    heard: list[WireEntry] = []
+    station.wire = heard.append
+    bus.pump(station, bytes.fromhex(octets))
+    assert [entry.octets for entry in heard] == [bytes.fromhex(octets)]
 
 
 # --- who holds the token ---------------------------------------------------------------------------------------------

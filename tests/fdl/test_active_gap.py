@@ -12,7 +12,7 @@ from dpstack.fdl.events import StationFound
 from dpstack.fdl.telegram import Req, StationType
 from dpstack.fdl.user import Request
 from dpstack.params import BusParams
-from dpstack.phy.patience import HOST
+from dpstack.phy.patience import ADAPTER, HOST
 from dpstack.units import NS_PER_MS
 
 
@@ -76,6 +76,20 @@ def test_the_host_is_patient_with_silence_only_so_long() -> None:
     bus.run(10_000 * NS_PER_MS)
     spent = station.stats.gap_polls * (2 * NS_PER_MS + bus.ns(200 + 11))
     assert spent < 10_000 * NS_PER_MS // 100 + 17 * 3 * NS_PER_MS
+
+
+def test_absent_slaves_do_not_starve_the_gap() -> None:
+    """Whoever polls absent slaves keeps to a share of its own: other masters are still found."""
+    bus = RingBus(mode="chunk")
+    user = ListUser()
+    station = bus.master(2, user, patience=ADAPTER)
+    polls = []
+    for _ in range(30):
+        user.high.append(Request(9, Req.SRD_HIGH, b"", 60, 62))
+        bus.run(1000 * NS_PER_MS)
+        polls.append(station.stats.gap_polls)
+    assert len(user.results) == 30
+    assert polls[29] - polls[9] >= 8
 
 
 def test_a_lone_idle_master_on_a_real_port_keeps_one_slot_time_between_tokens() -> None:

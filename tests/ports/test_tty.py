@@ -110,6 +110,15 @@ async def test_a_rate_the_driver_refuses(far: PtyFarEnd, monkeypatch: pytest.Mon
     far.hang_up()
 
 
+async def test_a_far_end_that_never_stops_does_not_hold_the_reader(far: PtyFarEnd) -> None:
+    port = TtyPort(far.path, 9600)
+    await port.open()
+    port._read = bytes
+    assert len(port.read_now()) > 4096  # more than a pty holds for its reader
+    port.close()
+    far.hang_up()
+
+
 async def test_a_missing_port_names_those_that_exist(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tty, "existing_ports", lambda: ["/dev/ttyUSB0", "/dev/ttyUSB1"])
     assert "these exist: /dev/ttyUSB0, /dev/ttyUSB1" in await _refused(TtyPort("/dev/ttyUSB9", 9600))

@@ -63,7 +63,7 @@ class DemagCore(DriveCore):
         self._set_412 = bool(options["set_412"])
         self._wide = telegram.words == 6
         if telegram.pkw:
-            self.access = ParamAccess(t.PKW, self._resolve, lambda: self.now, self._written)
+            self.access = ParamAccess(t.PKW, self._resolve, lambda: self.now, self.settle_ns, self._written)
 
     def received(self) -> None:
         """Take the actual value for what ZSW bits 12-14 say it is (11.2.3), or all of them (11.2.4)."""

@@ -50,7 +50,7 @@ class FujiCore(DriveCore):
             safe_outputs=profile.safe_outputs[telegram.name],
         )
         if telegram.pkw:
-            self.access = ParamAccess(t.PKW, self._resolve, lambda: self.now)
+            self.access = ParamAccess(t.PKW, self._resolve, lambda: self.now, self.settle_ns)
 
     def received(self) -> None:
         """With a parameter channel a trip is looked up in the malfunction history."""

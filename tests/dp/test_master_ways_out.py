@@ -1,0 +1,351 @@
+"""The ways out of Operate and out of a slave's configuration: safe values first, nothing after (design, "the end")."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from scripted_link import MS, ScriptedLink, ScriptedSlave, data
+
+from dpstack.dp.commands import AddSlave, Mode, RemoveSlave, SetMode, Shutdown
+from dpstack.dp.events import MasterStopped, ModeChanged, SlaveFaulted, SlaveState, SlaveStateChanged
+from dpstack.dp.master import Master
+from dpstack.dp.setup import SlaveSetup
+from dpstack.fdl.telegram import Kind, Telegram
+from dpstack.fdl.user import Failure
+from dpstack.machine import LineDown
+from dpstack.params import BusParams
+
+SAFE = b"\x04\x7e\x00\x00"
+RUN = b"\x04\x7f\x40\x00"
+CLEAR_GC = b"\x02\x00"
+
+
+def setup(address: int = 3, **changes: Any) -> SlaveSetup:
+    values: dict[str, Any] = {"address": address, "name": f"s{address}", "ident": 0x0696, "config": b"\x71"}
+    return SlaveSetup(**(values | changes))
+
+
+def operating(*setups: SlaveSetup) -> ScriptedLink:
+    master = Master(BusParams.preset(500_000, address=2), setups)
+    bus = ScriptedLink(master, {s.address: ScriptedSlave() for s in setups})
+    bus.run(20 * MS)
+    master.command(SetMode(Mode.OPERATE), bus.now)
+    bus.run(5 * MS)
+    bus.requests.clear()
+    return bus
+
+
+def outputs(bus: ScriptedLink, address: int = 3) -> list[bytes]:
+    """The different outputs in the order sent."""
+    sent = [r.data for r in bus.requests if r.da == address and r.dsap is None]
+    return [octets for at, octets in enumerate(sent) if not at or octets != sent[at - 1]]
+
+
+def controls(bus: ScriptedLink) -> list[bytes]:
+    return [r.data for r in bus.requests if r.dsap == 58]
+
+
+@pytest.mark.parametrize("mode", [Mode.CLEAR, Mode.STOP])
+def test_out_of_operate_safe_values_come_before_clear(mode: Mode) -> None:
+    """Zeros mean nothing to a drive that wants bit 10 of STW1: only its safe word stops it."""
+    bus = operating(setup(safe=SAFE, initial=RUN))
+    bus.hold()
+    bus.master.command(SetMode(mode), bus.now)
+    began = bus.now
+    while bus.master.mode is Mode.OPERATE:
+        bus.hold()
+    assert bus.now - began >= 50 * MS  # a drive that looks every 32 ms has seen them
+    bus.run(5 * MS)
+    assert outputs(bus) == [RUN, SAFE, bytes(4)]
+    assert controls(bus)[-2:] == [CLEAR_GC] * 2
+    assert bus.master.mode is mode
+    modes = [e.mode for e in bus.events if isinstance(e, ModeChanged)]
+    assert modes[1:] == ([Mode.CLEAR] if mode is Mode.CLEAR else [Mode.CLEAR, Mode.STOP])
+
+
+def test_stop_from_operate_clears_first_even_where_zeros_are_safe() -> None:
+    bus = operating(setup(initial=RUN))
+    bus.master.command(SetMode(Mode.STOP), bus.now)
+    bus.run(5 * MS)
+    assert outputs(bus) == [bytes(4)]
+    assert controls(bus) == [CLEAR_GC] * 2
+    assert bus.hold() == []
+
+
+def test_back_to_operate_on_the_way_down() -> None:
+    bus = operating(setup(safe=SAFE, initial=RUN))
+    bus.master.command(SetMode(Mode.CLEAR), bus.now)
+    bus.run(5 * MS)
+    bus.master.command(SetMode(Mode.OPERATE), bus.now)
+    bus.run(100 * MS)
+    assert outputs(bus) == [SAFE, RUN]
+    assert CLEAR_GC not in controls(bus)
+
+
+def test_safe_values_reach_a_slave_that_is_served_every_nth_round_only() -> None:
+    bus = operating(setup(every=100_000, safe=SAFE, initial=RUN), setup(4))
+    bus.master.command(Shutdown(), bus.now)
+    bus.run(100 * MS)
+    assert outputs(bus) == [SAFE, bytes(4)]
+
+
+def test_line_down_on_the_way_down_ends_it_at_once() -> None:
+    bus = operating(setup(safe=SAFE, initial=RUN))
+    bus.master.command(SetMode(Mode.STOP), bus.now)
+    bus.hold()
+    bus.master.command(LineDown("unplugged"), bus.now)
+    assert bus.master.mode is Mode.STOP
+    assert bus.hold() == []
+
+
+def test_stop_makes_inputs_invalid_and_is_no_rotation() -> None:
+    bus = operating(setup())
+    bus.master.command(SetMode(Mode.STOP), bus.now)
+    bus.run(1_000 * MS)
+    stopped = bus.master.images[3].valid
+    bus.master.command(SetMode(Mode.CLEAR), bus.now)
+    bus.run(5 * MS)
+    assert (stopped, bus.master.images[3].valid) == (False, True)
+    assert bus.master.rotation.max_ns < 100 * MS
+
+
+def test_nothing_goes_to_a_slave_removed_in_the_middle_of_a_round() -> None:
+    bus = operating(setup(3), setup(4, safe=SAFE, initial=RUN), setup(5))
+    bus.slaves.pop(5)  # is looked for by service requests
+    bus.run(300 * MS)
+    master = bus.master
+    bus.now += bus.period
+    master.token_received(bus.now)
+    first = master.next_request(bus.now, False)
+    assert first is not None
+    master.command(RemoveSlave(4), bus.now)
+    master.command(RemoveSlave(5), bus.now)
+    master.result(first, data(first, bytes(4)), bus.now)
+    bus.now += 2_000 * MS
+    while (request := master.next_request(bus.now, False)) is not None:
+        assert request.da not in (4, 5)
+        master.result(request, Failure.NO_ANSWER, bus.now)
+
+
+def test_the_answer_to_a_removed_slave_is_nobodys() -> None:
+    bus = operating(setup(3))
+    bus.now += bus.period
+    bus.master.token_received(bus.now)
+    request = bus.master.next_request(bus.now, False)
+    assert request is not None
+    bus.master.command(RemoveSlave(3), bus.now)
+    bus.master.command(AddSlave(setup(3)), bus.now)
+    bus.master.take_events()
+    bus.master.result(request, Failure.NO_ANSWER, bus.now)
+    assert bus.master.take_events() == []
+
+
+def test_a_slave_added_where_one_was_just_removed_waits_for_its_farewell() -> None:
+    bus = operating(setup(3), setup(4, safe=SAFE, initial=RUN))
+    bus.master.command(RemoveSlave(4), bus.now)
+    bus.master.command(AddSlave(setup(4, initial=RUN)), bus.now)
+    bus.run(200 * MS)
+    made = [(r.dsap, r.data) for r in bus.requests if r.da == 4]
+    unlocked = next(at for at, (dsap, _) in enumerate(made) if dsap == 61)
+    assert made[unlocked][1][0] == 0x40
+    assert set(made[:unlocked]) == {(None, SAFE)}
+    assert [dsap for dsap, _ in made[unlocked + 1 : unlocked + 6]] == [60, 61, 62, 60, None]
+    assert bus.faults(4) == []
+
+
+@pytest.mark.parametrize(("state", "unlocks"), [("set_prm", 0), ("chk_cfg", 1), ("wait_ready", 1)])
+def test_a_slave_removed_during_its_bring_up_is_unlocked_when_it_was_parameterised(state: str, unlocks: int) -> None:
+    bus = operating(setup(3))
+    bus.slaves[4] = ScriptedSlave()
+    bus.master.command(AddSlave(setup(4)), bus.now)
+    while bus.master.handlers[4].state.value != state:
+        bus.hold()
+    bus.requests.clear()
+    bus.master.command(RemoveSlave(4), bus.now)
+    bus.run(200 * MS)
+    assert [(r.dsap, r.data[0]) for r in bus.requests if r.da == 4] == [(61, 0x40)] * unlocks
+
+
+def test_a_removed_slave_gets_its_farewell_before_the_end() -> None:
+    bus = operating(setup(3), setup(4, safe=SAFE, initial=RUN))
+    bus.master.command(RemoveSlave(4), bus.now)
+    bus.master.command(Shutdown(), bus.now)
+    bus.run(100 * MS)
+    assert [r.data[0] for r in bus.requests if r.da == 4 and r.dsap == 61] == [0x40]
+    assert isinstance(bus.events[-1], MasterStopped)
+
+
+@pytest.mark.parametrize("how", ["line down", "stop"])
+def test_no_farewell_after_the_line_was_down_or_in_stop(how: str) -> None:
+    """Meanwhile the slave may be another master's."""
+    bus = operating(setup(3), setup(4))
+    if how == "stop":
+        bus.master.command(SetMode(Mode.STOP), bus.now)
+        bus.run(10 * MS)
+        bus.requests.clear()
+    bus.master.command(RemoveSlave(4), bus.now)
+    if how == "line down":
+        bus.master.command(LineDown("unplugged"), bus.now)
+    bus.run(10 * MS)
+    bus.master.command(SetMode(Mode.CLEAR), bus.now)
+    bus.run(200 * MS)
+    assert not any(r.da == 4 for r in bus.requests)
+
+
+def test_shutdown_during_bring_up_parameterises_nobody_any_more() -> None:
+    bus = operating(setup(3))
+    bus.slaves[4] = ScriptedSlave()
+    bus.master.command(AddSlave(setup(4)), bus.now)
+    bus.hold()
+    bus.requests.clear()
+    bus.master.command(Shutdown(), bus.now)
+    bus.run(100 * MS)
+    assert not any(r.da == 4 for r in bus.requests)
+    assert bus.master.mode is Mode.OFFLINE
+
+
+# --- re-entry, back-off, what is told ---------------------------------------------------------------------------
+
+
+def test_parameters_follow_a_fresh_diagnosis_after_a_pause() -> None:
+    """A slave that left after a short stay is parameterised later: by then another master may have taken it."""
+    bus = operating(setup(3))
+    slave = bus.slaves[3]
+    slave.answers[None] = lambda r: Telegram(Kind.SD1, 2, r.da, 0x03)
+    slave.configured = False
+    bus.run(500 * MS)
+    slave.free = bytes.fromhex("00 0C 00 07 06 96")  # master 7
+    bus.requests.clear()
+    bus.run(30_000 * MS)
+    assert not any(r.dsap in (61, 62) for r in bus.requests)
+    assert bus.faults(3)[-1] == "locked"
+
+
+def test_wrong_length_after_a_short_stay_is_retried_after_one_second() -> None:
+    bus = operating(setup(3))
+    bus.slaves[3].inputs = b"\x01"
+    bus.run(10 * MS)
+    assert bus.master.handlers[3].state is SlaveState.FAULT
+    faulted = next(e.t_ns for e in bus.events if isinstance(e, SlaveFaulted))
+    bus.run(1_500 * MS)
+    again = next(
+        e.t_ns
+        for e in bus.events
+        if isinstance(e, SlaveStateChanged) and e.state is SlaveState.SET_PRM and e.t_ns > faulted
+    )
+    assert 1_000 * MS <= again - faulted < 1_010 * MS
+
+
+def test_a_device_put_in_place_of_one_whose_ident_was_asked_is_named() -> None:
+    bus = operating(setup(3, ident=None))
+    bus.slaves[3].free = bytes.fromhex("02 05 00 FF 12 34")
+    bus.slaves[3].configured = False
+    bus.run(3_000 * MS)
+    fault = bus.master.handlers[3].fault
+    assert fault is not None
+    assert "0x1234 instead of 0x0696" in fault.message
+
+
+def test_a_failed_plugin_stays_the_fault_of_its_slave_after_a_re_entry() -> None:
+    class Broken:
+        def cyclic(self, inputs: bytes, now: int) -> bytes:
+            raise ZeroDivisionError("by the test")
+
+        def lost(self, now: int) -> None: ...
+
+        def command(self, op: str, args: object, token: int, now: int) -> None: ...
+
+        def take_events(self) -> list[dict[str, object]]:
+            return []
+
+    bus = operating(setup(3, safe=SAFE, initial=RUN))
+    bus.master.images[3].unit = Broken()
+    bus.run(1_500 * MS)
+    bus.slaves[3].configured = False
+    bus.requests.clear()
+    bus.run(50 * MS)
+    handler = bus.master.handlers[3]
+    assert handler.state is SlaveState.DATA_EXCHANGE
+    assert handler.fault is not None
+    assert handler.fault.kind.value == "plugin"
+    assert outputs(bus) == [SAFE]
+
+
+def test_the_first_inputs_after_a_re_entry_are_never_the_old_ones() -> None:
+    """The plugin sees inputs of this stay in data exchange only, also when the first answers carry none."""
+
+    class Seen:
+        inputs: list[bytes]
+
+        def __init__(self) -> None:
+            self.inputs = []
+
+        def cyclic(self, inputs: bytes, now: int) -> bytes:
+            self.inputs.append(inputs)
+            return bytes(4)
+
+        def lost(self, now: int) -> None:
+            self.inputs.clear()
+
+        def command(self, op: str, args: object, token: int, now: int) -> None: ...
+
+        def take_events(self) -> list[dict[str, object]]:
+            return []
+
+    bus = operating(setup(3))
+    bus.slaves[3].inputs = b"\x11\x22\x33\x44"
+    seen = Seen()
+    bus.master.images[3].unit = seen
+    bus.run(1_500 * MS)
+    bus.slaves[3].configured = False
+    while seen.inputs:
+        bus.hold()
+    bus.slaves[3].answers[None] = lambda r: Telegram(Kind.SD1, 2, r.da, 0x02)  # RR: no resources yet
+    while len(seen.inputs) < 3:
+        bus.hold()
+    bus.slaves[3].answers.clear()
+    bus.slaves[3].inputs = b"\x55\x66\x77\x88"
+    bus.run(5 * MS)
+    assert set(seen.inputs) == {b"", b"\x55\x66\x77\x88"}
+
+
+def test_global_control_is_not_repeated_after_every_diagnosis() -> None:
+    bus = operating(setup(3))
+    bus.slaves[3].answers[None] = lambda r: data(r, bytes(4), fc=0x0A)  # always DH
+    bus.run(1_000 * MS)
+    assert sum(r.dsap == 60 for r in bus.requests) > 100
+    assert len(controls(bus)) <= 7
+
+
+def test_a_bring_up_that_has_begun_is_not_held_up_by_many_others() -> None:
+    """From Set_Prm on the slave's watchdog runs: it must not wait in turn with 60 others."""
+    addresses = range(3, 64)
+    master = Master(BusParams.preset(500_000, address=2), [setup(a) for a in addresses])
+    bus = ScriptedLink(master, {3: ScriptedSlave()}, period=4 * MS)
+    bus.run(500 * MS)
+    for address in addresses[1:]:
+        bus.slaves[address] = ScriptedSlave()
+    armed: dict[int, int] = {}
+    worst = 0
+    while any(h.state is not SlaveState.DATA_EXCHANGE for h in master.handlers.values()):
+        before = bus.now
+        for request in bus.hold():
+            if request.dsap == 61:
+                armed[request.da] = before
+            elif request.da in armed:
+                worst = max(worst, bus.now - armed[request.da])
+                armed[request.da] = bus.now
+        assert bus.now < 60_000 * MS
+    assert worst < 200 * MS
+
+
+def test_a_slave_that_wants_parameters_again_and_again_never_left_data_exchange() -> None:
+    bus = operating(setup(3))
+    bus.slaves[4] = ScriptedSlave(ready=bytes.fromhex("02 05 00 FF 06 96"))
+    bus.master.command(AddSlave(setup(4)), bus.now)
+    bus.run(500 * MS)
+    assert bus.faults(4) == ["not_ready"]
+    fault = bus.master.handlers[4].fault
+    assert fault is not None
+    assert "wants parameters again" in fault.message
