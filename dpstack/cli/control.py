@@ -11,11 +11,14 @@ from dpstack.errors import PortError
 
 
 @asynccontextmanager
-async def reachable(server: ControlServer) -> AsyncIterator[None]:
-    """``dpstack ctl`` works within; where it cannot, a line says so."""
+async def reachable(server: ControlServer, *, quiet: bool = False) -> AsyncIterator[str | None]:
+    """``dpstack ctl`` works within; where it cannot, the line that says why is given, and printed unless ``quiet``."""
+    why = None
     async with AsyncExitStack() as stack:
         try:
             await stack.enter_async_context(server)
         except PortError as error:
-            warn(str(error))
-        yield
+            why = str(error)
+            if not quiet:
+                warn(why)
+        yield why

@@ -58,20 +58,23 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
     reporter = Reporter(json=args.json, driver="virtual" if config.virtual else "asyncio")
     bus = open_bus(config, on_event=reporter.event)
     reporter.bus = bus
+    # reachable while it waits for its turn in the ring, too; of a port that is held one line is enough
     with StopSignal() as stop:
-        await stop.or_done(bus.open())
-        if not bus.is_open:
-            warn("ended before the token ring was joined")
-            return 1
-        try:
-            async with reachable(control_run(bus, config.port)):
+        async with reachable(control_run(bus, config.port), quiet=True) as unreachable:
+            await stop.or_done(bus.open())
+            if unreachable is not None:
+                warn(unreachable)
+            if not bus.is_open:
+                warn("ended before the token ring was joined")
+                return 1
+            try:
                 reporter.start()
                 if not args.clear:
                     await bus.operate()
                 await stop.or_done(_limit(bus, args.seconds, args.rotations))
-            stats, missing = bus.stats, not_exchanging(bus)
-        finally:
-            await bus.close()
+                stats, missing = bus.stats, not_exchanging(bus)
+            finally:
+                await bus.close()
     reporter.summary(stats)
     for text in missing:
         warn(text)

@@ -248,3 +248,16 @@ async def test_a_pty_is_found_by_its_path() -> None:
     async with Simulation(config, "pty", 500_000) as simulation, control_sim(simulation, "pty") as server:
         assert server.port.startswith("/dev/pts/")
         assert (await ask(server, "help"))["kind"] == "sim"
+
+
+def test_of_two_runs_with_one_name_the_first_answers(tmp_path: Path, start: Starter, capsys: Out) -> None:
+    config = tmp_path / "plant.toml"
+    config.write_text(PLANT.format(port="virtual"), encoding="utf-8")
+    first = start("run", str(config))
+    first.wait_for("data_exchange")
+    assert "mode: operate" in ctl(capsys, "virtual", "status")
+    second = start("run", str(config), "--seconds", "1")
+    assert second.end() == 0
+    assert second.err == "dpstack: another program answers `dpstack ctl virtual` already; this one will not\n"
+    assert first.end(signal.SIGTERM) == 0
+    assert first.err == ""
