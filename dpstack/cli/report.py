@@ -84,6 +84,11 @@ def not_exchanging(bus: Bus) -> list[str]:
     lines = []
     for slave in bus.slaves:
         if not slave.ready_now:
-            why = slave.fault.text if slave.fault else f"it is in {slave.state.value}"
+            if slave.fault:
+                why = slave.fault.text
+            elif not bus.stats.tokens:
+                why = "this master was not given the token in that time; another master is on the bus: run longer"
+            else:
+                why = f"it is in {slave.state.value}"
             lines.append(f"slave {slave.address} ({slave.name}) is not in data exchange: {why}")
     return lines

@@ -150,7 +150,7 @@ def test_three_silent_rounds_then_the_probe_and_one_notice() -> None:
     assert slave.fcs == ["6D", "6D", "6D", "5D", "7D", "5D"]
     notices = [e.text for e in bus.events if isinstance(e, Notice)]
     assert len(notices) == 1
-    assert "station 3 answers only requests with FCV = 1" in notices[0]
+    assert "station 3 answered a request with FCV = 1 after three silent ones with FCV = 0" in notices[0]
 
 
 def test_fdl_status_of_a_user() -> None:
