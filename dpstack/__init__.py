@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from dpstack import profile
+    from dpstack.api.baud import BaudReport, find_baud
     from dpstack.api.bus import Bus
     from dpstack.api.config import Config, load_config
     from dpstack.api.drive import Drive
@@ -51,6 +52,7 @@ __version__ = "0.1.0"
 
 __all__ = [
     "BaudError",
+    "BaudReport",
     "Bus",
     "BusError",
     "Config",
@@ -75,6 +77,7 @@ __all__ = [
     "SlaveTimeout",
     "UsageError",
     "__version__",
+    "find_baud",
     "load_config",
     "open_bus",
     "profile",
@@ -82,6 +85,8 @@ __all__ = [
 ]
 
 _WHERE: Final = {
+    "BaudReport": "api.baud",
+    "find_baud": "api.baud",
     "Bus": "api.bus",
     "open_bus": "api.opening",
     "Config": "api.config",

@@ -176,6 +176,11 @@ class BusParams:
         return max(self.t_id1_bare, self.max_tsdr) + self.extra_idle
 
     @property
+    def t_rdy(self) -> int:
+        """T_RDY in bit times: so soon after its own last bit a station must be able to receive, min T_SDR."""
+        return self.min_tsdr
+
+    @property
     def t_to(self) -> int:
         """Time-out T_TO in bit times after which this station takes the token for lost: 6 T_SL + 2 TS T_SL."""
         return (6 + 2 * self.address) * self.t_sl

@@ -43,13 +43,15 @@ class SimBus:
     params: BusParams
     addresses: Sequence[int]
     t_sdr: int | None = None
+    watchdog_ms: int = 200
     events: list[Event] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.slaves = [mirror(address, self.params, t_sdr=self.t_sdr) for address in self.addresses]
         for slave in self.slaves:
             self.world.add(slave)
-        self.master = Master(self.params, [setup(address) for address in self.addresses])
+        setups = [setup(address) for address in self.addresses]
+        self.master = Master(self.params, setups, watchdog_ms=self.watchdog_ms)
         self.station = ActiveStation(self.params, [self.master], now=self.world.now)
         self.world.add(self.station, on_events=self.events.extend)
         self.world.command(self.station, GoOnline())

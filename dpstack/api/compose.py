@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from dpstack.api.bench import VirtualBench
+from dpstack.api.bench import VirtualBench, device_of
 from dpstack.api.config import Config, rate_findings
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.dp.master import Master
 from dpstack.dp.plan import Case, Plan, make_plan, t_tr_preset
 from dpstack.dp.setup import SlaveSetup
+from dpstack.dp.slave_baud import SearchingSlave, make_searching_slave
 from dpstack.drivers.aio import AsyncioRuntime, OnFailure, patience_of
 from dpstack.drivers.base import OnEvents, Runtime
 from dpstack.drivers.virtual import VirtualRuntime
@@ -20,7 +21,7 @@ from dpstack.phy.patience import EXACT, Patience, slack
 from dpstack.ports import Delivery, Port, open_port
 from dpstack.profile import DriveCore
 from dpstack.sim.world import World
-from dpstack.units import NS_PER_MS
+from dpstack.units import BAUD_RATES, NS_PER_MS
 
 
 def plan_bus(config: Config, baud: int | None = None) -> Plan:
@@ -52,7 +53,7 @@ def port_of(config: Config, baud: int) -> Port:
 def patience_for(config: Config, port: Port) -> Patience:
     """How long to wait on ``port``: the user's ``host_slack_ms``, or by its kind."""
     if config.bus.host_slack_ms is not None:
-        return slack(round(config.bus.host_slack_ms * NS_PER_MS))
+        return slack(round(config.bus.host_slack_ms * NS_PER_MS), patience_of(port))
     return patience_of(port)
 
 
@@ -109,6 +110,12 @@ def attach_core(master: Master, slave: SlaveConfig) -> DriveCore | None:
     return core
 
 
+def simulated_searching(slave: SlaveConfig, patience: Patience = EXACT) -> SearchingSlave:
+    """A whole simulated slave that finds the rate by itself, among those that its device knows."""
+    known = slave.profile.baud_rates if slave.profile else ()
+    return make_searching_slave(slave.address, device_of(slave), rates=known or BAUD_RATES, patience=patience)
+
+
 __all__ = [
     "Case",
     "Parts",
@@ -118,5 +125,6 @@ __all__ = [
     "patience_for",
     "plan_bus",
     "port_of",
+    "simulated_searching",
     "with_t_tr",
 ]

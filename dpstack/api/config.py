@@ -13,7 +13,7 @@ import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
 
 from dpstack.api.slave_config import SlaveConfig, read_slave
 from dpstack.api.tables import Source, Table
@@ -24,6 +24,8 @@ from dpstack.params import MAX_STATION, BusParams
 from dpstack.units import BAUD_RATES, baud_text
 
 VIRTUAL: Final = "virtual"
+#: the baud rate is found by listening (see :mod:`dpstack.api.baud`)
+AUTO: Final = "auto"
 _DRIVERS: Final = ("auto", "asyncio")
 _BUS_KEYS: Final = (
     "port",
@@ -58,7 +60,7 @@ class BusConfig:
     """The [bus] table. ``port`` and ``baud`` may be missing until they are needed. Times in bit times unless named."""
 
     port: str | None = None
-    baud: int | None = None
+    baud: int | Literal["auto"] | None = None
     address: int = 2
     driver: str = "auto"
     t_sl: int | None = None
@@ -124,9 +126,15 @@ class Config:
 
     @property
     def baud(self) -> int:
-        """The baud rate. Raises ConfigError when there is none."""
+        """The baud rate. Raises ConfigError when there is none, or when it is still to be found."""
         if self.bus.baud is None:
             raise self.source.error(("bus",), "[bus]: no baud", "add for instance baud = 500000")
+        if self.bus.baud == AUTO:
+            raise self.source.error(
+                ("bus", "baud"),
+                '[bus]: baud "auto" is found by `dpstack run` only',
+                "give the rate here (--baud; in a program baud=(await dpstack.find_baud(port)).baud)",
+            )
         return self.bus.baud
 
     @property
@@ -260,10 +268,9 @@ def _read_bus(table: Table) -> BusConfig:
     )
 
 
-def _baud(table: Table) -> int | None:
-    value = table.raw("baud")
-    if value == "auto":
-        table.fail("baud", 'baud "auto" is not supported yet by this version', f"give the rate: {_rates()}")
+def _baud(table: Table) -> int | Literal["auto"] | None:
+    if table.raw("baud") == AUTO:
+        return AUTO
     baud = table.integer("baud")
     if baud is not None and baud not in BAUD_RATES:
         near = min(BAUD_RATES, key=lambda rate: abs(rate - baud))

@@ -14,11 +14,11 @@ from dpstack.dp.device import Device
 from dpstack.dp.slave_events import SlaveAppEvent, SlaveAppStateChanged
 from dpstack.dp.slaveapp import SlaveAppState
 from dpstack.drivers.aio import AsyncioRuntime, patience_of
+from dpstack.drivers.segment import Segment, default_directory
 from dpstack.errors import BusError, ConfigError
 from dpstack.fdl.multidrop import Multidrop
 from dpstack.params import BusParams
 from dpstack.ports import open_port
-from dpstack.ports.segment import Segment, default_directory
 from dpstack.trace import Event
 from dpstack.units import NEVER, ns_to_s
 

@@ -6,6 +6,7 @@ import argparse
 import math
 from typing import TYPE_CHECKING
 
+from dpstack.api.config import AUTO
 from dpstack.api.tables import parse_hex
 from dpstack.units import BAUD_RATES
 
@@ -41,11 +42,9 @@ def baud(text: str) -> int:
     return value
 
 
-def baud_not_auto(text: str) -> int:
-    """As :func:`baud`; "auto" is known but comes later."""
-    if text == "auto":
-        raise argparse.ArgumentTypeError('"auto" is not supported yet by this version, give the rate')
-    return baud(text)
+def baud_or_auto(text: str) -> int | str:
+    """As :func:`baud`, or "auto"."""
+    return text if text == AUTO else baud(text)
 
 
 def seconds(text: str) -> float:

@@ -40,7 +40,7 @@ def execute(args: argparse.Namespace) -> int:
         _show_rates(config, plans)
     else:
         _show(plans[0])
-    judged = [plan for plan in plans if len(plans) == 1 or plan.params.baud == config.baud]
+    judged = [plan for plan in plans if len(plans) == 1 or plan.params.baud == config.bus.baud]
     return 1 if any(plan.findings for plan in judged) else 0
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 
+from dpstack.api.baud import with_rate
 from dpstack.api.bus import Bus
 from dpstack.api.config import Config, load_config
 from dpstack.api.control.programs import control_run
@@ -26,7 +27,7 @@ def add_to(commands: options.Commands) -> None:
     )
     parser.add_argument("config", metavar="CONFIG", help="configuration file")
     parser.add_argument("--port", metavar="P", help="another port")
-    parser.add_argument("--baud", metavar="B", type=options.baud_not_auto, help="another rate")
+    parser.add_argument("--baud", metavar="B|auto", type=options.baud_or_auto, help='another rate; "auto": listens')
     parser.add_argument("--seconds", metavar="S", type=options.seconds, help="end after so many seconds")
     parser.add_argument("--rotations", metavar="N", type=options.count, help="end after so many rotations")
     parser.add_argument("--driver", choices=("auto", "asyncio", "process"), help="what keeps the bus going")
@@ -55,11 +56,19 @@ def execute(args: argparse.Namespace) -> int:
 
 
 async def _run(config: Config, args: argparse.Namespace) -> int:
-    reporter = Reporter(json=args.json, driver="virtual" if config.virtual else "asyncio")
-    bus = open_bus(config, on_event=reporter.event)
-    reporter.bus = bus
-    # reachable while it waits for its turn in the ring, too; of a port that is held one line is enough
+    found: list[Config] = []
+
+    async def listen() -> None:
+        found.append(await with_rate(config))
+
     with StopSignal() as stop:
+        if not await stop.or_done(listen()):
+            warn("ended before the baud rate was found")
+            return 1
+        (config,) = found
+        reporter = Reporter(json=args.json, driver="virtual" if config.virtual else "asyncio")
+        bus = reporter.bus = open_bus(config, on_event=reporter.event)
+        # reachable while it waits for its turn in the ring, too; of a port that is held one line is enough
         async with reachable(control_run(bus, config.port), quiet=True) as unreachable:
             await stop.or_done(bus.open())
             if unreachable is not None:

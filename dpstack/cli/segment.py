@@ -33,7 +33,7 @@ def add_to(commands: options.Commands) -> None:
     parser.add_argument("--paced", action="store_true", help="octets take their time on the wire")
     parser.add_argument("--echo", action="store_true", help="a station hears itself")
     parser.add_argument("--error-rate", metavar="P", type=_rate, default=0.0, help="probability of a damaged bit")
-    parser.add_argument("--seed", metavar="N", type=int, default=0, help="of noise and garbage")
+    parser.add_argument("--seed", metavar="N", type=int, default=0, help="of the noise")
     parser.add_argument("--seconds", metavar="S", type=options.seconds, help="end after so many seconds")
     options.add_json(parser)
     parser.set_defaults(execute=execute)

@@ -6,14 +6,15 @@ import argparse
 import asyncio
 from collections.abc import Callable
 
-from dpstack.api.config import Config, load_config, make_config
+from dpstack.api.baud import BaudReport, find_baud
+from dpstack.api.config import AUTO, Config, load_config, make_config
 from dpstack.api.control.programs import control_sim
 from dpstack.api.events import Event
 from dpstack.api.simulation import DEFAULT_BAUD, Simulation, sim_event_json
 from dpstack.cli import options, output
 from dpstack.cli.control import reachable
 from dpstack.cli.signals import StopSignal
-from dpstack.errors import UsageError
+from dpstack.errors import BusError, UsageError
 from dpstack.units import baud_text, ns_to_s
 
 
@@ -30,7 +31,9 @@ def add_to(commands: options.Commands) -> None:
     parser.add_argument("--address", metavar="A", type=options.address, help="its address")
     parser.add_argument("--telegram", metavar="T", help="its telegram")
     parser.add_argument("--port", metavar="P", required=True, help='the port; "pty" makes one and prints its path')
-    parser.add_argument("--baud", metavar="B", type=options.baud_not_auto, help="the rate, else the configuration's")
+    parser.add_argument(
+        "--baud", metavar="B|auto", type=options.baud_or_auto, help="the rate, else the configuration's; auto: listens"
+    )
     parser.add_argument("--seconds", metavar="S", type=options.seconds, help="end after so many seconds")
     options.add_json(parser)
     parser.set_defaults(execute=execute)
@@ -40,6 +43,8 @@ def execute(args: argparse.Namespace) -> int:
     """Simulate until a signal; 0 unless something failed."""
     config = _config(args)
     rate = args.baud or config.bus.baud or DEFAULT_BAUD
+    if rate == AUTO and args.port == "pty":
+        rate = DEFAULT_BAUD  # whoever opens the other end sets what he likes
     return asyncio.run(_run(config, rate, args))
 
 
@@ -54,11 +59,21 @@ def _config(args: argparse.Namespace) -> Config:
     if args.telegram is not None:
         table["telegram"] = args.telegram
     master = 2 if args.address != 2 else 1
-    return make_config(args.port, args.baud or DEFAULT_BAUD, master, [table], where="sim")
+    return make_config(args.port, DEFAULT_BAUD, master, [table], where="sim")
 
 
-async def _run(config: Config, rate: int, args: argparse.Namespace) -> int:
+async def _run(config: Config, wanted: int | str, args: argparse.Namespace) -> int:
+    found: list[BaudReport] = []
+
+    async def listen() -> None:
+        found.append(await find_baud(args.port, timeout=args.seconds))
+
     with StopSignal() as stop:
+        if wanted == AUTO and not await stop.or_done(listen()):
+            return 0
+        rate = found[0].baud if found else int(wanted)
+        if rate is None:
+            raise BusError(f"{args.port}: the baud rate was not found: {found[0].text}; or give the rate")
         simulation = Simulation(config, args.port, rate)
         async with simulation, reachable(control_sim(simulation, args.port)):
             if args.port == "pty":

@@ -59,12 +59,12 @@ class SlaveApp:
         "_group",
         "_handlers",
         "_report",
-        "_watchdog",
         "device",
         "failure",
         "master",
         "state",
         "stats",
+        "watchdog",
     )
 
     def __init__(self, device: Device, *, address: int | None = None) -> None:
@@ -78,7 +78,7 @@ class SlaveApp:
         self._report = Report(device, address)
         self.stats: SlaveAppStats = self._report.stats
         self._diag = DiagState(device)
-        self._watchdog = Watchdog()
+        self.watchdog = Watchdog()
         self._data: CyclicData | None = None
         self._group = 0
         self._clock = DeviceClock(device)
@@ -119,7 +119,7 @@ class SlaveApp:
     def diagnosis(self, now: int) -> Diagnosis:
         """The diagnosis as a Slave_Diag at ``now`` would read it."""
         ext = self._read_ext(now)
-        wd_on, ill = self._watchdog.time_ns > 0, self.failure is not None
+        wd_on, ill = self.watchdog.time_ns > 0, self.failure is not None
         return self._diag.build(self.state, self.master, self._data, wd_on=wd_on, ill=ill, ext=ext)
 
     def restart(self, now: int) -> None:
@@ -142,7 +142,7 @@ class SlaveApp:
         data = self._data
         if data is None or request.sa != self.master or request.fc & _SRD_MASK != _SRD:
             return self._service(request, now)  # not open
-        self._watchdog.heard = now
+        self.watchdog.heard = now
         octets = request.data
         try:
             if data.plain and len(octets) == data.output_len:
@@ -187,7 +187,7 @@ class SlaveApp:
 
     def wake_at(self) -> int:
         """The watchdog, or what the device wants."""
-        at = self._watchdog.at
+        at = self.watchdog.at
         if self.failure is not None:
             return at
         due = self._clock.wake_at()
@@ -195,8 +195,8 @@ class SlaveApp:
 
     def tick(self, now: int) -> None:
         """Judge the watchdog, let the device have its time."""
-        if self._watchdog.expired(now):
-            self._report.watchdog(self.master, self._watchdog.time_ns, now)
+        if self.watchdog.expired(now):
+            self._report.watchdog(self.master, self.watchdog.time_ns, now)
             self._step(AppEv.WATCHDOG, now, Leave.WATCHDOG)
         if self.failure is None:
             try:
@@ -219,7 +219,7 @@ class SlaveApp:
             return RS_REPLY
         self.stats.services += 1
         if request.sa == self.master:
-            self._watchdog.heard = now
+            self.watchdog.heard = now
         return handler(request, now)
 
     def _wrong_length(self, sa: int, got: int, expected: int, now: int) -> Reply:
@@ -294,7 +294,7 @@ class SlaveApp:
         self._take_min_tsdr(prm.min_tsdr)
         self.master = sa
         self._group = prm.group_mask
-        self._watchdog.arm(prm.watchdog, now)
+        self.watchdog.arm(prm.watchdog, now)
         self._step(AppEv.PRM_GOOD, now, Leave.NEW_PARAMETERS)
 
     def _take_min_tsdr(self, bits: int) -> None:
@@ -349,7 +349,7 @@ class SlaveApp:
         if state is SlaveAppState.WAIT_PRM:
             self.master = None
             self._group = 0
-            self._watchdog.disarm()
+            self.watchdog.disarm()
         if state is not was:
             self._report.state(state, event, self.master, now)
         if leave is not None and state is not SlaveAppState.DATA_EXCH:

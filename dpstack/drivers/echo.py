@@ -13,6 +13,8 @@ from typing import Final
 _MISSES: Final = 3
 #: A short acknowledgement proves nothing, another one may follow it; a token is the shortest telegram that does.
 _PROOF: Final = 3
+#: more than this is not waited for: some of it was lost
+_LONGEST_ECHO: Final = 1000
 
 
 class Echo(Enum):
@@ -26,12 +28,13 @@ class Echo(Enum):
 class EchoFilter:
     """Takes a station's own octets out of what its port delivers. ``state`` leaves AUTO by what is heard."""
 
-    __slots__ = ("_expected", "_held", "_last", "_misses", "lost", "state")
+    __slots__ = ("_expected", "_held", "_last", "_misses", "_whole", "lost", "state")
 
     def __init__(self, state: Echo) -> None:
         self.state = state
         self._last = b""  # what was sent last
         self._expected = b""  # the part of what was sent that has not come back yet
+        self._whole = 0  # size of the first telegram that is expected, with what is held of it
         self._held = b""  # while AUTO: came back as sent so far, may still be the start of something else
         self._misses = 0
         #: telegrams that did not come back as they were sent: collisions, or a damaged echo
@@ -39,10 +42,11 @@ class EchoFilter:
 
     def sent(self, octets: bytes) -> None:
         """``octets`` go out now."""
-        if self.state is Echo.ON and len(self._expected) < 1000:
-            self._expected += octets  # an echo may be late
+        if self._expected and len(self._expected) < _LONGEST_ECHO:
+            self._expected += octets  # an echo may be later than the next telegram
         else:
             self._expected = octets
+            self._whole = len(octets)
         self._last = octets
 
     def strip(self, chunk: bytes) -> bytes:
@@ -60,21 +64,22 @@ class EchoFilter:
 
     def _learn(self, chunk: bytes) -> bytes:
         count = _common(chunk, self._expected)
-        rest = self._expected[count:]
-        if rest and count == len(chunk):
-            self._held += chunk
-            self._expected = rest
+        held = self._held + chunk[:count]
+        complete = len(held) >= self._whole
+        if count == len(chunk) and not complete:
+            self._held = held
+            self._expected = self._expected[count:]
             return b""
-        held, self._held = self._held + chunk[:count], b""
+        self._held = b""
+        if complete and len(held) >= _PROOF:
+            self.state = Echo.ON
+            self._expected = self._expected[count:]
+            return self.strip(chunk[count:])
         self._expected = b""
-        if rest:
+        if not complete:
             self._misses += 1
             if self._misses == _MISSES:
                 self.state = Echo.OFF
-            return held + chunk[count:]
-        if len(held) >= _PROOF:
-            self.state = Echo.ON
-            return chunk[count:]
         return held + chunk[count:]
 
     def _remove(self, chunk: bytes) -> bytes:

@@ -241,10 +241,11 @@ class ActiveStation:
     def sent(self, at: int) -> None:
         """The end of the transmission, known in advance (machine contract)."""
         link = self._link
-        link.line.idle_since = at
-        link.after_ns = link.line.t_id1_ns
         if self.wire is not None:
             self.wire(WireEntry(link.taken_at, at, self._sending, str(link.ts)))
+        at += link.patience.sending_ns  # an answer cuts this short, silence does not
+        link.line.idle_since = at
+        link.after_ns = link.line.t_id1_ns
         link.row[Input.SENT](link, NONE, at)
 
     @property

@@ -76,6 +76,9 @@ def status_listening(link: Link, telegram: Telegram, now: int) -> None:
 def silence(link: Link, _: Telegram, now: int) -> None:
     """T_TO may be over; what was heard since it was armed moved it on."""
     quiet_at = link.line.idle_since + link.t_to_ns
+    if quiet_at < link.busy_until:
+        # an edge of which nothing came has held the deadlines of low addresses to one end: apart again from there
+        quiet_at = link.busy_until + link.t_to_ns
     if now < quiet_at:
         link.deadline = quiet_at
     elif link.back_off_until:

@@ -54,6 +54,9 @@ def timeout(link: Link, _: Telegram, now: int) -> None:
         link.attempt += 1
         link.stats.token_retries += 1
         _pass(link)
+        if link.attempt == _ATTEMPTS:
+            # Two holders in step (a doubled token) hear nothing of each other: the last repetition tells them apart.
+            link.gate_ns = max(link.gate_ns, now - link.line.idle_since + link.params.ns(link.ts))
         return
     link.ring.drop(link.ring.ns)
     link.tell_masters(now)

@@ -25,6 +25,9 @@ class Patience:
     unknown_share: int = 0
     #: added to the stall time of a telegram that arrives in pieces
     stall_ns: int = 0
+    #: what is given to the port may go on the wire so much later. The end of an own telegram that nobody answers is
+    #: known no better, so idle times count from its latest: else the next one would follow without a pause
+    sending_ns: int = 0
 
 
 #: Virtual time and ports that deliver exactly.
@@ -35,7 +38,11 @@ HOST: Final = Patience(known_ns=50 * NS_PER_MS, unknown_ns=2 * NS_PER_MS, unknow
 
 #: A USB adapter before it was measured: three frames of 1 ms each way and the 16 ms of an untouched latency timer.
 ADAPTER: Final = Patience(
-    known_ns=60 * NS_PER_MS, unknown_ns=20 * NS_PER_MS, unknown_share=100, stall_ns=20 * NS_PER_MS
+    known_ns=60 * NS_PER_MS,
+    unknown_ns=20 * NS_PER_MS,
+    unknown_share=100,
+    stall_ns=20 * NS_PER_MS,
+    sending_ns=NS_PER_MS,
 )
 
 #: The least that a measured adapter is given: one whose 16 ms timer comes back does not lose its slaves.
@@ -56,6 +63,11 @@ def measured(p999_ns: int) -> Patience:
     )
 
 
-def slack(known_ns: int) -> Patience:
-    """Patience from the user's ``host_slack_ms``: the same for everyone, silent polls still bounded."""
-    return Patience(known_ns=known_ns, unknown_ns=known_ns, unknown_share=100, stall_ns=known_ns)
+def slack(known_ns: int, port: Patience = EXACT) -> Patience:
+    """Patience from the user's ``host_slack_ms``: the same for everyone, silent polls still bounded.
+
+    When the port really sends is not the user's to say: that is taken from ``port``, the patience of its kind.
+    """
+    return Patience(
+        known_ns=known_ns, unknown_ns=known_ns, unknown_share=100, stall_ns=known_ns, sending_ns=port.sending_ns
+    )

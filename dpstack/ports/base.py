@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from enum import Enum
 
-from dpstack.errors import PortError
+from dpstack.errors import BaudError, PortError
 
 #: Takes octets read from the line, in order; called from the loop.
 OnData = Callable[[bytes], None]
@@ -82,6 +82,13 @@ class Port(ABC):
     def damage(self) -> dict[str, int]:
         """Octets that arrived damaged since the port was made, by cause, as far as it can tell; empty: it cannot."""
         return {}
+
+    def set_baud(self, baud: int) -> None:
+        """Change the rate of the open line at once; what was received before and not read is gone.
+
+        Raises BaudError where the line, or this kind of port, cannot: the old rate stays then.
+        """
+        raise BaudError(f"{self.name}: a port of this kind keeps the rate it was opened with; give the rate")
 
     def attach(self, loop: asyncio.AbstractEventLoop, on_data: OnData, on_lost: OnLost) -> None:
         """Hand over what arrives from now on, from within ``loop``."""

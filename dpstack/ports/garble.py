@@ -1,4 +1,4 @@
-"""What a wire does to octets: noise, and receivers at another rate. Seeded, so that a run can be repeated."""
+"""What a wire does to octets: noise. Seeded, so that a run can be repeated."""
 
 from __future__ import annotations
 
@@ -43,13 +43,3 @@ class Noise:
         if not self.error_rate:
             return math.inf
         return math.floor(math.log(1 - self._rng.random()) / self._log_good)
-
-
-def misread(octets: bytes, sent_baud: int, read_baud: int, rng: random.Random) -> bytes:
-    """What a receiver at ``read_baud`` makes of ``octets`` sent at ``sent_baud``.
-
-    It frames the wrong bits: a faster one sees more characters, a slower one fewer, most with a bad stop or parity bit
-    (dropped), the rest are nonsense.
-    """
-    characters = max(1, round(len(octets) * min(read_baud / sent_baud, 4)))
-    return bytes(rng.randrange(256) for _ in range(characters) if rng.random() < 0.25)

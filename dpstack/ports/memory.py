@@ -33,6 +33,11 @@ class MemoryPort(Port):
         """The rate of the other end while it is open."""
         return self._peer.baud if self._peer is not None and self._peer._is_open else None
 
+    def set_baud(self, baud: int) -> None:
+        """Be at ``baud``; the other end sees it in its :meth:`line_baud`."""
+        self.baud = baud
+        self._inbox.clear()
+
     def read_now(self) -> bytes:
         """Drain."""
         octets = bytes(self._inbox)

@@ -49,6 +49,18 @@ class PySerialPort(Port):
             self.notices.append("has no parity bit (8E1 was asked for), only check sums protect the data")
         self._serial.reset_input_buffer()
 
+    def set_baud(self, baud: int) -> None:
+        """Set the open port to ``baud``. Raises BaudError."""
+        port = self._serial
+        if port is None:
+            raise BaudError(f"{self.name} is not open: its rate is set when it is opened")
+        try:
+            port.baudrate = baud
+            port.reset_input_buffer()
+        except _FAILURES as exc:
+            raise BaudError(f"{self.name} refuses {baud_text(baud)} ({exc}): choose another rate or adapter") from None
+        self.baud = baud
+
     def read_now(self) -> bytes:
         """Drain."""
         port = self._serial

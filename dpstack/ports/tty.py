@@ -64,7 +64,7 @@ class TtyPort(FdPort):
         fd = self._open_file()
         try:
             self._check_and_lock(fd)
-            self._set(fd)
+            self.notices += self._set(fd, self.baud)
             # Octets survive the last close of a pty, and a UART may have heard anything meanwhile.
             termios.tcflush(fd, termios.TCIOFLUSH)
             if self.delivery is Delivery.ADAPTER:
@@ -90,6 +90,21 @@ class TtyPort(FdPort):
     def line_baud(self) -> int | None:
         """The rate the tty is set to."""
         return self.baud if self._fd >= 0 else None
+
+    def set_baud(self, baud: int) -> None:
+        """Set the open tty to ``baud``. Raises BaudError."""
+        if self._fd < 0:
+            raise BaudError(f"{self.name} is not open: its rate is set when it is opened")
+        try:
+            self._set(self._fd, baud)
+        except BaudError:
+            with contextlib.suppress(OSError):
+                termios2.set_raw(self._fd, self.baud, marks=self._marks)
+            raise
+        self.baud = baud
+        self._unmarker.reset()
+        with contextlib.suppress(termios.error):  # a loss shows itself to the reader in the loop
+            termios.tcflush(self._fd, termios.TCIFLUSH)
 
     def _open_file(self) -> int:
         try:
@@ -121,23 +136,26 @@ class TtyPort(FdPort):
         except OSError as exc:
             self.notices.append(f"cannot be locked ({reason_of(exc)}), other programs may open it too")
 
-    def _set(self, fd: int) -> None:
+    def _set(self, fd: int, baud: int) -> list[str]:
+        """Set the tty to ``baud`` 8E1; returns what is tolerated. Raises BaudError."""
         try:
-            applied = termios2.set_raw(fd, self.baud, marks=self._marks)
+            applied = termios2.set_raw(fd, baud, marks=self._marks)
         except OSError as exc:
             raise BaudError(
-                f"{self.name} refuses {baud_text(self.baud)} 8E1 ({reason_of(exc)}): choose another rate or adapter"
+                f"{self.name} refuses {baud_text(baud)} 8E1 ({reason_of(exc)}): choose another rate or adapter"
             ) from None
-        if abs(applied.baud - self.baud) > self.baud * _TOLERANCE:
+        if abs(applied.baud - baud) > baud * _TOLERANCE:
             raise BaudError(
-                f"{self.name} cannot do {baud_text(self.baud)}, it set itself to {baud_text(applied.baud)}: "
+                f"{self.name} cannot do {baud_text(baud)}, it set itself to {baud_text(applied.baud)}: "
                 f"choose another rate or adapter"
             )
-        if applied.baud != self.baud:
-            self.notices.append(f"runs at {applied.baud} bit/s instead of {self.baud}")
+        notices = []
+        if applied.baud != baud:
+            notices.append(f"runs at {applied.baud} bit/s instead of {baud}")
         if not applied.parity:
-            self.notices.append("has no parity bit (8E1 was asked for), only check sums protect the data")
+            notices.append("has no parity bit (8E1 was asked for), only check sums protect the data")
         self._unmark = applied.marks
+        return notices
 
     def _use(self, fd: int) -> None:
         super()._use(fd)

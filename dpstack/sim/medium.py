@@ -14,11 +14,12 @@ from typing import Any, Final, Protocol
 from dpstack.fdl.codec import decode
 from dpstack.fdl.telegram import Telegram
 from dpstack.params import BROADCAST
+from dpstack.phy.uart import Receiver, waveform
 from dpstack.sim import uart
 from dpstack.sim.faults import Faults
 from dpstack.sim.nodes import Node, Nodes
 from dpstack.trace import WireEntry, WireLog
-from dpstack.units import chars_to_ns
+from dpstack.units import NEVER, chars_to_ns
 
 # Order of what falls on the same nanosecond: octets, ends of transmissions, orders from outside, timers, start edges.
 # A start edge cannot hold back a station whose timer ends at the same instant: both send.
@@ -84,6 +85,8 @@ class Watcher(Protocol):
 class Scheduler(Protocol):
     """What the medium needs of the world."""
 
+    now: int
+
     def schedule(self, at: int, order: int, call: Callable[[Any], None], argument: object) -> None:
         """Call ``call(argument)`` at ``at``."""
 
@@ -95,14 +98,15 @@ class Scheduler(Protocol):
 
 
 class _Stream:
-    """Octets on their way one by one to the stations at ``rate``."""
+    """Octets on their way one by one to the stations at ``rate``; of an intact telegram only to ports."""
 
-    __slots__ = ("heard", "index", "rate", "tx")
+    __slots__ = ("heard", "index", "ports_only", "rate", "tx")
 
-    def __init__(self, tx: Transmission, rate: int, heard: list[uart.Heard]) -> None:
+    def __init__(self, tx: Transmission, rate: int, heard: list[uart.Heard], ports_only: bool = False) -> None:
         self.tx = tx
         self.rate = rate
         self.heard = heard
+        self.ports_only = ports_only
         self.index = 0
 
 
@@ -132,6 +136,7 @@ class Medium:
         "_log",
         "_nodes",
         "_octet_ns",
+        "_receivers",
         "_rng",
         "_scheduler",
         "_watcher",
@@ -156,6 +161,7 @@ class Medium:
         self._durations: dict[int, list[int]] = {}
         self._current: Transmission | None = None  # of those on the wire the one that ends last
         self._jam: _Jam | None = None
+        self._receivers: dict[int, Receiver] = {}  # of the stations that listen at another rate than is sent at
         self._octet_ns = 0  # the end of the last octet that was heard one by one
 
     # --- sending ---
@@ -200,7 +206,7 @@ class Medium:
         self._record(tx)
         self._current = None
         if whole and sent:
-            self._hand_octets(sent, tx.baud, tx.start_ns)
+            self._hand_octets(sent, tx.baud, tx.start_ns, ports=False)
 
     def duration(self, size: int, baud: int) -> int:
         """The time of ``size`` octets on the wire in ns."""
@@ -258,11 +264,11 @@ class Medium:
             self._flow(_Stream(tx, baud, uart.receive(tx.octets, baud, tx.flips)))
         else:
             tx.whole = True
+            if self._nodes.ports:
+                self._flow(_Stream(tx, baud, uart.receive(tx.octets, baud, tx.flips), ports_only=True))
         rates = self._nodes.by_rate
         if len(rates) > 1 or baud not in rates:
-            for rate in rates:
-                if rate != baud:
-                    self._flow(_Stream(tx, rate, uart.sample(tx.octets, baud, rate, self._rng)))
+            self._sample(tx)
 
     def _over(self, tx: Transmission) -> None:
         """The last bit of ``tx`` is on the line."""
@@ -297,13 +303,35 @@ class Medium:
         for node in heard:
             settle(node, b"")
 
-    def _hand_octets(self, octets: bytes, rate: int, since: int) -> None:
+    def _hand_octets(self, octets: bytes, rate: int, since: int, *, ports: bool = True, others: bool = True) -> None:
+        """To the ``ports``, which have a whole telegram's octets already, and to the ``others``."""
         settle = self._scheduler.settle
         for node in self._nodes.by_rate.get(rate, ()):
-            if node.hears_from <= since and node.on_bus:
+            if node.hears_from <= since and node.on_bus and (ports if node.by_octets else others):
                 settle(node, octets)
 
     # --- octet by octet ---
+    def _sample(self, tx: Transmission) -> None:
+        """What the receivers at other rates make of ``tx``."""
+        levels = waveform(tx.octets, tx.flips)
+        for rate in self._nodes.by_rate:
+            if rate == tx.baud:
+                continue
+            receiver = self._receivers.get(rate)
+            if receiver is None:
+                receiver = self._receivers[rate] = Receiver(rate)
+            got = receiver.hear(tx.start_ns, levels, tx.baud)
+            self._flow(_Stream(tx, rate, [(c.at_ns - tx.start_ns, c.octet) for c in got if c.good]))
+            if receiver.due < NEVER:
+                self._scheduler.schedule(receiver.due, OCTETS, self._tail, (receiver, tx.start_ns))
+
+    def _tail(self, late: tuple[Receiver, int]) -> None:
+        """A character that reached beyond the end of a transmission, unless another one fell into it."""
+        receiver, since = late
+        for char in receiver.idle(self._scheduler.now):
+            if char.good:
+                self._hand_octets(bytes((char.octet,)), receiver.baud, since)
+
     def _flow(self, stream: _Stream) -> None:
         if stream.heard:
             self._scheduler.schedule(stream.tx.start_ns + stream.heard[0][0], OCTETS, self._octet, stream)
@@ -318,6 +346,9 @@ class Medium:
         if stream.index < len(stream.heard):
             at = tx.start_ns + stream.heard[stream.index][0]
             self._scheduler.schedule(at, OCTETS, self._octet, stream)
+        if stream.ports_only:
+            self._hand_octets(bytes((octet,)), stream.rate, tx.start_ns, others=False)
+            return
         if stream.rate == tx.baud:
             self._octet_ns = at_ns
         self._hand_octets(bytes((octet,)), stream.rate, tx.start_ns)
@@ -336,6 +367,8 @@ class Medium:
                 self._scheduler.schedule(now, OCTETS, self._first_part, (early, now))
         late.collided = True
         late.notes.append("collision")
+        for receiver in self._receivers.values():
+            receiver.reset()
         until = max(early.end_ns, late.end_ns)
         jam = self._jam
         if jam is not None and jam.until_ns > now:
@@ -349,7 +382,7 @@ class Medium:
         tx, at = collision
         sent = uart.complete(at - tx.start_ns, tx.baud, len(tx.octets))
         if sent:
-            self._hand_octets(tx.octets[:sent], tx.baud, tx.start_ns)
+            self._hand_octets(tx.octets[:sent], tx.baud, tx.start_ns, ports=False)
 
     def _jammed(self, jam: _Jam) -> None:
         since = jam.end_of(jam.count)

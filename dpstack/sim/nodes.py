@@ -24,6 +24,7 @@ class Node:
     __slots__ = (
         "address",
         "baud",
+        "by_octets",
         "deadline",
         "due",
         "hears_all",
@@ -45,6 +46,8 @@ class Node:
         self.address = station.address
         self.baud = station.baud
         self.hears_all = station.hears_all
+        #: it is a port, which knows nothing of telegrams and edges: it is given octets, each at its end
+        self.by_octets: bool = getattr(station, "by_octets", False)
         self.named = name is not None
         self.name = str(station.address) if name is None else name
         self.on_events = on_events
@@ -64,7 +67,7 @@ def _not_connected(octets: bytes, now: int) -> int:
 class Nodes:
     """All stations of a world."""
 
-    __slots__ = ("_by_station", "by_address", "by_rate", "listeners")
+    __slots__ = ("_by_station", "by_address", "by_rate", "listeners", "ports")
 
     def __init__(self) -> None:
         self._by_station: dict[int, Node] = {}
@@ -72,6 +75,8 @@ class Nodes:
         self.by_address: dict[int, list[Node]] = {}
         self.by_rate: dict[int, list[Node]] = {}
         self.listeners: list[Node] = []
+        #: those that are given octets, whole telegrams too
+        self.ports: list[Node] = []
 
     def __iter__(self) -> Iterator[Node]:
         return iter(list(self._by_station.values()))
@@ -83,7 +88,9 @@ class Nodes:
     def add(self, node: Node) -> None:
         """Take ``node`` in."""
         self._by_station[id(node.station)] = node
-        if node.hears_all:
+        if node.by_octets:
+            self.ports = [*self.ports, node]
+        elif node.hears_all:
             self.listeners = [*self.listeners, node]
         self._enter(node)
 
@@ -91,6 +98,7 @@ class Nodes:
         """Forget ``node``."""
         del self._by_station[id(node.station)]
         self.listeners = [other for other in self.listeners if other is not node]
+        self.ports = [other for other in self.ports if other is not node]
         self._leave(node)
 
     def renew(self, node: Node) -> None:

@@ -1,6 +1,6 @@
-"""What a receiver's UART makes of what is on the wire: 8E1, parity and framing errors drop the octet.
+"""What receivers at the sender's rate make of damaged octets and collisions: parity and framing errors drop the octet.
 
-Only damaged octets, collisions and receivers at another baud rate come here; intact telegrams never do.
+Intact telegrams never come here; receivers at another rate sample the waveform (:mod:`dpstack.phy.uart`).
 """
 
 from __future__ import annotations
@@ -17,9 +17,6 @@ START_BIT: Final = 0x001
 DATA_BITS: Final = 0x1FE
 PARITY_BIT: Final = 0x200
 STOP_BIT: Final = 0x400
-
-#: falling edges in a character that can pass for a start bit
-_EDGES: Final = 5
 
 
 def flipped(octet: int, flips: int) -> int | None:
@@ -49,20 +46,6 @@ def receive(octets: bytes, baud: int, flips: dict[int, int]) -> list[Heard]:
 def garbled(rng: Random) -> int | None:
     """A character of which nothing can be known (a collision): half of them fail the parity check."""
     return rng.getrandbits(8) if rng.getrandbits(1) else None
-
-
-def sample(octets: bytes, tx_baud: int, rx_baud: int, rng: Random) -> list[Heard]:
-    """What a receiver at ``rx_baud`` gets of ``octets`` sent at ``tx_baud``: chance octets, most of them dropped.
-
-    No more characters than the receiver has time for, and than there are edges to start one.
-    """
-    size = len(octets)
-    slots = min(size * rx_baud // tx_baud, size * _EDGES)
-    if not slots:
-        return []
-    duration = chars_to_ns(size, tx_baud)
-    # a quarter: the parity is right by chance, and so is the stop bit
-    return [(duration * slot // slots, rng.getrandbits(8)) for slot in range(1, slots + 1) if not rng.getrandbits(2)]
 
 
 def complete(elapsed_ns: int, baud: int, size: int) -> int:

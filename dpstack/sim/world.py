@@ -166,6 +166,8 @@ class World:
         station = node.station
         deadline = pump(station, chunk, self.now, node.transmit)
         if station.address != node.address or station.baud != node.baud:
+            if station.baud != node.baud:
+                node.hears_from = max(node.hears_from, self.now)  # what is under way was begun for another receiver
             self._nodes.renew(node)
         self._arm(node, deadline)
         if self._medium.starting:

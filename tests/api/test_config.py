@@ -206,7 +206,6 @@ LATER: list[tuple[str, str]] = [
     (BUS + "echo = true\n", "plant.toml:4: [bus]: echo is not supported yet by this version; leave it out"),
     (BUS + "auto_clear = true\n", "plant.toml:4: [bus]: auto_clear is not supported yet by this version; leave it out"),
     (BUS + "read_only = true\n", "plant.toml:4: [bus]: read_only is not supported yet by this version; leave it out"),
-    (BUS.replace("500000", '"auto"'), 'plant.toml:3: [bus]: baud "auto" is not supported yet by this version; give'),
     (BUS + 'driver = "process"\n', 'plant.toml:4: [bus]: driver "process" is not supported yet by this version; use'),
     (BUS + RAW + 'gsd = "x.gsd"\n', "plant.toml:9: [[slave]] raw: gsd is not supported yet by this version; leave it"),
     (BUS + RAW + "modules = []\n", "plant.toml:9: [[slave]] raw: modules is not supported yet by this version; leave"),
@@ -325,3 +324,12 @@ def test_the_event_character_is_off_unless_asked_for() -> None:
     assert parse_config(text + "event_char = true").with_bus(address=5).bus.event_char is True
     with pytest.raises(ConfigError, match=r"plant.toml:4: .*event_char.* true or false"):
         parse_config(text + "event_char = 1", "plant.toml")
+
+
+def test_a_rate_that_is_found_by_listening() -> None:
+    config = parse_config(BUS.replace("500000", '"auto"'), "plant.toml")
+    assert config.bus.baud == "auto"
+    with pytest.raises(ConfigError, match=r"plant.toml:3: \[bus\]: baud \"auto\" is found by `dpstack run` only; give"):
+        _ = config.baud
+    assert config.with_bus(baud=19_200).baud == 19_200
+    assert config.with_bus(address=7).bus.baud == "auto"

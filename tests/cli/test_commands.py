@@ -112,6 +112,15 @@ def test_run_ends_with_1_when_a_slave_is_missing(plant: str, capsys: Out) -> Non
     assert len(err) == 2
 
 
+def test_plan_of_a_bus_whose_rate_is_found_by_listening(plant: str, capsys: Out) -> None:
+    path = Path(plant)
+    path.write_text(PLANT.replace("500000", '"auto"'), encoding="utf-8")
+    assert call("plan", plant, "--baud", "all", "--json") == 0  # none is the bus's own rate
+    assert len(lines(capsys.readouterr().out)[0]) == 11
+    assert call("plan", plant) == 2
+    assert 'baud "auto" is found by `dpstack run` only; give the rate' in capsys.readouterr().err
+
+
 # --- wrong use ------------------------------------------------------------------------------------------------------
 
 WRONG: list[tuple[list[str], int, str]] = [
@@ -124,7 +133,11 @@ WRONG: list[tuple[list[str], int, str]] = [
     (["run", "PLANT", "--port", "what://x"], 1, "dpstack: what://x: ports are /dev/..., socket://host:port, "),
     (["run", "PLANT", "--baud", "300"], 2, "dpstack run: argument --baud: 300 is no PROFIBUS rate, nearest is 9600;"),
     (["run", "PLANT", "--baud", "x"], 2, "dpstack run: argument --baud: 'x' is no baud rate in bit/s, for instance"),
-    (["run", "PLANT", "--baud", "auto"], 2, 'dpstack run: argument --baud: "auto" is not supported yet by this ver'),
+    (["run", "PLANT", "--baud", "auto"], 2, 'dpstack: port "virtual": nobody else is on it who could be listened to'),
+    (["plan", "PLANT", "--baud", "auto"], 2, "dpstack plan: argument --baud: 'auto' is no baud rate in bit/s, for "),
+    (["baud"], 2, "dpstack baud: the following arguments are required: --port; see dpstack baud --help"),
+    (["baud", "--port", "virtual"], 2, 'dpstack: port "virtual": nobody else is on it who could be listened to; '),
+    (["baud", "--port", "/dev/null"], 1, "dpstack: /dev/null is no serial port but another device; "),
     (["run", "PLANT", "--seconds", "0"], 2, "dpstack run: argument --seconds: '0' is no number of seconds above 0"),
     (["run", "PLANT", "--rotations", "-1"], 2, "dpstack run: argument --rotations: '-1' is no whole number from 1"),
     (["run", "PLANT", "--outputs", "9"], 2, "dpstack run: argument --outputs: '9' is not ADDRESS=HEX, for instance"),

@@ -144,6 +144,47 @@ def test_a_held_port_names_its_holder(tmp_path: Path, start: Starter, segment: P
     assert run.err.count("\n") == 1
 
 
+def test_the_rate_of_a_running_bus_is_found_and_a_second_master_joins_at_it(tmp_path: Path, start: Starter) -> None:
+    directory = tmp_path / "bus"
+    start("segment", "--stations", "4", "--dir", str(directory), "--baud", "187500").wait_for(str(directory / "3"))
+    config = tmp_path / "first.toml"
+    config.write_text(PLANT.format(port=directory / "1").replace("500000", "187500"), encoding="utf-8")
+    sim = start("sim", str(config), "--port", str(directory / "0"), "--baud", "auto")
+    run = start("run", str(config), "--json")
+    run.wait_for('"state":"data_exchange"', 3)
+    assert "at 187.5 kbit/s" in sim.out
+    found = start("baud", "--port", str(directory / "2"), "--timeout", "20", "--json")
+    assert found.end() == 0
+    (line,) = found.lines
+    assert line["baud"] == 187_500
+    assert line["confidence"] == "checked"
+    assert line["telegrams"] >= 2
+    assert line["seconds"] > 0
+    second = tmp_path / "second.toml"
+    second.write_text(f'[bus]\nport = "{directory / "3"}"\nbaud = "auto"\naddress = 5\n', encoding="utf-8")
+    joined = start("run", str(second), "--json", "--seconds", "1")
+    assert joined.end(limit=60) == 0, joined.err
+    assert joined.lines[0]["baud"] == 187_500
+    assert joined.lines[-1]["tokens"] > 0
+    assert run.end(signal.SIGINT) == 0
+    assert run.err == ""
+
+
+def test_nothing_to_be_found_on_a_silent_bus(start: Starter, segment: Path) -> None:
+    told = start("baud", "--port", str(segment / "0"), "--timeout", "0.3", "--json")
+    words = start("baud", "--port", str(segment / "1"), "--timeout", "0.3")
+    assert told.end() == words.end() == 1
+    (line,) = told.lines
+    assert (line["baud"], line["telegrams"], line["reason"]) == (None, 0, "silence")
+    assert told.err == ""
+    assert words.err.startswith(f"dpstack: {segment / '1'}: silence: no octet in 0.3 s; is a master running, ")
+    assert words.err.count("\n") == 1
+    slave = ("--drive", "demag-dedrive", "--address", "3")
+    sim = start("sim", *slave, "--port", str(segment / "0"), "--baud", "auto", "--seconds", "0.3")
+    assert sim.end() == 1
+    assert f"{segment / '0'}: the baud rate was not found: silence: no octet in 0.3 s" in sim.err
+
+
 def test_a_reader_that_has_seen_enough_is_no_traceback(plant_file: str) -> None:
     """The bus is left in order, nothing is said of it."""
     run = [sys.executable, "-m", "dpstack.cli.main", "run", plant_file, "--json", "--seconds", "600"]

@@ -17,12 +17,12 @@ from dpstack.dp.master import Master
 from dpstack.dp.setup import SlaveSetup
 from dpstack.dp.slaveapp import SlaveApp
 from dpstack.drivers.aio import AsyncioRuntime, patience_of
+from dpstack.drivers.segment import Segment
 from dpstack.fdl.active import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.passive import PassiveStation
 from dpstack.params import BusParams
 from dpstack.ports import open_port
-from dpstack.ports.segment import Segment
 from dpstack.trace import Event
 
 RESPONDER = str(Path(__file__).parents[1] / "support_responder.py")

@@ -128,3 +128,23 @@ async def test_octets_held_for_an_echo_are_given_back_when_a_deadline_is_due() -
         rig.far.write(REQUEST[:2])
         await until(lambda: bool(rig.machine.did("wake")), "the deadline")
         assert [entry[1] for entry in rig.machine.did("receive")] == [REQUEST[:2]]
+
+
+def test_two_telegrams_are_sent_before_the_first_echo_comes() -> None:
+    """An adapter with a latency timer: the two tokens of a claim come back in one piece."""
+    echo = EchoFilter(Echo.AUTO)
+    echo.sent(TOKEN)
+    echo.sent(TOKEN)
+    assert echo.strip(TOKEN + TOKEN) == b""
+    assert echo.state is Echo.ON
+    assert echo.strip(ANSWER) == ANSWER
+
+
+def test_the_first_whole_echo_proves_it_while_the_next_one_is_under_way() -> None:
+    echo = EchoFilter(Echo.AUTO)
+    echo.sent(TOKEN)
+    echo.sent(REQUEST)
+    assert echo.strip(TOKEN) == b""
+    assert echo.state is Echo.ON
+    assert echo.release() == b""
+    assert echo.strip(REQUEST + ANSWER) == ANSWER

@@ -21,6 +21,7 @@ def test_three_times_what_was_measured_within_limits(p999_ms: float, known: int,
         unknown_ns=unknown * NS_PER_MS,
         unknown_share=100,
         stall_ns=20 * NS_PER_MS,
+        sending_ns=NS_PER_MS,
     )
 
 

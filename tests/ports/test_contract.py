@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from far_ends import FarEnd, PtyFarEnd, Rfc2217FarEnd, TcpFarEnd, open_slave, until
 
-from dpstack.errors import PortError
+from dpstack.errors import BaudError, PortError
 from dpstack.ports import Delivery, MemoryPort, Port, memory_pair, open_port
 from dpstack.ports.pyserial import PySerialPort
 
@@ -42,6 +42,7 @@ class PortContract:
     delivery = Delivery.HOST
     paced = False
     tells_loss = True
+    changes_rate = False
 
     async def make(self) -> tuple[Port, Any, Callable[[], None]]:
         raise NotImplementedError
@@ -135,6 +136,20 @@ class PortContract:
         assert len(heard.lost) == 1
         assert heard.lost[0]
 
+    async def test_the_rate_of_an_open_line_is_changed_or_that_is_refused(
+        self, both: tuple[Port, Any], heard: Heard
+    ) -> None:
+        port, far = both
+        if self.changes_rate:
+            port.set_baud(19_200)
+            assert port.baud == 19_200
+        else:
+            with pytest.raises(BaudError, match="give the rate"):
+                port.set_baud(19_200)
+            assert port.baud == BAUD
+        far.send(b"\xdc\x02\x02")
+        assert await heard.wait(3) == b"\xdc\x02\x02"
+
     async def test_what_it_says_of_itself(self, both: tuple[Port, Any]) -> None:
         port = both[0]
         assert port.delivery is self.delivery
@@ -169,6 +184,8 @@ class Reopens:
 
 
 class TestTty(PortContract, Reopens):
+    changes_rate = True
+
     async def make(self) -> tuple[Port, FarEnd, Callable[[], None]]:
         far = PtyFarEnd()
         port = open_port(far.path, BAUD)
@@ -182,6 +199,7 @@ class TestTty(PortContract, Reopens):
 class TestPySerial(PortContract, Reopens):
     delivery = Delivery.ADAPTER
     paced = True
+    changes_rate = True
 
     async def make(self) -> tuple[Port, FarEnd, Callable[[], None]]:
         far = PtyFarEnd()
@@ -243,6 +261,8 @@ class MemoryFarEnd:
 
 
 class TestMemory(PortContract, Reopens):
+    changes_rate = True
+
     async def make(self) -> tuple[Port, MemoryFarEnd, Callable[[], None]]:
         port, far = memory_pair(BAUD)
         await far.open()

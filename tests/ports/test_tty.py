@@ -39,6 +39,40 @@ async def test_every_rate_is_set_and_seen_from_the_other_end(far: PtyFarEnd, bau
     far.hang_up()
 
 
+async def test_the_rate_of_an_open_tty_is_changed_without_closing(far: PtyFarEnd) -> None:
+    port = TtyPort(far.path, 9_600)
+    with pytest.raises(BaudError, match="is not open"):
+        port.set_baud(19_200)
+    await port.open()
+    notices = list(port.notices)
+    for baud in BAUD_RATES:
+        far.send(b"of the old rate")
+        port.set_baud(baud)
+        assert port.read_now() == b""
+        assert termios2.RateReader().read(far.fd) == port.baud == baud
+    assert port.notices == notices
+    port.close()
+    far.hang_up()
+
+
+async def test_a_rate_that_is_refused_while_open_leaves_the_old_one(
+    far: PtyFarEnd, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    port = TtyPort(far.path, 9_600)
+    await port.open()
+    really = termios2.set_raw
+
+    def divided(fd: int, baud: int | None, *, marks: bool) -> termios2.Applied:
+        return really(fd, 3_000_000 if baud == 12_000_000 else baud, marks=marks)
+
+    monkeypatch.setattr(termios2, "set_raw", divided)
+    with pytest.raises(BaudError, match=r"cannot do 12 Mbit/s, it set itself to 3 Mbit/s"):
+        port.set_baud(12_000_000)
+    assert termios2.RateReader().read(far.fd) == port.baud == 9_600
+    port.close()
+    far.hang_up()
+
+
 async def test_raw_without_echo_and_flow_control(far: PtyFarEnd) -> None:
     port = TtyPort(far.path, 9600)
     await port.open()

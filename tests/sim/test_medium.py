@@ -117,9 +117,9 @@ def test_an_injected_telegram_is_heard_like_a_stations(world: WorldFactory) -> N
     assert [entry.sender for entry in w.log] == ["foreign"]
 
 
-def test_another_rate_gets_garbage_the_same_for_the_same_seed(world: WorldFactory) -> None:
+def test_another_rate_gets_what_it_samples_of_the_waveform_whatever_the_seed(world: WorldFactory) -> None:
     texts = []
-    for seed in (1, 1, 2):
+    for seed in (1, 2):
         w = world(seed=seed)
         assert w.referee is not None
         w.referee.token_rules = False
@@ -132,7 +132,10 @@ def test_another_rate_gets_garbage_the_same_for_the_same_seed(world: WorldFactor
         assert not wrong.heard
         assert wrong.octets
         texts.append(wrong.octets)
-    assert texts[0] == texts[1] != texts[2]
+    assert texts[0] == texts[1]
+    # at three times the rate: 68 gives a break and FC with a bad stop bit; 05 is 0 1 0 1: space for start, d0 and d1,
+    # mark to d4, space to d7 and mark for parity and stop: 1C, 7333 ns after its start edge; the second 05 as well
+    assert texts[0][:2] == [(MS + 29_333, b"\x1c"), (MS + 51_333, b"\x1c")]
 
 
 def test_a_station_whose_rate_changes_hears_at_the_new_one(world: WorldFactory) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from random import Random
-
 import pytest
 
 from dpstack.sim import uart
@@ -44,17 +42,3 @@ def test_complete_agrees_with_the_ends_at_odd_rates() -> None:
     for number, (end, _) in enumerate(uart.receive(bytes(250), 45_450, {})):
         assert uart.complete(end, 45_450, 250) == number + 1
         assert uart.complete(end - 1, 45_450, 250) == number
-
-
-def test_another_rate_hears_chance_octets_within_the_transmission() -> None:
-    octets = bytes(range(100))
-    for rate in (9_600, 19_200, 1_500_000, 12_000_000):
-        heard = uart.sample(octets, 500_000, rate, Random(1))
-        assert heard == uart.sample(octets, 500_000, rate, Random(1))
-        assert len(heard) <= 100 * min(5, rate / 500_000)
-        assert all(0 < at <= 100 * 22_000 for at, _ in heard)
-    assert len(uart.sample(octets, 500_000, 1_500_000, Random(1))) > 20
-
-
-def test_a_rate_too_slow_for_one_character_hears_nothing() -> None:
-    assert uart.sample(b"\xe5", 12_000_000, 9_600, Random(1)) == []

@@ -1,0 +1,386 @@
+"""Finding the baud rate by listening only.
+
+The rates are tried from the fastest to the slowest: a dwell at a rate above the true one is short against the bus's
+telegrams, one below it is not. A rate is recognised by whole telegrams in a row, never by octets that merely look
+clean: half of what is heard at twice the rate has neither framing nor parity error.
+
+The confidence rule. A *run* is a sequence of telegrams between which no octet is left over. It breaks at any octet that
+belongs to no telegram, at an SC that follows no request, and at a token whose sender is neither the one who got
+the token before it nor the one who sent that. A rate is recognised by a run with
+
+* two telegrams with FCS (``CHECKED``), or
+* the same token three times (``TOKEN``): the only thing a lone master without GAP says.
+
+What a receiver at another rate gets repeats as the traffic does, so a wrong telegram once read comes again: repetition
+proves nothing, that nothing is left over does. From twice the true rate up no start octet can be read at all, since
+each has a single bit between two others, and such a receiver samples every bit twice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final
+
+from dpstack.errors import ConfigError, UsageError
+from dpstack.fdl.decoder import Decoder
+from dpstack.fdl.telegram import Kind, Telegram
+from dpstack.machine import LineDown, LineUp
+from dpstack.params import T_SYN
+from dpstack.trace import Event
+from dpstack.units import BAUD_RATES, NEVER, baud_text, bits_to_ns, ns_to_s
+
+_FCS_NEEDED: Final = 2
+_TOKENS_NEEDED: Final = 3
+
+#: A dwell in bit times: three of the longest telegrams with their answers' slot times (3 x (255 x 11 + 1000)) and some.
+DWELL_BITS: Final = 12_000
+#: So many octets in a row that belong to no telegram are a wrong rate: the longest telegram, begun before, has 255.
+_TOO_MANY: Final = 300
+#: A sweep over all rates in vain makes the next dwells longer, up to so many times: a slot time may have 16383 bits.
+_LONGEST: Final = 4
+
+
+class Confidence(Enum):
+    """What a rate was recognised by."""
+
+    CHECKED = "checked"  # telegrams with FCS, nothing left over between them
+    TOKEN = "token"  # the same token again and again, nothing left over between
+
+
+class Missing(Enum):
+    """Why no rate was recognised."""
+
+    SILENCE = "silence"
+    NOISE = "noise"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BaudFound(Event):
+    """The bus runs at ``baud`` bit/s; ``telegrams`` in a row were heard, ``tried`` dwells were needed."""
+
+    baud: int
+    listened_ns: int
+    confidence: Confidence
+    telegrams: int
+    tried: int
+
+    @property
+    def text(self) -> str:
+        """The rate and what it was recognised by."""
+        by = "telegrams with check sum" if self.confidence is Confidence.CHECKED else "the same token again and again"
+        return f"the bus runs at {baud_text(self.baud)}, recognised by {by}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BaudNotFound(Event):
+    """No rate was recognised within ``listened_ns``. ``octets`` were heard at all rates; ``slowest`` was tried last.
+
+    ``complete``: every rate had its turn.
+    """
+
+    why: Missing
+    listened_ns: int
+    octets: int
+    slowest: int
+    complete: bool
+
+    @property
+    def text(self) -> str:
+        """The reason, and what to do."""
+        seconds = f"{ns_to_s(self.listened_ns):.1f} s"
+        if self.why is Missing.SILENCE:
+            text = (
+                f"silence: no octet in {seconds}; is a master running, is the cable plugged in, are its two data lines "
+                "perhaps reversed?"
+            )
+        else:
+            text = (
+                f"noise: {self.octets} octets in {seconds} and no telegram among them; are the two data lines of the "
+                "cable reversed, is the bus terminated at both ends?"
+            )
+        if not self.complete:
+            text += f" (the rates below {baud_text(self.slowest)} had no turn: listen longer)"
+        return text
+
+
+class Evidence:
+    """What is heard at one rate: octets to telegrams, telegrams to runs. ``stall_ns``: see the decoder."""
+
+    __slots__ = ("_checked", "_decoder", "_last", "_token", "_tokens", "octets", "run", "unexplained")
+
+    def __init__(self, stall_ns: int) -> None:
+        self._decoder = Decoder(stall_ns=stall_ns)
+        self.octets = 0
+        #: octets that belonged to no telegram, since the last one that was
+        self.unexplained = 0
+        #: telegrams in a row
+        self.run = 0
+        self._checked = 0
+        self._tokens: dict[Telegram, int] = {}  # of the run, how often
+        self._token: Telegram | None = None  # the last one of the run
+        self._last: Telegram | None = None
+
+    @property
+    def confidence(self) -> Confidence | None:
+        """What the rate is recognised by; None while it is not."""
+        if self._checked >= _FCS_NEEDED:
+            return Confidence.CHECKED
+        if any(count >= _TOKENS_NEEDED for count in self._tokens.values()):
+            return Confidence.TOKEN
+        return None
+
+    @property
+    def promising(self) -> bool:
+        """More of the same would be enough."""
+        return self._checked > 0 or len(self._tokens) > 1 or any(count > 1 for count in self._tokens.values())
+
+    def hear(self, chunk: bytes, now: int) -> None:
+        """Octets as they arrive."""
+        decoder = self._decoder
+        self.octets += len(chunk)
+        for at in range(len(chunk)):
+            skipped = decoder.stats.skipped
+            found = decoder.feed(chunk[at : at + 1], now)
+            self._judge(found, decoder.stats.skipped - skipped)
+
+    def telegram(self, telegram: Telegram, now: int) -> None:
+        """A whole telegram, decoded by the medium."""
+        self.octets += 1
+        self.wake(now, given_up=True)
+        self._take(telegram)
+
+    def stall_at(self) -> int:
+        """When :meth:`wake` is wanted, in ns."""
+        return self._decoder.stall_at()
+
+    def wake(self, now: int, *, given_up: bool = False) -> None:
+        """Give up a telegram that has stalled (or surely does not go on: ``given_up``)."""
+        decoder = self._decoder
+        if given_up or decoder.stall_at() <= now:
+            skipped = decoder.stats.skipped
+            found = decoder.stalled(now)
+            self._judge(found, decoder.stats.skipped - skipped)
+
+    def _judge(self, found: list[Telegram], skipped: int) -> None:
+        if skipped:
+            # telegrams that come out of the rest of a damaged one are none to rely on
+            self.unexplained += skipped
+            self._break()
+            return
+        for telegram in found:
+            self._take(telegram)
+
+    def _take(self, telegram: Telegram) -> None:
+        if not self._follows(telegram):
+            self._break()
+        self.run += 1
+        self.unexplained = 0
+        self._last = telegram
+        if telegram.kind is Kind.SD4:
+            self._token = telegram
+            self._tokens[telegram] = self._tokens.get(telegram, 0) + 1
+        elif telegram.kind is not Kind.SC:
+            self._checked += 1
+
+    def _follows(self, telegram: Telegram) -> bool:
+        """It may stand where it stands in the run."""
+        if telegram.kind is Kind.SC:
+            return self._last is not None and self._last.is_request
+        if telegram.kind is Kind.SD4 and self._token is not None:
+            return telegram.sa in (self._token.da, self._token.sa)
+        return True
+
+    def _break(self) -> None:
+        self.run = self._checked = 0
+        self._tokens = {}
+        self._token = self._last = None
+
+
+class AutoBaud:
+    """A machine that only listens: it wants to be heard at ``baud`` bit/s, which changes, until ``result`` is there.
+
+    ``rates`` in bit/s. Gives up ``silence_ns`` after the start or the last octet heard, in all cases ``limit_ns`` after
+    the start (NEVER: never). ``slack_ns`` is how late the port may deliver, added to every dwell; what arrives within
+    ``settle_ns`` of a change of the rate may have been received before it and is not judged. ``now`` is the start.
+    Raises ConfigError.
+    """
+
+    __slots__ = (
+        "_at",
+        "_complete",
+        "_dwell_until",
+        "_events",
+        "_evidence",
+        "_extended",
+        "_heard_at",
+        "_limit_ns",
+        "_octets",
+        "_rates",
+        "_settle_ns",
+        "_settled_at",
+        "_silence_ns",
+        "_slack_ns",
+        "_start",
+        "result",
+        "tried",
+    )
+
+    def __init__(
+        self,
+        now: int,
+        *,
+        rates: Sequence[int] = BAUD_RATES,
+        silence_ns: int = NEVER,
+        limit_ns: int = NEVER,
+        slack_ns: int = 0,
+        settle_ns: int = 0,
+    ) -> None:
+        if not rates or not set(rates) <= set(BAUD_RATES):
+            raise ConfigError(f"rates {list(rates)}: give some of {', '.join(map(str, BAUD_RATES))}")
+        self._rates = sorted(set(rates), reverse=True)
+        self._silence_ns = silence_ns
+        self._limit_ns = limit_ns
+        self._slack_ns = slack_ns
+        self._settle_ns = settle_ns
+        self._start = now
+        self._heard_at = now
+        self._octets = 0  # heard in earlier dwells
+        self._at = 0
+        self._complete = False
+        self._extended = False  # the dwell, because something promising was heard
+        self._settled_at = self._dwell_until = now
+        self._evidence = Evidence(0)
+        self._events: list[Event] = []
+        self.result: BaudFound | BaudNotFound | None = None
+        #: dwells up to now, the present one included
+        self.tried = 0
+        self._begin(now)
+
+    @property
+    def baud(self) -> int:
+        """The rate to listen at now, in bit/s; the one found once there is a result."""
+        return self._rates[self._at]
+
+    def receive(self, chunk: bytes, now: int) -> None:
+        """Octets heard at :attr:`baud`."""
+        if self.result is None and now >= self._settled_at:
+            self._heard_at = now
+            self._evidence.hear(chunk, now)
+            self._decide(now)
+
+    def telegram(self, telegram: Telegram, now: int) -> None:
+        """A whole telegram heard at :attr:`baud`."""
+        if self.result is None and now >= self._settled_at:
+            self._heard_at = now
+            self._evidence.telegram(telegram, now)
+            self._decide(now)
+
+    def refused(self, now: int) -> None:
+        """The port cannot do :attr:`baud`: it is not tried again. Raises ConfigError when it was the last one."""
+        rate = self._rates.pop(self._at)
+        if not self._rates:
+            raise ConfigError(f"the port knows none of the rates asked for, not even {baud_text(rate)}")
+        self.tried -= 1
+        self._at -= 1
+        self._next(now)
+
+    def wake(self, now: int) -> None:
+        """Judge what has stalled, the dwell and the end."""
+        if self.result is not None:
+            return
+        self._evidence.wake(now)
+        if self._decide(now):
+            return
+        if now >= self._end():
+            self._give_up(now)
+        elif now >= self._dwell_until:
+            if self._evidence.promising and not self._extended:
+                self._extended = True
+                self._dwell_until = now + self._dwell_ns()
+            else:
+                self._next(now)
+
+    def wake_at(self) -> int:
+        """The next of: a stalled telegram, the end of the dwell, the end of it all."""
+        if self.result is not None:
+            return NEVER
+        return min(self._dwell_until, self._evidence.stall_at(), self._end())
+
+    def sent(self, at: int) -> None:
+        """Never called: it sends nothing."""
+
+    def take_tx(self, now: int) -> None:
+        """Nothing, ever."""
+
+    def take_events(self) -> list[Event]:
+        """The result, once."""
+        events, self._events = self._events, []
+        return events
+
+    def command(self, command: object, now: int) -> None:
+        """:class:`LineDown` and :class:`LineUp` begin the dwell anew. Raises UsageError on anything else."""
+        match command:
+            case LineDown() | LineUp():
+                self.tried -= 1
+                self._begin(now)
+            case _:
+                raise UsageError(f"a search for the baud rate knows no {type(command).__name__}")
+
+    # --- inside ---
+    def _begin(self, now: int) -> None:
+        """Begin to listen at the present rate."""
+        baud = self.baud
+        self.tried += 1
+        self._extended = False
+        self._evidence = Evidence(bits_to_ns(T_SYN, baud) + self._slack_ns)
+        self._settled_at = now + self._settle_ns
+        self._dwell_until = self._settled_at + self._dwell_ns()
+
+    def _dwell_ns(self) -> int:
+        sweep = self.tried // (len(self._rates) + 1) + 1
+        return bits_to_ns(DWELL_BITS * min(sweep, _LONGEST), self.baud) + self._slack_ns
+
+    def _next(self, now: int) -> None:
+        self._octets += self._evidence.octets
+        self._at += 1
+        if self._at >= len(self._rates):
+            self._at = 0
+            self._complete = True
+        self._begin(now)
+
+    def _decide(self, now: int) -> bool:
+        """What was heard is enough, for this rate or against it."""
+        evidence = self._evidence
+        confidence = evidence.confidence
+        if confidence is not None:
+            self.result = BaudFound(
+                t_ns=now,
+                baud=self.baud,
+                listened_ns=now - self._start,
+                confidence=confidence,
+                telegrams=evidence.run,
+                tried=self.tried,
+            )
+            self._events.append(self.result)
+            return True
+        if evidence.unexplained < _TOO_MANY:
+            return False
+        self._next(now)
+        return True
+
+    def _end(self) -> int:
+        return min(self._heard_at + self._silence_ns, self._start + self._limit_ns)
+
+    def _give_up(self, now: int) -> None:
+        octets = self._octets + self._evidence.octets
+        self.result = BaudNotFound(
+            t_ns=now,
+            why=Missing.NOISE if octets else Missing.SILENCE,
+            listened_ns=now - self._start,
+            octets=octets,
+            slowest=self.baud,
+            complete=self._complete or self._at == len(self._rates) - 1,
+        )
+        self._events.append(self.result)

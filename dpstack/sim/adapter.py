@@ -1,0 +1,197 @@
+"""A station behind a USB serial adapter, in virtual time: what the adapter does to octets and to time.
+
+The station (the host's side) is pumped as a driver on a serial port would pump it; the adapter is what is plugged into
+the world. Received octets wait for a packet to fill up or for the latency timer, and for the next USB frame; what the
+host sends waits for a USB frame too, while the host believes that it went on the wire at once.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from typing import Final, Protocol
+
+from dpstack.errors import ConfigError
+from dpstack.fdl.station import BusStation
+from dpstack.fdl.telegram import Telegram
+from dpstack.machine import pump
+from dpstack.params import BusParams
+from dpstack.stats import Histogram
+from dpstack.trace import Event
+from dpstack.units import NEVER, NOW, NS_PER_MS, chars_to_ns
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Habits:
+    """What an adapter does. Times in ns; the default is none of it but full-speed USB frames.
+
+    ``frame_ns``: octets change hands only at multiples of this. ``latency_ns``: a packet that is not full is handed
+    over so long after the one before it. ``packet``: octets in a full one. ``echo``: the station hears what it sends.
+    """
+
+    frame_ns: int = NS_PER_MS
+    latency_ns: int = NS_PER_MS
+    packet: int = 62
+    echo: bool = False
+
+    def __post_init__(self) -> None:
+        if self.frame_ns < 1 or self.latency_ns < 0 or self.packet < 1:
+            raise ConfigError(f"{self}: frame_ns and packet must be 1 or more, latency_ns 0 or more")
+
+
+#: an FTDI chip as it comes: 16 ms latency timer, 64-octet packets of which two are its status
+FTDI: Final = Habits(latency_ns=16 * NS_PER_MS)
+#: the same with the latency timer at its least
+FTDI_LOW_LATENCY: Final = Habits()
+
+
+class OwnOctets(Protocol):
+    """Takes a station's own octets out of what an adapter with echo delivers (drivers have one)."""
+
+    def sent(self, octets: bytes) -> None:
+        """``octets`` go out now."""
+
+    def strip(self, chunk: bytes) -> bytes:
+        """What remains of ``chunk``."""
+
+    def release(self) -> bytes:
+        """What was held back: a deadline is due."""
+
+
+class Adapter:
+    """``station`` on an adapter with ``habits``: plug this into the world, give orders to it too.
+
+    ``own``: what removes the echo, where there is one. ``cost`` counts how long after the first octet of a packet was
+    on the wire the host was given it. A BusStation.
+    """
+
+    def __init__(self, station: BusStation, habits: Habits = FTDI_LOW_LATENCY, *, own: OwnOctets | None = None) -> None:
+        self.station = station
+        self.habits = habits
+        self.cost = Histogram()
+        self._own = own
+        self._fifo: deque[tuple[int, int]] = deque()  # end of the octet on the wire, octet
+        self._packet_at = 0  # when the last packet went to the host
+        self._out: deque[tuple[int, bytes]] = deque()  # from when on it may go on the wire, octets
+        self._sending = b""
+        self._busy_until = 0  # end of the transmission under way
+        self._host_at = NOW  # the station's deadline
+
+    # --- what the world asks ---
+    @property
+    def address(self) -> int:
+        """The station's."""
+        return self.station.address
+
+    @property
+    def baud(self) -> int:
+        """The station's."""
+        return self.station.baud
+
+    @property
+    def params(self) -> BusParams | None:
+        """The station's bus parameters, for the referee; None where it has none."""
+        return getattr(self.station, "params", None)
+
+    @property
+    def hears_all(self) -> bool:
+        """A port delivers everything."""
+        return True
+
+    @property
+    def by_octets(self) -> bool:
+        """A port knows nothing of telegrams."""
+        return True
+
+    def activity(self, now: int) -> None:
+        """A port does not tell edges."""
+
+    def telegram(self, telegram: Telegram, now: int) -> None:
+        """Never called: it is given octets."""
+        raise RuntimeError(f"an adapter was handed {telegram}: it takes octets only")
+
+    def take_events(self) -> list[Event]:
+        """The station's."""
+        return self.station.take_events()
+
+    def command(self, command: object, now: int) -> None:
+        """Hand ``command`` to the station."""
+        self.station.command(command, now)
+        self._pump(b"", now)
+
+    # --- the wire's side ---
+    def receive(self, chunk: bytes, now: int) -> None:
+        """Octets from the wire."""
+        self._fifo.extend((now, octet) for octet in chunk)
+
+    def take_tx(self, now: int) -> bytes | None:
+        """What the host sent, once a USB frame has brought it and the transmitter is free."""
+        if not self._out or now < self._start_at():
+            return None
+        self._sending = self._out.popleft()[1]
+        return self._sending
+
+    def sent(self, at: int) -> None:
+        """The last bit will be on the wire at ``at``; with echo the octets come back until then."""
+        self._busy_until = at
+        if self.habits.echo:
+            size = len(self._sending)
+            self._fifo.extend((at - chars_to_ns(size - n - 1, self.baud), o) for n, o in enumerate(self._sending))
+
+    def wake_at(self) -> int:
+        """A packet for the host, octets for the wire, or the host's own deadline."""
+        return min(self._due(), self._start_at() if self._out else NEVER, self._host_at)
+
+    def wake(self, now: int) -> None:
+        """Hand over what is due; octets before timers, as a driver does."""
+        while self._due() <= now:
+            self._hand_over(now)
+        if self._host_at <= now:
+            held = self._own.release() if self._own is not None else b""
+            self._pump(held, now)
+
+    # --- inside ---
+    def _start_at(self) -> int:
+        return max(self._out[0][0], self._busy_until)
+
+    def _frame(self, at: int) -> int:
+        """The first frame not before ``at``."""
+        frame_ns = self.habits.frame_ns
+        return -(-at // frame_ns) * frame_ns
+
+    def _due(self) -> int:
+        """When the next packet goes to the host: full, or by the latency timer, which never rests."""
+        fifo, habits = self._fifo, self.habits
+        if not fifo:
+            return NEVER
+        first = fifo[0][0]
+        expiry = self._packet_at + habits.latency_ns
+        if expiry < first and habits.latency_ns:
+            expiry += -(-(first - expiry) // habits.latency_ns) * habits.latency_ns
+        at = self._frame(max(expiry, first))
+        if len(fifo) >= habits.packet:
+            at = min(at, self._frame(fifo[habits.packet - 1][0]))
+        return at
+
+    def _hand_over(self, now: int) -> None:
+        fifo = self._fifo
+        first = fifo[0][0]
+        chunk = bytearray()
+        while fifo and fifo[0][0] <= now and len(chunk) < self.habits.packet:
+            chunk.append(fifo.popleft()[1])
+        self._packet_at = now
+        self.cost.add(now - first)
+        octets = bytes(chunk)
+        self._pump(octets if self._own is None else self._own.strip(octets), now)
+
+    def _pump(self, chunk: bytes, now: int) -> None:
+        self._host_at = pump(self.station, chunk, now, self._write)
+        while self._host_at <= now:
+            self._host_at = pump(self.station, b"", now, self._write)
+
+    def _write(self, octets: bytes, now: int) -> int:
+        """The host's send: returns at once, with what a driver can know of the end."""
+        if self._own is not None:
+            self._own.sent(octets)
+        self._out.append((self._frame(now), octets))
+        return now + chars_to_ns(len(octets), self.baud)
