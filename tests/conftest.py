@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Generator, Iterator
 
 import pytest
 from support import WorldFactory, wire_log
+
+
+@pytest.fixture(scope="session", autouse=True)
+def runtime_directory() -> Iterator[str]:
+    """Programs under test, in this process and in others, keep their sockets to themselves (short: a socket's path)."""
+    with tempfile.TemporaryDirectory(prefix="dp") as path, pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_RUNTIME_DIR", path)
+        yield path
 
 
 @pytest.fixture

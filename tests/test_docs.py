@@ -105,8 +105,16 @@ def test_links_lead_somewhere(page: Path) -> None:
 
 def test_every_command_and_option_is_documented() -> None:
     text = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
-    for name in ("demo", "run", "sim", "segment", "scan", "plan"):
+    for name in ("demo", "run", "sim", "segment", "ctl", "scan", "plan", "baud", "ports", "doctor"):
         assert f"`dpstack {name}" in text
+
+
+def test_every_control_command_is_documented() -> None:
+    from dpstack.api.control.specs import KINDS
+
+    text = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
+    names = {spec.name for specs in KINDS.values() for spec in specs}
+    assert [name for name in sorted(names) if not re.search(rf"`{name}[ `]", text)] == []
 
 
 def test_every_configuration_key_is_documented() -> None:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping
 from types import TracebackType
 from typing import Final
 
-from dpstack.api.compose import attach_core, compose, simulated
+from dpstack.api.compose import attach_core, compose
 from dpstack.api.config import Config, slave_config
 from dpstack.api.drive import Drive
 from dpstack.api.joining import what_was_heard, why_not_joined
@@ -27,7 +27,6 @@ from dpstack.errors import BusError, ConfigError, DpError, UsageError
 from dpstack.fdl.commands import GoOffline, GoOnline
 from dpstack.fdl.events import AddressCollision, RingJoined, RingLeft
 from dpstack.fdl.livelist import ALL_ADDRESSES
-from dpstack.fdl.passive import PassiveStation
 from dpstack.sim.world import World
 from dpstack.trace import Event, Notice, Severity
 from dpstack.units import BITS_PER_CHAR, ns_to_s
@@ -69,15 +68,12 @@ class Bus:
         self.unreadable: frozenset[int] = frozenset()
         #: the simulated bus when there is one
         self.world = parts.world
+        #: its simulated slaves, where they are part of this bus
+        self.bench = parts.bench
         #: machine time of the start in ns
         self.started_ns = 0
         self._on_event = on_event
         self._join_timeout = join_timeout
-        self._own_world = world is None
-        self._simulated: dict[int, PassiveStation] = {}
-        if self.world is not None and self._own_world:
-            for slave in config.slaves:
-                self._simulate(self.world, slave)
         self._open = False
         self._ending: asyncio.Task[None] | None = None
         self._stopped = False
@@ -228,17 +224,9 @@ class Bus:
         if any(slave.name == config.name for slave in self._slaves.values()):
             raise ConfigError(f"there is a slave called {config.name!r} already: give the new one another name")
         self.command(AddSlave(config.setup(self.params.baud)))
-        if self.world is not None and self._own_world:
-            self._simulate(self.world, config)
+        if self.bench is not None:
+            self.bench.add(config)
         return self._register(config)
-
-    def _simulate(self, world: World, config: SlaveConfig) -> None:
-        """A simulated slave at the address; one that was removed from this bus before is still there: it goes."""
-        before = self._simulated.pop(config.address, None)
-        if before is not None:
-            world.remove(before)
-        station = self._simulated[config.address] = simulated(config, self.params)
-        world.add(station, name=config.name)
 
     async def remove(self, slave: Slave | str | int) -> None:
         """Give a slave up: safe outputs for one cycle, unlock, then forget it."""

@@ -6,23 +6,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from dpstack.api.bench import VirtualBench, device_of
 from dpstack.api.config import Config, rate_findings
 from dpstack.api.slave_config import SlaveConfig
-from dpstack.dp.device import Device
 from dpstack.dp.master import Master
-from dpstack.dp.mirror import MirrorDevice
 from dpstack.dp.plan import Case, Plan, make_plan, t_tr_preset
 from dpstack.dp.reading import reading_only
 from dpstack.dp.scanner import Scanner
 from dpstack.dp.setup import SlaveSetup
 from dpstack.dp.slave_baud import SearchingSlave, make_searching_slave
-from dpstack.dp.slaveapp import make_slave
 from dpstack.drivers.aio import AsyncioRuntime, OnFailure, patience_of
 from dpstack.drivers.base import OnEvents, Runtime
 from dpstack.drivers.virtual import VirtualRuntime
 from dpstack.fdl.active import ActiveStation
 from dpstack.fdl.livelist import LiveList, live_allowance
-from dpstack.fdl.passive import PassiveStation
 from dpstack.fdl.user import LinkUser
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT, Patience, slack
@@ -59,7 +56,7 @@ def with_t_tr(config: Config, params: BusParams, setups: Sequence[SlaveSetup]) -
 
 def port_of(config: Config, baud: int) -> Port:
     """The port of ``config``, not open yet. Raises PortError."""
-    return open_port(config.port, baud)
+    return open_port(config.port, baud, event_char=config.bus.event_char)
 
 
 def patience_for(config: Config, port: Port) -> Patience:
@@ -81,6 +78,8 @@ class Parts:
     world: World | None
     #: of a read-only bus: what shows the state of its stations
     watcher: Scanner | None
+    #: the simulated slaves, where they are part of it
+    bench: VirtualBench | None
 
 
 def compose(
@@ -91,7 +90,7 @@ def compose(
     *,
     watched: bool = True,
 ) -> Parts:
-    """Build the parts of ``config``, with a world of its own when its port is "virtual" (no slave in it yet).
+    """Build the parts of ``config``, with simulated slaves in a world of its own when its port is "virtual".
 
     ``on_failure`` is told when a machine raised (a defect of ours). ``world`` puts the master into an existing
     simulated bus, with nothing added. A read-only bus has a guard in front of all that could write, and is watched
@@ -114,12 +113,20 @@ def compose(
     users: list[LinkUser] = [master] if watcher is None else [master, watcher]
     station = ActiveStation(params, users, patience=patience, guard=reading_only if read_only else None)
     if port is not None:
-        runtime = AsyncioRuntime(port, station, on_events, on_failure=on_failure)
-        return Parts(config, plan, master, station, runtime, None, watcher)
+        # a pty is given what a stalled computer needs, and a user's own figure stands
+        tune = port.delivery is Delivery.ADAPTER and config.bus.host_slack_ms is None
+        runtime = AsyncioRuntime(
+            port, station, on_events, on_failure=on_failure, tune=station.set_patience if tune else None
+        )
+        return Parts(config, plan, master, station, runtime, None, watcher, None)
+    bench = None
     if world is None:
         world = World(referee=False)
-    simulation = VirtualRuntime(world, station, on_events, on_failure=on_failure)
-    return Parts(config, plan, master, station, simulation, world, watcher)
+        bench = VirtualBench(world, params)
+        for slave in config.slaves:
+            bench.add(slave)
+    virtual_runtime = VirtualRuntime(world, station, on_events, on_failure=on_failure)
+    return Parts(config, plan, master, station, virtual_runtime, world, watcher, bench)
 
 
 def _watcher(config: Config, params: BusParams, patience: Patience) -> Scanner:
@@ -143,24 +150,8 @@ def attach_core(master: Master, slave: SlaveConfig) -> DriveCore | None:
     return core
 
 
-def device_of(slave: SlaveConfig) -> Device:
-    """What simulates ``slave``: the drive's simulated device, or a mirror of outputs to inputs."""
-    if slave.profile is not None:
-        device = slave.profile.device(slave.telegram)
-        if slave.ident is not None:
-            device.ident = slave.ident
-        device.name = slave.name
-        return device
-    return MirrorDevice(slave.ident or 0, slave.config, slave.name, fail_safe=slave.fail_safe)
-
-
-def simulated(slave: SlaveConfig, params: BusParams, patience: Patience = EXACT) -> PassiveStation:
-    """A whole simulated slave at the address of ``slave``."""
-    return make_slave(slave.address, device_of(slave), params, patience=patience)
-
-
 def simulated_searching(slave: SlaveConfig, patience: Patience = EXACT) -> SearchingSlave:
-    """As :func:`simulated`, but it finds the rate by itself, among those that its device knows."""
+    """A whole simulated slave that finds the rate by itself, among those that its device knows."""
     known = slave.profile.baud_rates if slave.profile else ()
     return make_searching_slave(slave.address, device_of(slave), rates=known or BAUD_RATES, patience=patience)
 
@@ -171,11 +162,9 @@ __all__ = [
     "Plan",
     "attach_core",
     "compose",
-    "device_of",
     "patience_for",
     "plan_bus",
     "port_of",
-    "simulated",
     "simulated_searching",
     "with_t_tr",
 ]

@@ -41,6 +41,7 @@ _BUS_KEYS: Final = (
     "host_slack_ms",
     "extra_idle_bits",
     "echo",
+    "event_char",
     "auto_clear",
     "read_only",
 )
@@ -69,6 +70,7 @@ class BusConfig:
     host_slack_ms: float | None = None
     extra_idle_bits: int = 0
     read_only: bool = False
+    event_char: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -263,6 +265,7 @@ def _read_bus(table: Table) -> BusConfig:
         host_slack_ms=table.number("host_slack_ms", 0, 10_000),
         extra_idle_bits=_or(table.integer("extra_idle_bits", 0, 100_000), 0),
         read_only=table.flag("read_only", False),
+        event_char=table.flag("event_char", False),
     )
 
 

@@ -8,19 +8,19 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Final
 
-from dpstack.api.compose import device_of
+from dpstack.api.bench import Unit
 from dpstack.api.config import Config
+from dpstack.dp.device import Device
 from dpstack.dp.slave_events import SlaveAppEvent, SlaveAppStateChanged
-from dpstack.dp.slaveapp import SlaveApp, SlaveAppState
+from dpstack.dp.slaveapp import SlaveAppState
 from dpstack.drivers.aio import AsyncioRuntime, patience_of
 from dpstack.drivers.segment import Segment, default_directory
 from dpstack.errors import BusError, ConfigError
 from dpstack.fdl.multidrop import Multidrop
-from dpstack.fdl.passive import PassiveStation
 from dpstack.params import BusParams
 from dpstack.ports import open_port
 from dpstack.trace import Event
-from dpstack.units import ns_to_s
+from dpstack.units import NEVER, ns_to_s
 
 __all__ = [
     "DEFAULT_BAUD",
@@ -39,26 +39,26 @@ DEFAULT_BAUD: Final = 500_000
 class SimulatedSlave:
     """One slave of a simulation: what it is and what it does."""
 
-    def __init__(self, name: str, address: int, kind: str, app: SlaveApp) -> None:
-        self.name = name
-        self.address = address
-        self.kind = kind
-        self._app = app
+    def __init__(self, unit: Unit) -> None:
+        self.unit = unit
+        self.name = unit.config.name
+        self.address = unit.config.address
+        self.kind = unit.config.profile.name if unit.config.profile else "mirror"
 
     @property
     def state(self) -> SlaveAppState:
         """Wait_Prm, Wait_Cfg or Data_Exch."""
-        return self._app.state
+        return self.unit.app.state
 
     @property
     def exchanges(self) -> int:
-        """Data exchanges since the start."""
-        return self._app.stats.exchanges
+        """Data exchanges since it was switched on."""
+        return self.unit.app.stats.exchanges
 
     @property
     def watchdogs(self) -> int:
-        """How often its watchdog ended data exchange."""
-        return self._app.stats.watchdogs
+        """How often its watchdog ended data exchange since it was switched on."""
+        return self.unit.app.stats.watchdogs
 
 
 class Simulation:
@@ -78,18 +78,13 @@ class Simulation:
         self.on_event: Callable[[Event], None] | None = None
         opened = open_port(port, baud)
         patience = patience_of(opened)
-        params = BusParams.preset(baud)
-        stations = []
-        slaves = []
-        for slave in config.slaves:
-            app = SlaveApp(device_of(slave), address=slave.address)
-            stations.append(PassiveStation(slave.address, app, params, patience=patience))
-            kind = slave.profile.name if slave.profile else "mirror"
-            slaves.append(SimulatedSlave(slave.name, slave.address, kind, app))
-        self.slaves = tuple(slaves)
+        self._params = params = BusParams.preset(baud)
+        units = [Unit(slave, params, patience) for slave in config.slaves]
+        self.slaves = tuple(SimulatedSlave(unit) for unit in units)
+        self._units = {unit.config.address: unit for unit in units}
         self._failure: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        machine = Multidrop(stations, params, patience=patience)
-        self.runtime = AsyncioRuntime(opened, machine, self._on_events, on_failure=self._failed)
+        self._line = Multidrop([unit.station for unit in units], params, patience=patience)
+        self.runtime = AsyncioRuntime(opened, self._line, self._on_events, on_failure=self._failed)
         #: machine time of the start in ns
         self.started_ns = 0
 
@@ -102,6 +97,53 @@ class Simulation:
     def seconds(self) -> float:
         """Since the start."""
         return ns_to_s(self.runtime.now() - self.started_ns)
+
+    # --- treated from outside ---------------------------------------------------------------------------------------
+
+    def status(self) -> dict[str, object]:
+        """Each slave at this moment."""
+        slaves: dict[str, object] = {}
+        for slave in self.slaves:
+            slaves[str(slave.address)] = {
+                "name": slave.name,
+                "kind": slave.kind,
+                "state": slave.state.value if slave.unit.powered else "off",
+                "exchanges": slave.exchanges,
+                "watchdogs": slave.watchdogs,
+            }
+        return {"seconds": round(self.seconds, 3), "baud": self.baud, "slaves": slaves}
+
+    def names(self) -> dict[int, str]:
+        """Address and name of every slave."""
+        return {slave.address: slave.name for slave in self.slaves}
+
+    def device(self, address: int) -> Device:
+        """What simulates the slave."""
+        return self._units[address].device
+
+    def silence(self, address: int, for_ns: int | None) -> None:
+        """Make a slave deaf and mute for a time, None: until :meth:`resume`; one that is off stays off."""
+        unit = self._units[address]
+        if unit.powered:
+            self._line.silence(unit.station.address, NEVER if for_ns is None else self.runtime.now() + for_ns)
+
+    def resume(self, address: int) -> None:
+        """End a silence."""
+        unit = self._units[address]
+        if unit.powered:
+            self._line.resume(unit.station.address)
+
+    def power(self, address: int, on: bool) -> None:
+        """Switch a slave off at once, or on, as new."""
+        unit = self._units[address]
+        if on is unit.powered:
+            return
+        if on:
+            unit.renew(self._params)
+            self._line.add(unit.station)
+        else:
+            self._line.remove(unit.station.address)
+        unit.powered = on
 
     async def failed(self, seconds: float | None = None) -> None:
         """Wait for ``seconds`` (None: for ever). Raises BusError when the simulation fails meanwhile."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from dpstack.fdl.user import LinkStats, StationStats
+from dpstack.units import NS_PER_MS
 
 if TYPE_CHECKING:
     from dpstack.api.bus import Bus
@@ -56,8 +57,9 @@ class BusStats:
 
     ``rotation_us`` is first Data_Exchange of a round to that of the next, ``token_us`` token receipt to token receipt.
     ``paced`` is false where no wire gives the octets their time: the figures are the host's. ``bad`` counts octets and
-    telegrams that could not be read, by cause (names of DecoderStats). ``stations`` are the link layer's counters of
-    every station that was asked anything, ``link`` those of this station; ``retries``, ``timeouts`` are their sums.
+    telegrams that could not be read, by cause (names of DecoderStats); ``uart_...`` are octets that the adapter or its
+    driver found damaged. ``stations`` are the link layer's counters of every station that was asked anything, ``link``
+    those of this station; ``retries``, ``timeouts`` are their sums.
     """
 
     seconds: float
@@ -71,6 +73,10 @@ class BusStats:
     late: int
     bad: dict[str, int]
     link: LinkStats
+    #: how late answers are delivered, as ``rotation_us``: host, adapter and T_SDR; None where nothing was measured
+    host_us: dict[str, int] | None
+    #: how long a station that matters is waited for beyond its slot time, in ms
+    host_slack_ms: float
 
     @property
     def stations(self) -> dict[int, StationStats]:
@@ -112,6 +118,8 @@ class BusStats:
             "token_retries": self.link.token_retries,
             "gap_polls": self.link.gap_polls,
             "bad": self.bad,
+            "host_us": self.host_us,
+            "host_slack_ms": self.host_slack_ms,
             "slaves": {str(address): slave.as_dict() for address, slave in self.slaves.items()},
         }
 
@@ -119,7 +127,9 @@ class BusStats:
 def collect(bus: Bus) -> BusStats:
     """The picture at this moment: a copy, later counts do not change it."""
     link = copy.deepcopy(bus.station.stats)
-    decoder = bus.station.decoder_stats.as_dict()
+    lateness = bus.runtime.lateness
+    bad = {k: v for k, v in bus.station.decoder_stats.as_dict().items() if k not in ("telegrams", "octets")}
+    bad |= {f"uart_{cause}": count for cause, count in bus.runtime.damage().items()}
     return BusStats(
         seconds=bus.seconds,
         paced=bus.runtime.paced,
@@ -144,6 +154,8 @@ def collect(bus: Bus) -> BusStats:
         tokens=link.tokens,
         tokens_lost=link.tokens_lost,
         late=link.late,
-        bad={name: count for name, count in decoder.items() if count and name not in ("telegrams", "octets")},
+        bad={name: count for name, count in bad.items() if count},
         link=link,
+        host_us=lateness.histogram.summary_us() if lateness.histogram.count else None,
+        host_slack_ms=bus.station.patience.known_ns / NS_PER_MS,
     )

@@ -67,6 +67,12 @@ class Reporter:
         for name, us in (("bus rotation time", stats.rotation_us), ("token rotation", stats.token_us)):
             if us["max"]:
                 output.line(f"{name} in us: " + ", ".join(f"{key} {value}" for key, value in us.items()))
+        if stats.host_us is not None:
+            late = stats.host_us
+            output.line(
+                f"port and computer cost {late['p50']} us an exchange (p99.9 {late['p999']} us); "
+                f"a missing answer is waited for {stats.host_slack_ms:g} ms longer"
+            )
         if not stats.paced:
             output.line("no wire gave the octets their time here: the times are this computer's, not a bus's")
 

@@ -8,8 +8,10 @@ import asyncio
 from dpstack.api.baud import with_rate
 from dpstack.api.bus import Bus
 from dpstack.api.config import Config, load_config
+from dpstack.api.control.programs import control_run
 from dpstack.api.opening import open_bus
 from dpstack.cli import options
+from dpstack.cli.control import reachable
 from dpstack.cli.report import Reporter, not_exchanging
 from dpstack.cli.signals import StopSignal
 from dpstack.cli.streams import warn
@@ -68,18 +70,22 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
         (config,) = found
         reporter = Reporter(json=args.json, driver="virtual" if config.virtual else "asyncio")
         bus = reporter.bus = open_bus(config, on_event=reporter.event)
-        await stop.or_done(bus.open())
-        if not bus.is_open:
-            warn("ended before the token ring was joined")
-            return 1
-        try:
-            reporter.start()
-            if not (args.clear or config.bus.read_only):
-                await bus.operate()
-            await stop.or_done(_limit(bus, args.seconds, args.rotations))
-            stats, missing = bus.stats, not_exchanging(bus)
-        finally:
-            await bus.close()
+        # reachable while it waits for its turn in the ring, too; of a port that is held one line is enough
+        async with reachable(control_run(bus, config.port), quiet=True) as unreachable:
+            await stop.or_done(bus.open())
+            if unreachable is not None:
+                warn(unreachable)
+            if not bus.is_open:
+                warn("ended before the token ring was joined")
+                return 1
+            try:
+                reporter.start()
+                if not (args.clear or config.bus.read_only):
+                    await bus.operate()
+                await stop.or_done(_limit(bus, args.seconds, args.rotations))
+                stats, missing = bus.stats, not_exchanging(bus)
+            finally:
+                await bus.close()
     reporter.summary(stats)
     for text in missing:
         warn(text)

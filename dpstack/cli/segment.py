@@ -6,8 +6,10 @@ import argparse
 import asyncio
 from typing import Any
 
+from dpstack.api.control.programs import control_segment
 from dpstack.api.simulation import DEFAULT_BAUD, Segment
 from dpstack.cli import options, output
+from dpstack.cli.control import reachable
 from dpstack.cli.signals import StopSignal
 
 
@@ -63,7 +65,7 @@ async def _run(args: argparse.Namespace) -> int:
         seed=args.seed,
     )
     with StopSignal() as stop:
-        async with segment:
+        async with segment, reachable(control_segment(segment)):
             if args.json:
                 output.json_line({"event": "start", "ports": segment.paths, "baud": args.baud})
             else:

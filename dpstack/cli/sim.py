@@ -8,9 +8,11 @@ from collections.abc import Callable
 
 from dpstack.api.baud import BaudReport, find_baud
 from dpstack.api.config import AUTO, Config, load_config, make_config
+from dpstack.api.control.programs import control_sim
 from dpstack.api.events import Event
 from dpstack.api.simulation import DEFAULT_BAUD, Simulation, sim_event_json
 from dpstack.cli import options, output
+from dpstack.cli.control import reachable
 from dpstack.cli.signals import StopSignal
 from dpstack.errors import BusError, UsageError
 from dpstack.units import baud_text, ns_to_s
@@ -73,7 +75,7 @@ async def _run(config: Config, wanted: int | str, args: argparse.Namespace) -> i
         if rate is None:
             raise BusError(f"{args.port}: the baud rate was not found: {found[0].text}; or give the rate")
         simulation = Simulation(config, args.port, rate)
-        async with simulation:
+        async with simulation, reachable(control_sim(simulation, args.port)):
             if args.port == "pty":
                 output.json_line({"port": simulation.port_name})
             if not args.json:

@@ -14,6 +14,7 @@ from typing import Final
 
 from dpstack.drivers.base import OnEvents, PortBack, PortLost
 from dpstack.drivers.echo import Echo, EchoFilter
+from dpstack.drivers.lateness import Lateness, Tune
 from dpstack.drivers.timers import Timer, make_timer
 from dpstack.errors import BusError, PortError, UsageError
 from dpstack.machine import LineDown, LineUp, Machine, pump
@@ -60,10 +61,13 @@ class AsyncioRuntime:
         *,
         echo: Echo = Echo.AUTO,
         on_failure: OnFailure | None = None,
+        tune: Tune | None = None,
         spin_ns: int = SPIN_NS,
         backoff_ns: tuple[int, int] = BACKOFF_NS,
     ) -> None:
         self.failed: Exception | None = None
+        #: how late answers arrive; with ``tune`` the machine's patience follows from it
+        self.lateness = Lateness(tune)
         self._port = port
         self._machine = machine
         self._on_events = on_events
@@ -91,6 +95,10 @@ class AsyncioRuntime:
     def paced(self) -> bool:
         """True where octets take their time on a wire."""
         return self._port.paced
+
+    def damage(self) -> dict[str, int]:
+        """Octets that arrived damaged, by cause, as far as the port can tell."""
+        return self._port.damage()
 
     @property
     def echo(self) -> Echo:
@@ -143,6 +151,8 @@ class AsyncioRuntime:
         steps = _BURST
         try:
             now = monotonic_ns()
+            if chunk and self.lateness.sent_at:
+                self.lateness.heard(self._wire_ns[min(len(chunk), _LONGEST - 1)], now)
             while True:
                 deadline = pump(machine, chunk, now, transmit)
                 now = monotonic_ns()
@@ -171,7 +181,8 @@ class AsyncioRuntime:
             self._echo.sent(octets)
         if not self._port.write(octets):
             self._dropped()
-        return monotonic_ns() + self._wire_ns[len(octets)]
+        end = self.lateness.sent_at = monotonic_ns() + self._wire_ns[len(octets)]
+        return end
 
     def _arm(self, deadline: int) -> None:
         """Wait for ``deadline``; a later one is looked at when this one is reached, which saves most of the arming."""

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
+from dpstack.drivers.lateness import Lateness
 from dpstack.trace import Event
 
 #: Takes what a machine told, in order; called from the loop, never from another thread.
@@ -40,6 +41,8 @@ class PortBack(Event):
 class Runtime(Protocol):
     """A running driver. Constructed with its machine, its line and an :data:`OnEvents`."""
 
+    lateness: Lateness
+
     @property
     def port_name(self) -> str:
         """What the port is called in messages and JSON."""
@@ -47,6 +50,9 @@ class Runtime(Protocol):
     @property
     def paced(self) -> bool:
         """True where octets take their time on a wire (or the virtual one), False on plain ptys and sockets."""
+
+    def damage(self) -> dict[str, int]:
+        """Octets that arrived damaged, by cause, as far as the port can tell."""
 
     async def open(self) -> None:
         """Open the line and begin. Raises PortError."""

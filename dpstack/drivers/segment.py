@@ -16,8 +16,6 @@ import fcntl
 import os
 import random
 import select
-import stat
-import tempfile
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import monotonic_ns
@@ -28,10 +26,11 @@ from dpstack.params import T_SYN
 from dpstack.phy.uart import Receiver, waveform
 from dpstack.ports.fdport import reason_of
 from dpstack.ports.garble import Noise
+from dpstack.ports.holders import holder_of
 from dpstack.ports.pacing import PacedWire
 from dpstack.ports.ptymaster import PtyMaster
-from dpstack.ports.tty import holder_of
-from dpstack.units import BAUD_RATES, bits_to_ns, chars_to_ns
+from dpstack.ports.runtime_dir import own_directory, runtime_path
+from dpstack.units import BAUD_RATES, bits_to_ns, chars_to_ns, ns_to_s
 
 MAX_STATIONS: Final = 64
 _CHUNK: Final = 4096  # a pty hands over no more at once
@@ -48,11 +47,13 @@ class StationStats:
 
 
 class _Station:
-    __slots__ = ("master", "present", "receiver", "stats")
+    __slots__ = ("cut_off", "master", "present", "receiver", "stats")
 
     def __init__(self, master: PtyMaster, link: str) -> None:
         self.master = master
         self.present = False
+        #: neither heard nor hearing until this handle ends it (True: until told)
+        self.cut_off: asyncio.TimerHandle | bool = False
         self.receiver: Receiver | None = None  # of a station at another rate than those who send
         self.stats = StationStats(link)
 
@@ -123,6 +124,28 @@ class Segment:
         self._noise = Noise(value, random.Random(self._rng.random()))
         self._noise.damaged = damaged
 
+    def silence(self, number: int, for_ns: int | None = None) -> None:
+        """Cut station ``number`` off for a time, None: until :meth:`resume`. Raises UsageError."""
+        station = self._connected(number)
+        if for_ns is None or self._loop is None:
+            station.cut_off = True
+        else:
+            station.cut_off = self._loop.call_later(ns_to_s(for_ns), self.resume, number)
+
+    def resume(self, number: int) -> None:
+        """Connect it again."""
+        self._connected(number)
+
+    def _connected(self, number: int) -> _Station:
+        """Station ``number``, no longer cut off. Raises UsageError."""
+        if not 0 <= number < len(self._stations):
+            raise UsageError(f"no station {number} on this segment; it has 0 to {self._count - 1}")
+        station = self._stations[number]
+        if isinstance(station.cut_off, asyncio.TimerHandle):
+            station.cut_off.cancel()
+        station.cut_off = False
+        return station
+
     def stats(self) -> dict[str, object]:
         """``stations``: per station its ``path``, octets ``sent``, ``received``, ``dropped``; ``damaged`` octets."""
         return {"stations": [asdict(s.stats) for s in self._stations], "damaged": self._noise.damaged}
@@ -190,6 +213,8 @@ class Segment:
 
     def _forward(self, sender: _Station, chunk: bytes) -> None:
         sender.stats.sent += len(chunk)
+        if sender.cut_off:
+            return
         baud = sender.master.baud() or self.baud
         if self._wire is not None:
             self._wire.send(sender, chunk, baud)
@@ -201,7 +226,7 @@ class Segment:
         start_ns = self._placed(sender, len(chunk), baud)
         chunk = self._noise.strike(chunk)
         for station in self._stations:
-            if station is sender and not self.echo:
+            if (station is sender and not self.echo) or station.cut_off:
                 continue
             if not station.present:
                 if station.master.deserted():
@@ -238,12 +263,9 @@ class Segment:
     def _take_directory(self) -> None:
         """Make the directory or check it, and hold it against a second segment. Raises PortError, OSError."""
         try:
-            self.directory.mkdir(mode=0o700, parents=True)
-            self._made_directory = True
-        except FileExistsError:
-            info = os.lstat(self.directory)
-            if stat.S_ISLNK(info.st_mode) or not stat.S_ISDIR(info.st_mode) or info.st_uid != os.geteuid():
-                raise PortError(f"{self.directory} is no directory of yours: give another one with --dir") from None
+            self._made_directory = own_directory(self.directory)
+        except PortError as error:
+            raise PortError(f"{error}: give another one with --dir") from None
         self._lock_fd = os.open(self.directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         try:
             fcntl.flock(self._lock_fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -274,7 +296,8 @@ class Segment:
         if self._wire is not None:
             self._wire.close()
             self._wire = None
-        for station in self._stations:
+        for number, station in enumerate(self._stations):
+            self._connected(number)
             _remove_link(Path(station.stats.path), station.master.path)
             station.master.close()
         self._stations = []
@@ -305,7 +328,4 @@ def _remove_link(link: Path, target: str) -> None:
 
 def default_directory() -> Path:
     """``dpstack-segment`` in the user's runtime directory, else one in the temporary directory with the user's id."""
-    runtime = os.environ.get("XDG_RUNTIME_DIR")
-    if runtime and Path(runtime).is_dir():
-        return Path(runtime) / "dpstack-segment"
-    return Path(tempfile.gettempdir()) / f"dpstack-segment-{os.getuid()}"
+    return runtime_path("dpstack-segment")

@@ -13,6 +13,7 @@ from time import monotonic_ns
 from typing import Final, Protocol
 
 from dpstack.drivers.base import OnEvents
+from dpstack.drivers.lateness import Lateness
 from dpstack.drivers.virtual_loop import Timeline, VirtualLoop
 from dpstack.errors import UsageError
 from dpstack.fdl.station import BusStation
@@ -66,11 +67,17 @@ class VirtualRuntime:
         port_name: str = "virtual",
     ) -> None:
         self.port_name = port_name
+        #: nothing is late in virtual time
+        self.lateness = Lateness()
         self.on_failure = on_failure
         self._world = world
         self._station = station
         self._on_events = on_events
         self._clockwork: _Clockwork | None = None
+
+    def damage(self) -> dict[str, int]:
+        """A medium in virtual time tells every octet as it is; the decoder's counters are all there is."""
+        return {}
 
     async def open(self) -> None:
         """Plug the station in; from now on the world's time goes. Raises UsageError when it is open."""

@@ -79,6 +79,10 @@ class Port(ABC):
         """The rate the line runs at as far as the port can see (a pty: what its opener set); None when it cannot."""
         return None
 
+    def damage(self) -> dict[str, int]:
+        """Octets that arrived damaged since the port was made, by cause, as far as it can tell; empty: it cannot."""
+        return {}
+
     def set_baud(self, baud: int) -> None:
         """Change the rate of the open line at once; what was received before and not read is gone.
 

@@ -34,17 +34,19 @@ AVAILABLE: Final = sys.platform == "linux" and not platform.machine().startswith
 
 
 class Applied(NamedTuple):
-    """What a tty is set to after :func:`set_raw`: rate in bit/s and whether it has even parity."""
+    """What a tty is set to after :func:`set_raw`: rate in bit/s, whether it has even parity, and marks errors."""
 
     baud: int
     parity: bool
+    marks: bool = False
 
 
-def set_raw(fd: int, baud: int | None) -> Applied:
+def set_raw(fd: int, baud: int | None, *, marks: bool = False) -> Applied:
     """Make a tty raw, 8E1, without flow control, at ``baud`` bit/s (None: leave its rate); return what it took.
 
     A damaged character (parity, framing, break) is dropped by the kernel (INPCK, IGNPAR, IGNBRK), so that the Hamming
-    distance of 4 that parity and check sum give together is kept. Raises OSError where the tty refuses.
+    distance of 4 that parity and check sum give together is kept; with ``marks`` it is marked instead (PARMRK, see
+    :mod:`dpstack.ports.marks`), and a break ignored. Raises OSError where the tty refuses.
     """
     buffer = bytearray(_LAYOUT.size)
     fcntl.ioctl(fd, TCGETS2, buffer, True)
@@ -56,11 +58,11 @@ def set_raw(fd: int, baud: int | None) -> Applied:
     if baud is not None:
         cflag = cflag & ~(_CBAUD | _CIBAUD) | _BOTHER
         ispeed = ospeed = baud
-    iflag = termios.IGNBRK | termios.IGNPAR | termios.INPCK
+    iflag = termios.IGNBRK | termios.INPCK | (termios.PARMRK if marks else termios.IGNPAR)
     fcntl.ioctl(fd, TCSETS2, _LAYOUT.pack(iflag, 0, cflag, 0, line, bytes(chars), ispeed, ospeed))
     fcntl.ioctl(fd, TCGETS2, buffer, True)
-    _i, _o, cflag, _l, _line, _cc, _ispeed, ospeed = _LAYOUT.unpack(buffer)
-    return Applied(ospeed, bool(cflag & termios.PARENB))
+    iflag, _o, cflag, _l, _line, _cc, _ispeed, ospeed = _LAYOUT.unpack(buffer)
+    return Applied(ospeed, bool(cflag & termios.PARENB), bool(iflag & termios.PARMRK))
 
 
 class RateReader:

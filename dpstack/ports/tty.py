@@ -10,32 +10,48 @@ import grp
 import os
 import stat
 import termios
+from collections import Counter
+from pathlib import Path
 from typing import Final
 
 from dpstack.errors import BaudError, PortBusyError, PortError
 from dpstack.ports import termios2
 from dpstack.ports.base import Delivery
 from dpstack.ports.fdport import FdPort, reason_of
+from dpstack.ports.holders import holder_of, holder_of_path
+from dpstack.ports.marks import Unmarker
+from dpstack.ports.sysfs import SYSFS, Adapter
+from dpstack.ports.tuning import Tuning
 from dpstack.units import baud_text
 
 #: Read back within this share of the wanted rate it is the wanted rate: adapters divide 3 or 12 MHz.
 _TOLERANCE: Final = 0.01
 _PTY_MAJORS: Final = range(136, 144)  # Linux devices.txt: Unix98 pty slaves
 
-# TIOCGSERIAL, TIOCSSERIAL: struct serial_struct, flags are its fifth int (Linux serial.h, tty_flags.h)
-_TIOCGSERIAL: Final = 0x541E
-_TIOCSSERIAL: Final = 0x541F
-_ASYNC_LOW_LATENCY: Final = 1 << 13
-_FLAGS_AT: Final = 16
-
 
 class TtyPort(FdPort):
     """A tty by its path: a UART, a USB adapter, or the slave end of a pty (which has no parity and no pace)."""
 
-    def __init__(self, name: str, baud: int, *, paced: bool | None = None) -> None:
-        is_pty = _is_pty(name)
+    def __init__(
+        self,
+        name: str,
+        baud: int,
+        *,
+        paced: bool | None = None,
+        marks: bool | None = None,
+        event_char: bool = False,
+        sysfs: Path = SYSFS,
+    ) -> None:
+        is_pty = is_pty_path(name)
         super().__init__(name, baud, paced=not is_pty if paced is None else paced)
         self.delivery = Delivery.HOST if is_pty else Delivery.ADAPTER
+        self._event_char = event_char
+        self._sysfs = sysfs
+        self._marks = not is_pty if marks is None else marks
+        self._unmarker = Unmarker()
+        self._unmark = False
+        self._counted: Counter[str] = Counter()  # by the driver, up to the last close
+        self._tuning: Tuning | None = None
 
     async def open(self) -> None:
         """Open, lock, set and flush. Raises PortError, PortBusyError, BaudError."""
@@ -49,9 +65,11 @@ class TtyPort(FdPort):
         try:
             self._check_and_lock(fd)
             self.notices += self._set(fd, self.baud)
-            _ask_low_latency(fd)
             # Octets survive the last close of a pty, and a UART may have heard anything meanwhile.
             termios.tcflush(fd, termios.TCIOFLUSH)
+            if self.delivery is Delivery.ADAPTER:
+                self._tuning = Tuning(fd, Adapter(self.name, self._sysfs), event_char=self._event_char)
+                self.notices += self._tuning.notices
         except termios.error as exc:
             os.close(fd)
             raise PortError(f"{self.name}: cannot be flushed ({exc.args[-1]})") from None
@@ -59,6 +77,15 @@ class TtyPort(FdPort):
             os.close(fd)
             raise
         self._use(fd)
+
+    def damage(self) -> dict[str, int]:
+        """``marked``: octets that the tty marked as damaged; the others are the driver's counters."""
+        counted = Counter(self._counted)
+        if self._tuning is not None:
+            counted.update(self._tuning.damage())
+        if self._marks:
+            counted["marked"] = self._unmarker.damaged
+        return dict(counted)
 
     def line_baud(self) -> int | None:
         """The rate the tty is set to."""
@@ -72,9 +99,10 @@ class TtyPort(FdPort):
             self._set(self._fd, baud)
         except BaudError:
             with contextlib.suppress(OSError):
-                termios2.set_raw(self._fd, self.baud)
+                termios2.set_raw(self._fd, self.baud, marks=self._marks)
             raise
         self.baud = baud
+        self._unmarker.reset()
         with contextlib.suppress(termios.error):  # a loss shows itself to the reader in the loop
             termios.tcflush(self._fd, termios.TCIFLUSH)
 
@@ -84,12 +112,13 @@ class TtyPort(FdPort):
         except FileNotFoundError:
             raise PortError(f"{self.name}: no such port; {_existing()}") from None
         except PermissionError:
-            raise PortError(f"{self.name}: no permission; {_how_to_be_permitted(self.name)}") from None
+            raise PortError(f"{self.name}: no permission; {how_to_be_permitted(self.name)}") from None
         except IsADirectoryError:
             raise PortError(f"{self.name} is a directory, not a serial port; {_existing()}") from None
         except OSError as exc:
             if exc.errno == errno.EBUSY:
-                raise PortBusyError(f"{self.name} is held by another program: end it or take another port") from None
+                holder = holder_of_path(self.name) or "another program"
+                raise PortBusyError(f"{self.name} is held by {holder}: end it or take another port") from None
             if exc.errno in (errno.ENXIO, errno.ENODEV, errno.EIO):
                 raise PortError(f"{self.name}: no device behind it ({reason_of(exc)}); {_existing()}") from None
             raise PortError(f"{self.name}: cannot be opened ({reason_of(exc)})") from None
@@ -110,7 +139,7 @@ class TtyPort(FdPort):
     def _set(self, fd: int, baud: int) -> list[str]:
         """Set the tty to ``baud`` 8E1; returns what is tolerated. Raises BaudError."""
         try:
-            applied = termios2.set_raw(fd, baud)
+            applied = termios2.set_raw(fd, baud, marks=self._marks)
         except OSError as exc:
             raise BaudError(
                 f"{self.name} refuses {baud_text(baud)} 8E1 ({reason_of(exc)}): choose another rate or adapter"
@@ -125,20 +154,33 @@ class TtyPort(FdPort):
             notices.append(f"runs at {applied.baud} bit/s instead of {baud}")
         if not applied.parity:
             notices.append("has no parity bit (8E1 was asked for), only check sums protect the data")
+        self._unmark = applied.marks
         return notices
 
+    def _use(self, fd: int) -> None:
+        super()._use(fd)
+        if self._unmark:
+            self._unmarker.reset()
+            self._read = self._read_unmarked
 
-def _ask_low_latency(fd: int) -> None:
-    """Ask the driver to deliver at once (FTDI: 1 ms instead of 16). Many ports cannot; that is no fault."""
-    serial = bytearray(128)
-    with contextlib.suppress(OSError):
-        fcntl.ioctl(fd, _TIOCGSERIAL, serial, True)
-        flags = int.from_bytes(serial[_FLAGS_AT : _FLAGS_AT + 4], "little") | _ASYNC_LOW_LATENCY
-        serial[_FLAGS_AT : _FLAGS_AT + 4] = flags.to_bytes(4, "little")
-        fcntl.ioctl(fd, _TIOCSSERIAL, serial, True)
+    def _read_unmarked(self, size: int) -> bytes:
+        """Intact octets; empty only at the end of the line, as with every descriptor. Raises OSError."""
+        chunk = os.read(self._fd, size)
+        octets = self._unmarker.feed(chunk)
+        if chunk and not octets:
+            raise BlockingIOError  # nothing but marks
+        return octets
+
+    def _close_fd(self, fd: int) -> None:
+        tuning, self._tuning = self._tuning, None
+        if tuning is not None:
+            self._counted.update(tuning.damage())
+            tuning.restore()
+        os.close(fd)
 
 
-def _is_pty(name: str) -> bool:
+def is_pty_path(name: str) -> bool:
+    """Whether ``name`` is the slave end of a pty."""
     try:
         return os.major(os.stat(name).st_rdev) in _PTY_MAJORS
     except OSError:
@@ -167,31 +209,11 @@ def _existing() -> str:
     return 'no serial adapter is plugged in (try --port pty, or port = "virtual")'
 
 
-def _how_to_be_permitted(name: str) -> str:
+def how_to_be_permitted(name: str) -> str:
+    """What a user without permission on ``name`` can do."""
     group = "dialout"
     with contextlib.suppress(OSError, KeyError):
         group = grp.getgrgid(os.stat(name).st_gid).gr_name
     if group == "root":
         return "ask the administrator for a udev rule that gives the port to the group dialout"
     return f"add yourself to the group {group} (sudo usermod -aG {group} $USER) and log in again"
-
-
-def holder_of(fd: int) -> str:
-    """Who holds the flock on the file behind ``fd``, as far as the kernel tells: "minicom (pid 4711)"."""
-    info = os.fstat(fd)
-    wanted = f"{os.major(info.st_dev):02x}:{os.minor(info.st_dev):02x}:{info.st_ino}"
-    with contextlib.suppress(OSError), open("/proc/locks", encoding="ascii", errors="replace") as locks:
-        for line in locks:
-            fields = line.split()
-            # "1: FLOCK ADVISORY WRITE 4711 00:18:5 0 EOF"; waiting ones have an arrow after the number
-            if len(fields) > 5 and fields[1] == "FLOCK" and fields[5] == wanted:
-                return _program(int(fields[4]))
-    return "another program"
-
-
-def _program(pid: int) -> str:
-    if pid == os.getpid():
-        return f"this program itself (pid {pid})"
-    with contextlib.suppress(OSError), open(f"/proc/{pid}/comm", encoding="utf-8", errors="replace") as comm:
-        return f"{comm.read().strip()} (pid {pid})"
-    return f"pid {pid}" if pid > 0 else "another program"

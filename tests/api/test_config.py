@@ -317,6 +317,14 @@ def test_no_table_raises_anything_else(table: dict[str, object]) -> None:
     one_line_or_nothing(lambda: make_config("virtual", 500_000, 2, [table]))
 
 
+def test_the_event_character_is_off_unless_asked_for() -> None:
+    text = '[bus]\nport = "/dev/ttyUSB0"\nbaud = 500000\n'
+    assert parse_config(text).bus.event_char is False
+    assert parse_config(text + "event_char = true").with_bus(address=5).bus.event_char is True
+    with pytest.raises(ConfigError, match=r"plant.toml:4: .*event_char.* true or false"):
+        parse_config(text + "event_char = 1", "plant.toml")
+
+
 def test_a_rate_that_is_found_by_listening() -> None:
     config = parse_config(BUS.replace("500000", '"auto"'), "plant.toml")
     assert config.bus.baud == "auto"

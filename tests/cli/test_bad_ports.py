@@ -62,7 +62,7 @@ def test_no_permission(
 def test_a_rate_the_port_cannot_do(
     far: PtyFarEnd, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(termios2, "set_raw", lambda _fd, _baud: termios2.Applied(9_600, True))
+    monkeypatch.setattr(termios2, "set_raw", lambda _fd, _baud, marks: termios2.Applied(9_600, True))
     assert refusal(far, tmp_path, capsys) == (
         f"dpstack: {far.path} cannot do 12 Mbit/s, it set itself to 9.6 kbit/s: choose another rate or adapter"
     )
@@ -71,7 +71,7 @@ def test_a_rate_the_port_cannot_do(
 def test_a_rate_the_driver_refuses(
     far: PtyFarEnd, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refuse(_fd: int, _baud: int) -> termios2.Applied:
+    def refuse(_fd: int, _baud: int, *, marks: bool) -> termios2.Applied:
         raise OSError(errno.EINVAL, "Invalid argument")
 
     monkeypatch.setattr(termios2, "set_raw", refuse)

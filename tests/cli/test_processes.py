@@ -5,7 +5,6 @@ Assert what happens, never when: the figures belong to the benchmarks.
 
 from __future__ import annotations
 
-import json
 import os
 import pty
 import re
@@ -16,87 +15,9 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
-
-PLANT = """
-[bus]
-port = "{port}"
-baud = 500000
-
-[[slave]]
-name = "hoist"
-address = 3
-drive = "demag-dedrive"
-
-[[slave]]
-name = "fan"
-address = 4
-drive = "fuji-frenic"
-ident = "ask"
-telegram = "PPO3"
-
-[[slave]]
-name = "raw"
-address = 9
-ident = 0x1234
-config = "20 10"
-"""
-
-
-class Program:
-    """One ``dpstack`` process; its output goes to files, so that it never waits for a reader."""
-
-    def __init__(self, folder: Path, *args: str) -> None:
-        self._out = folder / f"out{len(list(folder.iterdir()))}"
-        with self._out.open("wb") as out, self._out.with_suffix(".err").open("wb") as err:
-            self.process = subprocess.Popen(
-                [sys.executable, "-m", "dpstack.cli.main", *args], stdout=out, stderr=err, stdin=subprocess.DEVNULL
-            )
-
-    @property
-    def out(self) -> str:
-        return self._out.read_text(encoding="utf-8")
-
-    @property
-    def err(self) -> str:
-        return self._out.with_suffix(".err").read_text(encoding="utf-8")
-
-    @property
-    def lines(self) -> list[dict[str, Any]]:
-        return [json.loads(line) for line in self.out.splitlines() if line.endswith("}")]
-
-    def wait_for(self, text: str, times: int = 1, limit: float = 20.0) -> None:
-        end = time.monotonic() + limit
-        while self.out.count(text) < times:
-            assert self.process.poll() is None, f"ended with {self.process.returncode}: {self.out}{self.err}"
-            assert time.monotonic() < end, f"{text!r} not seen in: {self.out}{self.err}"
-            time.sleep(0.02)
-
-    def end(self, number: int | None = None, limit: float = 20.0) -> int:
-        if number is not None:
-            self.process.send_signal(number)
-        return self.process.wait(limit)
-
-
-class Starter:
-    """Starts programs and sees to it that none is left."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self._programs: list[Program] = []
-
-    def __call__(self, *args: str) -> Program:
-        program = Program(self.folder, *args)
-        self._programs.append(program)
-        return program
-
-    def close(self) -> None:
-        for program in self._programs:
-            if program.process.poll() is None:
-                program.process.kill()
-            program.process.wait()
+from programs import PLANT, Starter
 
 
 @pytest.fixture

@@ -75,9 +75,9 @@ async def test_silence_and_rates_that_the_port_cannot_do(monkeypatch: pytest.Mon
     really = termios2.set_raw
     tried: list[int | None] = []
 
-    def up_to_3m(fd: int, baud: int | None) -> termios2.Applied:
+    def up_to_3m(fd: int, baud: int | None, *, marks: bool) -> termios2.Applied:
         tried.append(baud)
-        return really(fd, baud if baud is None or baud <= 3_000_000 else 3_000_000)
+        return really(fd, baud if baud is None or baud <= 3_000_000 else 3_000_000, marks=marks)
 
     monkeypatch.setattr(termios2, "set_raw", up_to_3m)
     port = open_port(far.path, 9_600)

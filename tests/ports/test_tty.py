@@ -62,8 +62,8 @@ async def test_a_rate_that_is_refused_while_open_leaves_the_old_one(
     await port.open()
     really = termios2.set_raw
 
-    def divided(fd: int, baud: int | None) -> termios2.Applied:
-        return really(fd, 3_000_000 if baud == 12_000_000 else baud)
+    def divided(fd: int, baud: int | None, *, marks: bool) -> termios2.Applied:
+        return really(fd, 3_000_000 if baud == 12_000_000 else baud, marks=marks)
 
     monkeypatch.setattr(termios2, "set_raw", divided)
     with pytest.raises(BaudError, match=r"cannot do 12 Mbit/s, it set itself to 3 Mbit/s"):
@@ -98,7 +98,7 @@ def test_even_parity_is_asked_for_in_the_same_call(monkeypatch: pytest.MonkeyPat
         return 0
 
     monkeypatch.setattr(fcntl, "ioctl", ioctl)
-    assert termios2.set_raw(7, 187_500) == (187_500, True)
+    assert termios2.set_raw(7, 187_500) == termios2.Applied(187_500, True)
     ((_request, octets),) = calls
     _i, _o, cflag, _l, _line, _cc, ispeed, ospeed = layout.unpack(octets)
     assert cflag & termios.PARENB
@@ -117,7 +117,7 @@ async def _refused(port: TtyPort, kind: type[PortError] = PortError) -> str:
 
 
 async def test_a_substituted_rate_is_refused_with_both(far: PtyFarEnd, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(termios2, "set_raw", lambda _fd, _baud: termios2.Applied(9_600, True))
+    monkeypatch.setattr(termios2, "set_raw", lambda _fd, _baud, marks: termios2.Applied(9_600, True))
     text = await _refused(TtyPort(far.path, 12_000_000), BaudError)
     assert "12 Mbit/s" in text
     assert "9.6 kbit/s" in text
@@ -127,7 +127,7 @@ async def test_a_substituted_rate_is_refused_with_both(far: PtyFarEnd, monkeypat
 async def test_a_rate_divided_nearly_right_is_taken_with_a_notice(
     far: PtyFarEnd, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(termios2, "set_raw", lambda _fd, _baud: termios2.Applied(45_455, True))
+    monkeypatch.setattr(termios2, "set_raw", lambda _fd, _baud, marks: termios2.Applied(45_455, True))
     port = TtyPort(far.path, 45_450)
     await port.open()
     assert port.notices == ["runs at 45455 bit/s instead of 45450"]
@@ -136,7 +136,7 @@ async def test_a_rate_divided_nearly_right_is_taken_with_a_notice(
 
 
 async def test_a_rate_the_driver_refuses(far: PtyFarEnd, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(_fd: int, _baud: int) -> termios2.Applied:
+    def refuse(_fd: int, _baud: int, *, marks: bool) -> termios2.Applied:
         raise OSError(errno.EINVAL, "Invalid argument")
 
     monkeypatch.setattr(termios2, "set_raw", refuse)
@@ -201,7 +201,7 @@ def test_how_to_be_permitted(far: PtyFarEnd, monkeypatch: pytest.MonkeyPatch, gr
         gr_name = group
 
     monkeypatch.setattr(grp, "getgrgid", lambda _gid: Group)
-    assert says in tty._how_to_be_permitted(far.path)
+    assert says in tty.how_to_be_permitted(far.path)
     far.hang_up()
 
 
@@ -251,19 +251,44 @@ def test_a_pty_has_no_pace_a_uart_has(far: PtyFarEnd, tmp_path: Path) -> None:
     far.hang_up()
 
 
-def test_low_latency_is_asked_of_drivers_that_have_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    written: list[bytes] = []
+@pytest.mark.parametrize("marks", [False, True])
+async def test_a_genuine_ff_arrives_once_with_marks_and_without(far: PtyFarEnd, marks: bool) -> None:
+    port = TtyPort(far.path, 9600, marks=marks)
+    await port.open()
+    assert port.fd is not None
+    iflag = termios.tcgetattr(port.fd)[0]
+    assert iflag & (termios.PARMRK | termios.IGNPAR) == (termios.PARMRK if marks else termios.IGNPAR)
+    arrived = bytearray()
+    done = asyncio.Event()
 
-    def ioctl(_fd: int, request: int, argument: bytearray, _mutate: bool) -> int:
-        if request == tty._TIOCSSERIAL:
-            written.append(bytes(argument))
-        else:
-            argument[16] = 0x40
-        return 0
+    def on_data(chunk: bytes) -> None:
+        arrived.extend(chunk)
+        if len(arrived) == 6:
+            done.set()
 
-    monkeypatch.setattr(fcntl, "ioctl", ioctl)
-    tty._ask_low_latency(7)
-    assert written[0][16:20] == bytes((0x40, 0x20, 0, 0))  # ASYNC_LOW_LATENCY is bit 13
+    port.attach(asyncio.get_running_loop(), on_data, lambda reason: pytest.fail(reason))
+    os.write(far.fd, bytes.fromhex("68ff0016ffff"))
+    await asyncio.wait_for(done.wait(), 5)
+    assert arrived.hex() == "68ff0016ffff"
+    assert port.damage() == ({"marked": 0} if marks else {})
+    port.close()
+    far.hang_up()
+
+
+async def test_marked_octets_are_dropped_and_counted(far: PtyFarEnd, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A pty cannot damage anything: what a UART's tty would deliver is put in front of the reader."""
+    port = TtyPort(far.path, 9600, marks=True)
+    await port.open()
+    chunks = [bytes.fromhex("ff0068"), bytes.fromhex("10ff"), bytes.fromhex("ff03ff00"), bytes.fromhex("5516"), b""]
+    monkeypatch.setattr(os, "read", lambda _fd, _size: chunks.pop(0))
+    assert port.read_now() == b""  # nothing but a mark is no end of the line
+    assert port.read_now().hex() == "10"
+    assert port.read_now().hex() == "ff03"
+    assert port.read_now().hex() == "16"
+    assert port.damage() == {"marked": 2}
+    monkeypatch.undo()
+    port.close()
+    far.hang_up()
 
 
 def test_adapters_are_listed_with_their_lasting_names(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,106 @@
+"""Simulated slaves that can be treated from outside: silenced, switched off and on. One class per kind of bus."""
+
+from __future__ import annotations
+
+from dpstack.api.slave_config import SlaveConfig
+from dpstack.dp.device import Device
+from dpstack.dp.mirror import MirrorDevice
+from dpstack.dp.slaveapp import SlaveApp
+from dpstack.fdl.passive import PassiveStation
+from dpstack.machine import LineDown
+from dpstack.params import BusParams
+from dpstack.phy.patience import EXACT, Patience
+from dpstack.sim.world import World
+
+
+def device_of(slave: SlaveConfig) -> Device:
+    """What simulates ``slave``: the drive's simulated device, or a mirror of outputs to inputs."""
+    if slave.profile is not None:
+        device = slave.profile.device(slave.telegram)
+        if slave.ident is not None:
+            device.ident = slave.ident
+        device.name = slave.name
+        return device
+    return MirrorDevice(slave.ident or 0, slave.config, slave.name, fail_safe=slave.fail_safe)
+
+
+class Unit:
+    """One simulated slave as it stands: station, application and device, made anew by :meth:`renew`."""
+
+    def __init__(self, config: SlaveConfig, params: BusParams, patience: Patience = EXACT) -> None:
+        self.config = config
+        self.powered = True
+        self._patience = patience
+        self.renew(params)
+
+    def renew(self, params: BusParams) -> None:
+        """As new out of the box."""
+        self.device: Device = device_of(self.config)
+        self.app = SlaveApp(self.device, address=self.config.address)
+        self.station = PassiveStation(self.config.address, self.app, params, patience=self._patience)
+
+
+class VirtualBench:
+    """The simulated slaves of a bus in virtual time."""
+
+    def __init__(self, world: World, params: BusParams) -> None:
+        self._world = world
+        self._params = params
+        self._units: dict[int, Unit] = {}
+        self._silent: dict[int, object] = {}
+
+    def add(self, config: SlaveConfig) -> None:
+        """One more; one that stood at its address before goes."""
+        before = self._units.get(config.address)
+        if before is not None and before.powered:
+            self._unplug(config.address)
+        self._silent.pop(config.address, None)
+        unit = self._units[config.address] = Unit(config, self._params)
+        self._world.add(unit.station, name=config.name)
+
+    def names(self) -> dict[int, str]:
+        """Address and name of every slave."""
+        return {address: unit.config.name for address, unit in self._units.items()}
+
+    def device(self, address: int) -> Device:
+        """What simulates the slave."""
+        return self._units[address].device
+
+    def silence(self, address: int, for_ns: int | None) -> None:
+        """Deaf and mute, None: until :meth:`resume`; a slave that is off stays off."""
+        if not self._units[address].powered:
+            return
+        self._unplug(address)
+        token = self._silent[address] = object()
+        if for_ns is not None:
+            self._world.call_at(self._world.now + for_ns, lambda: self._end(address, token))
+
+    def resume(self, address: int) -> None:
+        """The end of a silence."""
+        self._end(address, self._silent.get(address))
+
+    def power(self, address: int, on: bool) -> None:
+        """Off at once, on as new."""
+        unit = self._units[address]
+        if on is unit.powered:
+            return
+        if on:
+            unit.renew(self._params)
+            self._world.add(unit.station, name=unit.config.name)
+        else:
+            self._unplug(address)
+            self._silent.pop(address, None)
+        unit.powered = on
+
+    def _unplug(self, address: int) -> None:
+        if address not in self._silent:
+            station = self._units[address].station
+            self._world.remove(station)
+            station.command(LineDown("off the line"), self._world.now)
+
+    def _end(self, address: int, token: object | None) -> None:
+        """``token``: of the silence meant; another one may have taken its place."""
+        if token is not None and self._silent.get(address) is token:
+            del self._silent[address]
+            unit = self._units[address]
+            self._world.add(unit.station, name=unit.config.name)

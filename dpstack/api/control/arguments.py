@@ -1,0 +1,64 @@
+"""Arguments of commands, as people type them. All raise UsageError with an example."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Final
+
+from dpstack.api.tables import parse_hex
+from dpstack.errors import UsageError
+from dpstack.units import NS_PER_S
+
+_TIME: Final = re.compile(r"(\d+(?:\.\d*)?|\.\d+)(ms|s|min|)")
+_UNIT_NS: Final = {"ms": NS_PER_S // 1000, "s": NS_PER_S, "min": 60 * NS_PER_S, "": NS_PER_S}
+_LONGEST_NS: Final = 365 * 86_400 * NS_PER_S
+
+
+def time_ns(text: str) -> int:
+    """``2s``, ``500ms``, ``1min``, ``2`` (seconds) in ns."""
+    match = _TIME.fullmatch(text.strip().lower())
+    ns = round(float(match[1]) * _UNIT_NS[match[2]]) if match else 0
+    if not 0 < ns < _LONGEST_NS:
+        raise UsageError(f"{text!r} is no time; write it as 2s or 500ms")
+    return ns
+
+
+def number(text: str, low: float, high: float, example: str) -> float:
+    """A number from ``low`` to ``high``."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not low <= value <= high:
+        raise UsageError(f"{text!r} is no number from {low:g} to {high:g}; write for instance {example}")
+    return value
+
+
+def mask(text: str) -> int:
+    """A word of 16 bits in hex."""
+    try:
+        value = int(text, 16)
+    except ValueError:
+        value = -1
+    if not 0 <= value <= 0xFFFF:
+        raise UsageError(f"{text!r} is no word of four hex digits; write for instance 0080")
+    return value
+
+
+def switch(text: str) -> bool:
+    """``on`` or ``off``."""
+    if text.lower() not in ("on", "off"):
+        raise UsageError(f"{text!r} is neither on nor off")
+    return text.lower() == "on"
+
+
+def octets(text: str) -> tuple[str, bytes]:
+    """``SLAVE=HEX``."""
+    where, equals, digits = text.partition("=")
+    try:
+        if equals and where:
+            return where, parse_hex(digits)
+    except ValueError as error:
+        raise UsageError(f"{text!r}: {error}; write it as 9=00FF") from None
+    raise UsageError(f"{text!r} is not SLAVE=HEX; write it as 9=00FF")

@@ -1,0 +1,109 @@
+"""The control servers of the three kinds of programs: what each command does to them."""
+
+from __future__ import annotations
+
+from dpstack.api.bus import Bus
+from dpstack.api.control import arguments
+from dpstack.api.control.server import ControlServer, Handler
+from dpstack.api.control.slaves import SlaveCommands, address_of
+from dpstack.api.control.specs import KINDS, SLAVES
+from dpstack.api.simulation import Segment, Simulation
+from dpstack.dp.commands import Mode, SetMode
+from dpstack.errors import UsageError
+
+
+def control_run(bus: Bus, port: str) -> ControlServer:
+    """Talks to a master on ``port``."""
+    specs = KINDS["run"]
+    handlers: dict[str, Handler] = {
+        "status": lambda _: run_status(bus),
+        "outputs": lambda args: _outputs(bus, args),
+        "operate": lambda _: bus.command(SetMode(Mode.OPERATE)),
+        "clear": lambda _: bus.command(SetMode(Mode.CLEAR)),
+        "stats": lambda _: bus.stats.summary(),
+    }
+    if bus.bench is not None:
+        specs = (*specs, *SLAVES)
+        handlers |= SlaveCommands(bus.bench).handlers()
+    return ControlServer("run", port, specs, handlers)
+
+
+def control_sim(simulation: Simulation, port: str) -> ControlServer:
+    """Talks to simulated slaves on ``port``; of a pty made here the path of it."""
+    handlers: dict[str, Handler] = {
+        "status": lambda _: simulation.status(),
+        **SlaveCommands(simulation).handlers(),
+    }
+    return ControlServer("sim", simulation.port_name if port == "pty" else port, KINDS["sim"], handlers)
+
+
+def control_segment(segment: Segment) -> ControlServer:
+    """Talks to a segment, found by its directory."""
+
+    def noise(args: list[str]) -> None:
+        rate = arguments.number(args[0], 0, 1, "1e-4")
+        if rate == 1:
+            raise UsageError("a probability of 1 leaves nothing; write for instance 1e-4")
+        segment.error_rate = rate
+
+    def silence(args: list[str]) -> None:
+        segment.silence(_station(args[0]), arguments.time_ns(args[1]) if len(args) > 1 else None)
+
+    handlers: dict[str, Handler] = {
+        "status": lambda _: {"error_rate": segment.error_rate, "baud": segment.baud, "ports": segment.paths},
+        "noise": noise,
+        "silence": silence,
+        "resume": lambda args: segment.resume(_station(args[0])),
+        "stats": lambda _: segment.stats(),
+    }
+    return ControlServer("segment", str(segment.directory), KINDS["segment"], handlers)
+
+
+def run_status(bus: Bus) -> dict[str, object]:
+    """The master at this moment: ``seconds``, ``mode``, ``in_ring``, ``masters``, and each slave."""
+    slaves: dict[str, object] = {}
+    drives = {drive.slave.address: drive for drive in bus.drives}
+    for slave in bus.slaves:
+        entry: dict[str, object] = {
+            "name": slave.name,
+            "state": slave.state.value,
+            "inputs": slave.inputs.hex(),
+            "outputs": slave.outputs.hex(),
+        }
+        if slave.fault is not None:
+            entry["fault"] = slave.fault.text
+        if slave.address in drives:
+            entry["drive"] = drives[slave.address].status.as_dict()
+        slaves[str(slave.address)] = entry
+    return {
+        "seconds": round(bus.seconds, 3),
+        "mode": bus.mode.name.lower(),
+        "in_ring": bus.station.in_ring,
+        "masters": sorted(bus.station.las),
+        "slaves": slaves,
+    }
+
+
+def _outputs(bus: Bus, args: list[str]) -> None:
+    """All or nothing: every argument is understood before the first one takes effect."""
+    names = {slave.address: slave.name for slave in bus.slaves}
+    wanted = {}
+    for text in args:
+        where, octets = arguments.octets(text)
+        wanted[address_of(where, names)] = octets
+    for address, octets in wanted.items():
+        slave = bus.slave(address)
+        if any(drive.slave is slave for drive in bus.drives):
+            raise UsageError(f"slave {address} ({slave.name}): its drive plugin makes the outputs")
+        if len(octets) != len(slave.outputs):
+            raise UsageError(
+                f"slave {address} ({slave.name}) has {len(slave.outputs)} octets of outputs, {len(octets)} were given"
+            )
+    for address, octets in wanted.items():
+        bus.slave(address).outputs = octets
+
+
+def _station(text: str) -> int:
+    if not text.isdecimal():
+        raise UsageError(f"{text!r} is no station of the segment; they are numbered from 0")
+    return int(text)

@@ -1,0 +1,76 @@
+"""Commands on simulated slaves: of a ``sim``, and of a ``run`` whose slaves are simulated in it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+from dpstack.api.control import arguments
+from dpstack.api.control.server import Handler
+from dpstack.dp.device import Device
+from dpstack.errors import UsageError
+from dpstack.profile.device import DriveDevice
+
+
+class Bench(Protocol):
+    """Simulated slaves that can be treated from outside. Addresses are checked before."""
+
+    def names(self) -> dict[int, str]:
+        """Address and name of every slave."""
+
+    def device(self, address: int) -> Device:
+        """What simulates the slave."""
+
+    def silence(self, address: int, for_ns: int | None) -> None:
+        """Deaf and mute, None: until :meth:`resume`."""
+
+    def resume(self, address: int) -> None:
+        """The end of it."""
+
+    def power(self, address: int, on: bool) -> None:
+        """Off at once, on as new."""
+
+
+class SlaveCommands:
+    """The handlers of :data:`~dpstack.api.control.specs.SLAVES` for ``bench``."""
+
+    def __init__(self, bench: Bench) -> None:
+        self._bench = bench
+
+    def handlers(self) -> dict[str, Handler]:
+        """By the name of the command."""
+        return {
+            "trip": self._drive(lambda drive, code: drive.trip(code)),
+            "warn": self._drive(lambda drive, text: drive.warn(arguments.mask(text))),
+            "load": self._drive(lambda drive, text: drive.set_load(arguments.number(text, -10, 10, "0.6"))),
+            "release": self._drive(lambda drive, text: drive.release(arguments.switch(text))),
+            "silence": self._silence,
+            "resume": lambda args: self._bench.resume(self._address(args[0])),
+            "power-off": lambda args: self._bench.power(self._address(args[0]), False),
+            "power-on": lambda args: self._bench.power(self._address(args[0]), True),
+        }
+
+    def _silence(self, args: list[str]) -> None:
+        self._bench.silence(self._address(args[0]), arguments.time_ns(args[1]) if len(args) > 1 else None)
+
+    def _drive(self, act: Callable[[DriveDevice, str], None]) -> Handler:
+        def command(args: list[str]) -> None:
+            address = self._address(args[0])
+            device = self._bench.device(address)
+            if not isinstance(device, DriveDevice):
+                raise UsageError(f"slave {address} ({device.name}) is no simulated drive: it mirrors its outputs")
+            act(device, args[1])
+
+        return command
+
+    def _address(self, text: str) -> int:
+        return address_of(text, self._bench.names())
+
+
+def address_of(text: str, names: dict[int, str]) -> int:
+    """The address of a slave given by address or name. Raises UsageError naming those there are."""
+    for address, name in names.items():
+        if text in (name, str(address)):
+            return address
+    known = ", ".join(f"{address} ({name})" for address, name in sorted(names.items())) or "none"
+    raise UsageError(f"no slave {text!r} here; there are: {known}")

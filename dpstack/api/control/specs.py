@@ -1,0 +1,77 @@
+"""What running programs can be told: the commands of each kind of program, as data."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Final
+
+from dpstack.errors import UsageError
+
+
+@dataclass(frozen=True, slots=True)
+class Spec:
+    """One command. ``usage`` names its arguments: ``NAME``, ``[NAME]`` may be left out, ``NAME...`` one or more."""
+
+    name: str
+    usage: str
+    text: str
+    example: str
+
+    def check(self, args: list[str]) -> None:
+        """Raises UsageError when ``args`` are too few or too many."""
+        names = self.usage.split()
+        least = sum(not name.startswith("[") for name in names)
+        if len(args) < least or (len(args) > len(names) and not self.usage.endswith("...")):
+            takes = self.usage or "no arguments"
+            example = f"{self.name} {self.example}".rstrip()
+            raise UsageError(f"{self.name} takes {takes}, for instance: {example}")
+
+    def as_dict(self) -> dict[str, str]:
+        """As ``help`` tells it."""
+        return {"command": self.name, "args": self.usage, "text": self.text, "example": self.example}
+
+
+COMMON: Final = (
+    Spec("help", "", "what this program knows", ""),
+    Spec("status", "", "what it is doing at this moment", ""),
+)
+SLAVES: Final = (
+    Spec("trip", "SLAVE CODE", "a fault of the simulated drive, by its code or name", "3 F2100"),
+    Spec("warn", "SLAVE MASK", "its warning word in hex, 0 clears it", "3 0080"),
+    Spec("load", "SLAVE TORQUE", "load torque against the motion, of the rated torque", "3 0.6"),
+    Spec("release", "SLAVE on|off", "its hardware release inputs", "3 off"),
+    Spec("silence", "SLAVE [TIME]", "deaf and mute for a time, else until resume", "3 2s"),
+    Spec("resume", "SLAVE", "ends a silence", "3"),
+    Spec("power-off", "SLAVE", "switches the slave off", "3"),
+    Spec("power-on", "SLAVE", "switches it on again, as new", "3"),
+)
+SEGMENT: Final = (
+    Spec("noise", "RATE", "probability of a damaged bit from now on, 0 up to 1", "1e-4"),
+    Spec("silence", "STATION [TIME]", "cuts a station off for a time, else until resume", "0 2s"),
+    Spec("resume", "STATION", "connects it again", "0"),
+    Spec("stats", "", "octets of each station, damaged octets", ""),
+)
+RUN: Final = (
+    Spec("outputs", "SLAVE=HEX...", "output octets of slaves without a drive plugin", "9=00FF"),
+    Spec("operate", "", "outputs go out", ""),
+    Spec("clear", "", "inputs are read, outputs are zero", ""),
+    Spec("stats", "", "counters and rotation times up to now", ""),
+)
+
+#: by kind of program; a ``run`` whose port is "virtual" knows those of its simulated slaves too
+KINDS: Final = {"run": COMMON + RUN, "sim": COMMON + SLAVES, "segment": COMMON + SEGMENT}
+
+
+def find(kind: str, specs: Iterable[Spec], name: str) -> Spec:
+    """The command ``name``. Raises UsageError that says what is meant, who knows it, or what there is."""
+    known = {spec.name: spec for spec in specs}
+    if name in known:
+        return known[name]
+    who = [other for other, theirs in KINDS.items() if any(spec.name == name for spec in theirs)]
+    if who:
+        raise UsageError(f"{name} is a command of `dpstack {who[0]}`, this is a {kind}; it knows: {', '.join(known)}")
+    near = difflib.get_close_matches(name.lower(), known, n=1, cutoff=0.5)
+    hint = f"did you mean {near[0]}?" if near else f"it knows: {', '.join(known)}"
+    raise UsageError(f"unknown command {name!r}; {hint}")

@@ -1,0 +1,61 @@
+"""``dpstack ctl``: tells a running program what to do."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from typing import Any
+
+from dpstack.api.control.client import connect
+from dpstack.cli import options, output
+
+
+def add_to(commands: options.Commands) -> None:
+    """The command and its options."""
+    parser = options.command(
+        commands,
+        "ctl",
+        "tells a running run, sim or segment what to do; without COMMAND: what it knows",
+        "dpstack ctl /tmp/bus/0 trip 3 F2100\n         dpstack ctl /tmp/bus noise 1e-4",
+    )
+    parser.add_argument("port", metavar="PORT", help="the port of run or sim, the directory of segment, or virtual")
+    parser.add_argument("order", metavar="COMMAND", nargs="?", default="help", help="what to do")
+    parser.add_argument("args", metavar="ARG", nargs="*", help="its arguments")
+    options.add_json(parser)
+    parser.set_defaults(execute=execute)
+
+
+def execute(args: argparse.Namespace) -> int:
+    """Ask and print the answer."""
+    with connect(args.port) as client:
+        result = client.call(args.order, *args.args)
+    if args.json:
+        output.json_line({"result": result})
+    elif args.order == "help":
+        output.line(f"{result['kind']} on {result['port']} (pid {result['pid']})", "bold")
+        rows = [(f"{one['command']} {one['args']}".rstrip(), one["text"]) for one in result["commands"]]
+        output.table("", ("command", "does"), rows)
+    else:
+        _show(result)
+    return 0
+
+
+def _show(result: Any, indent: str = "") -> None:
+    """Nested data as indented lines; nothing to tell is ``ok``."""
+    if result is None:
+        output.line("ok")
+        return
+    if not isinstance(result, Mapping):
+        output.line(f"{indent}{result}")
+        return
+    for key, value in result.items():
+        if isinstance(value, Mapping) and value:
+            output.line(f"{indent}{key}:")
+            _show(value, indent + "  ")
+        elif isinstance(value, list) and value and isinstance(value[0], Mapping):
+            for number, entry in enumerate(value):
+                output.line(f"{indent}{key} {number}:")
+                _show(entry, indent + "  ")
+        else:
+            text = ", ".join(map(str, value)) if isinstance(value, list) else value
+            output.line(f"{indent}{key}: {text}")

@@ -1,0 +1,119 @@
+"""Which serial adapters there are, and what one of them can do."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from dpstack.errors import BaudError, PortError
+from dpstack.ports.holders import PROC, holder_of_path
+from dpstack.ports.sysfs import CHIPS, SYSFS, Adapter
+from dpstack.units import BAUD_RATES
+
+BY_ID: Final = Path("/dev/serial/by-id")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AdapterInfo:
+    """One serial port of this computer. ``by_id`` is its lasting path, ``usb`` vendor:product in hex."""
+
+    path: str
+    by_id: str | None
+    chip: str
+    driver: str | None
+    usb: str | None
+    serial: str | None
+    holder: str | None
+
+    def as_dict(self) -> dict[str, object]:
+        """As ``dpstack ports --json`` prints it."""
+        return {name: getattr(self, name) for name in self.__slots__}
+
+
+def _comports() -> Iterable[Any]:
+    from serial.tools import list_ports
+
+    ports: Iterable[Any] = list_ports.comports()
+    return ports
+
+
+def list_adapters(
+    comports: Callable[[], Iterable[Any]] = _comports,
+    *,
+    by_id: Path = BY_ID,
+    sysfs: Path = SYSFS,
+    proc: Path = PROC,
+) -> list[AdapterInfo]:
+    """All serial ports that pyserial finds, by path. No port is opened."""
+    lasting = {os.path.realpath(link): str(link) for link in sorted(by_id.glob("*"))}
+    found = []
+    for port in comports():
+        adapter = Adapter(port.device, sysfs)
+        usb = None if port.vid is None else f"{port.vid:04x}:{port.pid:04x}"
+        chip = CHIPS[usb][0] if usb in CHIPS else str(port.description or "")
+        found.append(
+            AdapterInfo(
+                path=port.device,
+                by_id=lasting.get(os.path.realpath(port.device)),
+                chip="" if chip == "n/a" else chip,
+                driver=adapter.driver,
+                usb=usb,
+                serial=port.serial_number,
+                holder=holder_of_path(port.device, proc),
+            )
+        )
+    return sorted(found, key=lambda info: info.path)
+
+
+@dataclass(slots=True, kw_only=True)
+class Abilities:
+    """What a port can do, found out by opening it; nothing is sent. ``rates`` in bit/s."""
+
+    parity: bool = False
+    low_latency: bool = False
+    rs485: bool = False
+    counters: bool = False
+    marks: bool = False
+    rates: list[int] = field(default_factory=list)
+
+
+def probe(path: str) -> Abilities:
+    """Open ``path`` alone and try every rate and what its driver may have. Linux only. Raises PortError."""
+    if sys.platform != "linux":
+        raise PortError(f"{path}: what a port can do is found out on Linux only")
+    from dpstack.ports import termios2, uart
+    from dpstack.ports.tty import TtyPort
+
+    port = TtyPort(path, BAUD_RATES[0])
+    found = Abilities()
+    try:
+        for baud in BAUD_RATES:
+            port.baud = baud
+            with contextlib.suppress(BaudError):
+                port.open_now()
+                found.rates.append(baud)
+        if found.rates:
+            port.baud = found.rates[0]
+            port.open_now()
+        fd = port.fd
+        if fd is not None:
+            found.low_latency = _answers(uart.get_low_latency, fd)
+            found.rs485 = _answers(uart.get_rs485, fd)
+            found.counters = _answers(uart.errors, fd)
+            _baud, found.parity, found.marks = termios2.set_raw(fd, None, marks=True)
+    finally:
+        port.close()
+    return found
+
+
+def _answers(ask: Callable[[int], object], fd: int) -> bool:
+    try:
+        ask(fd)
+    except OSError:
+        return False
+    return True

@@ -1,0 +1,52 @@
+"""Who holds a port: by the lock dpstack and pyserial set, and by who has it open. Nothing is opened to find out."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from pathlib import Path
+from typing import Final
+
+PROC: Final = Path("/proc")
+
+
+def holder_of(fd: int) -> str:
+    """Who holds the flock on the file behind ``fd``, as far as the kernel tells: "minicom (pid 4711)"."""
+    return _lock_holder(os.fstat(fd), PROC) or "another program"
+
+
+def holder_of_path(path: str, proc: Path = PROC) -> str | None:
+    """Who holds the lock on ``path`` or, without a lock, has it open; None when nobody can be seen.
+
+    Open descriptors of other users' programs can be seen by root only.
+    """
+    with contextlib.suppress(OSError):
+        holder = _lock_holder(os.stat(path), proc)
+        if holder is not None:
+            return holder
+    device = os.path.realpath(path)
+    for folder in sorted(proc.glob("[0-9]*/fd")):
+        with contextlib.suppress(OSError):
+            if any(os.readlink(entry) == device for entry in folder.iterdir()):
+                return _program(int(folder.parent.name), proc)
+    return None
+
+
+def _lock_holder(info: os.stat_result, proc: Path) -> str | None:
+    wanted = f"{os.major(info.st_dev):02x}:{os.minor(info.st_dev):02x}:{info.st_ino}"
+    with contextlib.suppress(OSError), (proc / "locks").open(encoding="ascii", errors="replace") as locks:
+        for line in locks:
+            fields = line.split()
+            # "1: FLOCK ADVISORY WRITE 4711 00:18:5 0 EOF"; waiting ones have an arrow after the number
+            if len(fields) > 5 and fields[1] == "FLOCK" and fields[5] == wanted:
+                return _program(int(fields[4]), proc)
+    return None
+
+
+def _program(pid: int, proc: Path) -> str:
+    if pid == os.getpid():
+        return f"this program itself (pid {pid})"
+    with contextlib.suppress(OSError):
+        name = (proc / str(pid) / "comm").read_text(encoding="utf-8", errors="replace").strip()
+        return f"{name} (pid {pid})"
+    return f"pid {pid}" if pid > 0 else "another program"

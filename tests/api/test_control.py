@@ -1,0 +1,329 @@
+"""The control socket: literal lines in, literal lines out; rubbish, silence and stale sockets harm nobody."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import socket
+import stat
+import threading
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dpstack.api.control import places
+from dpstack.api.control.client import connect, running
+from dpstack.api.control.server import ControlServer, Handler
+from dpstack.api.control.specs import COMMON, KINDS, SLAVES, Spec, find
+from dpstack.errors import BusError, PortBusyError, PortError, SlaveTimeout, UsageError
+
+ECHO = Spec("echo", "WORD...", "says it again", "hello")
+COUNT = Spec("count", "N", "counts", "3")
+LATER = Spec("later", "", "takes its time", "")
+FLOOD = Spec("flood", "", "goes on for ever", "")
+BAD = Spec("bad", "KIND", "fails", "usage")
+SPECS = (*COMMON, ECHO, COUNT, LATER, FLOOD, BAD)
+
+
+@pytest.fixture(autouse=True)
+def own_runtime_directory(runtime_directory: str, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Nobody else's sockets: a directory for each test."""
+    path = Path(runtime_directory) / "t"
+    path.mkdir(exist_ok=True)
+    for left in path.glob("dpstack/*"):
+        left.unlink()
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(path))
+    return path / "dpstack"
+
+
+def _bad(args: list[str]) -> object:
+    raise {
+        "usage": UsageError("not like this"),
+        "late": SlaveTimeout(3, "slave 3 is late"),
+        "defect": ZeroDivisionError("division\nby zero"),
+    }[args[0]]
+
+
+async def _count(args: list[str]) -> AsyncIterator[int]:
+    for n in range(int(args[0])):
+        yield n
+
+
+async def _later(_args: list[str]) -> str:
+    await asyncio.sleep(0)
+    return "now"
+
+
+HANDLERS: dict[str, Handler] = {
+    "status": lambda _: {"fine": True},
+    "echo": lambda args: args,
+    "count": _count,
+    "later": _later,
+    "bad": _bad,
+}
+
+
+def server(port: str = "virtual") -> ControlServer:
+    return ControlServer("sim", port, SPECS, HANDLERS)
+
+
+class Raw:
+    """A client that knows octets only."""
+
+    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.reader, self.writer = reader, writer
+
+    async def ask(self, line: bytes) -> bytes:
+        self.writer.write(line + b"\n")
+        return await asyncio.wait_for(self.reader.readline(), 10)
+
+    async def ended(self) -> bool:
+        return await asyncio.wait_for(self.reader.read(-1), 10) == b""
+
+
+@contextlib.asynccontextmanager
+async def raw(port: str = "virtual") -> AsyncIterator[Raw]:
+    reader, writer = await asyncio.open_unix_connection(str(places.socket_path(port)))
+    try:
+        yield Raw(reader, writer)
+    finally:
+        writer.close()
+        with contextlib.suppress(OSError):
+            await writer.wait_closed()
+
+
+async def test_lines_in_lines_out() -> None:
+    async with server(), raw() as client:
+        assert await client.ask(b'{"command":"status"}') == b'{"ok":true,"result":{"fine":true}}\n'
+        assert await client.ask(b'{"command":"echo","args":["a","\xc3\xa4"]}') == (
+            b'{"ok":true,"result":["a","\xc3\xa4"]}\n'
+        )
+        assert await client.ask(b'{"command":"later","args":[]}') == b'{"ok":true,"result":"now"}\n'
+        assert await client.ask(b'{"command":"count","args":["2"]}') == b'{"item":0}\n'
+        assert await client.reader.readline() == b'{"item":1}\n'
+        assert await client.reader.readline() == b'{"ok":true,"result":null}\n'
+
+
+@pytest.mark.parametrize(
+    ("request_", "answer"),
+    [
+        (b'{"command":"bad","args":["usage"]}', {"ok": False, "error": "not like this", "usage": True}),
+        (b'{"command":"bad","args":["late"]}', {"ok": False, "error": "slave 3 is late"}),
+        (b'{"command":"ecco","args":["a"]}', "unknown command 'ecco'; did you mean echo?"),
+        (b'{"command":"qqq"}', "unknown command 'qqq'; it knows: help, status, echo, count, later, flood, bad"),
+        (b'{"command":"noise"}', "noise is a command of `dpstack segment`, this is a sim; it knows: help, "),
+        (b'{"command":"echo"}', "echo takes WORD..., for instance: echo hello"),
+        (b'{"command":"count","args":["1","2"]}', "count takes N, for instance: count 3"),
+        (b'{"command":"status","args":["1"]}', "status takes no arguments, for instance: status"),
+        (b"rubbish", "a request is one line: "),
+        (b"\xff\xfe\x00", "a request is one line: "),
+        (b"[1]", "a request is one line: "),
+        (b"{}", "a request is one line: "),
+        (b'{"command":3}', "a request is one line: "),
+        (b'{"command":"echo","args":"a"}', "a request is one line: "),
+        (b'{"command":"echo","args":[1]}', "a request is one line: "),
+        (b"[" * 60_000, "a request is one line: "),
+    ],
+)
+async def test_what_is_refused(request_: bytes, answer: dict[str, object] | str) -> None:
+    async with server(), raw() as client:
+        told = json.loads(await client.ask(request_))
+        if isinstance(answer, str):
+            assert told["ok"] is False
+            assert told["usage"] is True
+            assert told["error"].startswith(answer)
+        else:
+            assert told == answer
+        assert b'"ok":true' in await client.ask(b'{"command":"status"}')
+
+
+async def test_a_defect_is_told_and_survived() -> None:
+    async with server(), raw() as client:
+        told = json.loads(await client.ask(b'{"command":"bad","args":["defect"]}'))
+        assert told["error"] == "failed by a defect, please report it: ZeroDivisionError: division by zero"
+        assert b'"ok":true' in await client.ask(b'\n{"command":"status"}')
+
+
+async def test_a_line_without_end_is_cut() -> None:
+    async with server():
+        async with raw() as client:
+            client.writer.write(b"x" * 70_000)
+            assert b"at most 65536 octets" in await asyncio.wait_for(client.reader.readline(), 10)
+            with contextlib.suppress(ConnectionResetError):
+                assert await client.ended()
+        async with raw() as client:
+            assert b'"ok":true' in await client.ask(b'{"command":"status"}')
+
+
+@pytest.mark.parametrize("size", [10_000, 100])
+async def test_who_does_not_read_is_dropped_and_the_others_are_served(size: int) -> None:
+    ended = asyncio.Event()
+
+    async def flood(_args: list[str]) -> AsyncIterator[str]:
+        try:
+            while True:
+                yield "x" * size
+        finally:
+            ended.set()
+
+    served = ControlServer("sim", "virtual", SPECS, {**HANDLERS, "flood": flood})
+    served.patience_s = 0.02
+    async with served, raw() as client:
+        with socket.socket(socket.AF_UNIX) as deaf:
+            deaf.connect(str(places.socket_path("virtual")))
+            deaf.send(b'{"command":"flood"}\n')
+            assert b'"ok":true' in await client.ask(b'{"command":"status"}')
+            await asyncio.wait_for(ended.wait(), 10)
+            assert b'"ok":true' in await client.ask(b'{"command":"status"}')
+
+
+async def test_seventeen_clients_are_one_too_many() -> None:
+    async with server(), contextlib.AsyncExitStack() as stack:
+        clients = [await stack.enter_async_context(raw()) for _ in range(16)]
+        for client in clients:
+            assert b'"ok":true' in await client.ask(b'{"command":"status"}')
+        extra = await stack.enter_async_context(raw())
+        assert b"too many clients" in await asyncio.wait_for(extra.reader.readline(), 10)
+
+
+async def test_the_socket_is_the_users_alone_and_goes_with_the_program(own_runtime_directory: Path) -> None:
+    async with server():
+        path = places.socket_path("virtual")
+        assert stat.S_IMODE(path.stat().st_mode) == 0o600
+        assert stat.S_IMODE(own_runtime_directory.stat().st_mode) == 0o700
+    assert list(own_runtime_directory.iterdir()) == []
+
+
+async def test_a_second_program_is_refused_a_stale_socket_is_not() -> None:
+    async with server():
+        with pytest.raises(PortBusyError, match="another program answers `dpstack ctl virtual`"):
+            await server().__aenter__()
+    stale = socket.socket(socket.AF_UNIX)
+    stale.bind(str(places.socket_path("virtual")))
+    stale.close()
+    async with server(), raw() as client:
+        assert b'"ok":true' in await client.ask(b'{"command":"status"}')
+
+
+async def test_a_directory_of_somebody_else_is_refused(own_runtime_directory: Path, tmp_path: Path) -> None:
+    own_runtime_directory.rmdir() if own_runtime_directory.exists() else None
+    own_runtime_directory.symlink_to(tmp_path)
+    try:
+        with pytest.raises(PortError, match="no directory of yours"):
+            await server().__aenter__()
+    finally:
+        own_runtime_directory.unlink()
+
+
+async def test_a_path_that_is_too_long_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    long = tmp_path / ("x" * 100)
+    long.mkdir()
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(long))
+    with pytest.raises(PortError, match="no control socket"):
+        await server().__aenter__()
+
+
+async def in_thread(work: Any) -> Any:
+    return await asyncio.to_thread(work)
+
+
+async def test_a_client_finds_the_program_by_link_and_by_device(tmp_path: Path) -> None:
+    (tmp_path / "device").touch()
+    link = tmp_path / "0"
+    link.symlink_to(tmp_path / "device")
+
+    def ask(port: str) -> object:
+        with connect(port) as client:
+            assert list(client.items("count", "3")) == [0, 1, 2]
+            with pytest.raises(UsageError, match="not like this"):
+                client.call("bad", "usage")
+            with pytest.raises(BusError, match="slave 3 is late"):
+                client.call("bad", "late")
+            return client.call("echo", "a b")
+
+    async with server(str(link)):
+        for port in (str(link), str(tmp_path / "device")):
+            assert await in_thread(lambda port=port: ask(port)) == ["a b"]
+        link.unlink()  # the adapter was plugged in again under another device
+        (tmp_path / "other").touch()
+        link.symlink_to(tmp_path / "other")
+        assert await in_thread(lambda: ask(str(link))) == ["a b"]
+    assert running() == []
+
+
+async def test_nobody_there_names_those_who_are(own_runtime_directory: Path) -> None:
+    with pytest.raises(PortError, match=r"nobody answers for /dev/ttyUSB9; no run, sim or segment of yours is running"):
+        connect("/dev/ttyUSB9")
+    async with server("socket://plant:7000"):
+        stale = own_runtime_directory / "0123456789abcdef.sock"
+        with socket.socket(socket.AF_UNIX) as left:
+            left.bind(str(stale))
+        (own_runtime_directory / "fedcba9876543210.sock").symlink_to("nowhere")
+
+        def ask() -> str:
+            with pytest.raises(PortError) as caught:
+                connect("virtual")
+            return str(caught.value)
+
+        assert await in_thread(ask) == "nobody answers for virtual; there is: sim on socket://plant:7000"
+        assert [path.name for path in own_runtime_directory.iterdir()] == [
+            places.socket_path("socket://plant:7000").name
+        ]
+
+
+@pytest.mark.parametrize(
+    ("answer", "says"),
+    [(b"", "ended without an answer"), (b"hello\n", "is no JSON object"), (b'"x"\n', "is no JSON object")],
+)
+def test_a_program_that_answers_nonsense(own_runtime_directory: Path, answer: bytes, says: str) -> None:
+    own_runtime_directory.mkdir(exist_ok=True)
+    with socket.socket(socket.AF_UNIX) as listening:
+        listening.bind(str(places.socket_path("virtual")))
+        listening.listen(1)
+
+        def serve() -> None:
+            connection, _ = listening.accept()
+            connection.recv(1000)
+            connection.sendall(answer)
+            connection.close()
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        with connect("virtual") as client, pytest.raises(PortError, match=says):
+            client.call("status")
+        thread.join()
+
+
+def test_a_program_that_hangs(own_runtime_directory: Path) -> None:
+    own_runtime_directory.mkdir(exist_ok=True)
+    with socket.socket(socket.AF_UNIX) as listening:
+        listening.bind(str(places.socket_path("virtual")))
+        listening.listen(1)
+        with connect("virtual", timeout=0.05) as client, pytest.raises(PortError, match="does not answer"):
+            client.call("status")
+
+
+def test_every_kind_of_program_has_help_and_its_own_names() -> None:
+    for kind, specs in KINDS.items():
+        names = [spec.name for spec in specs]
+        assert names[:2] == ["help", "status"]
+        assert len(set(names)) == len(names)
+        for spec in specs:
+            assert find(kind, specs, spec.name) is spec
+            spec.check(spec.example.split())
+    with pytest.raises(UsageError, match="trip is a command of `dpstack sim`, this is a run"):
+        find("run", KINDS["run"], "trip")
+    with pytest.raises(UsageError, match="did you mean power-off"):
+        find("sim", SLAVES, "power_off")
+
+
+def test_names_of_ports(tmp_path: Path) -> None:
+    os.symlink("/dev/null", tmp_path / "0")
+    assert places.names_of("socket://plant:7000") == ("socket://plant:7000",)
+    assert places.names_of("virtual") == ("virtual",)
+    assert places.names_of("/dev/null") == ("/dev/null",)
+    assert places.names_of(str(tmp_path / "0")) == (str(tmp_path / "0"), "/dev/null")

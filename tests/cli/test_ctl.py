@@ -1,0 +1,263 @@
+"""``dpstack ctl`` against programs as users start them, and the commands against what they act on."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from programs import PLANT, Starter
+
+import dpstack
+from dpstack.api.config import make_config
+from dpstack.api.control.client import connect
+from dpstack.api.control.programs import control_run, control_segment, control_sim
+from dpstack.api.control.server import ControlServer
+from dpstack.api.simulation import Segment, Simulation
+from dpstack.cli.main import main
+from dpstack.errors import DpError, UsageError
+from dpstack.profile import DriveDevice
+
+Out = pytest.CaptureFixture[str]
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Starter]:
+    folder = tmp_path / "output"
+    folder.mkdir()
+    starter = Starter(folder)
+    yield starter
+    starter.close()
+
+
+def ctl(capsys: Out, *args: str, code: int = 0) -> str:
+    assert main(["ctl", *args]) == code
+    printed = capsys.readouterr()
+    return printed.err if code else printed.out
+
+
+def test_three_programs_are_told_what_to_do(tmp_path: Path, start: Starter, capsys: Out) -> None:
+    bus = tmp_path / "bus"
+    segment = start("segment", "--stations", "2", "--dir", str(bus))
+    segment.wait_for(str(bus / "1"))
+    config = tmp_path / "plant.toml"
+    config.write_text(PLANT.format(port=bus / "1"), encoding="utf-8")
+    start("sim", str(config), "--port", str(bus / "0")).wait_for("raw")
+    run = start("run", str(config), "--json")
+    run.wait_for('"state":"data_exchange"', 3)
+
+    assert "trip SLAVE CODE" in ctl(capsys, str(bus / "0"))
+    assert ctl(capsys, str(bus / "0"), "trip", "hoist", "F2100") == "ok\n"
+    assert ctl(capsys, str(bus / "1"), "outputs", "9=A5") == "ok\n"
+    run.wait_for('"hoist"', 1)
+    status = json.loads(ctl(capsys, str(bus / "1"), "status", "--json"))["result"]
+    assert status["mode"] == "operate"
+    assert status["slaves"]["9"]["outputs"] == "a5"
+    ctl(capsys, str(bus / "0"), "silence", "4")
+    run.wait_for('"kind":"lost"', 1)
+    ctl(capsys, str(bus / "0"), "resume", "4")
+    run.wait_for('"state":"data_exchange"', 4)
+    ctl(capsys, str(bus / "0"), "power-off", "9")
+    run.wait_for('"kind":"lost"', 2)
+    ctl(capsys, str(bus / "0"), "power-on", "9")
+    run.wait_for('"state":"data_exchange"', 5)
+    ctl(capsys, str(bus), "noise", "1e-4")
+    assert "error_rate: 0.0001" in ctl(capsys, str(bus), "status")
+    ctl(capsys, str(bus), "noise", "0")
+    assert "stations 0:" in ctl(capsys, str(bus), "stats")
+
+    assert "trip is a command of `dpstack sim`, this is a run" in ctl(capsys, str(bus / "1"), "trip", "3", "1", code=2)
+    assert "did you mean silence" in ctl(capsys, str(bus / "0"), "silense", "3", code=2)
+    assert "no slave '77' here; there are: 3 (hoist)" in ctl(capsys, str(bus / "0"), "trip", "77", "1", code=2)
+    error = ctl(capsys, "/dev/ttyUSB77", "status", code=1)
+    assert error.startswith("dpstack: nobody answers for /dev/ttyUSB77; there is: ")
+    assert f"segment on {bus}" in error
+    assert f"sim on {bus / '0'}" in error
+    assert run.end(signal.SIGTERM) == 0
+    assert "nobody answers" in ctl(capsys, str(bus / "1"), "status", code=1)
+
+
+async def ask(server: ControlServer, *order: str) -> Any:
+    """Through the socket, as any client would."""
+
+    def call() -> Any:
+        with connect(server.port) as client:
+            return client.call(*order)
+
+    return await asyncio.to_thread(call)
+
+
+async def until(condition: Callable[[], object]) -> None:
+    """What programs beside us bring about; there is nothing to be woken by."""
+    for _ in range(4000):
+        if condition():
+            return
+        await asyncio.sleep(0.005)
+    raise TimeoutError
+
+
+async def test_a_run_in_the_virtual_world_has_its_slaves_commands(tmp_path: Path) -> None:
+    path = tmp_path / "plant.toml"
+    path.write_text(PLANT.format(port="virtual"), encoding="utf-8")
+    async with dpstack.open_bus(path) as bus, control_run(bus, "virtual") as server:
+        await ask(server, "operate")
+        await bus.ready()
+        hoist = bus.drive("hoist")
+        await ask(server, "trip", "3", "F2100")
+        await until(lambda: hoist.status.fault)
+        await ask(server, "warn", "4", "0080")
+        await ask(server, "load", "fan", "0.6")
+        assert bus.bench is not None
+        fan = bus.bench.device(4)
+        assert isinstance(fan, DriveDevice)
+        assert fan.warning_mask == 0x0080
+        assert fan.motor.load == 0.6
+        await ask(server, "release", "fan", "off")
+        assert fan.released is False
+
+        await ask(server, "power-off", "raw")
+        await until(lambda: not bus.slave("raw").ready_now)
+        status = await ask(server, "status")
+        assert status["slaves"]["3"]["drive"]["faults"]
+        assert status["masters"] == [2]
+        assert (await ask(server, "stats"))["slaves"]["9"]["name"] == "raw"
+        await ask(server, "clear")
+        await until(lambda: bus.mode.name == "CLEAR")
+
+
+async def treat(path: Path) -> None:
+    """Slaves in the virtual world, silenced and switched, in its time."""
+    async with dpstack.open_bus(path) as bus:
+        bench, lost = bus.bench, bus.slave("raw")
+        assert bench is not None
+        await bus.ready()
+
+        async def gone(timeout: float = 5.0) -> None:
+            await bus.until(lambda: not lost.ready_now, timeout)
+
+        bench.silence(9, 100_000_000)
+        await gone()
+        await lost.ready()
+        bench.silence(9, None)
+        bench.silence(9, 60_000_000_000)  # the later word counts
+        await gone()
+        bench.resume(9)
+        bench.resume(9)
+        await lost.ready()
+        bench.silence(9, 200_000_000)
+        bench.silence(9, None)
+        await gone()
+        with pytest.raises(dpstack.SlaveTimeout):
+            await lost.ready(5)
+        bench.power(9, False)
+        bench.power(9, False)
+        bench.silence(9, None)
+        bench.resume(9)
+        with pytest.raises(dpstack.SlaveTimeout):
+            await lost.ready(5)
+        bench.power(9, True)
+        bench.power(9, True)
+        await lost.ready()
+        await bus.add_slave({"name": "late", "address": 11, "ident": 0x4321, "config": "20 10"})
+        await bus.slave(11).ready()
+        assert bench.names() == {3: "hoist", 4: "fan", 9: "raw", 11: "late"}
+
+
+def test_simulated_slaves_are_silenced_and_switched(tmp_path: Path) -> None:
+    path = tmp_path / "plant.toml"
+    path.write_text(PLANT.format(port="virtual"), encoding="utf-8")
+    dpstack.run_virtual(treat(path))
+
+
+@pytest.mark.parametrize(
+    ("order", "says"),
+    [
+        (("trip", "3", "nonsense"), "is no fault number such as F"),
+        (("trip", "9", "F2100"), "slave 9 (raw) is no simulated drive"),
+        (("warn", "3", "12345"), "no word of four hex digits"),
+        (("warn", "3", "xx"), "no word of four hex digits"),
+        (("load", "3", "nan"), "'nan' is no number from -10 to 10"),
+        (("load", "3", "much"), "'much' is no number"),
+        (("release", "3", "yes"), "'yes' is neither on nor off"),
+        (("silence", "3", "soon"), "'soon' is no time; write it as 2s or 500ms"),
+        (("silence", "3", "0s"), "'0s' is no time"),
+        (("outputs", "9"), "'9' is not SLAVE=HEX"),
+        (("outputs", "9=5"), "write it as 9=00FF"),
+        (("outputs", "9=0102"), "slave 9 (raw) has 1 octets of outputs, 2 were given"),
+        (("outputs", "9=01", "3=00"), "slave 3 (hoist): its drive plugin makes the outputs"),
+        (("outputs", "5=01"), "no slave '5' here"),
+    ],
+)
+async def test_wrong_arguments_of_a_run(tmp_path: Path, order: tuple[str, ...], says: str) -> None:
+    path = tmp_path / "plant.toml"
+    path.write_text(PLANT.format(port="virtual"), encoding="utf-8")
+    async with dpstack.open_bus(path) as bus, control_run(bus, "virtual") as server:
+        with pytest.raises(UsageError) as caught:
+            await ask(server, *order)
+        assert says in str(caught.value)
+        assert bus.slave("raw").outputs == b"\x00"
+
+
+async def test_a_simulation_and_its_segment(tmp_path: Path) -> None:
+    path = tmp_path / "plant.toml"
+    path.write_text(PLANT.format(port="/dev/elsewhere"), encoding="utf-8")
+    config = dpstack.load_config(path)
+    async with Segment(2, tmp_path / "bus") as segment, control_segment(segment) as wire:
+        async with (
+            Simulation(config, segment.paths[0], 500_000) as simulation,
+            control_sim(simulation, segment.paths[0]) as server,
+            dpstack.open_bus(config.with_bus(port=segment.paths[1])) as bus,
+        ):
+            await bus.ready(20)
+            await ask(server, "power-off", "9")
+            await ask(server, "power-off", "9")
+            await ask(server, "silence", "9")
+            await ask(server, "resume", "9")
+            assert (await ask(server, "status"))["slaves"]["9"]["state"] == "off"
+            await until(lambda: not bus.slave(9).ready_now)
+            await ask(server, "power-on", "9")
+            await until(lambda: bus.slave(9).ready_now)
+            await ask(server, "silence", "3", "200ms")
+            await until(lambda: not bus.slave(3).ready_now)
+            await until(lambda: bus.slave(3).ready_now)
+            before = segment.stats()
+            await ask(wire, "silence", "0", "300ms")
+            await until(lambda: not bus.slave(3).ready_now)
+            await until(lambda: bus.slave(3).ready_now)
+            assert before != segment.stats()
+            await ask(wire, "silence", "0")
+            await until(lambda: not bus.slave(3).ready_now)
+            await ask(wire, "resume", "0")
+            await until(lambda: bus.slave(3).ready_now)
+        for order, says in (
+            (("noise", "1"), "leaves nothing"),
+            (("noise", "-1"), "is no number from 0 to 1"),
+            (("silence", "2"), "no station 2 on this segment; it has 0 to 1"),
+            (("silence", "x"), "is no station of the segment"),
+        ):
+            with pytest.raises(DpError, match=says):
+                await ask(wire, *order)
+
+
+async def test_a_pty_is_found_by_its_path() -> None:
+    config = make_config("pty", 500_000, 2, [{"address": 4, "drive": "fuji-frenic", "telegram": "PPO3"}])
+    async with Simulation(config, "pty", 500_000) as simulation, control_sim(simulation, "pty") as server:
+        assert server.port.startswith("/dev/pts/")
+        assert (await ask(server, "help"))["kind"] == "sim"
+
+
+def test_of_two_runs_with_one_name_the_first_answers(tmp_path: Path, start: Starter, capsys: Out) -> None:
+    config = tmp_path / "plant.toml"
+    config.write_text(PLANT.format(port="virtual"), encoding="utf-8")
+    first = start("run", str(config))
+    first.wait_for("data_exchange")
+    assert "mode: operate" in ctl(capsys, "virtual", "status")
+    second = start("run", str(config), "--seconds", "1")
+    assert second.end() == 0
+    assert second.err == "dpstack: another program answers `dpstack ctl virtual` already; this one will not\n"
+    assert first.end(signal.SIGTERM) == 0
+    assert first.err == ""

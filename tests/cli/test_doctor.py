@@ -1,0 +1,208 @@
+"""``dpstack doctor`` and ``dpstack ports``: made-up computers, and the one the tests run on."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from fake_adapter import plug_in
+from far_ends import PtyFarEnd
+
+from dpstack.api import doctor
+from dpstack.api.doctor import AdapterInfo, Check, Computer, Level, examine
+from dpstack.cli import ports as ports_command
+from dpstack.cli.main import main
+from dpstack.errors import PortBusyError, PortError
+from dpstack.ports.adapters import Abilities
+from dpstack.units import BAUD_RATES
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+ALL = Abilities(parity=True, low_latency=True, rs485=False, counters=True, marks=True, rates=list(BAUD_RATES))
+Out = pytest.CaptureFixture[str]
+
+
+def adapter(path: Path) -> AdapterInfo:
+    return AdapterInfo(path=str(path), by_id=None, chip="", driver=None, usb=None, serial=None, holder=None)
+
+
+@pytest.fixture
+def port(tmp_path: Path) -> Path:
+    path = tmp_path / "ttyUSB0"
+    path.touch()
+    return path
+
+
+@pytest.fixture
+def computer(tmp_path: Path, port: Path) -> Computer:
+    """One on which all is well, with one FTDI adapter."""
+    plug_in(tmp_path / "sys", "ttyUSB0", usb="0403:6014")
+    (tmp_path / "proc").mkdir()
+    return Computer(
+        platform="linux",
+        adapters=lambda: [adapter(port)],
+        probe=lambda _path: ALL,
+        limit=lambda _name: None,
+        is_root=False,
+        access=lambda _path, _how: True,
+        sysfs=tmp_path / "sys",
+        proc=tmp_path / "proc",
+    )
+
+
+def told(checks: list[Check], level: Level) -> list[tuple[str, str]]:
+    return [(check.text, check.todo) for check in checks if check.level is level]
+
+
+def test_where_all_is_well_nothing_is_to_be_done(computer: Computer) -> None:
+    checks = examine(computer=computer)
+    assert {check.level for check in checks} == {Level.OK}
+    assert [check.text for check in checks] == [
+        "real-time priorities are allowed (any)",
+        "memory may be locked",
+        "USB 0403:6014, FTDI FT232H, driver ftdi_sio; its maker promises 12 Mbit/s at most",
+        "may be opened",
+        "its latency timer is 16 ms; dpstack sets it to 1 ms while it runs",
+        "takes every rate of PROFIBUS",
+        "low-latency mode: there",
+        "error counters: there",
+        "marks of damaged octets: there",
+        "RS-485 mode: the adapter's own",
+    ]
+
+
+def test_rights_for_real_time(computer: Computer) -> None:
+    limits = {"RLIMIT_RTPRIO": 0, "RLIMIT_MEMLOCK": 8 << 20}
+    found = told(examine(computer=replace(computer, limit=limits.get)), Level.FINDING)
+    assert [text.partition(":")[0] for text, _ in found] == [
+        "no real-time priority is allowed (RLIMIT_RTPRIO 0)",
+        "only 8192 KiB may be locked in memory (RLIMIT_MEMLOCK)",
+    ]
+    assert all("tools/setup_adapter.sh" in todo for _, todo in found)
+    assert not told(examine(computer=replace(computer, limit=limits.get, is_root=True)), Level.FINDING)
+    granted = examine(computer=replace(computer, limit={"RLIMIT_RTPRIO": 50}.get))
+    assert granted[0].text == "real-time priorities are allowed (up to 50)"
+
+
+def test_no_adapter_no_port_no_permission(computer: Computer, port: Path) -> None:
+    ((text, todo),) = told(examine(computer=replace(computer, adapters=list)), Level.FINDING)
+    assert text == "no serial adapter is plugged in"
+    assert "virtual" in todo
+    ((text, _),) = told(examine("/dev/ttyUSB99", computer), Level.FINDING)
+    assert text == "no such port"
+    ((text, todo),) = told(examine(str(port), replace(computer, access=lambda _p, _h: False)), Level.FINDING)
+    assert text == "no permission"
+    assert "usermod" in todo or "udev" in todo
+
+
+def test_a_latency_timer_nobody_may_set(computer: Computer, tmp_path: Path) -> None:
+    timer = str(tmp_path / "sys/bus/usb-serial/devices/ttyUSB0/latency_timer")
+    refused = replace(computer, access=lambda path, _how: path != timer)
+    ((text, todo),) = told(examine(computer=refused), Level.FINDING)
+    assert text.startswith("its latency timer is 16 ms and may not be changed")
+    assert "tools/setup_adapter.sh" in todo
+    Path(timer).write_text("1\n")
+    assert not told(examine(computer=refused), Level.FINDING)
+
+
+def test_a_held_port_is_left_alone(computer: Computer, port: Path, tmp_path: Path) -> None:
+    def never(path: str) -> Abilities:
+        raise AssertionError(path)
+
+    holder = tmp_path / "proc" / "41"
+    (holder / "fd").mkdir(parents=True)
+    (holder / "comm").write_text("minicom\n")
+    (holder / "fd" / "3").symlink_to(port)
+    ((text, todo),) = told(examine(computer=replace(computer, probe=never)), Level.NOTE)
+    assert text == "is held by minicom (pid 41)"
+    assert f"dpstack ctl {port} status" in todo
+
+
+def test_a_port_that_cannot_be_opened(computer: Computer) -> None:
+    def busy(path: str) -> Abilities:
+        raise PortBusyError(f"{path} is held by x")
+
+    def broken(path: str) -> Abilities:
+        raise PortError(f"{path}: no device behind it")
+
+    assert told(examine(computer=replace(computer, probe=busy)), Level.NOTE)[0][0].endswith("is held by x")
+    assert told(examine(computer=replace(computer, probe=broken)), Level.FINDING)[0][0].endswith("no device behind it")
+
+
+def test_what_an_adapter_cannot_do(computer: Computer, port: Path, tmp_path: Path) -> None:
+    poor = Abilities(rates=[9600, 19200])
+    checks = examine(computer=replace(computer, probe=lambda _path: poor, sysfs=tmp_path / "nothing"))
+    assert [text for text, _ in told(checks, Level.FINDING)] == ["has no parity bit: only check sums protect the data"]
+    notes = [text for text, _ in told(checks, Level.NOTE)]
+    assert notes[0].startswith("takes 9.6 kbit/s, 19.2 kbit/s; not 31.25 kbit/s, ")
+    assert notes[1:] == [
+        "low-latency mode: not in its driver",
+        "error counters: not in its driver",
+        "marks of damaged octets: not in its driver",
+        "RS-485 mode: not in its driver",
+    ]
+    assert all(todo for _, todo in told(checks, Level.NOTE))
+    none = replace(computer, probe=lambda _path: Abilities(parity=True))
+    assert ("takes none of PROFIBUS's rates", "take another adapter") in told(examine(computer=none), Level.FINDING)
+
+
+def test_an_unknown_chip_and_another_system(computer: Computer, tmp_path: Path) -> None:
+    plug_in(tmp_path / "other", "ttyUSB0", usb="1111:2222", driver="cdc_acm", latency=None)
+    checks = examine(computer=replace(computer, sysfs=tmp_path / "other"))
+    assert checks[2].text == "USB 1111:2222, an unknown chip, driver cdc_acm"
+    (check,) = examine(computer=replace(computer, platform="win32"))
+    assert (check.level, check.topic) == (Level.NOTE, "system")
+
+
+def test_doctor_of_a_pty_on_this_computer(capsys: Out, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor, "_real_time", lambda _here: [])
+    far = PtyFarEnd()
+    assert main(["doctor", "--port", far.path, "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["findings"] == 0
+    assert [check["level"] for check in data["checks"]] == ["ok", "ok", "note"]
+    assert {check["topic"] for check in data["checks"]} == {far.path}
+    assert main(["doctor", "--port", far.path]) == 0
+    assert "a pty: no parity" in capsys.readouterr().out
+    assert main(["doctor", "--port", "/dev/ttyUSB99"]) == 1
+    assert "finding  /dev/ttyUSB99: no such port" in capsys.readouterr().out
+    far.hang_up()
+
+
+def test_ports(capsys: Out, monkeypatch: pytest.MonkeyPatch, port: Path) -> None:
+    monkeypatch.setattr(ports_command, "list_adapters", lambda: [adapter(port)])
+    assert main(["ports"]) == 0
+    assert str(port) in capsys.readouterr().out
+    assert main(["ports", "--json"]) == 0
+    (entry,) = json.loads(capsys.readouterr().out)["ports"]
+    assert list(entry) == ["path", "by_id", "chip", "driver", "usb", "serial", "holder"]
+    monkeypatch.setattr(ports_command, "list_adapters", list)
+    assert main(["ports"]) == 0
+    assert capsys.readouterr().out == "no serial adapter is plugged in\n"
+
+
+def test_the_set_up_script(tmp_path: Path) -> None:
+    script = str(ROOT / "tools" / "setup_adapter.sh")
+
+    def call(*args: str) -> subprocess.CompletedProcess[str]:
+        environment = {"PATH": os.environ["PATH"], "DESTDIR": str(tmp_path)}
+        return subprocess.run([script, *args], env=environment, capture_output=True, text=True, check=False)
+
+    assert call("--print", "anna").returncode == 0
+    assert list(tmp_path.iterdir()) == []
+    assert call("anna").returncode == 0
+    rules = tmp_path / "etc/udev/rules.d/99-dpstack.rules"
+    assert rules.read_text() == (ROOT / "tools" / "99-dpstack.rules").read_text()
+    limits = tmp_path / "etc/security/limits.d/99-dpstack.conf"
+    assert limits.read_text() == "@dialout - rtprio 50\n@dialout - memlock unlimited\n"
+    assert call("--wrong").returncode == 2
+
+
+def test_the_set_up_script_says_what_it_would_do() -> None:
+    script = str(ROOT / "tools" / "setup_adapter.sh")
+    said = subprocess.run([script, "--print", "anna"], capture_output=True, text=True, check=True).stdout
+    assert "+ usermod -aG dialout anna" in said
+    assert "+ udevadm control --reload" in said
