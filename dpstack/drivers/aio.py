@@ -149,10 +149,11 @@ class AsyncioRuntime:
         """Pump until nothing is due within the spin time, then tell events and arm the timer."""
         machine, transmit, spin_ns = self._machine, self._transmit, self._spin_ns
         steps = _BURST
+        heard, sent_at = len(chunk), 0
         try:
-            now = monotonic_ns()
-            if chunk and self.lateness.sent_at:
-                self.lateness.heard(self._wire_ns[min(len(chunk), _LONGEST - 1)], now)
+            arrived = now = monotonic_ns()
+            if heard:
+                sent_at, self.lateness.sent_at = self.lateness.sent_at, 0
             while True:
                 deadline = pump(machine, chunk, now, transmit)
                 now = monotonic_ns()
@@ -166,6 +167,8 @@ class AsyncioRuntime:
                     now = monotonic_ns()
                 chunk = self._drain() if now - deadline > _LATE_NS else b""
             self._deadline = deadline
+            if sent_at:
+                self.lateness.heard(sent_at, self._wire_ns[min(heard, _LONGEST - 1)], arrived)
             events = machine.take_events()
         except Exception as exc:
             self._fail(exc)

@@ -34,11 +34,13 @@ class Lateness:
         self._tune = tune
         self._due = FIRST
 
-    def heard(self, wire_ns: int, now: int) -> None:
-        """Octets that took ``wire_ns`` on the wire were delivered; call it only while ``sent_at`` is set."""
+    def heard(self, sent_at: int, wire_ns: int, now: int) -> None:
+        """Octets that took ``wire_ns`` on the wire were delivered at ``now``, after the transmission of ``sent_at``.
+
+        It can wait until the next request is out: the caller takes ``sent_at`` and sets it to 0 when they arrive.
+        """
         histogram = self.histogram
-        histogram.add(now - self.sent_at - wire_ns)
-        self.sent_at = 0
+        histogram.add(now - sent_at - wire_ns)
         if self._tune is not None and histogram.count >= self._due:
             self._due = histogram.count + _EVERY
             patience = measured(histogram.quantile_ns(0.999))

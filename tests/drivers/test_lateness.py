@@ -30,12 +30,11 @@ def test_it_is_derived_after_a_thousand_answers_and_then_now_and_again() -> None
     lateness = Lateness(lambda patience, now: told.append((patience.known_ns // NS_PER_MS, now)))
     now = 0
     for count in range(1, 22_002):
-        lateness.sent_at = now + 1_000_000
+        sent_at = now + 1_000_000
         # 0.1 ms on the wire, then the adapter: 2 ms, from the 5000th answer on 12 ms
         late = 2 * NS_PER_MS if count < 5_000 else 12 * NS_PER_MS
-        now = lateness.sent_at + 100_000 + late
-        lateness.heard(100_000, now)
-        assert lateness.sent_at == 0
+        now = sent_at + 100_000 + late
+        lateness.heard(sent_at, 100_000, now)
         if count == FIRST:
             assert [known for known, _ in told] == [20]
     assert [known for known, _ in told] == [20, pytest.approx(36, abs=1)]
@@ -46,8 +45,7 @@ def test_it_is_derived_after_a_thousand_answers_and_then_now_and_again() -> None
 def test_without_anybody_to_tell_it_only_counts() -> None:
     lateness = Lateness()
     for _ in range(FIRST + 1):
-        lateness.sent_at = 1
-        lateness.heard(0, 5)
+        lateness.heard(1, 0, 5)
     assert lateness.patience is None
     assert lateness.histogram.max_ns == 4
 
@@ -74,6 +72,5 @@ async def test_the_derived_patience_reaches_the_machine() -> None:
     async with Rig(tune=lambda patience, _now: told.append(patience)) as rig:
         lateness = rig.driver.lateness
         for _ in range(FIRST):
-            lateness.sent_at = 1
-            lateness.heard(0, 16 * NS_PER_MS)
+            lateness.heard(1, 0, 16 * NS_PER_MS)
         assert told == [lateness.patience]
