@@ -15,7 +15,8 @@ from dpstack.dp.class2_jobs import Job, Outcome, Reading, Service, ServiceFailur
 from dpstack.dp.events import SlaveState
 from dpstack.dp.master import Master
 from dpstack.dp.ms0 import positive
-from dpstack.errors import UsageError
+from dpstack.dp.pdu import SetSlaveAdd
+from dpstack.errors import PduError, UsageError
 from dpstack.fdl.telegram import Telegram
 from dpstack.fdl.user import Failure, Request
 from dpstack.machine import LineDown
@@ -127,6 +128,10 @@ class Class2:
             case ChangeAddress(token, old, new, ident, no_add_chg, rem_slave_data, timeout_ns):
                 self._check(old)
                 self._check_new(old, new)
+                try:
+                    SetSlaveAdd(new, ident or 0, no_add_chg, rem_slave_data).build()
+                except PduError as error:
+                    raise UsageError(str(error)) from None
                 job = AddressChange(self.own, old, new, ident, no_add_chg, rem_slave_data)
                 self._take(token, job, timeout_ns, now)
             case CancelService(token):

@@ -208,6 +208,20 @@ def test_addresses_that_cannot_be(old: int, new: int, text: str) -> None:
     assert kit.class2.waiting == 0
 
 
+@pytest.mark.parametrize(
+    ("command", "text"),
+    [
+        (ChangeAddress(1, 126, 5, rem_slave_data=bytes(241)), "241 octets for the device, 240 are possible"),
+        (ChangeAddress(1, 126, 5, ident=0x10000), "ident = 65536 does not fit"),
+    ],
+)
+def test_telegrams_that_cannot_be(command: ChangeAddress, text: str) -> None:
+    kit = Class2Bus()
+    with pytest.raises(UsageError, match=text):
+        kit.send(command)
+    assert kit.class2.waiting == 0
+
+
 def test_a_read_only_bus_changes_nothing() -> None:
     kit = Class2Bus(guard=reading_only)
     slave = OctetSlave(kit.bus, 126)

@@ -1,4 +1,4 @@
-"""Set_Prm, Global_Control and Set_Slave_Add, against octets of real bus logs and of manuals (protocol facts A1, B2, B4)."""
+"""Set_Prm, Global_Control and Set_Slave_Add, against octets of real bus logs and of manuals (facts A1, B2, B4, B8)."""
 
 from __future__ import annotations
 
