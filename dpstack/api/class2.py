@@ -147,7 +147,8 @@ class Class2:
 
     async def _do(self, token: int, command: ReadService | ChangeAddress) -> ServiceDone:
         bus = self._bus
-        future = self._waiting[token] = asyncio.get_running_loop().create_future()
+        future: asyncio.Future[ServiceDone] = asyncio.get_running_loop().create_future()
+        self._waiting[token] = future
         try:
             bus.command(command)
             done = await future

@@ -35,8 +35,9 @@ def _fields(table: Table, key: str, length: int) -> dict[str, Field]:
 
 
 def _field(inside: Table, name: str, length: int, key: str) -> Field:
+    text = inside.text(name) or ""
     try:
-        return field_of(name, inside.text(name) or "", length, key)
+        return field_of(name, text, length, key)
     except ConfigError as error:
         what, _, todo = str(error).rpartition("; ")
         raise inside.error(name, what, todo) from None
