@@ -156,7 +156,8 @@ async def test_in_the_summary_and_through_the_control_socket() -> None:
         assert await ask("set", "valves.open=on", "8.target=-0x10") is None
         valves = bus.slave(8)
         assert valves.outputs == b"\x08\x00\xff\xf0"
-        await bus.until(lambda: valves["level"] == -16, 10)
+        while valves["level"] != -16:
+            await bus.rotated(bus.stats.rotations + 1, 10)
         wanted = {"limit": True, "status": 8, "level": -16, "level_raw": "fff0"}
         wanted |= {"open": True, "close": False, "target": -16}
         assert (await ask("stats"))["slaves"]["8"]["fields"] == wanted

@@ -318,6 +318,25 @@ def test_beside_the_class_1_master_of_its_own_station(world: WorldFactory) -> No
     assert bus.station.stats.stations[4].retries == 0
 
 
+def test_without_time_to_spare_it_ends_and_says_so(world: WorldFactory) -> None:
+    """T_TR so short that data exchange alone uses it up: the cycle goes on, the service does not get in."""
+    w = world()
+    params = BusParams.preset(500_000, address=2, gap=0).replace(t_tr=256)
+    bus = SimBus(w, params, (3, 4))
+    bus.until_exchanging()
+    class2 = Class2(2, bus.master)
+    w.command(bus.station, AttachUser(class2))
+    w.command(bus.station, ReadService(1, 3, Service.CONFIG, timeout_ns=300 * MS))
+    w.run_for(301 * MS)
+    outcome = ends(bus.events)[1].outcome
+    assert outcome.failure is ServiceFailure.LATE
+    assert outcome.text == (
+        "Get_Cfg to slave 3 had no end after 0.3 s: no token hold had time left for it; "
+        "T_TR is too short, or too many services wait"
+    )
+    assert bus.exchanging
+
+
 class TellsOnce(SlaveApp):
     """Shows Stat_Diag in exactly one diagnosis."""
 
