@@ -33,7 +33,7 @@ T = TypeVar("T")
 
 #: three first requests and the probe with FCV = 1 that finds slaves which know nothing else (A4)
 ATTEMPTS: Final = 4
-_BUSY_PAUSE: Final = 10 * NS_PER_MS
+_PAUSE: Final = 10 * NS_PER_MS
 #: "later": asked again; everything else that is negative is an answer
 _BUSY: Final = frozenset((int(Resp.UE), int(Resp.RR)))
 _NO_DATA: Final = EMPTY_STATUS | {int(Resp.NR)}
@@ -140,17 +140,19 @@ def request(address: int, service: Service, data: bytes = b"") -> Request:
 
 
 def asked(request: Request, attempts: int = ATTEMPTS) -> Steps[Telegram | Failure]:
-    """Up to ``attempts`` times, until there is an answer other than "busy"."""
+    """Up to ``attempts`` times, until there is an answer other than "busy"; others have their turn meanwhile.
+
+    The pauses grow: a computer that stands still for 30 ms must not use up all attempts at once.
+    """
     answer: Telegram | Failure = Failure.NO_ANSWER
     pause = 0
-    for _ in range(attempts):
+    for attempt in range(attempts):
         answer = yield Step(request, pause)
         if answer is Failure.REFUSED:
             break
-        busy = isinstance(answer, Telegram) and answer.kind is not Kind.SC and answer.function in _BUSY
-        if isinstance(answer, Telegram) and not busy:
+        if isinstance(answer, Telegram) and (answer.kind is Kind.SC or answer.function not in _BUSY):
             break
-        pause = _BUSY_PAUSE if busy else 0
+        pause = _PAUSE << attempt
     return answer
 
 

@@ -35,17 +35,16 @@ def address(capsys: pytest.CaptureFixture[str], bus: Path, *args: str) -> tuple[
 
 
 def test_there_and_back(bus: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert address(capsys, bus, "20", "9", "--ident", "0x1234") == (
-        0,
-        "slave 20 has address 9 now: ident 0x1234, verified there\n",
-        "",
-    )
-    code, out, err = address(capsys, bus, "9", "11", "--no-change", "--json")
-    assert (code, err) == (0, "")
+    code, out, _ = address(capsys, bus, "20", "9", "--ident", "0x1234")
+    assert (code, out) == (0, "slave 20 has address 9 now: ident 0x1234, verified there\n")
+    code, out, _ = address(capsys, bus, "9", "11", "--no-change", "--json")
+    assert code == 0
     assert json.loads(out) == {"old": 9, "new": 11, "ident": "0x1234", "no_change": True}
     code, out, err = address(capsys, bus, "11", "12")
     assert (code, out) == (1, "")
-    assert err.startswith("dpstack: slave 11 acknowledged Set_Slave_Add and kept its address; its address was locked")
+    assert err.splitlines()[-1].startswith(
+        "dpstack: slave 11 acknowledged Set_Slave_Add and kept its address; its address was locked"
+    )
 
 
 @pytest.mark.parametrize(
@@ -61,8 +60,7 @@ def test_there_and_back(bus: Path, capsys: pytest.CaptureFixture[str]) -> None:
 def test_findings(bus: Path, capsys: pytest.CaptureFixture[str], args: tuple[str, str], code: int, line: str) -> None:
     ended, out, err = address(capsys, bus, *args, "--json")
     assert (ended, out) == (code, "")
-    assert err.startswith(f"dpstack: {line}")
-    assert err.count("\n") == 1
+    assert err.splitlines()[-1].startswith(f"dpstack: {line}")
 
 
 @pytest.mark.parametrize(
