@@ -12,7 +12,7 @@ from typing import Final
 from dpstack.fdl.codec import encode_token
 from dpstack.fdl.events import MasterSeen, RingLeft
 from dpstack.fdl.fcb import FrameCount
-from dpstack.fdl.ring import Allowance, Gap, Ring
+from dpstack.fdl.ring import Gap, Ring
 from dpstack.fdl.states import Input, State
 from dpstack.fdl.telegram import FC_FUNCTION, FC_REQUEST, Kind, Req, Telegram
 from dpstack.fdl.user import Failure, LinkStats, LinkUser, Request, StationStats
@@ -57,7 +57,6 @@ class Link:
 
     __slots__ = (
         "after_ns",
-        "allowance",
         "announced",
         "asked",
         "attempt",
@@ -193,13 +192,13 @@ class Link:
         # Octets are seen at their end: without edges the slot time counts from there.
         slot_ns = line.t_sl_ns if self.exact else params.ns(params.t_sl + BITS_PER_CHAR)
         self.slot_known_ns = slot_ns + patience.known_ns
-        self.slot_unknown_ns = slot_ns + patience.unknown_ns
+        self.slot_unknown_ns = slot_ns if self.exact else patience.silent_ns(params)
         self.t_to_ns = line.t_to_ns + patience.known_ns
         self.t_tr_ns = params.ns(params.t_tr)
         self.max_retry = params.max_retry
         # half a bit of tolerance: telegram and pause are rounded to ns apart from each other
         self.early_ns = params.ns(params.min_tsdr) - params.ns(1) // 2
-        self.allowance = Allowance(patience.unknown_share, self.slot_unknown_ns, now)
+        self.gap.limit(patience, self.slot_unknown_ns, now)
 
     def end_exchange(self) -> None:
         """No exchange is under way (any more); the caller tells the user."""
