@@ -17,9 +17,6 @@ from dpstack.cli.streams import warn
 from dpstack.errors import BusError, UsageError
 from dpstack.units import baud_text
 
-#: a master that polls its GAP sparingly (1 % of the bus for silent addresses) takes half a minute for a pass
-_JOIN_TIMEOUT_S = 90.0
-
 
 def add_to(commands: options.Commands) -> None:
     """The command and its options."""
@@ -58,7 +55,7 @@ async def _run(args: argparse.Namespace) -> int:
 
     def make_bus(address: int) -> Bus:
         config = make_config(args.port, baud, address, where="scan", bus={"read_only": True})
-        return Bus(config, on_event=tell, join_timeout=_JOIN_TIMEOUT_S, watched=False)
+        return Bus(config, on_event=tell, watched=False)
 
     def tell(event: Event) -> None:
         if severity_of(event) is not Severity.INFO:
