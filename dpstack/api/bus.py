@@ -77,7 +77,7 @@ class Bus:
         self._ending: asyncio.Task[None] | None = None
         self._stopped = False
         self._left = False
-        self._has_joined = False
+        self._joined_ns = 0  # machine time of the first token
         self._ended_ns = 0
         self._collision: str | None = None
         #: why nothing will happen any more: a failure, or the end
@@ -301,6 +301,11 @@ class Bus:
         return ns_to_s(self.runtime.now() - self.started_ns)
 
     @property
+    def seconds_in_ring(self) -> float:
+        """Bus time since this master was given, or claimed, its first token in seconds; 0 before that."""
+        return ns_to_s(self.runtime.now() - self._joined_ns) if self._joined_ns else 0.0
+
+    @property
     def rotation_limit_s(self) -> float:
         """The longest rotation of the plan in seconds."""
         return ns_to_s(self.plan.rotation_ns(Case.LONGEST))
@@ -347,8 +352,8 @@ class Bus:
             self._tell(event)
             for notice in self._beside.notices(event):
                 self._tell(notice)
-            if isinstance(event, RingJoined) and not self._has_joined:
-                self._has_joined = True
+            if isinstance(event, RingJoined) and not self._joined_ns:
+                self._joined_ns = event.t_ns
                 self._tell(Notice(t_ns=event.t_ns, source="bus", message=what_was_heard(self.station)))
         self._waiters.check()
 

@@ -23,6 +23,8 @@ from dpstack.stats import Histogram
 from dpstack.trace import Event
 from dpstack.units import BITS_PER_CHAR, NEVER
 
+#: T_TO is longer by so many times the slack of a known station
+_SLACK_IN_T_TO: Final = 2
 #: repetitions of a token get this share of the slack that the first pass gets (but what is there for unknown ones)
 _AGAIN: Final = 4
 #: stands for "no telegram"; told by identity
@@ -204,7 +206,10 @@ class Link:
         self.slot_unknown_ns = slot_ns if self.exact else patience.silent_ns(params)
         # A stalled host had its time at the first pass: repetitions are for a damaged token.
         self.slot_again_ns = slot_ns + max(patience.known_ns // _AGAIN, patience.unknown_ns)
-        self.t_to_ns = line.t_to_ns + patience.known_ns
+        # The holder may be silent for T_SL and its slack, and notice the end of that late by as much. With the slack
+        # once (5 ms more than a known station's answer is waited for) a busy computer lost the token with every master
+        # that left, and two rings stood side by side [M].
+        self.t_to_ns = line.t_to_ns + _SLACK_IN_T_TO * patience.known_ns
         self.t_tr_ns = params.ns(params.t_tr)
         self.max_retry = params.max_retry
         # half a bit of tolerance: telegram and pause are rounded to ns apart from each other
@@ -261,7 +266,7 @@ class Link:
         return at if at > self.busy_until else self.busy_until
 
     def await_silence(self) -> None:
-        """Arm T_TO: counted from the last activity, the host's slack once."""
+        """Arm T_TO: counted from the last activity."""
         self.deadline = self.line.idle_since + self.t_to_ns
 
     # --- ways out of a state that several handlers take -----------------------------------------------------------
