@@ -19,8 +19,8 @@ SLOT_MS = 0.592
 def ring(patience: Patience, *addresses: int, mode: str = "whole") -> RingBus:
     bus = RingBus(187_500, mode=mode)
     for address in addresses:
-        bus.master(address, ListUser(), patience=patience, hsa=12)
-    bus.run(12_000 * NS_PER_MS)
+        bus.master(address, ListUser(), patience=patience, hsa=9)
+    bus.run((8_000 if patience is HOST else 600) * NS_PER_MS)
     assert all(station.las == set(addresses) for station in bus.stations)
     return bus
 

@@ -175,7 +175,7 @@ def test_without_it_hardware_lets_nobody_in(name: str) -> None:
     """The newcomer's answer to the GAP poll is late or not sent at all: it is never seen. The advice says why."""
     one, other, patience = CASES[name]
     ring = Ring(World(seed=1), (one, other), 200, patience)
-    ring.world.run_for(2 * S)
+    ring.world.run_for(S)
     assert ring.stations[0].las == {2}
     assert not ring.stations[1].in_ring
     assert "other masters need t_sl" in Neighbours(ring.stations[1].params, patience, 2).advice()
@@ -185,7 +185,7 @@ def test_without_it_two_adapters_talk_into_each_other() -> None:
     """Both have slack, so there may be a ring; what one says late, the other hears while it talks itself."""
     world = World(seed=1)
     ring = Ring(world, (FTDI, FTDI), 200, ADAPTER)
-    world.run_for(5 * S)
+    world.run_for(2 * S)
     assert world.referee is not None
     assert {Rule.LATE, Rule.COLLISION} <= {violation.rule for violation in world.referee.violations}
     assert Neighbours(ring.stations[0].params, ADAPTER, 2).advice()
