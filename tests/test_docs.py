@@ -159,3 +159,17 @@ def test_public_names() -> None:
         assert name in dir(dpstack)
     with pytest.raises(AttributeError, match="has no attribute 'nonsense'"):
         _ = dpstack.nonsense
+
+
+def test_the_table_of_neighbours_is_the_programs() -> None:
+    from dpstack.phy.neighbours import Neighbours
+    from dpstack.phy.patience import ADAPTER, measured
+
+    text = (ROOT / "docs" / "bus-parameters.md").read_text(encoding="utf-8")
+    rows = re.findall(r"\| (not measured, 20|measured (\d)) ms(?:, lowest other master (\d))? \|(.*)\|", text)
+    for _, ms, lowest, cells in rows:
+        patience = measured(int(ms) * 1_000_000) if ms else ADAPTER
+        for cell, baud in zip(cells.split("|"), (187_500, 500_000, 1_500_000), strict=True):
+            wanted = Neighbours(BusParams.preset(baud), patience, int(lowest or 0)).t_sl
+            assert ("none" in cell) if wanted > 16_383 else int(cell.replace(" ", "")) == wanted
+    assert len(rows) == 3

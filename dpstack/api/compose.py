@@ -23,6 +23,7 @@ from dpstack.fdl.active import ActiveStation
 from dpstack.fdl.livelist import LiveList, live_allowance
 from dpstack.fdl.user import LinkUser
 from dpstack.params import BusParams
+from dpstack.phy.neighbours import Neighbours
 from dpstack.phy.patience import EXACT, Patience, slack
 from dpstack.ports import Delivery, Port, open_port
 from dpstack.profile import DriveCore
@@ -40,12 +41,14 @@ def plan_bus(config: Config, baud: int | None = None) -> Plan:
     setups = config.setups(rate)
     params = with_t_tr(config, config.params(rate), setups)
     notes = [note for slave in config.slaves for note in slave.notes]
-    pty, slack_ns = False, 0
+    pty, slack_ns, beside = False, 0, ""
     if config.bus.port is not None and not config.virtual:
         port = port_of(config, rate)
-        pty, slack_ns = port.delivery is Delivery.HOST, patience_for(config, port).known_ns
+        patience = patience_for(config, port)
+        pty, slack_ns = port.delivery is Delivery.HOST, patience.known_ns
+        beside = Neighbours(params, patience).advice()
     findings = rate_findings(config, rate)
-    return make_plan(params, setups, pty=pty, host_slack_ns=slack_ns, findings=findings, notes=notes)
+    return make_plan(params, setups, pty=pty, host_slack_ns=slack_ns, findings=findings, notes=notes, beside=beside)
 
 
 def with_t_tr(config: Config, params: BusParams, setups: Sequence[SlaveSetup]) -> BusParams:

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dpstack.api.joining import MakeBus, joined
+from dpstack.api.visiting import MakeBus, joined
 from dpstack.dp.events import SlaveState
 from dpstack.dp.scanner import Found, Scanner, SlaveView, view_of
 from dpstack.errors import BusError, DpError
@@ -79,7 +79,7 @@ class LiveListResult:
 async def scan_port(make_bus: MakeBus, *, address: int | None = None, configs: bool = False) -> LiveListResult:
     """Join the bus, ask everybody, leave in order; on a silent bus then ask the own address from another one.
 
-    ``make_bus`` makes read-only buses; ``address`` as in :func:`~dpstack.api.joining.joined`.
+    ``make_bus`` makes read-only buses; ``address`` as in :func:`~dpstack.api.visiting.joined`.
     Raises PortError, BusError.
     """
     async with joined(make_bus, address) as bus:

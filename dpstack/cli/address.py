@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 
-from dpstack.api.joining import joined
+from dpstack.api.visiting import joined
 from dpstack.cli import options, output, visit
 from dpstack.cli.signals import StopSignal
 from dpstack.cli.streams import warn

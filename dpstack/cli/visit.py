@@ -8,14 +8,11 @@ from dpstack.api.baud import find_baud
 from dpstack.api.bus import Bus
 from dpstack.api.config import AUTO, make_config
 from dpstack.api.events import Event, MasterSeen, Severity, severity_of
-from dpstack.api.joining import MakeBus
+from dpstack.api.visiting import MakeBus
 from dpstack.cli import options
 from dpstack.cli.streams import warn
 from dpstack.errors import BusError, UsageError
 from dpstack.units import baud_text
-
-#: a master that polls its GAP sparingly (1 % of the bus for silent addresses) takes half a minute for a pass
-_JOIN_TIMEOUT_S = 90.0
 
 
 def add_port(parser: argparse.ArgumentParser) -> None:
@@ -58,7 +55,7 @@ def bus_maker(args: argparse.Namespace, baud: int, **bus: object) -> MakeBus:
 
     def make_bus(address: int) -> Bus:
         config = make_config(args.port, baud, address, where=args.command, bus=bus)
-        return Bus(config, on_event=tell, join_timeout=_JOIN_TIMEOUT_S, watched=False)
+        return Bus(config, on_event=tell, watched=False)
 
     def tell(event: Event) -> None:
         if severity_of(event) is not Severity.INFO:
