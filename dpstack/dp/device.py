@@ -96,12 +96,14 @@ class Device:
         """The time asked for has come."""
 
 
+#: From the outputs and the time since data exchange began in ns to the inputs.
+OnCycle = Callable[[bytes, int], bytes | bytearray]
+
+
 class FunctionDevice(Device):
     """A device that is one function from outputs and elapsed time (ns since entry) to inputs."""
 
-    def __init__(
-        self, ident: int, config: bytes, function: Callable[[bytes, int], bytes], name: str = "device"
-    ) -> None:
+    def __init__(self, ident: int, config: bytes, function: OnCycle, name: str = "device") -> None:
         self.ident = ident
         self.configs = (config,)
         self.name = name
@@ -113,5 +115,6 @@ class FunctionDevice(Device):
         self._since = now
 
     def exchange(self, outputs: bytes, now: int) -> bytes:
-        """Hand over to the function."""
-        return self._function(outputs, now - self._since)
+        """Hand over to the function, which may return a bytearray that it goes on writing to."""
+        inputs = self._function(outputs, now - self._since)
+        return bytes(inputs) if isinstance(inputs, bytearray) else inputs

@@ -49,7 +49,10 @@ class SlaveCore:
         ask = self.diag.user
         if ask is not None and self.failure is None:
             try:
-                return ask()
+                user = ask()
+                if not isinstance(user, UserDiag):
+                    raise TypeError(f"user_diag() returned {type(user).__name__}, a UserDiag is wanted")
+                return user
             except Exception as error:
                 self.fail("Slave_Diag", error, now)
         return NO_DIAG

@@ -124,14 +124,16 @@ class CyclicData:
 
     def _sample(self, now: int) -> bytes:
         inputs = self.run(self.outputs, now)
-        if len(inputs) != self.input_len:
-            raise ValueError(wrong_inputs(len(inputs), self.input_len))
+        if type(inputs) is not bytes or len(inputs) != self.input_len:
+            raise wrong_inputs(inputs, self.input_len)
         return inputs
 
     def _judge(self) -> None:
         self.plain = self._started and not (self._void or self.synced or self.frozen)
 
 
-def wrong_inputs(got: int, expected: int) -> str:
-    """The text for a device that returns inputs of the wrong length."""
-    return f"it returned {got} input octets, its configuration has {expected}"
+def wrong_inputs(inputs: object, expected: int) -> Exception:
+    """What to raise for a device that returns no inputs, or of the wrong length: it would go out on the wire."""
+    if not isinstance(inputs, bytes):
+        return TypeError(f"it returned {type(inputs).__name__}, inputs are bytes")
+    return ValueError(f"it returned {len(inputs)} input octets, its configuration has {expected}")

@@ -146,8 +146,8 @@ class SlaveApp:
             if data.plain and len(octets) == data.output_len:
                 data.outputs = octets
                 inputs = data.run(octets, now)
-                if len(inputs) != data.input_len:
-                    raise ValueError(wrong_inputs(len(inputs), data.input_len))
+                if type(inputs) is not bytes or len(inputs) != data.input_len:
+                    raise wrong_inputs(inputs, data.input_len)
                 data.inputs = inputs
             elif data.accepts(octets):
                 inputs = data.exchange(octets, now)

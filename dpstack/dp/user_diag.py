@@ -31,6 +31,10 @@ class UserDiag:
     stat: bool = False
     overflow: bool = False
 
+    def __post_init__(self) -> None:
+        if not isinstance(self.ext, bytes):
+            raise TypeError(f"the octets of a diagnosis are bytes, not {type(self.ext).__name__}")
+
     @classmethod
     def of(cls, *blocks: Block, fault: bool | None = None, stat: bool = False, overflow: bool = False) -> UserDiag:
         """From ``blocks``, in their order; ``fault`` None: where there are blocks."""
