@@ -67,7 +67,7 @@ class ServedSlave:
 
     @property
     def outputs(self) -> bytes:
-        """The outputs as they are valid now; empty while not in data exchange, zeros in Clear."""
+        """The outputs as they are valid now: in Clear the safe ones; empty while not in data exchange."""
         return self._app.outputs
 
     @property

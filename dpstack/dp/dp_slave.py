@@ -69,9 +69,8 @@ class DpSlave(FunctionDevice):
         self.wd_base_1ms = description.wd_base_1ms
         self.max_diag_len = description.max_diag_len
         self._diag = NO_DIAG
-        self._wanted_safe = safe
-        self._safe = b""
-        self._void = True
+        self.safe = safe or b""
+        self._safe = b""  # in the length of the configuration in use
         self._on_prm = on_prm
         self._on_address = on_address
         self._on_leave = on_leave
@@ -105,30 +104,19 @@ class DpSlave(FunctionDevice):
         return self.description.check_cfg(config)
 
     def enter(self, config: bytes, now: int) -> None:
-        """Data exchange begins, with outputs that are not valid before the first exchange."""
+        """Data exchange begins."""
         super().enter(config, now)
-        self._safe = bytes(io_lengths(config)[1]) if self._wanted_safe is None else self._wanted_safe
-        self._void = True
-
-    def exchange(self, outputs: bytes, now: int) -> bytes:
-        """The real outputs, or the safe ones."""
-        return super().exchange(self._safe if self._void else outputs, now)
+        self._safe = self.safe or bytes(io_lengths(config)[1])
 
     def clear(self, now: int) -> None:
         """Safe outputs at once."""
-        self._void = True
-        super().exchange(self._safe, now)
-
-    def operate(self, now: int) -> None:
-        """Outputs are valid from the next exchange on."""
-        self._void = False
+        self.exchange(self._safe, now)
 
     def leave(self, reason: Leave, now: int) -> None:
         """Safe outputs at once, also to a function that has just failed: whatever it still does must be safe."""
-        self._void = True
         told = contextlib.suppress(Exception) if reason is Leave.FAILURE else contextlib.nullcontext()
         with told:
-            super().exchange(self._safe, now)
+            self.exchange(self._safe, now)
         if self._on_leave is not None:
             self._on_leave(reason)
 

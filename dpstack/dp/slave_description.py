@@ -142,15 +142,16 @@ class SlaveDescription:
 
     def _check_modules(self, config: bytes) -> str | None:
         """Whether ``config`` is a row of modules, each any number of times, ``max_modules`` together at most."""
+        known = {module.config for module in self.modules}  # there may be more than a thousand
+        lengths = {len(octets) for octets in known}
         fewest: list[int | None] = [0] + [None] * len(config)  # modules that make up the octets until here
         reached = 0
         for at, count in enumerate(fewest):
             if count is None:
                 continue
             reached = at
-            for module in self.modules:
-                end = at + len(module.config)
-                if config[at:end] == module.config:
+            for end in (at + length for length in lengths):
+                if end <= len(config) and config[at:end] in known:
                     before = fewest[end]
                     fewest[end] = count + 1 if before is None else min(before, count + 1)
         count = fewest[-1]

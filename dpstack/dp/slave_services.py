@@ -154,12 +154,13 @@ class Services:
         if not core.leave(Leave.NEW_CONFIGURATION, now):
             return
         try:
+            data = CyclicData(core.device, config, inputs, outputs)
             core.device.enter(config, now)
         except Exception as error:
             core.fail("Chk_Cfg", error, now)
             return
         core.diag.cfg_fault = False
-        core.data = CyclicData(core.device, config, inputs, outputs)
+        core.data = data
         core.report.forget()
         core.step(AppEv.CFG_GOOD, now)
 

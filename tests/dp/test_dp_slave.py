@@ -6,9 +6,9 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from slave_kit import CFG, CLEAR, MS, OPERATE, PRM, PRM_NO_WD, SYNC, UNLOCK, UNSYNC, Bench
+from slave_kit import CFG, CLEAR, FREEZE, MS, OPERATE, PRM, PRM_NO_WD, SYNC, UNLOCK, UNSYNC, Bench
 
-from dpstack.dp.device import Leave, OnCycle
+from dpstack.dp.device import FunctionDevice, Leave, OnCycle
 from dpstack.dp.dp_slave import DpSlave
 from dpstack.dp.slave_description import SlaveDescription, SlaveModule
 from dpstack.dp.slave_events import DeviceFailed
@@ -105,6 +105,30 @@ def test_clear_holds_until_operate() -> None:
     bench.control(OPERATE)
     bench.dx(b"\x22")
     assert log.take() == ["0f", "0f", "22"]
+
+
+def test_safe_outputs_stay_until_real_ones_are_passed_on() -> None:
+    """Back in Operate outputs wait for the next SYNC; a FREEZE before the first exchange has no real ones either."""
+    log = Log()
+    bench = served(log, safe=b"\x0f").up()
+    bench.control(FREEZE)
+    assert bench.ask(57).data == b"\x0f"
+    bench.control(SYNC)
+    bench.dx(b"\x11")
+    bench.control(CLEAR)
+    bench.control(OPERATE)
+    bench.dx(b"\x22")
+    assert set(log.take()) == {"0f"}
+    bench.control(SYNC)
+    assert log.take() == ["22"]
+
+
+def test_safe_outputs_that_do_not_fit_are_the_device_s_failure() -> None:
+    device = FunctionDevice(IDENT, CFG, Log())
+    device.safe = b"\0\0"
+    bench = Bench(device).up()
+    assert bench.app.failure == "ValueError: 2 safe octets, the configuration has 1 output octets"
+    assert bench.dx() == RS_REPLY
 
 
 def test_in_sync_the_function_keeps_the_outputs_of_the_last_sync() -> None:
