@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -20,6 +21,13 @@ def rows(page: Path) -> list[str]:
     return [line for line in lines if line.startswith("| ") and not line.startswith("| service or option")]
 
 
+@cache
+def tests_of(path: str) -> frozenset[str]:
+    file = ROOT / "tests" / path
+    tree = ast.parse(file.read_text(encoding="utf-8")) if file.exists() else ast.Module(body=[], type_ignores=[])
+    return frozenset(node.name for node in tree.body if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef))
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
 def test_every_row_names_tests_that_exist(page: Path) -> None:
     found = rows(page)
@@ -29,13 +37,7 @@ def test_every_row_names_tests_that_exist(page: Path) -> None:
         named = _TEST.findall(row)
         if not named:
             missing.append(row)
-        for path, test in named:
-            file = ROOT / "tests" / path
-            defined = ast.parse(file.read_text(encoding="utf-8")).body if file.exists() else []
-            if not any(
-                isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and node.name == test for node in defined
-            ):
-                missing.append(f"{path}::{test}")
+        missing += [f"{path}::{test}" for path, test in named if test not in tests_of(path)]
     assert missing == []
 
 
