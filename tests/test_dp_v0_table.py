@@ -22,7 +22,7 @@ def rows(page: Path) -> list[str]:
 
 
 @cache
-def tests_of(path: str) -> frozenset[str]:
+def names_in(path: str) -> frozenset[str]:
     file = ROOT / "tests" / path
     tree = ast.parse(file.read_text(encoding="utf-8")) if file.exists() else ast.Module(body=[], type_ignores=[])
     return frozenset(node.name for node in tree.body if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef))
@@ -37,7 +37,7 @@ def test_every_row_names_tests_that_exist(page: Path) -> None:
         named = _TEST.findall(row)
         if not named:
             missing.append(row)
-        missing += [f"{path}::{test}" for path, test in named if test not in tests_of(path)]
+        missing += [f"{path}::{test}" for path, test in named if test not in names_in(path)]
     assert missing == []
 
 
