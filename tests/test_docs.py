@@ -55,11 +55,26 @@ def test_the_readmes_program_runs(
 
 
 @pytest.mark.usefixtures("fast")
+@pytest.mark.parametrize("page", [p for p in PAGES if p.parent.name == "docs"], ids=lambda p: p.name)
+def test_programs_in_the_documents_run(page: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A program marked "run" prints what the next block of kind text says."""
+    wanted = [text for mark, text in blocks(page, "text") if mark == "output"]
+    programs = [text for mark, text in blocks(page, "python") if mark == "run"]
+    assert len(programs) == len(wanted)
+    for number, text in enumerate(programs):
+        program = tmp_path / f"program{number}.py"
+        program.write_text(text, encoding="utf-8")
+        runpy.run_path(str(program), run_name="__main__")
+        assert capsys.readouterr().out == wanted[number]
+
+
+@pytest.mark.usefixtures("fast")
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda p: p.stem)
 def test_examples_run(example: Path, capsys: pytest.CaptureFixture[str]) -> None:
     runpy.run_path(str(example), run_name="__main__")
     out = capsys.readouterr().out
     wanted = {
+        "own_slave": ["level 40 %", "ext_diag, wd_on 80 40 07", "valve closed"],
         "two_drives": ["hoist at 25 Hz", "fan at 24 Hz", "fan at -24 Hz"],
         "class_2": [
             "3: ident 0x0696, master 2, config f3 71",
