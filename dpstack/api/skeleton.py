@@ -6,10 +6,10 @@ from collections.abc import Iterator
 
 from dpstack.api.livelist import LiveListResult
 from dpstack.api.profiles import known_drives
-from dpstack.dp.identifiers import io_lengths
 from dpstack.dp.scanner import Found, SlaveView
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA, StationType
+from dpstack.gsd.identifiers import io_lengths
 from dpstack.params import MAX_STATION
 from dpstack.profile import DriveProfile
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from dpstack.api.tables import Table
-from dpstack.dp.identifiers import io_lengths
 from dpstack.dp.setup import SlaveSetup
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
+from dpstack.gsd.identifiers import io_lengths
 from dpstack.params import MAX_STATION
 from dpstack.profile import DriveProfile, registry
 from dpstack.units import NS_PER_US

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from dpstack.dp.device import Device
-from dpstack.dp.identifiers import io_lengths
 from dpstack.dp.pdu import SetPrm
 from dpstack.dp.setup import watchdog_ns
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
+from dpstack.gsd.identifiers import io_lengths
 from dpstack.units import NEVER
 
 

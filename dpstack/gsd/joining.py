@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from dpstack.errors import ConfigError
 from dpstack.gsd.blocks import ParameterBlock, PrmTextBlock
 from dpstack.gsd.findings import Findings
+from dpstack.gsd.identifiers import io_lengths
 from dpstack.gsd.model import Device, Module, Parameter, PrmBlock
 from dpstack.gsd.module_block import NO_PRM, DeviceBlock
 from dpstack.gsd.settings import Settings
@@ -20,7 +22,9 @@ def join(block: DeviceBlock, findings: Findings) -> Device:
         message = f"ExtUserPrmData {number} is referred to but nowhere defined; the reference is skipped"
         findings.warning(block.used[number], 1, message)
     sizes = {number: parameter.type.size for number, parameter in parameters.items()}
+    judged: dict[bytes, str] = {}
     for module in block.modules:
+        _identifiers(module, judged, findings)
         if module.prm is not NO_PRM:
             _lengths(module, sizes, findings)
     prm = PrmBlock(None, tuple(block.consts), tuple(block.refs), block.prm_line)
@@ -68,6 +72,20 @@ def _parameters(
 
 
 _NO_TEXTS: Mapping[int, str] = {}
+
+
+def _identifiers(module: Module, judged: dict[bytes, str], findings: Findings) -> None:
+    """Identifier octets that contradict themselves; ``judged`` keeps what is known of each configuration."""
+    problem = judged.get(module.config)
+    if problem is None:
+        try:
+            io_lengths(module.config)
+            problem = ""
+        except ConfigError as error:
+            problem = str(error)
+        judged[module.config] = problem
+    if problem:
+        findings.warning(module.line, 1, f"module {module.name!r}: {problem}")
 
 
 def _lengths(module: Module, sizes: Mapping[int, int], findings: Findings) -> None:
