@@ -21,7 +21,7 @@ class Block:
     """``title`` as the file writes it, ``end``: closing keyword, ``nested``: blocks that may stand inside."""
 
     title: ClassVar[str] = ""
-    end: str = ""
+    end: str = "\n"  # no keyword is like this: nothing ends a file but its end
     nested: ClassVar[frozenset[str]] = frozenset()
     handlers: ClassVar[Mapping[str, Handler]] = {}
 

@@ -48,10 +48,9 @@ class DiagTexts:
         yield self._device
 
     def _found(self, octets: bytes, module: int | None) -> Iterator[tuple[str, str]]:
-        sources = list(self._sources(module))
+        # UnitDiagType names the first octet, the type of a DP-V1 alarm or status: its texts replace the general ones
         typed = self._types.get(octets[0]) if octets else None
-        if typed is not None:  # UnitDiagType names the first octet: the type of a DP-V1 alarm or status
-            sources.insert(-1, typed)
+        sources = self._sources(module) if typed is None else (typed,)
         told: set[tuple[str, int]] = set()
         for diagnosis in sources:
             for kind, at, text, help_text in _texts(diagnosis, octets):

@@ -80,11 +80,11 @@ def _identifiers(module: Module, judged: dict[bytes, str], findings: Findings) -
     if problem is None:
         try:
             io_lengths(module.config)
-            problem = ""
+            problem = "" if module.config else "no identifier octets; it changes nothing in a configuration"
         except ConfigError as error:
             problem = str(error)
         judged[module.config] = problem
-    if problem:
+    if problem and module.complete:
         findings.warning(module.line, 1, f"module {module.name!r}: {problem}")
 
 

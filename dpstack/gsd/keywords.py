@@ -67,8 +67,7 @@ max_initiate_pdu_length alarm_supported extra_alarm_sap_supp extra_alarm_sap_req
 alarm_type_mode_supp wd_base_1ms_supp check_cfg_mode prm_block_structure_supp prm_block_structure_req
 ident_maintenance_supp im_0_supp publisher_supp subscriber_supp isochron_mode_supp isochron_mode_required
 dxb_max_link_count dxb_max_data_length dxb_subscribertable_block_location tbase_dp tdp_min tdp_max t_pll_w_max
-tbase_io ti_min to_min max_iparameter_size f_paramdesccrc f_ext_module_prm_data_len f_ext_user_prm_data_const
-f_ext_user_prm_data_ref unsigned8 unsigned16 unsigned32 signed8 signed16 signed32 bit bitarea
+tbase_io ti_min to_min max_iparameter_size unsigned8 unsigned16 unsigned32 signed8 signed16 signed32 bit bitarea
 area_name related_cfg_identifier io_direction length consistency data_type publisher_allowed dp_master_allowed
 download_supp upload_supp act_para_brct_supp act_param_supp max_mps_length max_lsdu_ms max_lsdu_mm min_poll_timeout
 las_len max_slaves_supp max_master_input_len max_master_output_len max_master_data_len dpv1_master
@@ -76,7 +75,11 @@ dpv1_conformance_class master_freeze_mode_supp master_sync_mode_supp master_fail
 uart_family uart_family_supp slave_max_sapc0 dpv1_data_types
 """
 
+#: spellings that several makers use
+_SPELLINGS: Final = ("24v pins", "unit_diag_!bit", "unit_diag_!bit_help")
+
 KNOWN: Final = frozenset(_OTHERS.split()).union(
+    _SPELLINGS,
     BLOCKS,
     RAW_BLOCKS,
     CLOSING,

@@ -162,6 +162,8 @@ class _Reader:
         end = may_open(keyword, self._endings)
         if end is None or end in BLOCKS.values():
             return False
+        if keyword not in RAW_BLOCKS:
+            self._unknown(statement, line)
         self._open(RawBlock(line, self._findings, statement, end))
         return True
 
@@ -202,7 +204,12 @@ class _Reader:
                 return
         elif isinstance(block, (RawBlock, ModuleBlock)):
             return
-        if not known and statement.keyword not in self._told:
+        if not known:
+            self._unknown(statement, line)
+
+    def _unknown(self, statement: Statement, line: int) -> None:
+        """Told once for each keyword."""
+        if statement.keyword not in self._told:
             self._told.add(statement.keyword)
             self._findings.info(line, 1, f"{statement.written[:60]} has no meaning here; kept as it stands")
 

@@ -19,8 +19,6 @@ MAX_LOGICAL: Final = 65_536
 _CP1252: Final = "".join(
     bytes((n,)).decode("cp1252", "replace").replace("\ufffd", chr(n)) for n in range(256)
 )  # the five holes of CP1252 as Latin-1 has them
-#: what is left once CRLF is LF: CR CR LF is one end of line, CR alone too
-_LINE_END: Final = re.compile(r"\r+\n|\r|\x0b|\x0c")
 #: the part of a line before its comment or its closing backslash: strings whole, an open one to its end
 _PLAIN: Final = re.compile(r'(?:[^"\\;]++|"[^"]*+"|\\(?![ \t]*(?:;|$)))*+')
 _SEAM: Final = re.compile(r"\\[ \t]*(?:;.*)?$")
@@ -63,9 +61,8 @@ def read_text(octets: bytes) -> Text:
     """Logical lines of ``octets`` (at most :data:`MAX_OCTETS`)."""
     text, encoding = decode(octets)
     text = text.rstrip("\0\x1a")  # how DOS ended files
-    text = text.replace("\r\n", "\n")
-    if "\r" in text or "\x0b" in text or "\x0c" in text:
-        text = _LINE_END.sub("\n", text)
+    for end in ("\r\r\n", "\r\n", "\r", "\x0b", "\x0c"):
+        text = text.replace(end, "\n")
     physical = text.split("\n")
     if "\\" not in text:
         return Text(physical, None, encoding)
