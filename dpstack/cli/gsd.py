@@ -1,11 +1,11 @@
-"""``dpstack gsd``: what a GSD file says, and what is wrong with it."""
+"""``dpstack gsd``: what a GSD file says, what is wrong with it, and the way to a [[slave]] table."""
 
 from __future__ import annotations
 
 import argparse
 
 from dpstack.api.gsd import check_gsd, diagnostic_dict, gsd_dict, module_lengths, module_prm, read_gsd, supports
-from dpstack.cli import options, output
+from dpstack.cli import gsd_configure, options, output
 from dpstack.gsd.check import check
 from dpstack.gsd.model import Diagnostic, GsdFile, Parameter, ranges_text
 from dpstack.trace import Severity
@@ -16,7 +16,7 @@ _STYLES = {Severity.INFO: "dim", Severity.WARNING: "yellow", Severity.ERROR: "bo
 
 def add_to(commands: options.Commands) -> None:
     """The command with its own commands."""
-    parser = options.command(commands, "gsd", "GSD files: show, check", "dpstack gsd show valves.gsd")
+    parser = options.command(commands, "gsd", "GSD files: show, check, configure", "dpstack gsd show valves.gsd")
     inner = parser.add_subparsers(dest="gsd_command", metavar="COMMAND", required=True)
     shower = options.command(inner, "show", "what a GSD file says", "dpstack gsd show valves.gsd --json")
     shower.add_argument("file", metavar="FILE", help="GSD file")
@@ -28,6 +28,14 @@ def add_to(commands: options.Commands) -> None:
     checker.add_argument("files", metavar="FILE", nargs="+", help="GSD files")
     options.add_json(checker)
     checker.set_defaults(execute=check_files)
+    chooser = options.command(
+        inner,
+        "configure",
+        "ask the way from a GSD file to a [[slave]] table on stdout",
+        "dpstack gsd configure valves.gsd >> plant.toml",
+    )
+    chooser.add_argument("file", metavar="FILE", help="GSD file, as the configuration will name it")
+    chooser.set_defaults(execute=configure)
 
 
 def show(args: argparse.Namespace) -> int:
@@ -38,6 +46,11 @@ def show(args: argparse.Namespace) -> int:
     else:
         _show(file)
     return 0
+
+
+def configure(args: argparse.Namespace) -> int:
+    """Ask, then print a table."""
+    return gsd_configure.run(read_gsd(args.file), args.file)
 
 
 def check_files(args: argparse.Namespace) -> int:

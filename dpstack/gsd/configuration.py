@@ -115,11 +115,18 @@ def configure(device: Device, wanted: Sequence[int | str] | None = None) -> Conf
     if wanted is None:
         preset = default_modules(device)
         if preset is None:
-            raise GsdError(f"the device has {len(device.modules)} modules to choose from; name those that are plugged")
+            raise GsdError(_no_choice(device))
         modules: tuple[Module | None, ...] = preset
     else:
         modules = tuple(None if name == "" else find_module(device, name) for name in wanted)
     return plug(device, modules)
+
+
+def _no_choice(device: Device) -> str:
+    names = ", ".join(module.title for module in device.modules[:3])
+    if not names:
+        return "the GSD file has no modules; give ident and config (identifier octets) in its place"
+    return f"the device has {len(device.modules)} modules to choose from; name those that are plugged: {names} ..."
 
 
 def plug(device: Device, modules: Sequence[Module | None]) -> Configuration:

@@ -86,8 +86,13 @@ def _int(text: str) -> int:
 
 def numbers(text: str) -> list[int] | None:
     """Numbers with commas (or only blanks) between; None where one of them is none. Empty text: an empty list."""
+    parts = text.split(",")
+    try:
+        return [_COMMON[part] for part in parts]
+    except KeyError:
+        pass
     found: list[int] = []
-    for part in text.split(","):
+    for part in parts:
         value = number(part)
         if value is None:
             words = part.split()

@@ -23,7 +23,7 @@ from dpstack.gsd.module_block import DeviceBlock, ModuleBlock, octets_of
 from dpstack.gsd.text import MAX_LINES, MAX_LOGICAL, MAX_OCTETS, Text, read_text
 from dpstack.trace import Severity
 
-_MARK: Final = re.compile(r"^[^;\n]*?#profibus_dp", re.IGNORECASE | re.ASCII)
+_MARK: Final = re.compile(r'[^\w;"#]*+#profibus_dp', re.IGNORECASE)
 _LOOKS: Final = re.compile(r"^[ \t]*(?:ident_number|gsd_revision|vendor_name)[ \t]*=", re.IGNORECASE | re.MULTILINE)
 _ENDINGS: Final = re.compile(r"(end\w+|\w+_end)[ \t]*(?:;|$)", re.IGNORECASE)
 #: first octets of what is sent in place of a GSD file
@@ -50,9 +50,9 @@ def load_gsd(octets: bytes, name: str = "GSD file") -> GsdFile:
 
 def parse_gsd(octets: bytes, name: str = "GSD file") -> GsdFile:
     """Read ``octets``. Never raises: what is wrong stands in ``diagnostics``, why nothing is usable in ``fatal``."""
-    fatal = _refused(octets)
-    if fatal:
-        return _nothing(name, fatal)
+    refused = _refused(octets)
+    if refused:
+        return _nothing(name, refused)
     text = read_text(octets)
     start, findings = 0, Findings()
     mark = next((n for n, line in enumerate(text.lines) if "#" in line and _MARK.match(line)), None)
@@ -72,7 +72,11 @@ def parse_gsd(octets: bytes, name: str = "GSD file") -> GsdFile:
     reader = _Reader(text, findings)
     reader.run(start)
     device = join(reader.device, findings)
-    return GsdFile(name, device, findings.all(), text.encoding)
+    fatal = None
+    if device.ident is None and not device.modules:
+        why = "nothing to use: neither Ident_Number nor a module is in it; get a whole copy of the file"
+        fatal = Diagnostic(1, 1, Severity.ERROR, why)
+    return GsdFile(name, device, findings.all(), text.encoding, fatal)
 
 
 def _refused(octets: bytes) -> str:
@@ -111,8 +115,7 @@ class _Reader:
         numbers = self._text.numbers
         counted = itertools.count(start + 1) if numbers is None else iter(numbers[start:])
         known: dict[str, Statement | None] = {}
-        for line in lines:
-            at = next(counted)
+        for at, line in zip(counted, lines, strict=False):
             statement = known.get(line, _MISSING)
             if statement is _MISSING:
                 statement = known[line] = lex(line)

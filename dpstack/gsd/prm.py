@@ -180,6 +180,12 @@ class UserPrm:
         more = f" and {len(found) - 8} more" if len(found) > 8 else ""
         raise GsdError(f"{key!r} may be {len(found)} parameters; write one of {meant}{more}")
 
+    def shortest_key(self, field: Field) -> str:
+        """The parameter's name where that is enough to find it, else its key."""
+        name = field.parameter.name
+        alike = [other for part in self._parts for other in part.fields if _matches(other, name)]
+        return name if len(alike) == 1 else field.key
+
     def read(self, octets: bytes) -> tuple[Field, ...]:
         """The named values that ``octets`` (of this device with these modules) hold. Raises GsdError on the length."""
         expected = sum(len(part.const) for part in self._parts)

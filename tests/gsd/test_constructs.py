@@ -7,6 +7,7 @@ import pytest
 from gsd_kit import device, read, texts
 
 from dpstack.gsd.model import DpV1, Isochronous, PrmConst, PrmKind, PrmRef, Raw, Slot, Speed
+from dpstack.gsd.parser import load_gsd, parse_gsd
 
 
 def test_a_whole_file() -> None:
@@ -91,7 +92,7 @@ def test_decoding(name: str, encoding: str, model: str) -> None:
 
 def test_utf16_is_read_too() -> None:
     octets = gsd_kit.octets("encodings_utf8").decode("utf-8").encode("utf-16")
-    assert gsd_kit.load_gsd(octets).device.model == "Größe"
+    assert load_gsd(octets).device.model == "Größe"
 
 
 @pytest.mark.parametrize("name", ["lines_cr", "lines_crlf", "lines_cr_cr_lf", "lines_no_end"])
@@ -103,7 +104,7 @@ def test_line_ends(name: str) -> None:
 @pytest.mark.parametrize("name", ["lines_cr", "lines_crlf", "lines_cr_cr_lf"])
 def test_lines_are_counted_as_an_editor_counts_them(name: str) -> None:
     end = {"lines_cr": b"\r", "lines_crlf": b"\r\n", "lines_cr_cr_lf": b"\r\r\n"}[name]
-    file = gsd_kit.parse_gsd(gsd_kit.octets(name) + b"Wrong" + end)
+    file = parse_gsd(gsd_kit.octets(name) + b"Wrong" + end)
     assert texts(file) == ["8:1: info: Wrong has no meaning here; kept as it stands"]
 
 

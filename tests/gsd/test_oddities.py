@@ -23,6 +23,8 @@ from dpstack.trace import Severity
         (b"BM\0\0", "no GSD file but a bitmap"),
         (b"%PDF-1.4", "no GSD file but a PDF document"),
         (b"[bus]\nport = 1\n", "no GSD file: no line #Profibus_DP; give the .gsd"),
+        (b"#Profibus_DP\nbut nothing else\n", "nothing to use: neither Ident_Number nor a module is in it"),
+        (b'text = "#Profibus_DP"\n', "no GSD file: no line #Profibus_DP"),
         (bytes(range(256)) * 300, "no GSD file: no line #Profibus_DP"),
         (b"x" * (MAX_OCTETS + 1), "no GSD file: more than 8 MB"),
     ],
@@ -31,7 +33,7 @@ def test_what_is_no_gsd_file(octets: bytes, message: str) -> None:
     file = parse_gsd(octets, "x.gsd")
     assert file.fatal is not None
     assert file.fatal.message.startswith(message)
-    assert file.diagnostics == (file.fatal,)
+    assert file.of(Severity.ERROR)
     with pytest.raises(GsdError) as caught:
         load_gsd(octets, "x.gsd")
     assert str(caught.value) == f"x.gsd:1: {file.fatal.message}"
@@ -134,7 +136,8 @@ def test_finding(text: str, wanted: str) -> None:
 
 
 def test_a_file_without_ident_number() -> None:
-    file = parse_gsd(b"#Profibus_DP\n500_supp = 1\n")
+    file = parse_gsd(b'#Profibus_DP\n500_supp = 1\nModule = "m" 0x10\nEndModule\n')
+    assert file.fatal is None
     assert [d.message for d in file.of(Severity.ERROR)] == [
         "no Ident_Number: the file is damaged, or it is of no DP slave; get a whole copy of it"
     ]
