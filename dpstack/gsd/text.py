@@ -82,6 +82,8 @@ def _joined(physical: list[str], encoding: str) -> Text:
             if "\\" not in line:
                 lines.append(line)
                 continue
+        elif not inside and line.lstrip(" \t").startswith(";"):
+            continue  # a remark between the lines of a list
         head, inside, goes_on = _split(line, inside)
         parts.append(_behind_seam(head, parts[-1]) if parts else head)
         length += len(head)

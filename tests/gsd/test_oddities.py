@@ -157,6 +157,15 @@ def test_too_many_lines() -> None:
     assert file.device.max_module is None
 
 
+def test_a_remark_between_continued_lines() -> None:
+    file = made(
+        'Module = "m" 0x10, \\\n  ; the second half\n0x20\n7\nEndModule\nExt_User_Prm_Data_Const(0) = 1,\\\n\nMax_Module = 3\n'
+    )
+    (module,) = file.device.modules
+    assert (module.config, module.reference) == (b"\x10\x20", 7)
+    assert (file.device.prm.consts[0].octets, file.device.max_module) == (b"\x01", 3)
+
+
 def test_a_continuation_without_end() -> None:
     file = made('Info_Text = "' + "more and more \\\n" * 20_000 + '"\nMax_Module = 3\n')
     assert [d.message for d in file.of(Severity.ERROR)] == [
