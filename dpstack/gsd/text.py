@@ -82,8 +82,8 @@ def _joined(physical: list[str], encoding: str) -> Text:
             if "\\" not in line:
                 lines.append(line)
                 continue
-        elif not inside and line.lstrip(" \t").startswith(";"):
-            continue  # a remark between the lines of a list
+        elif not inside and line.lstrip(" \t").startswith(";") and parts[-1].rstrip().endswith((",", "=")):
+            continue  # a remark between the lines of a list that is not complete
         head, inside, goes_on = _split(line, inside)
         parts.append(_behind_seam(head, parts[-1]) if parts else head)
         length += len(head)

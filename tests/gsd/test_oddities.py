@@ -159,7 +159,8 @@ def test_too_many_lines() -> None:
 
 def test_a_remark_between_continued_lines() -> None:
     file = made(
-        'Module = "m" 0x10, \\\n  ; the second half\n0x20\n7\nEndModule\nExt_User_Prm_Data_Const(0) = 1,\\\n\nMax_Module = 3\n'
+        'Module = "m" 0x10, \\\n  ; the second half\n0x20\n7\nEndModule\n'
+        "Ext_User_Prm_Data_Const(0) = 1,\\\n\nMax_Module = 3\n"
     )
     (module,) = file.device.modules
     assert (module.config, module.reference) == (b"\x10\x20", 7)
