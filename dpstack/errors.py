@@ -5,6 +5,7 @@
     DpError
     +-- ConfigError (ValueError)        a configuration or an argument that cannot work; names file and line
     |   +-- ParamError                  a bus parameter outside its limits
+    |   +-- GsdError                    a GSD file that cannot be used, or a wish it does not allow
     +-- UsageError (RuntimeError)       a call that does not fit the state: misuse, raised at once
     +-- PduError (ValueError)           the octets of a DP service that cannot be; names the octet
     +-- PortError (OSError)             the serial port: missing, held, refused, vanished
@@ -37,6 +38,10 @@ class ConfigError(DpError, ValueError):
 
 class ParamError(ConfigError):
     """A bus parameter outside the limits of the standard."""
+
+
+class GsdError(ConfigError):
+    """A GSD file that cannot be used at all, or modules and parameters that do not fit it (``what; what to do``)."""
 
 
 class UsageError(DpError, RuntimeError):

@@ -54,6 +54,17 @@ def test_the_readmes_program_runs(
     assert out.splitlines() == ["fan at 30 Hz", "parameter 412 is 44", "inputs 0f True"]
 
 
+def test_the_program_with_a_gsd_file_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(ROOT)
+    ((_, text),) = blocks(ROOT / "docs" / "gsd.md", "python")
+    program = tmp_path / "program.py"
+    program.write_text(text, encoding="utf-8")
+    runpy.run_path(str(program))
+    assert capsys.readouterr().out.splitlines() == ["2010 80000008000100fa 1 1", "('fuse blown',)"]
+
+
 @pytest.mark.usefixtures("fast")
 @pytest.mark.parametrize("page", [p for p in PAGES if p.parent.name == "docs"], ids=lambda p: p.name)
 def test_programs_in_the_documents_run(page: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -88,7 +99,8 @@ def test_examples_run(example: Path, capsys: pytest.CaptureFixture[str]) -> None
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
-def test_configurations_load(page: Path) -> None:
+def test_configurations_load(page: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)  # files they name are of the checkout
     for _, text in blocks(page, "toml"):
         try:
             parse_config(text, page.name)
@@ -126,7 +138,7 @@ def test_links_lead_somewhere(page: Path) -> None:
 
 def test_every_command_and_option_is_documented() -> None:
     text = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
-    for name in ("demo", "run", "sim", "segment", "ctl", "scan", "address", "plan", "baud", "ports", "doctor"):
+    for name in ("demo", "run", "sim", "segment", "ctl", "scan", "address", "plan", "baud", "ports", "doctor", "gsd"):
         assert f"`dpstack {name}" in text
 
 

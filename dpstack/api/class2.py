@@ -17,7 +17,6 @@ from dpstack.dp.class2 import CancelService, ChangeAddress, ReadService, Service
 from dpstack.dp.class2_jobs import Outcome, Service, ServiceFailure
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.fields import Value
-from dpstack.dp.identifiers import Identifier, io_lengths, parse_identifiers
 from dpstack.errors import (
     BusError,
     ConfigError,
@@ -28,6 +27,7 @@ from dpstack.errors import (
     SlaveTimeout,
     UsageError,
 )
+from dpstack.gsd.identifiers import Identifier, io_lengths, parse_identifiers
 from dpstack.units import s_to_ns
 
 if TYPE_CHECKING:

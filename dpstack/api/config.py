@@ -323,9 +323,10 @@ def _checked(config: Config) -> Config:
 
 
 def rate_findings(config: Config, baud: int) -> list[str]:
-    """Slaves whose manual does not list ``baud``."""
+    """Slaves whose manual or GSD file does not list ``baud``."""
     return [
-        f"slave {s.address} ({s.name}): {s.profile.name} does not know {baud_text(baud)}; take another rate"
+        f"slave {s.address} ({s.name}): {s.profile.name if s.profile else 'by its GSD file it'} does not know "
+        f"{baud_text(baud)}; take another rate"
         for s in config.slaves
-        if s.profile is not None and s.profile.baud_rates and baud not in s.profile.baud_rates
+        if s.baud_rates and baud not in s.baud_rates
     ]

@@ -5,9 +5,10 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
 from typing import Final, NoReturn
 
-from dpstack.api.toml_lines import Path
+from dpstack.api.toml_lines import Path as KeyPath
 from dpstack.errors import ConfigError
 
 NOT_YET: Final = "not supported yet by this version"
@@ -16,18 +17,18 @@ NOT_YET: Final = "not supported yet by this version"
 class Source:
     """What a configuration was read from: the name for messages, and the lines of its keys where it has any."""
 
-    def __init__(self, name: str, lines: Mapping[Path, int] | None = None) -> None:
+    def __init__(self, name: str, lines: Mapping[KeyPath, int] | None = None) -> None:
         self.name = name
         self._lines = lines
 
-    def error(self, path: Path, what: str, todo: str) -> ConfigError:
+    def error(self, path: KeyPath, what: str, todo: str) -> ConfigError:
         """``file:line: what; what to do``; without lines just the name."""
         place = self.name
         if self._lines is not None:
             place += f":{self.line(path)}"
         return ConfigError(f"{place}: {what}; {todo}")
 
-    def line(self, path: Path) -> int:
+    def line(self, path: KeyPath) -> int:
         """The line of ``path``, or of the nearest table around it."""
         lines = self._lines or {}
         while path and path not in lines:
@@ -38,7 +39,7 @@ class Source:
 class Table:
     """One table. ``title`` names it in messages (``[bus]``, ``[[slave]] hoist``)."""
 
-    def __init__(self, source: Source, path: Path, data: object, title: str) -> None:
+    def __init__(self, source: Source, path: KeyPath, data: object, title: str) -> None:
         self._source = source
         self._path = path
         self.title = title
@@ -71,6 +72,11 @@ class Table:
                 self._data[key] == h and type(self._data[key]) is type(h) for h in harmless
             ):
                 self.fail(key, f"{key} is {NOT_YET}", "leave it out")
+
+    @property
+    def folder(self) -> Path:
+        """Where paths in it begin: the folder of the file it is in."""
+        return Path(self._source.name).parent
 
     def __contains__(self, key: str) -> bool:
         return key in self._data

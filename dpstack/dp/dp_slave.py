@@ -7,10 +7,10 @@ from collections.abc import Callable
 from typing import Protocol
 
 from dpstack.dp.device import FunctionDevice, Leave, OnCycle
-from dpstack.dp.identifiers import io_lengths
 from dpstack.dp.slave_description import SlaveDescription
 from dpstack.dp.user_diag import NO_DIAG, UserDiag
 from dpstack.errors import ConfigError
+from dpstack.gsd.identifiers import io_lengths
 
 
 class OnAddress(Protocol):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dpstack.dp.device import Device
-from dpstack.dp.identifiers import io_lengths
+from dpstack.gsd.identifiers import io_lengths
 
 
 class MirrorDevice(Device):

@@ -1,4 +1,4 @@
-"""The request PDUs of DP-V0: Set_Prm, Global_Control and Set_Slave_Add. (Chk_Cfg is :mod:`dpstack.dp.identifiers`.)
+"""The request PDUs of DP-V0: Set_Prm, Global_Control and Set_Slave_Add. (Chk_Cfg is :mod:`dpstack.gsd.identifiers`.)
 
 Sources: protocol facts B2, B4, B8, J; EN 50170-2 (Set_Prm, Global_Control), Festo CP FB13 manual (lock and unlock),
 profichip VPC3+ manual (Set_Slave_Add).

@@ -10,10 +10,10 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from dpstack.dp.diagnosis import FIXED_LEN, MAX_LEN
-from dpstack.dp.identifiers import config_for, io_lengths
 from dpstack.dp.pdu import MAX_USER_PRM
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
+from dpstack.gsd.identifiers import config_for, io_lengths
 from dpstack.units import NS_PER_US
 
 #: Min_Slave_Interval counts in 100 us

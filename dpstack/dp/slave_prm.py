@@ -6,11 +6,11 @@ from typing import Final, NamedTuple
 
 from dpstack.dp.device import Device
 from dpstack.dp.diagnosis import FIXED_LEN, MAX_LEN
-from dpstack.dp.identifiers import agree, io_lengths
 from dpstack.dp.pdu import SetPrm
 from dpstack.dp.setup import watchdog_ns
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
+from dpstack.gsd.identifiers import agree, io_lengths
 from dpstack.units import NEVER
 
 #: DPV1_Status_1, the first user parameter (C1)

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 from typing import Final
 
 from dpstack.errors import ConfigError
-from dpstack.fdl.telegram import MAX_DATA as _MAX_DATA
 
+#: octets of one telegram's data, each way
+MAX_IO: Final = 244
 #: an identifier of the general format has one of these bits
 _GENERAL: Final = 0x30
 #: low nibble of a special one in Chk_Cfg: no manufacturer octets follow, and none are compared (VPC3+, J)
@@ -80,8 +81,8 @@ def config_for(inputs: int, outputs: int) -> bytes:
 
     Up to 16 octets go into one identifier of the general format. Raises ConfigError for more than 244 either way.
     """
-    if not (0 <= inputs <= _MAX_DATA and 0 <= outputs <= _MAX_DATA):
-        raise ConfigError(f"{inputs} input and {outputs} output octets; 0..{_MAX_DATA} each are possible")
+    if not (0 <= inputs <= MAX_IO and 0 <= outputs <= MAX_IO):
+        raise ConfigError(f"{inputs} input and {outputs} output octets; 0..{MAX_IO} each are possible")
     parts = [
         (mask, min(16, total - at)) for mask, total in ((0x10, inputs), (0x20, outputs)) for at in range(0, total, 16)
     ]
