@@ -110,7 +110,10 @@ def _summary(simulation: Simulation, json: bool) -> None:
             }
             for s in simulation.slaves
         }
-        output.json_line({"event": "summary", "t": round(simulation.seconds, 3), "slaves": slaves})
+        heard = {"telegrams": simulation.telegrams, "bad": simulation.bad}
+        output.json_line({"event": "summary", "t": round(simulation.seconds, 3), **heard, "slaves": slaves})
         return
     rows = [(s.address, s.name, s.state.value, s.exchanges, s.watchdogs) for s in simulation.slaves]
     output.table("Slaves", ("address", "name", "state", "exchanges", "watchdog expired"), rows)
+    bad = ", ".join(f"{count} {cause.replace('_', ' ')}" for cause, count in simulation.bad.items())
+    output.line(f"{simulation.telegrams} telegrams heard" + (f", bad: {bad}" if bad else ", nothing went wrong"))

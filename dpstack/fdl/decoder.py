@@ -52,6 +52,10 @@ class DecoderStats:
         counters = self.as_dict()
         return sum(counters[flaw.value] for flaw in Flaw) + self.stalled
 
+    def by_cause(self) -> dict[str, int]:
+        """What was damaged or belonged to no telegram, zeros left out."""
+        return {name: n for name, n in self.as_dict().items() if n and name not in ("octets", "telegrams")}
+
     def as_dict(self) -> dict[str, int]:
         """All counters by name."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
