@@ -10,6 +10,7 @@ from dpstack.api.control.programs import control_segment
 from dpstack.api.simulation import DEFAULT_BAUD, Segment
 from dpstack.cli import options, output
 from dpstack.cli.control import reachable
+from dpstack.cli.outlet import unhurried
 from dpstack.cli.signals import StopSignal
 from dpstack.cli.streams import warn
 
@@ -54,7 +55,8 @@ def _rate(text: str) -> float:
 
 def execute(args: argparse.Namespace) -> int:
     """Join the ptys until a signal."""
-    return asyncio.run(_run(args))
+    with unhurried(output.missing(args.json)):
+        return asyncio.run(_run(args))
 
 
 async def _run(args: argparse.Namespace) -> int:

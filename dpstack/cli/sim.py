@@ -13,6 +13,7 @@ from dpstack.api.events import Event
 from dpstack.api.simulation import DEFAULT_BAUD, Simulation, sim_event_json
 from dpstack.cli import options, output
 from dpstack.cli.control import reachable
+from dpstack.cli.outlet import unhurried
 from dpstack.cli.signals import StopSignal
 from dpstack.errors import BusError, UsageError
 from dpstack.units import baud_text, ns_to_s
@@ -45,7 +46,8 @@ def execute(args: argparse.Namespace) -> int:
     rate = args.baud or config.bus.baud or DEFAULT_BAUD
     if rate == AUTO and args.port == "pty":
         rate = DEFAULT_BAUD  # whoever opens the other end sets what he likes
-    return asyncio.run(_run(config, rate, args))
+    with unhurried(output.missing(args.json)):
+        return asyncio.run(_run(config, rate, args))
 
 
 def _config(args: argparse.Namespace) -> Config:
