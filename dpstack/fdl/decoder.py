@@ -16,8 +16,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Final
 
-from dpstack.fdl.codec import EMPTY_LE, MAX_LE, Flaw, claimed, parse
-from dpstack.fdl.telegram import Kind, Telegram
+from dpstack.fdl.codec import EMPTY_LE, Flaw, claimed, parse
+from dpstack.fdl.telegram import MAX_LE, Kind, Telegram
 from dpstack.units import NEVER
 
 #: kinds without FCS
