@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Mapping
 from types import TracebackType
 from typing import Final
 
+from dpstack.api.class2 import Class2
 from dpstack.api.compose import attach_core, compose
 from dpstack.api.config import Config, slave_config
 from dpstack.api.drive import Drive
@@ -19,6 +20,7 @@ from dpstack.api.slave import Slave
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.api.statistics import BusStats, collect
 from dpstack.api.streams import EventStream, Rounds, Waiters
+from dpstack.dp.class2 import ServiceDone
 from dpstack.dp.commands import AddSlave, Mode, RemoveSlave, SetMode, Shutdown
 from dpstack.dp.events import DriveEvent, MasterStopped
 from dpstack.dp.plan import Case
@@ -87,6 +89,8 @@ class Bus:
         self._streams: list[EventStream] = []
         self._waiters = Waiters()
         self.rounds = Rounds(self.master)
+        #: the services of a class 2 master: diagnosis, configuration, inputs and outputs of any slave, its address
+        self.class2 = Class2(self)
         self._slaves: dict[int, Slave] = {}
         self._drives: dict[int, Drive] = {}
         for slave in config.slaves:
@@ -330,6 +334,9 @@ class Bus:
     def _on_events(self, events: list[Event]) -> None:
         for event in events:
             match event:
+                case ServiceDone():  # told to who waits for it, and to nobody else
+                    self.class2.on_done(event)
+                    continue
                 case DriveEvent(address=address, payload=payload):
                     drive = self._drives.get(address)
                     if drive is not None:
@@ -363,6 +370,7 @@ class Bus:
             self._over = error
         for drive in self._drives.values():
             drive.end(self._over)
+        self.class2.end(self._over)
         for stream in self._streams:
             stream.end()
         self._waiters.check()
