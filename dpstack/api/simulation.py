@@ -101,6 +101,17 @@ class Simulation:
         """Since the start."""
         return ns_to_s(self.runtime.now() - self.started_ns)
 
+    @property
+    def telegrams(self) -> int:
+        """Heard by its receiver, to whomever they were."""
+        return self._line.decoder_stats.telegrams
+
+    @property
+    def bad(self) -> dict[str, int]:
+        """Damaged telegrams and stray octets that its receiver heard, by cause, as in BusStats."""
+        damage = {f"uart_{cause}": count for cause, count in self.runtime.damage().items() if count}
+        return self._line.decoder_stats.by_cause() | damage
+
     # --- treated from outside ---------------------------------------------------------------------------------------
 
     def status(self) -> dict[str, object]:
@@ -114,7 +125,8 @@ class Simulation:
                 "exchanges": slave.exchanges,
                 "watchdogs": slave.watchdogs,
             }
-        return {"seconds": round(self.seconds, 3), "baud": self.baud, "slaves": slaves}
+        received = {"telegrams": self.telegrams, "bad": self.bad}
+        return {"seconds": round(self.seconds, 3), "baud": self.baud, **received, "slaves": slaves}
 
     def names(self) -> dict[int, str]:
         """Address and name of every slave."""

@@ -133,8 +133,8 @@ def collect(bus: Bus) -> BusStats:
     """The picture at this moment: a copy, later counts do not change it."""
     link = copy.deepcopy(bus.station.stats)
     lateness = bus.runtime.lateness
-    bad = {k: v for k, v in bus.station.decoder_stats.as_dict().items() if k not in ("telegrams", "octets")}
-    bad |= {f"uart_{cause}": count for cause, count in bus.runtime.damage().items()}
+    bad = bus.station.decoder_stats.by_cause()
+    bad |= {f"uart_{cause}": count for cause, count in bus.runtime.damage().items() if count}
     return BusStats(
         seconds=bus.seconds,
         paced=bus.runtime.paced,
@@ -160,7 +160,7 @@ def collect(bus: Bus) -> BusStats:
         tokens=link.tokens,
         tokens_lost=link.tokens_lost,
         late=link.late,
-        bad={name: count for name, count in bad.items() if count},
+        bad=bad,
         link=link,
         host_us=lateness.histogram.summary_us() if lateness.histogram.count else None,
         host_slack_ms=bus.station.patience.known_ns / NS_PER_MS,

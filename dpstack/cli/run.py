@@ -10,8 +10,9 @@ from dpstack.api.bus import Bus
 from dpstack.api.config import Config, load_config
 from dpstack.api.control.programs import control_run
 from dpstack.api.opening import open_bus
-from dpstack.cli import options
+from dpstack.cli import options, output
 from dpstack.cli.control import reachable
+from dpstack.cli.outlet import unhurried
 from dpstack.cli.report import Reporter, not_exchanging
 from dpstack.cli.signals import StopSignal
 from dpstack.cli.streams import warn
@@ -54,7 +55,8 @@ def execute(args: argparse.Namespace) -> int:
     )
     if config.bus.read_only and args.outputs:
         raise UsageError("--outputs on a read-only bus: nothing is written there; leave one of the two out")
-    return asyncio.run(_run(config.with_outputs(dict(args.outputs)), args))
+    with unhurried(output.missing(args.json)):
+        return asyncio.run(_run(config.with_outputs(dict(args.outputs)), args))
 
 
 async def _run(config: Config, args: argparse.Namespace) -> int:
