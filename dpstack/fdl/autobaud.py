@@ -26,7 +26,7 @@ from typing import Final
 from dpstack.errors import ConfigError, UsageError
 from dpstack.fdl.decoder import Decoder
 from dpstack.fdl.telegram import Kind, Telegram
-from dpstack.machine import LineDown, LineUp
+from dpstack.machine import LineDown, LineUp, RateRefused
 from dpstack.params import T_SYN
 from dpstack.trace import Event
 from dpstack.units import BAUD_RATES, NEVER, baud_text, bits_to_ns, ns_to_s
@@ -320,8 +320,13 @@ class AutoBaud:
         return events
 
     def command(self, command: object, now: int) -> None:
-        """:class:`LineDown` and :class:`LineUp` begin the dwell anew. Raises UsageError on anything else."""
+        """:class:`LineDown` and :class:`LineUp` begin the dwell anew, :class:`RateRefused` ends it.
+
+        Raises ConfigError when no rate is left, UsageError on anything else.
+        """
         match command:
+            case RateRefused():
+                self.refused(now)
             case LineDown() | LineUp():
                 self.tried -= 1
                 self._begin(now)
@@ -374,8 +379,13 @@ class AutoBaud:
         return min(self._heard_at + self._silence_ns, self._start + self._limit_ns)
 
     def _give_up(self, now: int) -> None:
+        self.result = self.in_vain(now)
+        self._events.append(self.result)
+
+    def in_vain(self, now: int) -> BaudNotFound:
+        """What is to be said if nothing more is heard: why no rate was recognised up to now."""
         octets = self._octets + self._evidence.octets
-        self.result = BaudNotFound(
+        return BaudNotFound(
             t_ns=now,
             why=Missing.NOISE if octets else Missing.SILENCE,
             listened_ns=now - self._start,
@@ -383,4 +393,3 @@ class AutoBaud:
             slowest=self.baud,
             complete=self._complete or self._at == len(self._rates) - 1,
         )
-        self._events.append(self.result)
