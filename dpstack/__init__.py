@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from dpstack.api.events import Event, Mode, SlaveState
     from dpstack.api.opening import open_bus
     from dpstack.api.slave import Slave
-    from dpstack.api.virtual import run_virtual
+    from dpstack.api.virtual import World, run_virtual, simulate
     from dpstack.dp.slaveapp import SlaveApp
     from dpstack.errors import (
         BaudError,
@@ -76,12 +76,14 @@ __all__ = [
     "SlaveState",
     "SlaveTimeout",
     "UsageError",
+    "World",
     "__version__",
     "find_baud",
     "load_config",
     "open_bus",
     "profile",
     "run_virtual",
+    "simulate",
 ]
 
 _WHERE: Final = {
@@ -97,6 +99,8 @@ _WHERE: Final = {
     "SlaveState": "api.events",
     "Slave": "api.slave",
     "run_virtual": "api.virtual",
+    "simulate": "api.virtual",
+    "World": "api.virtual",
     "SlaveApp": "dp.slaveapp",
     "DriveStatus": "profile",
 }

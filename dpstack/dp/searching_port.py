@@ -113,5 +113,7 @@ class SearchingPort:
         self._line.set_params(params)
 
     def _reached(self, state: BaudState, now: int) -> None:
+        if state is BaudState.SEARCH:
+            self._line.set_params(self._line.params)  # what is pending is forgotten
         baud = None if state is BaudState.SEARCH else self._watch.baud
         self._events.append(PortBaudChanged(t_ns=now, state=state, baud=baud))

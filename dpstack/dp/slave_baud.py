@@ -1,4 +1,4 @@
-"""A slave that finds the baud rate by itself, as nearly all do; the rule is :class:`~dpstack.dp.baud_watch.BaudWatch`."""
+"""A slave that finds the baud rate by itself, as nearly all do. The rule is in :mod:`dpstack.dp.baud_watch`."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from dpstack.trace import Event
 from dpstack.units import BAUD_RATES, baud_text
 
 __all__ = ["BaudState", "BaudStateChanged", "SearchingSlave", "make_searching_slave"]
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BaudStateChanged(SlaveAppEvent):
@@ -141,6 +142,8 @@ class SearchingSlave:
         self.station.line.heard(now)
 
     def _reached(self, state: BaudState, now: int) -> None:
+        if state is BaudState.SEARCH:
+            self.station.set_params(self.station.params)  # what is pending is forgotten
         self._events.append(
             BaudStateChanged(
                 t_ns=now,

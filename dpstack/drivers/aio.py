@@ -15,13 +15,14 @@ from typing import Final
 from dpstack.drivers.base import OnEvents, PortBack, PortLost
 from dpstack.drivers.echo import Echo, EchoFilter
 from dpstack.drivers.lateness import Lateness, Tune
+from dpstack.drivers.rate import NoRateError, follow, wire_times
 from dpstack.drivers.timers import Timer, make_timer
-from dpstack.errors import BaudError, BusError, ConfigError, DpError, PortError, UsageError
-from dpstack.machine import LineDown, LineUp, Machine, RateRefused, pump
+from dpstack.errors import BusError, DpError, PortError, UsageError
+from dpstack.machine import LineDown, LineUp, Machine, pump
 from dpstack.phy.patience import ADAPTER, HOST, Patience
 from dpstack.ports import Delivery, Port
 from dpstack.trace import Event, Notice, Severity
-from dpstack.units import NEVER, NS_PER_MS, NS_PER_S, NS_PER_US, chars_to_ns
+from dpstack.units import NEVER, NS_PER_MS, NS_PER_S, NS_PER_US
 
 #: Told when the machine raised: a defect of ours, the driver has stopped.
 OnFailure = Callable[[Exception], None]
@@ -39,36 +40,18 @@ BACKOFF_NS: Final = (100 * NS_PER_MS, 2_000 * NS_PER_MS)
 _LONGEST: Final = 256
 
 
-def settle_ns_of(port: Port) -> int:
-    """What arrives so soon after a change of the rate may have been received before it.
-
-    An adapter holds octets back for up to 16 ms and hands them over in frames of 1 ms; a hub of ptys is a process that
-    may be held up.
-    """
-    return (20 if port.delivery is Delivery.ADAPTER else 5) * NS_PER_MS
-
-
-def _wire_times(port: Port) -> list[int]:
-    """What a telegram of so many octets takes to leave, in ns; nothing where no wire gives octets their time."""
-    return [chars_to_ns(n, port.baud) if port.paced else 0 for n in range(_LONGEST)]
-
-
 def patience_of(port: Port) -> Patience:
     """The patience a port's kind needs until it was measured."""
     return ADAPTER if port.delivery is Delivery.ADAPTER else HOST
 
 
-class _NoRateError(ConfigError):
-    """The port can do none of the rates that the machine wants."""
-
-
 class AsyncioRuntime:
     """Keeps ``machine`` running on ``port``; implements :class:`dpstack.drivers.base.Runtime`.
 
-    Events of the machine and of the driver go to ``on_events``. A port that vanishes is an event and is opened again
-    with back-off. The port follows the rate that the machine wants. When the machine raises, which it never should, the driver stops, tells ``on_failure`` (without one:
-    the loop's exception handler) and keeps the exception in ``failed``. ``echo``: whether the line returns what is
-    sent.
+    Events of the machine and of the driver go to ``on_events``. The port follows the rate that the machine wants. A
+    port that vanishes is an event and is opened again with back-off. When the machine raises, which it never should,
+    the driver stops, tells ``on_failure`` (without one: the loop's exception handler) and keeps the exception in
+    ``failed``. ``echo``: whether the line returns what is sent.
     """
 
     def __init__(
@@ -101,7 +84,7 @@ class AsyncioRuntime:
         self._is_down = False  # lost, and not open again yet
         self._reopening: asyncio.Task[None] | None = None
         self._again: asyncio.Handle | None = None
-        self._wire_ns = _wire_times(port)
+        self._wire_ns = wire_times(port)
         self._transmit = self._put  # bound once
 
     @property
@@ -133,7 +116,8 @@ class AsyncioRuntime:
         try:
             if self._machine.baud != self._port.baud:
                 self._port.set_baud(self._port.baud)  # one that cannot change its rate says so
-                self._follow()
+                follow(self._port, self._machine)
+                self._wire_ns = wire_times(self._port)
         except DpError:
             self._port.close()
             raise
@@ -192,13 +176,14 @@ class AsyncioRuntime:
                     now = monotonic_ns()
                 chunk = self._drain() if now - deadline > _LATE_NS else b""
             if machine.baud != self._port.baud and not self._is_down:
-                self._follow()
+                follow(self._port, machine)
+                self._wire_ns = wire_times(self._port)
                 deadline = machine.wake_at()
             self._deadline = deadline
             if sent_at:
                 self.lateness.heard(sent_at, self._wire_ns[min(heard, _LONGEST - 1)], arrived)
             events = machine.take_events()
-        except _NoRateError as exc:
+        except NoRateError as exc:
             self._lost(str(exc))
             return
         except Exception as exc:
@@ -252,21 +237,6 @@ class AsyncioRuntime:
     def _go_on(self) -> None:
         self._again = None
         self._step(self._drain())
-
-    # --- the rate -----------------------------------------------------------------------------------------------------
-
-    def _follow(self) -> None:
-        """Set the open port to the rate that the machine wants. Raises _NoRateError when it can do none of those."""
-        machine, port = self._machine, self._port
-        while machine.baud != port.baud:
-            try:
-                port.set_baud(machine.baud)
-            except BaudError as refusal:
-                try:
-                    machine.command(RateRefused(str(refusal)), monotonic_ns())
-                except ConfigError as error:
-                    raise _NoRateError(str(error)) from None
-        self._wire_ns = _wire_times(port)
 
     # --- echo ---------------------------------------------------------------------------------------------------------
 

@@ -1,4 +1,4 @@
-"""Finding the baud rate at a port: the search listens, the driver lets the port follow it from rate to rate."""
+"""Finding the baud rate of a bus: the search listens, the driver lets the port follow it from rate to rate."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ import asyncio
 from collections.abc import Sequence
 from time import monotonic_ns
 
-from dpstack.drivers.aio import AsyncioRuntime, patience_of, settle_ns_of
-from dpstack.drivers.base import PortLost
+from dpstack.drivers.aio import AsyncioRuntime, patience_of
+from dpstack.drivers.base import PortLost, Runtime
 from dpstack.drivers.echo import Echo
+from dpstack.drivers.rate import settle_ns_of
+from dpstack.drivers.virtual import SimulatedBus, VirtualRuntime
 from dpstack.errors import PortError
 from dpstack.fdl.autobaud import AutoBaud, BaudFound, BaudNotFound
 from dpstack.ports import Port
@@ -24,22 +26,6 @@ async def search_baud(
     Nothing is sent. Rates that the port cannot do are left out. Raises PortError where it cannot be opened, vanishes,
     or is of a kind whose rate cannot be changed; ConfigError where it can do none of ``rates``.
     """
-    result: asyncio.Future[BaudFound | BaudNotFound] = asyncio.get_running_loop().create_future()
-
-    def told(events: list[Event]) -> None:
-        for event in events:
-            if result.done():
-                return
-            match event:
-                case BaudFound() | BaudNotFound():
-                    result.set_result(event)
-                case PortLost(reason=reason):
-                    result.set_exception(PortError(f"{port.name} vanished while listening: {reason}"))
-
-    def failed(error: Exception) -> None:
-        if not result.done():
-            result.set_exception(error)
-
     search = AutoBaud(
         monotonic_ns(),
         rates=rates,
@@ -48,9 +34,46 @@ async def search_baud(
         slack_ns=patience_of(port).known_ns,
         settle_ns=settle_ns_of(port),
     )
-    runtime = AsyncioRuntime(port, search, told, echo=Echo.OFF, on_failure=failed)
-    await runtime.open()
-    try:
-        return await result
-    finally:
-        await runtime.close()
+    outcome = _Outcome(port.name)
+    runtime = AsyncioRuntime(port, search, outcome.told, echo=Echo.OFF, on_failure=outcome.failed)
+    return await outcome.of(runtime)
+
+
+async def search_in(world: SimulatedBus, *, silence_ns: int = NEVER, limit_ns: int = NEVER) -> BaudFound | BaudNotFound:
+    """As :func:`search_baud`, on a simulated bus."""
+    outcome = _Outcome("the simulated bus")
+    search = AutoBaud(world.now, silence_ns=silence_ns, limit_ns=limit_ns)
+    runtime = VirtualRuntime(world, search, outcome.told, on_failure=outcome.failed)
+    return await outcome.of(runtime)
+
+
+class _Outcome:
+    """What the events of a search lead to."""
+
+    def __init__(self, where: str) -> None:
+        self._where = where
+        self._result: asyncio.Future[BaudFound | BaudNotFound] = asyncio.get_running_loop().create_future()
+
+    async def of(self, runtime: Runtime) -> BaudFound | BaudNotFound:
+        """Run the search to its end."""
+        await runtime.open()
+        try:
+            return await self._result
+        finally:
+            await runtime.close()
+
+    def told(self, events: list[Event]) -> None:
+        """Of the search and the port."""
+        for event in events:
+            if self._result.done():
+                return
+            match event:
+                case BaudFound() | BaudNotFound():
+                    self._result.set_result(event)
+                case PortLost(reason=reason):
+                    self._result.set_exception(PortError(f"{self._where} vanished while listening: {reason}"))
+
+    def failed(self, error: Exception) -> None:
+        """By a defect."""
+        if not self._result.done():
+            self._result.set_exception(error)

@@ -199,13 +199,18 @@ class Evidence:
 
 
 class AutoBaud:
-    """A machine that only listens: it wants to be heard at ``baud`` bit/s, which changes, until ``result`` is there.
+    """A station that only listens: it wants to be heard at ``baud`` bit/s, which changes, until ``result`` is there.
 
     ``rates`` in bit/s. Gives up ``silence_ns`` after the start or the last octet heard, in all cases ``limit_ns`` after
     the start (NEVER: never). ``slack_ns`` is how late the port may deliver, added to every dwell; what arrives within
     ``settle_ns`` of a change of the rate may have been received before it and is not judged. ``now`` is the start.
     Raises ConfigError.
     """
+
+    #: it has none
+    address: Final = -1
+    #: every telegram tells of the rate
+    hears_all: Final = True
 
     __slots__ = (
         "_at",
@@ -276,6 +281,9 @@ class AutoBaud:
             self._heard_at = now
             self._evidence.telegram(telegram, now)
             self._decide(now)
+
+    def activity(self, now: int) -> None:
+        """A start edge tells nothing."""
 
     def refused(self, now: int) -> None:
         """The port cannot do :attr:`baud`: it is not tried again. Raises ConfigError when it was the last one."""

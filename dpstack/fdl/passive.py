@@ -115,6 +115,11 @@ class PassiveStation:
         self._kept_sa = -1
 
     @property
+    def params(self) -> BusParams:
+        """Rate and times."""
+        return self._params
+
+    @property
     def baud(self) -> int:
         """The rate it listens at."""
         return self._params.baud
