@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Final
 
+from dpstack.fdl.announced import Announced, News
 from dpstack.fdl.codec import encode_token
 from dpstack.fdl.events import MasterSeen, RingLeft
 from dpstack.fdl.fcb import FrameCount
@@ -153,7 +154,7 @@ class Link:
         self.leaving = False
         self.line_is_down = False
         self.in_ring = False
-        self.announced: frozenset[int] = frozenset()
+        self.announced = Announced()
         self.refused = -1  # sender of a token refused once
         self.claims_left = 0
         self.claimed = False
@@ -280,7 +281,8 @@ class Link:
     def go_listening(self, now: int) -> None:
         """Begin to listen: nothing is known of the ring."""
         self.ring.forget()
-        self.tell_masters(now)
+        for address in sorted(self.announced.masters):
+            self.tell_master(address, now)
         self.enter(State.LISTEN_TOKEN)
         self.await_silence()
 
@@ -289,17 +291,20 @@ class Link:
         self.token_at = -1
         self.refused = -1
         self.ring.forget()
-        self.announced = frozenset()
+        self.announced.forget()
         if self.in_ring:
             self.in_ring = False
             self.events.append(RingLeft(t_ns=now, address=self.ts, reason=reason))
 
-    def tell_masters(self, now: int) -> None:
-        """Tell which masters came and went since this was told last."""
-        members = frozenset(self.ring.members) - {self.ts}
-        if members == self.announced:
-            return
-        changed = [(a, True) for a in members - self.announced] + [(a, False) for a in self.announced - members]
-        self.announced = members
-        for address, present in sorted(changed):
+    def tell_master(self, address: int, now: int) -> None:
+        """Tell that a master came or went, unless it was told; it did so beyond doubt."""
+        self._tell(self.announced.certain(address, address in self.ring.members), now)
+
+    def heard_token(self, sa: int, now: int) -> None:
+        """A token from ``sa`` is in the LAS: tell what is certain now of masters that came and went."""
+        if self.ring.learned or self.in_ring:
+            self._tell(self.announced.token(sa, frozenset(self.ring.members) - {self.ts}), now)
+
+    def _tell(self, news: News, now: int) -> None:
+        for address, present in news:
             self.events.append(MasterSeen(t_ns=now, address=address, present=present))

@@ -58,8 +58,9 @@ def timeout(link: Link, _: Telegram, now: int) -> None:
             # Two holders in step (a doubled token) hear nothing of each other: the last repetition tells them apart.
             link.gate_ns = max(link.gate_ns, now - link.line.idle_since + link.params.ns(link.ts))
         return
-    link.ring.drop(link.ring.ns)
-    link.tell_masters(now)
+    silent = link.ring.ns
+    link.ring.drop(silent)
+    link.tell_master(silent, now)
     start(link, now)
 
 
