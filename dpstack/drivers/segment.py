@@ -25,7 +25,7 @@ from dpstack.errors import ConfigError, PortBusyError, PortError, UsageError
 from dpstack.params import T_SYN
 from dpstack.phy.uart import Receiver, waveform
 from dpstack.ports.fdport import reason_of
-from dpstack.ports.garble import Noise, intact
+from dpstack.ports.garble import Noise
 from dpstack.ports.holders import holder_of
 from dpstack.ports.pacing import PacedWire
 from dpstack.ports.ptymaster import PtyMaster
@@ -57,13 +57,13 @@ class _Station:
         self.receiver: Receiver | None = None  # of a station at another rate than those who send
         self.stats = StationStats(link)
 
-    def misread(self, levels: bytes, baud: int, reading: int, start_ns: int) -> bytes:
-        """What its UART at ``reading`` bit/s makes of ``levels`` that are sent at ``baud`` from ``start_ns`` on."""
+    def misread(self, octets: bytes, baud: int, reading: int, start_ns: int) -> bytes:
+        """What its UART at ``reading`` bit/s makes of ``octets`` that are sent at ``baud`` from ``start_ns`` on."""
         receiver = self.receiver
         if receiver is None or receiver.baud != reading:
             receiver = self.receiver = Receiver(reading)
         heard = receiver.idle(start_ns)
-        heard += receiver.hear(start_ns, levels, baud)
+        heard += receiver.hear(start_ns, waveform(octets), baud)
         return bytes(character.octet for character in heard if character.good)
 
 
@@ -224,8 +224,7 @@ class Segment:
     def _deliver(self, sender: _Station, chunk: bytes, baud: int) -> None:
         """``chunk`` is on the wire: every other station hears it."""
         start_ns = self._placed(sender, len(chunk), baud)
-        flips = self._noise.flips(chunk)
-        read, levels = intact(chunk, flips), b""
+        chunk = self._noise.strike(chunk)
         for station in self._stations:
             if (station is sender and not self.echo) or station.cut_off:
                 continue
@@ -234,10 +233,7 @@ class Segment:
                     continue
                 station.present = True
             reading = station.master.baud() or self.baud
-            octets = read
-            if reading != baud:
-                levels = levels or waveform(chunk, flips)
-                octets = station.misread(levels, baud, reading, start_ns)
+            octets = chunk if reading == baud else station.misread(chunk, baud, reading, start_ns)
             if octets:
                 self._give(station, octets)
 

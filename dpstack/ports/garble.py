@@ -9,11 +9,6 @@ from dpstack.errors import ConfigError
 from dpstack.units import BITS_PER_CHAR
 
 
-def intact(octets: bytes, flips: dict[int, int]) -> bytes:
-    """What a receiver at the sender's rate is left with: ``octets`` without the damaged ones."""
-    return bytes(octet for number, octet in enumerate(octets) if number not in flips) if flips else octets
-
-
 class Noise:
     """Damages bits independently with probability ``error_rate`` (0..1 exclusive).
 
@@ -29,22 +24,20 @@ class Noise:
         self._log_good = math.log1p(-error_rate)
         self._bits_left = self._next_gap()  # good bits until the next damaged one
 
-    def flips(self, octets: bytes) -> dict[int, int]:
-        """The bits of ``octets`` that are inverted, by octet number: bit 0 is the start bit, bit 10 the stop bit."""
-        size = len(octets) * BITS_PER_CHAR
-        place = self._bits_left
-        flips: dict[int, int] = {}
-        while place < size:
-            number, bit = divmod(int(place), BITS_PER_CHAR)
-            flips[number] = flips.get(number, 0) | 1 << bit
-            place += 1 + self._next_gap()
-        self._bits_left = place - size
-        self.damaged += len(flips)
-        return flips
-
     def strike(self, octets: bytes) -> bytes:
         """``octets`` without the damaged ones."""
-        return intact(octets, self.flips(octets))
+        if self._bits_left >= len(octets) * BITS_PER_CHAR:
+            self._bits_left -= len(octets) * BITS_PER_CHAR
+            return octets
+        kept = bytearray()
+        for octet in octets:
+            if self._bits_left >= BITS_PER_CHAR:
+                self._bits_left -= BITS_PER_CHAR
+                kept.append(octet)
+            else:
+                self.damaged += 1
+                self._bits_left = self._next_gap()
+        return bytes(kept)
 
     def _next_gap(self) -> float:
         if not self.error_rate:

@@ -222,32 +222,6 @@ def test_noise_is_the_same_with_the_same_seed() -> None:
     assert 200 < run(1)[1] < 550  # 32 640 octets, 1.1 % of them
 
 
-def test_noise_inverts_single_bits_however_the_octets_are_cut() -> None:
-    octets = bytes(10_000)
-    whole = Noise(1e-3, random.Random(5)).flips(octets)
-    noise = Noise(1e-3, random.Random(5))
-    cut: dict[int, int] = {}
-    for at in range(0, 10_000, 7):
-        cut |= {at + number: mask for number, mask in noise.flips(octets[at : at + 7]).items()}
-    assert cut == whole
-    assert noise.damaged == len(whole)
-    assert 60 < sum(mask.bit_count() for mask in whole.values()) < 170  # 110 000 bits
-    assert {mask.bit_length() - 1 for mask in whole.values()} == set(range(11))
-
-
-async def test_a_damaged_bit_is_on_the_line_for_those_at_another_rate(
-    directory: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    async with Segment(3, directory, baud=500_000) as segment:
-        one, same, other = _stations(segment)
-        set_rate(other.fd, termios.B1500000)
-        monkeypatch.setattr(segment._noise, "flips", lambda _: {0: 1 << 10})
-        one.send(b"\x05")  # 1C again: its stop bit is over before the sender's; see above
-        assert await other.recv(1) == b"\x1c"
-        assert same.take() == b""
-        _leave([one, same, other])
-
-
 def test_no_noise_touches_nothing() -> None:
     noise = Noise(0.0, random.Random(1))
     assert noise.strike(TELEGRAM) is TELEGRAM
