@@ -51,7 +51,7 @@ def test_the_readmes_program_runs(
         program.write_text(text, encoding="utf-8")
         runpy.run_path(str(program), run_name="__main__")
     out = capsys.readouterr().out
-    assert out.splitlines() == ["fan at 30 Hz", "parameter 412 is 44", "inputs 0f"]
+    assert out.splitlines() == ["fan at 30 Hz", "parameter 412 is 44", "inputs 0f True"]
 
 
 @pytest.mark.usefixtures("fast")
@@ -65,6 +65,12 @@ def test_examples_run(example: Path, capsys: pytest.CaptureFixture[str]) -> None
             "the slaves follow to 187500 bit/s, master 5 found 187500",
         ],
         "two_drives": ["hoist at 25 Hz", "fan at 24 Hz", "fan at -24 Hz"],
+        "class_2": [
+            "3: ident 0x0696, master 2, config f3 71",
+            "outputs {'flap': True}",
+            "inputs {'limit': True}",
+            "slave 126 does not answer Slave_Diag; check address and power; `dpstack scan` shows who is there",
+        ],
         "watch_events": ["slave 3 (hoist): data_exchange", "8 valves data_exchange 00"],
     }[example.stem]
     assert [line for line in wanted if line not in out] == []
@@ -109,7 +115,7 @@ def test_links_lead_somewhere(page: Path) -> None:
 
 def test_every_command_and_option_is_documented() -> None:
     text = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
-    for name in ("demo", "run", "sim", "segment", "ctl", "scan", "plan", "baud", "ports", "doctor"):
+    for name in ("demo", "run", "sim", "segment", "ctl", "scan", "address", "plan", "baud", "ports", "doctor"):
         assert f"`dpstack {name}" in text
 
 

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Mapping
 from types import TracebackType
 from typing import Final
 
+from dpstack.api.class2 import Class2
 from dpstack.api.compose import attach_core, compose
 from dpstack.api.config import Config, slave_config
 from dpstack.api.drive import Drive
@@ -20,6 +21,7 @@ from dpstack.api.slave import Slave
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.api.statistics import BusStats, collect
 from dpstack.api.streams import EventStream, Waiters
+from dpstack.dp.class2 import ServiceDone
 from dpstack.dp.commands import AddSlave, Mode, RemoveSlave, SetMode, Shutdown
 from dpstack.dp.events import DriveEvent, MasterStopped
 from dpstack.dp.plan import Case
@@ -78,6 +80,8 @@ class Bus(Composed):
         self._history: deque[Event] = deque(maxlen=_HISTORY)
         self._streams: list[EventStream] = []
         self._waiters = Waiters()
+        #: the services of a class 2 master: diagnosis, configuration, inputs and outputs of any slave, its address
+        self.class2 = Class2(self)
         self._slaves: dict[int, Slave] = {}
         self._drives: dict[int, Drive] = {}
         if not self.searching:
@@ -335,6 +339,9 @@ class Bus(Composed):
     def _on_events(self, events: list[Event]) -> None:
         for event in events:
             match event:
+                case ServiceDone():  # told to who waits for it, and to nobody else
+                    self.class2.on_done(event)
+                    continue
                 case DriveEvent(address=address, payload=payload):
                     drive = self._drives.get(address)
                     if drive is not None:
@@ -368,6 +375,7 @@ class Bus(Composed):
             self._over = error
         for drive in self._drives.values():
             drive.end(self._over)
+        self.class2.end(self._over)
         for stream in self._streams:
             stream.end()
         self._waiters.check()

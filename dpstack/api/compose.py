@@ -10,6 +10,7 @@ from dpstack.api.bench import VirtualBench
 from dpstack.api.config import Config, rate_findings
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.api.streams import Rounds
+from dpstack.dp.class2 import Class2
 from dpstack.dp.master import Master
 from dpstack.dp.plan import Case, Plan, make_plan, t_tr_preset
 from dpstack.dp.reading import reading_only
@@ -112,6 +113,7 @@ def compose(
     )
     watcher = _watcher(config, params, patience) if read_only and watched else None
     users: list[LinkUser] = [master] if watcher is None else [master, watcher]
+    users.append(Class2(params.address, master))
     station = ActiveStation(params, users, patience=patience, guard=reading_only if read_only else None)
     if port is not None:
         # a pty is given what a stalled computer needs, and a user's own figure stands

@@ -6,7 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
+from dpstack.api.field_config import read_fields
 from dpstack.api.tables import Table
+from dpstack.dp.fields import FieldMap
 from dpstack.dp.identifiers import io_lengths
 from dpstack.dp.setup import SlaveSetup
 from dpstack.errors import ConfigError
@@ -44,8 +46,6 @@ _LATER: Final[dict[str, tuple[object, ...]]] = {
     "modules": (),
     "parameters": (),
     "dpv1": (False,),
-    "inputs": (),
-    "outputs": (),
 }
 #: Min_Slave_Interval counts in 100 us, as GSD files do
 _INTERVAL_UNIT: Final = 100 * NS_PER_US
@@ -71,6 +71,9 @@ class SlaveConfig:
     initial: bytes | None = None
     min_slave_interval_ns: int = 0
     fail_safe: bool = False
+    #: names for what is in the process data
+    input_fields: FieldMap = field(default_factory=FieldMap)
+    output_fields: FieldMap = field(default_factory=FieldMap)
     #: the application makes the outputs octet by octet, also where there is a drive plugin
     raw: bool = False
     notes: tuple[str, ...] = ()
@@ -211,6 +214,7 @@ def _build(table: Table, address: int, basis: _Basis) -> SlaveConfig:
         table.fail("safe", f"safe has {len(safe)} octets", f"the configuration has {outputs} octets of outputs")
     user_prm = table.octets("user_prm")
     ident, ident_note = _ident(table, basis)
+    input_fields, output_fields = read_fields(table, *io_lengths(basis.config))
     name = table.text("name") or f"slave{address}"
     profile = basis.profile
     notes = [f"slave {address} ({name}): {ident_note}"] if ident_note else []
@@ -234,6 +238,8 @@ def _build(table: Table, address: int, basis: _Basis) -> SlaveConfig:
         safe=basis.safe if safe is None else safe,
         min_slave_interval_ns=basis.interval_ns if interval is None else interval * _INTERVAL_UNIT,
         fail_safe=table.flag("fail_safe", basis.fail_safe),
+        input_fields=input_fields,
+        output_fields=output_fields,
         notes=tuple(notes),
     )
 
