@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from dpstack.api.opening import open_bus
     from dpstack.api.serving import SlaveServer, serve_slave, serve_slaves
     from dpstack.api.slave import Slave
-    from dpstack.api.virtual import run_virtual
+    from dpstack.api.virtual import World, run_virtual, simulate
     from dpstack.dp.dp_slave import DpSlave
     from dpstack.dp.slave_description import SlaveDescription, SlaveModule
     from dpstack.dp.slaveapp import SlaveApp, SlaveAppState
@@ -52,7 +52,6 @@ if TYPE_CHECKING:
         UsageError,
     )
     from dpstack.profile import DriveStatus
-    from dpstack.sim.world import World
 
 __version__ = "0.1.0"
 
@@ -102,6 +101,7 @@ __all__ = [
     "run_virtual",
     "serve_slave",
     "serve_slaves",
+    "simulate",
 ]
 
 _WHERE: Final = {
@@ -117,6 +117,8 @@ _WHERE: Final = {
     "SlaveState": "api.events",
     "Slave": "api.slave",
     "run_virtual": "api.virtual",
+    "simulate": "api.virtual",
+    "World": "api.virtual",
     "SlaveServer": "api.serving",
     "serve_slave": "api.serving",
     "serve_slaves": "api.serving",
@@ -130,7 +132,6 @@ _WHERE: Final = {
     "device_block": "dp.user_diag",
     "identifier_block": "dp.user_diag",
     "revision_block": "dp.user_diag",
-    "World": "sim.world",
     "DriveStatus": "profile",
 }
 

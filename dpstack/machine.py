@@ -14,7 +14,7 @@ from typing import Protocol
 from dpstack.trace import Event
 from dpstack.units import NEVER, NOW
 
-__all__ = ["NEVER", "NOW", "LineDown", "LineUp", "Machine", "Transmit", "pump"]
+__all__ = ["NEVER", "NOW", "LineDown", "LineUp", "Machine", "RateRefused", "Transmit", "pump"]
 
 #: Puts octets on the line and returns the time in ns at which their last bit leaves it (may lie ahead of now).
 Transmit = Callable[[bytes, int], int]
@@ -35,8 +35,22 @@ class LineUp:
     """Command from a driver: the port is (again) there; the bus may have changed meanwhile."""
 
 
+@dataclass(frozen=True, slots=True)
+class RateRefused:
+    """Command from a driver: the port cannot do the rate that :attr:`Machine.baud` asks for.
+
+    The machine wants another one then, or raises when it knows none.
+    """
+
+    reason: str
+
+
 class Machine(Protocol):
     """A protocol machine. ``now`` is CLOCK_MONOTONIC or virtual time in nanoseconds and never runs backwards."""
+
+    @property
+    def baud(self) -> int:
+        """The rate in bit/s it wants to hear and send at. It may change with every step: the driver follows."""
 
     def receive(self, chunk: bytes, now: int) -> None:
         """Octets that arrived; the last bit of the last one was on the line no later than ``now``."""

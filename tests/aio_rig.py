@@ -22,6 +22,7 @@ class Script:
     """A machine with one deadline and one transmission to be made, set by the test; it writes down what happens."""
 
     def __init__(self) -> None:
+        self.baud = 500_000
         self.deadline = NEVER
         self.tx: list[bytes] = []
         self.events: list[Event] = []

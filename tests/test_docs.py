@@ -85,6 +85,10 @@ def test_examples_run(example: Path, capsys: pytest.CaptureFixture[str]) -> None
     runpy.run_path(str(example), run_name="__main__")
     out = capsys.readouterr().out
     wanted = {
+        "auto_baud": [
+            "the slaves follow to 1500000 bit/s, master 5 found 1500000",
+            "the slaves follow to 187500 bit/s, master 5 found 187500",
+        ],
         "own_slave": ["level 40 %", "ext_diag, wd_on 80 40 07", "valve closed"],
         "two_drives": ["hoist at 25 Hz", "fan at 24 Hz", "fan at -24 Hz"],
         "class_2": [

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.dp.device import Device
 from dpstack.dp.mirror import MirrorDevice
+from dpstack.dp.slave_baud import SearchingSlave
 from dpstack.dp.slaveapp import SlaveApp
 from dpstack.fdl.passive import PassiveStation
+from dpstack.fdl.station import BusStation
 from dpstack.machine import LineDown
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT, Patience
 from dpstack.sim.world import World
+from dpstack.units import BAUD_RATES
 
 
 def device_of(slave: SlaveConfig) -> Device:
@@ -24,13 +29,24 @@ def device_of(slave: SlaveConfig) -> Device:
     return MirrorDevice(slave.ident or 0, slave.config, slave.name, fail_safe=slave.fail_safe)
 
 
-class Unit:
-    """One simulated slave as it stands: station, application and device, made anew by :meth:`renew`."""
+def rates_of(slave: SlaveConfig) -> Sequence[int]:
+    """The baud rates that the device knows, all where nothing is said of them."""
+    return (slave.profile.baud_rates if slave.profile else ()) or BAUD_RATES
 
-    def __init__(self, config: SlaveConfig, params: BusParams, patience: Patience = EXACT) -> None:
+
+class Unit:
+    """One simulated slave as it stands: station, application and device, made anew by :meth:`renew`.
+
+    ``searching``: it finds the baud rate by itself, among those that the device knows.
+    """
+
+    def __init__(
+        self, config: SlaveConfig, params: BusParams, patience: Patience = EXACT, *, searching: bool = False
+    ) -> None:
         self.config = config
         self.powered = True
         self._patience = patience
+        self._searching = searching
         self.renew(params)
 
     def renew(self, params: BusParams) -> None:
@@ -38,14 +54,19 @@ class Unit:
         self.device: Device = device_of(self.config)
         self.app = SlaveApp(self.device, address=self.config.address)
         self.station = PassiveStation(self.config.address, self.app, params, patience=self._patience)
+        #: what is on a simulated bus: the station, or the search around it
+        self.on_bus: BusStation = self.station
+        if self._searching:
+            self.on_bus = SearchingSlave(self.station, self.app, rates=rates_of(self.config))
 
 
 class VirtualBench:
-    """The simulated slaves of a bus in virtual time."""
+    """The simulated slaves of a bus in virtual time, at the rate of ``params``; None: they find it by themselves."""
 
-    def __init__(self, world: World, params: BusParams) -> None:
+    def __init__(self, world: World, params: BusParams | None) -> None:
         self._world = world
-        self._params = params
+        self._params = params or BusParams.preset(BAUD_RATES[0])
+        self._searching = params is None
         self._units: dict[int, Unit] = {}
         self._silent: dict[int, object] = {}
 
@@ -55,8 +76,8 @@ class VirtualBench:
         if before is not None and before.powered:
             self._unplug(config.address)
         self._silent.pop(config.address, None)
-        unit = self._units[config.address] = Unit(config, self._params)
-        self._world.add(unit.station, name=config.name)
+        unit = self._units[config.address] = Unit(config, self._params, searching=self._searching)
+        self._world.add(unit.on_bus, name=config.name)
 
     def names(self) -> dict[int, str]:
         """Address and name of every slave."""
@@ -86,7 +107,7 @@ class VirtualBench:
             return
         if on:
             unit.renew(self._params)
-            self._world.add(unit.station, name=unit.config.name)
+            self._world.add(unit.on_bus, name=unit.config.name)
         else:
             self._unplug(address)
             self._silent.pop(address, None)
@@ -94,7 +115,7 @@ class VirtualBench:
 
     def _unplug(self, address: int) -> None:
         if address not in self._silent:
-            station = self._units[address].station
+            station = self._units[address].on_bus
             self._world.remove(station)
             station.command(LineDown("off the line"), self._world.now)
 
@@ -103,4 +124,4 @@ class VirtualBench:
         if token is not None and self._silent.get(address) is token:
             del self._silent[address]
             unit = self._units[address]
-            self._world.add(unit.station, name=unit.config.name)
+            self._world.add(unit.on_bus, name=unit.config.name)

@@ -16,10 +16,11 @@ from dpstack.api.config import Config, slave_config
 from dpstack.api.drive import Drive
 from dpstack.api.joining import Beside, join_limit_s, what_was_heard, why_not_joined
 from dpstack.api.livelist import scan_on
+from dpstack.api.parts import Composed
 from dpstack.api.slave import Slave
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.api.statistics import BusStats, collect
-from dpstack.api.streams import EventStream, Rounds, Waiters
+from dpstack.api.streams import EventStream, Waiters
 from dpstack.dp.class2 import ServiceDone
 from dpstack.dp.commands import AddSlave, Mode, RemoveSlave, SetMode, Shutdown
 from dpstack.dp.events import DriveEvent, MasterStopped
@@ -43,7 +44,7 @@ OnEvent = Callable[[Event], None]
 SlaveTable = Mapping[str, object] | SlaveConfig
 
 
-class Bus:
+class Bus(Composed):
     """A running bus: the slaves of a configuration under a class 1 master. Made by :func:`dpstack.open_bus`."""
 
     def __init__(
@@ -55,26 +56,16 @@ class Bus:
         world: World | None = None,
         watched: bool = True,
     ) -> None:
-        parts = compose(config, self._on_events, self._on_failure, world, watched=watched)
-        self.config = config
-        self.plan = parts.plan
-        self.params = parts.plan.params
-        self.station = parts.station
-        self.master = parts.master
-        self.runtime = parts.runtime
-        #: of a read-only bus: what shows the state of its stations
-        self.watcher = parts.watcher
+        make = functools.partial(
+            compose, on_events=self._on_events, on_failure=self._on_failure, world=world, watched=watched
+        )
+        super().__init__(config, make, world)
         #: addresses whose answers to the last scan could not be read
         self.unreadable: frozenset[int] = frozenset()
-        #: the simulated bus when there is one
-        self.world = parts.world
-        #: its simulated slaves, where they are part of this bus
-        self.bench = parts.bench
         #: machine time of the start in ns
         self.started_ns = 0
         self._on_event = on_event
         self._join_timeout = join_timeout
-        self._beside = Beside(parts.station)
         self._open = False
         self._ending: asyncio.Task[None] | None = None
         self._stopped = False
@@ -87,11 +78,16 @@ class Bus:
         self._history: deque[Event] = deque(maxlen=_HISTORY)
         self._streams: list[EventStream] = []
         self._waiters = Waiters()
-        self.rounds = Rounds(self.master)
         #: the services of a class 2 master: diagnosis, configuration, inputs and outputs of any slave, its address
         self.class2 = Class2(self)
         self._slaves: dict[int, Slave] = {}
         self._drives: dict[int, Drive] = {}
+        if not self.searching:
+            self._build(config)
+
+    def _build(self, config: Config) -> None:
+        super()._build(config)
+        self._beside = Beside(self.station)
         for slave in config.slaves:
             self._register(slave)
 
@@ -115,13 +111,21 @@ class Bus:
         await self.close()
 
     async def open(self) -> None:
-        """Listen, join the token ring, begin the bring-up in Clear. Raises PortError, BusError."""
+        """Listen, join the token ring, begin the bring-up in Clear. Raises PortError, BusError.
+
+        With the baud rate "auto" listen for that first: after 5 s of silence BusError says what to do.
+        """
         if self._open or self._ending is not None:
             raise UsageError("this bus was opened before: make a new one with open_bus()")
+        heard = await self._find_rate()
+        if self._ending is not None:
+            raise UsageError("the bus was closed while it was searching for its baud rate")
         self.started_ns = self.runtime.now()
         await self.runtime.open()
         self._open = True
         try:
+            if heard is not None:
+                self._tell(Notice(t_ns=self.started_ns, source="bus", message=heard))
             for note in (*self.plan.findings, *self.plan.notes):
                 self._tell(Notice(t_ns=self.started_ns, source="plan", message=note, severity=Severity.WARNING))
             self._hand_on(GoOnline())
@@ -161,7 +165,8 @@ class Bus:
         finally:  # cut short by the end of the loop: the port is released all the same
             self._open = False
             try:
-                await self.runtime.close()
+                if not self.searching:
+                    await self.runtime.close()
             finally:
                 self._nothing_more(UsageError("the bus is closed"))
 

@@ -6,16 +6,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from dpstack.api.bench import VirtualBench, device_of
+from dpstack.api.bench import VirtualBench
 from dpstack.api.config import Config, rate_findings
 from dpstack.api.slave_config import SlaveConfig
+from dpstack.api.streams import Rounds
 from dpstack.dp.class2 import Class2
 from dpstack.dp.master import Master
 from dpstack.dp.plan import Case, Plan, make_plan, t_tr_preset
 from dpstack.dp.reading import reading_only
 from dpstack.dp.scanner import Scanner
 from dpstack.dp.setup import SlaveSetup
-from dpstack.dp.slave_baud import SearchingSlave, make_searching_slave
 from dpstack.drivers.aio import AsyncioRuntime, OnFailure, patience_of
 from dpstack.drivers.base import OnEvents, Runtime
 from dpstack.drivers.virtual import VirtualRuntime
@@ -28,7 +28,7 @@ from dpstack.phy.patience import EXACT, Patience, slack
 from dpstack.ports import Delivery, Port, open_port
 from dpstack.profile import DriveCore
 from dpstack.sim.world import World
-from dpstack.units import BAUD_RATES, NS_PER_MS, NS_PER_S
+from dpstack.units import NS_PER_MS, NS_PER_S
 
 #: a read-only bus asks the whole live list and the diagnosis of each slave anew so often
 _LIST_PERIOD: Final = 10 * NS_PER_S
@@ -84,6 +84,7 @@ class Parts:
     watcher: Scanner | None
     #: the simulated slaves, where they are part of it
     bench: VirtualBench | None
+    rounds: Rounds
 
 
 def compose(
@@ -123,7 +124,7 @@ def compose(
         runtime = AsyncioRuntime(
             port, station, on_events, on_failure=on_failure, tune=station.set_patience if tune else None
         )
-        return Parts(config, plan, master, station, runtime, None, watcher, None)
+        return Parts(config, plan, master, station, runtime, None, watcher, None, Rounds(master))
     bench = None
     if world is None:
         world = World(referee=False)
@@ -131,7 +132,7 @@ def compose(
         for slave in config.slaves:
             bench.add(slave)
     virtual_runtime = VirtualRuntime(world, station, on_events, on_failure=on_failure)
-    return Parts(config, plan, master, station, virtual_runtime, world, watcher, bench)
+    return Parts(config, plan, master, station, virtual_runtime, world, watcher, bench, Rounds(master))
 
 
 def _watcher(config: Config, params: BusParams, patience: Patience) -> Scanner:
@@ -155,12 +156,6 @@ def attach_core(master: Master, slave: SlaveConfig) -> DriveCore | None:
     return core
 
 
-def simulated_searching(slave: SlaveConfig, patience: Patience = EXACT) -> SearchingSlave:
-    """A whole simulated slave that finds the rate by itself, among those that its device knows."""
-    known = slave.profile.baud_rates if slave.profile else ()
-    return make_searching_slave(slave.address, device_of(slave), rates=known or BAUD_RATES, patience=patience)
-
-
 __all__ = [
     "Case",
     "Parts",
@@ -170,6 +165,5 @@ __all__ = [
     "patience_for",
     "plan_bus",
     "port_of",
-    "simulated_searching",
     "with_t_tr",
 ]

@@ -132,8 +132,8 @@ class Config:
         if self.bus.baud == AUTO:
             raise self.source.error(
                 ("bus", "baud"),
-                '[bus]: baud "auto" is found by `dpstack run` only',
-                "give the rate here (--baud; in a program baud=(await dpstack.find_baud(port)).baud)",
+                '[bus]: baud "auto" is found when the bus is opened',
+                "give the rate here, for instance --baud 500000",
             )
         return self.bus.baud
 
@@ -211,7 +211,7 @@ def parse_config(text: str, name: str = "config") -> Config:
 
 def make_config(
     port: str,
-    baud: int,
+    baud: int | Literal["auto"],
     address: int = 2,
     slaves: Iterable[Mapping[str, object] | SlaveConfig] = (),
     *,

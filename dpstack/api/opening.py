@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Literal
 
 from dpstack.api.bus import Bus, OnEvent, SlaveTable
 from dpstack.api.config import Config, load_config, make_config
@@ -15,7 +16,7 @@ def open_bus(
     config: str | Path | Config | None = None,
     *,
     port: str | None = None,
-    baud: int | None = None,
+    baud: int | Literal["auto"] | None = None,
     address: int | None = None,
     slaves: Iterable[SlaveTable] = (),
     on_event: OnEvent | None = None,
@@ -28,10 +29,15 @@ def open_bus(
     Use it as ``async with open_bus(...) as bus``: entering listens, joins the token ring and begins to bring the slaves
     up in Clear; ``await bus.operate()`` lets outputs out. ``slaves`` are mappings with the keys of a [[slave]] table,
     ``bus`` further keys of [bus]. ``port="virtual"`` simulates the slaves in this process. ``on_event`` is called for
-    every event at once; ``world`` joins an existing simulated bus. ``join_timeout`` in seconds: how long to wait
+    every event at once; ``world`` joins an existing simulated bus
+    (see :func:`simulate`). ``join_timeout`` in seconds: how long to wait
     for the token beside other masters (default: two passes over a GAP like this master's, 30 s at least).
 
-    Raises ConfigError here; PortError and BusError on entering.
+    ``baud="auto"``: entering listens for the rate first. Until it is found ``bus.searching`` is true, and what depends
+    on it (``plan``, ``params``, slaves and drives) raises UsageError. After 5 s of silence it gives up: a master that
+    is alone on its bus must give the rate.
+
+    Raises ConfigError here, with "auto" on entering; PortError and BusError on entering.
     """
     if config is None:
         if baud is None:

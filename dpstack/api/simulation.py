@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import TracebackType
-from typing import Final
+from typing import Final, Literal
 
-from dpstack.api.bench import Unit
-from dpstack.api.config import Config
+from dpstack.api.bench import Unit, rates_of
+from dpstack.api.config import AUTO, Config
+from dpstack.dp.baud_watch import BaudState
 from dpstack.dp.device import Device
+from dpstack.dp.searching_port import PortBaudChanged, SearchingPort
 from dpstack.dp.slave_events import SlaveAppEvent, SlaveAppStateChanged
 from dpstack.dp.slaveapp import SlaveAppState
 from dpstack.drivers.aio import AsyncioRuntime, patience_of
+from dpstack.drivers.rate import settle_ns_of
 from dpstack.drivers.segment import Segment, default_directory
 from dpstack.errors import BusError, ConfigError
 from dpstack.fdl.multidrop import Multidrop
@@ -21,7 +24,7 @@ from dpstack.params import BusParams
 from dpstack.phy.neighbours import t_sl_of_answers
 from dpstack.ports import open_port
 from dpstack.trace import Event
-from dpstack.units import NEVER, ns_to_s
+from dpstack.units import BAUD_RATES, NEVER, ns_to_s
 
 __all__ = [
     "DEFAULT_BAUD",
@@ -65,21 +68,24 @@ class SimulatedSlave:
 class Simulation:
     """All slaves of ``config`` as stations behind one ``port``; ``async with`` opens and closes it.
 
-    ``port``: as everywhere, or "pty" for a new one, whose path is then ``port_name``.
+    ``port``: as everywhere, or "pty" for a new one, whose path is then ``port_name``. ``baud`` in bit/s, or "auto": the
+    slaves find the rate by themselves, and search it anew when the bus falls silent.
     Raises ConfigError; PortError on entering.
     """
 
-    def __init__(self, config: Config, port: str, baud: int) -> None:
+    def __init__(self, config: Config, port: str, baud: int | Literal["auto"]) -> None:
         if not config.slaves:
             raise ConfigError("no slave to simulate: add a [[slave]] table, or give --drive and --address")
         if port == "virtual":
             raise ConfigError('port "virtual" has no other end; take "pty" or a device')
-        self.baud = baud
         #: called for every event, at once
         self.on_event: Callable[[Event], None] | None = None
-        opened = open_port(port, baud)
+        rates = [DEFAULT_BAUD] if baud != AUTO else _common_rates(config)
+        # every adapter can do the slowest rate, so a port that does not open there is not there
+        start = baud if baud != AUTO else DEFAULT_BAUD if port == "pty" else min(rates)
+        opened = open_port(port, start)
         patience = patience_of(opened)
-        self._params = params = BusParams.preset(baud)
+        self._params = params = BusParams.preset(start)
         #: T_SL in bit times that a real master needs for these slaves behind this port, 0 where it needs none for it
         self.t_sl = t_sl_of_answers(params, patience)
         units = [Unit(slave, params, patience) for slave in config.slaves]
@@ -87,7 +93,14 @@ class Simulation:
         self._units = {unit.config.address: unit for unit in units}
         self._failure: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._line = Multidrop([unit.station for unit in units], params, patience=patience)
-        self.runtime = AsyncioRuntime(opened, self._line, self._on_events, on_failure=self._failed)
+        self._search: SearchingPort | None = None
+        self._was_found = False
+        if baud == AUTO:
+            self._search = SearchingPort(
+                self._line, self._watched, rates=rates, slack_ns=patience.known_ns, settle_ns=settle_ns_of(opened)
+            )
+        machine = self._search or self._line
+        self.runtime = AsyncioRuntime(opened, machine, self._on_events, on_failure=self._failed)
         #: machine time of the start in ns
         self.started_ns = 0
 
@@ -95,6 +108,20 @@ class Simulation:
     def port_name(self) -> str:
         """What the port is called; of a pty made here the path to open."""
         return self.runtime.port_name
+
+    @property
+    def baud(self) -> int | None:
+        """The rate in bit/s; None while it is searched."""
+        searching = self._search is not None and self._search.state is BaudState.SEARCH
+        return None if searching else self._line.baud
+
+    @property
+    def never_found(self) -> str | None:
+        """Why the rate was not recognised up to now, for people; None when it was once, or was given."""
+        if self._search is None or self._was_found:
+            return None
+        result = self._search.in_vain(self.runtime.now())
+        return None if result is None else result.text
 
     @property
     def seconds(self) -> float:
@@ -125,8 +152,11 @@ class Simulation:
                 "exchanges": slave.exchanges,
                 "watchdogs": slave.watchdogs,
             }
-        received = {"telegrams": self.telegrams, "bad": self.bad}
-        return {"seconds": round(self.seconds, 3), "baud": self.baud, **received, "slaves": slaves}
+        status: dict[str, object] = {"seconds": round(self.seconds, 3), "baud": self.baud}
+        status |= {"telegrams": self.telegrams, "bad": self.bad}
+        if self._search is not None:
+            status["search"] = self._search.state.value
+        return status | {"slaves": slaves}
 
     def names(self) -> dict[int, str]:
         """Address and name of every slave."""
@@ -154,7 +184,7 @@ class Simulation:
         if on is unit.powered:
             return
         if on:
-            unit.renew(self._params)
+            unit.renew(self._line.params)
             self._line.add(unit.station)
         else:
             self._line.remove(unit.station.address)
@@ -177,9 +207,14 @@ class Simulation:
         await self.runtime.close()
 
     def _on_events(self, events: list[Event]) -> None:
+        self._was_found = self._was_found or any(isinstance(event, PortBaudChanged) for event in events)
         if self.on_event is not None:
             for event in events:
                 self.on_event(event)
+
+    def _watched(self) -> bool:
+        """Whether the watchdog of any slave runs."""
+        return any(unit.app.watchdog.time_ns and unit.powered for unit in self._units.values())
 
     def _failed(self, error: Exception) -> None:
         failure = BusError(f"the simulation was stopped by a defect in dpstack ({type(error).__name__}: {error})")
@@ -188,11 +223,21 @@ class Simulation:
             self._failure.set_exception(failure)
 
 
+def _common_rates(config: Config) -> Sequence[int]:
+    """The rates that all slaves know: they share one receiver. Raises ConfigError."""
+    rates = [rate for rate in BAUD_RATES if all(rate in rates_of(slave) for slave in config.slaves)]
+    if not rates:
+        raise ConfigError("the slaves have no baud rate in common: simulate them on ports of their own")
+    return rates
+
+
 def sim_event_json(event: Event, t: float) -> dict[str, object]:
     """The JSON line of a simulation's ``event`` at ``t`` seconds."""
     line: dict[str, object] = {"event": "notice", "t": round(t, 6)}
     if isinstance(event, SlaveAppEvent):
         line |= {"address": event.address, "name": event.name}
+    if isinstance(event, PortBaudChanged):
+        return line | {"event": "baud", "state": event.state.value, "baud": event.baud}
     if isinstance(event, SlaveAppStateChanged):
         return line | {"event": "slave", "state": event.state.value, "master": event.master, "why": event.why.value}
     return line | {"text": event.text}

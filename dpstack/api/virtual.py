@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Coroutine
-from typing import TypeVar
+from collections.abc import Coroutine, Iterable
+from typing import Literal, TypeVar
 
+from dpstack.api.bench import VirtualBench
+from dpstack.api.bus import SlaveTable
+from dpstack.api.config import AUTO, slave_config
+from dpstack.api.slave_config import SlaveConfig
 from dpstack.drivers import virtual_loop
+from dpstack.params import BusParams
+from dpstack.sim.world import World
+
+__all__ = ["World", "run_virtual", "simulate"]
 
 T = TypeVar("T")
 
@@ -15,3 +23,16 @@ def run_virtual(program: Coroutine[object, object, T], *, paced: bool = False) -
     ``port="virtual"``). ``paced`` holds it back to real time.
     """
     return virtual_loop.run(program, paced=paced)
+
+
+def simulate(world: World, slaves: Iterable[SlaveTable], *, baud: int | Literal["auto"] = AUTO) -> VirtualBench:
+    """Put simulated ``slaves`` (mappings with the keys of a [[slave]] table) on the bus of ``world``.
+
+    ``baud`` in bit/s, or "auto": they listen until they have found the rate, and search anew when the bus falls silent.
+    Buses that share the world are opened with ``open_bus(world=world, ...)``. What is returned switches the slaves off
+    and on, and silences them. Raises ConfigError.
+    """
+    bench = VirtualBench(world, None if baud == AUTO else BusParams.preset(baud))
+    for slave in slaves:
+        bench.add(slave if isinstance(slave, SlaveConfig) else slave_config(slave))
+    return bench

@@ -6,6 +6,7 @@ from datetime import UTC, datetime
 
 from dpstack.api.bus import Bus
 from dpstack.api.events import DriveEvent, Event, MasterStopped, Severity, SlaveDiagnosis, event_json, severity_of
+from dpstack.api.parts import SEARCHING
 from dpstack.api.statistics import BusStats, SlaveStats
 from dpstack.cli import output
 from dpstack.units import baud_text, ns_to_s
@@ -22,6 +23,11 @@ class Reporter:
         self._driver = driver
         self._quiet = quiet
         self._started = False
+
+    def searching(self) -> None:
+        """The baud rate has to be found first: people are told what is waited for."""
+        if self.bus is not None and not self._json and not self._quiet:
+            output.line(f"{SEARCHING} on {self.bus.config.port}")
 
     def start(self) -> None:
         """The start line, once."""

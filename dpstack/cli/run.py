@@ -5,10 +5,10 @@ from __future__ import annotations
 import argparse
 import asyncio
 
-from dpstack.api.baud import with_rate
 from dpstack.api.bus import Bus
 from dpstack.api.config import Config, load_config
-from dpstack.api.control.programs import control_run
+from dpstack.api.control.programs import PTY, control_run
+from dpstack.api.control.server import ControlServer
 from dpstack.api.opening import open_bus
 from dpstack.cli import options, output
 from dpstack.cli.control import reachable
@@ -60,25 +60,19 @@ def execute(args: argparse.Namespace) -> int:
 
 
 async def _run(config: Config, args: argparse.Namespace) -> int:
-    found: list[Config] = []
-
-    async def listen() -> None:
-        found.append(await with_rate(config))
-
     with StopSignal() as stop:
-        if not await stop.or_done(listen()):
-            warn("ended before the baud rate was found")
-            return 1
-        (config,) = found
         reporter = Reporter(json=args.json, driver="virtual" if config.virtual else "asyncio")
         bus = reporter.bus = open_bus(config, on_event=reporter.event)
-        # reachable while it waits for its turn in the ring, too; of a port that is held one line is enough
-        async with reachable(control_run(bus, config.port), quiet=True) as unreachable:
-            await stop.or_done(bus.open())
+        if bus.searching:
+            reporter.searching()
+        # reachable while it searches or waits for its turn in the ring, too; of a port that is held one line is enough
+        control = control_run(bus, config.port)
+        async with reachable(control, quiet=True) as unreachable:
+            await stop.or_done(_open(bus, control))
             if unreachable is not None:
                 warn(unreachable)
             if not bus.is_open:
-                warn("ended before the token ring was joined")
+                warn(f"ended before the {'baud rate was found' if bus.searching else 'token ring was joined'}")
                 return 1
             try:
                 reporter.start()
@@ -92,6 +86,12 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
     for text in missing:
         warn(text)
     return 1 if missing else 0
+
+
+async def _open(bus: Bus, control: ControlServer) -> None:
+    await bus.open()
+    if bus.config.port == PTY:
+        control.move_to(bus.runtime.port_name)
 
 
 async def _limit(bus: Bus, seconds: float | None, rotations: int | None) -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 import asyncio
 from collections.abc import Callable
+from typing import Literal
 
-from dpstack.api.baud import BaudReport, find_baud
 from dpstack.api.config import AUTO, Config, load_config, make_config
 from dpstack.api.control.programs import control_sim
 from dpstack.api.events import Event
@@ -16,7 +16,7 @@ from dpstack.cli.control import reachable
 from dpstack.cli.outlet import unhurried
 from dpstack.cli.signals import StopSignal
 from dpstack.cli.streams import warn
-from dpstack.errors import BusError, UsageError
+from dpstack.errors import UsageError
 from dpstack.units import baud_text, ns_to_s
 
 
@@ -44,11 +44,9 @@ def add_to(commands: options.Commands) -> None:
 def execute(args: argparse.Namespace) -> int:
     """Simulate until a signal; 0 unless something failed."""
     config = _config(args)
-    rate = args.baud or config.bus.baud or DEFAULT_BAUD
-    if rate == AUTO and args.port == "pty":
-        rate = DEFAULT_BAUD  # whoever opens the other end sets what he likes
+    baud = args.baud or config.bus.baud or DEFAULT_BAUD
     with unhurried(output.missing(args.json)):
-        return asyncio.run(_run(config, rate, args))
+        return asyncio.run(_run(config, baud, args))
 
 
 def _config(args: argparse.Namespace) -> Config:
@@ -65,30 +63,24 @@ def _config(args: argparse.Namespace) -> Config:
     return make_config(args.port, DEFAULT_BAUD, master, [table], where="sim")
 
 
-async def _run(config: Config, wanted: int | str, args: argparse.Namespace) -> int:
-    found: list[BaudReport] = []
-
-    async def listen() -> None:
-        found.append(await find_baud(args.port, timeout=args.seconds))
-
+async def _run(config: Config, baud: int | Literal["auto"], args: argparse.Namespace) -> int:
     with StopSignal() as stop:
-        if wanted == AUTO and not await stop.or_done(listen()):
-            return 0
-        rate = found[0].baud if found else int(wanted)
-        if rate is None:
-            raise BusError(f"{args.port}: the baud rate was not found: {found[0].text}; or give the rate")
-        simulation = Simulation(config, args.port, rate)
+        simulation = Simulation(config, args.port, baud)
         async with simulation, reachable(control_sim(simulation, args.port)):
             if args.port == "pty":
                 output.json_line({"port": simulation.port_name})
             if not args.json:
-                output.line(f"simulating on {simulation.port_name} at {baud_text(rate)}:")
+                rate = f"at {baud_text(baud)}" if baud != AUTO else "(searching for the baud rate)"
+                output.line(f"simulating on {simulation.port_name} {rate}:")
                 for slave in simulation.slaves:
                     output.line(f"  {slave.address:3}  {slave.name}  ({slave.kind})")
             if simulation.t_sl:
                 warn(f"a master needs t_sl = {simulation.t_sl} or more for these slaves: the adapter answers late")
             simulation.on_event = _printer(simulation, args.json)
             await stop.or_done(simulation.failed(args.seconds))
+            if simulation.never_found is not None:
+                warn(f"{args.port}: the baud rate was not found: {simulation.never_found}; or give the rate")
+                return 0 if stop.received else 1
             _summary(simulation, args.json)
     return 0
 

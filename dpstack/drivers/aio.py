@@ -15,13 +15,14 @@ from typing import Final
 from dpstack.drivers.base import OnEvents, PortBack, PortLost
 from dpstack.drivers.echo import Echo, EchoFilter
 from dpstack.drivers.lateness import Lateness, Tune
+from dpstack.drivers.rate import NoRateError, follow, wire_times
 from dpstack.drivers.timers import Timer, make_timer
-from dpstack.errors import BusError, PortError, UsageError
+from dpstack.errors import BusError, DpError, PortError, UsageError
 from dpstack.machine import LineDown, LineUp, Machine, pump
 from dpstack.phy.patience import ADAPTER, HOST, Patience
 from dpstack.ports import Delivery, Port
 from dpstack.trace import Event, Notice, Severity
-from dpstack.units import NEVER, NS_PER_MS, NS_PER_S, NS_PER_US, chars_to_ns
+from dpstack.units import NEVER, NS_PER_MS, NS_PER_S, NS_PER_US
 
 #: Told when the machine raised: a defect of ours, the driver has stopped.
 OnFailure = Callable[[Exception], None]
@@ -47,10 +48,10 @@ def patience_of(port: Port) -> Patience:
 class AsyncioRuntime:
     """Keeps ``machine`` running on ``port``; implements :class:`dpstack.drivers.base.Runtime`.
 
-    Events of the machine and of the driver go to ``on_events``. A port that vanishes is an event and is opened again
-    with back-off. When the machine raises, which it never should, the driver stops, tells ``on_failure`` (without one:
-    the loop's exception handler) and keeps the exception in ``failed``. ``echo``: whether the line returns what is
-    sent.
+    Events of the machine and of the driver go to ``on_events``. The port follows the rate that the machine wants. A
+    port that vanishes is an event and is opened again with back-off. When the machine raises, which it never should,
+    the driver stops, tells ``on_failure`` (without one: the loop's exception handler) and keeps the exception in
+    ``failed``. ``echo``: whether the line returns what is sent.
     """
 
     def __init__(
@@ -80,10 +81,10 @@ class AsyncioRuntime:
         self._timer: Timer | None = None
         self._armed = NEVER  # the deadline the timer waits for: never later than _deadline
         self._deadline = NEVER
+        self._is_down = False  # lost, and not open again yet
         self._reopening: asyncio.Task[None] | None = None
         self._again: asyncio.Handle | None = None
-        # What a telegram of so many octets takes to leave; nothing where no wire gives octets their time.
-        self._wire_ns = [chars_to_ns(n, port.baud) if port.paced else 0 for n in range(_LONGEST)]
+        self._wire_ns = wire_times(port)
         self._transmit = self._put  # bound once
 
     @property
@@ -106,12 +107,20 @@ class AsyncioRuntime:
         return Echo.OFF if self._echo is None else self._echo.state
 
     async def open(self) -> None:
-        """Open the port and begin. Raises PortError."""
+        """Open the port and begin. Raises PortError; ConfigError when the port knows none of the machine's rates."""
         if self._loop is not None:
             raise UsageError("the driver is open already")
         if self.failed is not None:
             raise BusError("the driver was stopped by a defect, make a new one") from self.failed
         await self._port.open()
+        try:
+            if self._machine.baud != self._port.baud:
+                self._port.set_baud(self._port.baud)  # one that cannot change its rate says so
+                follow(self._port, self._machine)
+                self._wire_ns = wire_times(self._port)
+        except DpError:
+            self._port.close()
+            raise
         self._loop = asyncio.get_running_loop()
         self._timer = make_timer(self._loop, self._timer_due)
         self._attach()
@@ -166,10 +175,17 @@ class AsyncioRuntime:
                 while now < deadline:
                     now = monotonic_ns()
                 chunk = self._drain() if now - deadline > _LATE_NS else b""
+            if machine.baud != self._port.baud and not self._is_down:
+                follow(self._port, machine)
+                self._wire_ns = wire_times(self._port)
+                deadline = machine.wake_at()
             self._deadline = deadline
             if sent_at:
                 self.lateness.heard(sent_at, self._wire_ns[min(heard, _LONGEST - 1)], arrived)
             events = machine.take_events()
+        except NoRateError as exc:
+            self._lost(str(exc))
+            return
         except Exception as exc:
             self._fail(exc)
             return
@@ -254,6 +270,7 @@ class AsyncioRuntime:
         if self._loop is None:
             return
         self._port.close()
+        self._is_down = True
         self._tell([PortLost(t_ns=monotonic_ns(), port=self.port_name, reason=reason)])
         self._order(LineDown(reason))
         if self._loop is not None:
@@ -276,6 +293,7 @@ class AsyncioRuntime:
                 return
             pause = min(2 * pause, longest)
         self._reopening = None
+        self._is_down = False
         self._tell([PortBack(t_ns=monotonic_ns(), port=self.port_name)])
         self._attach()
         self._order(LineUp())

@@ -1,21 +1,21 @@
-"""Finding the baud rate at a port: the search listens, the port follows it from rate to rate."""
+"""Finding the baud rate of a bus: the search listens, the driver lets the port follow it from rate to rate."""
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import Sequence
 from time import monotonic_ns
-from typing import Final
 
-from dpstack.drivers.aio import patience_of
-from dpstack.errors import BaudError, DpError, PortError
+from dpstack.drivers.aio import AsyncioRuntime, patience_of
+from dpstack.drivers.base import PortLost, Runtime
+from dpstack.drivers.echo import Echo
+from dpstack.drivers.rate import settle_ns_of
+from dpstack.drivers.virtual import SimulatedBus, VirtualRuntime
+from dpstack.errors import PortError
 from dpstack.fdl.autobaud import AutoBaud, BaudFound, BaudNotFound
-from dpstack.ports import Delivery, Port
-from dpstack.units import BAUD_RATES, NEVER, NS_PER_MS, ns_to_s
-
-#: What arrives so soon after a change of the rate may have been received before it: an adapter holds octets back for
-#: up to 16 ms and hands them over in frames of 1 ms; a hub of ptys is a process that may be held up.
-_SETTLE_NS: Final = {Delivery.HOST: 5 * NS_PER_MS, Delivery.ADAPTER: 20 * NS_PER_MS}
+from dpstack.ports import Port
+from dpstack.trace import Event
+from dpstack.units import BAUD_RATES, NEVER
 
 
 async def search_baud(
@@ -24,69 +24,56 @@ async def search_baud(
     """Open ``port``, listen until its rate is found or given up (see :class:`AutoBaud`), and close it.
 
     Nothing is sent. Rates that the port cannot do are left out. Raises PortError where it cannot be opened, vanishes,
-    or is of a kind whose rate cannot be changed.
+    or is of a kind whose rate cannot be changed; ConfigError where it can do none of ``rates``.
     """
-    await port.open()
-    try:
-        port.set_baud(port.baud)  # a port that cannot change its rate says so
-        search = AutoBaud(
-            monotonic_ns(),
-            rates=rates,
-            silence_ns=silence_ns,
-            limit_ns=limit_ns,
-            slack_ns=patience_of(port).known_ns,
-            settle_ns=_SETTLE_NS[port.delivery],
-        )
-        return await _Listening(port, search).result
-    finally:
-        port.close()
+    search = AutoBaud(
+        monotonic_ns(),
+        rates=rates,
+        silence_ns=silence_ns,
+        limit_ns=limit_ns,
+        slack_ns=patience_of(port).known_ns,
+        settle_ns=settle_ns_of(port),
+    )
+    outcome = _Outcome(port.name)
+    runtime = AsyncioRuntime(port, search, outcome.told, echo=Echo.OFF, on_failure=outcome.failed)
+    return await outcome.of(runtime)
 
 
-class _Listening:
-    """Keeps ``search`` going on an open ``port``, up to ``result``."""
+async def search_in(world: SimulatedBus, *, silence_ns: int = NEVER, limit_ns: int = NEVER) -> BaudFound | BaudNotFound:
+    """As :func:`search_baud`, on a simulated bus."""
+    outcome = _Outcome("the simulated bus")
+    search = AutoBaud(world.now, silence_ns=silence_ns, limit_ns=limit_ns)
+    runtime = VirtualRuntime(world, search, outcome.told, on_failure=outcome.failed)
+    return await outcome.of(runtime)
 
-    def __init__(self, port: Port, search: AutoBaud) -> None:
-        self._port = port
-        self._search = search
-        self._loop = asyncio.get_running_loop()
-        self._timer: asyncio.TimerHandle | None = None
-        self.result: asyncio.Future[BaudFound | BaudNotFound] = self._loop.create_future()
-        port.attach(self._loop, self._heard, self._lost)
-        self._go_on()
 
-    def _heard(self, chunk: bytes) -> None:
-        if not self.result.done():
-            self._search.receive(chunk, monotonic_ns())
-            self._go_on()
+class _Outcome:
+    """What the events of a search lead to."""
 
-    def _due(self) -> None:
-        if self.result.done():
-            return
-        chunk = self._port.read_now()  # before the dwell is judged
-        if chunk:
-            self._search.receive(chunk, monotonic_ns())
-        self._search.wake(monotonic_ns())
-        self._go_on()
+    def __init__(self, where: str) -> None:
+        self._where = where
+        self._result: asyncio.Future[BaudFound | BaudNotFound] = asyncio.get_running_loop().create_future()
 
-    def _go_on(self) -> None:
-        if self._timer is not None:
-            self._timer.cancel()
-            self._timer = None
+    async def of(self, runtime: Runtime) -> BaudFound | BaudNotFound:
+        """Run the search to its end."""
+        await runtime.open()
         try:
-            while self._search.result is None and self._port.baud != self._search.baud:
-                try:
-                    self._port.set_baud(self._search.baud)
-                except BaudError:
-                    self._search.refused(monotonic_ns())
-        except DpError as error:
-            self.result.set_exception(error)
-            return
-        if self._search.result is not None:
-            self.result.set_result(self._search.result)
-            return
-        wait = max(0, self._search.wake_at() - monotonic_ns())
-        self._timer = self._loop.call_later(ns_to_s(wait), self._due)
+            return await self._result
+        finally:
+            await runtime.close()
 
-    def _lost(self, reason: str) -> None:
-        if not self.result.done():
-            self.result.set_exception(PortError(f"{self._port.name} vanished while listening: {reason}"))
+    def told(self, events: list[Event]) -> None:
+        """Of the search and the port."""
+        for event in events:
+            if self._result.done():
+                return
+            match event:
+                case BaudFound() | BaudNotFound():
+                    self._result.set_result(event)
+                case PortLost(reason=reason):
+                    self._result.set_exception(PortError(f"{self._where} vanished while listening: {reason}"))
+
+    def failed(self, error: Exception) -> None:
+        """By a defect."""
+        if not self._result.done():
+            self._result.set_exception(error)

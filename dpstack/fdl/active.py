@@ -70,6 +70,7 @@ class ActiveStation:
         self._link = Link(params, [self._guarded(user) for user in users], patience, ROWS, now)
         self._decoder = Decoder(stall_ns=self._link.line.t_stall_ns + patience.stall_ns)
         self._decoder.on_bad = self._bad
+        self._link.announced.received = self._decoder.stats
         self._partial = False  # the decoder holds an unfinished telegram
         self._longest_ns = chars_to_ns(_LONGEST, params.baud)
         self._sending = b""

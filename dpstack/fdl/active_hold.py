@@ -111,7 +111,7 @@ def status(link: Link, telegram: Telegram, now: int) -> None:
         link.events.append(StationFound(t_ns=now, address=address, kind=kind))
     # 'in ring' of a station that is not in our LAS: it lost its token as we did, take it in
     if kind >= StationType.MASTER_READY and link.ring.add(address):
-        link.tell_masters(now)
+        link.tell_master(address, now)
     passing.start(link, now)
 
 

@@ -57,8 +57,8 @@ def go_offline(link: Link, _: Telegram, now: int) -> None:
 def learn(link: Link, telegram: Telegram, now: int) -> None:
     """One token between others, or to a station of our address that was there before us."""
     link.tx = None
-    if link.ring.learn(telegram.sa, telegram.da):
-        link.tell_masters(now)
+    link.ring.learn(telegram.sa, telegram.da)
+    link.heard_token(telegram.sa, now)
 
 
 def status_listening(link: Link, telegram: Telegram, now: int) -> None:
@@ -106,8 +106,8 @@ def token_to_me(link: Link, telegram: Telegram, now: int) -> None:
     link.refused = -1
     link.forget_pass()
     link.claimed = False
-    if link.ring.observe(sa, link.ts):
-        link.tell_masters(now)
+    link.ring.observe(sa, link.ts)
+    link.heard_token(sa, now)
     link.enter(State.USE_TOKEN)
     link.dispatch(Input.HOLD, NONE, now)
 
@@ -120,8 +120,8 @@ def token_seen(link: Link, telegram: Telegram, now: int) -> None:
     sa, da = telegram.sa, telegram.da
     link.in_vain = sa if (sa, da) == link.last_pass else -1
     link.last_pass = (sa, da)
-    if ring.observe(sa, da):
-        link.tell_masters(now)
+    ring.observe(sa, da)
+    link.heard_token(sa, now)
     if link.in_ring and ring.skips(sa, da):
         link.leave_ring(now, f"station {sa} passed the token over us to {da}")
         link.go_listening(now)
@@ -199,6 +199,7 @@ def claim_sent(link: Link, _: Telegram, now: int) -> None:
         link.queue_token(link.ts)
         return
     link.claimed = True
+    link.stagger()
     link.enter(State.USE_TOKEN)
     link.dispatch(Input.HOLD, NONE, link.taken_at)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Final
 
+from dpstack.fdl.announced import Announced, News
 from dpstack.fdl.codec import encode_token
 from dpstack.fdl.events import MasterSeen, RingLeft
 from dpstack.fdl.fcb import FrameCount
@@ -110,6 +111,7 @@ class Link:
         "slot_known_ns",
         "slot_unknown_ns",
         "slow",
+        "staggered",
         "state",
         "stats",
         "t_to_ns",
@@ -149,6 +151,7 @@ class Link:
         # what goes out next, and when
         self.tx: bytes | None = None
         self.gate_ns = 0  # silence that has to precede tx
+        self.staggered = 0  # so many tokens to ourselves are delayed by TS bit times
         self.after_ns = self.line.t_id1_ns  # silence that has to follow what was on the line last
         self.taken_at = 0  # first bit of the last transmission
         self.deadline = NEVER
@@ -161,7 +164,7 @@ class Link:
         self.leaving = False
         self.line_is_down = False
         self.in_ring = False
-        self.announced: frozenset[int] = frozenset()
+        self.announced = Announced()
         self.refused = -1  # sender of a token refused once
         self.last_pass = _NO_PASS  # SA and DA of the last token between others, while nothing else followed
         self.in_vain = -1  # who repeated that pass: its NS is silent
@@ -256,6 +259,13 @@ class Link:
         self.tx = octets
         self.gate_ns = self.line.t_sdr_ns
 
+    def stagger(self) -> None:
+        """Alone all at once: another one may be, in step and unheard; a GAP pass long the tokens to ourselves differ.
+
+        With the GAP off nobody else is expected.
+        """
+        self.staggered = self.params.hsa + 1 if self.gap.enabled else 0
+
     def queue_token(self, da: int) -> None:
         """Queue the token to ``da``."""
         self.queue(encode_token(da, self.ts))
@@ -300,7 +310,8 @@ class Link:
     def go_listening(self, now: int) -> None:
         """Begin to listen: nothing is known of the ring."""
         self.ring.forget()
-        self.tell_masters(now)
+        for address in sorted(self.announced.masters):
+            self.tell_master(address, now)
         self.enter(State.LISTEN_TOKEN)
         self.await_silence()
 
@@ -310,17 +321,20 @@ class Link:
         self.refused = -1
         self.forget_pass()
         self.ring.forget()
-        self.announced = frozenset()
+        self.announced.forget()
         if self.in_ring:
             self.in_ring = False
             self.events.append(RingLeft(t_ns=now, address=self.ts, reason=reason))
 
-    def tell_masters(self, now: int) -> None:
-        """Tell which masters came and went since this was told last."""
-        members = frozenset(self.ring.members) - {self.ts}
-        if members == self.announced:
-            return
-        changed = [(a, True) for a in members - self.announced] + [(a, False) for a in self.announced - members]
-        self.announced = members
-        for address, present in sorted(changed):
+    def tell_master(self, address: int, now: int) -> None:
+        """Tell that a master came or went, unless it was told; it did so beyond doubt."""
+        self._tell(self.announced.certain(address, address in self.ring.members), now)
+
+    def heard_token(self, sa: int, now: int) -> None:
+        """A token from ``sa`` is in the LAS: tell what is certain now of masters that came and went."""
+        if self.ring.learned or self.in_ring:
+            self._tell(self.announced.token(sa, frozenset(self.ring.members) - {self.ts}), now)
+
+    def _tell(self, news: News, now: int) -> None:
+        for address, present in news:
             self.events.append(MasterSeen(t_ns=now, address=address, present=present))

@@ -20,6 +20,12 @@ def start(link: Link, now: int) -> None:
         return
     link.attempt = 1
     _pass(link)
+    if link.ring.ns != link.ts:
+        link.staggered = 0
+    elif link.staggered:
+        # Two holders in step (both lost the other's tokens) hear nothing of each other: their addresses set them apart.
+        link.staggered -= 1
+        link.gate_ns += link.params.ns(link.ts)
     if link.fresh and not link.exact and link.ring.ns == link.ts:
         # Alone with nothing to say: on a real port, do not fill line and processor with tokens to ourselves. One slot
         # time is far from anybody's T_TO (six at least).
@@ -62,7 +68,9 @@ def timeout(link: Link, _: Telegram, now: int) -> None:
     link.ring.drop(gone)
     link.slow.discard(gone)
     link.gap.stations.pop(gone, None)  # three tokens in vain: no more slack for its GAP poll than for anybody
-    link.tell_masters(now)
+    link.tell_master(gone, now)
+    if link.ring.ns == link.ts:
+        link.stagger()
     start(link, now)
 
 

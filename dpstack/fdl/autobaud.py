@@ -2,18 +2,8 @@
 
 The rates are tried from the fastest to the slowest: a dwell at a rate above the true one is short against the bus's
 telegrams, one below it is not. A rate is recognised by whole telegrams in a row, never by octets that merely look
-clean: half of what is heard at twice the rate has neither framing nor parity error.
-
-The confidence rule. A *run* is a sequence of telegrams between which no octet is left over. It breaks at any octet that
-belongs to no telegram, at an SC that follows no request, and at a token whose sender is neither the one who got
-the token before it nor the one who sent that. A rate is recognised by a run with
-
-* two telegrams with FCS (``CHECKED``), or
-* the same token three times (``TOKEN``): the only thing a lone master without GAP says.
-
-What a receiver at another rate gets repeats as the traffic does, so a wrong telegram once read comes again: repetition
-proves nothing, that nothing is left over does. From twice the true rate up no start octet can be read at all, since
-each has a single bit between two others, and such a receiver samples every bit twice.
+clean: half of what is heard at twice the rate has neither framing nor parity error (the rule is in
+:mod:`dpstack.fdl.baud_evidence`).
 """
 
 from __future__ import annotations
@@ -24,15 +14,12 @@ from enum import Enum
 from typing import Final
 
 from dpstack.errors import ConfigError, UsageError
-from dpstack.fdl.decoder import Decoder
-from dpstack.fdl.telegram import Kind, Telegram
-from dpstack.machine import LineDown, LineUp
+from dpstack.fdl.baud_evidence import Confidence, Evidence
+from dpstack.fdl.telegram import Telegram
+from dpstack.machine import LineDown, LineUp, RateRefused
 from dpstack.params import T_SYN
 from dpstack.trace import Event
 from dpstack.units import BAUD_RATES, NEVER, baud_text, bits_to_ns, ns_to_s
-
-_FCS_NEEDED: Final = 2
-_TOKENS_NEEDED: Final = 3
 
 #: A dwell in bit times: three of the longest telegrams with their answers' slot times (3 x (255 x 11 + 1000)) and some.
 DWELL_BITS: Final = 12_000
@@ -40,13 +27,6 @@ DWELL_BITS: Final = 12_000
 _TOO_MANY: Final = 300
 #: A sweep over all rates in vain makes the next dwells longer, up to so many times: a slot time may have 16383 bits.
 _LONGEST: Final = 4
-
-
-class Confidence(Enum):
-    """What a rate was recognised by."""
-
-    CHECKED = "checked"  # telegrams with FCS, nothing left over between them
-    TOKEN = "token"  # the same token again and again, nothing left over between
 
 
 class Missing(Enum):
@@ -105,107 +85,19 @@ class BaudNotFound(Event):
         return text
 
 
-class Evidence:
-    """What is heard at one rate: octets to telegrams, telegrams to runs. ``stall_ns``: see the decoder."""
-
-    __slots__ = ("_checked", "_decoder", "_last", "_token", "_tokens", "octets", "run", "unexplained")
-
-    def __init__(self, stall_ns: int) -> None:
-        self._decoder = Decoder(stall_ns=stall_ns)
-        self.octets = 0
-        #: octets that belonged to no telegram, since the last one that was
-        self.unexplained = 0
-        #: telegrams in a row
-        self.run = 0
-        self._checked = 0
-        self._tokens: dict[Telegram, int] = {}  # of the run, how often
-        self._token: Telegram | None = None  # the last one of the run
-        self._last: Telegram | None = None
-
-    @property
-    def confidence(self) -> Confidence | None:
-        """What the rate is recognised by; None while it is not."""
-        if self._checked >= _FCS_NEEDED:
-            return Confidence.CHECKED
-        if any(count >= _TOKENS_NEEDED for count in self._tokens.values()):
-            return Confidence.TOKEN
-        return None
-
-    @property
-    def promising(self) -> bool:
-        """More of the same would be enough."""
-        return self._checked > 0 or len(self._tokens) > 1 or any(count > 1 for count in self._tokens.values())
-
-    def hear(self, chunk: bytes, now: int) -> None:
-        """Octets as they arrive."""
-        decoder = self._decoder
-        self.octets += len(chunk)
-        for at in range(len(chunk)):
-            skipped = decoder.stats.skipped
-            found = decoder.feed(chunk[at : at + 1], now)
-            self._judge(found, decoder.stats.skipped - skipped)
-
-    def telegram(self, telegram: Telegram, now: int) -> None:
-        """A whole telegram, decoded by the medium."""
-        self.octets += 1
-        self.wake(now, given_up=True)
-        self._take(telegram)
-
-    def stall_at(self) -> int:
-        """When :meth:`wake` is wanted, in ns."""
-        return self._decoder.stall_at()
-
-    def wake(self, now: int, *, given_up: bool = False) -> None:
-        """Give up a telegram that has stalled (or surely does not go on: ``given_up``)."""
-        decoder = self._decoder
-        if given_up or decoder.stall_at() <= now:
-            skipped = decoder.stats.skipped
-            found = decoder.stalled(now)
-            self._judge(found, decoder.stats.skipped - skipped)
-
-    def _judge(self, found: list[Telegram], skipped: int) -> None:
-        if skipped:
-            # telegrams that come out of the rest of a damaged one are none to rely on
-            self.unexplained += skipped
-            self._break()
-            return
-        for telegram in found:
-            self._take(telegram)
-
-    def _take(self, telegram: Telegram) -> None:
-        if not self._follows(telegram):
-            self._break()
-        self.run += 1
-        self.unexplained = 0
-        self._last = telegram
-        if telegram.kind is Kind.SD4:
-            self._token = telegram
-            self._tokens[telegram] = self._tokens.get(telegram, 0) + 1
-        elif telegram.kind is not Kind.SC:
-            self._checked += 1
-
-    def _follows(self, telegram: Telegram) -> bool:
-        """It may stand where it stands in the run."""
-        if telegram.kind is Kind.SC:
-            return self._last is not None and self._last.is_request
-        if telegram.kind is Kind.SD4 and self._token is not None:
-            return telegram.sa in (self._token.da, self._token.sa)
-        return True
-
-    def _break(self) -> None:
-        self.run = self._checked = 0
-        self._tokens = {}
-        self._token = self._last = None
-
-
 class AutoBaud:
-    """A machine that only listens: it wants to be heard at ``baud`` bit/s, which changes, until ``result`` is there.
+    """A station that only listens: it wants to be heard at ``baud`` bit/s, which changes, until ``result`` is there.
 
     ``rates`` in bit/s. Gives up ``silence_ns`` after the start or the last octet heard, in all cases ``limit_ns`` after
     the start (NEVER: never). ``slack_ns`` is how late the port may deliver, added to every dwell; what arrives within
     ``settle_ns`` of a change of the rate may have been received before it and is not judged. ``now`` is the start.
     Raises ConfigError.
     """
+
+    #: it has none
+    address: Final = -1
+    #: every telegram tells of the rate
+    hears_all: Final = True
 
     __slots__ = (
         "_at",
@@ -277,6 +169,9 @@ class AutoBaud:
             self._evidence.telegram(telegram, now)
             self._decide(now)
 
+    def activity(self, now: int) -> None:
+        """A start edge tells nothing."""
+
     def refused(self, now: int) -> None:
         """The port cannot do :attr:`baud`: it is not tried again. Raises ConfigError when it was the last one."""
         rate = self._rates.pop(self._at)
@@ -320,8 +215,13 @@ class AutoBaud:
         return events
 
     def command(self, command: object, now: int) -> None:
-        """:class:`LineDown` and :class:`LineUp` begin the dwell anew. Raises UsageError on anything else."""
+        """:class:`LineDown` and :class:`LineUp` begin the dwell anew, :class:`RateRefused` ends it.
+
+        Raises ConfigError when no rate is left, UsageError on anything else.
+        """
         match command:
+            case RateRefused():
+                self.refused(now)
             case LineDown() | LineUp():
                 self.tried -= 1
                 self._begin(now)
@@ -374,8 +274,13 @@ class AutoBaud:
         return min(self._heard_at + self._silence_ns, self._start + self._limit_ns)
 
     def _give_up(self, now: int) -> None:
+        self.result = self.in_vain(now)
+        self._events.append(self.result)
+
+    def in_vain(self, now: int) -> BaudNotFound:
+        """What is to be said if nothing more is heard: why no rate was recognised up to now."""
         octets = self._octets + self._evidence.octets
-        self.result = BaudNotFound(
+        return BaudNotFound(
             t_ns=now,
             why=Missing.NOISE if octets else Missing.SILENCE,
             listened_ns=now - self._start,
@@ -383,4 +288,3 @@ class AutoBaud:
             slowest=self.baud,
             complete=self._complete or self._at == len(self._rates) - 1,
         )
-        self._events.append(self.result)

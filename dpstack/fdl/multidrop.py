@@ -42,6 +42,16 @@ class Multidrop:
         for station in stations:
             self.add(station)
 
+    @property
+    def params(self) -> BusParams:
+        """Rate and times of the port and all its stations."""
+        return self._params
+
+    @property
+    def baud(self) -> int:
+        """The rate of the port."""
+        return self._params.baud
+
     # --- the stations ---
     @property
     def stations(self) -> tuple[PassiveStation, ...]:

@@ -97,7 +97,7 @@ class PassiveStation:
         self.stats = PassiveStats()
         self.line = Line(params)
         self.decoder = Decoder(stall_ns=0)
-        self._min_tsdr = LOWEST_TSDR
+        self._min_tsdr = 0  # as Set_Prm gave it; 0: it gave none
         self.set_params(params)
         responder.attached(self)
 
@@ -114,6 +114,11 @@ class PassiveStation:
     def address(self, address: int) -> None:
         self._address = _checked(address)
         self._kept_sa = -1
+
+    @property
+    def params(self) -> BusParams:
+        """Rate and times."""
+        return self._params
 
     @property
     def baud(self) -> int:
@@ -134,14 +139,16 @@ class PassiveStation:
         """Min T_SDR in bit times as Set_Prm gives it: 0 keeps the present one, 1..10 count as 11."""
         if bits:
             self._min_tsdr = max(bits, LOWEST_TSDR)
-        self._t_sdr_ns = self._params.ns(max(self._t_sdr, self._min_tsdr))
+        self._t_sdr_ns = self._params.ns(max(self._t_sdr, self._min_tsdr or self._params.min_tsdr))
 
     def set_params(self, params: BusParams) -> None:
-        """Take baud rate and times from ``params`` (a new rate, too); what was pending is forgotten."""
+        """Take baud rate and times from ``params`` (a new rate, too); what was pending is forgotten.
+
+        What Set_Prm said of min T_SDR still holds: a slave without a watchdog stays in Data_Exchange while it searches.
+        """
         self._params = params
         self.line.set_params(params)
         self.decoder.stall_ns = self.line.t_stall_ns + self._patience.stall_ns
-        self._min_tsdr = params.min_tsdr
         self.set_min_tsdr(0)
         self._forget()
 

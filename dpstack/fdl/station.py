@@ -16,10 +16,6 @@ class BusStation(Machine, Protocol):
         """The station address, 0..126."""
 
     @property
-    def baud(self) -> int:
-        """The rate its receiver listens at."""
-
-    @property
     def hears_all(self) -> bool:
         """True for ring members, referees and listeners: every telegram concerns them, not only their own."""
 

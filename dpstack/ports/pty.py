@@ -6,6 +6,7 @@ import asyncio
 import os
 import select
 
+from dpstack.errors import BaudError
 from dpstack.ports.fdport import FdPort
 from dpstack.ports.ptymaster import PtyMaster
 
@@ -14,11 +15,14 @@ class PtyPort(FdPort):
     """The master end of a pty pair. ``name`` is "pty" until :meth:`open`, then the path to open at the other end.
 
     That nobody is at the other end is normal, before the first opener and between two: what is written meanwhile is
-    dropped, and the next opener is noticed by its first octet or at the next write.
+    dropped, and the next opener is noticed by its first octet or at the next write. Octets arrive whatever rate the
+    opener has set, until :meth:`set_baud` is called: from then on only those that are sent at the port's rate do
+    (an opener that sets none is at the rate the port was made with).
     """
 
     def __init__(self, baud: int, *, paced: bool = False) -> None:
         super().__init__("pty", baud, paced=paced)
+        self._made_at = baud
         self._master: PtyMaster | None = None
         #: set while nobody is at the other end: an edge-triggered epoll, since a deserted master is always 'ready'
         self._watch: select.epoll | None = None
@@ -36,6 +40,21 @@ class PtyPort(FdPort):
             return self._master.baud() if self._master is not None else None
         except OSError:
             return None
+
+    def set_baud(self, baud: int) -> None:
+        """Be at ``baud``: what is sent at another rate is not heard any more. Raises BaudError when not open."""
+        if self._master is None:
+            raise BaudError("the pty is not open: its rate is set when it is opened")
+        self.read_now()
+        self.baud = baud
+        self._read = self._read_legible
+
+    def _read_legible(self, size: int) -> bytes:
+        """As ``os.read``, without what is sent at another rate. Raises OSError."""
+        octets = os.read(self._fd, size)
+        if octets and (self.line_baud() or self._made_at) != self.baud:
+            raise BlockingIOError
+        return octets
 
     def write(self, octets: bytes) -> bool:
         """Write at once or drop; dropped too when nobody is at the other end."""

@@ -326,7 +326,7 @@ def test_the_event_character_is_off_unless_asked_for() -> None:
 def test_a_rate_that_is_found_by_listening() -> None:
     config = parse_config(BUS.replace("500000", '"auto"'), "plant.toml")
     assert config.bus.baud == "auto"
-    with pytest.raises(ConfigError, match=r"plant.toml:3: \[bus\]: baud \"auto\" is found by `dpstack run` only; give"):
+    with pytest.raises(ConfigError, match=r"plant.toml:3: \[bus\]: baud \"auto\" is found when the bus is opened;"):
         _ = config.baud
     assert config.with_bus(baud=19_200).baud == 19_200
     assert config.with_bus(address=7).bus.baud == "auto"

@@ -137,7 +137,7 @@ def test_plan_of_a_bus_whose_rate_is_found_by_listening(plant: str, capsys: Out)
     assert call("plan", plant, "--baud", "all", "--json") == 0  # none is the bus's own rate
     assert len(lines(capsys.readouterr().out)[0]) == 11
     assert call("plan", plant) == 2
-    assert 'baud "auto" is found by `dpstack run` only; give the rate' in capsys.readouterr().err
+    assert 'baud "auto" is found when the bus is opened; give the rate' in capsys.readouterr().err
 
 
 def test_run_read_only_leaves_everybody_as_he_is(plant: str, capsys: Out) -> None:

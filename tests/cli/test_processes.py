@@ -5,6 +5,7 @@ Assert what happens, never when: the figures belong to the benchmarks.
 
 from __future__ import annotations
 
+import json
 import os
 import pty
 import re
@@ -15,9 +16,13 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from programs import PLANT, Starter
+
+from dpstack.api.control.places import socket_path
+from dpstack.cli.main import main
 
 
 @pytest.fixture
@@ -35,6 +40,15 @@ def segment(tmp_path: Path, start: Starter) -> Path:
     program = start("segment", "--stations", "2", "--dir", str(directory))
     program.wait_for(str(directory / "1"))
     return directory
+
+
+def wait_for_socket(port: Path) -> None:
+    """Until the program on ``port`` can be talked to."""
+    path = socket_path(str(port))
+    end = time.monotonic() + 20
+    while not path.exists():
+        assert time.monotonic() < end, f"nobody answers for {port}"
+        time.sleep(0.02)
 
 
 def plant(tmp_path: Path, port: object) -> str:
@@ -168,6 +182,71 @@ def test_the_rate_of_a_running_bus_is_found_and_a_second_master_joins_at_it(tmp_
     assert joined.lines[-1]["tokens"] > 0
     assert run.end(signal.SIGINT) == 0
     assert run.err == ""
+
+
+def test_slaves_follow_to_another_rate_without_a_restart(
+    tmp_path: Path, start: Starter, segment: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A master at 187.5 kbit/s, its end, another one at 500; what is searching says so, and is told what to do."""
+
+    def ask(port: Path, *order: str) -> dict[str, Any]:
+        assert main(["ctl", str(port), *order, "--json"]) == 0
+        answer: dict[str, Any] = json.loads(capsys.readouterr().out)
+        return answer
+
+    config = tmp_path / "plant.toml"
+    text = PLANT.format(port=segment / "1").replace("[[slave]]", "[[slave]]\nwatchdog_ms = 500")
+    config.write_text(text, encoding="utf-8")
+    sim = start("sim", str(config), "--port", str(segment / "0"), "--baud", "auto", "--json")
+    listening = start("run", str(config), "--baud", "auto")
+    listening.wait_for("searching for the baud rate on")
+    wait_for_socket(segment / "1")
+    assert ask(segment / "1", "status") == {"result": {"baud": None, "text": "searching for the baud rate"}}
+    assert main(["ctl", str(segment / "1"), "operate"]) == 2
+    assert "the bus is not open" in capsys.readouterr().err
+    assert listening.end(signal.SIGTERM) == 1
+    assert listening.err == "dpstack: ended before the baud rate was found\n"
+    wait_for_socket(segment / "0")
+    status = ask(segment / "0", "status")["result"]
+    assert (status["baud"], status["search"]) == (None, "baud_search")
+
+    for turn, baud in enumerate((187_500, 500_000), 1):
+        run = start("run", str(config), "--baud", str(baud), "--json")
+        run.wait_for('"state":"data_exchange"', 3)
+        assert ask(segment / "0", "status")["result"]["baud"] == baud
+        assert ask(segment / "1", "status")["result"]["baud"] == baud
+        assert run.end(signal.SIGTERM) == 0
+        sim.wait_for('"state":"baud_search"', turn)
+    assert sim.end(signal.SIGTERM) == 0
+    found = [line["baud"] for line in sim.lines if line.get("event") == "baud" and line["state"] != "dp_mode"]
+    assert [baud for before, baud in zip([None, *found], found, strict=False) if baud != before] == [
+        187_500,
+        None,
+        500_000,
+        None,
+    ]
+    assert sim.err == ""
+
+
+def test_a_run_on_a_pty_of_its_own_is_found_by_either_name(
+    tmp_path: Path, start: Starter, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = start("run", plant(tmp_path, "/dev/elsewhere"), "--port", "pty", "--json")
+    run.wait_for('"mode":"operate"')
+    path = run.lines[0]["port"]
+    assert path.startswith("/dev/pts/")
+    wait_for_socket(Path(path))
+    for port in (path, "pty", f"pty:{run.process.pid}"):
+        assert main(["ctl", port]) == 0
+        assert capsys.readouterr().out.startswith(f"run on {path} (pid {run.process.pid})")
+    other = start("sim", "--drive", "fuji-frenic", "--address", "4", "--port", "pty", "--json")
+    other.wait_for("}")
+    wait_for_socket(Path(other.lines[0]["port"]))
+    assert main(["ctl", "pty"]) == 0  # the first that came
+    assert capsys.readouterr().out.startswith("run on ")
+    assert run.end(signal.SIGTERM) == 1
+    assert other.end(signal.SIGTERM) == 0
+    assert other.err == ""
 
 
 def test_nothing_to_be_found_on_a_silent_bus(start: Starter, segment: Path) -> None:

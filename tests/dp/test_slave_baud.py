@@ -6,7 +6,7 @@ import pytest
 from bus_kit import IDENT, PPO1, setup
 from support import MS, S, WorldFactory
 
-from dpstack.api.compose import simulated_searching
+from dpstack.api.bench import Unit
 from dpstack.api.config import slave_config
 from dpstack.dp.commands import Mode, SetMode
 from dpstack.dp.events import SlaveState
@@ -182,7 +182,8 @@ def test_a_port_that_returns_begins_the_search_anew() -> None:
 
 def test_a_simulated_drive_finds_those_rates_that_its_device_knows() -> None:
     config = slave_config({"name": "hoist", "address": 3, "drive": "demag-dedrive"})
-    station = simulated_searching(config)
+    station = Unit(config, BusParams.preset(500_000), searching=True).on_bus
+    assert isinstance(station, SearchingSlave)
     heard_at: set[int] = set()
     wire = Wire(station)
     for _ in range(5000):

@@ -14,7 +14,8 @@ from far_ends import FarEnd, PtyFarEnd, TcpFarEnd, open_slave, until
 from dpstack.drivers.listening import search_baud
 from dpstack.drivers.segment import Segment
 from dpstack.errors import BaudError, PortError
-from dpstack.fdl.autobaud import BaudFound, BaudNotFound, Confidence, Missing
+from dpstack.fdl.autobaud import BaudFound, BaudNotFound, Missing
+from dpstack.fdl.baud_evidence import Confidence
 from dpstack.ports import memory_pair, open_port, termios2
 from dpstack.ports.tty import TtyPort
 from dpstack.units import NS_PER_MS, NS_PER_S

@@ -171,3 +171,14 @@ def test_bare_masters_heal_again_and_again(scenario: Scenario) -> None:
 @driven(500)
 def test_masters_with_slaves_heal_again_and_again(scenario: Scenario) -> None:
     run(scenario, slaves=True)
+
+
+@pytest.mark.parametrize("bits", [660, 690])
+def test_two_who_claim_in_step_are_set_apart_by_their_addresses(bits: int) -> None:
+    """Neither heard the other claim; without that they send at the same time for ever, each deaf while it sends."""
+    troubles = [
+        Trouble("join", 0, 1, 1, 0),
+        Trouble("leave", 0, bits, 1, 0),
+        Trouble("lost_tokens", 0, 1, 4, 0),
+    ]
+    run(Scenario([0, 2, 3, 4, 5, 6, 7, 8], 2, 1, 2_000, 1, 0, troubles), slaves=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import select
 from collections.abc import AsyncIterator, Callable
 from typing import Any
 
@@ -10,7 +11,7 @@ import pytest
 from far_ends import FarEnd, PtyFarEnd, Rfc2217FarEnd, TcpFarEnd, open_slave, until
 
 from dpstack.errors import BaudError, PortError
-from dpstack.ports import Delivery, MemoryPort, Port, memory_pair, open_port
+from dpstack.ports import Delivery, MemoryPort, Port, memory_pair, open_port, termios2
 from dpstack.ports.pyserial import PySerialPort
 
 EVERY_OCTET = bytes(range(256))
@@ -46,6 +47,9 @@ class PortContract:
 
     async def make(self) -> tuple[Port, Any, Callable[[], None]]:
         raise NotImplementedError
+
+    def follow(self, far: Any, baud: int) -> None:
+        """The other end is at ``baud`` too; most kinds of line do not show the difference."""
 
     @pytest.fixture
     async def both(self) -> AsyncIterator[tuple[Port, Any]]:
@@ -143,6 +147,7 @@ class PortContract:
         if self.changes_rate:
             port.set_baud(19_200)
             assert port.baud == 19_200
+            self.follow(far, 19_200)
         else:
             with pytest.raises(BaudError, match="give the rate"):
                 port.set_baud(19_200)
@@ -210,12 +215,37 @@ class TestPySerial(PortContract, Reopens):
 
 class TestPty(PortContract):
     tells_loss = False  # an opener that leaves is normal
+    changes_rate = True
 
     async def make(self) -> tuple[Port, FarEnd, Callable[[], None]]:
         port = open_port("pty", BAUD)
         await port.open()
         far = open_slave(port.name)
         return port, far, far.hang_up
+
+    def follow(self, far: FarEnd, baud: int) -> None:
+        termios2.set_raw(far.fd, baud)
+
+    async def test_once_it_follows_a_rate_another_one_is_not_heard(self) -> None:
+        port, far, end = await self.make()
+
+        def heard() -> bytes:
+            far.send(b"\xe5")
+            assert port.fd is not None
+            assert select.select([port.fd], [], [], 10)[0]
+            return port.read_now()
+
+        assert heard() == b"\xe5"
+        port.set_baud(19_200)
+        assert heard() == b""  # an opener that sets no rate is at the one the port was made with
+        port.set_baud(BAUD)
+        assert heard() == b"\xe5"
+        self.follow(far, 19_200)
+        assert heard() == b""
+        end()
+        port.close()
+        with pytest.raises(BaudError, match="not open"):
+            port.set_baud(BAUD)
 
 
 class TestSocket(PortContract, Reopens):

@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+import os
+from typing import Final
+
 from dpstack.api.bus import Bus
 from dpstack.api.control import arguments
 from dpstack.api.control.server import ControlServer, Handler
 from dpstack.api.control.slaves import SlaveCommands, address_of
 from dpstack.api.control.specs import KINDS, SLAVES
+from dpstack.api.parts import SEARCHING
 from dpstack.api.simulation import Segment, Simulation
 from dpstack.dp.commands import Mode, SetMode
 from dpstack.dp.fields import as_json
 from dpstack.errors import UsageError
 
+#: a pty that the program makes itself
+PTY: Final = "pty"
+
 
 def control_run(bus: Bus, port: str) -> ControlServer:
-    """Talks to a master on ``port``."""
+    """Talks to a master on ``port``; on a pty of its own :meth:`ControlServer.move_to` the path once it is known."""
     specs = KINDS["run"]
     handlers: dict[str, Handler] = {
         "status": lambda _: run_status(bus),
@@ -24,19 +31,23 @@ def control_run(bus: Bus, port: str) -> ControlServer:
         "clear": lambda _: bus.command(SetMode(Mode.CLEAR)),
         "stats": lambda _: bus.stats.summary(),
     }
-    if bus.bench is not None:
+    if not bus.searching and bus.bench is not None:
         specs = (*specs, *SLAVES)
         handlers |= SlaveCommands(bus.bench).handlers()
+    if port == PTY:  # there may be several
+        return ControlServer("run", f"{PTY}:{os.getpid()}", specs, handlers, also=PTY)
     return ControlServer("run", port, specs, handlers)
 
 
 def control_sim(simulation: Simulation, port: str) -> ControlServer:
-    """Talks to simulated slaves on ``port``; of a pty made here the path of it."""
+    """Talks to simulated slaves on ``port``; of a pty made here the path of it, too."""
     handlers: dict[str, Handler] = {
         "status": lambda _: simulation.status(),
         **SlaveCommands(simulation).handlers(),
     }
-    return ControlServer("sim", simulation.port_name if port == "pty" else port, KINDS["sim"], handlers)
+    if port == PTY:
+        return ControlServer("sim", simulation.port_name, KINDS["sim"], handlers, also=PTY)
+    return ControlServer("sim", port, KINDS["sim"], handlers)
 
 
 def control_segment(segment: Segment) -> ControlServer:
@@ -62,7 +73,12 @@ def control_segment(segment: Segment) -> ControlServer:
 
 
 def run_status(bus: Bus) -> dict[str, object]:
-    """The master at this moment: ``seconds``, ``mode``, ``in_ring``, ``masters``, and each slave."""
+    """The master at this moment: ``seconds``, ``mode``, ``baud``, ``in_ring``, ``masters``, and each slave.
+
+    While the baud rate is searched only that: ``baud`` None and a ``text``.
+    """
+    if bus.searching:
+        return {"baud": None, "text": SEARCHING}
     slaves: dict[str, object] = {}
     drives = {drive.slave.address: drive for drive in bus.drives}
     for slave in bus.slaves:
@@ -83,6 +99,7 @@ def run_status(bus: Bus) -> dict[str, object]:
     return {
         "seconds": round(bus.seconds, 3),
         "mode": bus.mode.name.lower(),
+        "baud": bus.params.baud,
         "in_ring": bus.station.in_ring,
         "masters": sorted(bus.station.las),
         "slaves": slaves,

@@ -34,14 +34,23 @@ class _GoneError(Exception):
 class ControlServer:
     """Answers for one program while it is entered (``async with``).
 
-    ``kind``: run, sim or segment. ``port``: what the program is found by. ``handlers``: one for each of ``specs``
-    except ``help``. Entering raises PortError where no socket can be made, PortBusyError where another program
-    answers for the port already.
+    ``kind``: run, sim or segment. ``port``: what the program is found by; ``also``: and by this, unless another is.
+    ``handlers``: one for each of ``specs`` except ``help``. Entering raises PortError where no socket can be made,
+    PortBusyError where another program answers for the port already.
     """
 
-    def __init__(self, kind: str, port: str, specs: Iterable[Spec], handlers: Mapping[str, Handler]) -> None:
+    def __init__(
+        self,
+        kind: str,
+        port: str,
+        specs: Iterable[Spec],
+        handlers: Mapping[str, Handler],
+        *,
+        also: str | None = None,
+    ) -> None:
         self.kind = kind
         self.port = port
+        self._also = also
         #: a client that reads nothing for so long is dropped
         self.patience_s = _PATIENCE_S
         self._specs = tuple(specs)
@@ -59,7 +68,16 @@ class ControlServer:
             raise PortError(f"no control socket ({exc.strerror or exc}): is the runtime directory writable?") from None
         # asyncio.start_unix_server would remove the path of a socket it was given, on some versions only
         self._server = await asyncio.start_unix_server(self._serve, sock=listening, limit=_LONGEST)
+        if self._also is not None:
+            with contextlib.suppress(PortBusyError):
+                self._link(self._also)
         return self
+
+    def move_to(self, port: str) -> None:
+        """The port is called so now: be found by that too. Raises PortError, PortBusyError."""
+        if self._server is not None:
+            self._link(port)
+        self.port = port
 
     async def __aexit__(self, *_exc: object) -> None:
         server, self._server = self._server, None
@@ -88,14 +106,30 @@ class ControlServer:
                 self._paths.append(first)
                 os.chmod(first, 0o600)
                 listening.listen(_MOST_CLIENTS)
-                for path in others:
-                    path.symlink_to(first.name)
-                    self._paths.append(path)
+                self._point(others)
         except BaseException:
             listening.close()
             raise
         listening.setblocking(False)
         return listening
+
+    def _link(self, port: str) -> None:
+        """Be found by the names of ``port`` too. Raises PortError, PortBusyError."""
+        paths = [path for path in map(socket_path, names_of(port)) if path not in self._paths]
+        try:
+            with locked():
+                for path in paths:
+                    self._clear(path)
+                self._point(paths)
+        except PortError:
+            raise
+        except OSError as exc:
+            raise PortError(f"not to be found by {port} ({exc.strerror or exc})") from None
+
+    def _point(self, paths: Iterable[Path]) -> None:
+        for path in paths:
+            path.symlink_to(self._paths[0].name)
+            self._paths.append(path)
 
     def _clear(self, path: Path) -> None:
         """Remove a stale socket. Raises PortBusyError when somebody lives behind it."""

@@ -1,0 +1,111 @@
+"""The parts of a bus, which are there once its baud rate is known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+from dpstack.api.baud import need_wire, rate_of
+from dpstack.api.bench import VirtualBench
+from dpstack.api.compose import Parts
+from dpstack.api.config import AUTO, Config
+from dpstack.api.streams import Rounds
+from dpstack.dp.master import Master
+from dpstack.dp.plan import Plan
+from dpstack.dp.scanner import Scanner
+from dpstack.drivers.base import Runtime
+from dpstack.errors import UsageError
+from dpstack.fdl.active import ActiveStation
+from dpstack.params import BusParams
+from dpstack.sim.world import World
+
+SEARCHING: Final = "searching for the baud rate"
+
+
+class Composed:
+    """Made by ``make`` of a ``config``: at once, or once the rate is found where it is "auto".
+
+    Until then every part raises UsageError. ``world``: the simulated bus to find it on, if any. Raises ConfigError
+    where nothing can be found.
+    """
+
+    def __init__(self, config: Config, make: Callable[[Config], Parts], world: World | None) -> None:
+        self.config = config
+        self._given_world = world
+        self._make = make
+        self._parts: Parts | None = None
+        if self.searching and world is None:
+            need_wire(config.port)
+
+    def _build(self, config: Config) -> None:
+        """Make the parts, now that the rate is in ``config``. Raises ConfigError."""
+        self._parts = self._make(config)
+        self.config = config
+
+    async def _find_rate(self) -> str | None:
+        """Listen for the rate where it is to be found, then make the parts; what it was recognised by, for people.
+
+        Raises BusError, ConfigError, PortError.
+        """
+        if not self.searching:
+            return None
+        report = await rate_of(self.config, self._given_world)
+        self._build(self.config.with_bus(baud=report.baud))
+        return report.text
+
+    @property
+    def searching(self) -> bool:
+        """The baud rate is to be found and not known yet."""
+        return self._parts is None and self.config.bus.baud == AUTO
+
+    @property
+    def parts(self) -> Parts:
+        """All of them."""
+        if self._parts is None:
+            raise UsageError(f"{SEARCHING}: what depends on it is known once the bus is entered (async with)")
+        return self._parts
+
+    @property
+    def plan(self) -> Plan:
+        """Rotation times, watchdogs, findings."""
+        return self.parts.plan
+
+    @property
+    def params(self) -> BusParams:
+        """The bus parameters."""
+        return self.parts.plan.params
+
+    @property
+    def station(self) -> ActiveStation:
+        """The link layer."""
+        return self.parts.station
+
+    @property
+    def master(self) -> Master:
+        """The class 1 master."""
+        return self.parts.master
+
+    @property
+    def runtime(self) -> Runtime:
+        """What keeps it running."""
+        return self.parts.runtime
+
+    @property
+    def rounds(self) -> Rounds:
+        """The ends of the rounds with data exchange."""
+        return self.parts.rounds
+
+    @property
+    def watcher(self) -> Scanner | None:
+        """Of a read-only bus: what shows the state of its stations."""
+        return self.parts.watcher
+
+    @property
+    def world(self) -> World | None:
+        """The simulated bus when there is one."""
+        return self.parts.world
+
+    @property
+    def bench(self) -> VirtualBench | None:
+        """The simulated slaves, where they are part of this bus."""
+        return self.parts.bench

@@ -1,0 +1,176 @@
+"""``open_bus(baud="auto")`` and slaves that search, on simulated buses and over ptys."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from pathlib import Path
+
+import pytest
+from api_kit import FAN, HOIST, RAW, virtual
+from far_ends import until
+
+import dpstack
+from dpstack.api.config import make_config
+from dpstack.api.simulation import Segment, Simulation
+from dpstack.errors import BusError, ConfigError, UsageError
+from dpstack.sim.world import World
+
+#: a watchdog as short as a pty lets it be, for there is nothing but to wait for it
+QUICK = {**RAW, "watchdog_ms": 200}
+
+
+def searching(bus: dpstack.Bus) -> bool:
+    return bus.searching
+
+
+def make_world() -> World:
+    return dpstack.World(referee=False)
+
+
+def test_slaves_in_a_users_world_follow_the_master_from_rate_to_rate() -> None:
+    async def program() -> list[int]:
+        world = make_world()
+        dpstack.simulate(world, [HOIST, RAW])
+        rates = []
+        for baud in (1_500_000, 187_500):
+            async with dpstack.open_bus(world=world, baud=baud, slaves=[HOIST, RAW]) as bus:
+                await bus.operate()
+                await bus.ready(10)
+                bus.slave("raw").outputs = b"\x5a"
+                await bus.rotated(5, 1)
+                assert bus.slave("raw").inputs == b"\x5a"
+                rates.append(bus.params.baud)
+            await asyncio.sleep(2)  # virtual seconds: the watchdogs, then the silence
+        return rates
+
+    assert virtual(program()) == [1_500_000, 187_500]
+
+
+def test_slaves_that_search_are_switched_off_and_on() -> None:
+    async def program() -> None:
+        world = make_world()
+        bench = dpstack.simulate(world, [RAW], baud="auto")
+        async with dpstack.open_bus(world=world, baud=500_000, slaves=[RAW]) as bus:
+            await bus.operate()
+            await bus.ready()
+            bench.power(9, False)
+            await bus.until(lambda: not bus.slave("raw").ready_now, 2)
+            bench.power(9, True)
+            await bus.ready()
+            bench.silence(9, 300_000_000)
+            await bus.until(lambda: not bus.slave("raw").ready_now, 2)
+            await bus.ready()
+
+    virtual(program())
+
+
+def test_slaves_at_a_given_rate_do_not_search() -> None:
+    async def program() -> str:
+        world = make_world()
+        dpstack.simulate(world, [RAW], baud=500_000)
+        async with dpstack.open_bus(world=world, baud=187_500, slaves=[RAW]) as bus:
+            with pytest.raises(dpstack.SlaveTimeout) as caught:
+                await bus.ready(2)
+            return str(caught.value)
+
+    assert "no answer from address 9" in virtual(program())
+
+
+def test_a_second_master_finds_the_rate_of_a_simulated_bus() -> None:
+    async def program() -> None:
+        world = make_world()
+        dpstack.simulate(world, [RAW, FAN], baud=93_750)
+        async with dpstack.open_bus(world=world, baud=93_750, slaves=[RAW]) as first:
+            await first.operate()
+            await first.ready()
+            second = dpstack.open_bus(world=world, baud="auto", address=5, slaves=[FAN], t_tr=first.params.t_tr)
+            assert searching(second)
+            assert (second.slaves, second.drives) == ((), ())
+            with pytest.raises(UsageError, match="searching for the baud rate"):
+                _ = second.params
+            with pytest.raises(UsageError, match="not open"):
+                await second.operate()
+            async with second:
+                assert not searching(second)
+                assert second.params.baud == second.config.baud == second.plan.params.baud == 93_750
+                await second.operate()
+                await second.drive("fan").slave.ready(10)
+                told = await anext(second.events())
+            assert told.text == "bus: the bus runs at 93.75 kbit/s, recognised by telegrams with check sum"
+
+    virtual(program())
+
+
+def test_a_silent_bus_needs_a_master_that_gives_the_rate() -> None:
+    async def program() -> tuple[str, float]:
+        world = make_world()
+        dpstack.simulate(world, [RAW])
+        bus = dpstack.open_bus(world=world, baud="auto", slaves=[RAW])
+        with pytest.raises(BusError) as caught:
+            await bus.open()
+        await bus.close()
+        return str(caught.value), world.now / 1e9
+
+    text, seconds = virtual(program())
+    assert text.startswith("the simulated bus: the baud rate was not found: silence: no octet in 5.0 s; is a master")
+    assert text.endswith("; a master that is alone on its bus must give the rate, for instance baud = 500000")
+    assert seconds == pytest.approx(5.0)
+
+
+def test_closed_while_it_searches() -> None:
+    async def program() -> None:
+        world = make_world()
+        bus = dpstack.open_bus(world=world, baud="auto")
+        opening = asyncio.create_task(bus.open())
+        await asyncio.sleep(1)
+        await bus.close()
+        with pytest.raises(BusError, match="not found"):  # what it waited for came to its end
+            await opening
+        with pytest.raises(UsageError, match="opened before"):
+            await bus.open()
+
+    virtual(program())
+
+
+@pytest.mark.parametrize("port", ["virtual", "pty"])
+def test_a_port_that_is_made_here_has_nobody_to_listen_to(port: str) -> None:
+    with pytest.raises(ConfigError, match="nobody else is on it who could be listened to; give the rate"):
+        dpstack.open_bus(port=port, baud="auto")
+
+
+async def test_over_ptys(tmp_path: Path) -> None:
+    """Slaves that search, a master that gives the rate, later another rate, and a second one that finds that."""
+    path = tmp_path / "second.toml"
+    async with Segment(3, tmp_path / "bus") as segment:
+        path.write_text(f'[bus]\nport = "{segment.paths[2]}"\nbaud = "auto"\naddress = 3\n', encoding="utf-8")
+        config = dpstack.load_config(path).with_slaves([QUICK])
+        async with Simulation(config, segment.paths[0], "auto") as simulation:
+            assert simulation.status()["baud"] is None
+            assert simulation.status()["search"] == "baud_search"
+            assert str(simulation.never_found).startswith("silence")
+            for baud in (187_500, 500_000):
+                async with dpstack.open_bus(port=segment.paths[1], baud=baud, slaves=[QUICK]) as first:
+                    await first.operate()
+                    await first.ready(20)
+                    assert simulation.baud == baud
+                    assert simulation.status()["search"] == "dp_mode"
+                    if baud == 500_000:
+                        second = dpstack.open_bus(path, join_timeout=0.1)
+                        with contextlib.suppress(BusError):  # the first one may not ask for it so soon
+                            await second.open()
+                        await second.close()
+                        assert second.params.baud == 500_000
+                await until(lambda: simulation.baud is None, "back to the search")
+            assert simulation.never_found is None
+
+
+async def test_over_a_pty_made_here_what_counts_is_the_rate_its_opener_set() -> None:
+    config = make_config("pty", 500_000, slaves=[QUICK])
+    async with Simulation(config, "pty", "auto") as simulation:
+        for baud in (187_500, 1_500_000):
+            async with dpstack.open_bus(port=simulation.port_name, baud=baud, slaves=[QUICK]) as bus:
+                await bus.operate()
+                await bus.ready(20)
+                assert simulation.baud == baud
+            await until(lambda: simulation.baud is None, "back to the search")

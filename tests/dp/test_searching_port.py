@@ -1,0 +1,178 @@
+"""Several slaves on one port that find the rate together, under literal octets."""
+
+from __future__ import annotations
+
+import pytest
+from support import MS, S
+
+from dpstack.dp.baud_watch import BaudState
+from dpstack.dp.mirror import MirrorDevice
+from dpstack.dp.searching_port import PortBaudChanged, SearchingPort
+from dpstack.dp.slaveapp import SlaveApp, SlaveAppState
+from dpstack.errors import ConfigError, UsageError
+from dpstack.fdl.autobaud import Missing
+from dpstack.fdl.multidrop import Multidrop
+from dpstack.fdl.passive import PassiveStation
+from dpstack.machine import LineDown, LineUp, Machine, RateRefused, pump
+from dpstack.params import BusParams
+from dpstack.units import NS_PER_MS
+
+# master 2, by hand: FDL status of 5 and 7 with the answers, a token, Set_Prm and Chk_Cfg of slave 5 (ident 1234h)
+STATUS = {5: bytes.fromhex("10 05 02 49 50 16"), 7: bytes.fromhex("10 07 02 49 52 16")}
+ANSWER = {5: bytes.fromhex("10 02 05 00 07 16"), 7: bytes.fromhex("10 02 07 00 09 16")}
+TOKEN = bytes.fromhex("DC 02 02")
+# station status 88h = lock, watchdog on (80h: off); WD_Fact 1 and 10 (100 ms); min T_SDR 55; ident; group 0
+SET_PRM = bytes.fromhex("68 0C 0C 68 85 82 7D 3D 3E 88 01 0A 37 12 34 00 0F 16")
+SET_PRM_OFF = bytes.fromhex("68 0C 0C 68 85 82 7D 3D 3E 80 00 00 37 12 34 00 FC 16")
+SC = b"\xe5"
+
+SILENCE = 266 * 400_000  # (6 + 2 x 130) T_SL of 200 bits at 500 kbit/s, in ns
+
+
+class Rig:
+    """Slaves 5 and 7 on one port, a clock, and what they send."""
+
+    def __init__(self, *, rates: tuple[int, ...] = (500_000,), slack_ns: int = 0) -> None:
+        params = BusParams.preset(9_600)
+        self.apps = [SlaveApp(MirrorDevice(0x1234, b"\x10"), address=address) for address in (5, 7)]
+        stations = [PassiveStation(address, app, params) for address, app in zip((5, 7), self.apps, strict=True)]
+        self.line = Multidrop(stations, params)
+        self.port = SearchingPort(self.line, self.watched, rates=rates, slack_ns=slack_ns)
+        machine: Machine = self.port  # the contract holds
+        assert machine.baud == max(rates)
+        self.sent: list[bytes] = []
+        self.now = 0
+        self.deadline = 0
+
+    def watched(self) -> bool:
+        return any(app.watchdog.time_ns for app in self.apps)
+
+    def hear(self, octets: bytes, after_ns: int = NS_PER_MS) -> None:
+        """``octets`` after a time in which the slaves may answer; what they said before is in ``sent``."""
+        until = self.now + after_ns
+        while self.deadline <= until:
+            self.now = max(self.now, self.deadline)
+            self.deadline = pump(self.port, b"", self.now, self._transmit)
+        self.now = until
+        self.deadline = pump(self.port, octets, self.now, self._transmit)
+
+    def _transmit(self, octets: bytes, now: int) -> int:
+        self.sent.append(octets)
+        return now
+
+    def changes(self) -> list[tuple[BaudState, int | None]]:
+        found = [event for event in self.port.take_events() if isinstance(event, PortBaudChanged)]
+        return [(event.state, event.baud) for event in found]
+
+    def find(self) -> None:
+        for _ in range(3):
+            self.hear(TOKEN)
+
+
+def test_all_slaves_answer_once_the_rate_is_found() -> None:
+    rig = Rig()
+    rig.hear(STATUS[5])
+    rig.hear(b"")
+    assert rig.port.state is BaudState.SEARCH
+    rig.hear(STATUS[7])
+    rig.hear(b"")
+    assert rig.sent == []
+    assert rig.changes() == [(BaudState.CONTROL, 500_000)]
+    assert rig.line.baud == 500_000
+    for address in (5, 7):
+        rig.hear(STATUS[address])
+    rig.hear(b"")
+    assert rig.sent == [ANSWER[5], ANSWER[7]]
+
+
+def test_silence_leads_back_to_the_search_and_to_another_rate() -> None:
+    rig = Rig(rates=(500_000, 187_500))
+    rig.find()
+    rig.hear(b"", SILENCE - MS)
+    assert rig.changes() == [(BaudState.CONTROL, 500_000)]
+    rig.hear(b"", 2 * MS)
+    assert rig.changes() == [(BaudState.SEARCH, None)]
+    assert rig.port.in_vain(rig.now) is not None
+    while rig.port.baud != 187_500:
+        rig.hear(b"", MS)
+    rig.find()
+    assert rig.changes() == [(BaudState.CONTROL, 187_500)]
+    assert rig.line.params == BusParams.preset(187_500)
+    assert rig.port.in_vain(rig.now) is None
+
+
+def test_octets_that_are_no_telegrams_and_a_late_port() -> None:
+    rig = Rig(slack_ns=50 * MS)
+    rig.find()
+    rig.hear(b"\x00", SILENCE)
+    rig.hear(b"\x00", 49 * MS)
+    assert rig.changes() == [(BaudState.CONTROL, 500_000)]
+    rig.hear(b"\x00", 2 * MS)
+    assert rig.changes() == [(BaudState.SEARCH, None)]
+
+
+def test_the_watchdog_of_one_slave_keeps_the_rate_of_all() -> None:
+    rig = Rig()
+    rig.find()
+    rig.hear(SET_PRM)
+    rig.hear(b"")
+    assert rig.sent == [SC]
+    assert rig.changes() == [(BaudState.CONTROL, 500_000), (BaudState.DP_MODE, 500_000)]
+    rig.hear(b"", 99 * MS)  # the watchdog's 100 ms, then the silence
+    assert rig.changes() == [(BaudState.CONTROL, 500_000)]
+    assert rig.apps[0].state is SlaveAppState.WAIT_PRM
+    rig.hear(b"", SILENCE - MS)
+    assert rig.changes() == []
+    rig.hear(b"", 2 * MS)
+    assert rig.changes() == [(BaudState.SEARCH, None)]
+
+
+def test_what_set_prm_said_of_min_t_sdr_outlives_a_search() -> None:
+    rig = Rig()
+    rig.find()
+    rig.hear(SET_PRM_OFF)
+    rig.hear(b"", SILENCE + MS)
+    assert rig.port.state is BaudState.SEARCH
+    assert rig.apps[0].state is SlaveAppState.WAIT_CFG  # no watchdog: it stays where it is
+    rig.find()
+    rig.sent.clear()
+    rig.hear(STATUS[5])
+    rig.hear(b"", 109_000)  # 55 bit times are 110 us
+    assert rig.sent == []
+    rig.hear(b"", 2_000)
+    assert rig.sent == [ANSWER[5]]
+
+
+def test_an_answer_that_waits_when_the_line_goes_is_forgotten() -> None:
+    rig = Rig()
+    rig.find()
+    rig.hear(STATUS[5])
+    rig.port.command(LineDown("unplugged"), rig.now)
+    rig.hear(b"", S)
+    assert rig.port.state is BaudState.SEARCH
+    rig.port.command(LineUp(), rig.now)
+    rig.find()
+    assert rig.changes()[-1] == (BaudState.CONTROL, 500_000)
+    assert rig.sent == []
+
+
+def test_rates_that_the_port_cannot_do() -> None:
+    rig = Rig(rates=(12_000_000, 500_000))
+    rig.port.command(RateRefused("too fast"), 0)
+    assert rig.port.baud == 500_000
+    with pytest.raises(ConfigError, match="none of the rates"):
+        rig.port.command(RateRefused("too slow"), 0)
+    with pytest.raises(UsageError, match="knows no str"):
+        rig.port.command("search", 0)
+
+
+def test_why_nothing_is_found() -> None:
+    rig = Rig()
+    rig.hear(b"", S)
+    why = rig.port.in_vain(rig.now)
+    assert why is not None
+    assert why.why is Missing.SILENCE
+    rig.hear(b"\x00\x01")
+    why = rig.port.in_vain(rig.now)
+    assert why is not None
+    assert why.why is Missing.NOISE
