@@ -13,14 +13,15 @@ from typing import Final
 from dpstack.api.compose import attach_core, compose
 from dpstack.api.config import Config, slave_config
 from dpstack.api.drive import Drive
-from dpstack.api.joining import what_was_heard, why_not_joined
+from dpstack.api.groups import Group, GroupOrders, Groups
+from dpstack.api.joining import join, what_was_heard
 from dpstack.api.livelist import scan_on
 from dpstack.api.slave import Slave
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.api.statistics import BusStats, collect
 from dpstack.api.streams import EventStream, Rounds, Waiters
 from dpstack.dp.commands import AddSlave, Mode, RemoveSlave, SetMode, Shutdown
-from dpstack.dp.events import DriveEvent, MasterStopped
+from dpstack.dp.events import ControlSent, DriveEvent, MasterStopped
 from dpstack.dp.plan import Case
 from dpstack.dp.scanner import Found
 from dpstack.errors import BusError, ConfigError, DpError, UsageError
@@ -87,6 +88,7 @@ class Bus:
         self._streams: list[EventStream] = []
         self._waiters = Waiters()
         self.rounds = Rounds(self.master)
+        self._groups = GroupOrders(self)
         self._slaves: dict[int, Slave] = {}
         self._drives: dict[int, Drive] = {}
         for slave in config.slaves:
@@ -122,21 +124,10 @@ class Bus:
             for note in (*self.plan.findings, *self.plan.notes):
                 self._tell(Notice(t_ns=self.started_ns, source="plan", message=note, severity=Severity.WARNING))
             self._hand_on(GoOnline())
-            await self._join()
+            await join(self, self._join_timeout)
         except BaseException:
             await self.close()
             raise
-
-    async def _join(self) -> None:
-        try:
-            await self.until(self._joined, self._join_timeout)
-        except TimeoutError:
-            raise BusError(why_not_joined(self.station, self._join_timeout)) from None
-
-    def _joined(self) -> bool:
-        if self._collision is not None:
-            raise BusError(self._collision)
-        return self.station.in_ring
 
     async def close(self) -> None:
         """The ordered end: safe values for one cycle, Clear twice, out of the ring, port released. May be repeated."""
@@ -209,11 +200,38 @@ class Bus:
             raise
 
     async def ready(self, timeout: float | None = 5.0) -> None:
-        """Wait until every slave is in data exchange. Raises SlaveFault or SlaveTimeout for the first that is not."""
+        """Wait until every slave in service is in data exchange. Raises SlaveFault or SlaveTimeout for the first that
+        is not.
+        """
         loop = asyncio.get_running_loop()
         end = None if timeout is None else loop.time() + timeout
-        for slave in tuple(self._slaves.values()):
+        for slave in [slave for slave in self._slaves.values() if not slave.deactivated]:
             await slave.ready(None if end is None else max(0.0, end - loop.time()))
+
+    async def sync(self, groups: Groups = (), *, settle: bool = False) -> ControlSent:
+        """SYNC to ``groups`` (0 or nothing: all slaves): what they were sent last goes to their outputs, all at once,
+        and further outputs wait for the next SYNC. Returns when it has been sent, to the last bit.
+
+        ``settle``: first one whole Data_Exchange with each, so that outputs set just now are passed on. Never sent
+        twice. Raises UsageError in Stop or for slaves without ``sync``, SlaveFault, BusError (no token).
+        """
+        return await self._groups.send(groups, sync=True, settle=settle)
+
+    async def unsync(self, groups: Groups = ()) -> ControlSent:
+        """End SYNC."""
+        return await self._groups.send(groups, unsync=True)
+
+    async def freeze(self, groups: Groups = ()) -> ControlSent:
+        """FREEZE: inputs of this moment are kept until the next FREEZE. Everything else as :meth:`sync`."""
+        return await self._groups.send(groups, freeze=True)
+
+    async def unfreeze(self, groups: Groups = ()) -> ControlSent:
+        """End FREEZE."""
+        return await self._groups.send(groups, unfreeze=True)
+
+    def group(self, groups: Groups = ()) -> Group:
+        """Slaves to be written at one moment and read at one moment, see :class:`~dpstack.api.groups.Group`."""
+        return Group(self, self._groups, groups)
 
     async def add_slave(self, table: SlaveTable) -> Slave:
         """Take up one more slave while the bus runs: ``table`` has the keys of a [[slave]] table. Raises ConfigError.
@@ -276,9 +294,9 @@ class Bus:
         return await scan_on(self, configs=configs, addresses=addresses, quick=quick)
 
     @property
-    def collided(self) -> bool:
-        """Another station uses this one's address."""
-        return self._collision is not None
+    def collision(self) -> str | None:
+        """What was heard of another station at this one's address."""
+        return self._collision
 
     def events(self) -> EventStream:
         """What happens, from the start of the bus on: an async iterator, bounded; ``dropped`` counts what was lost."""
@@ -318,12 +336,8 @@ class Bus:
         if rotations is None:
             await self.until(lambda: False, timeout)
             return
-        round_over = functools.partial(self._waiters.check)  # one of its own for each caller
-        self.rounds.watch(round_over)
-        try:
+        with self.rounds.watched(functools.partial(self._waiters.check)):  # one of its own for each caller
             await self.until(lambda: self.master.rotation.count >= rotations, timeout)
-        finally:
-            self.rounds.unwatch(round_over)
 
     # --- from the machine ---------------------------------------------------------------------------------------
 
@@ -342,6 +356,7 @@ class Bus:
                     self._ended_ns = t_ns
                 case AddressCollision():
                     self._collision = event.text
+            self._groups.on_event(event)
             self._tell(event)
             if isinstance(event, RingJoined) and not self._has_joined:
                 self._has_joined = True
@@ -363,6 +378,7 @@ class Bus:
             self._over = error
         for drive in self._drives.values():
             drive.end(self._over)
+        self._groups.end(self._over)
         for stream in self._streams:
             stream.end()
         self._waiters.check()

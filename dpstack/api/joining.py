@@ -1,8 +1,28 @@
-"""Why a master did not get into the token ring, for people."""
+"""Getting into the token ring, and why it did not work, for people."""
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
+from dpstack.errors import BusError
 from dpstack.fdl.active import ActiveStation
+
+if TYPE_CHECKING:
+    from dpstack.api.bus import Bus
+
+
+async def join(bus: Bus, timeout: float) -> None:
+    """Wait until the station is in the ring. Raises BusError."""
+
+    def joined() -> bool:
+        if bus.collision is not None:
+            raise BusError(bus.collision)
+        return bus.station.in_ring
+
+    try:
+        await bus.until(joined, timeout)
+    except TimeoutError:
+        raise BusError(why_not_joined(bus.station, timeout)) from None
 
 
 def why_not_joined(station: ActiveStation, after_s: float) -> str:

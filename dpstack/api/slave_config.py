@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from dpstack.api.tables import Table
+from dpstack.dp.diag_texts import DiagTexts
 from dpstack.dp.identifiers import io_lengths
 from dpstack.dp.setup import SlaveSetup
 from dpstack.errors import ConfigError
@@ -32,6 +33,10 @@ _KEYS: Final = (
     "safe",
     "min_slave_interval",
     "fail_safe",
+    "sync",
+    "freeze",
+    "wd_base_1ms",
+    "ignore_auto_clear",
     "dpv1",
     "reference_hz",
     "reference_rpm",
@@ -71,6 +76,12 @@ class SlaveConfig:
     initial: bytes | None = None
     min_slave_interval_ns: int = 0
     fail_safe: bool = False
+    sync: bool = False
+    freeze: bool = False
+    wd_base_1ms: bool = False
+    ignore_auto_clear: bool = False
+    #: what the device's GSD file says to a diagnosis
+    texts: DiagTexts | None = field(default=None, compare=False, repr=False)
     #: the application makes the outputs octet by octet, also where there is a drive plugin
     raw: bool = False
     notes: tuple[str, ...] = ()
@@ -103,6 +114,11 @@ class SlaveConfig:
             min_slave_interval_ns=self.min_slave_interval_ns,
             max_tsdr=profile.max_tsdr.get(baud) if profile else None,
             on_loss=profile.on_loss if profile else "",
+            sync=self.sync,
+            freeze=self.freeze,
+            wd_base_1ms=self.wd_base_1ms,
+            ignore_auto_clear=self.ignore_auto_clear,
+            texts=self.texts,
         )
 
 
@@ -234,6 +250,10 @@ def _build(table: Table, address: int, basis: _Basis) -> SlaveConfig:
         safe=basis.safe if safe is None else safe,
         min_slave_interval_ns=basis.interval_ns if interval is None else interval * _INTERVAL_UNIT,
         fail_safe=table.flag("fail_safe", basis.fail_safe),
+        sync=table.flag("sync", False),
+        freeze=table.flag("freeze", False),
+        wd_base_1ms=table.flag("wd_base_1ms", False),
+        ignore_auto_clear=table.flag("ignore_auto_clear", False),
         notes=tuple(notes),
     )
 

@@ -35,12 +35,10 @@ from dpstack.fdl.telegram import (
 )
 from dpstack.fdl.user import Failure, Request
 from dpstack.trace import Event
-from dpstack.units import NS_PER_MS, NS_PER_S
+from dpstack.units import NS_PER_S
 
 _READY_LIMIT: Final = 10 * NS_PER_S
 _UNACKED_LIMIT: Final = NS_PER_S
-_POLL_PAUSE: Final = 10 * NS_PER_MS
-_STATIC_PAUSE: Final = 100 * NS_PER_MS
 _MAX_BUSY: Final = 5
 _MAX_PRM_ROUNDS: Final = 3
 _TOLD_ABSENT_AFTER: Final = 3
@@ -251,7 +249,7 @@ class SlaveHandler:
 
     def _on_refusal(self, outcome: Telegram, service: str, now: int) -> None:
         self._busy += 1
-        self._pacing.due = now + _POLL_PAUSE
+        self._pacing.busy(now)
         if self._busy >= _MAX_BUSY:
             self._busy = 0
             self._step(Ev.REFUSED, now, faults.refused(service, refusal_text(outcome)))
@@ -310,13 +308,13 @@ class SlaveHandler:
         elif waited > _READY_LIMIT:
             self._step(Ev.TOO_LONG, now, faults.waited(diagnosis, _READY_LIMIT / NS_PER_S))
         else:
-            self._pacing.due = now + min(_POLL_PAUSE, waited >> 2)
+            self._pacing.not_ready(now, waited)
             self._step(Ev.DIAG_WAIT, now)
 
     def _judge_exchanging(self, diagnosis: Diagnosis, now: int) -> None:
         verdict = verdict_exchanging(diagnosis)
         self.diag_due = verdict is Ev.DIAG_WAIT
-        self._pacing.due = now + _STATIC_PAUSE if self.diag_due else now
+        self._pacing.exchanging(now, static=self.diag_due)
         self.image.valid = verdict is Ev.DIAG_READY
         self._left = verdict is Ev.DIAG_PRM_REQ
         fault = None
