@@ -185,7 +185,7 @@ class Slave:
     async def deactivate(self) -> None:
         """Take it out of service: safe outputs for 50 ms, Unlock, then nothing is sent to it until :meth:`activate`.
 
-        A drive's pending orders end with DriveFault.
+        A drive's pending orders end with DriveError.
         """
         self._bus.command(DeactivateSlave(self.address))
 
@@ -198,7 +198,7 @@ class Slave:
 
         ``changes`` are those of :class:`Changes`. Raises ConfigError before anything is changed, UsageError for other
         lengths under a drive plugin, SlaveFault or SlaveTimeout as :meth:`ready`. A drive's pending orders end with
-        DriveFault. ``timeout`` in seconds.
+        DriveError. ``timeout`` in seconds.
         """
         unknown = sorted(set(changes) - set(Changes.__annotations__))
         if unknown:

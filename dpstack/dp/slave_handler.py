@@ -388,7 +388,7 @@ class SlaveHandler:
         """Bring it up (again), from the beginning."""
         if self.state is SlaveState.DEACTIVATED:
             self._step(Ev.ACTIVATE, now)
-            self._pacing.due = now
+            self._pacing = Pacing()
 
     def line_lost(self, reason: str, now: int) -> None:
         """The bus is gone (port vanished, out of the ring): nobody is in data exchange any more."""
