@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import functools
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
@@ -13,6 +12,7 @@ from typing import Final
 from dpstack.api.compose import attach_core, compose
 from dpstack.api.config import Config, slave_config
 from dpstack.api.drive import Drive
+from dpstack.api.ending import OrderedEnd
 from dpstack.api.groups import Group, GroupOrders, Groups
 from dpstack.api.joining import join, what_was_heard
 from dpstack.api.livelist import scan_on
@@ -20,25 +20,21 @@ from dpstack.api.slave import Slave
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.api.statistics import BusStats, collect
 from dpstack.api.streams import EventStream, Rounds, Waiters
-from dpstack.dp.commands import AddSlave, Mode, RemoveSlave, SetMode, Shutdown
-from dpstack.dp.events import ControlSent, DriveEvent, MasterStopped
+from dpstack.dp.commands import AddSlave, Mode, RemoveSlave, SetMode
+from dpstack.dp.events import ControlSent, DriveEvent
 from dpstack.dp.plan import Case
 from dpstack.dp.scanner import Found
 from dpstack.errors import BusError, ConfigError, DpError, UsageError
-from dpstack.fdl.commands import GoOffline, GoOnline
-from dpstack.fdl.events import AddressCollision, RingJoined, RingLeft
+from dpstack.fdl.commands import GoOnline
+from dpstack.fdl.events import AddressCollision, RingJoined
 from dpstack.fdl.livelist import ALL_ADDRESSES
 from dpstack.sim.world import World
 from dpstack.trace import Event, Notice, Severity
-from dpstack.units import BITS_PER_CHAR, ns_to_s
+from dpstack.units import ns_to_s
 
 #: with foreign masters on the bus one has to wait until one of them asks for us in its GAP
 JOIN_TIMEOUT_S: Final = 30.0
-#: the ordered end takes a few rotations; nobody waits longer than this for it (plus ten rotations)
-_END_TIMEOUT_S: Final = 2.0
 _HISTORY: Final = 1000
-#: Global_Control, the longest telegram of the end
-_LAST_OCTETS: Final = 13
 
 OnEvent = Callable[[Event], None]
 SlaveTable = Mapping[str, object] | SlaveConfig
@@ -77,11 +73,10 @@ class Bus:
         self._join_timeout = join_timeout
         self._open = False
         self._ending: asyncio.Task[None] | None = None
-        self._stopped = False
-        self._left = False
+        self._ordered_end = OrderedEnd(self)
         self._has_joined = False
-        self._ended_ns = 0
-        self._collision: str | None = None
+        #: what was heard of another station at this one's address
+        self.collision: str | None = None
         #: why nothing will happen any more: a failure, or the end
         self._over: DpError | None = None
         self._history: deque[Event] = deque(maxlen=_HISTORY)
@@ -138,28 +133,13 @@ class Bus:
     async def _end(self) -> None:
         try:
             if self._open:
-                limit = _END_TIMEOUT_S + 10 * self.rotation_limit_s
-                await self._ordered(Shutdown(), lambda: self._stopped, limit)
-                self._left = not self.station.in_ring  # it may have left and come back before
-                await self._ordered(GoOffline(), lambda: self._left, limit)
-                await self._drained()
+                await self._ordered_end.carry_out()
         finally:  # cut short by the end of the loop: the port is released all the same
             self._open = False
             try:
                 await self.runtime.close()
             finally:
                 self._nothing_more(UsageError("the bus is closed"))
-
-    async def _ordered(self, command: object, done: Callable[[], bool], limit: float) -> None:
-        """One step of the end; a bus that can no longer do it does not hold the program up."""
-        with contextlib.suppress(TimeoutError, DpError):
-            self._hand_on(command)
-            await self.until(done, limit)
-
-    async def _drained(self) -> None:
-        """Events tell of transmissions whose last bit lies ahead: let it leave before the port is closed."""
-        last = self.params.ns(_LAST_OCTETS * BITS_PER_CHAR + self.params.t_id2)
-        await asyncio.sleep(ns_to_s(max(0, self._ended_ns - self.runtime.now()) + last))
 
     # --- orders -------------------------------------------------------------------------------------------------
 
@@ -294,9 +274,9 @@ class Bus:
         return await scan_on(self, configs=configs, addresses=addresses, quick=quick)
 
     @property
-    def collision(self) -> str | None:
-        """What was heard of another station at this one's address."""
-        return self._collision
+    def collided(self) -> bool:
+        """Another station uses this one's address."""
+        return self.collision is not None
 
     def events(self) -> EventStream:
         """What happens, from the start of the bus on: an async iterator, bounded; ``dropped`` counts what was lost."""
@@ -348,14 +328,9 @@ class Bus:
                     drive = self._drives.get(address)
                     if drive is not None:
                         drive.on_payload(payload)
-                case MasterStopped(t_ns=t_ns):
-                    self._stopped = True
-                    self._ended_ns = t_ns
-                case RingLeft(t_ns=t_ns):
-                    self._left = True
-                    self._ended_ns = t_ns
                 case AddressCollision():
-                    self._collision = event.text
+                    self.collision = event.text
+            self._ordered_end.on_event(event)
             self._groups.on_event(event)
             self._tell(event)
             if isinstance(event, RingJoined) and not self._has_joined:

@@ -93,7 +93,7 @@ async def scan_port(make_bus: MakeBus, *, address: int | None = None, configs: b
             async with bus:
                 stations = await bus.scan(configs=configs)
         except BusError:
-            if bus.collision and not bus.station.in_ring and address is None and tries < _TRIES:
+            if bus.collided and not bus.station.in_ring and address is None and tries < _TRIES:
                 continue
             raise
         break

@@ -236,7 +236,7 @@ class SlaveHandler:
         if self.state is SlaveState.OFFLINE:
             self._silent += 1
             self._pacing.absent(now)
-            if self._silent >= _TOLD_ABSENT_AFTER and self.findings.fault is None:
+            if self._silent >= _TOLD_ABSENT_AFTER and not self.findings.silence_told:
                 self.findings.tell(faults.absent(self.setup.address, self.baud), now)
             self._step(Ev.SILENT, now)
             return
