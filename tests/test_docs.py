@@ -61,6 +61,11 @@ def test_examples_run(example: Path, capsys: pytest.CaptureFixture[str]) -> None
     out = capsys.readouterr().out
     wanted = {
         "two_drives": ["hoist at 25 Hz", "fan at 24 Hz", "fan at -24 Hz"],
+        "valves_in_step": [
+            "step 3 {'north': '03', 'south': '03'}",
+            "north is deactivated",
+            "north is in groups (1, 2) and watches for 500 ms",
+        ],
         "watch_events": ["slave 3 (hoist): data_exchange", "8 valves data_exchange 00"],
     }[example.stem]
     assert [line for line in wanted if line not in out] == []

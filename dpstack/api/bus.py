@@ -154,7 +154,7 @@ class Bus:
         return self.master.mode
 
     async def operate(self) -> None:
-        """Outputs go out from the next rotation on."""
+        """Outputs go out from the next rotation on; with ``auto_clear`` once all slaves are in data exchange."""
         self.command(SetMode(Mode.OPERATE))
 
     async def clear(self) -> None:
