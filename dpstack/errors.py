@@ -13,6 +13,7 @@
     +-- BusError                        the bus as a whole cannot work
     +-- SlaveError                      one slave; carries its address
     |   +-- SlaveFault                  refused parameters or configuration, wrong ident, locked, lying
+    |   +-- ServiceRefused              answered a service of this master with no; carries service and status
     |   +-- SlaveTimeout (TimeoutError) did not reach what was awaited in time
     +-- DriveError                      one drive; carries its name
         +-- DriveFault                  tripped, or refuses to do what was asked: names fault and remedy
@@ -75,6 +76,18 @@ class SlaveError(DpError):
 
 class SlaveFault(SlaveError):
     """The slave refused parameters or configuration, is another device, is owned by another master, or lies."""
+
+
+class ServiceRefused(SlaveError):
+    """The slave said no to one service (``service`` by name), or acknowledged it and did nothing.
+
+    ``status`` is its answer: "RS", "RR", "UE" ..., or "ignored".
+    """
+
+    def __init__(self, address: int, message: str, *, service: str, status: str) -> None:
+        super().__init__(address, message)
+        self.service = service
+        self.status = status
 
 
 class SlaveTimeout(SlaveError, TimeoutError):

@@ -20,7 +20,7 @@ from dpstack.api.tables import Source, Table
 from dpstack.api.toml_lines import line_numbers
 from dpstack.dp.setup import SlaveSetup
 from dpstack.errors import ConfigError, ParamError
-from dpstack.params import MAX_STATION, BusParams
+from dpstack.params import MAX_STATION, MAX_T_SL, BusParams
 from dpstack.units import BAUD_RATES, baud_text
 
 VIRTUAL: Final = "virtual"
@@ -259,7 +259,7 @@ def _read_bus(table: Table) -> BusConfig:
         baud=_baud(table),
         address=_or(table.integer("address", 0, MAX_STATION), 2),
         driver=driver,
-        t_sl=table.integer("t_sl", 37, 16_383),
+        t_sl=table.integer("t_sl", 37, MAX_T_SL),
         t_tr=table.integer("t_tr", 256, 16_777_960),
         max_retry=table.integer("max_retry", 0, 15),
         gap=table.integer("gap", 0, 100, "0 switches the GAP off"),

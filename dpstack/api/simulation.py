@@ -18,6 +18,7 @@ from dpstack.drivers.segment import Segment, default_directory
 from dpstack.errors import BusError, ConfigError
 from dpstack.fdl.multidrop import Multidrop
 from dpstack.params import BusParams
+from dpstack.phy.neighbours import t_sl_of_answers
 from dpstack.ports import open_port
 from dpstack.trace import Event
 from dpstack.units import NEVER, ns_to_s
@@ -79,6 +80,8 @@ class Simulation:
         opened = open_port(port, baud)
         patience = patience_of(opened)
         self._params = params = BusParams.preset(baud)
+        #: T_SL in bit times that a real master needs for these slaves behind this port, 0 where it needs none for it
+        self.t_sl = t_sl_of_answers(params, patience)
         units = [Unit(slave, params, patience) for slave in config.slaves]
         self.slaves = tuple(SimulatedSlave(unit) for unit in units)
         self._units = {unit.config.address: unit for unit in units}

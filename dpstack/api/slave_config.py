@@ -6,8 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
+from dpstack.api.field_config import read_fields
 from dpstack.api.tables import Table
 from dpstack.dp.diag_texts import DiagTexts
+from dpstack.dp.fields import FieldMap
 from dpstack.dp.identifiers import io_lengths
 from dpstack.dp.setup import SlaveSetup
 from dpstack.errors import ConfigError
@@ -49,8 +51,6 @@ _LATER: Final[dict[str, tuple[object, ...]]] = {
     "modules": (),
     "parameters": (),
     "dpv1": (False,),
-    "inputs": (),
-    "outputs": (),
 }
 #: Min_Slave_Interval counts in 100 us, as GSD files do
 _INTERVAL_UNIT: Final = 100 * NS_PER_US
@@ -82,6 +82,9 @@ class SlaveConfig:
     ignore_auto_clear: bool = False
     #: what the device's GSD file says to a diagnosis
     texts: DiagTexts | None = field(default=None, compare=False, repr=False)
+    #: names for what is in the process data
+    input_fields: FieldMap = field(default_factory=FieldMap)
+    output_fields: FieldMap = field(default_factory=FieldMap)
     #: the application makes the outputs octet by octet, also where there is a drive plugin
     raw: bool = False
     notes: tuple[str, ...] = ()
@@ -227,6 +230,7 @@ def _build(table: Table, address: int, basis: _Basis) -> SlaveConfig:
         table.fail("safe", f"safe has {len(safe)} octets", f"the configuration has {outputs} octets of outputs")
     user_prm = table.octets("user_prm")
     ident, ident_note = _ident(table, basis)
+    input_fields, output_fields = read_fields(table, *io_lengths(basis.config))
     name = table.text("name") or f"slave{address}"
     profile = basis.profile
     notes = [f"slave {address} ({name}): {ident_note}"] if ident_note else []
@@ -254,6 +258,8 @@ def _build(table: Table, address: int, basis: _Basis) -> SlaveConfig:
         freeze=table.flag("freeze", False),
         wd_base_1ms=table.flag("wd_base_1ms", False),
         ignore_auto_clear=table.flag("ignore_auto_clear", False),
+        input_fields=input_fields,
+        output_fields=output_fields,
         notes=tuple(notes),
     )
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from dpstack.dp.fields import as_json
 from dpstack.fdl.user import LinkStats, StationStats
 from dpstack.units import NS_PER_MS
 
@@ -17,7 +19,8 @@ if TYPE_CHECKING:
 class SlaveStats:
     """One slave's counters since the start; ``link`` are those of the link layer.
 
-    ``master`` owns it on a read-only bus, as far as is known.
+    ``master`` owns it on a read-only bus, as far as is known. ``fields``: its named inputs and outputs,
+    octets as hex.
     """
 
     address: int
@@ -32,6 +35,7 @@ class SlaveStats:
     watchdog_ms: int
     link: StationStats
     master: int | None = None
+    fields: Mapping[str, object] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, object]:
         """As in the summary line of ``run --json``."""
@@ -44,6 +48,7 @@ class SlaveStats:
             "inputs": self.inputs.hex(),
             "outputs": self.outputs.hex(),
             "watchdog_ms": self.watchdog_ms,
+            **({"fields": dict(self.fields)} if self.fields else {}),
             **_link_dict(self.link),
             **({} if self.master is None else {"master": self.master}),
         }
@@ -152,6 +157,7 @@ def collect(bus: Bus) -> BusStats:
                 watchdog_ms=slave.watchdog_ms,
                 link=link.station(slave.address),
                 master=slave.found.master if slave.found is not None else None,
+                fields=as_json(slave.input_values | slave.output_values),
             )
             for slave in bus.slaves
         },

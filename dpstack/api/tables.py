@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Final, NoReturn
 
 from dpstack.api.toml_lines import Path
@@ -75,6 +75,9 @@ class Table:
     def __contains__(self, key: str) -> bool:
         return key in self._data
 
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._data)
+
     def raw(self, key: str) -> object:
         """The value as it stands, None when absent."""
         return self._data.get(key)
@@ -130,6 +133,15 @@ class Table:
             if not low <= member <= high:
                 self.fail(key, f"{key} holds {member}, outside {low}..{high}", "correct it or leave it out")
         return tuple(sorted(set(value)))
+
+    def table(self, key: str) -> Table | None:
+        """A table inside this one, inline or with a header of its own."""
+        value = self._data.get(key)
+        if value is None:
+            return None
+        if not isinstance(value, Mapping):
+            self._wrong(key, "a table, for instance { name = value }")
+        return Table(self._source, (*self._path, key), value, f"{self.title}: {key}")
 
     def octets(self, key: str) -> bytes | None:
         """Octets as a text of hex digits, or as a list of integers 0..255."""

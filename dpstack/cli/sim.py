@@ -14,6 +14,7 @@ from dpstack.api.simulation import DEFAULT_BAUD, Simulation, sim_event_json
 from dpstack.cli import options, output
 from dpstack.cli.control import reachable
 from dpstack.cli.signals import StopSignal
+from dpstack.cli.streams import warn
 from dpstack.errors import BusError, UsageError
 from dpstack.units import baud_text, ns_to_s
 
@@ -82,6 +83,8 @@ async def _run(config: Config, wanted: int | str, args: argparse.Namespace) -> i
                 output.line(f"simulating on {simulation.port_name} at {baud_text(rate)}:")
                 for slave in simulation.slaves:
                     output.line(f"  {slave.address:3}  {slave.name}  ({slave.kind})")
+            if simulation.t_sl:
+                warn(f"a master needs t_sl = {simulation.t_sl} or more for these slaves: the adapter answers late")
             simulation.on_event = _printer(simulation, args.json)
             await stop.or_done(simulation.failed(args.seconds))
             _summary(simulation, args.json)

@@ -69,7 +69,7 @@ class Plan:
     """The plan of one bus at one rate. Rotations in bit times.
 
     ``findings``: one line each, what is out of bounds, why, and what to do; empty when everything fits. ``notes``:
-    what is as it is, but worth knowing.
+    what is as it is, but worth knowing. ``beside``: what other masters on the bus would need, empty when it is nothing.
     """
 
     params: BusParams
@@ -78,6 +78,7 @@ class Plan:
     watchdog_ms: int
     findings: tuple[str, ...]
     notes: tuple[str, ...] = ()
+    beside: str = ""
 
     def rotation_ns(self, case: Case) -> int:
         """A rotation in nanoseconds."""
@@ -98,7 +99,7 @@ class Plan:
             "parameters": parameters,
             "slaves": [_slave_dict(s) for s in self.slaves],
             "findings": list(self.findings),
-            "notes": list(self.notes),
+            "notes": [*self.notes, *([self.beside] if self.beside else [])],
         }
 
 
@@ -203,12 +204,13 @@ def make_plan(
     data_control_ns: int = 0,
     findings: Iterable[str] = (),
     notes: Iterable[str] = (),
+    beside: str = "",
 ) -> Plan:
     """The whole plan of a bus with ``setups`` at ``params``; ``pty`` where another process stands at the other end.
 
     ``host_slack_ns`` is how much later than the wire's deadline a known station's answer may come (see Patience).
     ``data_control_ns`` is the Data_Control_Time of a bus with auto-clear, else 0.
-    ``findings`` and ``notes`` are what the caller knows beyond that; they come first.
+    ``findings``, ``notes`` and ``beside`` are what the caller knows beyond that; they come first.
     """
     slaves = tuple(sorted(setups, key=lambda s: s.address))
     rotations = {case: rotation(params, slaves, case) for case in Case}
@@ -225,6 +227,7 @@ def make_plan(
             *_slow_for_auto_clear(params, plans, rotations, data_control_ns),
         ),
         notes=(*notes, *_notes(params, plans)),
+        beside=beside,
     )
 
 

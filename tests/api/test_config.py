@@ -210,8 +210,6 @@ LATER: list[tuple[str, str]] = [
     (BUS + RAW + "modules = []\n", "plant.toml:9: [[slave]] raw: modules is not supported yet by this version; leave"),
     (BUS + RAW + "parameters = {}\n", "plant.toml:9: [[slave]] raw: parameters is not supported yet by this version;"),
     (BUS + RAW + "dpv1 = true\n", "plant.toml:9: [[slave]] raw: dpv1 is not supported yet by this version; leave it"),
-    (BUS + RAW + 'inputs = { a = "bool@0.3" }\n', "plant.toml:9: [[slave]] raw: inputs is not supported yet by this"),
-    (BUS + RAW + 'outputs = { a = "i16@2" }\n', "plant.toml:9: [[slave]] raw: outputs is not supported yet by this"),
 ]
 
 
