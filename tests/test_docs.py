@@ -91,6 +91,11 @@ def test_examples_run(example: Path, capsys: pytest.CaptureFixture[str]) -> None
         ],
         "own_slave": ["level 40 %", "ext_diag, wd_on 80 40 07", "valve closed"],
         "two_drives": ["hoist at 25 Hz", "fan at 24 Hz", "fan at -24 Hz"],
+        "valves_in_step": [
+            "step 3 {'north': '03', 'south': '03'}",
+            "north is deactivated",
+            "north is in groups (1, 2) and watches for 500 ms",
+        ],
         "class_2": [
             "3: ident 0x0696, master 2, config f3 71",
             "outputs {'flap': True}",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import functools
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
@@ -14,7 +13,9 @@ from dpstack.api.class2 import Class2
 from dpstack.api.compose import attach_core, compose
 from dpstack.api.config import Config, slave_config
 from dpstack.api.drive import Drive
-from dpstack.api.joining import Beside, join_limit_s, what_was_heard, why_not_joined
+from dpstack.api.ending import OrderedEnd
+from dpstack.api.groups import Group, GroupOrders, Groups
+from dpstack.api.joining import Beside, join, what_was_heard
 from dpstack.api.livelist import scan_on
 from dpstack.api.parts import Composed
 from dpstack.api.slave import Slave
@@ -22,23 +23,19 @@ from dpstack.api.slave_config import SlaveConfig
 from dpstack.api.statistics import BusStats, collect
 from dpstack.api.streams import EventStream, Waiters
 from dpstack.dp.class2 import ServiceDone
-from dpstack.dp.commands import AddSlave, Mode, RemoveSlave, SetMode, Shutdown
-from dpstack.dp.events import DriveEvent, MasterStopped
+from dpstack.dp.commands import AddSlave, Mode, RemoveSlave, SetMode
+from dpstack.dp.events import ControlSent, DriveEvent
 from dpstack.dp.plan import Case
 from dpstack.dp.scanner import Found
 from dpstack.errors import BusError, ConfigError, DpError, UsageError
-from dpstack.fdl.commands import GoOffline, GoOnline
-from dpstack.fdl.events import AddressCollision, RingJoined, RingLeft
+from dpstack.fdl.commands import GoOnline
+from dpstack.fdl.events import AddressCollision, RingJoined
 from dpstack.fdl.livelist import ALL_ADDRESSES
 from dpstack.sim.world import World
 from dpstack.trace import Event, Notice, Severity
-from dpstack.units import BITS_PER_CHAR, ns_to_s
+from dpstack.units import ns_to_s
 
-#: the ordered end takes a few rotations; nobody waits longer than this for it (plus ten rotations)
-_END_TIMEOUT_S: Final = 2.0
 _HISTORY: Final = 1000
-#: Global_Control, the longest telegram of the end
-_LAST_OCTETS: Final = 13
 
 OnEvent = Callable[[Event], None]
 SlaveTable = Mapping[str, object] | SlaveConfig
@@ -68,16 +65,16 @@ class Bus(Composed):
         self._join_timeout = join_timeout
         self._open = False
         self._ending: asyncio.Task[None] | None = None
-        self._stopped = False
-        self._left = False
+        self._ordered_end = OrderedEnd(self)
         self._joined_ns = 0  # machine time of the first token
-        self._ended_ns = 0
-        self._collision: str | None = None
+        #: what was heard of another station at this one's address
+        self.collision: str | None = None
         #: why nothing will happen any more: a failure, or the end
         self._over: DpError | None = None
         self._history: deque[Event] = deque(maxlen=_HISTORY)
         self._streams: list[EventStream] = []
         self._waiters = Waiters()
+        self._groups = GroupOrders(self)
         #: the services of a class 2 master: diagnosis, configuration, inputs and outputs of any slave, its address
         self.class2 = Class2(self)
         self._slaves: dict[int, Slave] = {}
@@ -129,24 +126,10 @@ class Bus(Composed):
             for note in (*self.plan.findings, *self.plan.notes):
                 self._tell(Notice(t_ns=self.started_ns, source="plan", message=note, severity=Severity.WARNING))
             self._hand_on(GoOnline())
-            await self._join()
+            await join(self, self._join_timeout)
         except BaseException:
             await self.close()
             raise
-
-    async def _join(self) -> None:
-        limit = self._join_timeout
-        if limit is None:
-            limit = join_limit_s(self.params, self.station.patience)
-        try:
-            await self.until(self._joined, limit)
-        except TimeoutError:
-            raise BusError(why_not_joined(self.station, limit)) from None
-
-    def _joined(self) -> bool:
-        if self._collision is not None:
-            raise BusError(self._collision)
-        return self.station.in_ring
 
     async def close(self) -> None:
         """The ordered end: safe values for one cycle, Clear twice, out of the ring, port released. May be repeated."""
@@ -157,11 +140,7 @@ class Bus(Composed):
     async def _end(self) -> None:
         try:
             if self._open:
-                limit = _END_TIMEOUT_S + 10 * self.rotation_limit_s
-                await self._ordered(Shutdown(), lambda: self._stopped, limit)
-                self._left = not self.station.in_ring  # it may have left and come back before
-                await self._ordered(GoOffline(), lambda: self._left, limit)
-                await self._drained()
+                await self._ordered_end.carry_out()
         finally:  # cut short by the end of the loop: the port is released all the same
             self._open = False
             try:
@@ -169,17 +148,6 @@ class Bus(Composed):
                     await self.runtime.close()
             finally:
                 self._nothing_more(UsageError("the bus is closed"))
-
-    async def _ordered(self, command: object, done: Callable[[], bool], limit: float) -> None:
-        """One step of the end; a bus that can no longer do it does not hold the program up."""
-        with contextlib.suppress(TimeoutError, DpError):
-            self._hand_on(command)
-            await self.until(done, limit)
-
-    async def _drained(self) -> None:
-        """Events tell of transmissions whose last bit lies ahead: let it leave before the port is closed."""
-        last = self.params.ns(_LAST_OCTETS * BITS_PER_CHAR + self.params.t_id2)
-        await asyncio.sleep(ns_to_s(max(0, self._ended_ns - self.runtime.now()) + last))
 
     # --- orders -------------------------------------------------------------------------------------------------
 
@@ -194,7 +162,7 @@ class Bus(Composed):
         return self.master.mode
 
     async def operate(self) -> None:
-        """Outputs go out from the next rotation on."""
+        """Outputs go out from the next rotation on; with ``auto_clear`` once all slaves are in data exchange."""
         self.command(SetMode(Mode.OPERATE))
 
     async def clear(self) -> None:
@@ -220,11 +188,38 @@ class Bus(Composed):
             raise
 
     async def ready(self, timeout: float | None = 5.0) -> None:
-        """Wait until every slave is in data exchange. Raises SlaveFault or SlaveTimeout for the first that is not."""
+        """Wait until every slave in service is in data exchange. Raises SlaveFault or SlaveTimeout for the first that
+        is not.
+        """
         loop = asyncio.get_running_loop()
         end = None if timeout is None else loop.time() + timeout
-        for slave in tuple(self._slaves.values()):
+        for slave in [slave for slave in self._slaves.values() if not slave.deactivated]:
             await slave.ready(None if end is None else max(0.0, end - loop.time()))
+
+    async def sync(self, groups: Groups = (), *, settle: bool = False) -> ControlSent:
+        """SYNC to ``groups`` (0 or nothing: all slaves): what they were sent last goes to their outputs, all at once,
+        and further outputs wait for the next SYNC. Returns when it has been sent, to the last bit.
+
+        ``settle``: first one whole Data_Exchange with each, so that outputs set just now are passed on. Never sent
+        twice. Raises UsageError in Stop or for slaves without ``sync``, SlaveFault, BusError (no token).
+        """
+        return await self._groups.send(groups, sync=True, settle=settle)
+
+    async def unsync(self, groups: Groups = ()) -> ControlSent:
+        """End SYNC."""
+        return await self._groups.send(groups, unsync=True)
+
+    async def freeze(self, groups: Groups = ()) -> ControlSent:
+        """FREEZE: inputs of this moment are kept until the next FREEZE. Everything else as :meth:`sync`."""
+        return await self._groups.send(groups, freeze=True)
+
+    async def unfreeze(self, groups: Groups = ()) -> ControlSent:
+        """End FREEZE."""
+        return await self._groups.send(groups, unfreeze=True)
+
+    def group(self, groups: Groups = ()) -> Group:
+        """Slaves to be written at one moment and read at one moment, see :class:`~dpstack.api.groups.Group`."""
+        return Group(self, self._groups, groups)
 
     async def add_slave(self, table: SlaveTable) -> Slave:
         """Take up one more slave while the bus runs: ``table`` has the keys of a [[slave]] table. Raises ConfigError.
@@ -289,7 +284,7 @@ class Bus(Composed):
     @property
     def collided(self) -> bool:
         """Another station uses this one's address."""
-        return self._collision is not None
+        return self.collision is not None
 
     def events(self) -> EventStream:
         """What happens, from the start of the bus on: an async iterator, bounded; ``dropped`` counts what was lost."""
@@ -334,12 +329,8 @@ class Bus(Composed):
         if rotations is None:
             await self.until(lambda: False, timeout)
             return
-        round_over = functools.partial(self._waiters.check)  # one of its own for each caller
-        self.rounds.watch(round_over)
-        try:
+        with self.rounds.watched(functools.partial(self._waiters.check)):  # one of its own for each caller
             await self.until(lambda: self.master.rotation.count >= rotations, timeout)
-        finally:
-            self.rounds.unwatch(round_over)
 
     # --- from the machine ---------------------------------------------------------------------------------------
 
@@ -353,14 +344,10 @@ class Bus(Composed):
                     drive = self._drives.get(address)
                     if drive is not None:
                         drive.on_payload(payload)
-                case MasterStopped(t_ns=t_ns):
-                    self._stopped = True
-                    self._ended_ns = t_ns
-                case RingLeft(t_ns=t_ns):
-                    self._left = True
-                    self._ended_ns = t_ns
                 case AddressCollision():
-                    self._collision = event.text
+                    self.collision = event.text
+            self._ordered_end.on_event(event)
+            self._groups.on_event(event)
             self._tell(event)
             for notice in self._beside.notices(event):
                 self._tell(notice)
@@ -384,6 +371,7 @@ class Bus(Composed):
             self._over = error
         for drive in self._drives.values():
             drive.end(self._over)
+        self._groups.end(self._over)
         self.class2.end(self._over)
         for stream in self._streams:
             stream.end()

@@ -48,7 +48,16 @@ def plan_bus(config: Config, baud: int | None = None) -> Plan:
         pty, slack_ns = port.delivery is Delivery.HOST, patience.known_ns
         beside = Neighbours(params, patience).advice()
     findings = rate_findings(config, rate)
-    return make_plan(params, setups, pty=pty, host_slack_ns=slack_ns, findings=findings, notes=notes, beside=beside)
+    return make_plan(
+        params,
+        setups,
+        pty=pty,
+        host_slack_ns=slack_ns,
+        data_control_ns=config.bus.data_control_time_ms * NS_PER_MS if config.bus.auto_clear else 0,
+        findings=findings,
+        notes=notes,
+        beside=beside,
+    )
 
 
 def with_t_tr(config: Config, params: BusParams, setups: Sequence[SlaveSetup]) -> BusParams:
@@ -112,6 +121,8 @@ def compose(
         config.setups(),
         watchdog_ms=plan.watchdog_ms,
         absent_share=patience.unknown_share,
+        auto_clear=config.bus.auto_clear,
+        data_control_ns=config.bus.data_control_time_ms * NS_PER_MS,
         read_only=read_only,
     )
     watcher = _watcher(config, params, patience) if read_only and watched else None

@@ -43,13 +43,13 @@ _BUS_KEYS: Final = (
     "echo",
     "event_char",
     "auto_clear",
+    "data_control_time_ms",
     "read_only",
 )
 #: keys whose function comes later, with the values that ask for nothing
 _BUS_LATER: Final[dict[str, tuple[object, ...]]] = {
     "cycle_ms": (),
     "echo": ("auto", False),
-    "auto_clear": (False,),
 }
 _TOML_PLACE: Final = re.compile(r"^(.*?)\s*\(at (?:line (\d+), column (\d+)|end of document)\)$", re.DOTALL)
 
@@ -69,6 +69,8 @@ class BusConfig:
     hsa: int = 126
     host_slack_ms: float | None = None
     extra_idle_bits: int = 0
+    auto_clear: bool = False
+    data_control_time_ms: int = 1000
     read_only: bool = False
     event_char: bool = False
 
@@ -264,6 +266,8 @@ def _read_bus(table: Table) -> BusConfig:
         hsa=_or(table.integer("hsa", 1, 126), 126),
         host_slack_ms=table.number("host_slack_ms", 0, 10_000),
         extra_idle_bits=_or(table.integer("extra_idle_bits", 0, 100_000), 0),
+        auto_clear=table.flag("auto_clear", False),
+        data_control_time_ms=_or(table.integer("data_control_time_ms", 10, 655_350), 1000),
         read_only=table.flag("read_only", False),
         event_char=table.flag("event_char", False),
     )

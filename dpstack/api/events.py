@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from dpstack.dp.commands import Mode
 from dpstack.dp.events import (
+    AutoCleared,
+    ControlFailed,
+    ControlSent,
     DriveEvent,
     Fault,
     FaultKind,
     MasterStopped,
     ModeChanged,
+    OperateWaits,
+    PictureTaken,
     SlaveDiagnosis,
     SlaveEvent,
     SlaveFaulted,
@@ -23,6 +28,9 @@ from dpstack.trace import Event, Notice, Severity
 
 __all__ = [
     "AddressCollision",
+    "AutoCleared",
+    "ControlFailed",
+    "ControlSent",
     "DriveEvent",
     "Event",
     "Fault",
@@ -33,6 +41,8 @@ __all__ = [
     "Mode",
     "ModeChanged",
     "Notice",
+    "OperateWaits",
+    "PictureTaken",
     "PortBack",
     "PortLost",
     "RingJoined",
@@ -61,9 +71,9 @@ def severity_of(event: Event) -> Severity:
     match event:
         case Notice(severity=severity):
             return severity
-        case SlaveFaulted() | AddressCollision() | PortLost():
+        case SlaveFaulted() | AddressCollision() | PortLost() | AutoCleared():
             return Severity.ERROR
-        case SlaveRemark() | TokenLost():
+        case SlaveRemark() | TokenLost() | OperateWaits():
             return Severity.WARNING
         case DriveEvent(payload={"type": "failed"}):
             return Severity.ERROR
@@ -78,8 +88,8 @@ def event_json(event: Event, t: float) -> dict[str, object] | None:
     match event:
         case SlaveStateChanged(state=state):
             return {"event": "slave", **line, "state": state.value}
-        case SlaveDiagnosis(diagnosis=diagnosis):
-            return {"event": "diagnosis", **line, "flags": list(diagnosis.flags), "texts": []}
+        case SlaveDiagnosis(diagnosis=diagnosis, texts=texts):
+            return {"event": "diagnosis", **line, "flags": list(diagnosis.flags), "texts": list(texts)}
         case SlaveFaulted(fault=fault):
             return {"event": "fault", **line, "kind": fault.kind.value, "text": fault.text}
         case SlaveRemark(message=message):
@@ -91,6 +101,11 @@ def event_json(event: Event, t: float) -> dict[str, object] | None:
             return {"event": "drive", **line, "type": payload.get("type"), **rest}
         case ModeChanged(mode=mode):
             return {"event": "mode", **line, "mode": mode.name.lower()}
+        case AutoCleared(slaves=slaves) | OperateWaits(slaves=slaves):
+            name = "auto_clear" if isinstance(event, AutoCleared) else "operate_waits"
+            return {"event": name, **line, "slaves": list(slaves), "text": event.text}
+        case ControlSent() | ControlFailed() | PictureTaken():
+            return None
         case MasterStopped():
             return {"event": "stopped", **line}
         case StationSeen(found=found, present=present):

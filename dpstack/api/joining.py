@@ -1,10 +1,11 @@
-"""Beside other masters: how long joining their ring may take, why it failed, and what they need; for people."""
+"""Beside other masters: joining their ring, how long it may take, why it failed, and what they need; for people."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
+from dpstack.errors import BusError
 from dpstack.fdl.active import ActiveStation
 from dpstack.fdl.events import MasterSeen
 from dpstack.params import BusParams
@@ -12,6 +13,9 @@ from dpstack.phy.neighbours import Neighbours
 from dpstack.phy.patience import Patience
 from dpstack.trace import Event, Notice, Severity
 from dpstack.units import NS_PER_S, ns_to_s
+
+if TYPE_CHECKING:
+    from dpstack.api.bus import Bus
 
 #: a master of another make may be slower than ours: nobody gives up sooner
 _LEAST_LIMIT_S: Final = 30.0
@@ -63,6 +67,21 @@ class Beside:
     def _notice(self, now: int, text: str, severity: Severity) -> Notice:
         self._told.add(text)
         return Notice(t_ns=now, source="ring", message=text, severity=severity)
+
+
+async def join(bus: Bus, timeout: float | None) -> None:
+    """Wait until the station is in the ring, for :func:`join_limit_s` unless ``timeout`` is given. Raises BusError."""
+    limit = join_limit_s(bus.params, bus.station.patience) if timeout is None else timeout
+
+    def joined() -> bool:
+        if bus.collision is not None:
+            raise BusError(bus.collision)
+        return bus.station.in_ring
+
+    try:
+        await bus.until(joined, limit)
+    except TimeoutError:
+        raise BusError(why_not_joined(bus.station, limit)) from None
 
 
 def why_not_joined(station: ActiveStation, after_s: float) -> str:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypedDict, Unpack
 
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.dp import faults
+from dpstack.dp.commands import ActivateSlave, DeactivateSlave, ReparameteriseSlave
+from dpstack.dp.diag_texts import block_texts
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.events import Fault, SlaveState
 from dpstack.dp.fields import Field, Value
@@ -18,6 +21,24 @@ from dpstack.errors import SlaveFault, SlaveTimeout, UsageError
 
 if TYPE_CHECKING:
     from dpstack.api.bus import Bus
+
+
+class Changes(TypedDict, total=False):
+    """What :meth:`Slave.reparameterise` can change; ``config`` are the identifier octets."""
+
+    user_prm: bytes
+    config: bytes
+    ident: int | None
+    watchdog_ms: int | None
+    groups: tuple[int, ...]
+    sync: bool
+    freeze: bool
+    fail_safe: bool
+    safe: bytes
+    every: int
+    min_slave_interval_ns: int
+    wd_base_1ms: bool
+    ignore_auto_clear: bool
 
 
 class Slave:
@@ -64,6 +85,21 @@ class Slave:
         return None if watcher is None else watcher.found.get(self.address)
 
     @property
+    def deactivated(self) -> bool:
+        """True while it is out of service by :meth:`deactivate`."""
+        return self._handler.state is SlaveState.DEACTIVATED
+
+    @property
+    def synced(self) -> bool:
+        """True while it is in SYNC by this master's order."""
+        return self.address in self._bus.master.controls.synced
+
+    @property
+    def frozen(self) -> bool:
+        """True while it is in FREEZE by this master's order."""
+        return self.address in self._bus.master.controls.frozen
+
+    @property
     def ready_now(self) -> bool:
         """True while it is in data exchange."""
         return self.state is SlaveState.DATA_EXCHANGE
@@ -83,9 +119,15 @@ class Slave:
 
     @property
     def diagnosis(self) -> Diagnosis | None:
-        """The last diagnosis read."""
+        """The last diagnosis read, with the bits that a master sets (Station_Non_Existent, Deactivated ...)."""
         found = self.found
         return self._handler.diagnosis if found is None else found.diagnosis
+
+    @property
+    def diagnosis_texts(self) -> tuple[str, ...]:
+        """What :attr:`diagnosis` says, one line each: its bits, then its blocks in the words of the GSD file."""
+        diagnosis = self.diagnosis
+        return () if diagnosis is None else diagnosis.texts + block_texts(diagnosis, self.setup.texts)
 
     @property
     def inputs(self) -> bytes:
@@ -107,15 +149,21 @@ class Slave:
 
     @outputs.setter
     def outputs(self, octets: bytes) -> None:
+        self.check_outputs(octets)
+        self._handler.image.outputs = octets
+
+    def check_outputs(self, octets: bytes) -> None:
+        """Raises UsageError where ``octets`` cannot become the outputs (see :attr:`outputs`)."""
         image = self._handler.image
+        why = ""
         if self._bus.master.read_only:
-            raise UsageError(f"slave {self.address} ({self.name}): this bus is read-only; leave read_only out")
-        if image.unit is not None:
-            raise UsageError(f"slave {self.address} ({self.name}): its drive plugin makes the outputs; use bus.drive()")
-        try:
-            image.outputs = octets
-        except ValueError as error:
-            raise UsageError(f"slave {self.address} ({self.name}): {error}") from None
+            why = "this bus is read-only; leave read_only out"
+        elif image.unit is not None:
+            why = "its drive plugin makes the outputs; use bus.drive()"
+        elif len(octets) != image.output_len:
+            why = f"{len(octets)} output octets given, the slave's configuration has {image.output_len}"
+        if why:
+            raise UsageError(f"slave {self.address} ({self.name}): {why}")
 
     # --- named fields -------------------------------------------------------------------------------------------
 
@@ -197,6 +245,35 @@ class Slave:
         """The effective watchdog in ms, 0 when off."""
         return self._handler.watchdog_effective_ns // 1_000_000
 
+    async def deactivate(self) -> None:
+        """Take it out of service: safe outputs for 50 ms, Unlock, then nothing is sent to it until :meth:`activate`.
+
+        A drive's pending orders end with DriveError.
+        """
+        self._bus.command(DeactivateSlave(self.address))
+
+    async def activate(self) -> None:
+        """Bring it up again; :meth:`ready` waits for that."""
+        self._bus.command(ActivateSlave(self.address))
+
+    async def reparameterise(self, *, timeout: float | None = 5.0, **changes: Unpack[Changes]) -> None:
+        """Other parameters while the bus runs: safe outputs for 50 ms, Unlock, a new bring-up, data exchange.
+
+        ``changes`` are those of :class:`Changes`. Raises ConfigError before anything is changed, UsageError for other
+        lengths under a drive plugin, SlaveFault or SlaveTimeout as :meth:`ready`. A drive's pending orders end with
+        DriveError. ``timeout`` in seconds.
+        """
+        unknown = sorted(set(changes) - set(Changes.__annotations__))
+        if unknown:
+            known = ", ".join(sorted(Changes.__annotations__))
+            raise UsageError(f"{unknown[0]!r} cannot be changed; these can: {known}")
+        config = dataclasses.replace(self.config, **changes)
+        self._bus.command(ReparameteriseSlave(config.setup(self._bus.params.baud)))
+        self.config = config
+        self._handler = self._bus.master.handlers[self.address]
+        if not self.deactivated:
+            await self.ready(timeout)
+
     async def wait_state(self, *states: SlaveState, timeout: float | None = None) -> SlaveState:
         """Wait until the slave is in one of ``states``. Raises SlaveTimeout that says where it is instead."""
         try:
@@ -208,8 +285,9 @@ class Slave:
     async def ready(self, timeout: float | None = 5.0) -> None:
         """Wait until the slave is in data exchange.
 
-        Raises SlaveFault as soon as it refuses (parameters, configuration, ident, owned by another master),
-        SlaveTimeout with the reason when it is not there in ``timeout`` seconds (None: no limit).
+        Raises UsageError for a deactivated slave, SlaveFault as soon as it refuses (parameters, configuration, ident,
+        owned by another master), SlaveTimeout with the reason when it is not there in
+        ``timeout`` seconds (None: no limit).
         """
         try:
             await self._bus.until(self._is_ready, timeout)
@@ -218,6 +296,8 @@ class Slave:
 
     def _is_ready(self) -> bool:
         fault = self.fault
+        if self.deactivated:
+            raise UsageError(f"slave {self.address} ({self.name}) is out of service: activate() it first")
         if self.state is SlaveState.FAULT and fault is not None:
             raise SlaveFault(self.address, f"slave {self.address} ({self.name}): {fault.text}")
         return self.ready_now

@@ -9,11 +9,11 @@ from typing import Final
 from dpstack.api.field_config import read_fields
 from dpstack.api.gsd_slave import GSD_KEYS, read_gsd_slave
 from dpstack.api.tables import Table
+from dpstack.dp.diag_texts import DiagTexts
 from dpstack.dp.fields import FieldMap
 from dpstack.dp.setup import SlaveSetup
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
-from dpstack.gsd.diag_texts import DiagTexts
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.params import MAX_STATION
 from dpstack.profile import DriveProfile, registry
@@ -37,6 +37,10 @@ _KEYS: Final = (
     "safe",
     "min_slave_interval",
     "fail_safe",
+    "sync",
+    "freeze",
+    "wd_base_1ms",
+    "ignore_auto_clear",
     "dpv1",
     "reference_hz",
     "reference_rpm",
@@ -71,6 +75,12 @@ class SlaveConfig:
     initial: bytes | None = None
     min_slave_interval_ns: int = 0
     fail_safe: bool = False
+    sync: bool = False
+    freeze: bool = False
+    wd_base_1ms: bool = False
+    ignore_auto_clear: bool = False
+    #: what the device's GSD file says to a diagnosis
+    texts: DiagTexts | None = field(default=None, compare=False, repr=False)
     #: names for what is in the process data
     input_fields: FieldMap = field(default_factory=FieldMap)
     output_fields: FieldMap = field(default_factory=FieldMap)
@@ -79,8 +89,6 @@ class SlaveConfig:
     #: MaxTsdr in bit times by rate, and the rates it knows, where manual or GSD file say so
     max_tsdr: Mapping[int, int] = field(default_factory=dict)
     baud_rates: frozenset[int] = frozenset()
-    #: texts of its diagnosis, where there is a GSD file
-    texts: DiagTexts | None = None
     notes: tuple[str, ...] = ()
 
     @property
@@ -111,6 +119,11 @@ class SlaveConfig:
             min_slave_interval_ns=self.min_slave_interval_ns,
             max_tsdr=self.max_tsdr.get(baud),
             on_loss=profile.on_loss if profile else "",
+            sync=self.sync,
+            freeze=self.freeze,
+            wd_base_1ms=self.wd_base_1ms,
+            ignore_auto_clear=self.ignore_auto_clear,
+            texts=self.texts,
         )
 
 
@@ -282,6 +295,10 @@ def _build(table: Table, address: int, basis: _Basis) -> SlaveConfig:
         safe=basis.safe if safe is None else safe,
         min_slave_interval_ns=basis.interval_ns if interval is None else interval * _INTERVAL_UNIT,
         fail_safe=table.flag("fail_safe", basis.fail_safe),
+        sync=table.flag("sync", False),
+        freeze=table.flag("freeze", False),
+        wd_base_1ms=table.flag("wd_base_1ms", False),
+        ignore_auto_clear=table.flag("ignore_auto_clear", False),
         input_fields=input_fields,
         output_fields=output_fields,
         notes=tuple(notes),

@@ -31,6 +31,8 @@ class SlaveStats:
     timeouts: int
     inputs: bytes
     outputs: bytes
+    #: the effective watchdog, 0 when off
+    watchdog_ms: int
     link: StationStats
     master: int | None = None
     fields: Mapping[str, object] = field(default_factory=dict)
@@ -45,6 +47,7 @@ class SlaveStats:
             "timeouts": self.timeouts,
             "inputs": self.inputs.hex(),
             "outputs": self.outputs.hex(),
+            "watchdog_ms": self.watchdog_ms,
             **({"fields": dict(self.fields)} if self.fields else {}),
             **_link_dict(self.link),
             **({} if self.master is None else {"master": self.master}),
@@ -151,6 +154,7 @@ def collect(bus: Bus) -> BusStats:
                 timeouts=slave.timeouts,
                 inputs=slave.inputs,
                 outputs=slave.outputs,
+                watchdog_ms=slave.watchdog_ms,
                 link=link.station(slave.address),
                 master=slave.found.master if slave.found is not None else None,
                 fields=as_json(slave.input_values | slave.output_values),

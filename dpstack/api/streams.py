@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections import deque
-from collections.abc import AsyncIterator, Callable, Iterable
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator
 from typing import Final, Generic, TypeVar
 
 from dpstack.dp.master import Master
@@ -107,6 +108,15 @@ class Rounds:
         self._watchers.remove(watcher)
         if not self._watchers:
             self._master.on_round = None
+
+    @contextlib.contextmanager
+    def watched(self, watcher: Callable[[], None]) -> Iterator[None]:
+        """Call ``watcher()`` at the end of every round inside the block."""
+        self.watch(watcher)
+        try:
+            yield
+        finally:
+            self.unwatch(watcher)
 
     def _on_round(self, now: int) -> None:
         for watcher in tuple(self._watchers):

@@ -109,10 +109,10 @@ def _traffic(stats: BusStats) -> str:
 
 
 def not_exchanging(bus: Bus) -> list[str]:
-    """One line for each slave that is not in data exchange."""
+    """One line for each slave that is not in data exchange though it should be."""
     lines = []
     for slave in bus.slaves:
-        if not slave.ready_now:
+        if not (slave.ready_now or slave.deactivated):
             if slave.fault:
                 why = slave.fault.text
             elif not bus.stats.tokens:

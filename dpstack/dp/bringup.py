@@ -30,6 +30,8 @@ class Ev(Enum):
     WRONG_LENGTH = "data of the wrong length, repeatedly"
     TOO_LONG = "waited too long"
     RETRY = "the back-off is over"
+    DEACTIVATE = "order: take it out of service"
+    ACTIVATE = "order: bring it up again"
 
 
 class Row(NamedTuple):
@@ -77,4 +79,6 @@ TABLE: Final[dict[tuple[S, Ev], Row]] = {
     (S.DATA_EXCHANGE, Ev.REFUSED): Row(S.DIAGNOSIS, "A3: busy for too long"),
     (S.DATA_EXCHANGE, Ev.WRONG_LENGTH): Row(S.FAULT, "B6: wrong length is an error"),
     (S.FAULT, Ev.RETRY): Row(S.DIAGNOSIS, "design: refused ones are retried after 1 to 10 s"),
+    (S.DEACTIVATED, Ev.ACTIVATE): Row(S.OFFLINE, "B1: Deactivated, by order"),
+    **{(s, Ev.DEACTIVATE): Row(S.DEACTIVATED, "B1: Deactivated, by order") for s in S if s is not S.DEACTIVATED},
 }

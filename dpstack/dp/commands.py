@@ -49,6 +49,49 @@ class RemoveSlave:
 
 
 @dataclass(frozen=True, slots=True)
+class DeactivateSlave:
+    """Take a slave out of service as :class:`RemoveSlave` does, but keep it: nothing is sent to it until activated."""
+
+    address: int
+
+
+@dataclass(frozen=True, slots=True)
+class ActivateSlave:
+    """Bring a deactivated slave up again."""
+
+    address: int
+
+
+@dataclass(frozen=True, slots=True)
+class ReparameteriseSlave:
+    """Give the slave at ``setup.address`` other parameters: safe outputs for 50 ms, unlock, a new bring-up.
+
+    Its process image stays the same object where the lengths stay the same, and so does its cyclic unit; with other
+    lengths they are made anew (a slave with a cyclic unit is refused then).
+    """
+
+    setup: SlaveSetup
+
+
+@dataclass(frozen=True, slots=True)
+class SendControl:
+    """Global_Control with one or more of SYNC, UNSYNC, FREEZE, UNFREEZE to ``groups`` (1..8; none: to all slaves).
+
+    ``settle``: first one whole Data_Exchange with every slave concerned. ``picture``: afterwards another one, whose
+    inputs come as ``PictureTaken``. Sent exactly once: ``ControlSent``, or ``ControlFailed`` when it never can be.
+    """
+
+    token: int
+    groups: tuple[int, ...] = ()
+    sync: bool = False
+    unsync: bool = False
+    freeze: bool = False
+    unfreeze: bool = False
+    settle: bool = False
+    picture: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class DriveCommand:
     """An order to the cyclic unit of the slave at ``address``; the result is a ``DriveEvent`` with ``token``."""
 

@@ -1,4 +1,4 @@
-"""The diagnosis of a slave: the six fixed octets, every bit of them in one table, and the blocks that may follow.
+"""The diagnosis of a slave: the six fixed octets (bits: :mod:`dpstack.dp.diag_bits`), and the blocks that may follow.
 
 Sources: protocol facts B1 (Siemens SINAMICS and Norgren manuals, EN 50170-2), I (what slaves do instead).
 """
@@ -6,64 +6,20 @@ Sources: protocol facts B1 (Siemens SINAMICS and Norgren manuals, EN 50170-2), I
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum
-from typing import Final, NamedTuple
+from typing import Final
 
+from dpstack.dp.diag_bits import ALWAYS_ONE, FLAG, FLAGS, Flag, SetBy
 from dpstack.dp.ext_diagnosis import Block, split_blocks
 from dpstack.dp.wire import DIAGNOSIS, DiagnosisOctets
 from dpstack.errors import PduError
+
+__all__ = ["ALWAYS_ONE", "FIXED_LEN", "FLAG", "FLAGS", "MAX_LEN", "NO_MASTER", "Diagnosis", "Flag", "SetBy"]
 
 #: Fixed octets, and the longest diagnosis.
 FIXED_LEN: Final = 6
 MAX_LEN: Final = 244
 #: Master address of a slave that nobody has parameterised.
 NO_MASTER: Final = 255
-
-
-class SetBy(Enum):
-    """Who sets a bit: the slave itself, or the master in the diagnosis that it keeps for its user."""
-
-    SLAVE = "slave"
-    MASTER = "master"
-
-
-class Flag(NamedTuple):
-    """One bit. ``text`` says what it means, ``remedy`` what to do (empty: nothing is wrong)."""
-
-    octet: int  # 1..3
-    mask: int
-    name: str
-    set_by: SetBy
-    text: str
-    remedy: str = ""
-
-
-_S, _M = SetBy.SLAVE, SetBy.MASTER
-
-#: Status 2 bit 2 is always 1; some slaves forget it, nobody needs it.
-ALWAYS_ONE: Final = 0x04
-
-#: Every bit of the three status octets that says something, in the order of the wire.
-FLAGS: Final = (
-    Flag(1, 0x01, "station_non_existent", _M, "does not answer", "check power, address and cable"),
-    Flag(1, 0x02, "station_not_ready", _S, "is not ready for data exchange", "wait; then look at the device"),
-    Flag(1, 0x04, "cfg_fault", _S, "refuses the configuration", "compare the identifier octets with its GSD file"),
-    Flag(1, 0x08, "ext_diag", _S, "has something to tell in its extended diagnosis", "look at the device"),
-    Flag(1, 0x10, "not_supported", _S, "does not know a function that was asked for", "leave out sync and freeze"),
-    Flag(1, 0x20, "invalid_slave_response", _M, "gave an impossible answer", "look for a second one at its address"),
-    Flag(1, 0x40, "prm_fault", _S, "refuses the parameters", "compare ident number and parameters with its GSD file"),
-    Flag(1, 0x80, "master_lock", _M, "is parameterised by another master", "stop that master, or leave the slave out"),
-    Flag(2, 0x01, "prm_req", _S, "wants to be parameterised", "the master does it"),
-    Flag(2, 0x02, "stat_diag", _S, "cannot give valid data", "look at the device's own fault display"),
-    Flag(2, 0x08, "wd_on", _S, "watches its master"),
-    Flag(2, 0x10, "freeze_mode", _S, "its inputs are frozen"),
-    Flag(2, 0x20, "sync_mode", _S, "its outputs are held until the next SYNC"),
-    Flag(2, 0x40, "not_present", _M, "is not there", "check power, address and cable"),
-    Flag(2, 0x80, "deactivated", _M, "is taken out of service by its master"),
-    Flag(3, 0x80, "ext_diag_overflow", _S, "has more diagnosis than fits", "look at the device itself"),
-)
-
-FLAG: Final = {flag.name: flag for flag in FLAGS}
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,6 +81,11 @@ class Diagnosis:
     def blocks(self) -> tuple[Block, ...]:
         """The blocks of the extended diagnosis, as far as their lengths are true."""
         return split_blocks(self.ext)[0]
+
+    @property
+    def ext_rest(self) -> bytes:
+        """The octets of the extended diagnosis that no block holds, because a length lies."""
+        return self.ext[sum(len(block.octets) for block in self.blocks) :]
 
     @property
     def ext_finding(self) -> str | None:

@@ -20,6 +20,7 @@ class SlaveState(Enum):
     WAIT_READY = "wait_ready"
     DATA_EXCHANGE = "data_exchange"
     FAULT = "fault"
+    DEACTIVATED = "deactivated"  # taken out of service by order
 
 
 class FaultKind(Enum):
@@ -90,11 +91,14 @@ class SlaveDiagnosis(SlaveEvent):
     """A diagnosis that differs from the last one was read."""
 
     diagnosis: Diagnosis
+    #: what the extended diagnosis says, one line each, in the words of the device's GSD file where it has some
+    texts: tuple[str, ...] = ()
 
     @property
     def text(self) -> str:
-        """Its flags."""
-        return f"slave {self.address} ({self.name}): diagnosis {', '.join(self.diagnosis.flags) or 'without findings'}"
+        """Its flags and texts."""
+        says = "; ".join((", ".join(self.diagnosis.flags) or "without findings", *self.texts))
+        return f"slave {self.address} ({self.name}): diagnosis {says}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -124,6 +128,60 @@ class ModeChanged(Event):
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MasterStopped(Event):
     """The ordered end is done: outputs are safe, Clear was sent, the ring is left."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OperateWaits(Event):
+    """Operate was ordered with auto-clear; the master stays in Clear until ``slaves`` are in data exchange."""
+
+    slaves: tuple[int, ...]
+    reasons: tuple[str, ...]
+
+    @property
+    def text(self) -> str:
+        """Which, and why they are not."""
+        return f"master: auto_clear: stays in Clear until all slaves are in data exchange: {'; '.join(self.reasons)}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AutoCleared(Event):
+    """Auto-clear: ``slaves`` had no good data exchange for the Data_Control_Time, so the master goes to Clear."""
+
+    slaves: tuple[int, ...]
+    reasons: tuple[str, ...]
+
+    @property
+    def text(self) -> str:
+        """Which, why, and what brings it back."""
+        return f"master: auto_clear: outputs become safe: {'; '.join(self.reasons)}; operate() again when it is back"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ControlSent(Event):
+    """The Global_Control ordered with ``token`` left the line; ``t_ns`` is the end of its last octet.
+
+    ``missed``: slaves of its groups that were not in data exchange and did not take it.
+    """
+
+    token: int
+    missed: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PictureTaken(Event):
+    """The inputs of every slave of the groups by address, each from an exchange after the order ``token`` was sent."""
+
+    token: int
+    inputs: dict[int, bytes]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ControlFailed(Event):
+    """The order ``token`` ended without being carried out to its end; ``address`` is of the slave that was missing."""
+
+    token: int
+    reason: str
+    address: int | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

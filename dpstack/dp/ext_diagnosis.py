@@ -68,12 +68,21 @@ class ChannelBlock(Block):
     error: int
 
     @property
-    def text(self) -> str:
-        """One line for people; makers' own errors (16..31) by number."""
+    def place(self) -> str:
+        """Which channel, for people."""
         direction = {(True, False): "input ", (False, True): "output ", (True, True): "in/output "}
-        what = _ERRORS.get(self.error, f"error {self.error}")
         kind = direction.get((self.input, self.output), "")
-        return f"module {self.identifier}, {kind}channel {self.channel} ({_SIZES[self.size]}): {what}"
+        return f"module {self.identifier}, {kind}channel {self.channel} ({_SIZES[self.size]})"
+
+    @property
+    def cause(self) -> str:
+        """What is wrong, for people; makers' own errors (16..31) by number."""
+        return _ERRORS.get(self.error, f"error {self.error}")
+
+    @property
+    def text(self) -> str:
+        """Both in one line."""
+        return f"{self.place}: {self.cause}"
 
 
 @dataclass(frozen=True, slots=True)

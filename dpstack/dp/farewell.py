@@ -1,14 +1,15 @@
-"""Slaves that are given up while the bus runs: safe values as at the end, then Unlock."""
+"""Slaves that are given up while the bus runs: safe values as at the end, out of SYNC, then Unlock."""
 
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import dataclass
 from typing import Final
 
-from dpstack.dp.events import SlaveState
 from dpstack.dp.ms0 import unlock_prm
+from dpstack.dp.pdu import GlobalControl
 from dpstack.dp.slave_handler import SlaveHandler
-from dpstack.fdl.telegram import SAP_SET_PRM, SSAP_MS0, Req
+from dpstack.fdl.telegram import SAP_GLOBAL_CONTROL, SAP_SET_PRM, SSAP_MS0, Req
 from dpstack.fdl.user import Request
 from dpstack.units import NS_PER_MS
 
@@ -17,27 +18,37 @@ from dpstack.units import NS_PER_MS
 SAFE_HOLD: Final = 50 * NS_PER_MS
 
 
+@dataclass(slots=True)
+class _Leaving:
+    handler: SlaveHandler
+    until: int  # safe values until then
+    held: bool  # it is in SYNC or FREEZE: safe values are to reach its outputs
+    safe: bool = False  # it was sent safe values
+
+
 class Farewells:
     """Who is leaving: one request a round to each until it is unlocked."""
 
     __slots__ = ("_leaving", "_turns")
 
     def __init__(self) -> None:
-        self._leaving: deque[tuple[SlaveHandler, int]] = deque()
+        self._leaving: deque[_Leaving] = deque()
         self._turns = 0
 
     def __bool__(self) -> bool:
         return bool(self._leaving)
 
-    def add(self, handler: SlaveHandler, now: int) -> None:
-        """Begin with the next round; a slave that was parameterised only has no outputs to make safe."""
-        if handler.owned:
-            exchanging = handler.state is SlaveState.DATA_EXCHANGE
-            self._leaving.append((handler, now + SAFE_HOLD if exchanging else now))
+    def add(self, handler: SlaveHandler, now: int, *, exchanging: bool, held: bool) -> None:
+        """Begin with the next round; a slave that was parameterised only has no outputs to make safe.
+
+        ``exchanging``: it has outputs. ``held``: in SYNC or FREEZE by our order.
+        """
+        if handler.owned and not self.awaits(handler.setup.address):
+            self._leaving.append(_Leaving(handler, now + SAFE_HOLD if exchanging else now, held and exchanging))
 
     def awaits(self, address: int) -> bool:
         """Whether the slave at ``address`` is not unlocked yet."""
-        return any(handler.setup.address == address for handler, _ in self._leaving)
+        return any(leaving.handler.setup.address == address for leaving in self._leaving)
 
     def clear(self) -> None:
         """Nothing can be sent any more: the slaves' watchdogs do the rest."""
@@ -48,15 +59,22 @@ class Farewells:
         """One request to each follows."""
         self._turns = len(self._leaving)
 
-    def request(self, now: int) -> Request | None:
-        """The next request of this round, or None."""
+    def request(self, now: int, *, clear: bool) -> Request | None:
+        """The next request of this round, or None. ``clear``: the master is in Clear."""
         if not self._turns:
             return None
         self._turns -= 1
-        handler, until = self._leaving.popleft()
-        setup = handler.setup
-        if now < until:
-            self._leaving.append((handler, until))
+        leaving = self._leaving.popleft()
+        setup = leaving.handler.setup
+        if leaving.held and leaving.safe:
+            leaving.held = False
+            self._leaving.append(leaving)
+            data = GlobalControl(clear=clear, unsync=True, unfreeze=True).build()
+            return Request(setup.address, Req.SDN_HIGH, data, SAP_GLOBAL_CONTROL, SSAP_MS0)
+        if now < leaving.until or leaving.held:
+            leaving.safe = True
+            self._leaving.append(leaving)
             return Request(setup.address, Req.SRD_HIGH, setup.safe_outputs, patient=True)
-        data = unlock_prm(setup, handler.ident or 0)
+        leaving.handler.owned = False
+        data = unlock_prm(setup, leaving.handler.ident)
         return Request(setup.address, Req.SRD_HIGH, data, SAP_SET_PRM, SSAP_MS0, patient=True)

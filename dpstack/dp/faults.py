@@ -10,6 +10,12 @@ from dpstack.dp.events import Fault, FaultKind
 from dpstack.dp.setup import SlaveSetup
 from dpstack.units import baud_text
 
+#: a remark, once: Set_Prm switched the watchdog on, the diagnosis says it is off
+NOT_WATCHING = (
+    "does not watch its master although Set_Prm switched its watchdog on (WD_On is 0): when this master dies it keeps "
+    "its outputs; see its manual"
+)
+
 
 def absent(address: int, baud: int) -> Fault:
     """No answer to Slave_Diag, several rounds long."""
@@ -104,6 +110,11 @@ def not_ready(seconds: float) -> Fault:
         f"accepted parameters and configuration but is not ready after {seconds:g} s (Station_Not_Ready)",
         "look at the device: it may wait for its own start-up or for modules",
     )
+
+
+def waited(diagnosis: Diagnosis, seconds: float) -> Fault:
+    """Never got ready: for which of the two reasons."""
+    return statically_ill(seconds) if diagnosis.stat_diag else not_ready(seconds)
 
 
 def not_taken() -> Fault:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from dpstack.dp.events import Fault, SlaveFaulted, SlaveRemark
+from dpstack.dp.events import Fault, FaultKind, SlaveFaulted, SlaveRemark
 from dpstack.trace import Event
 
 
@@ -34,6 +34,11 @@ class Findings:
         if message not in self._remarks:
             self._remarks.add(message)
             self._emit(SlaveRemark(t_ns=now, address=self._address, name=self._name, message=message))
+
+    @property
+    def silence_told(self) -> bool:
+        """The last fault says already that it does not answer."""
+        return self.fault is not None and self.fault.kind in (FaultKind.ABSENT, FaultKind.LOST)
 
     def clear(self) -> None:
         """The slave is well again: the next fault is told even if it is the same."""

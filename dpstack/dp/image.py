@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Protocol
 
+from dpstack.dp.setup import SlaveSetup
+from dpstack.errors import UsageError
+
 
 class CyclicUnit(Protocol):
     """What runs once a rotation on the bus side for one slave (a drive plugin): pure, quick, no clock of its own.
@@ -58,3 +61,20 @@ class SlaveImage:
         if len(octets) != self.output_len:
             raise ValueError(f"{len(octets)} output octets given, the slave's configuration has {self.output_len}")
         self._outputs = octets
+
+
+def image_of(setup: SlaveSetup, before: SlaveImage | None = None) -> SlaveImage:
+    """The process image of a slave; ``before`` itself where the lengths are the same.
+
+    Raises UsageError where ``before`` has a cyclic unit, which is made for its lengths.
+    """
+    lengths = (setup.input_len, setup.output_len)
+    if before is not None:
+        if (before.input_len, before.output_len) == lengths:
+            return before
+        if before.unit is not None:
+            raise UsageError(
+                f"slave {setup.address} ({setup.name}): its drive plugin is made for {before.input_len} octets of "
+                f"inputs and {before.output_len} of outputs; remove the slave and add it anew for other lengths"
+            )
+    return SlaveImage(*lengths, setup.safe_outputs if setup.initial is None else setup.initial)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from dpstack.dp.pdu import SetPrm
-from dpstack.dp.setup import SlaveSetup
+from dpstack.dp.setup import SlaveSetup, WatchdogTime
 from dpstack.fdl.telegram import (
     SAP_CHK_CFG,
     SAP_GET_CFG,
@@ -37,14 +37,14 @@ SERVICE_NAMES: Final = {
 _ACKNOWLEDGED: Final = frozenset((SAP_SET_PRM, SAP_CHK_CFG, SAP_SET_SLAVE_ADD))
 
 
-def set_prm(setup: SlaveSetup, ident: int, watchdog: tuple[int, int] | None) -> bytes:
+def set_prm(setup: SlaveSetup, ident: int, watchdog: WatchdogTime | None) -> bytes:
     """The octets of Set_Prm that lock ``setup``'s slave to this master."""
     return SetPrm(
         ident=ident,
-        user_prm=setup.user_prm,
+        user_prm=setup.user_octets(watchdog),
         sync=setup.sync,
         freeze=setup.freeze,
-        watchdog=watchdog,
+        watchdog=watchdog.factors if watchdog else None,
         min_tsdr=setup.min_tsdr,
         group_mask=setup.group_mask,
     ).build()

@@ -9,6 +9,8 @@ from dpstack.units import NS_PER_MS, NS_PER_S
 # design, "Bring-up and end": absent 0.1 to 1 s, refused 1 to 10 s
 _ABSENT: Final = (100 * NS_PER_MS, NS_PER_S)
 _REFUSED: Final = (NS_PER_S, 10 * NS_PER_S)
+_POLL_PAUSE: Final = 10 * NS_PER_MS
+_STATIC_PAUSE: Final = 100 * NS_PER_MS
 #: shorter stays in data exchange do not reset the back-off: a slave that flaps is not re-initialised for ever
 _STABLE: Final = NS_PER_S
 
@@ -51,6 +53,18 @@ class Pacing:
         """It answered, and cannot be had."""
         self._flapping = False
         self.due = now + self._refused.take()
+
+    def busy(self, now: int) -> None:
+        """It refused a service this once."""
+        self.due = now + _POLL_PAUSE
+
+    def not_ready(self, now: int, waited: int) -> None:
+        """It has not been ready for ``waited`` ns: asked often first, then every 10 ms."""
+        self.due = now + min(_POLL_PAUSE, waited >> 2)
+
+    def exchanging(self, now: int, *, static: bool) -> None:
+        """Its diagnosis was read in data exchange; a ``static`` one is read again until it is gone."""
+        self.due = now + _STATIC_PAUSE if static else now
 
     def left(self, now: int, stay: int, *, silent: bool) -> None:
         """It left data exchange after ``stay`` ns: its diagnosis is read at once.

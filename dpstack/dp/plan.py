@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final
 
-from dpstack.dp.setup import SlaveSetup, watchdog_factors, watchdog_ns
+from dpstack.dp.setup import MAX_WATCHDOG_MS, SlaveSetup
 from dpstack.params import BusParams
 from dpstack.units import BITS_PER_CHAR, NS_PER_MS, baud_text
 
@@ -32,7 +32,6 @@ LONGEST_TELEGRAM: Final = SD2_FRAME + 246
 TYPICAL_TSDR: Final = 60
 MIN_WATCHDOG_MS: Final = 200
 MIN_WATCHDOG_PTY_MS: Final = 1000
-MAX_WATCHDOG_MS: Final = 650_250
 MAX_T_TR: Final = 16_777_960
 
 
@@ -185,11 +184,15 @@ def watchdog_ms(params: BusParams, setups: Sequence[SlaveSetup], *, pty: bool = 
 
     While one slave dies the others wait for its slot time and the host's slack, with every retry: that is part of it.
     """
-    dying = (params.max_retry + 1) * (params.ns(params.t_sl) + host_slack_ns) if host_slack_ns else 0
-    longest = 3 * (params.ns(rotation(params, setups, Case.LONGEST).bits) + dying)
+    longest = 3 * (params.ns(rotation(params, setups, Case.LONGEST).bits) + _dying(params, host_slack_ns))
     steps = -(-longest // (10 * NS_PER_MS))
     least = MIN_WATCHDOG_PTY_MS if pty else MIN_WATCHDOG_MS
     return min(max(least, steps * 10), MAX_WATCHDOG_MS)
+
+
+def _dying(params: BusParams, host_slack_ns: int) -> int:
+    """How long all wait while one slave dies, beyond the longest rotation, in ns: only where the host is patient."""
+    return (params.max_retry + 1) * (params.ns(params.t_sl) + host_slack_ns) if host_slack_ns else 0
 
 
 def make_plan(
@@ -198,6 +201,7 @@ def make_plan(
     *,
     pty: bool = False,
     host_slack_ns: int = 0,
+    data_control_ns: int = 0,
     findings: Iterable[str] = (),
     notes: Iterable[str] = (),
     beside: str = "",
@@ -205,6 +209,7 @@ def make_plan(
     """The whole plan of a bus with ``setups`` at ``params``; ``pty`` where another process stands at the other end.
 
     ``host_slack_ns`` is how much later than the wire's deadline a known station's answer may come (see Patience).
+    ``data_control_ns`` is the Data_Control_Time of a bus with auto-clear, else 0.
     ``findings``, ``notes`` and ``beside`` are what the caller knows beyond that; they come first.
     """
     slaves = tuple(sorted(setups, key=lambda s: s.address))
@@ -216,15 +221,19 @@ def make_plan(
         rotations=rotations,
         slaves=plans,
         watchdog_ms=recommended,
-        findings=(*findings, *_findings(params, plans, rotations)),
+        findings=(
+            *findings,
+            *_findings(params, plans, rotations, _dying(params, host_slack_ns)),
+            *_slow_for_auto_clear(params, plans, rotations, data_control_ns),
+        ),
         notes=(*notes, *_notes(params, plans)),
         beside=beside,
     )
 
 
 def _slave_plan(setup: SlaveSetup, shortest: Rotation, recommended: int) -> SlavePlan:
-    wanted = recommended if setup.watchdog_ms is None else setup.watchdog_ms
-    effective = watchdog_ns(watchdog_factors(wanted)) // NS_PER_MS if wanted else 0
+    watchdog = setup.watchdog(recommended)
+    effective = watchdog.ms if watchdog else 0
     return SlavePlan(
         setup=setup,
         request_octets=request_octets(setup),
@@ -241,7 +250,23 @@ def _on_loss(setup: SlaveSetup, effective: int) -> str:
     return f"after {effective} ms: {setup.on_loss or 'as its manual says (usually outputs off)'}"
 
 
-def _findings(params: BusParams, slaves: Sequence[SlavePlan], rotations: dict[Case, Rotation]) -> Iterable[str]:
+def _slow_for_auto_clear(
+    params: BusParams, slaves: Sequence[SlavePlan], rotations: dict[Case, Rotation], data_control_ns: int
+) -> Iterable[str]:
+    longest = params.ns(rotations[Case.LONGEST].bits)
+    for slave in slaves:
+        setup = slave.setup
+        if data_control_ns and not setup.ignore_auto_clear and longest * setup.every > data_control_ns:
+            yield (
+                f"slave {setup.address} ({setup.name}): {_rounds(setup.every)} can take {_ms(longest * setup.every)}, "
+                f"longer than data_control_time_ms = {data_control_ns // NS_PER_MS}: auto_clear would clear by itself; "
+                f"take {_up(3 * longest * setup.every)} or more"
+            )
+
+
+def _findings(
+    params: BusParams, slaves: Sequence[SlavePlan], rotations: dict[Case, Rotation], dying: int
+) -> Iterable[str]:
     at = baud_text(params.baud)
     longest = params.ns(rotations[Case.LONGEST].bits)
     if params.t_tr < rotations[Case.NORMAL].bits:
@@ -253,11 +278,12 @@ def _findings(params: BusParams, slaves: Sequence[SlavePlan], rotations: dict[Ca
         setup = slave.setup
         who = f"slave {setup.address} ({setup.name})"
         every = setup.every
-        if slave.watchdog_ms and slave.watchdog_ms * NS_PER_MS < longest * every:
+        worst = longest * every + dying
+        if slave.watchdog_ms and slave.watchdog_ms * NS_PER_MS < worst:
             yield (
                 f"{who}: its watchdog of {slave.watchdog_ms} ms is shorter than {_rounds(every)} can take at {at} "
-                f"({_ms(longest * every)} with retries): it would trip by itself; "
-                f"take {_up(3 * longest * every)} ms or more, or a faster rate"
+                f"({_ms(worst)} with retries{_while_dying(dying)}): it would trip by itself; "
+                f"take {_up(3 * worst)} ms or more, or a faster rate"
             )
         if setup.max_tsdr is not None and setup.max_tsdr + 15 > params.t_sl:
             yield (
@@ -276,12 +302,21 @@ def _notes(params: BusParams, slaves: Sequence[SlavePlan]) -> Iterable[str]:
                 f"slave {slave.setup.address} ({slave.setup.name}): its watchdog is off; when the master stops "
                 f"without an ordered end it keeps its last outputs"
             )
+        elif slave.setup.watchdog_ms not in (None, slave.watchdog_ms):
+            yield (
+                f"slave {slave.setup.address} ({slave.setup.name}): its watchdog is {slave.watchdog_ms} ms instead of "
+                f"{slave.setup.watchdog_ms} ms: Set_Prm has no two factors that come nearer from above"
+            )
         interval = slave.setup.min_slave_interval_ns
         if interval > octets_only:
             yield (
                 f"slave {slave.setup.address} ({slave.setup.name}): its Min_Slave_Interval of {_ms(interval)} is "
                 f"longer than the shortest rotation would be ({_ms(octets_only)}): the rounds wait for it"
             )
+
+
+def _while_dying(dying: int) -> str:
+    return f", {_ms(dying)} of it waiting for a slave that dies" if dying else ""
 
 
 def _rounds(every: int) -> str:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple
 
+from dpstack.dp.diag_texts import DiagTexts
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.identifiers import io_lengths
@@ -12,6 +13,28 @@ from dpstack.params import MAX_STATION, UNADDRESSED
 from dpstack.units import NS_PER_MS
 
 MAX_USER_PRM: Final = 237
+MAX_WATCHDOG_MS: Final = 650_250
+#: the longest watchdog with the 1 ms base
+_MAX_FINE_MS: Final = 255 * 255
+#: WD_Base_1ms in DPV1_Status_1, the first octet of the user parameters (protocol facts C1)
+_WD_BASE_1MS: Final = 0x04
+
+
+class WatchdogTime(NamedTuple):
+    """A watchdog as Set_Prm says it: two factors 1..255 of a base of 10 ms, or of 1 ms where the slave has that."""
+
+    factors: tuple[int, int]
+    base_ms: int = 10
+
+    @property
+    def ns(self) -> int:
+        """The effective time in ns."""
+        return watchdog_ns(self.factors, self.base_ms)
+
+    @property
+    def ms(self) -> int:
+        """The effective time in ms."""
+        return self.ns // NS_PER_MS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -22,6 +45,8 @@ class SlaveSetup:
     (1..244), ``user_prm`` the octets after the seven fixed ones of Set_Prm (0..237). ``watchdog_ms`` 0 is off,
     None lets the master choose from the plan. ``safe`` are the output octets for every way out (default zeros),
     ``initial`` the first ones (default ``safe``). ``groups`` are group numbers 1..8. ``every``: every n-th round.
+    ``wd_base_1ms``: a DP-V1 slave with a watchdog base of 1 ms; its user parameters begin with DPV1_Status_1..3.
+    ``ignore_auto_clear``: the master stays in Operate without it. ``texts``: what its GSD file says to a diagnosis.
 
     Raises :class:`~dpstack.errors.ConfigError`.
     """
@@ -42,6 +67,9 @@ class SlaveSetup:
     every: int = 1
     min_slave_interval_ns: int = 0
     max_tsdr: int | None = None
+    wd_base_1ms: bool = False
+    ignore_auto_clear: bool = False
+    texts: DiagTexts | None = field(default=None, compare=False, repr=False)
     #: what the drive or device does when its master stops, for people ("coasts after 200 ms")
     on_loss: str = ""
 
@@ -55,8 +83,13 @@ class SlaveSetup:
             raise ConfigError(f"{where}: {len(self.config)} identifier octets; 1..{MAX_DATA} are possible")
         if len(self.user_prm) > MAX_USER_PRM:
             raise ConfigError(f"{where}: {len(self.user_prm)} octets of user parameters; {MAX_USER_PRM} are possible")
-        if self.watchdog_ms is not None and not 0 <= self.watchdog_ms <= 650_250:
+        if self.watchdog_ms is not None and not 0 <= self.watchdog_ms <= MAX_WATCHDOG_MS:
             raise ConfigError(f"{where}: watchdog_ms {self.watchdog_ms} is outside 0 (off)..650250")
+        if self.wd_base_1ms and len(self.user_prm) < 3:
+            raise ConfigError(
+                f"{where}: wd_base_1ms needs user_prm that begin with the three DPV1_Status octets, "
+                f"{len(self.user_prm)} octets are given"
+            )
         if any(not 1 <= g <= 8 for g in self.groups):
             raise ConfigError(f"{where}: groups are numbered 1..8")
         if self.every < 1:
@@ -87,16 +120,45 @@ class SlaveSetup:
     @property
     def group_mask(self) -> int:
         """Group_Ident: bit n-1 for group n."""
-        return sum(1 << (g - 1) for g in set(self.groups))
+        return group_mask(self.groups)
+
+    def watchdog(self, default_ms: int) -> WatchdogTime | None:
+        """The watchdog it gets where ``default_ms`` is the master's recommendation; None is off.
+
+        The 1 ms base is taken where the slave has it and it comes closer.
+        """
+        wanted = default_ms if self.watchdog_ms is None else self.watchdog_ms
+        if not wanted:
+            return None
+        coarse = WatchdogTime(watchdog_factors(wanted))
+        if self.wd_base_1ms and wanted <= _MAX_FINE_MS:
+            fine = WatchdogTime(watchdog_factors(wanted, 1), 1)
+            return fine if fine.ns < coarse.ns else coarse
+        return coarse
+
+    def user_octets(self, watchdog: WatchdogTime | None) -> bytes:
+        """The user parameters as they are sent: WD_Base_1ms says what base ``watchdog`` has."""
+        if not self.wd_base_1ms:
+            return self.user_prm
+        first = self.user_prm[0] & ~_WD_BASE_1MS
+        if watchdog is not None and watchdog.base_ms == 1:
+            first |= _WD_BASE_1MS
+        return bytes((first,)) + self.user_prm[1:]
 
 
-def watchdog_factors(watchdog_ms: int) -> tuple[int, int]:
-    """WD_Fact_1 and WD_Fact_2 whose product x 10 ms is the shortest time not under ``watchdog_ms`` (1..650250).
+def group_mask(groups: tuple[int, ...]) -> int:
+    """Bit n-1 for group n, as in Group_Ident and Group_Select."""
+    return sum(1 << (g - 1) for g in set(groups))
+
+
+def watchdog_factors(watchdog_ms: int, base_ms: int = 10) -> tuple[int, int]:
+    """WD_Fact_1 and WD_Fact_2 whose product x ``base_ms`` is the shortest time not under ``watchdog_ms``
+    (1..650250 with 10 ms, 1..65025 with 1 ms).
 
     Always rounded up (a shorter watchdog than asked for trips by itself); the smallest effective time that two
     factors 1..255 can give.
     """
-    ticks = -(-watchdog_ms // 10)
+    ticks = -(-watchdog_ms // base_ms)
     best = (255, 255)
     for first in range(1, 256):
         second = -(-ticks // first)
@@ -105,6 +167,6 @@ def watchdog_factors(watchdog_ms: int) -> tuple[int, int]:
     return best
 
 
-def watchdog_ns(factors: tuple[int, int]) -> int:
-    """The time two factors give with the 10 ms base, in ns."""
-    return factors[0] * factors[1] * 10 * NS_PER_MS
+def watchdog_ns(factors: tuple[int, int], base_ms: int = 10) -> int:
+    """The time two factors give, in ns."""
+    return factors[0] * factors[1] * base_ms * NS_PER_MS

@@ -12,14 +12,16 @@ from typing import Final
 
 from dpstack.dp import faults
 from dpstack.dp.bringup import TABLE, Ev
+from dpstack.dp.diagnosing import Diagnoses
 from dpstack.dp.diagnosis import Diagnosis
-from dpstack.dp.events import Fault, SlaveDiagnosis, SlaveState, SlaveStateChanged
+from dpstack.dp.events import Fault, SlaveState, SlaveStateChanged
 from dpstack.dp.findings import Findings
-from dpstack.dp.image import SlaveImage
-from dpstack.dp.judge import deviations, foreign_owner, verdict_exchanging, verdict_ready
+from dpstack.dp.image import SlaveImage, image_of
+from dpstack.dp.judge import foreign_owner, masters_view, verdict_exchanging, verdict_ready
 from dpstack.dp.ms0 import DATA_STATUS, EMPTY_STATUS, SERVICE_NAMES, positive, refusal_text, set_prm
+from dpstack.dp.odd_answers import OddAnswers
 from dpstack.dp.pacing import Pacing
-from dpstack.dp.setup import SlaveSetup, watchdog_factors, watchdog_ns
+from dpstack.dp.setup import SlaveSetup
 from dpstack.dp.unit_host import UnitHost
 from dpstack.fdl.telegram import (
     SAP_CHK_CFG,
@@ -27,28 +29,27 @@ from dpstack.fdl.telegram import (
     SAP_SET_PRM,
     SAP_SLAVE_DIAG,
     SSAP_MS0,
-    Kind,
     Req,
     Resp,
     Telegram,
 )
 from dpstack.fdl.user import Failure, Request
 from dpstack.trace import Event
-from dpstack.units import NS_PER_MS, NS_PER_S
+from dpstack.units import NS_PER_S
 
 _READY_LIMIT: Final = 10 * NS_PER_S
 _UNACKED_LIMIT: Final = NS_PER_S
-_POLL_PAUSE: Final = 10 * NS_PER_MS
-_STATIC_PAUSE: Final = 100 * NS_PER_MS
 _MAX_BUSY: Final = 5
-_MAX_WRONG: Final = 3
+_MAX_PRM_ROUNDS: Final = 3
 _TOLD_ABSENT_AFTER: Final = 3
-_DL: Final = int(Resp.DL)
 _DH: Final = int(Resp.DH)
 
 
 class SlaveHandler:
-    """One slave as the master handles it. ``emit`` takes events, ``changed`` is called after a change of state."""
+    """One slave as the master handles it. ``emit`` takes events, ``changed`` is called after a change of state.
+
+    ``before``: its handling under other parameters: counters go on, and the image as :func:`image_of` says.
+    """
 
     def __init__(
         self,
@@ -58,21 +59,19 @@ class SlaveHandler:
         baud: int,
         watchdog_ms: int,
         emit: Callable[[Event], None],
-        changed: Callable[[SlaveHandler], None],
+        changed: Callable[[SlaveHandler, int], None],
+        before: SlaveHandler | None = None,
     ) -> None:
         self.setup = setup
         self.own = own
         self.baud = baud
-        wanted = watchdog_ms if setup.watchdog_ms is None else setup.watchdog_ms
-        self.watchdog = watchdog_factors(wanted) if wanted else None
-        self.ident = setup.ident
-        initial = setup.safe_outputs if setup.initial is None else setup.initial
-        self.image = SlaveImage(setup.input_len, setup.output_len, initial)
+        self.watchdog = setup.watchdog(watchdog_ms)
+        self.image: SlaveImage = image_of(setup, None if before is None else before.image)
         self.findings = Findings(setup.address, setup.name, emit)
+        self.diagnoses = Diagnoses(setup, own, self.findings, emit)
         self.unit = UnitHost(self.image, setup.safe_outputs, setup.address, setup.name, emit, self.findings.tell)
         self.state = SlaveState.OFFLINE
-        self.diagnosis: Diagnosis | None = None
-        self.exchanges = 0
+        self.exchanges: int = 0 if before is None else before.exchanges
         #: Set_Prm was sent, and no answer since says that the slave is not (or no longer) this master's
         self.owned = False
         #: Slave_Diag is wanted while in data exchange (DH, Stat_Diag)
@@ -83,7 +82,7 @@ class SlaveHandler:
         self._pacing = Pacing()
         self._silent = 0
         self._busy = 0
-        self._wrong = 0
+        self._odd = OddAnswers()
         self._restart = True
         self._prm_rounds = 0
         self._unacked = ""
@@ -91,11 +90,24 @@ class SlaveHandler:
         self._ask_cfg = False
         self._left = False
         self._request: Request | None = None
+        if before is not None:
+            self.unit.fault = before.unit.fault
+            self.state = before.state if before.state is SlaveState.DEACTIVATED else self.state
+
+    @property
+    def ident(self) -> int:
+        """The ident number in Set_Prm: as configured, or as taken from the first diagnosis (0 before)."""
+        return self.diagnoses.ident or 0
 
     @property
     def watchdog_effective_ns(self) -> int:
         """The slave's watchdog time in ns, 0 when off."""
-        return watchdog_ns(self.watchdog) if self.watchdog else 0
+        return self.watchdog.ns if self.watchdog else 0
+
+    @property
+    def diagnosis(self) -> Diagnosis | None:
+        """The last diagnosis with the bits that a master sets (Deactivated, Station_Non_Existent ...)."""
+        return masters_view(self.diagnoses.last, self.state, self.findings.fault)
 
     @property
     def fault(self) -> Fault | None:
@@ -119,42 +131,38 @@ class SlaveHandler:
             image = self.image
             if status in DATA_STATUS if image.input_len else (outcome.fc < 0 or status in EMPTY_STATUS):
                 data = outcome.data
-                if len(data) == image.input_len:
+                if len(data) == image.input_len and self.state is SlaveState.DATA_EXCHANGE:
                     image.inputs = data
                     image.input_time = now
                     if not image.valid:
-                        image.valid = self.diagnosis is None or not self.diagnosis.stat_diag
+                        last = self.diagnoses.last
+                        image.valid = last is None or not last.stat_diag
                     self.exchanges += 1
-                    self._wrong = self._busy = 0
+                    if not self._odd.none:
+                        self._odd.clear()
                     if status == _DH:
-                        self._want_diagnosis()
+                        self._want_diagnosis(now)
                     return
         self._odd_data(outcome, now)
 
     def _odd_data(self, outcome: Telegram | Failure, now: int) -> None:
-        if not isinstance(outcome, Telegram):
-            if outcome is not Failure.ABANDONED:
-                self._step(Ev.SILENT, now, faults.lost("Data_Exchange"))
+        if outcome is Failure.ABANDONED or self.state is not SlaveState.DATA_EXCHANGE:
             return
-        status = outcome.fc & 0x0F
-        if outcome.kind is Kind.SC or status in (_DL, _DH):
-            self._wrong += 1
-            if self._wrong >= _MAX_WRONG:
-                fault = faults.wrong_length(self.image.input_len, len(outcome.data))
-                self._step(Ev.WRONG_LENGTH, now, fault)
-        elif status == Resp.RS:
-            self._left = True
-            self._step(Ev.NOT_EXCHANGING, now)
-        else:  # UE, RR, NR, RDL, RDH: busy, asked again in the next rotation
-            self._busy += 1
-            if self._busy >= _MAX_BUSY:
-                self._left = True
-                self._step(Ev.REFUSED, now)
+        if not isinstance(outcome, Telegram):
+            self._step(Ev.SILENT, now, faults.lost("Data_Exchange"))
+            return
+        verdict = self._odd.judge(outcome, self.image.input_len)
+        if verdict is not None:
+            event, fault = verdict
+            self._left = fault is None
+            self._step(event, now, fault)
 
     # --- services -----------------------------------------------------------------------------------------------
 
     def wants_service(self, now: int) -> bool:
         """True when a request other than Data_Exchange is due."""
+        if self.state is SlaveState.DEACTIVATED:
+            return False
         return self._pacing.due <= now and (self.state is not SlaveState.DATA_EXCHANGE or self.diag_due)
 
     @property
@@ -201,36 +209,34 @@ class SlaveHandler:
 
     def set_prm(self) -> bytes:
         """The octets of Set_Prm for this slave."""
-        return set_prm(self.setup, self.ident or 0, self.watchdog)
+        return set_prm(self.setup, self.ident, self.watchdog)
 
     def service_result(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
         """The end of a request that :meth:`service_request` made."""
-        if outcome is Failure.ABANDONED:
+        if outcome is Failure.ABANDONED or self.state is SlaveState.DEACTIVATED:
             return
+        good = outcome if isinstance(outcome, Telegram) and positive(request.dsap, outcome) else None
         service = SERVICE_NAMES[request.dsap or 0]
-        if not isinstance(outcome, Telegram):
-            self._on_silence(request, service, now)
-            return
-        self._silent = 0
-        if not positive(request.dsap, outcome):
-            self._on_refusal(request, outcome, service, now)
-            return
-        self._busy = 0
-        if request.dsap == SAP_SLAVE_DIAG:
-            self._on_diagnosis(outcome, now)
-        elif request.dsap == SAP_GET_CFG:
-            self._refuse(faults.cfg_fault(self.setup, outcome.data), now)
+        if request.dsap == SAP_GET_CFG:
+            self._refuse(faults.cfg_fault(self.setup, good.data if good else None), now)
+        elif not isinstance(outcome, Telegram):
+            self._on_silence(service, now)
         else:
-            self._step(Ev.ACK, now)
+            self._silent = 0
+            if good is None:
+                self._on_refusal(outcome, service, now)
+                return
+            self._busy = 0
+            if request.dsap == SAP_SLAVE_DIAG:
+                self._on_diagnosis(good, now)
+            else:
+                self._step(Ev.ACK, now)
 
-    def _on_silence(self, request: Request, service: str, now: int) -> None:
-        if self._ask_cfg and request.dsap == SAP_GET_CFG:
-            self._refuse(faults.cfg_fault(self.setup, None), now)
-            return
+    def _on_silence(self, service: str, now: int) -> None:
         if self.state is SlaveState.OFFLINE:
             self._silent += 1
             self._pacing.absent(now)
-            if self._silent >= _TOLD_ABSENT_AFTER and self.findings.fault is None:
+            if self._silent >= _TOLD_ABSENT_AFTER and not self.findings.silence_told:
                 self.findings.tell(faults.absent(self.setup.address, self.baud), now)
             self._step(Ev.SILENT, now)
             return
@@ -241,12 +247,9 @@ class SlaveHandler:
             fault = faults.lost(service)
         self._step(Ev.SILENT, now, fault)
 
-    def _on_refusal(self, request: Request, outcome: Telegram, service: str, now: int) -> None:
-        if self._ask_cfg and request.dsap == SAP_GET_CFG:
-            self._refuse(faults.cfg_fault(self.setup, None), now)
-            return
+    def _on_refusal(self, outcome: Telegram, service: str, now: int) -> None:
         self._busy += 1
-        self._pacing.due = now + _POLL_PAUSE
+        self._pacing.busy(now)
         if self._busy >= _MAX_BUSY:
             self._busy = 0
             self._step(Ev.REFUSED, now, faults.refused(service, refusal_text(outcome)))
@@ -254,17 +257,10 @@ class SlaveHandler:
     # --- diagnosis ----------------------------------------------------------------------------------------------
 
     def _on_diagnosis(self, answer: Telegram, now: int) -> None:
-        diagnosis = Diagnosis.parse(answer.data)
+        diagnosis = self.diagnoses.read(answer.data, now)
         if diagnosis is None:
-            self.findings.remark(f"answers Slave_Diag with {len(answer.data)} octets, at least 6 are required", now)
-            self._on_refusal(Request(self.setup.address, Req.SRD_HIGH, dsap=SAP_SLAVE_DIAG), answer, "Slave_Diag", now)
+            self._on_refusal(answer, "Slave_Diag", now)
             return
-        if diagnosis != self.diagnosis:
-            self.diagnosis = diagnosis
-            self._emit(SlaveDiagnosis(t_ns=now, address=self.setup.address, name=self.setup.name, diagnosis=diagnosis))
-        self._check_ident(diagnosis, now)
-        for deviation in deviations(diagnosis, self.own):
-            self.findings.remark(deviation, now)
         owner = foreign_owner(diagnosis, self.own)
         if diagnosis.prm_req or owner is not None or diagnosis.ident != self.ident:
             self.owned = False
@@ -289,11 +285,13 @@ class SlaveHandler:
             self._judge_refusal(diagnosis, now)
         elif verdict is Ev.DIAG_WAIT:
             self._wait(diagnosis, now)
-        elif verdict is Ev.DIAG_PRM_REQ and self._prm_rounds >= _MAX_WRONG:
+        elif verdict is Ev.DIAG_PRM_REQ and self._prm_rounds >= _MAX_PRM_ROUNDS:
             fault = faults.silent(self._unacked) if self._unacked else faults.not_taken()
             self._step(Ev.REFUSED, now, fault)
         else:
             self._prm_rounds += verdict is Ev.DIAG_PRM_REQ
+            if verdict is Ev.DIAG_READY and self.watchdog and not diagnosis.wd_on:
+                self.findings.remark(faults.NOT_WATCHING, now)
             self._step(verdict, now)
 
     def _judge_refusal(self, diagnosis: Diagnosis, now: int) -> None:
@@ -308,37 +306,31 @@ class SlaveHandler:
         if self._unacked and waited > _UNACKED_LIMIT:
             self._step(Ev.TOO_LONG, now, faults.silent(self._unacked))
         elif waited > _READY_LIMIT:
-            ill = faults.statically_ill if diagnosis.stat_diag else faults.not_ready
-            self._step(Ev.TOO_LONG, now, ill(_READY_LIMIT / NS_PER_S))
+            self._step(Ev.TOO_LONG, now, faults.waited(diagnosis, _READY_LIMIT / NS_PER_S))
         else:
-            self._pacing.due = now + min(_POLL_PAUSE, waited >> 2)
+            self._pacing.not_ready(now, waited)
             self._step(Ev.DIAG_WAIT, now)
 
     def _judge_exchanging(self, diagnosis: Diagnosis, now: int) -> None:
         verdict = verdict_exchanging(diagnosis)
         self.diag_due = verdict is Ev.DIAG_WAIT
-        self._pacing.due = now + _STATIC_PAUSE if self.diag_due else now
+        self._pacing.exchanging(now, static=self.diag_due)
         self.image.valid = verdict is Ev.DIAG_READY
         self._left = verdict is Ev.DIAG_PRM_REQ
         fault = None
         if verdict is Ev.DIAG_REFUSED:
             fault = faults.refusal(self.setup, diagnosis, self.set_prm()) or faults.cfg_fault(self.setup, None)
         self._step(verdict, now, fault)
-        self._changed(self)
+        self._changed(self, now)
 
     def _refuse(self, fault: Fault, now: int) -> None:
         self._ask_cfg = False
         self._step(Ev.DIAG_REFUSED, now, fault)
 
-    def _want_diagnosis(self) -> None:
+    def _want_diagnosis(self, now: int) -> None:
         if not self.diag_due:
             self.diag_due = True
-            self._changed(self)
-
-    def _check_ident(self, diagnosis: Diagnosis, now: int) -> None:
-        if self.ident is None:
-            self.ident = diagnosis.ident
-            self.findings.remark(f"its ident number is 0x{diagnosis.ident:04X} (taken from its diagnosis)", now)
+            self._changed(self, now)
 
     # --- states -------------------------------------------------------------------------------------------------
 
@@ -356,9 +348,11 @@ class SlaveHandler:
         if was is SlaveState.DATA_EXCHANGE:
             self._leave_exchange(now, silent=state is SlaveState.OFFLINE)
         self._since = now
-        self._busy = self._wrong = 0
-        if state is SlaveState.DATA_EXCHANGE:
+        self._busy = 0
+        self._odd.clear()
+        if state in (SlaveState.DATA_EXCHANGE, SlaveState.DEACTIVATED):
             self.findings.clear()
+        if state is SlaveState.DATA_EXCHANGE:
             self.unit.remind(now)
             self._prm_rounds = 0
             self._unacked = ""
@@ -369,14 +363,14 @@ class SlaveHandler:
         elif state is SlaveState.FAULT:
             self._pacing.refused(now)
             self._prm_rounds = 0
-        elif state is SlaveState.OFFLINE:
+        elif state in (SlaveState.OFFLINE, SlaveState.DEACTIVATED):
             self._restart = True
             self.owned = self._left = self._ask_cfg = False
             self._silent = 0
             self._pacing.absent(now)
         name, address = self.setup.name, self.setup.address
         self._emit(SlaveStateChanged(t_ns=now, address=address, name=name, state=state))
-        self._changed(self)
+        self._changed(self, now)
 
     def _leave_exchange(self, now: int, *, silent: bool) -> None:
         """Inputs are void, what the plugin had pending ends; the next bring-up starts afresh."""
@@ -386,9 +380,19 @@ class SlaveHandler:
         self._pacing.left(now, now - self._since, silent=silent)
         self.unit.lost(now)
 
+    def deactivate(self, now: int) -> None:
+        """Take it out of service; nothing is asked of it until :meth:`activate`."""
+        self._step(Ev.DEACTIVATE, now)
+
+    def activate(self, now: int) -> None:
+        """Bring it up (again), from the beginning."""
+        if self.state is SlaveState.DEACTIVATED:
+            self._step(Ev.ACTIVATE, now)
+            self._pacing = Pacing()
+
     def line_lost(self, reason: str, now: int) -> None:
         """The bus is gone (port vanished, out of the ring): nobody is in data exchange any more."""
-        if self.state is not SlaveState.OFFLINE:
+        if self.state not in (SlaveState.OFFLINE, SlaveState.DEACTIVATED):
             if self.state is SlaveState.DATA_EXCHANGE:
                 self.findings.tell(faults.bus_gone(reason), now)
             self._enter(SlaveState.OFFLINE, now)

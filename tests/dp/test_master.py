@@ -9,7 +9,16 @@ import pytest
 from scripted_link import DIAG_FREE, DIAG_READY, MS, ScriptedLink, ScriptedSlave, data
 
 from dpstack.dp.bringup import TABLE
-from dpstack.dp.commands import AddSlave, DriveCommand, Mode, RemoveSlave, SetMode, Shutdown
+from dpstack.dp.commands import (
+    ActivateSlave,
+    AddSlave,
+    DeactivateSlave,
+    DriveCommand,
+    Mode,
+    RemoveSlave,
+    SetMode,
+    Shutdown,
+)
 from dpstack.dp.events import DriveEvent, MasterStopped, SlaveFaulted, SlaveState
 from dpstack.dp.master import Master
 from dpstack.dp.setup import SlaveSetup, watchdog_factors
@@ -568,4 +577,19 @@ def test_every_row_of_the_table_is_exercised(monkeypatch: pytest.MonkeyPatch) ->
     gone = exchanging(setup())
     gone.slaves.clear()
     gone.run(500 * MS)
+    # out of service from every state, and back
+    refusing = ScriptedSlave(ready=bytes.fromhex(_BAD_PRM))
+    leaving = ScriptedSlave(answers={None: _rs})
+    for slave in (ScriptedSlave(), refusing, leaving):
+        for state in {state for state, _ in TABLE} - {SlaveState.DEACTIVATED}:
+            bus = link(setup(), slaves={3: slave})
+            handler = bus.master.handlers[3]
+            for _ in range(20):
+                if handler.state is state:
+                    break
+                bus.hold()
+            bus.master.command(DeactivateSlave(3), bus.now)
+            bus.hold()
+            bus.master.command(ActivateSlave(3), bus.now)
+            slave.configured = False
     assert set(TABLE) - table.used == set()

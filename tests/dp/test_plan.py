@@ -184,3 +184,26 @@ def test_the_watchdog_outlasts_the_death_of_a_neighbour_on_a_slow_adapter() -> N
     setups = [SlaveSetup(address=3, name="one", ident=1, config=b"\x71")]
     assert watchdog_ms(params, setups) == 200
     assert watchdog_ms(params, setups, host_slack_ns=60_000_000) >= 370
+
+
+def test_a_watchdog_shorter_than_the_worst_case_with_a_dying_slave() -> None:
+    """While one slave dies the others wait for its slot time and the host's slack, with the retry: 2 x 50.4 ms."""
+    assert make_plan(params(), [slave(watchdog=100)]).findings == ()
+    plan = make_plan(params(), [slave(watchdog=100)], host_slack_ns=50 * NS_PER_MS)
+    (finding,) = plan.findings
+    assert "its watchdog of 100 ms is shorter than the longest rotation can take" in finding
+    assert "101 ms of it waiting for a slave that dies" in finding
+
+
+def test_an_effective_watchdog_other_than_asked_for_is_noted() -> None:
+    plan = make_plan(params(), [slave(watchdog=215), slave(4, watchdog=200)])
+    assert [s.watchdog_ms for s in plan.slaves] == [220, 200]
+    (note,) = plan.notes
+    assert note.startswith("slave 3 (s3): its watchdog is 220 ms instead of 215 ms")
+
+
+def test_a_data_control_time_shorter_than_the_bus_can_be() -> None:
+    plan = make_plan(params(), [slave(every=1000), slave(4)], data_control_ns=100 * NS_PER_MS)
+    (finding,) = [f for f in plan.findings if "data_control_time_ms" in f]
+    assert finding.startswith("slave 3 (s3): 1000 of the longest rotations can take")
+    assert make_plan(params(), [slave(), slave(4)], data_control_ns=100 * NS_PER_MS).findings == ()

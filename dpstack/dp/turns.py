@@ -1,0 +1,95 @@
+"""Whose turn it is: who is exchanged data with in a round, and whose service comes next."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping
+
+from dpstack.dp.events import SlaveState
+from dpstack.dp.slave_handler import SlaveHandler
+
+#: states in which a slave is left alone or not there: its Min_Slave_Interval holds nobody up
+_AWAY = (SlaveState.OFFLINE, SlaveState.FAULT, SlaveState.DEACTIVATED)
+
+
+class Turns:
+    """The slaves of a master in order. ``exchanging``: those in data exchange, by address.
+
+    ``interval``: the longest Min_Slave_Interval of those that are spoken with, in ns: the shortest time between the
+    beginnings of two rounds (section J). ``absent_share``: while any slave is in data exchange, silent polls of absent
+    ones take at most 1/absent_share of the bus time; 0 = no limit.
+    """
+
+    __slots__ = ("_absent_share", "_fresh", "_poll_from", "_services", "_stale", "exchanging", "interval")
+
+    def __init__(self, absent_share: int) -> None:
+        self.exchanging: list[SlaveHandler] = []
+        self.interval = 0
+        self._absent_share = absent_share
+        self._services: deque[SlaveHandler] = deque()
+        self._stale = True
+        self._fresh = False
+        self._poll_from = 0
+
+    @property
+    def waiting(self) -> int:
+        """How many slaves may want a service."""
+        return len(self._services)
+
+    def changed(self) -> None:
+        """A slave came, went, or reached another state."""
+        self._stale = True
+
+    def forget(self, handler: SlaveHandler) -> None:
+        """A slave was taken away: nothing more for it in this round."""
+        self._stale = True
+        if handler in self._services:
+            self._services.remove(handler)
+
+    def begin_round(self, handlers: Mapping[int, SlaveHandler]) -> None:
+        """Sort anew where something changed. Who has a diagnosis waiting comes first: a DH is answered at once (B6)."""
+        if not self._stale:
+            return
+        self._stale = False
+        by_address = [handlers[address] for address in sorted(handlers)]
+        self.exchanging = [h for h in by_address if h.state is SlaveState.DATA_EXCHANGE]
+        wanting = [h for h in by_address if h.state is not SlaveState.DATA_EXCHANGE or h.diag_due]
+        wanted = set(wanting)
+        kept = [h for h in self._services if h in wanted]
+        known = set(kept)
+        new = [h for h in wanting if h not in known]
+        urgent = [h for h in new if h.diag_due]
+        self._services = deque(urgent + kept + [h for h in new if not h.diag_due])
+        self.interval = max((h.setup.min_slave_interval_ns for h in by_address if h.state not in _AWAY), default=0)
+
+    def next(self, now: int, blocked: Callable[[int], bool]) -> SlaveHandler | None:
+        """The next slave that wants a service and whose address is not ``blocked``.
+
+        Fairly in turn, but while data are exchanged a bring-up under way goes first (its watchdog runs), and a slave
+        that always has a diagnosis waiting takes every other turn at most.
+        """
+        chosen: SlaveHandler | None = None
+        for handler in self._services:
+            if not self._may(handler, now, blocked):
+                continue
+            if handler.under_way and self.exchanging:
+                chosen = handler
+                break
+            if chosen is None or (self._fresh and chosen.diag_due and not handler.diag_due):
+                chosen = handler
+        if chosen is not None:
+            self._fresh = chosen.diag_due
+            self._services.remove(chosen)
+            self._services.append(chosen)
+        return chosen
+
+    def _may(self, handler: SlaveHandler, now: int, blocked: Callable[[int], bool]) -> bool:
+        """Absent ones within their share of the bus; nobody before the one removed at its address is unlocked."""
+        if not handler.wants_service(now) or (handler.state is SlaveState.OFFLINE and now < self._poll_from):
+            return False
+        return not blocked(handler.setup.address)
+
+    def polled(self, handler: SlaveHandler, took_ns: int, now: int) -> None:
+        """A service to ``handler`` took so long: an absent one's is charged to the share of all absent ones."""
+        if handler.state is SlaveState.OFFLINE and self._absent_share and self.exchanging:
+            self._poll_from = now + took_ns * self._absent_share
