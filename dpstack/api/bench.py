@@ -16,7 +16,8 @@ from dpstack.sim.world import World
 def device_of(slave: SlaveConfig) -> Device:
     """What simulates ``slave``: the drive's simulated device, or a mirror of outputs to inputs."""
     if slave.profile is not None:
-        device = slave.profile.device(slave.telegram)
+        known = slave.profile.device_options
+        device = slave.profile.device(slave.telegram, {k: v for k, v in slave.options.items() if k in known})
         if slave.ident is not None:
             device.ident = slave.ident
         device.name = slave.name

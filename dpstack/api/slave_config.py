@@ -35,6 +35,7 @@ _KEYS: Final = (
     "dpv1",
     "reference_hz",
     "reference_rpm",
+    "options",
     "inputs",
     "outputs",
 )
@@ -153,20 +154,22 @@ def _drive(table: Table, name: str) -> _Basis:
         telegram = profile.telegram(wanted)
     except ConfigError as error:
         raise _split(table, "telegram", error) from None
-    options: dict[str, object] = {}
+    options = table.members("options", "options = { reference_hz = 60 }")
+    references: dict[str, object] = {}
     for key in ("reference_hz", "reference_rpm"):
         value = table.number(key, 0.001, 1_000_000)
         if value is not None:
-            options[key] = value
+            references[key] = value
+    options |= references
     try:
-        profile.core(table.text("name") or name, telegram.name, options)
+        core = profile.core(table.text("name") or name, telegram.name, options)
     except ConfigError as error:
-        raise _split(table, next(iter(options), None), error) from None
+        raise _split(table, next(iter(references), "options"), error) from None
     return _Basis(
         ident=profile.ident,
         config=telegram.config,
         user_prm=profile.user_prm,
-        safe=profile.safe_outputs.get(telegram.name, b""),
+        safe=core.safe_outputs,
         interval_ns=profile.min_slave_interval_ns,
         fail_safe=profile.fail_safe,
         profile=profile,
@@ -176,7 +179,7 @@ def _drive(table: Table, name: str) -> _Basis:
 
 
 def _raw(table: Table) -> _Basis:
-    for key in ("telegram", "reference_hz", "reference_rpm"):
+    for key in ("telegram", "reference_hz", "reference_rpm", "options"):
         if key in table:
             table.fail(key, f"{key} without drive", f"add drive, or leave {key} out")
     config = table.octets("config")

@@ -131,6 +131,13 @@ class Table:
                 self.fail(key, f"{key} holds {member}, outside {low}..{high}", "correct it or leave it out")
         return tuple(sorted(set(value)))
 
+    def members(self, key: str, example: str) -> dict[str, object]:
+        """A table of names and values, for instance ``example``; empty when absent."""
+        value = self._data.get(key, {})
+        if not isinstance(value, Mapping):
+            self._wrong(key, f"a table, for instance {example}")
+        return {str(name): member for name, member in value.items()}
+
     def octets(self, key: str) -> bytes | None:
         """Octets as a text of hex digits, or as a list of integers 0..255."""
         value = self._data.get(key)

@@ -166,13 +166,13 @@ def test_random_outputs_never_break_a_simulated_drive(data: st.DataObject) -> No
     device = drive.device(telegram, presets)
     core = drive.core("it", telegram)
     config = core.telegram.config
-    octets = core.telegram.octets
+    octets = core.telegram.output_octets
     now = 0
     device.enter(config, now)
     for outputs in data.draw(st.lists(st.binary(min_size=octets, max_size=octets), max_size=40)):
         now += data.draw(st.integers(0, 60 * MS))
         inputs = device.exchange(outputs, now)
-        assert len(inputs) == octets
+        assert len(inputs) == core.telegram.input_octets
         core.cyclic(inputs, now)
         assert core.status().state is not State.UNKNOWN
 
@@ -182,7 +182,7 @@ def test_random_outputs_never_break_a_simulated_drive(data: st.DataObject) -> No
 def test_random_inputs_and_orders_never_break_a_plugin(data: st.DataObject) -> None:
     drive, telegram, _ = data.draw(st.sampled_from(ALL))
     core = drive.core("it", telegram)
-    octets = core.telegram.octets
+    octets, sent = core.telegram.input_octets, core.telegram.output_octets
     rng = random.Random(data.draw(st.integers(0, 1 << 30)))
     ops = ["start", "stop", "coast", "quick_stop", "acknowledge", "speed", "frequency", "reached", "read", "write", "x"]
     now = 0
@@ -199,7 +199,7 @@ def test_random_inputs_and_orders_never_break_a_plugin(data: st.DataObject) -> N
         if rng.random() < 0.03:
             core.lost(now)
         out = core.cyclic(rng.randbytes(octets if rng.random() < 0.95 else rng.randrange(0, 21)), now)
-        assert len(out) == octets
+        assert len(out) == sent
         json.dumps(core.status().as_dict())
         answered |= {event["token"] for event in core.take_events() if event["type"] == "result"}
     core.lost(now)

@@ -20,7 +20,6 @@ DRIVE: Final = DriveProfile(
     max_tsdr=t.MAX_TSDR,
     min_slave_interval_ns=100 * NS_PER_US,
     fail_safe=True,
-    safe_outputs={name: bytes(spec.octets) for name, spec in t.TELEGRAMS.items()},
     reference_hz=50.0,
     on_loss="trips F2062 and coasts when its watchdog ends data exchange while it runs; Clear lets it coast",
     core_factory=DemagCore,

@@ -55,7 +55,7 @@ class DemagDevice(DriveDevice):
     ) -> None:
         super().__init__(profile, telegram, Motor(load=float(options["load"])))
         self.store = ParamStore(t.PARAMETERS, presets, sets=t.SETS, where=f"simulated {profile.name}")
-        self.pkw = PkwServer(t.PKW, self._order)
+        self.channel = PkwServer(t.PKW, self._order)
         self.machine = drivecom.DrivecomMachine()
         self.f_max = float(options["f_max"])
         self.f_min = float(options["f_min"])
@@ -228,7 +228,7 @@ class DemagDevice(DriveDevice):
         status |= 0x8000 if self.warning_mask & t.TRIPS_SOON else 0
         frequency = _word(motor.frequency * rated / reference)
         current, active_current = _word(motor.current), _word(motor.torque if motor.on else 0.0)
-        if self.telegram.words == 6:
+        if self.telegram.inputs == 12:
             return status, frequency, current, active_current, self.warning_mask, self.fault
         select = control >> 12 & 7
         if select not in t.SELECTABLE:
