@@ -10,6 +10,7 @@ from dpstack.fdl.passive import PassiveStation
 from dpstack.machine import LineDown
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT, Patience
+from dpstack.profile import DriveDevice
 from dpstack.sim.world import World
 
 
@@ -26,17 +27,26 @@ def device_of(slave: SlaveConfig) -> Device:
 
 
 class Unit:
-    """One simulated slave as it stands: station, application and device, made anew by :meth:`renew`."""
+    """One simulated slave as it stands: station, application and device, made anew by :meth:`renew`.
+
+    A drive keeps what it has stored in its EEPROM.
+    """
 
     def __init__(self, config: SlaveConfig, params: BusParams, patience: Patience = EXACT) -> None:
         self.config = config
         self.powered = True
         self._patience = patience
-        self.renew(params)
+        self.device: Device = device_of(config)
+        self._stand(params)
 
     def renew(self, params: BusParams) -> None:
-        """As new out of the box."""
-        self.device: Device = device_of(self.config)
+        """Switched on again."""
+        before, self.device = self.device, device_of(self.config)
+        if isinstance(before, DriveDevice) and isinstance(self.device, DriveDevice):
+            self.device.inherit(before)
+        self._stand(params)
+
+    def _stand(self, params: BusParams) -> None:
         self.app = SlaveApp(self.device, address=self.config.address)
         self.station = PassiveStation(self.config.address, self.app, params, patience=self._patience)
 

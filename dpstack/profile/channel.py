@@ -1,4 +1,4 @@
-"""A drive's parameters as the rest of the project sees them: whatever way they go, by PKW or by a maker's own channel."""
+"""A drive's parameters as the rest of the project sees them, by PKW or by a maker's own channel."""
 
 from __future__ import annotations
 

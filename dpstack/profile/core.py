@@ -35,6 +35,8 @@ class DriveCore:
     scale: Scale = SPEED
     #: why an acknowledgement may not be taken, for people
     lock_hint: str = ""
+    #: what to look at when it does not start and nothing tells why, for people
+    start_hint: str = ""
     #: orders beyond those of every drive, see :meth:`order`
     own_ops: tuple[str, ...] = ()
 
@@ -162,8 +164,8 @@ class DriveCore:
         return DriveStatus(
             state=self.state,
             running=self.state is State.RUNNING,
-            reached=bool(word & bits.mask("reached")),
-            remote=bool(word & bits.mask("remote")),
+            reached=bits.told(word, "reached"),
+            remote="remote" not in bits.bits or bits.told(word, "remote"),
             setpoint=self.setpoint,
             speed=speed,
             frequency_hz=None if speed is None else speed * self.reference_hz,

@@ -19,7 +19,9 @@ _MOST_SCANS = 20_000
 
 
 class DriveDevice(Device):
-    """Subclass it: :meth:`scan` (or :meth:`refresh`) and :meth:`master_lost`. ``telegram`` is the one in use, at first the drive's own.
+    """Subclass it: :meth:`scan` (or :meth:`refresh`) and :meth:`master_lost`.
+
+    ``telegram`` is the one in use, at first the drive's own.
 
     Faults and conditions from outside: :meth:`trip`, :meth:`warn`, :meth:`set_load`, :meth:`release`; they take
     effect at the next scan.
@@ -59,6 +61,9 @@ class DriveDevice(Device):
     def release(self, on: bool) -> None:
         """The hardware release inputs."""
         self.released = on
+
+    def inherit(self, before: DriveDevice) -> None:
+        """Switched on again: ``before`` is the drive as it was; take what it kept in its EEPROM."""
 
     # -- Device ---------------------------------------------------------------------------------------------------
 

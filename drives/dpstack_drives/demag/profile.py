@@ -21,6 +21,7 @@ DRIVE: Final = DriveProfile(
     min_slave_interval_ns=100 * NS_PER_US,
     fail_safe=True,
     reference_hz=50.0,
+    gsd="dpstack_drives.demag:demag-dedrive.gsd",
     on_loss="trips F2062 and coasts when its watchdog ends data exchange while it runs; Clear lets it coast",
     core_factory=DemagCore,
     device_factory=DemagDevice,

@@ -95,6 +95,11 @@ class DemagDevice(DriveDevice):
             raise ValueError(f"{code!r} is no fault number such as {known}")
         return number
 
+    def inherit(self, before: DriveDevice) -> None:
+        """The parameters."""
+        if isinstance(before, DemagDevice):
+            self.store.inherit(before.store)
+
     def master_lost(self, reason: Leave, now: int) -> None:
         """The bus no longer controls: F2062 when the watchdog ended it, else the power stage just goes off."""
         if self._mode in (_STATE_MACHINE, _REMOTE_CONTACTS) and self.machine.state in _POWERED:

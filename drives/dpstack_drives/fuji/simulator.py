@@ -82,6 +82,14 @@ class FujiDevice(DriveDevice):
                 return alarm.code
         raise ValueError(f"{code!r} is no alarm; known: {', '.join(alarm.keypad for alarm in t.ALARMS)}")
 
+    def inherit(self, before: DriveDevice) -> None:
+        """The function codes; o30 counts from power-on."""
+        if isinstance(before, FujiDevice):
+            self.store.inherit(before.store)
+            self.own = t.telegram_of(int(self.store.value("o30")))
+            self.telegram = self.own
+            self.configs = tuple(dict.fromkeys((self.own.config, *self.configs)))
+
     def exchange(self, outputs: bytes, now: int) -> bytes:
         """A frame with bit 10 stands until the next one, even when it was there for less than a scan (a reading)."""
         inputs = super().exchange(outputs, now)
