@@ -91,7 +91,7 @@ class VirtualBench:
         self._end(address, self._silent.get(address))
 
     def power(self, address: int, on: bool) -> None:
-        """Off at once, on as new."""
+        """Off at once, on again; a drive keeps its EEPROM."""
         unit = self._units[address]
         if on is unit.powered:
             return

@@ -25,6 +25,7 @@ from dpstack.cli.signals import StopSignal
 from dpstack.cli.stories import OTHERS, STORIES
 from dpstack.cli.streams import guarded, warn
 from dpstack.errors import ConfigError, DpError
+from dpstack.profile import DriveDevice
 
 _BAUD = 500_000
 _MASTER = 2
@@ -91,7 +92,7 @@ class _Stage:
             async with asyncio.timeout(_PATIENCE_S):
                 await drive.slave.ready(_PATIENCE_S)
                 self.tell(drive, "in data exchange")
-                await story.play(drive, lambda text: self.tell(drive, text))
+                await story.play(drive, lambda text: self.tell(drive, text), lambda code: self.trip(drive, code))
         except (DpError, TimeoutError) as error:
             text = str(error) or f"its story did not come to its end in {_PATIENCE_S:g} s"
             self.failures.append(text)
@@ -99,6 +100,14 @@ class _Stage:
             return
         self.ended.add(address)
         self.tell(drive, "the end")
+
+    def trip(self, drive: Drive, code: str) -> None:
+        """A fault of the simulated drive."""
+        bench = self.bus.bench
+        device = None if bench is None else bench.device(drive.slave.address)
+        if not isinstance(device, DriveDevice):
+            raise DpError(f"drive {drive.name} is not simulated here: nothing to trip")
+        device.trip(code)
 
     def tell(self, drive: Drive, text: str) -> None:
         """One line of a story."""

@@ -167,17 +167,17 @@ class Operator:
         if raw == 0:
             direction.enable[block] = 0
             return 0
-        if self._right():
+        if self._right(direction):
             direction.confirm(block, raw)
         else:
             direction.enable[block] = 0
         raise RefusedError(t.NOT_POSSIBLE)
 
-    def _right(self) -> bool:
+    def _right(self, direction: Direction) -> bool:
         into, out = self.into.map(), self.out.map()
         if into is None or out is None or check(into, out) is not None:
             return False
-        return all(self._inverter.provides(entry) for entry in (*into.entries, *out.entries))
+        return all(self._inverter.provides(entry) for entry in (into if direction is self.into else out).entries)
 
     # -- process data ---------------------------------------------------------------------------------------------
 
@@ -186,13 +186,12 @@ class Operator:
 
         In the cyclic mode every block goes at each point of the grid.
         """
-        process = process.ljust(_MAX_PROCESS, b"\0")
         blocks = [process[:BLOCK], process[BLOCK:_MAX_PROCESS]]
         grid = self._com_cycle_ns > 0
         if grid and now < self._due:
             return
         for number, octets in enumerate(blocks):
-            entries = self.out.active[number]
+            entries = [(at, entry) for at, entry in self.out.active[number] if at + entry.octets <= len(process)]
             if entries and (grid or octets != self._taken[number]):
                 self._taken[number] = octets
                 self.output_telegrams += 1

@@ -16,7 +16,6 @@ from dpstack.profile import (
     ParamSpec,
     ParamStore,
     TelegramSpec,
-    signed16,
 )
 from dpstack_drives.keb import table as t
 from dpstack_drives.keb import telegrams
@@ -212,7 +211,7 @@ class KebDevice(DriveDevice):
         enabled = self._told(control, "enable") or "enable" not in self._control
         run = enabled and self._told(control, "run") and not self.fault
         quick = self._told(control, "quick_stop") or self._stopping_for is not None
-        counts = signed16(self._raw(t.SET_SPEED)) if self.store.value("oP.00") == 5 else 0
+        counts = self._raw(t.SET_SPEED) if self.store.value("oP.00") == 5 else 0
         wanted = abs(counts) * self._rpm_per_count / self._reference_rpm
         wanted = min(wanted, self.store.value("oP.10") / _RATED_HZ)
         self._setpoint = -wanted if self._told(control, "reverse") else wanted
