@@ -39,19 +39,31 @@ def fast(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_readmes_program_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    readme = ROOT / "README.md"
-    for mark, text in blocks(readme, "toml"):
-        if mark.startswith("file: "):
-            (tmp_path / mark.removeprefix("file: ")).write_text(text, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
-    programs = [text for mark, text in blocks(readme, "python") if mark == "run"]
-    assert programs
-    for number, text in enumerate(programs):
-        program = tmp_path / f"program{number}.py"
-        program.write_text(text, encoding="utf-8")
-        runpy.run_path(str(program), run_name="__main__")
+    run_programs(ROOT / "README.md", tmp_path)
     out = capsys.readouterr().out
     assert out.splitlines() == ["fan at 30 Hz", "parameter 412 is 44", "inputs 0f"]
+
+
+@pytest.mark.usefixtures("fast")
+def test_the_programs_of_the_drives_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run_programs(ROOT / "docs" / "drives.md", tmp_path)
+    first, second = capsys.readouterr().out.splitlines()
+    assert first.startswith("{'inputs': '220C:long 2033 2035', 'inputs_enable': 255,")
+    assert second.startswith("drive saw: write_map: outputs: oP.28 (231Ch) cannot be process output data")
+
+
+def run_programs(page: Path, directory: Path) -> None:
+    """The programs of a page marked so, with its files beside them."""
+    for mark, text in blocks(page, "toml"):
+        if mark.startswith("file: "):
+            (directory / mark.removeprefix("file: ")).write_text(text, encoding="utf-8")
+    programs = [text for mark, text in blocks(page, "python") if mark == "run"]
+    assert programs
+    for number, text in enumerate(programs):
+        program = directory / f"program{number}.py"
+        program.write_text(text, encoding="utf-8")
+        runpy.run_path(str(program), run_name="__main__")
 
 
 @pytest.mark.usefixtures("fast")
@@ -121,7 +133,7 @@ def test_every_configuration_key_is_documented() -> None:
     from dpstack.api import config, slave_config
 
     text = (ROOT / "docs" / "configuration.md").read_text(encoding="utf-8")
-    later = {*config._BUS_LATER, *slave_config._LATER, "reference_rpm"}
+    later = {*config._BUS_LATER, *slave_config._LATER}
     missing = [k for k in (*config._BUS_KEYS, *slave_config._KEYS) if k not in later and f"`{k}`" not in text]
     assert not missing
 

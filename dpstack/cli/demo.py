@@ -15,6 +15,7 @@ from rich.text import Text
 from dpstack.api.bus import Bus
 from dpstack.api.compose import Case
 from dpstack.api.config import Config, make_config
+from dpstack.api.control.slaves import SlaveCommands
 from dpstack.api.drive import Drive
 from dpstack.api.opening import open_bus
 from dpstack.api.profiles import known_drives
@@ -25,7 +26,6 @@ from dpstack.cli.signals import StopSignal
 from dpstack.cli.stories import OTHERS, STORIES
 from dpstack.cli.streams import guarded, warn
 from dpstack.errors import ConfigError, DpError
-from dpstack.profile import DriveDevice
 
 _BAUD = 500_000
 _MASTER = 2
@@ -102,12 +102,9 @@ class _Stage:
         self.tell(drive, "the end")
 
     def trip(self, drive: Drive, code: str) -> None:
-        """A fault of the simulated drive."""
-        bench = self.bus.bench
-        device = None if bench is None else bench.device(drive.slave.address)
-        if not isinstance(device, DriveDevice):
-            raise DpError(f"drive {drive.name} is not simulated here: nothing to trip")
-        device.trip(code)
+        """A fault of the simulated drive, by the command of ``dpstack ctl``."""
+        assert self.bus.bench is not None
+        SlaveCommands(self.bus.bench).handlers()["trip"]([str(drive.slave.address), code])
 
     def tell(self, drive: Drive, text: str) -> None:
         """One line of a story."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 from drive_bench import PluginBench
 
@@ -17,7 +19,7 @@ BITS = {
 }
 
 
-def plugin(inputs: str = "00 00 00 00", telegram: str = "4/4", **options: object) -> PluginBench:
+def plugin(inputs: str = "00 00 00 00", telegram: str = "4/4", **options: Any) -> PluginBench:
     return PluginBench(DRIVE.core("hoist", telegram, {**BITS, **options}), inputs)
 
 
@@ -100,7 +102,7 @@ def test_without_a_channel_the_fault_has_no_name() -> None:
         ({"map_inputs": "2035"}, "start", "sy.51 (2033h, status word) is not in the input map"),
     ],
 )
-def test_k8_what_cannot_be_done_is_said_by_name_and_at_once(options: dict[str, object], op: str, says: str) -> None:
+def test_k8_what_cannot_be_done_is_said_by_name_and_at_once(options: dict[str, Any], op: str, says: str) -> None:
     bench = plugin(**options)
     result = bench.result(bench.order(op))
     assert result is not None
@@ -118,7 +120,7 @@ def test_k8_what_cannot_be_done_is_said_by_name_and_at_once(options: dict[str, o
         ({}, 6.0, "speed 6 is outside"),
     ],
 )
-def test_k8_set_points_that_cannot_be(options: dict[str, object], value: float, says: str) -> None:
+def test_k8_set_points_that_cannot_be(options: dict[str, Any], value: float, says: str) -> None:
     bench = plugin(**options)
     result = bench.result(bench.order("speed", value=value))
     assert result is not None

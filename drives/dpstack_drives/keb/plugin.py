@@ -186,6 +186,7 @@ class KebCore(DriveCore):
 
     def order(self, op: str, args: Args) -> Steps[dict[str, object]] | None:
         """See the class."""
+        deadline = self.now + args.timeout_ns(_MAP_TIMEOUT_S)
         match op:
             case "inputs":
                 return self._inputs_values()
@@ -194,7 +195,6 @@ class KebCore(DriveCore):
             case "read_map" | "write_map":
                 if self.access is None:
                     raise CommandError("usage", f"{op}: {self.telegram.name} has no parameter channel: take PCH+...")
-                deadline = self.now + args.timeout_ns(_MAP_TIMEOUT_S)
                 if op == "read_map":
                     return self._maps.read(deadline)
                 try:
