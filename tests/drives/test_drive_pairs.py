@@ -189,6 +189,7 @@ def test_random_inputs_and_orders_never_break_a_plugin(data: st.DataObject) -> N
     octets, sent = core.telegram.input_octets, core.telegram.output_octets
     rng = random.Random(data.draw(st.integers(0, 1 << 30)))
     ops = ["start", "stop", "coast", "quick_stop", "acknowledge", "speed", "frequency", "reached", "read", "write", "x"]
+    ops += ["read_map", "write_map", "inputs", "output"]
     now = 0
     answered: set[object] = set()
     tokens = 0

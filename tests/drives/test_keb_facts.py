@@ -143,7 +143,7 @@ def test_k8_the_recipe_is_shown() -> None:
         assert part in text
 
 
-def test_k10_k2_what_happens_when_the_master_stops() -> None:
+def test_k10_what_happens_when_the_master_stops() -> None:
     assert "Pn.06" in DRIVE.on_loss
     assert "Pn.05" in DRIVE.on_loss
 

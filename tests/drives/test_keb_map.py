@@ -78,6 +78,7 @@ def test_k12_the_test_map_in_two_blocks() -> None:
         ("2033 2035 2200 2227 2033 202C:long", "2032", "inputs, block 2: the long value must be the first"),
         ("2033 202C:long 2035", "2033 202C:long 2035", "inputs, block 1: the long value must be the first"),
         ("202C:long 2033 202C:long", "2032", "crosses from block 1 into block 2"),
+        ("2033:long", "2032:long", "inputs: sy.51 (2033h) is a word, not a long"),
         ("2033", "oP.27", "outputs: oP.27 (231Bh) cannot be process output data"),
         ("2033", "oP.35", "outputs: oP.35 (2323h) cannot be process output data"),
         ("oP.27", "oP.36", None),
@@ -225,6 +226,7 @@ def test_k7_the_enable_is_answered_by_an_error_and_the_map_acts_after_power_on()
         [4, 0x2032, 1, 0, 0, 0x231C, 1, 0, 0] + 8 * [0],  # oP.28
         [4, 0x2032, 1, 0, 0, 0x2A00, 1, 0, 0] + 8 * [0],  # not provided
         [4, 0x2032, 1, 0, 0, 0, 0, 0, 0] + 8 * [0],  # sy.50 as a long
+        [4, 0x230A, 1, 0, 0, 0, 0, 0, 0] + 8 * [0],  # oP.10 as a long
         [4, 0x2032, 0, 0, 0, 0x2034, 1, 0, 0] + 8 * [0],  # no set
         [8, 0x2F13, 1, 0, 0, 0, 0, 0, 0, 0x2032, 1, 0, 0, 0x2034, 1, 0, 0],  # mixed, the inputs are not
     ],

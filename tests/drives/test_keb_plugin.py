@@ -139,6 +139,20 @@ def test_a_real_drive_gets_no_bits_that_are_made_up() -> None:
     assert bench.out()[24:] == "02 00 00 00"
 
 
+def test_k8_the_words_as_they_stand_where_nothing_is_named() -> None:
+    """Words exposed: the user's program makes them; the control word does not come back by itself."""
+    bench = PluginBench(DRIVE.core("hoist", "4/4"), "12 34 56 78")
+    assert bench.core.status().words == (0x1234, 0x5678)
+    assert bench.core.status().state is State.UNKNOWN
+    bench.order("output", number="sy.50", value=0xABCD)
+    bench.order("output", number="sy.52", value=-2)
+    assert bench.out() == "AB CD FF FE"
+    bench.core.lost(bench.now)
+    assert bench.out() == "00 00 FF FE"
+    named = plugin()
+    assert "is written by start" in str(named.result(named.order("output", number="sy.50", value=1)))
+
+
 def test_a_start_that_does_not_come_true_shows_the_recipe() -> None:
     bench = plugin()
     token = bench.order("start", timeout_s=0.2)

@@ -133,6 +133,8 @@ def check(inputs: PdMap, outputs: PdMap) -> str | None:
                 return f"{name}: {entry.index:04X} is no parameter of the inverter (2000..5EFF)"
             if not 1 <= entry.sets <= 0xFF:
                 return f"{name}: {entry.index:04X} has no set: give 1 (set 0) .. 255, a bit for each set"
+            if entry.long and entry.index in t.WORDS:
+                return f"{name}: {t.name_of(entry.index)} is a word, not a long"
             if at // BLOCK != (at + entry.octets - 1) // BLOCK:
                 return f"{name}: {entry.index:04X} crosses from block 1 into block 2 (8 octets each)"
             if one is outputs and entry.index in FORBIDDEN:

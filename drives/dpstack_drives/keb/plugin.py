@@ -53,7 +53,8 @@ class KebCore(DriveCore):
     of record and enable of block 2; ``pd_in_cycle_ms``.
 
     Orders of its own: ``read_map``, ``write_map`` (``inputs``, ``outputs``), ``inputs`` (all mapped values) and
-    ``output`` (``number``, ``value``: a mapped output that has no other order).
+    ``output`` (``number``, ``value``: a mapped output that no other order writes; without ``control_bits`` that is also
+    the control word, without ``rpm_per_count`` the set speed).
     """
 
     own_ops = ("read_map", "write_map", "inputs", "output")
@@ -105,8 +106,17 @@ class KebCore(DriveCore):
 
     def encode(self, control: int, setpoint: int) -> bytes:
         """sy.50 and sy.52 where the map has them, what the user gave for the others."""
-        values = {**self._values, t.CONTROL_WORD: control, t.SET_SPEED: setpoint}
+        values = dict(self._values)
+        if self._bits:
+            values[t.CONTROL_WORD] = control
+        if self._rpm_per_count:
+            values[t.SET_SPEED] = setpoint
         return self.outputs_map.put(values, self.telegram.outputs)
+
+    def lost(self, now: int) -> None:
+        """A control word given as it stands is not sent again by itself."""
+        self._values.pop(t.CONTROL_WORD, None)
+        super().lost(now)
 
     def setpoint_word(self, fraction: float) -> int:
         """sy.52."""
@@ -226,7 +236,8 @@ class KebCore(DriveCore):
         entry = next((e for e in self.outputs_map.entries if e.index == index), None)
         if entry is None:
             raise CommandError("usage", f"output: {name!r} is not in the output map ({self.outputs_map})")
-        if entry.index in (t.CONTROL_WORD, t.SET_SPEED):
+        ours = {t.CONTROL_WORD: bool(self._bits), t.SET_SPEED: bool(self._rpm_per_count)}
+        if ours.get(entry.index):
             raise CommandError("usage", f"output: {t.name_of(entry.index)} is written by start, stop and speed")
         bits = 8 * entry.octets
         if value != int(value) or not -(1 << bits - 1) <= value < 1 << bits:

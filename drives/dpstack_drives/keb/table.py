@@ -35,6 +35,8 @@ INTERFACE: Final = range(0x5F00, 0x6000)
 SETS: Final = 8
 
 CONTROL_WORD, STATUS_WORD, SET_SPEED, ACTUAL_SPEED = 0x2032, 0x2033, 0x2034, 0x2035
+#: the parameters that the manual itself maps as words
+WORDS: Final = frozenset({CONTROL_WORD, STATUS_WORD, SET_SPEED, ACTUAL_SPEED})
 INVERTER_STATE: Final = 0x2200
 #: Changing the PD-Assignment: the records of the map, and their enables
 MAP_INPUTS, MAP_OUTPUTS = 0x6000, 0x6001
