@@ -133,6 +133,21 @@ ident = 0x1234
         dpstack.load_config(path)
 
 
+def test_the_simulated_drive_takes_the_options_that_it_shares() -> None:
+    """Plugin and simulated drive read one configuration: bits of the user's own, or the made-up ones by their name."""
+
+    async def run(bits: str) -> None:
+        table = {**SAW, "options": {"control_bits": bits, "pd_in_cycle_ms": 25}}
+        async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[table]) as bus:
+            await bus.ready()
+            await bus.operate()
+            await bus.drive("saw").start()
+            assert bus.slave("saw").outputs[8:10] == (b"\x00\x05" if bits == "simulated" else b"\x80\x00")
+
+    dpstack.run_virtual(run("simulated"))
+    dpstack.run_virtual(run("run=15"))
+
+
 def test_the_skeleton_of_a_scan_names_the_telegram() -> None:
     found = Found(
         address=5,

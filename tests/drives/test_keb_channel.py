@@ -304,7 +304,7 @@ def test_k5_no_inverter_busy_and_password() -> None:
     assert ask(bench, "71 01 23 03 00 00 00 00") == "C1 01 23 03 06 02 00 00"
     assert ask(bench, "31 00 5F F8 00 00 00 00") == "01 00 5F F8 00 00 00 FF"  # the operator's own works on
     keb(bench).break_link(False)
-    keb(bench).busy_accesses = 1
+    keb(bench).parameters.busy_accesses = 1
     assert ask(bench, "71 01 23 03 00 00 00 00") == "C1 01 23 03 08 00 00 22"
     assert ask(bench, "31 01 23 03 00 00 00 00") == "01 01 23 03 00 00 00 00"
     locked = drive(**{"ud.01": 0})

@@ -77,9 +77,11 @@ def _index(name: str | int) -> int:
     if found is not None:
         return found
     if t.looks_like_name(name):
-        known = ", ".join(t.GROUPS)
-        raise CommandError("usage", f"{name!r}: the address of its group is not in the manual (of {known} it is): "
-                           "give the index, 0x2000 + the address in the application manual")  # fmt: skip
+        raise CommandError(
+            "usage",
+            f"{name!r}: the address of its group is not in the manual (of {', '.join(t.GROUPS)} it is): give the index, "
+            f"0x2000 + the address in the application manual",
+        )
     try:
         return int(name.removesuffix("h"), 16)
     except ValueError:

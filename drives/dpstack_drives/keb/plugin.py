@@ -29,8 +29,6 @@ from dpstack_drives.keb import table as t
 from dpstack_drives.keb.channel import KebChannel, Target
 from dpstack_drives.keb.pdmap import PdMap
 
-#: the word ``simulated`` for bits: those that are made up for the simulated drive
-SIMULATED: Final = "simulated"
 #: names of control bits with a meaning here, and of status bits
 _NEEDS: Final = {
     "start": (("run",), ("run",)),
@@ -65,8 +63,8 @@ class KebCore(DriveCore):
     ) -> None:
         where = f"drive {name} ({profile.name})"
         try:
-            self._bits = _bits(str(options["control_bits"]), t.CONTROL_BITS, "control_bits")
-            status = _bits(str(options["status_bits"]), t.STATUS_BITS, "status_bits")
+            self._bits = t.bits(str(options["control_bits"]), t.CONTROL_BITS, "control_bits")
+            status = t.bits(str(options["status_bits"]), t.STATUS_BITS, "status_bits")
             self.inputs_map = _map(str(options["map_inputs"]), pdmap.DEFAULT_INPUTS, telegram.inputs, "map_inputs")
             self.outputs_map = _map(str(options["map_outputs"]), pdmap.DEFAULT_OUTPUTS, telegram.outputs, "map_outputs")
             second = [t.record_and_enable(str(options[f"block2_{way}"])) for way in ("inputs", "outputs")]
@@ -80,7 +78,7 @@ class KebCore(DriveCore):
         reference = float(options["reference_rpm"])
         if self._rpm_per_count:
             self.scale = Scale("speed", full=1, span=self._rpm_per_count / reference)
-        self._ours = str(options["status_bits"]).strip() == SIMULATED
+        self._ours = str(options["status_bits"]).strip() == t.SIMULATED_BITS
         self._values: dict[int, int] = {}
         self._state_number: int | None = None
         self._asked = False
@@ -245,10 +243,6 @@ class KebCore(DriveCore):
         self._values[entry.index] = int(value)
         self._dirty = True
         return {"value": int(value)}
-
-
-def _bits(text: str, simulated: str, what: str) -> dict[str, int]:
-    return t.bits(simulated if text.strip() == SIMULATED else text, what)
 
 
 def _map(text: str, default: PdMap, octets: int, what: str) -> PdMap:

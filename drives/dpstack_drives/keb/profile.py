@@ -7,7 +7,7 @@ from typing import Final
 from dpstack.profile import NS_PER_US, DriveProfile, OptionSpec
 from dpstack_drives.keb import table as t
 from dpstack_drives.keb import telegrams
-from dpstack_drives.keb.plugin import SIMULATED, KebCore
+from dpstack_drives.keb.plugin import KebCore
 from dpstack_drives.keb.simulator import KebDevice
 
 DRIVE: Final = DriveProfile(
@@ -56,8 +56,8 @@ DRIVE: Final = DriveProfile(
         "load": OptionSpec(default=0.2, low=0, high=2, text="load torque of the rated one"),
     },
     simulated_options={
-        "control_bits": SIMULATED,
-        "status_bits": SIMULATED,
+        "control_bits": t.SIMULATED_BITS,
+        "status_bits": t.SIMULATED_BITS,
         "rpm_per_count": 1.0,
         "block2_inputs": t.BLOCK2_INPUTS,
         "block2_outputs": t.BLOCK2_OUTPUTS,

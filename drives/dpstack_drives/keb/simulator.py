@@ -13,15 +13,13 @@ from dpstack.profile import (
     DriveProfile,
     Leave,
     Motor,
-    ParamSpec,
-    ParamStore,
     TelegramSpec,
 )
 from dpstack_drives.keb import table as t
 from dpstack_drives.keb import telegrams
-from dpstack_drives.keb.channel import KebServer, RefusedError
+from dpstack_drives.keb.channel import KebServer
 from dpstack_drives.keb.operator import LINK_NS, Operator
-from dpstack_drives.keb.pdmap import Entry
+from dpstack_drives.keb.parameters import Parameters
 from dpstack_drives.keb.watchdog import Life, Watchdog
 
 #: reference reached within this part of the reference (made up)
@@ -31,20 +29,19 @@ _AT_ONCE: Final = 1e6
 _QUICK: Final = 5.0
 #: what oP.10 and the ramps refer to, in Hz (made up)
 _RATED_HZ: Final = 50.0
-#: what process data write: never stored
-_VOLATILE: Final = frozenset({t.CONTROL_WORD, t.SET_SPEED, 0x202B})
-_PASSWORD, _PASSWORD_INDEX = 440, 0x2801
 _TRIPS_AT_ONCE, _STOPS_FIRST = 0, 1
 
 
 class KebDevice(DriveDevice):
-    """Options: what the bits mean (``control_bits``, ``status_bits``), ``rpm_per_count`` and ``reference_rpm``,
+    """Inverter and operator.
+
+    Options: what the bits mean (``control_bits``, ``status_bits``), ``rpm_per_count`` and ``reference_rpm``,
     ``block2_inputs`` and ``block2_outputs`` (record and enable), ``com_cycle_us``, ``load``; parameters by name.
 
     Readings: sy.50 is obeyed while oP.01 is 9, sy.52 counts while oP.00 is 5 (the recipe's values, factory here);
     without enable the motor coasts; a reset works with the edge of its bit; Pn.05 = 0 trips E.buS, 1 after a quick
-    stop, all others only switch a digital output (6 is the manual's); writes need the password of the recipe. Clear
-    writes zeros; after the end of data exchange the last outputs stand until the watchdog acts.
+    stop, all others only switch a digital output (6 is the manual's). Clear writes zeros; after the end of data
+    exchange the last outputs stand until the watchdog acts.
     """
 
     def __init__(
@@ -56,10 +53,11 @@ class KebDevice(DriveDevice):
     ) -> None:
         super().__init__(profile, telegram, Motor(load=float(options["load"])))
         where = f"simulated {profile.name}"
-        self.store = ParamStore(t.PARAMETERS, presets, sets=t.SETS, where=where)
+        self.parameters = Parameters(presets, self._live, where)
+        self.store = self.parameters.store
         try:
-            self._control = t.bits(str(options["control_bits"]), f"{where}: control_bits")
-            self._status = t.bits(str(options["status_bits"]), f"{where}: status_bits")
+            self._control = t.bits(str(options["control_bits"]), t.CONTROL_BITS, f"{where}: control_bits")
+            self._status = t.bits(str(options["status_bits"]), t.STATUS_BITS, f"{where}: status_bits")
             into, out = (t.record_and_enable(str(options[f"block2_{way}"])) for way in ("inputs", "outputs"))
         except ValueError as error:
             raise ConfigError(str(error)) from None
@@ -67,7 +65,7 @@ class KebDevice(DriveDevice):
             raise ConfigError(f"{where}: block2_inputs and block2_outputs must name record and enable")
         self._rpm_per_count = float(options["rpm_per_count"])
         self._reference_rpm = float(options["reference_rpm"])
-        self.operator = Operator(self, self._in_cycle, (into, out), float(options["com_cycle_us"]))
+        self.operator = Operator(self.parameters, self._in_cycle, (into, out), float(options["com_cycle_us"]))
         self.server = KebServer(self._request)
         self.channel = self.server
         self.watchdog = Watchdog()
@@ -75,9 +73,6 @@ class KebDevice(DriveDevice):
         self.fault = 0
         #: switched by Pn.05 = 6
         self.digital_output = False
-        #: accesses that will be answered as busy
-        self.busy_accesses = 0
-        self._link = True
         self._link_seen = 0
         self._link_told = False
         self._own = telegram
@@ -97,7 +92,7 @@ class KebDevice(DriveDevice):
 
     def break_link(self, broken: bool) -> None:
         """The link between operator and inverter (HSP5)."""
-        self._link = not broken
+        self.parameters.linked = not broken
 
     def fault_code(self, code: str) -> int:
         """``E.buS`` or the number that ru.00 shows. Raises ValueError."""
@@ -155,14 +150,14 @@ class KebDevice(DriveDevice):
         """Outputs to the inverter, watchdog, motor, inputs from it."""
         if process is None and self._clear:
             process = bytes(self.telegram.outputs)
-        if self._link and process is not None:
+        if self.parameters.linked and process is not None:
             self.operator.take(process, now)
         self._supervise(now)
         trip = self.take_trip()
         if trip is not None:
             self.fault = trip
         self._drive()
-        if not self._link:
+        if not self.parameters.linked:
             return self.operator.held(self.telegram.inputs)
         return self.operator.fetch(self.telegram.inputs, now)
 
@@ -182,7 +177,7 @@ class KebDevice(DriveDevice):
         ):
             self._react()
         limit = self._seconds("sy.09")
-        if self._link:
+        if self.parameters.linked:
             self._link_seen, self._link_told = now, False
         elif limit and not self._link_told and now - self._link_seen >= limit:
             self._link_told = True
@@ -200,7 +195,7 @@ class KebDevice(DriveDevice):
 
     def _drive(self) -> None:
         motor = self.motor
-        control = self._raw(t.CONTROL_WORD) if self.store.value("oP.01") == 9 else 0
+        control = self.parameters.raw(t.CONTROL_WORD) if self.store.value("oP.01") == 9 else 0
         reset = self._told(control, "reset")
         if reset and not self._reset and self.fault:
             self.fault = 0
@@ -211,7 +206,7 @@ class KebDevice(DriveDevice):
         enabled = self._told(control, "enable") or "enable" not in self._control
         run = enabled and self._told(control, "run") and not self.fault
         quick = self._told(control, "quick_stop") or self._stopping_for is not None
-        counts = self._raw(t.SET_SPEED) if self.store.value("oP.00") == 5 else 0
+        counts = self.parameters.raw(t.SET_SPEED) if self.store.value("oP.00") == 5 else 0
         wanted = abs(counts) * self._rpm_per_count / self._reference_rpm
         wanted = min(wanted, self.store.value("oP.10") / _RATED_HZ)
         self._setpoint = -wanted if self._told(control, "reverse") else wanted
@@ -241,6 +236,13 @@ class KebDevice(DriveDevice):
 
     # -- parameters -----------------------------------------------------------------------------------------------
 
+    def _request(self, index: int, subindex: int, raw: int | None, octets: int) -> tuple[int, int]:
+        """The operator's own first, then the inverter's."""
+        found = self.operator.access(index, subindex, raw)
+        if found is None:
+            return self.parameters.request(index, subindex, raw, octets)
+        return found, 1 if not subindex or subindex == 1 else 2
+
     def _status_word(self) -> int:
         motor = self.motor
         near = motor.on and abs(motor.frequency - self._setpoint) <= _NEAR
@@ -263,7 +265,7 @@ class KebDevice(DriveDevice):
     def _live(self, index: int) -> int | None:
         """Actual values."""
         match index:
-            case t.STATUS_WORD | 0x202C:
+            case t.STATUS_WORD | t.STATUS_LONG:
                 return self._status_word()
             case t.ACTUAL_SPEED:
                 counts = round(self.motor.frequency * self._reference_rpm / self._rpm_per_count)
@@ -276,93 +278,7 @@ class KebDevice(DriveDevice):
                 return self.telegram.inputs
             case 0x5F26:
                 return self.telegram.outputs
-            case 0x202B:
-                return self._raw(t.CONTROL_WORD)
+            case t.CONTROL_LONG:
+                return self.parameters.raw(t.CONTROL_WORD)
             case _:
                 return None
-
-    def _raw(self, index: int) -> int:
-        spec = t.PARAMETERS.get(index)
-        return 0 if spec is None else self.store.raw(spec)
-
-    def provides(self, entry: Entry) -> bool:
-        """For the operator."""
-        spec = t.PARAMETERS.get(entry.index)
-        return spec is not None and spec.long == entry.long
-
-    def fetch(self, entry: Entry) -> int:
-        """For the operator; of sets with different values the first (a reading)."""
-        spec = t.PARAMETERS.get(entry.index)
-        if spec is None:
-            return 0
-        live = self._live(entry.index)
-        first = (entry.sets & -entry.sets).bit_length()
-        return self.store.raw(spec, first) if live is None else live
-
-    def store_output(self, entry: Entry, raw: int) -> None:
-        """For the operator."""
-        spec = t.PARAMETERS.get(entry.index)
-        if spec is not None and not spec.read_only:
-            value = spec.from_pwe(raw)
-            if spec.low <= spec.to_value(value) <= spec.high:
-                self._write(spec, value, entry.sets, ram_only=True)
-
-    def _write(self, spec: ParamSpec, raw: int, sets: int, *, ram_only: bool) -> None:
-        if spec.number == 0x202B:
-            control = t.PARAMETERS.get(t.CONTROL_WORD)
-            assert control is not None
-            self.store.write(control, raw & 0xFFFF, ram_only=True)
-        for number in range(t.SETS):
-            if sets >> number & 1:
-                self.store.write(spec, raw, number + 1, ram_only=ram_only)
-                if not spec.per_set:
-                    return
-
-    def _request(self, index: int, subindex: int, raw: int | None, octets: int) -> tuple[int, int]:
-        found = self.operator.access(index, subindex, raw)
-        if found is not None:
-            return found, 1 if index in (t.ENABLE_INPUTS, t.ENABLE_OUTPUTS) or subindex == 1 else 2
-        if index in t.INVERTER:
-            if not self._link:
-                raise RefusedError(t.NO_INVERTER)
-            if self.busy_accesses:
-                self.busy_accesses -= 1
-                raise RefusedError(t.BUSY)
-        spec = t.PARAMETERS.get(index)
-        if spec is None:
-            raise RefusedError(t.BAD_INDEX)
-        sets = self._sets(spec, subindex)
-        if raw is not None:
-            self._change(spec, sets, raw, octets)
-            return raw, octets
-        return self._read(spec, sets), 4 if spec.long else 2
-
-    def _sets(self, spec: ParamSpec, subindex: int) -> int:
-        """The sets meant; 0 is the one that Fr.09 points to, set 0 here."""
-        if spec.number in t.INTERFACE:
-            if subindex:
-                raise RefusedError(t.BAD_SUBINDEX)
-            return 1
-        if not spec.per_set and subindex > 1:
-            raise RefusedError(t.BAD_SET)
-        return subindex or 1
-
-    def _change(self, spec: ParamSpec, sets: int, raw: int, octets: int) -> None:
-        if spec.read_only:
-            raise RefusedError(t.WRITE_PROTECTED)
-        if self.store.value("ud.01") != _PASSWORD and spec.number in t.INVERTER and spec.number != _PASSWORD_INDEX:
-            raise RefusedError(t.PASSWORD)
-        half = 1 << 8 * octets - 1
-        value = (raw ^ half) - half if spec.low < 0 else raw
-        if not spec.low <= spec.to_value(value) <= spec.high:
-            raise RefusedError(t.BAD_VALUE)
-        self._write(spec, value, sets, ram_only=spec.number in _VOLATILE)
-
-    def _read(self, spec: ParamSpec, sets: int) -> int:
-        live = self._live(spec.number)
-        if live is not None:
-            return live & 0xFFFF_FFFF
-        values = {self.store.raw(spec, n + 1) for n in range(t.SETS) if sets >> n & 1}
-        if len(values) > 1:
-            raise RefusedError(t.NOT_POSSIBLE)
-        return values.pop() & 0xFFFF_FFFF

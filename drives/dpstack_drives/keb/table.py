@@ -35,6 +35,8 @@ INTERFACE: Final = range(0x5F00, 0x6000)
 SETS: Final = 8
 
 CONTROL_WORD, STATUS_WORD, SET_SPEED, ACTUAL_SPEED = 0x2032, 0x2033, 0x2034, 0x2035
+#: sy.43, sy.44; sy.50 and sy.51 are their low halves
+CONTROL_LONG, STATUS_LONG = 0x202B, 0x202C
 #: the parameters that the manual itself maps as words
 WORDS: Final = frozenset({CONTROL_WORD, STATUS_WORD, SET_SPEED, ACTUAL_SPEED})
 INVERTER_STATE: Final = 0x2200
@@ -135,8 +137,14 @@ E_BUS: Final = 18
 RU_OFF, RU_STANDING, RU_RAMP, RU_CONSTANT = 0, 70, 64, 66
 
 
-def bits(text: str, what: str) -> dict[str, int]:
-    """Names of bits given as ``run=2 reverse=3``. Raises ValueError."""
+#: in place of bits: those that are made up for the simulated drive
+SIMULATED_BITS: Final = "simulated"
+
+
+def bits(text: str, made_up: str, what: str) -> dict[str, int]:
+    """Names of bits given as ``run=2 reverse=3``; ``simulated`` stands for ``made_up``. Raises ValueError."""
+    if text.strip() == SIMULATED_BITS:
+        text = made_up
     found: dict[str, int] = {}
     for word in text.replace(",", " ").split():
         name, equals, number = word.partition("=")
