@@ -9,6 +9,7 @@ import sys
 #: name -> (module with ``run(argv) -> Report``, what it measures)
 BENCHMARKS = {
     "cycle": ("bench.cycle", "turn-around and CPU time per exchange over a pty at 12 Mbit/s parameters"),
+    "gsd": ("bench.gsd", "reading a made-up set of 689 GSD files, and the largest ones"),
 }
 
 

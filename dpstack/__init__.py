@@ -26,9 +26,13 @@ if TYPE_CHECKING:
     from dpstack.api.drive import Drive
     from dpstack.api.events import Event, Mode, SlaveState
     from dpstack.api.opening import open_bus
+    from dpstack.api.serving import SlaveServer, serve_slave, serve_slaves
     from dpstack.api.slave import Slave
     from dpstack.api.virtual import run_virtual
-    from dpstack.dp.slaveapp import SlaveApp
+    from dpstack.dp.dp_slave import DpSlave
+    from dpstack.dp.slave_description import SlaveDescription, SlaveModule
+    from dpstack.dp.slaveapp import SlaveApp, SlaveAppState
+    from dpstack.dp.user_diag import UserDiag, channel_block, device_block, identifier_block, revision_block
     from dpstack.errors import (
         BaudError,
         BusError,
@@ -41,12 +45,14 @@ if TYPE_CHECKING:
         ParameterError,
         PortBusyError,
         PortError,
+        ServiceRefused,
         SlaveError,
         SlaveFault,
         SlaveTimeout,
         UsageError,
     )
     from dpstack.profile import DriveStatus
+    from dpstack.sim.world import World
 
 __version__ = "0.1.0"
 
@@ -58,6 +64,7 @@ __all__ = [
     "Config",
     "ConfigError",
     "DpError",
+    "DpSlave",
     "Drive",
     "DriveError",
     "DriveFault",
@@ -69,19 +76,32 @@ __all__ = [
     "ParameterError",
     "PortBusyError",
     "PortError",
+    "ServiceRefused",
     "Slave",
     "SlaveApp",
+    "SlaveAppState",
+    "SlaveDescription",
     "SlaveError",
     "SlaveFault",
+    "SlaveModule",
+    "SlaveServer",
     "SlaveState",
     "SlaveTimeout",
     "UsageError",
+    "UserDiag",
+    "World",
     "__version__",
+    "channel_block",
+    "device_block",
     "find_baud",
+    "identifier_block",
     "load_config",
     "open_bus",
     "profile",
+    "revision_block",
     "run_virtual",
+    "serve_slave",
+    "serve_slaves",
 ]
 
 _WHERE: Final = {
@@ -97,7 +117,20 @@ _WHERE: Final = {
     "SlaveState": "api.events",
     "Slave": "api.slave",
     "run_virtual": "api.virtual",
+    "SlaveServer": "api.serving",
+    "serve_slave": "api.serving",
+    "serve_slaves": "api.serving",
+    "DpSlave": "dp.dp_slave",
     "SlaveApp": "dp.slaveapp",
+    "SlaveAppState": "dp.slaveapp",
+    "SlaveDescription": "dp.slave_description",
+    "SlaveModule": "dp.slave_description",
+    "UserDiag": "dp.user_diag",
+    "channel_block": "dp.user_diag",
+    "device_block": "dp.user_diag",
+    "identifier_block": "dp.user_diag",
+    "revision_block": "dp.user_diag",
+    "World": "sim.world",
     "DriveStatus": "profile",
 }
 

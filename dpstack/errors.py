@@ -5,6 +5,7 @@
     DpError
     +-- ConfigError (ValueError)        a configuration or an argument that cannot work; names file and line
     |   +-- ParamError                  a bus parameter outside its limits
+    |   +-- GsdError                    a GSD file that cannot be used, or a wish it does not allow
     +-- UsageError (RuntimeError)       a call that does not fit the state: misuse, raised at once
     +-- PduError (ValueError)           the octets of a DP service that cannot be; names the octet
     +-- PortError (OSError)             the serial port: missing, held, refused, vanished
@@ -13,6 +14,7 @@
     +-- BusError                        the bus as a whole cannot work
     +-- SlaveError                      one slave; carries its address
     |   +-- SlaveFault                  refused parameters or configuration, wrong ident, locked, lying
+    |   +-- ServiceRefused              answered a service of this master with no; carries service and status
     |   +-- SlaveTimeout (TimeoutError) did not reach what was awaited in time
     +-- DriveError                      one drive; carries its name
         +-- DriveFault                  tripped, or refuses to do what was asked: names fault and remedy
@@ -36,6 +38,10 @@ class ConfigError(DpError, ValueError):
 
 class ParamError(ConfigError):
     """A bus parameter outside the limits of the standard."""
+
+
+class GsdError(ConfigError):
+    """A GSD file that cannot be used at all, or modules and parameters that do not fit it (``what; what to do``)."""
 
 
 class UsageError(DpError, RuntimeError):
@@ -75,6 +81,18 @@ class SlaveError(DpError):
 
 class SlaveFault(SlaveError):
     """The slave refused parameters or configuration, is another device, is owned by another master, or lies."""
+
+
+class ServiceRefused(SlaveError):
+    """The slave said no to one service (``service`` by name), or acknowledged it and did nothing.
+
+    ``status`` is its answer: "RS", "RR", "UE" ..., or "ignored".
+    """
+
+    def __init__(self, address: int, message: str, *, service: str, status: str) -> None:
+        super().__init__(address, message)
+        self.service = service
+        self.status = status
 
 
 class SlaveTimeout(SlaveError, TimeoutError):

@@ -20,6 +20,8 @@ T_SYN: Final = 33
 
 #: Highest station address; 126 is the address of a slave as delivered, 127 the broadcast address.
 MAX_STATION: Final = 125
+#: T_SL in bit times (14 bits in the bus parameter record)
+MAX_T_SL: Final = 16_383
 UNADDRESSED: Final = 126
 BROADCAST: Final = 127
 
@@ -90,7 +92,7 @@ class BusParams:
         limits = (
             ("address", 0, MAX_STATION, "station addresses"),
             ("hsa", 1, 126, "highest station address"),
-            ("t_sl", 37, 16_383, "T_SL"),
+            ("t_sl", 37, MAX_T_SL, "T_SL"),
             ("t_set", 1, 494, "T_SET"),
             ("t_qui", 0, min(31, max(0, self.min_tsdr - 1)), "min(31, min_tsdr - 1)"),
             ("min_tsdr", 11, 255, "T_SDR"),

@@ -39,6 +39,7 @@ class Recorder(Device):
         self.input_len = 1
         self.prm_reason: str | None = None
         self.broken = ""
+        self.keeps = False  # an address from Set_Slave_Add, over a restart
 
     def _call(self, text: str) -> None:
         self.calls.append(text)
@@ -75,6 +76,10 @@ class Recorder(Device):
         if self.broken == "ext_diag":
             raise ZeroDivisionError("the device is broken")
         return self.ext
+
+    def address_set(self, address: int, fixed: bool, rem_slave_data: bytes) -> bool:
+        self._call(f"address_set {address} {fixed} {rem_slave_data.hex()}".strip())
+        return self.keeps
 
     def take(self) -> list[str]:
         calls, self.calls = self.calls, []

@@ -8,7 +8,7 @@ status and the DP services needed for data exchange are answered, a repeated fra
 SPEC is ``ADDRESS:IDENT:IDENTIFIERS:INPUTS:OUTPUTS[,key=value...]``: ident and identifier octets in hex, lengths in
 octets. Inputs mirror the outputs. Keys: ``refuse=prm`` or ``refuse=cfg`` (the fault shows in the diagnosis),
 ``owner=N`` (locked to master N from the start), ``answer=N`` (Data_Exchange answers have N octets), ``dies=N`` (silent
-after N data exchanges), ``fixed=HEX`` (these inputs instead of the mirror).
+after N data exchanges), ``fixed=HEX`` (these inputs instead of the mirror), ``locked=1`` (keeps its address).
 """
 
 from __future__ import annotations
@@ -49,6 +49,7 @@ class Slave:
         self.repeats = 0
         self.control = b""
         self.user_prm = b""
+        self.address_locked = "locked" in keys
         self.kept_sa = -1
         self.kept_fcb = -1
         self.kept_answer = b""
@@ -87,9 +88,31 @@ class Slave:
         if service == 62:
             self.chk_cfg(sa, data)
             return SC
+        if service == 55:
+            return self.set_address(sa, data)
+        if service in (56, 57):
+            return self.read(sa, saps)
         if service == 59:
             return long(sa, self.address, 0x08, bytes((saps[1], saps[0])), self.identifiers)
         return short(sa, self.address, 0x03)
+
+    def read(self, sa: int, saps: bytes) -> bytes:
+        """Inputs (SAP 56) and outputs (57) for anybody, in data exchange."""
+        if not self.cfg_ok:
+            return short(sa, self.address, 0x03)
+        source = self.outputs if saps[0] == 57 or self.fixed_inputs is None else self.fixed_inputs
+        count = self.answer_count if saps[0] == 56 else self.output_count
+        if not count:
+            return short(sa, self.address, 0x09)
+        return long(sa, self.address, 0x08, bytes((saps[1], saps[0])), source[:count].ljust(count, b"\x00"))
+
+    def set_address(self, sa: int, data: bytes) -> bytes:
+        """New address, ident, no more changes; only while nobody owns the slave."""
+        if self.prm_ok:
+            return short(sa, self.address, 0x03)
+        if len(data) >= 4 and data[1:3] == self.ident and not self.address_locked:
+            self.address, self.address_locked = data[0], data[3] != 0
+        return SC
 
     def diagnosis(self) -> bytes:
         """Six octets."""
@@ -246,7 +269,12 @@ class Responder:
                 slave.answer(sa, fc, saps, data)
             return b""
         asked = self.slaves.get(da)
-        return asked.answer(sa, fc, saps, data) if asked is not None else b""
+        if asked is None:
+            return b""
+        answer = asked.answer(sa, fc, saps, data)
+        if asked.address != da:
+            self.slaves[asked.address] = self.slaves.pop(da)
+        return answer
 
     def run(self) -> None:
         """Serve until :meth:`stop` or until the line hangs up."""

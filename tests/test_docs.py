@@ -39,31 +39,44 @@ def fast(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_readmes_program_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    readme = ROOT / "README.md"
+    for mark, text in blocks(readme, "toml"):
+        if mark.startswith("file: "):
+            (tmp_path / mark.removeprefix("file: ")).write_text(text, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
-    run_programs(ROOT / "README.md", tmp_path)
+    programs = [text for mark, text in blocks(readme, "python") if mark == "run"]
+    assert programs
+    for number, text in enumerate(programs):
+        program = tmp_path / f"program{number}.py"
+        program.write_text(text, encoding="utf-8")
+        runpy.run_path(str(program), run_name="__main__")
     out = capsys.readouterr().out
-    assert out.splitlines() == ["fan at 30 Hz", "parameter 412 is 44", "inputs 0f"]
+    assert out.splitlines() == ["fan at 30 Hz", "parameter 412 is 44", "inputs 0f True"]
+
+
+def test_the_program_with_a_gsd_file_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(ROOT)
+    ((_, text),) = blocks(ROOT / "docs" / "gsd.md", "python")
+    program = tmp_path / "program.py"
+    program.write_text(text, encoding="utf-8")
+    runpy.run_path(str(program))
+    assert capsys.readouterr().out.splitlines() == ["2010 80000008000100fa 1 1", "('fuse blown',)"]
 
 
 @pytest.mark.usefixtures("fast")
-def test_the_programs_of_the_drives_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    run_programs(ROOT / "docs" / "drives.md", tmp_path)
-    first, second = capsys.readouterr().out.splitlines()
-    assert first.startswith("{'inputs': '220C:long 2033 2035', 'inputs_enable': 255,")
-    assert second.startswith("drive saw: write_map: outputs: oP.28 (231Ch) cannot be process output data")
-
-
-def run_programs(page: Path, directory: Path) -> None:
-    """The programs of a page marked so, with its files beside them."""
-    for mark, text in blocks(page, "toml"):
-        if mark.startswith("file: "):
-            (directory / mark.removeprefix("file: ")).write_text(text, encoding="utf-8")
+@pytest.mark.parametrize("page", [p for p in PAGES if p.parent.name == "docs"], ids=lambda p: p.name)
+def test_programs_in_the_documents_run(page: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A program marked "run" prints what the next block of kind text says."""
+    wanted = [text for mark, text in blocks(page, "text") if mark == "output"]
     programs = [text for mark, text in blocks(page, "python") if mark == "run"]
-    assert programs
+    assert len(programs) == len(wanted)
     for number, text in enumerate(programs):
-        program = directory / f"program{number}.py"
+        program = tmp_path / f"program{number}.py"
         program.write_text(text, encoding="utf-8")
         runpy.run_path(str(program), run_name="__main__")
+        assert capsys.readouterr().out == wanted[number]
 
 
 @pytest.mark.usefixtures("fast")
@@ -72,14 +85,22 @@ def test_examples_run(example: Path, capsys: pytest.CaptureFixture[str]) -> None
     runpy.run_path(str(example), run_name="__main__")
     out = capsys.readouterr().out
     wanted = {
+        "own_slave": ["level 40 %", "ext_diag, wd_on 80 40 07", "valve closed"],
         "two_drives": ["hoist at 25 Hz", "fan at 24 Hz", "fan at -24 Hz"],
+        "class_2": [
+            "3: ident 0x0696, master 2, config f3 71",
+            "outputs {'flap': True}",
+            "inputs {'limit': True}",
+            "slave 126 does not answer Slave_Diag; check address and power; `dpstack scan` shows who is there",
+        ],
         "watch_events": ["slave 3 (hoist): data_exchange", "8 valves data_exchange 00"],
     }[example.stem]
     assert [line for line in wanted if line not in out] == []
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
-def test_configurations_load(page: Path) -> None:
+def test_configurations_load(page: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)  # files they name are of the checkout
     for _, text in blocks(page, "toml"):
         try:
             parse_config(text, page.name)
@@ -117,7 +138,7 @@ def test_links_lead_somewhere(page: Path) -> None:
 
 def test_every_command_and_option_is_documented() -> None:
     text = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
-    for name in ("demo", "run", "sim", "segment", "ctl", "scan", "plan", "baud", "ports", "doctor"):
+    for name in ("demo", "run", "sim", "segment", "ctl", "scan", "address", "plan", "baud", "ports", "doctor", "gsd"):
         assert f"`dpstack {name}" in text
 
 
@@ -165,3 +186,17 @@ def test_public_names() -> None:
         assert name in dir(dpstack)
     with pytest.raises(AttributeError, match="has no attribute 'nonsense'"):
         _ = dpstack.nonsense
+
+
+def test_the_table_of_neighbours_is_the_programs() -> None:
+    from dpstack.phy.neighbours import Neighbours
+    from dpstack.phy.patience import ADAPTER, measured
+
+    text = (ROOT / "docs" / "bus-parameters.md").read_text(encoding="utf-8")
+    rows = re.findall(r"\| (not measured, 20|measured (\d)) ms(?:, lowest other master (\d))? \|(.*)\|", text)
+    for _, ms, lowest, cells in rows:
+        patience = measured(int(ms) * 1_000_000) if ms else ADAPTER
+        for cell, baud in zip(cells.split("|"), (187_500, 500_000, 1_500_000), strict=True):
+            wanted = Neighbours(BusParams.preset(baud), patience, int(lowest or 0)).t_sl
+            assert ("none" in cell) if wanted > 16_383 else int(cell.replace(" ", "")) == wanted
+    assert len(rows) == 3

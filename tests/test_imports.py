@@ -34,10 +34,10 @@ MAY: dict[str, set[str]] = {
     "drivers": DP | {"ports", "machine", "sim"},
     "api": DP | {"drivers", "ports", "sim", "profile"},
     "cli": {"api", "gsd", "trace"} | PURE_BASE,
-    "__init__": {"api", "errors", "profile", "dp", "trace"},
+    "__init__": {"api", "errors", "profile", "dp", "sim", "trace"},
 }
 #: profile sees only these modules of dp: its public slave application and image types.
-PROFILE_MAY_OF_DP = {"dp.device", "dp.image", "dp.slaveapp", "dp.identifiers", "dp.setup", "dp.diagnosis"}
+PROFILE_MAY_OF_DP = {"dp.device", "dp.image", "dp.slaveapp", "dp.setup", "dp.diagnosis"}
 #: From sim and dp down.
 PURE = {"units", "errors", "trace", "stats", "params", "machine", "phy", "fdl", "gsd", "dp", "sim", "profile"}
 FORBIDDEN_IN_PURE = {

@@ -10,15 +10,17 @@ from collections.abc import Callable, Iterable, Mapping
 from types import TracebackType
 from typing import Final
 
+from dpstack.api.class2 import Class2
 from dpstack.api.compose import attach_core, compose
 from dpstack.api.config import Config, slave_config
 from dpstack.api.drive import Drive
-from dpstack.api.joining import what_was_heard, why_not_joined
+from dpstack.api.joining import Beside, join_limit_s, what_was_heard, why_not_joined
 from dpstack.api.livelist import scan_on
 from dpstack.api.slave import Slave
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.api.statistics import BusStats, collect
 from dpstack.api.streams import EventStream, Rounds, Waiters
+from dpstack.dp.class2 import ServiceDone
 from dpstack.dp.commands import AddSlave, Mode, RemoveSlave, SetMode, Shutdown
 from dpstack.dp.events import DriveEvent, MasterStopped
 from dpstack.dp.plan import Case
@@ -31,8 +33,6 @@ from dpstack.sim.world import World
 from dpstack.trace import Event, Notice, Severity
 from dpstack.units import BITS_PER_CHAR, ns_to_s
 
-#: with foreign masters on the bus one has to wait until one of them asks for us in its GAP
-JOIN_TIMEOUT_S: Final = 30.0
 #: the ordered end takes a few rotations; nobody waits longer than this for it (plus ten rotations)
 _END_TIMEOUT_S: Final = 2.0
 _HISTORY: Final = 1000
@@ -51,7 +51,7 @@ class Bus:
         config: Config,
         *,
         on_event: OnEvent | None = None,
-        join_timeout: float = JOIN_TIMEOUT_S,
+        join_timeout: float | None = None,
         world: World | None = None,
         watched: bool = True,
     ) -> None:
@@ -74,11 +74,12 @@ class Bus:
         self.started_ns = 0
         self._on_event = on_event
         self._join_timeout = join_timeout
+        self._beside = Beside(parts.station)
         self._open = False
         self._ending: asyncio.Task[None] | None = None
         self._stopped = False
         self._left = False
-        self._has_joined = False
+        self._joined_ns = 0  # machine time of the first token
         self._ended_ns = 0
         self._collision: str | None = None
         #: why nothing will happen any more: a failure, or the end
@@ -87,6 +88,8 @@ class Bus:
         self._streams: list[EventStream] = []
         self._waiters = Waiters()
         self.rounds = Rounds(self.master)
+        #: the services of a class 2 master: diagnosis, configuration, inputs and outputs of any slave, its address
+        self.class2 = Class2(self)
         self._slaves: dict[int, Slave] = {}
         self._drives: dict[int, Drive] = {}
         for slave in config.slaves:
@@ -128,10 +131,13 @@ class Bus:
             raise
 
     async def _join(self) -> None:
+        limit = self._join_timeout
+        if limit is None:
+            limit = join_limit_s(self.params, self.station.patience)
         try:
-            await self.until(self._joined, self._join_timeout)
+            await self.until(self._joined, limit)
         except TimeoutError:
-            raise BusError(why_not_joined(self.station, self._join_timeout)) from None
+            raise BusError(why_not_joined(self.station, limit)) from None
 
     def _joined(self) -> bool:
         if self._collision is not None:
@@ -299,6 +305,11 @@ class Bus:
         return ns_to_s(self.runtime.now() - self.started_ns)
 
     @property
+    def seconds_in_ring(self) -> float:
+        """Bus time since this master was given, or claimed, its first token in seconds; 0 before that."""
+        return ns_to_s(self.runtime.now() - self._joined_ns) if self._joined_ns else 0.0
+
+    @property
     def rotation_limit_s(self) -> float:
         """The longest rotation of the plan in seconds."""
         return ns_to_s(self.plan.rotation_ns(Case.LONGEST))
@@ -330,6 +341,9 @@ class Bus:
     def _on_events(self, events: list[Event]) -> None:
         for event in events:
             match event:
+                case ServiceDone():  # told to who waits for it, and to nobody else
+                    self.class2.on_done(event)
+                    continue
                 case DriveEvent(address=address, payload=payload):
                     drive = self._drives.get(address)
                     if drive is not None:
@@ -343,8 +357,10 @@ class Bus:
                 case AddressCollision():
                     self._collision = event.text
             self._tell(event)
-            if isinstance(event, RingJoined) and not self._has_joined:
-                self._has_joined = True
+            for notice in self._beside.notices(event):
+                self._tell(notice)
+            if isinstance(event, RingJoined) and not self._joined_ns:
+                self._joined_ns = event.t_ns
                 self._tell(Notice(t_ns=event.t_ns, source="bus", message=what_was_heard(self.station)))
         self._waiters.check()
 
@@ -363,6 +379,7 @@ class Bus:
             self._over = error
         for drive in self._drives.values():
             drive.end(self._over)
+        self.class2.end(self._over)
         for stream in self._streams:
             stream.end()
         self._waiters.check()
@@ -380,4 +397,4 @@ class Bus:
                 )
 
 
-__all__ = ["JOIN_TIMEOUT_S", "Bus", "OnEvent", "SlaveTable"]
+__all__ = ["Bus", "OnEvent", "SlaveTable"]

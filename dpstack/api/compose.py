@@ -9,6 +9,7 @@ from typing import Final
 from dpstack.api.bench import VirtualBench, device_of
 from dpstack.api.config import Config, rate_findings
 from dpstack.api.slave_config import SlaveConfig
+from dpstack.dp.class2 import Class2
 from dpstack.dp.master import Master
 from dpstack.dp.plan import Case, Plan, make_plan, t_tr_preset
 from dpstack.dp.reading import reading_only
@@ -22,6 +23,7 @@ from dpstack.fdl.active import ActiveStation
 from dpstack.fdl.livelist import LiveList, live_allowance
 from dpstack.fdl.user import LinkUser
 from dpstack.params import BusParams
+from dpstack.phy.neighbours import Neighbours
 from dpstack.phy.patience import EXACT, Patience, slack
 from dpstack.ports import Delivery, Port, open_port
 from dpstack.profile import DriveCore
@@ -39,12 +41,14 @@ def plan_bus(config: Config, baud: int | None = None) -> Plan:
     setups = config.setups(rate)
     params = with_t_tr(config, config.params(rate), setups)
     notes = [note for slave in config.slaves for note in slave.notes]
-    pty, slack_ns = False, 0
+    pty, slack_ns, beside = False, 0, ""
     if config.bus.port is not None and not config.virtual:
         port = port_of(config, rate)
-        pty, slack_ns = port.delivery is Delivery.HOST, patience_for(config, port).known_ns
+        patience = patience_for(config, port)
+        pty, slack_ns = port.delivery is Delivery.HOST, patience.known_ns
+        beside = Neighbours(params, patience).advice()
     findings = rate_findings(config, rate)
-    return make_plan(params, setups, pty=pty, host_slack_ns=slack_ns, findings=findings, notes=notes)
+    return make_plan(params, setups, pty=pty, host_slack_ns=slack_ns, findings=findings, notes=notes, beside=beside)
 
 
 def with_t_tr(config: Config, params: BusParams, setups: Sequence[SlaveSetup]) -> BusParams:
@@ -111,6 +115,7 @@ def compose(
     )
     watcher = _watcher(config, params, patience) if read_only and watched else None
     users: list[LinkUser] = [master] if watcher is None else [master, watcher]
+    users.append(Class2(params.address, master))
     station = ActiveStation(params, users, patience=patience, guard=reading_only if read_only else None)
     if port is not None:
         # a pty is given what a stalled computer needs, and a user's own figure stands

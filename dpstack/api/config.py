@@ -20,7 +20,7 @@ from dpstack.api.tables import Source, Table
 from dpstack.api.toml_lines import line_numbers
 from dpstack.dp.setup import SlaveSetup
 from dpstack.errors import ConfigError, ParamError
-from dpstack.params import MAX_STATION, BusParams
+from dpstack.params import MAX_STATION, MAX_T_SL, BusParams
 from dpstack.units import BAUD_RATES, baud_text
 
 VIRTUAL: Final = "virtual"
@@ -257,7 +257,7 @@ def _read_bus(table: Table) -> BusConfig:
         baud=_baud(table),
         address=_or(table.integer("address", 0, MAX_STATION), 2),
         driver=driver,
-        t_sl=table.integer("t_sl", 37, 16_383),
+        t_sl=table.integer("t_sl", 37, MAX_T_SL),
         t_tr=table.integer("t_tr", 256, 16_777_960),
         max_retry=table.integer("max_retry", 0, 15),
         gap=table.integer("gap", 0, 100, "0 switches the GAP off"),
@@ -323,9 +323,10 @@ def _checked(config: Config) -> Config:
 
 
 def rate_findings(config: Config, baud: int) -> list[str]:
-    """Slaves whose manual does not list ``baud``."""
+    """Slaves whose manual or GSD file does not list ``baud``."""
     return [
-        f"slave {s.address} ({s.name}): {s.profile.name} does not know {baud_text(baud)}; take another rate"
+        f"slave {s.address} ({s.name}): {s.profile.name if s.profile else 'by its GSD file it'} does not know "
+        f"{baud_text(baud)}; take another rate"
         for s in config.slaves
-        if s.profile is not None and s.profile.baud_rates and baud not in s.profile.baud_rates
+        if s.baud_rates and baud not in s.baud_rates
     ]

@@ -11,13 +11,18 @@ from pathlib import Path
 from typing import Final
 
 from dpstack.errors import PortBusyError, PortError
+from dpstack.params import MAX_T_SL, BusParams
+from dpstack.phy.neighbours import Neighbours
+from dpstack.phy.patience import ADAPTER
 from dpstack.ports.adapters import Abilities, AdapterInfo, list_adapters, probe
 from dpstack.ports.holders import PROC, holder_of_path
 from dpstack.ports.sysfs import CHIPS, SYSFS, Adapter
-from dpstack.units import BAUD_RATES, baud_text
+from dpstack.units import BAUD_RATES, NS_PER_MS, baud_text
 
 __all__ = ["AdapterInfo", "Check", "Computer", "Level", "examine", "list_adapters"]
 
+#: rates at which buses with several masters are seen
+_USUAL_RATES: Final = (187_500, 500_000)
 _SET_UP: Final = "run tools/setup_adapter.sh once (it asks for root), then log in again"
 #: what a process driver wants to lock: the interpreter with its modules
 _MEMLOCK: Final = 64 << 20
@@ -75,10 +80,10 @@ def examine(port: str | None = None, computer: Computer | None = None) -> list[C
         return [Check("system", Level.NOTE, text, "for hard times use Linux")]
     checks = _real_time(here)
     if port is not None:
-        return checks + _port(port, here)
+        return checks + _port(port, here) + _neighbours(port)
     adapters = here.adapters()
     if not adapters:
-        todo = 'plug one in, or try --port pty, or port = "virtual"'
+        todo = 'plug one in; without one: a port of `dpstack segment`, or port = "virtual"'
         return [*checks, Check("adapters", Level.FINDING, "no serial adapter is plugged in", todo)]
     for adapter in adapters:
         checks += _port(adapter.path, here)
@@ -129,6 +134,22 @@ def _port(path: str, here: Computer) -> list[Check]:
     except PortError as error:
         return [*checks, Check(path, Level.FINDING, str(error), "take another port")]
     return checks + _rates(path, can) + _abilities(path, can, here, is_pty)
+
+
+def _neighbours(path: str) -> list[Check]:
+    """What other masters on its bus would need, while nobody has measured how late it is."""
+    from dpstack.ports.tty import is_pty_path
+
+    if is_pty_path(path) or not os.path.exists(path):
+        return []
+    by_rate = {rate: Neighbours(BusParams.preset(rate), ADAPTER).t_sl for rate in BAUD_RATES}
+    wanted = ", ".join(f"{by_rate[rate]} at {baud_text(rate)}" for rate in _USUAL_RATES)
+    fastest = max(rate for rate, t_sl in by_rate.items() if t_sl <= MAX_T_SL)
+    text = (
+        f"other masters on its bus need T_SL above its delay ({ADAPTER.unknown_ns // NS_PER_MS} ms until a run has "
+        f"measured it): {wanted}, and none is enough above {baud_text(fastest)}"
+    )
+    return [Check(path, Level.NOTE, text, "alone on the bus nothing has to be done; else set t_sl on all masters")]
 
 
 def _identity(path: str, here: Computer) -> list[Check]:

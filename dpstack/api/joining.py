@@ -1,8 +1,68 @@
-"""Why a master did not get into the token ring, for people."""
+"""Beside other masters: how long joining their ring may take, why it failed, and what they need; for people."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from typing import Final
+
 from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.events import MasterSeen
+from dpstack.params import BusParams
+from dpstack.phy.neighbours import Neighbours
+from dpstack.phy.patience import Patience
+from dpstack.trace import Event, Notice, Severity
+from dpstack.units import NS_PER_S, ns_to_s
+
+#: a master of another make may be slower than ours: nobody gives up sooner
+_LEAST_LIMIT_S: Final = 30.0
+#: the first poll may come before the newcomer knows the ring, or its answer may be damaged
+_PASSES: Final = 2
+
+
+def pass_ns(params: BusParams, patience: Patience) -> int:
+    """How long a newcomer waits at most for the GAP poll of a master set like this one: the pause between two passes,
+    and one pass over every address up to HSA. (Of what is polled in each rotation only the slot time is counted.)"""
+    cost_ns = patience.silent_ns(params)
+    polls = params.hsa + 1
+    return params.gap * params.ns(params.t_tr) + polls * cost_ns * max(1, patience.gap_share(polls, cost_ns))
+
+
+def join_limit_s(params: BusParams, patience: Patience) -> float:
+    """When to give up: two passes, 30 s at least."""
+    return max(_LEAST_LIMIT_S, float(-(-_PASSES * pass_ns(params, patience) // NS_PER_S)))
+
+
+class Beside:
+    """What is to be told of other masters: how long joining takes, and what they need beside a port such as ours.
+
+    The figures are those of the moment: told again when the port was measured and another master comes.
+    """
+
+    def __init__(self, station: ActiveStation) -> None:
+        self._station = station
+        self._told: set[str] = set()
+
+    def notices(self, event: Event) -> Iterator[Notice]:
+        """What ``event`` gives cause for."""
+        if not (isinstance(event, MasterSeen) and event.present):
+            return
+        station = self._station
+        params, patience = station.params, station.patience
+        if not station.in_ring and not self._told:
+            within = ns_to_s(pass_ns(params, patience))
+            text = (
+                f"waiting for master {event.address} to let station {params.address} into the ring: up to "
+                f"{within:.1f} s where it is set like this one; a lower hsa on all masters makes it shorter"
+            )
+            yield self._notice(event.t_ns, text, Severity.INFO)
+        lowest = min(station.las - {params.address}, default=event.address)
+        advice = Neighbours(params, patience, lowest).advice()
+        if advice and advice not in self._told:
+            yield self._notice(event.t_ns, advice, Severity.WARNING)
+
+    def _notice(self, now: int, text: str, severity: Severity) -> Notice:
+        self._told.add(text)
+        return Notice(t_ns=now, source="ring", message=text, severity=severity)
 
 
 def why_not_joined(station: ActiveStation, after_s: float) -> str:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
+from dpstack.api.visiting import MakeBus, joined
 from dpstack.dp.events import SlaveState
 from dpstack.dp.scanner import Found, Scanner, SlaveView, view_of
 from dpstack.errors import BusError, DpError
@@ -19,9 +20,6 @@ from dpstack.params import MAX_STATION
 if TYPE_CHECKING:
     from dpstack.api.bus import Bus
     from dpstack.api.slave import Slave
-
-#: so many addresses in use are tried before somebody has to name one
-_TRIES: Final = 8
 
 
 async def scan_on(bus: Bus, *, configs: bool, addresses: Iterable[int], quick: bool | None) -> tuple[Found, ...]:
@@ -78,25 +76,15 @@ class LiveListResult:
         }
 
 
-#: Makes a bus at a station address that may only read and is not open yet.
-MakeBus = Callable[[int], "Bus"]
-
-
 async def scan_port(make_bus: MakeBus, *, address: int | None = None, configs: bool = False) -> LiveListResult:
     """Join the bus, ask everybody, leave in order; on a silent bus then ask the own address from another one.
 
-    The address is the lowest that is not heard (0 is the one kept for tools) unless given. Raises PortError, BusError.
+    ``make_bus`` makes read-only buses; ``address`` as in :func:`~dpstack.api.visiting.joined`.
+    Raises PortError, BusError.
     """
-    for tries, own in enumerate(range(MAX_STATION + 1) if address is None else (address,)):
-        bus = make_bus(own)
-        try:
-            async with bus:
-                stations = await bus.scan(configs=configs)
-        except BusError:
-            if bus.collided and not bus.station.in_ring and address is None and tries < _TRIES:
-                continue
-            raise
-        break
+    async with joined(make_bus, address) as bus:
+        own = bus.params.address
+        stations = await bus.scan(configs=configs)
     notes = list(_notes(stations, bus.unreadable))
     if bus.station.claimed:  # else another master asked the own address and understood the one answer it got
         taken = {own, *(found.address for found in stations)}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from dpstack.api.bus import JOIN_TIMEOUT_S, Bus, OnEvent, SlaveTable
+from dpstack.api.bus import Bus, OnEvent, SlaveTable
 from dpstack.api.config import Config, load_config, make_config
 from dpstack.errors import ConfigError
 from dpstack.sim.world import World
@@ -19,7 +19,7 @@ def open_bus(
     address: int | None = None,
     slaves: Iterable[SlaveTable] = (),
     on_event: OnEvent | None = None,
-    join_timeout: float = JOIN_TIMEOUT_S,
+    join_timeout: float | None = None,
     world: World | None = None,
     **bus: object,
 ) -> Bus:
@@ -28,7 +28,8 @@ def open_bus(
     Use it as ``async with open_bus(...) as bus``: entering listens, joins the token ring and begins to bring the slaves
     up in Clear; ``await bus.operate()`` lets outputs out. ``slaves`` are mappings with the keys of a [[slave]] table,
     ``bus`` further keys of [bus]. ``port="virtual"`` simulates the slaves in this process. ``on_event`` is called for
-    every event at once; ``world`` joins an existing simulated bus.
+    every event at once; ``world`` joins an existing simulated bus. ``join_timeout`` in seconds: how long to wait
+    for the token beside other masters (default: two passes over a GAP like this master's, 30 s at least).
 
     Raises ConfigError here; PortError and BusError on entering.
     """

@@ -18,6 +18,7 @@ from dpstack.drivers.segment import Segment, default_directory
 from dpstack.errors import BusError, ConfigError
 from dpstack.fdl.multidrop import Multidrop
 from dpstack.params import BusParams
+from dpstack.phy.neighbours import t_sl_of_answers
 from dpstack.ports import open_port
 from dpstack.trace import Event
 from dpstack.units import NEVER, ns_to_s
@@ -79,6 +80,8 @@ class Simulation:
         opened = open_port(port, baud)
         patience = patience_of(opened)
         self._params = params = BusParams.preset(baud)
+        #: T_SL in bit times that a real master needs for these slaves behind this port, 0 where it needs none for it
+        self.t_sl = t_sl_of_answers(params, patience)
         units = [Unit(slave, params, patience) for slave in config.slaves]
         self.slaves = tuple(SimulatedSlave(unit) for unit in units)
         self._units = {unit.config.address: unit for unit in units}
@@ -98,6 +101,17 @@ class Simulation:
         """Since the start."""
         return ns_to_s(self.runtime.now() - self.started_ns)
 
+    @property
+    def telegrams(self) -> int:
+        """Heard by its receiver, to whomever they were."""
+        return self._line.decoder_stats.telegrams
+
+    @property
+    def bad(self) -> dict[str, int]:
+        """Damaged telegrams and stray octets that its receiver heard, by cause, as in BusStats."""
+        damage = {f"uart_{cause}": count for cause, count in self.runtime.damage().items() if count}
+        return self._line.decoder_stats.by_cause() | damage
+
     # --- treated from outside ---------------------------------------------------------------------------------------
 
     def status(self) -> dict[str, object]:
@@ -111,7 +125,8 @@ class Simulation:
                 "exchanges": slave.exchanges,
                 "watchdogs": slave.watchdogs,
             }
-        return {"seconds": round(self.seconds, 3), "baud": self.baud, "slaves": slaves}
+        received = {"telegrams": self.telegrams, "bad": self.bad}
+        return {"seconds": round(self.seconds, 3), "baud": self.baud, **received, "slaves": slaves}
 
     def names(self) -> dict[int, str]:
         """Address and name of every slave."""

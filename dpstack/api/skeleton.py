@@ -6,10 +6,11 @@ from collections.abc import Iterator
 
 from dpstack.api.livelist import LiveListResult
 from dpstack.api.profiles import known_drives
-from dpstack.dp.identifiers import io_lengths
+from dpstack.api.toml_text import quoted
 from dpstack.dp.scanner import Found, SlaveView
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA, StationType
+from dpstack.gsd.identifiers import io_lengths
 from dpstack.params import MAX_STATION
 from dpstack.profile import DriveProfile
 
@@ -30,7 +31,7 @@ def config_skeleton(result: LiveListResult, port: str) -> str:
         "# Made by dpstack scan from what was found on the bus. Compare it with the GSD files of the devices:",
         "# user parameters (user_prm) and names are not to be had by asking.",
         "[bus]",
-        f"port = {_quoted(port)}",
+        f"port = {quoted(port)}",
         f"baud = {result.baud}",
         f"address = {_free_address(result)}",
     ]
@@ -47,11 +48,6 @@ def _free_address(result: LiveListResult) -> int:
     taken = {found.address for found in result.stations}
     candidates: list[int] = [*range(_FIRST_MASTER, MAX_STATION + 1), 0, 1]
     return next(address for address in candidates if address not in taken)
-
-
-def _quoted(text: str) -> str:
-    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
-    return f'"{escaped}"'
 
 
 def _slave(found: Found) -> list[str]:

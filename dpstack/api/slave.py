@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.dp import faults
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.events import Fault, SlaveState
+from dpstack.dp.fields import Field, Value
 from dpstack.dp.scanner import Found, SlaveView
 from dpstack.dp.setup import SlaveSetup
 from dpstack.dp.slave_handler import SlaveHandler
@@ -113,6 +116,66 @@ class Slave:
             image.outputs = octets
         except ValueError as error:
             raise UsageError(f"slave {self.address} ({self.name}): {error}") from None
+
+    # --- named fields -------------------------------------------------------------------------------------------
+
+    @property
+    def input_values(self) -> dict[str, Value]:
+        """The named inputs (``inputs = {...}`` in the configuration), all of one exchange."""
+        return self.config.input_fields.values(self.inputs)
+
+    @property
+    def output_values(self) -> dict[str, Value]:
+        """The named outputs of the next Data_Exchange in Operate."""
+        return self.config.output_fields.values(self.outputs)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.config.input_fields or name in self.config.output_fields
+
+    def __iter__(self) -> Iterator[str]:
+        return iter((*self.config.input_fields, *self.config.output_fields))
+
+    def __getitem__(self, name: str) -> Value:
+        """A named input or output. Raises UsageError naming those there are."""
+        found = self.config.input_fields.fields.get(name)
+        if found is not None:
+            return found.get(self.inputs)
+        found = self.config.output_fields.fields.get(name)
+        if found is not None:
+            return found.get(self.outputs)
+        raise self._unknown(name, "field", tuple(self))
+
+    def __setitem__(self, name: str, value: object) -> None:
+        """Change the bits of one named output, and no others. Raises UsageError as :meth:`update` does."""
+        self.update({name: value})
+
+    def update(self, values: Mapping[str, object]) -> None:
+        """Change several named outputs: they go out in the same rotation, all of them or none.
+
+        Raises UsageError for a name that is no output, a value that does not fit, and as :attr:`outputs` does.
+        """
+        octets = self.outputs
+        for name, value in values.items():
+            try:
+                octets = self.output_field(name).put(octets, value)
+            except ValueError as error:
+                raise UsageError(f"slave {self.address} ({self.name}): {error}") from None
+        self.outputs = octets
+
+    def output_field(self, name: str) -> Field:
+        """The declaration of a named output. Raises UsageError naming those there are."""
+        found = self.config.output_fields.fields.get(name)
+        if found is None:
+            raise self._unknown(name, "output", tuple(self.config.output_fields))
+        return found
+
+    def _unknown(self, name: object, what: str, known: tuple[str, ...]) -> UsageError:
+        who = f"slave {self.address} ({self.name})"
+        if name in self:
+            return UsageError(f"{who}: {name} is an input: only outputs can be set")
+        near = difflib.get_close_matches(str(name), known, n=1, cutoff=0.5)
+        hint = f"did you mean {near[0]}?" if near else f"there are: {', '.join(known) or 'none'}"
+        return UsageError(f"{who}: no {what} is called {name!r}; {hint}")
 
     @property
     def exchanges(self) -> int:

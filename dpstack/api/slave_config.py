@@ -1,4 +1,4 @@
-"""One [[slave]] table: a known drive by name, or a raw slave by ident and identifier octets."""
+"""One [[slave]] table: a known drive by name, a GSD file, or a raw slave by ident and identifier octets."""
 
 from __future__ import annotations
 
@@ -6,11 +6,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
+from dpstack.api.field_config import read_fields
+from dpstack.api.gsd_slave import GSD_KEYS, read_gsd_slave
 from dpstack.api.tables import Table
-from dpstack.dp.identifiers import io_lengths
+from dpstack.dp.fields import FieldMap
 from dpstack.dp.setup import SlaveSetup
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
+from dpstack.gsd.diag_texts import DiagTexts
+from dpstack.gsd.identifiers import io_lengths
 from dpstack.params import MAX_STATION
 from dpstack.profile import DriveProfile, registry
 from dpstack.units import NS_PER_US
@@ -26,6 +30,7 @@ _KEYS: Final = (
     "gsd",
     "modules",
     "parameters",
+    "defaults",
     "watchdog_ms",
     "groups",
     "every",
@@ -41,12 +46,7 @@ _KEYS: Final = (
 )
 #: keys whose function comes later, with the values that ask for nothing
 _LATER: Final[dict[str, tuple[object, ...]]] = {
-    "gsd": (),
-    "modules": (),
-    "parameters": (),
     "dpv1": (False,),
-    "inputs": (),
-    "outputs": (),
 }
 #: Min_Slave_Interval counts in 100 us, as GSD files do
 _INTERVAL_UNIT: Final = 100 * NS_PER_US
@@ -72,8 +72,16 @@ class SlaveConfig:
     initial: bytes | None = None
     min_slave_interval_ns: int = 0
     fail_safe: bool = False
+    #: names for what is in the process data
+    input_fields: FieldMap = field(default_factory=FieldMap)
+    output_fields: FieldMap = field(default_factory=FieldMap)
     #: the application makes the outputs octet by octet, also where there is a drive plugin
     raw: bool = False
+    #: MaxTsdr in bit times by rate, and the rates it knows, where manual or GSD file say so
+    max_tsdr: Mapping[int, int] = field(default_factory=dict)
+    baud_rates: frozenset[int] = frozenset()
+    #: texts of its diagnosis, where there is a GSD file
+    texts: DiagTexts | None = None
     notes: tuple[str, ...] = ()
 
     @property
@@ -102,7 +110,7 @@ class SlaveConfig:
             fail_safe=self.fail_safe,
             every=self.every,
             min_slave_interval_ns=self.min_slave_interval_ns,
-            max_tsdr=profile.max_tsdr.get(baud) if profile else None,
+            max_tsdr=self.max_tsdr.get(baud),
             on_loss=profile.on_loss if profile else "",
         )
 
@@ -117,8 +125,7 @@ def read_slave(table: Table) -> SlaveConfig:
     address = table.integer("address", 0, MAX_STATION, "stations have 0..125; 126 is a slave without an address yet")
     if address is None:
         table.fail(None, "no address", "add its station address, 0..125")
-    drive = table.text("drive")
-    slave = _build(table, address, _raw(table) if drive is None else _drive(table, drive))
+    slave = _build(table, address, _basis(table))
     try:
         slave.setup(500_000)
     except ConfigError as error:
@@ -128,7 +135,7 @@ def read_slave(table: Table) -> SlaveConfig:
 
 @dataclass(frozen=True, slots=True)
 class _Basis:
-    """What the two kinds of slave take from elsewhere: the drive's manual, or nothing."""
+    """What the kinds of slave take from elsewhere: the drive's manual, a GSD file, or nothing."""
 
     ident: int | None
     config: bytes
@@ -139,10 +146,43 @@ class _Basis:
     profile: DriveProfile | None = None
     telegram: str | None = None
     options: Mapping[str, object] = field(default_factory=dict)
+    max_tsdr: Mapping[int, int] = field(default_factory=dict)
+    baud_rates: frozenset[int] = frozenset()
+    texts: DiagTexts | None = None
+    notes: tuple[str, ...] = ()
+
+
+def _basis(table: Table) -> _Basis:
+    """What the table stands on: a GSD file, a known drive, or octets."""
+    drive, gsd = table.text("drive"), table.text("gsd")
+    if gsd is not None:
+        return _gsd(table, gsd)
+    for key in GSD_KEYS:
+        if key in table:
+            table.fail(key, f"{key} without gsd", f"name the GSD file, or leave {key} out")
+    return _raw(table) if drive is None else _drive(table, drive)
+
+
+def _gsd(table: Table, path: str) -> _Basis:
+    found = read_gsd_slave(table, path)
+    device = found.device
+    if device.ident is None and "ident" not in table:
+        table.fail("gsd", f"{path} has no Ident_Number", 'add ident = 0x1234, or ident = "ask"')
+    return _Basis(
+        ident=device.ident,
+        config=found.configuration.config,
+        user_prm=found.user_prm,
+        interval_ns=(device.min_slave_interval or 0) * _INTERVAL_UNIT,
+        fail_safe=device.fail_safe,
+        max_tsdr=found.max_tsdr,
+        baud_rates=found.baud_rates,
+        texts=found.configuration.texts(),
+        notes=found.notes,
+    )
 
 
 def _drive(table: Table, name: str) -> _Basis:
-    for key in ("config", "gsd", "modules"):
+    for key in ("config",):
         if key in table:
             table.fail(key, f"{key} beside drive", f"leave {key} out: it follows from drive and telegram")
     try:
@@ -154,7 +194,8 @@ def _drive(table: Table, name: str) -> _Basis:
         telegram = profile.telegram(wanted)
     except ConfigError as error:
         raise _split(table, "telegram", error) from None
-    options = table.members("options", "options = { reference_hz = 60 }")
+    inside = table.table("options")
+    options = {} if inside is None else {key: inside.raw(key) for key in inside}
     references: dict[str, object] = {}
     for key in ("reference_hz", "reference_rpm"):
         value = table.number(key, 0.001, 1_000_000)
@@ -172,6 +213,8 @@ def _drive(table: Table, name: str) -> _Basis:
         safe=core.safe_outputs,
         interval_ns=profile.min_slave_interval_ns,
         fail_safe=profile.fail_safe,
+        max_tsdr=profile.max_tsdr,
+        baud_rates=frozenset(profile.baud_rates),
         profile=profile,
         telegram=telegram.name,
         options=options,
@@ -185,7 +228,9 @@ def _raw(table: Table) -> _Basis:
     config = table.octets("config")
     if config is None:
         table.fail(
-            None, "neither drive nor config", 'name a drive, or give ident and config (identifier octets, "20 10")'
+            None,
+            "neither drive nor config",
+            'name a drive or a GSD file, or give ident and config (identifier octets, "20 10")',
         )
     try:
         io_lengths(config)
@@ -212,11 +257,12 @@ def _build(table: Table, address: int, basis: _Basis) -> SlaveConfig:
     outputs = io_lengths(basis.config)[1]
     if safe is not None and len(safe) != outputs:
         table.fail("safe", f"safe has {len(safe)} octets", f"the configuration has {outputs} octets of outputs")
-    user_prm = table.octets("user_prm")
+    user_prm = None if basis.texts is not None else table.octets("user_prm")
     ident, ident_note = _ident(table, basis)
+    input_fields, output_fields = read_fields(table, *io_lengths(basis.config))
     name = table.text("name") or f"slave{address}"
     profile = basis.profile
-    notes = [f"slave {address} ({name}): {ident_note}"] if ident_note else []
+    notes = [f"slave {address} ({name}): {note}" for note in (ident_note, *basis.notes) if note]
     if profile is not None and profile.telegram(basis.telegram).made_up:
         notes.append(
             f"slave {address} ({name}): the identifier octets {basis.config.hex(' ').upper()} of {profile.name} are in "
@@ -231,12 +277,17 @@ def _build(table: Table, address: int, basis: _Basis) -> SlaveConfig:
         profile=profile,
         telegram=basis.telegram,
         options=basis.options,
+        max_tsdr=basis.max_tsdr,
+        baud_rates=basis.baud_rates,
+        texts=basis.texts,
         watchdog_ms=watchdog,
         groups=table.integers("groups", 1, 8),
         every=1 if every is None else every,
         safe=basis.safe if safe is None else safe,
         min_slave_interval_ns=basis.interval_ns if interval is None else interval * _INTERVAL_UNIT,
         fail_safe=table.flag("fail_safe", basis.fail_safe),
+        input_fields=input_fields,
+        output_fields=output_fields,
         notes=tuple(notes),
     )
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from dpstack.dp.fields import as_json
 from dpstack.fdl.user import LinkStats, StationStats
 from dpstack.units import NS_PER_MS
 
@@ -17,7 +19,8 @@ if TYPE_CHECKING:
 class SlaveStats:
     """One slave's counters since the start; ``link`` are those of the link layer.
 
-    ``master`` owns it on a read-only bus, as far as is known.
+    ``master`` owns it on a read-only bus, as far as is known. ``fields``: its named inputs and outputs,
+    octets as hex.
     """
 
     address: int
@@ -30,6 +33,7 @@ class SlaveStats:
     outputs: bytes
     link: StationStats
     master: int | None = None
+    fields: Mapping[str, object] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, object]:
         """As in the summary line of ``run --json``."""
@@ -41,6 +45,7 @@ class SlaveStats:
             "timeouts": self.timeouts,
             "inputs": self.inputs.hex(),
             "outputs": self.outputs.hex(),
+            **({"fields": dict(self.fields)} if self.fields else {}),
             **_link_dict(self.link),
             **({} if self.master is None else {"master": self.master}),
         }
@@ -128,8 +133,8 @@ def collect(bus: Bus) -> BusStats:
     """The picture at this moment: a copy, later counts do not change it."""
     link = copy.deepcopy(bus.station.stats)
     lateness = bus.runtime.lateness
-    bad = {k: v for k, v in bus.station.decoder_stats.as_dict().items() if k not in ("telegrams", "octets")}
-    bad |= {f"uart_{cause}": count for cause, count in bus.runtime.damage().items()}
+    bad = bus.station.decoder_stats.by_cause()
+    bad |= {f"uart_{cause}": count for cause, count in bus.runtime.damage().items() if count}
     return BusStats(
         seconds=bus.seconds,
         paced=bus.runtime.paced,
@@ -148,13 +153,14 @@ def collect(bus: Bus) -> BusStats:
                 outputs=slave.outputs,
                 link=link.station(slave.address),
                 master=slave.found.master if slave.found is not None else None,
+                fields=as_json(slave.input_values | slave.output_values),
             )
             for slave in bus.slaves
         },
         tokens=link.tokens,
         tokens_lost=link.tokens_lost,
         late=link.late,
-        bad={name: count for name, count in bad.items() if count},
+        bad=bad,
         link=link,
         host_us=lateness.histogram.summary_us() if lateness.histogram.count else None,
         host_slack_ms=bus.station.patience.known_ns / NS_PER_MS,

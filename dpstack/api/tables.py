@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
 from typing import Final, NoReturn
 
-from dpstack.api.toml_lines import Path
+from dpstack.api.toml_lines import Path as KeyPath
 from dpstack.errors import ConfigError
 
 NOT_YET: Final = "not supported yet by this version"
@@ -16,18 +17,18 @@ NOT_YET: Final = "not supported yet by this version"
 class Source:
     """What a configuration was read from: the name for messages, and the lines of its keys where it has any."""
 
-    def __init__(self, name: str, lines: Mapping[Path, int] | None = None) -> None:
+    def __init__(self, name: str, lines: Mapping[KeyPath, int] | None = None) -> None:
         self.name = name
         self._lines = lines
 
-    def error(self, path: Path, what: str, todo: str) -> ConfigError:
+    def error(self, path: KeyPath, what: str, todo: str) -> ConfigError:
         """``file:line: what; what to do``; without lines just the name."""
         place = self.name
         if self._lines is not None:
             place += f":{self.line(path)}"
         return ConfigError(f"{place}: {what}; {todo}")
 
-    def line(self, path: Path) -> int:
+    def line(self, path: KeyPath) -> int:
         """The line of ``path``, or of the nearest table around it."""
         lines = self._lines or {}
         while path and path not in lines:
@@ -38,7 +39,7 @@ class Source:
 class Table:
     """One table. ``title`` names it in messages (``[bus]``, ``[[slave]] hoist``)."""
 
-    def __init__(self, source: Source, path: Path, data: object, title: str) -> None:
+    def __init__(self, source: Source, path: KeyPath, data: object, title: str) -> None:
         self._source = source
         self._path = path
         self.title = title
@@ -72,8 +73,16 @@ class Table:
             ):
                 self.fail(key, f"{key} is {NOT_YET}", "leave it out")
 
+    @property
+    def folder(self) -> Path:
+        """Where paths in it begin: the folder of the file it is in."""
+        return Path(self._source.name).parent
+
     def __contains__(self, key: str) -> bool:
         return key in self._data
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._data)
 
     def raw(self, key: str) -> object:
         """The value as it stands, None when absent."""
@@ -131,12 +140,14 @@ class Table:
                 self.fail(key, f"{key} holds {member}, outside {low}..{high}", "correct it or leave it out")
         return tuple(sorted(set(value)))
 
-    def members(self, key: str, example: str) -> dict[str, object]:
-        """A table of names and values, for instance ``example``; empty when absent."""
-        value = self._data.get(key, {})
+    def table(self, key: str) -> Table | None:
+        """A table inside this one, inline or with a header of its own."""
+        value = self._data.get(key)
+        if value is None:
+            return None
         if not isinstance(value, Mapping):
-            self._wrong(key, f"a table, for instance {example}")
-        return {str(name): member for name, member in value.items()}
+            self._wrong(key, "a table, for instance { name = value }")
+        return Table(self._source, (*self._path, key), value, f"{self.title}: {key}")
 
     def octets(self, key: str) -> bytes | None:
         """Octets as a text of hex digits, or as a list of integers 0..255."""

@@ -72,6 +72,24 @@ def address(text: str) -> int:
     return int(text)
 
 
+def slave_address(text: str) -> int:
+    """The address of a slave, 126 as delivered included."""
+    if not text.isdecimal() or int(text) > 126:
+        raise argparse.ArgumentTypeError(f"{text!r} is no address of a slave, 0..126")
+    return int(text)
+
+
+def ident(text: str) -> int:
+    """An ident number, in hex with or without 0x as GSD files and scans show it."""
+    try:
+        value = int(text, 16)
+    except ValueError:
+        value = -1
+    if not 0 <= value <= 0xFFFF:
+        raise argparse.ArgumentTypeError(f"{text!r} is no ident number, for instance 0x0696")
+    return value
+
+
 def outputs(text: str) -> tuple[int, bytes]:
     """``ADDRESS=HEX``."""
     where, equals, octets = text.partition("=")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Final
 
 from rich.console import Console
@@ -23,7 +23,22 @@ def on_terminal() -> bool:
 
 def json_line(data: Mapping[str, object] | Sequence[object]) -> None:
     """One JSON value on a line of its own, at once."""
-    _write(json.dumps(data, separators=(",", ":"), ensure_ascii=False))
+    _write(json_text(data))
+
+
+def json_text(data: Mapping[str, object] | Sequence[object]) -> str:
+    """One JSON value without its line end."""
+    return json.dumps(data, separators=(",", ":"), ensure_ascii=False)
+
+
+def missing(json: bool) -> Callable[[int], str]:
+    """What is written when so many lines found no reader; see :func:`dpstack.cli.outlet.unhurried`."""
+
+    def notice(lines: int) -> str:
+        text = f"{lines} lines are missing here: nobody was reading"
+        return json_text({"event": "notice", "text": text, "missing": lines}) if json else text
+
+    return notice
 
 
 def line(text: str, style: str = "") -> None:

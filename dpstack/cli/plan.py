@@ -88,7 +88,7 @@ def _show(plan: Plan) -> None:
             for s in plan.slaves
         ],
     )
-    for note in plan.notes:
+    for note in (*plan.notes, *([plan.beside] if plan.beside else [])):
         output.line(f"note: {note}", "dim")
     for finding in plan.findings:
         output.line(f"finding: {finding}", "bold red")

@@ -63,6 +63,9 @@ class Reporter:
             ("address", "name", "inputs", "outputs"),
             [(s.address, s.name, s.inputs.hex(), s.outputs.hex()) for s in slaves],
         )
+        named = [(s.address, s.name, key, value) for s in slaves for key, value in s.fields.items()]
+        if named:
+            output.table("Named inputs and outputs", ("address", "name", "field", "value"), named)
         output.line(f"{stats.rotations} rotations in {stats.seconds:.3f} s, {_traffic(stats)}")
         for name, us in (("bus rotation time", stats.rotation_us), ("token rotation", stats.token_us)):
             if us["max"]:

@@ -10,8 +10,9 @@ from dpstack.api.bus import Bus
 from dpstack.api.config import Config, load_config
 from dpstack.api.control.programs import control_run
 from dpstack.api.opening import open_bus
-from dpstack.cli import options
+from dpstack.cli import options, output
 from dpstack.cli.control import reachable
+from dpstack.cli.outlet import unhurried
 from dpstack.cli.report import Reporter, not_exchanging
 from dpstack.cli.signals import StopSignal
 from dpstack.cli.streams import warn
@@ -28,7 +29,7 @@ def add_to(commands: options.Commands) -> None:
     parser.add_argument("config", metavar="CONFIG", help="configuration file")
     parser.add_argument("--port", metavar="P", help="another port")
     parser.add_argument("--baud", metavar="B|auto", type=options.baud_or_auto, help='another rate; "auto": listens')
-    parser.add_argument("--seconds", metavar="S", type=options.seconds, help="end after so many seconds")
+    parser.add_argument("--seconds", metavar="S", type=options.seconds, help="end after so many seconds in the ring")
     parser.add_argument("--rotations", metavar="N", type=options.count, help="end after so many rotations")
     parser.add_argument("--driver", choices=("auto", "asyncio", "process"), help="what keeps the bus going")
     parser.add_argument(
@@ -54,7 +55,8 @@ def execute(args: argparse.Namespace) -> int:
     )
     if config.bus.read_only and args.outputs:
         raise UsageError("--outputs on a read-only bus: nothing is written there; leave one of the two out")
-    return asyncio.run(_run(config.with_outputs(dict(args.outputs)), args))
+    with unhurried(output.missing(args.json)):
+        return asyncio.run(_run(config.with_outputs(dict(args.outputs)), args))
 
 
 async def _run(config: Config, args: argparse.Namespace) -> int:
@@ -93,8 +95,8 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
 
 
 async def _limit(bus: Bus, seconds: float | None, rotations: int | None) -> None:
-    """Until the first of the limits; without one for ever."""
+    """Until the first of the limits, counted from the first token on; without one for ever."""
     try:
-        await bus.rotated(rotations, None if seconds is None else max(0.0, seconds - bus.seconds))
+        await bus.rotated(rotations, None if seconds is None else max(0.0, seconds - bus.seconds_in_ring))
     except TimeoutError:
         return

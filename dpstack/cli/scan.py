@@ -5,20 +5,13 @@ from __future__ import annotations
 import argparse
 import asyncio
 
-from dpstack.api.baud import find_baud
-from dpstack.api.bus import Bus
-from dpstack.api.config import AUTO, make_config
-from dpstack.api.events import Event, Found, MasterSeen, Severity, severity_of
+from dpstack.api.events import Found
 from dpstack.api.livelist import LiveListResult, scan_port
 from dpstack.api.skeleton import config_skeleton, drive_of
-from dpstack.cli import options, output
+from dpstack.cli import options, output, visit
 from dpstack.cli.signals import StopSignal
 from dpstack.cli.streams import warn
-from dpstack.errors import BusError, UsageError
 from dpstack.units import baud_text
-
-#: a master that polls its GAP sparingly (1 % of the bus for silent addresses) takes half a minute for a pass
-_JOIN_TIMEOUT_S = 90.0
 
 
 def add_to(commands: options.Commands) -> None:
@@ -29,17 +22,7 @@ def add_to(commands: options.Commands) -> None:
         "who is on the bus: stations 0-126 with type, ident number, state and owner; changes nothing",
         "dpstack scan --port /dev/ttyUSB0 --baud 500000 --config > plant.toml",
     )
-    parser.add_argument("--port", metavar="P", required=True, help="the port")
-    parser.add_argument(
-        "--baud",
-        metavar="B|auto",
-        type=options.baud_or_auto,
-        default=AUTO,
-        help="the rate (default auto: found by listening, where a master is on the bus)",
-    )
-    parser.add_argument(
-        "--address", metavar="A", type=options.address, help="ask from this address (default: the lowest not heard)"
-    )
+    visit.add_port(parser)
     parser.add_argument("--config", action="store_true", help="print a configuration file of what was found")
     options.add_json(parser)
     parser.set_defaults(execute=execute)
@@ -47,28 +30,16 @@ def add_to(commands: options.Commands) -> None:
 
 def execute(args: argparse.Namespace) -> int:
     """1 when nobody answers."""
-    if args.port in ("virtual", "pty"):
-        raise UsageError(f'scan: nobody is on port "{args.port}"; name the port of a bus')
+    visit.check_port(args)
     return asyncio.run(_run(args))
 
 
 async def _run(args: argparse.Namespace) -> int:
     result: LiveListResult | None = None
-    baud = 0
-
-    def make_bus(address: int) -> Bus:
-        config = make_config(args.port, baud, address, where="scan", bus={"read_only": True})
-        return Bus(config, on_event=tell, join_timeout=_JOIN_TIMEOUT_S, watched=False)
-
-    def tell(event: Event) -> None:
-        if severity_of(event) is not Severity.INFO:
-            warn(event.text)
-        elif isinstance(event, MasterSeen) and event.present and not args.json:
-            warn(f"master {event.address} is on this bus: the scan waits until it is let into the ring")
 
     async def scan() -> None:
-        nonlocal result, baud
-        baud = await _rate(args)
+        nonlocal result
+        make_bus = visit.bus_maker(args, await visit.rate_of(args), read_only=True)
         result = await scan_port(make_bus, address=args.address, configs=args.config)
 
     with StopSignal() as stop:
@@ -79,22 +50,8 @@ async def _run(args: argparse.Namespace) -> int:
     _show(result, args)
     if result.stations:
         return 0
-    warn(f"nobody answers at {baud_text(result.baud)}: check rate, power, A and B, and the termination")
+    warn(visit.nobody_text(result.baud))
     return 1
-
-
-async def _rate(args: argparse.Namespace) -> int:
-    """The rate given, or found by listening. Raises BusError."""
-    if args.baud != AUTO:
-        return int(args.baud)
-    report = await find_baud(args.port)
-    if report.baud is None:
-        raise BusError(
-            f"{args.port}: {report.text}; on a bus without a master give the rate, for instance --baud 500000"
-        )
-    if not args.json:
-        warn(report.text)
-    return report.baud
 
 
 def _show(result: LiveListResult, args: argparse.Namespace) -> None:

@@ -10,7 +10,11 @@ from dpstack.api.control.programs import control_segment
 from dpstack.api.simulation import DEFAULT_BAUD, Segment
 from dpstack.cli import options, output
 from dpstack.cli.control import reachable
+from dpstack.cli.outlet import unhurried
 from dpstack.cli.signals import StopSignal
+from dpstack.cli.streams import warn
+
+_COLUMNS = ("path", "sent", "received", "dropped", "overrun", "telegrams", "damaged", "erased")
 
 
 def add_to(commands: options.Commands) -> None:
@@ -32,7 +36,7 @@ def add_to(commands: options.Commands) -> None:
     )
     parser.add_argument("--paced", action="store_true", help="octets take their time on the wire")
     parser.add_argument("--echo", action="store_true", help="a station hears itself")
-    parser.add_argument("--error-rate", metavar="P", type=_rate, default=0.0, help="probability of a damaged bit")
+    parser.add_argument("--error-rate", metavar="P", type=_rate, default=0.0, help="probability that a bit is inverted")
     parser.add_argument("--seed", metavar="N", type=int, default=0, help="of the noise")
     parser.add_argument("--seconds", metavar="S", type=options.seconds, help="end after so many seconds")
     options.add_json(parser)
@@ -51,7 +55,8 @@ def _rate(text: str) -> float:
 
 def execute(args: argparse.Namespace) -> int:
     """Join the ptys until a signal."""
-    return asyncio.run(_run(args))
+    with unhurried(output.missing(args.json)):
+        return asyncio.run(_run(args))
 
 
 async def _run(args: argparse.Namespace) -> int:
@@ -63,6 +68,7 @@ async def _run(args: argparse.Namespace) -> int:
         echo=args.echo,
         error_rate=args.error_rate,
         seed=args.seed,
+        on_notice=warn,
     )
     with StopSignal() as stop:
         async with segment, reachable(control_segment(segment)):
@@ -81,6 +87,6 @@ def _summary(stats: dict[str, Any], json: bool) -> None:
     if json:
         output.json_line({"event": "summary", **stats})
         return
-    rows = [(s["path"], s["sent"], s["received"], s["dropped"]) for s in stats["stations"]]
-    output.table("Octets", ("port", "sent", "received", "dropped"), rows)
-    output.line(f"{stats['damaged']} octets damaged")
+    rows = [[s[column] for column in _COLUMNS] for s in stats["stations"]]
+    output.table("Octets and telegrams", ("port", *_COLUMNS[1:]), rows)
+    output.line(f"{stats['damaged']} octets damaged: {stats['lost']} lost, {stats['changed']} changed")

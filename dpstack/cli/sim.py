@@ -13,7 +13,9 @@ from dpstack.api.events import Event
 from dpstack.api.simulation import DEFAULT_BAUD, Simulation, sim_event_json
 from dpstack.cli import options, output
 from dpstack.cli.control import reachable
+from dpstack.cli.outlet import unhurried
 from dpstack.cli.signals import StopSignal
+from dpstack.cli.streams import warn
 from dpstack.errors import BusError, UsageError
 from dpstack.units import baud_text, ns_to_s
 
@@ -45,7 +47,8 @@ def execute(args: argparse.Namespace) -> int:
     rate = args.baud or config.bus.baud or DEFAULT_BAUD
     if rate == AUTO and args.port == "pty":
         rate = DEFAULT_BAUD  # whoever opens the other end sets what he likes
-    return asyncio.run(_run(config, rate, args))
+    with unhurried(output.missing(args.json)):
+        return asyncio.run(_run(config, rate, args))
 
 
 def _config(args: argparse.Namespace) -> Config:
@@ -82,6 +85,8 @@ async def _run(config: Config, wanted: int | str, args: argparse.Namespace) -> i
                 output.line(f"simulating on {simulation.port_name} at {baud_text(rate)}:")
                 for slave in simulation.slaves:
                     output.line(f"  {slave.address:3}  {slave.name}  ({slave.kind})")
+            if simulation.t_sl:
+                warn(f"a master needs t_sl = {simulation.t_sl} or more for these slaves: the adapter answers late")
             simulation.on_event = _printer(simulation, args.json)
             await stop.or_done(simulation.failed(args.seconds))
             _summary(simulation, args.json)
@@ -110,7 +115,10 @@ def _summary(simulation: Simulation, json: bool) -> None:
             }
             for s in simulation.slaves
         }
-        output.json_line({"event": "summary", "t": round(simulation.seconds, 3), "slaves": slaves})
+        heard = {"telegrams": simulation.telegrams, "bad": simulation.bad}
+        output.json_line({"event": "summary", "t": round(simulation.seconds, 3), **heard, "slaves": slaves})
         return
     rows = [(s.address, s.name, s.state.value, s.exchanges, s.watchdogs) for s in simulation.slaves]
     output.table("Slaves", ("address", "name", "state", "exchanges", "watchdog expired"), rows)
+    bad = ", ".join(f"{count} {cause.replace('_', ' ')}" for cause, count in simulation.bad.items())
+    output.line(f"{simulation.telegrams} telegrams heard" + (f", bad: {bad}" if bad else ", nothing went wrong"))

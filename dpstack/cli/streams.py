@@ -32,14 +32,24 @@ def guarded() -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, sys.stdout.fileno())
-        os.close(nowhere)
-        lost.error = error
-        if not isinstance(error, BrokenPipeError):  # a reader that has seen enough is no news
-            warn(f"standard output cannot be written ({error.strerror}): give it another place")
-        if lost.told is not None:
-            lost.told()
+        nowhere(sys.stdout.fileno())
+        lose(error)
+
+
+def nowhere(fd: int) -> None:
+    """From now on what is written to ``fd`` is thrown away."""
+    null = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null, fd)
+    os.close(null)
+
+
+def lose(error: OSError) -> None:
+    """Nothing can be written to standard output any more."""
+    lost.error = error
+    if not isinstance(error, BrokenPipeError):  # a reader that has seen enough is no news
+        warn(f"standard output cannot be written ({error.strerror}): give it another place")
+    if lost.told is not None:
+        lost.told()
 
 
 def warn(text: str) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from enum import Enum
 
+from dpstack.dp.user_diag import NO_DIAG, UserDiag
 from dpstack.units import NEVER
 
 
@@ -24,16 +25,26 @@ class Device:
     """A DP device behind a :class:`~dpstack.dp.slaveapp.SlaveApp`; subclass it, override what differs.
 
     ``ident``: ident number. ``configs``: acceptable identifier octets, the default first. ``fail_safe``: an empty
-    output frame is taken as Clear (otherwise as one of the wrong length). All times in ns on the bus's clock; nothing
-    here may block or read a clock of its own. An exception takes the device out of data exchange until it is restarted.
+    output frame is taken as Clear (otherwise as one of the wrong length); ``fail_safe_required``: a master that does
+    not announce such frames in DPV1_Status_1 is refused. ``set_slave_add``: Set_Slave_Add is open. ``wd_base_1ms``:
+    WD_Base_1ms in DPV1_Status_1 is understood. ``max_diag_len``: octets of a whole diagnosis, 6..244. ``safe``: the
+    outputs while there are none of a master (Clear, before the first exchange), empty for zeros.
+
+    All times in ns on the bus's clock; nothing here may block or read a clock of its own. An exception takes the device
+    out of data exchange until it is restarted.
     """
 
     ident: int = 0
     configs: tuple[bytes, ...] = (b"",)
     name: str = "device"
     fail_safe: bool = False
+    fail_safe_required: bool = False
     sync_supported: bool = True
     freeze_supported: bool = True
+    set_slave_add: bool = False
+    wd_base_1ms: bool = False
+    max_diag_len: int = 244
+    safe: bytes = b""
 
     def check_prm(self, user_prm: bytes) -> str | None:
         """Judge the user parameters of Set_Prm (without the seven fixed octets): a reason to refuse, or None."""
@@ -66,6 +77,19 @@ class Device:
         """Octets after the six fixed ones of the diagnosis; empty when there is nothing to say."""
         return b""
 
+    def user_diag(self) -> UserDiag:
+        """What the device says in the diagnosis; asked in every exchange. Default: a fault with :meth:`ext_diag`."""
+        ext = self.ext_diag()
+        return UserDiag(ext, True) if ext else NO_DIAG
+
+    def address_set(self, address: int, fixed: bool, rem_slave_data: bytes) -> bool:
+        """Set_Slave_Add gives the slave another address, 0..125; True when it is kept over a restart.
+
+        ``fixed``: No_Add_Chg, no further change but by an initial reset, which comes here as address 126.
+        ``rem_slave_data``: 0..240 octets, meant for this device.
+        """
+        return False
+
     def wake_at(self) -> int:
         """When :meth:`tick` is wanted, in ns, or NEVER."""
         return NEVER
@@ -74,12 +98,14 @@ class Device:
         """The time asked for has come."""
 
 
+#: From the outputs and the time since data exchange began in ns to the inputs.
+OnCycle = Callable[[bytes, int], bytes | bytearray]
+
+
 class FunctionDevice(Device):
     """A device that is one function from outputs and elapsed time (ns since entry) to inputs."""
 
-    def __init__(
-        self, ident: int, config: bytes, function: Callable[[bytes, int], bytes], name: str = "device"
-    ) -> None:
+    def __init__(self, ident: int, config: bytes, function: OnCycle, name: str = "device") -> None:
         self.ident = ident
         self.configs = (config,)
         self.name = name
@@ -91,5 +117,6 @@ class FunctionDevice(Device):
         self._since = now
 
     def exchange(self, outputs: bytes, now: int) -> bytes:
-        """Hand over to the function."""
-        return self._function(outputs, now - self._since)
+        """Hand over to the function, which may return a bytearray that it goes on writing to."""
+        inputs = self._function(outputs, now - self._since)
+        return bytes(inputs) if isinstance(inputs, bytearray) else inputs

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dpstack.dp.device import Device
-from dpstack.dp.identifiers import io_lengths
+from dpstack.gsd.identifiers import io_lengths
 
 
 class MirrorDevice(Device):
-    """Inputs are the outputs, cut or filled up with zeros where the lengths differ. Any user parameters are accepted.
+    """Inputs are the outputs, cut or filled up with zeros where the lengths differ. Any user parameters are accepted,
+    and any address by Set_Slave_Add.
 
     ``config``: the identifier octets it accepts. Raises ConfigError where they are none.
     """
+
+    set_slave_add = True
 
     def __init__(self, ident: int, config: bytes, name: str = "mirror", *, fail_safe: bool = False) -> None:
         self.ident = ident

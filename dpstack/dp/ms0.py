@@ -1,4 +1,4 @@
-"""The acyclic services of DP-V0 between a class 1 master and its slave (MS0): names, requests, positive answers."""
+"""The acyclic services of DP-V0 at a slave (MS0): names, requests, positive answers."""
 
 from __future__ import annotations
 
@@ -6,7 +6,18 @@ from typing import Final
 
 from dpstack.dp.pdu import SetPrm
 from dpstack.dp.setup import SlaveSetup
-from dpstack.fdl.telegram import SAP_CHK_CFG, SAP_GET_CFG, SAP_SET_PRM, SAP_SLAVE_DIAG, Kind, Resp, Telegram
+from dpstack.fdl.telegram import (
+    SAP_CHK_CFG,
+    SAP_GET_CFG,
+    SAP_RD_INP,
+    SAP_RD_OUTP,
+    SAP_SET_PRM,
+    SAP_SET_SLAVE_ADD,
+    SAP_SLAVE_DIAG,
+    Kind,
+    Resp,
+    Telegram,
+)
 
 #: FC status values that carry data: DL and DH
 DATA_STATUS: Final = frozenset((int(Resp.DL), int(Resp.DH)))
@@ -18,7 +29,12 @@ SERVICE_NAMES: Final = {
     SAP_SET_PRM: "Set_Prm",
     SAP_CHK_CFG: "Chk_Cfg",
     SAP_GET_CFG: "Get_Cfg",
+    SAP_RD_INP: "RD_Inp",
+    SAP_RD_OUTP: "RD_Outp",
+    SAP_SET_SLAVE_ADD: "Set_Slave_Add",
 }
+#: services that write, and are acknowledged only
+_ACKNOWLEDGED: Final = frozenset((SAP_SET_PRM, SAP_CHK_CFG, SAP_SET_SLAVE_ADD))
 
 
 def set_prm(setup: SlaveSetup, ident: int, watchdog: tuple[int, int] | None) -> bytes:
@@ -40,10 +56,10 @@ def unlock_prm(setup: SlaveSetup, ident: int) -> bytes:
 
 
 def positive(dsap: int | None, answer: Telegram) -> bool:
-    """Whether ``answer`` is a positive one to the service at ``dsap``: Set_Prm and Chk_Cfg are acknowledged, the
-    others answered with data."""
+    """Whether ``answer`` is a positive one to the service at ``dsap``: what writes is acknowledged, the others are
+    answered with data."""
     status = answer.fc & 0x0F if answer.fc >= 0 else -1
-    if dsap in (SAP_SET_PRM, SAP_CHK_CFG):
+    if dsap in _ACKNOWLEDGED:
         return answer.kind is Kind.SC or status in EMPTY_STATUS
     return status in DATA_STATUS
 

@@ -52,12 +52,18 @@ class Pacing:
         self._flapping = False
         self.due = now + self._refused.take()
 
-    def left(self, now: int, stay: int) -> None:
-        """It left data exchange after ``stay`` ns: its diagnosis is read at once."""
+    def left(self, now: int, stay: int, *, silent: bool) -> None:
+        """It left data exchange after ``stay`` ns: its diagnosis is read at once.
+
+        ``silent``: it did not answer. It was there a moment ago and that may be noise: not held against it as a
+        refusal would be, and it is looked for again as soon as an absent slave is.
+        """
         self.due = now
-        self._flapping = stay < _STABLE
-        if not self._flapping:
+        stable = stay >= _STABLE
+        self._flapping = not (stable or silent)
+        if stable or silent:
             self._absent.reset()
+        if stable:
             self._refused.reset()
 
     def pauses(self, now: int) -> bool:

@@ -1,6 +1,7 @@
-"""The request PDUs of DP-V0: Set_Prm and Global_Control. (Chk_Cfg is :mod:`dpstack.dp.identifiers`.)
+"""The request PDUs of DP-V0: Set_Prm, Global_Control and Set_Slave_Add. (Chk_Cfg is :mod:`dpstack.gsd.identifiers`.)
 
-Sources: protocol facts B2, B4, J; EN 50170-2 (Set_Prm, Global_Control), Festo CP FB13 manual (lock and unlock).
+Sources: protocol facts B2, B4, B8, J; EN 50170-2 (Set_Prm, Global_Control), Festo CP FB13 manual (lock and unlock),
+profichip VPC3+ manual (Set_Slave_Add).
 """
 
 from __future__ import annotations
@@ -8,13 +9,26 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from dpstack.dp.wire import GLOBAL_CONTROL, SET_PRM, GlobalControlOctets, SetPrmOctets
+from dpstack.dp.wire import (
+    GLOBAL_CONTROL,
+    SET_PRM,
+    SET_SLAVE_ADD,
+    GlobalControlOctets,
+    SetPrmOctets,
+    SetSlaveAddOctets,
+)
 from dpstack.errors import PduError
+from dpstack.params import MAX_STATION
 
-__all__ = ["MAX_USER_PRM", "GlobalControl", "PduError", "SetPrm"]
+__all__ = ["MAX_REM_SLAVE_DATA", "MAX_USER_PRM", "GlobalControl", "PduError", "SetPrm", "SetSlaveAdd"]
 
 #: Octets of user parameters that fit after the seven fixed ones.
 MAX_USER_PRM: Final = 237
+
+#: Octets for the device itself that fit after the four fixed ones of Set_Slave_Add.
+MAX_REM_SLAVE_DATA: Final = 240
+#: No_Add_Chg is a Boolean of one octet: 0 is false, anything else true; this value is true to every reader.
+_TRUE: Final = 0xFF
 
 #: What is sent as watchdog factors when the watchdog is off: the smallest legal ones, some slaves look at them anyway.
 _NO_WATCHDOG: Final = (1, 1)
@@ -127,3 +141,34 @@ class GlobalControl:
             sync=raw.sync,
             group_mask=raw.group_select,
         )
+
+
+@dataclass(frozen=True, slots=True)
+class SetSlaveAdd:
+    """Set_Slave_Add (DSAP 55): the station address of a slave in Wait_Prm.
+
+    ``address``: the new one, 0..125. ``ident``: the slave's own, else it does nothing. ``no_add_chg``: the slave shall
+    refuse any further change of its address. ``rem_slave_data``: 0..240 octets that mean something to the device only.
+    """
+
+    address: int
+    ident: int
+    no_add_chg: bool = False
+    rem_slave_data: bytes = b""
+
+    def build(self) -> bytes:
+        """The octets. Raises PduError where a value does not fit."""
+        if not 0 <= self.address <= MAX_STATION:
+            raise PduError(f"Set_Slave_Add: {self.address} is no address for a slave, {MAX_STATION} is the highest")
+        if len(self.rem_slave_data) > MAX_REM_SLAVE_DATA:
+            raise PduError(
+                f"Set_Slave_Add: {len(self.rem_slave_data)} octets for the device, {MAX_REM_SLAVE_DATA} are possible"
+            )
+        no_add_chg = _TRUE if self.no_add_chg else 0
+        return SET_SLAVE_ADD.build(SetSlaveAddOctets(self.address, self.ident, no_add_chg, self.rem_slave_data))
+
+    @classmethod
+    def parse(cls, octets: bytes) -> SetSlaveAdd:
+        """Read ``octets``; what address they hold is for the slave to judge. Raises PduError when they are too few."""
+        raw = SET_SLAVE_ADD.parse(octets)
+        return cls(raw.new_address, raw.ident, raw.no_add_chg != 0, raw.rem_slave_data)

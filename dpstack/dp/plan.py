@@ -70,7 +70,7 @@ class Plan:
     """The plan of one bus at one rate. Rotations in bit times.
 
     ``findings``: one line each, what is out of bounds, why, and what to do; empty when everything fits. ``notes``:
-    what is as it is, but worth knowing.
+    what is as it is, but worth knowing. ``beside``: what other masters on the bus would need, empty when it is nothing.
     """
 
     params: BusParams
@@ -79,6 +79,7 @@ class Plan:
     watchdog_ms: int
     findings: tuple[str, ...]
     notes: tuple[str, ...] = ()
+    beside: str = ""
 
     def rotation_ns(self, case: Case) -> int:
         """A rotation in nanoseconds."""
@@ -99,7 +100,7 @@ class Plan:
             "parameters": parameters,
             "slaves": [_slave_dict(s) for s in self.slaves],
             "findings": list(self.findings),
-            "notes": list(self.notes),
+            "notes": [*self.notes, *([self.beside] if self.beside else [])],
         }
 
 
@@ -199,11 +200,12 @@ def make_plan(
     host_slack_ns: int = 0,
     findings: Iterable[str] = (),
     notes: Iterable[str] = (),
+    beside: str = "",
 ) -> Plan:
     """The whole plan of a bus with ``setups`` at ``params``; ``pty`` where another process stands at the other end.
 
     ``host_slack_ns`` is how much later than the wire's deadline a known station's answer may come (see Patience).
-    ``findings`` and ``notes`` are what the caller knows beyond that; they come first.
+    ``findings``, ``notes`` and ``beside`` are what the caller knows beyond that; they come first.
     """
     slaves = tuple(sorted(setups, key=lambda s: s.address))
     rotations = {case: rotation(params, slaves, case) for case in Case}
@@ -216,6 +218,7 @@ def make_plan(
         watchdog_ms=recommended,
         findings=(*findings, *_findings(params, plans, rotations)),
         notes=(*notes, *_notes(params, plans)),
+        beside=beside,
     )
 
 

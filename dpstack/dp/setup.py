@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from dpstack.dp.identifiers import io_lengths
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
+from dpstack.gsd.identifiers import io_lengths
 from dpstack.params import MAX_STATION, UNADDRESSED
 from dpstack.units import NS_PER_MS
 

@@ -13,7 +13,8 @@ from dpstack.dp.pdu import GlobalControl
 class CyclicData:
     """Outputs and inputs of one stay in data exchange.
 
-    ``outputs`` are what the device has, ``inputs`` what the master reads; before the first exchange both are zeros.
+    ``outputs`` are what the device has, ``inputs`` what the master reads; before the first exchange the device's safe
+    outputs and zeros. Raises ValueError where the safe outputs have another length than the configuration's.
     Outputs are valid from the first Data_Exchange on (masters that never send Operate exist, B4). A Global_Control
     Clear holds until one without Clear_Data, an empty frame until a full one. ``plain``: none of Clear, SYNC, FREEZE.
     """
@@ -22,6 +23,7 @@ class CyclicData:
         "_clear",
         "_device",
         "_received",
+        "_safe",
         "_started",
         "_void",
         "config",
@@ -42,7 +44,10 @@ class CyclicData:
         self.input_len = input_len
         self.output_len = output_len
         self.inputs = bytes(input_len)
-        self.outputs = bytes(output_len)
+        self._safe = device.safe or bytes(output_len)
+        if len(self._safe) != output_len:
+            raise ValueError(f"{len(self._safe)} safe octets, the configuration has {output_len} output octets")
+        self.outputs = self._safe
         self.synced = False
         self.frozen = False
         self.plain = False
@@ -66,7 +71,7 @@ class CyclicData:
             self._make_void(now)
         elif not self._clear:
             self._make_valid(now)
-        self._received = bytes(self.output_len) if self._void else octets
+        self._received = self._safe if self._void else octets
         if self._void or not self.synced:
             self.outputs = self._received
         fresh = self._sample(now)
@@ -82,7 +87,7 @@ class CyclicData:
         self._clear = command.clear
         if command.clear:
             self._make_void(now)
-            self._received = self.outputs = bytes(self.output_len)
+            self._received = self.outputs = self._safe
         else:
             self._make_valid(now)
         passes = self._switch_sync(command)
@@ -124,14 +129,16 @@ class CyclicData:
 
     def _sample(self, now: int) -> bytes:
         inputs = self.run(self.outputs, now)
-        if len(inputs) != self.input_len:
-            raise ValueError(wrong_inputs(len(inputs), self.input_len))
+        if type(inputs) is not bytes or len(inputs) != self.input_len:
+            raise wrong_inputs(inputs, self.input_len)
         return inputs
 
     def _judge(self) -> None:
         self.plain = self._started and not (self._void or self.synced or self.frozen)
 
 
-def wrong_inputs(got: int, expected: int) -> str:
-    """The text for a device that returns inputs of the wrong length."""
-    return f"it returned {got} input octets, its configuration has {expected}"
+def wrong_inputs(inputs: object, expected: int) -> Exception:
+    """What to raise for a device that returns no inputs, or of the wrong length: it would go out on the wire."""
+    if not isinstance(inputs, bytes):
+        return TypeError(f"it returned {type(inputs).__name__}, inputs are bytes")
+    return ValueError(f"it returned {len(inputs)} input octets, its configuration has {expected}")

@@ -3,32 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final
 
 from dpstack.dp.device import Device
-from dpstack.dp.diagnosis import ALWAYS_ONE, FIXED_LEN, MAX_LEN, Diagnosis
+from dpstack.dp.diagnosis import ALWAYS_ONE, FIXED_LEN, Diagnosis
 from dpstack.dp.slave_data import CyclicData
 from dpstack.dp.slave_states import SlaveAppState
-
-_MAX_EXT: Final = MAX_LEN - FIXED_LEN
+from dpstack.dp.user_diag import NO_DIAG, UserDiag
+from dpstack.fdl.telegram import FC_FCB, FC_FCV
 
 
 class DiagState:
-    """Fault bits of one slave application, and what its owner has read of the extended diagnosis.
+    """Fault bits of one slave application, and what its owner has read of the application's own diagnosis.
 
-    ``ext`` is the device's extended diagnosis, None where the device has none.
+    ``user`` asks the device, None where the device never has anything to say.
     """
 
-    __slots__ = ("_built", "_ident", "_told", "cfg_fault", "ext", "not_supported", "prm_fault")
+    __slots__ = ("_ident", "_offered", "_room", "_told", "cfg_fault", "not_supported", "prm_fault", "user")
 
     def __init__(self, device: Device) -> None:
         self._ident = device.ident
-        self._told = self._built = b""
+        self._room = device.max_diag_len - FIXED_LEN
+        self._told = NO_DIAG
+        self._offered: UserDiag | None = None  # in an answer that the owner may not have received
         self.prm_fault = self.cfg_fault = self.not_supported = False
-        self.ext: Callable[[], bytes] | None = device.ext_diag
-        # a device that leaves ext_diag as it is need not be asked in every exchange
-        if getattr(device.ext_diag, "__func__", None) is Device.ext_diag:
-            self.ext = None
+        self.user: Callable[[], UserDiag] | None = device.user_diag
+        # a device that leaves both as they are need not be asked in every exchange
+        if all(
+            getattr(getattr(device, name), "__func__", None) is getattr(Device, name)
+            for name in ("user_diag", "ext_diag")
+        ):
+            self.user = None
 
     def clear_faults(self) -> None:
         """Good parameters, release or restart."""
@@ -36,26 +40,39 @@ class DiagState:
 
     def new_owner(self) -> None:
         """Another master has read nothing yet."""
-        self._told = b""
+        self._told = NO_DIAG
+        self._offered = None
 
-    def fetched(self) -> None:
-        """The owner has read what :meth:`build` gave last."""
-        self._told = self._built
+    def offer(self, user: UserDiag) -> None:
+        """An answer with ``user`` in it goes to the owner; :meth:`heard` tells whether it arrived."""
+        self._offered = user
 
-    def waiting(self) -> bool:
-        """True when the owner must fetch the diagnosis (DH)."""
-        return self.ext is not None and self.ext() != self._told
+    def heard(self, fc: int) -> None:
+        """The owner's next new request: it has the answer before, unless it had to take the station up afresh.
+
+        A request again with the same FCB never gets here: the link layer repeats the answer (A4).
+        """
+        if self._offered is not None:
+            if fc & (FC_FCV | FC_FCB) != FC_FCB:
+                self._told = self._offered
+            self._offered = None
+
+    def waiting(self, fc: int) -> bool:
+        """True when the owner, whose request has ``fc``, must fetch the diagnosis (DH)."""
+        if self.user is None:
+            return False
+        self.heard(fc)
+        return self.user() != self._told
 
     def build(
-        self, state: SlaveAppState, master: int | None, data: CyclicData | None, *, wd_on: bool, ill: bool, ext: bytes
+        self, state: SlaveAppState, master: int | None, data: CyclicData | None, user: UserDiag, *, wd: bool, ill: bool
     ) -> Diagnosis:
-        """The diagnosis of this moment (B1); ``ill``: the device is broken."""
-        self._built = ext
+        """The diagnosis of this moment (B1); ``wd``: the watchdog is on, ``ill``: the device is broken."""
+        user = user.limited(self._room)
         status1 = (
-            (data is None) << 1 | self.cfg_fault << 2 | bool(ext) << 3 | self.not_supported << 4 | self.prm_fault << 6
+            (data is None) << 1 | self.cfg_fault << 2 | user.fault << 3 | self.not_supported << 4 | self.prm_fault << 6
         )
-        status2 = ALWAYS_ONE | (state is SlaveAppState.WAIT_PRM) | ill << 1 | wd_on << 3
+        status2 = ALWAYS_ONE | (state is SlaveAppState.WAIT_PRM) | (ill or user.stat) << 1 | wd << 3
         if data is not None:
             status2 |= data.frozen << 4 | data.synced << 5
-        overflow = (len(ext) > _MAX_EXT) << 7
-        return Diagnosis(status1, status2, overflow, master, self._ident, ext[:_MAX_EXT])
+        return Diagnosis(status1, status2, user.overflow << 7, master, self._ident, user.ext)

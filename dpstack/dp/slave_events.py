@@ -65,6 +65,28 @@ class RequestRefused(SlaveAppEvent):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class AddressChanged(SlaveAppEvent):
+    """``address`` is new: set by ``master``, or None by an initial reset. ``fixed``: No_Add_Chg came with it.
+
+    ``kept``: the device keeps it over a restart.
+    """
+
+    before: int | None
+    master: int | None
+    fixed: bool
+    kept: bool
+
+    @property
+    def text(self) -> str:
+        """From where to where, by whom, for how long."""
+        by = "by an initial reset" if self.master is None else f"by master {self.master}"
+        how = ", fixed" if self.fixed else ""
+        return f"{self.who}: address {self.before} became {self.address} {by}{how}" + (
+            "" if self.kept else ", until the next restart"
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class DeviceFailed(SlaveAppEvent):
     """An exception in the device ``during`` a service: the slave left data exchange until it is restarted.
 

@@ -354,7 +354,7 @@ class SlaveHandler:
     def _enter(self, state: SlaveState, now: int) -> None:
         was, self.state = self.state, state
         if was is SlaveState.DATA_EXCHANGE:
-            self._leave_exchange(now)
+            self._leave_exchange(now, silent=state is SlaveState.OFFLINE)
         self._since = now
         self._busy = self._wrong = 0
         if state is SlaveState.DATA_EXCHANGE:
@@ -378,12 +378,12 @@ class SlaveHandler:
         self._emit(SlaveStateChanged(t_ns=now, address=address, name=name, state=state))
         self._changed(self)
 
-    def _leave_exchange(self, now: int) -> None:
+    def _leave_exchange(self, now: int, *, silent: bool) -> None:
         """Inputs are void, what the plugin had pending ends; the next bring-up starts afresh."""
         self.image.valid = False
         self.diag_due = False
         self._restart = True
-        self._pacing.left(now, now - self._since)
+        self._pacing.left(now, now - self._since, silent=silent)
         self.unit.lost(now)
 
     def line_lost(self, reason: str, now: int) -> None:

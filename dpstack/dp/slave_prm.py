@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from dpstack.dp.device import Device
-from dpstack.dp.identifiers import io_lengths
+from dpstack.dp.diagnosis import FIXED_LEN, MAX_LEN
 from dpstack.dp.pdu import SetPrm
 from dpstack.dp.setup import watchdog_ns
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
+from dpstack.gsd.identifiers import agree, io_lengths
 from dpstack.units import NEVER
+
+#: DPV1_Status_1, the first user parameter (C1)
+_FAIL_SAFE: Final = 0x40
+_WD_BASE_1MS: Final = 0x04
 
 
 class Refusal(NamedTuple):
@@ -34,8 +39,31 @@ def judge_prm(device: Device, prm: SetPrm, *, ask_device: bool) -> Refusal | Non
         return Refusal("octet 1: SYNC is not supported", True)
     if prm.freeze and not device.freeze_supported:
         return Refusal("octet 1: FREEZE is not supported", True)
+    if device.fail_safe_required and not _dpv1_status(prm) & _FAIL_SAFE:
+        return Refusal(
+            "octet 8 bit 6: Fail_Safe is not set, this device needs a master that sends empty frames in Clear"
+        )
     reason = device.check_prm(prm.user_prm) if ask_device else None
     return None if reason is None else Refusal(f"octet 8 on: {reason}")
+
+
+def watchdog_time(device: Device, prm: SetPrm) -> int:
+    """The watchdog time that ``prm`` asks for in ns, 0 when it is off: base 10 ms, or 1 ms with WD_Base_1ms (C1)."""
+    if prm.watchdog is None:
+        return 0
+    time_ns = watchdog_ns(prm.watchdog)
+    return time_ns // 10 if device.wd_base_1ms and _dpv1_status(prm) & _WD_BASE_1MS else time_ns
+
+
+def _dpv1_status(prm: SetPrm) -> int:
+    return prm.user_prm[0] if prm.user_prm else 0
+
+
+def real_cfg(device: Device, config: bytes) -> bytes:
+    """The device's own configuration where ``config`` differs only by wanting no comparison (J), else ``config``."""
+    if config in device.configs:
+        return config
+    return next((real for real in device.configs if agree(real, config)), config)
 
 
 def judge_cfg(device: Device, config: bytes) -> tuple[int, int] | Refusal:
@@ -56,6 +84,8 @@ def check_device(device: Device) -> None:
         raise ConfigError(f"device {device.name}: ident {device.ident:#x} does not fit two octets")
     if not device.configs or any(len(config) > MAX_DATA for config in device.configs):
         raise ConfigError(f"device {device.name}: configs must hold identifier octets (up to {MAX_DATA} each)")
+    if not FIXED_LEN <= device.max_diag_len <= MAX_LEN:
+        raise ConfigError(f"device {device.name}: max_diag_len {device.max_diag_len} is outside {FIXED_LEN}..{MAX_LEN}")
 
 
 class Watchdog:
@@ -71,11 +101,11 @@ class Watchdog:
         self.heard = 0
         self.time_ns = 0
 
-    def arm(self, factors: tuple[int, int] | None, now: int) -> None:
-        """Take the factors of Set_Prm, None = off."""
+    def arm(self, time_ns: int, now: int) -> None:
+        """Watch for ``time_ns`` from now on, 0 = off."""
         self.heard = now
-        self.time_ns = 0 if factors is None else watchdog_ns(factors)
-        self.at = now + self.time_ns if self.time_ns else NEVER
+        self.time_ns = time_ns
+        self.at = now + time_ns if time_ns else NEVER
 
     def disarm(self) -> None:
         """Nobody to watch."""

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 from typing import Final
 
 from dpstack.dp.device import Device
-from dpstack.dp.slave_events import DeviceFailed, RequestRefused, SlaveAppStateChanged, WatchdogExpired
+from dpstack.dp.slave_events import AddressChanged, DeviceFailed, RequestRefused, SlaveAppStateChanged, WatchdogExpired
 from dpstack.dp.slave_states import AppEv, SlaveAppState
 from dpstack.fdl.user import StationControl
 from dpstack.trace import Event
 
 _MAX_TOLD: Final = 50
 #: where exceptions are raised on behalf of the device: their text says it all
-_OURS: Final = ("slaveapp.py", "slave_data.py", "slave_clock.py")
+_OURS: Final = ("slaveapp.py", "slave_core.py", "slave_services.py", "slave_data.py", "slave_clock.py")
 
 
 @dataclass(slots=True)
@@ -46,6 +46,12 @@ class Report:
         """The address of the station, or the one given for messages."""
         return self._address if self.station is None else self.station.address
 
+    def readdress(self, address: int) -> None:
+        """Give the station another address."""
+        self._address = address
+        if self.station is not None and self.station.address != address:
+            self.station.address = address
+
     def take(self) -> list[Event]:
         """What there is to tell, oldest first."""
         events = self._events
@@ -70,6 +76,13 @@ class Report:
         name = self._device.name
         self._events.append(
             WatchdogExpired(t_ns=now, address=self.address, name=name, master=master, watchdog_ns=watchdog_ns)
+        )
+
+    def address_changed(self, before: int | None, master: int | None, fixed: bool, kept: bool, now: int) -> None:
+        """The station has another address."""
+        name, address = self._device.name, self.address
+        self._events.append(
+            AddressChanged(t_ns=now, address=address, name=name, before=before, master=master, fixed=fixed, kept=kept)
         )
 
     def failed(self, during: str, error: Exception, now: int) -> None:

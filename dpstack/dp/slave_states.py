@@ -12,6 +12,9 @@ Decisions where the sources are silent:
 - The watchdog is re-armed by every new request of the owner to this station that is served, not by broadcasts and not
   by repetitions (SPC3 hardware description 5.4: telegrams to the own address; response monitoring of Master_Add).
 - Leaving to Wait_Prm, for whatever reason, gives up the lock: the diagnosis shows 255.
+- Set_Slave_Add is acknowledged with SC where it is open, also when ident number or address are wrong; whoever sent it
+  looks for the slave at the new address (Acromag, "Introduction to ProfiBus DP"). After No_Add_Chg the SAP is closed
+  as on a slave that does not have it, until an initial reset.
 - An exception in the device ends data exchange (RS, outputs cleared). The slave can be parameterised again but stays
   in Wait_Cfg with Station_Not_Ready and Stat_Diag until it is restarted: no endless loop of bring-ups.
 """
@@ -28,6 +31,7 @@ from dpstack.fdl.telegram import (
     SAP_RD_INP,
     SAP_RD_OUTP,
     SAP_SET_PRM,
+    SAP_SET_SLAVE_ADD,
     SAP_SLAVE_DIAG,
 )
 
@@ -43,6 +47,7 @@ class SlaveAppState(Enum):
 _PRM, _CFG, _DATA = SlaveAppState.WAIT_PRM, SlaveAppState.WAIT_CFG, SlaveAppState.DATA_EXCH
 _ALL: Final = frozenset(SlaveAppState)
 _EXCHANGING: Final = frozenset((_DATA,))
+_WAITING: Final = frozenset((_PRM,))
 
 
 class Access(NamedTuple):
@@ -66,6 +71,7 @@ ACCESS: Final[dict[int | None, Access]] = {
     SAP_GET_CFG: Access("Get_Cfg", _ALL, False, "B5: always"),
     SAP_SLAVE_DIAG: Access("Slave_Diag", _ALL, False, "B5: always"),
     SAP_SET_PRM: Access("Set_Prm", _ALL, False, "J: SC whatever comes, the diagnosis tells what came of it"),
+    SAP_SET_SLAVE_ADD: Access("Set_Slave_Add", _WAITING, False, "B5, B8: in Wait_Prm, where the device has it"),
     SAP_CHK_CFG: Access("Chk_Cfg", _ALL, False, "J: SC whatever comes, the diagnosis tells what came of it"),
 }
 
@@ -82,6 +88,7 @@ class AppEv(Enum):
     CFG_BAD = "Chk_Cfg refused"
     CFG_HELD = "Chk_Cfg while the device is broken"
     CFG_FOREIGN = "Chk_Cfg of a master that has not parameterised the slave"
+    ADDRESS = "Set_Slave_Add accepted"
     LENGTH = "Data_Exchange with outputs of the wrong length"
     WATCHDOG = "watchdog expired"
     FAILED = "exception in the device"
@@ -101,6 +108,7 @@ TABLE: Final[dict[tuple[SlaveAppState, AppEv], AppRow]] = {
     (_PRM, AppEv.PRM_KEEP): AppRow(_PRM, "p734: min T_SDR only, even with a wrong ident number"),
     (_PRM, AppEv.UNLOCK): AppRow(_PRM, "B2: 01 and 11 release; it was free"),
     (_PRM, AppEv.CFG_FOREIGN): AppRow(_PRM, "B5: no Chk_Cfg before Set_Prm; Prm_Req stays in the diagnosis"),
+    (_PRM, AppEv.ADDRESS): AppRow(_PRM, "B8: another address, waiting as before"),
     (_PRM, AppEv.FAILED): AppRow(_PRM, "design: a broken device never stops the bus"),
     (_PRM, AppEv.POWER_ON): AppRow(_PRM, "B5"),
     (_CFG, AppEv.PRM_GOOD): AppRow(_CFG, "B5: parameters again"),

@@ -2,7 +2,8 @@
 
 construct knows no types and takes some 10 us and more a PDU: it is imported here only, and never runs on the cyclic
 path. A :class:`Layout` turns octets into a NamedTuple and back; what the values mean is the business of the callers
-(:mod:`dpstack.dp.pdu`, :mod:`dpstack.dp.diagnosis`). Layouts: protocol facts B1, B2, B4 (EN 50170-2, Felser, VPC3+).
+(:mod:`dpstack.dp.pdu`, :mod:`dpstack.dp.diagnosis`). Layouts: protocol facts B1, B2, B4, B8 (EN 50170-2, Felser,
+VPC3+).
 """
 
 from __future__ import annotations
@@ -117,6 +118,25 @@ GLOBAL_CONTROL: Final = Layout(
     *_flags("sync unsync freeze unfreeze clear_data"),
     "reserved_low" / cs.BitsInteger(1),
     "group_select" / _OCTET,
+)
+
+
+class SetSlaveAddOctets(NamedTuple):
+    """Set_Slave_Add as it is on the wire; the meaning of ``no_add_chg`` is the caller's."""
+
+    new_address: int
+    ident: int
+    no_add_chg: int
+    rem_slave_data: bytes
+
+
+SET_SLAVE_ADD: Final = Layout(
+    "Set_Slave_Add",
+    SetSlaveAddOctets,
+    "new_address" / _OCTET,
+    "ident" / _WORD,
+    "no_add_chg" / _OCTET,
+    "rem_slave_data" / _REST,
 )
 
 

@@ -5,7 +5,10 @@ What one station sends, all others receive. One edge-triggered epoll watches all
 about 80 us with two stations: no judge of timing from 1.5 Mbit/s up.
 
 The rate of a station is that of its tty. A station at another rate than the sender's gets what its UART would sample of
-the waveform, without the characters that a UART with IGNPAR drops: on a pty errors cannot be marked.
+the waveform. Noise inverts bits. What a UART with IGNPAR drops is dropped: on a pty errors cannot be marked.
+
+Nothing a station does holds up the others: of one that never stops sending only so much is read at a time, what a paced
+wire cannot take and what nobody reads is dropped, counted, and told once.
 """
 
 from __future__ import annotations
@@ -16,55 +19,26 @@ import fcntl
 import os
 import random
 import select
-from dataclasses import asdict, dataclass
+from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from time import monotonic_ns
 from typing import Final
 
+from dpstack.drivers.segment_station import SegmentStation
 from dpstack.errors import ConfigError, PortBusyError, PortError, UsageError
 from dpstack.params import T_SYN
-from dpstack.phy.uart import Receiver, waveform
+from dpstack.phy.noise import BitNoise
 from dpstack.ports.fdport import reason_of
-from dpstack.ports.garble import Noise
 from dpstack.ports.holders import holder_of
 from dpstack.ports.pacing import PacedWire
 from dpstack.ports.ptymaster import PtyMaster
 from dpstack.ports.runtime_dir import own_directory, runtime_path
-from dpstack.units import BAUD_RATES, bits_to_ns, chars_to_ns, ns_to_s
+from dpstack.units import BAUD_RATES, baud_text, bits_to_ns, chars_to_ns, ns_to_s
 
 MAX_STATIONS: Final = 64
 _CHUNK: Final = 4096  # a pty hands over no more at once
-
-
-@dataclass(slots=True)
-class StationStats:
-    """Octets a station sent, was given, and lost because its pty was full (telegram by telegram)."""
-
-    path: str
-    sent: int = 0
-    received: int = 0
-    dropped: int = 0
-
-
-class _Station:
-    __slots__ = ("cut_off", "master", "present", "receiver", "stats")
-
-    def __init__(self, master: PtyMaster, link: str) -> None:
-        self.master = master
-        self.present = False
-        #: neither heard nor hearing until this handle ends it (True: until told)
-        self.cut_off: asyncio.TimerHandle | bool = False
-        self.receiver: Receiver | None = None  # of a station at another rate than those who send
-        self.stats = StationStats(link)
-
-    def misread(self, octets: bytes, baud: int, reading: int, start_ns: int) -> bytes:
-        """What its UART at ``reading`` bit/s makes of ``octets`` that are sent at ``baud`` from ``start_ns`` on."""
-        receiver = self.receiver
-        if receiver is None or receiver.baud != reading:
-            receiver = self.receiver = Receiver(reading)
-        heard = receiver.idle(start_ns)
-        heard += receiver.hear(start_ns, waveform(octets), baud)
-        return bytes(character.octet for character in heard if character.good)
+_CHUNKS: Final = 4  # read from one station before the others have their turn
 
 
 class Segment:
@@ -72,7 +46,8 @@ class Segment:
 
     ``directory``: default :func:`default_directory`; made with mode 0700 when it is missing. ``baud``: the rate of a
     station whose tty nobody set, in bit/s. ``paced``: octets take their time on the wire. ``echo``: a station hears
-    itself. ``error_rate``: probability of a damaged bit, which costs its octet. ``seed``: of the noise.
+    itself. ``error_rate``: probability that a bit is inverted. ``seed``: of the noise. ``on_notice``: told in one line
+    when octets are lost by a station's doing.
     """
 
     def __init__(
@@ -85,6 +60,7 @@ class Segment:
         echo: bool = False,
         error_rate: float = 0.0,
         seed: int = 0,
+        on_notice: Callable[[str], None] | None = None,
     ) -> None:
         if not 2 <= stations <= MAX_STATIONS:
             raise ConfigError(f"{stations} stations: a segment joins 2 to {MAX_STATIONS}")
@@ -96,14 +72,17 @@ class Segment:
         self.echo = echo
         self._count = stations
         self._rng = random.Random(seed)
-        self._noise = Noise(error_rate, random.Random(seed + 1))
+        self._noise = BitNoise(error_rate, random.Random(seed + 1))
+        self._lost = self._changed = 0  # octets that noise dropped, or made others of
+        self._on_notice = on_notice
         self._links = [self.directory / str(n) for n in range(stations)]
-        self._stations: list[_Station] = []
-        self._by_fd: dict[int, _Station] = {}
+        self._stations: list[SegmentStation] = []
+        self._by_fd: dict[int, SegmentStation] = {}
         self._epoll: select.epoll | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._wire: PacedWire[_Station] | None = None
-        self._last_sender: _Station | None = None
+        self._wire: PacedWire[SegmentStation] | None = None
+        self._unread: dict[SegmentStation, None] = {}  # those that had more to say than one turn takes
+        self._last_sender: SegmentStation | None = None
         self._line_free_ns = 0  # when the last octet left the line
         self._lock_fd = -1
         self._made_directory = False
@@ -116,13 +95,11 @@ class Segment:
     @property
     def error_rate(self) -> float:
         """Probability of a damaged bit; may be set while the segment runs."""
-        return self._noise.error_rate
+        return self._noise.per_bit
 
     @error_rate.setter
     def error_rate(self, value: float) -> None:
-        damaged = self._noise.damaged
-        self._noise = Noise(value, random.Random(self._rng.random()))
-        self._noise.damaged = damaged
+        self._noise = BitNoise(value, random.Random(self._rng.random()))
 
     def silence(self, number: int, for_ns: int | None = None) -> None:
         """Cut station ``number`` off for a time, None: until :meth:`resume`. Raises UsageError."""
@@ -136,7 +113,7 @@ class Segment:
         """Connect it again."""
         self._connected(number)
 
-    def _connected(self, number: int) -> _Station:
+    def _connected(self, number: int) -> SegmentStation:
         """Station ``number``, no longer cut off. Raises UsageError."""
         if not 0 <= number < len(self._stations):
             raise UsageError(f"no station {number} on this segment; it has 0 to {self._count - 1}")
@@ -147,8 +124,10 @@ class Segment:
         return station
 
     def stats(self) -> dict[str, object]:
-        """``stations``: per station its ``path``, octets ``sent``, ``received``, ``dropped``; ``damaged`` octets."""
-        return {"stations": [asdict(s.stats) for s in self._stations], "damaged": self._noise.damaged}
+        """``stations``: of each what StationStats has; octets ``damaged`` by noise: ``lost`` and ``changed`` ones."""
+        lost, changed = self._lost, self._changed
+        stations = [asdict(station.stats) for station in self._stations]
+        return {"stations": stations, "damaged": lost + changed, "lost": lost, "changed": changed}
 
     async def open(self) -> None:
         """Make the ptys and their links and begin. Raises PortError; PortBusyError when a segment runs there."""
@@ -195,36 +174,48 @@ class Segment:
         for fd, _event in self._epoll.poll(0):
             self._read(self._by_fd[fd])
 
-    def _read(self, station: _Station) -> None:
-        """Forward all that a station has sent. Edges come once, so nothing may be left."""
+    def _read_on(self) -> None:
+        unread, self._unread = self._unread, {}
+        for station in unread:
+            self._read(station)
+
+    def _read(self, station: SegmentStation) -> None:
+        """Forward what a station has sent. Edges come once: what is left is read in the loop's next turn."""
         fd = station.master.fd
-        while True:
+        for _ in range(_CHUNKS):
             try:
                 chunk = os.read(fd, _CHUNK)
             except BlockingIOError:
                 return
             except OSError:  # EIO: everybody has closed it, which is normal
-                if station.present:
-                    station.present = False
-                    station.master.forget()
+                station.left()
                 return
             station.present = True
             self._forward(station, chunk)
+        if not self._unread and self._loop is not None:
+            self._loop.call_soon(self._read_on)
+        self._unread[station] = None
 
-    def _forward(self, sender: _Station, chunk: bytes) -> None:
+    def _forward(self, sender: SegmentStation, chunk: bytes) -> None:
         sender.stats.sent += len(chunk)
         if sender.cut_off:
             return
         baud = sender.master.baud() or self.baud
-        if self._wire is not None:
-            self._wire.send(sender, chunk, baud)
-        else:
+        if self._wire is None:
             self._deliver(sender, chunk, baud)
+        elif not self._wire.send(sender, chunk, baud):
+            sender.stats.overrun += len(chunk)
+            self._tell(sender, f"sends faster than {baud_text(baud)}: what the wire cannot take is dropped")
 
-    def _deliver(self, sender: _Station, chunk: bytes, baud: int) -> None:
+    def _deliver(self, sender: SegmentStation, chunk: bytes, baud: int) -> None:
         """``chunk`` is on the wire: every other station hears it."""
         start_ns = self._placed(sender, len(chunk), baud)
-        chunk = self._noise.strike(chunk)
+        flips = self._noise.flips(len(chunk))
+        heard = sender.put(chunk, flips)
+        if flips:
+            lost = len(chunk) - len(heard)
+            self._lost += lost
+            self._changed += len(flips) - lost
         for station in self._stations:
             if (station is sender and not self.echo) or station.cut_off:
                 continue
@@ -233,11 +224,11 @@ class Segment:
                     continue
                 station.present = True
             reading = station.master.baud() or self.baud
-            octets = chunk if reading == baud else station.misread(chunk, baud, reading, start_ns)
-            if octets:
-                self._give(station, octets)
+            octets = heard if reading == baud else station.misread(chunk, baud, reading, start_ns, flips)
+            if octets and not station.give(octets):
+                self._tell(station, "takes no more: what it does not read is dropped")
 
-    def _placed(self, sender: _Station, size: int, baud: int) -> int:
+    def _placed(self, sender: SegmentStation, size: int, baud: int) -> int:
         """When ``size`` octets begin on the wire: now (paced ones are over now), but never within others."""
         duration = chars_to_ns(size, baud)
         start = monotonic_ns() - (duration if self.paced else 0)
@@ -250,13 +241,12 @@ class Segment:
         self._line_free_ns = start + duration
         return start
 
-    def _give(self, station: _Station, octets: bytes) -> None:
-        try:
-            done = os.write(station.master.fd, octets)
-        except OSError:  # full, or closed this very moment
-            done = 0
-        station.stats.received += done
-        station.stats.dropped += len(octets) - done
+    def _tell(self, station: SegmentStation, what: str) -> None:
+        """Once for each station and what became of it; the octets are counted."""
+        if what not in station.told:
+            station.told.add(what)
+            if self._on_notice is not None:
+                self._on_notice(f"station {Path(station.stats.path).name} of the segment {what}")
 
     # --- set-up -------------------------------------------------------------------------------------------------------
 
@@ -283,7 +273,7 @@ class Segment:
         if self._epoll is None:
             return
         master = PtyMaster()
-        station = _Station(master, str(link))
+        station = SegmentStation(master, str(link))
         self._stations.append(station)
         self._by_fd[master.fd] = station
         self._epoll.register(master.fd, select.EPOLLIN | select.EPOLLET)
@@ -302,6 +292,7 @@ class Segment:
             station.master.close()
         self._stations = []
         self._by_fd = {}
+        self._unread = {}
         if self._epoll is not None:
             self._epoll.close()
             self._epoll = None

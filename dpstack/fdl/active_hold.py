@@ -74,7 +74,7 @@ def _poll(link: Link, now: int) -> bool:
     if now >= link.until:
         gap.skipped += 1
         return False
-    if not link.knows(address) and not link.allowance.allows(now):
+    if not link.knows(address) and not gap.allowance.allows(now):
         return False
     link.polling = address
     link.fresh = False
@@ -128,7 +128,7 @@ def status_timeout(link: Link, _: Telegram, now: int) -> None:
     if known:
         exchange.owe_status(link, address, now)
     else:
-        link.allowance.charge(link.slot_unknown_ns)
+        link.gap.allowance.charge(link.slot_unknown_ns)
     passing.start(link, now)
 
 

@@ -93,13 +93,18 @@ def silence(link: Link, _: Telegram, now: int) -> None:
 
 # --- Active_Idle -----------------------------------------------------------------------------------------------------
 def token_to_me(link: Link, telegram: Telegram, now: int) -> None:
-    """The token. Only the predecessor may pass it; whoever insists is the new predecessor."""
+    """The token. Only the predecessor may pass it; whoever insists is the new predecessor.
+
+    So is, at its first token, a station that was heard repeating a pass to another one which stayed silent: it has the
+    token, and its ring has changed. (A master that leaves cost the others one more T_SL with all the host's slack.)
+    """
     link.tx = None
     sa = telegram.sa
-    if sa != link.ring.ps and sa != link.refused:
+    if sa not in (link.ring.ps, link.refused, link.in_vain):
         link.refused = sa
         return
     link.refused = -1
+    link.forget_pass()
     link.claimed = False
     if link.ring.observe(sa, link.ts):
         link.tell_masters(now)
@@ -113,6 +118,8 @@ def token_seen(link: Link, telegram: Telegram, now: int) -> None:
     link.refused = -1
     ring = link.ring
     sa, da = telegram.sa, telegram.da
+    link.in_vain = sa if (sa, da) == link.last_pass else -1
+    link.last_pass = (sa, da)
     if ring.observe(sa, da):
         link.tell_masters(now)
     if link.in_ring and ring.skips(sa, da):
@@ -133,9 +140,11 @@ def no_service(link: Link, telegram: Telegram, now: int) -> None:
     link.reply(encode_sd1(telegram.sa, link.ts, StationType.MASTER_IN_RING << _TYPE_SHIFT | Resp.RS))
 
 
-def heard(link: Link, _: Telegram, now: int) -> None:
+def heard(link: Link, telegram: Telegram, now: int) -> None:
     """Others are talking: an answer that did not go out in time is not wanted any more."""
     link.tx = None
+    if telegram is not NONE:
+        link.forget_pass()
 
 
 def late(link: Link, telegram: Telegram, now: int) -> None:

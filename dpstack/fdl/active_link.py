@@ -12,7 +12,7 @@ from typing import Final
 from dpstack.fdl.codec import encode_token
 from dpstack.fdl.events import MasterSeen, RingLeft
 from dpstack.fdl.fcb import FrameCount
-from dpstack.fdl.ring import Allowance, Gap, Ring
+from dpstack.fdl.ring import Gap, Ring
 from dpstack.fdl.states import Input, State
 from dpstack.fdl.telegram import FC_FUNCTION, FC_REQUEST, Kind, Req, Telegram
 from dpstack.fdl.user import Failure, LinkStats, LinkUser, Request, StationStats
@@ -23,10 +23,16 @@ from dpstack.stats import Histogram
 from dpstack.trace import Event
 from dpstack.units import BITS_PER_CHAR, NEVER
 
+#: T_TO is longer by so many times the slack of a known station
+_SLACK_IN_T_TO: Final = 2
+#: repetitions of a token get this share of the slack that the first pass gets (but what is there for unknown ones)
+_AGAIN: Final = 4
 #: stands for "no telegram"; told by identity
 NONE: Final = Telegram(Kind.SC, -1, -1)
 #: stands for "no request"; told by identity
 NO_REQUEST: Final = Request(-1, Req.FDL_STATUS)
+
+_NO_PASS: Final = (-1, -1)
 
 Handler = Callable[["Link", Telegram, int], None]
 Rows = tuple[tuple[Handler, ...], ...]
@@ -57,7 +63,6 @@ class Link:
 
     __slots__ = (
         "after_ns",
-        "allowance",
         "announced",
         "asked",
         "attempt",
@@ -83,6 +88,8 @@ class Link:
         "garbled",
         "gate_ns",
         "in_ring",
+        "in_vain",
+        "last_pass",
         "last_rotation",
         "leaving",
         "line",
@@ -99,6 +106,7 @@ class Link:
         "ring",
         "row",
         "rows",
+        "slot_again_ns",
         "slot_known_ns",
         "slot_unknown_ns",
         "slow",
@@ -155,6 +163,8 @@ class Link:
         self.in_ring = False
         self.announced: frozenset[int] = frozenset()
         self.refused = -1  # sender of a token refused once
+        self.last_pass = _NO_PASS  # SA and DA of the last token between others, while nothing else followed
+        self.in_vain = -1  # who repeated that pass: its NS is silent
         self.claims_left = 0
         self.claimed = False
         self.claim_from = State.LISTEN_TOKEN
@@ -193,13 +203,23 @@ class Link:
         # Octets are seen at their end: without edges the slot time counts from there.
         slot_ns = line.t_sl_ns if self.exact else params.ns(params.t_sl + BITS_PER_CHAR)
         self.slot_known_ns = slot_ns + patience.known_ns
-        self.slot_unknown_ns = slot_ns + patience.unknown_ns
-        self.t_to_ns = line.t_to_ns + patience.known_ns
+        self.slot_unknown_ns = slot_ns if self.exact else patience.silent_ns(params)
+        # A stalled host had its time at the first pass: repetitions are for a damaged token.
+        self.slot_again_ns = slot_ns + max(patience.known_ns // _AGAIN, patience.unknown_ns)
+        # The holder may be silent for T_SL and its slack, and notice the end of that late by as much. With the slack
+        # once (5 ms more than a known station's answer is waited for) a busy computer lost the token with every master
+        # that left, and two rings stood side by side [M].
+        self.t_to_ns = line.t_to_ns + _SLACK_IN_T_TO * patience.known_ns
         self.t_tr_ns = params.ns(params.t_tr)
         self.max_retry = params.max_retry
         # half a bit of tolerance: telegram and pause are rounded to ns apart from each other
         self.early_ns = params.ns(params.min_tsdr) - params.ns(1) // 2
-        self.allowance = Allowance(patience.unknown_share, self.slot_unknown_ns, now)
+        self.gap.limit(patience, self.slot_unknown_ns, now)
+
+    def forget_pass(self) -> None:
+        """The token has gone on: what was seen of the last pass does not count any more."""
+        self.last_pass = _NO_PASS
+        self.in_vain = -1
 
     def end_exchange(self) -> None:
         """No exchange is under way (any more); the caller tells the user."""
@@ -246,7 +266,7 @@ class Link:
         return at if at > self.busy_until else self.busy_until
 
     def await_silence(self) -> None:
-        """Arm T_TO: counted from the last activity, the host's slack once."""
+        """Arm T_TO: counted from the last activity."""
         self.deadline = self.line.idle_since + self.t_to_ns
 
     # --- ways out of a state that several handlers take -----------------------------------------------------------
@@ -288,6 +308,7 @@ class Link:
         """Out of the ring; told once."""
         self.token_at = -1
         self.refused = -1
+        self.forget_pass()
         self.ring.forget()
         self.announced = frozenset()
         if self.in_ring:

@@ -42,7 +42,7 @@ def sent(link: Link, _: Telegram, at: int) -> None:
         return
     link.enter(State.CHECK_TOKEN_PASS)
     link.garbled = False
-    link.deadline = at + link.slot_known_ns
+    link.deadline = at + (link.slot_known_ns if link.attempt == 1 else link.slot_again_ns)
 
 
 def timeout(link: Link, _: Telegram, now: int) -> None:
@@ -58,7 +58,10 @@ def timeout(link: Link, _: Telegram, now: int) -> None:
             # Two holders in step (a doubled token) hear nothing of each other: the last repetition tells them apart.
             link.gate_ns = max(link.gate_ns, now - link.line.idle_since + link.params.ns(link.ts))
         return
-    link.ring.drop(link.ring.ns)
+    gone = link.ring.ns
+    link.ring.drop(gone)
+    link.slow.discard(gone)
+    link.gap.stations.pop(gone, None)  # three tokens in vain: no more slack for its GAP poll than for anybody
     link.tell_masters(now)
     start(link, now)
 

@@ -1,7 +1,8 @@
-"""Orders to an active station's link layer."""
+"""Orders to a station: to an active one's link layer, and what is done at a passive one itself."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from dpstack.fdl.user import LinkUser
@@ -29,3 +30,13 @@ class DetachUser:
     """Ask ``user`` no more; the end of a request of its under way is not told."""
 
     user: LinkUser
+
+
+@dataclass(frozen=True, slots=True)
+class AtStation:
+    """Something happens at a passive station that is no telegram (its switch, its keys): ``act(now)``, in its time.
+
+    Deadlines, address and events are looked at afterwards. What ``act`` raises is the caller's.
+    """
+
+    act: Callable[[int], None]

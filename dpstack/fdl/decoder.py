@@ -5,9 +5,9 @@ an unfinished one is given up after the stall time that the caller sets. What is
 the rest is looked at again.
 
 SC and the token carry no check sequence: an 0xE5 among the data of a damaged telegram would pass for an
-acknowledgement. So within the length that a rejected frame claimed for itself only telegrams with FCS count (a
-*doubtful* SC or token is counted instead), until one of them is found, the length is over, or the line was
-silent for the stall time.
+acknowledgement. So within the length that a rejected frame claimed for itself (also where its own first octet was lost
+and its second SD is met) only telegrams with FCS count (a *doubtful* SC or token is counted instead), until one of them
+is found, the length is over, or the line was silent for the stall time.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from dataclasses import dataclass, fields
 from typing import Final
 
 from dpstack.fdl.codec import EMPTY_LE, Flaw, claimed, parse
-from dpstack.fdl.telegram import Kind, Telegram
+from dpstack.fdl.telegram import MAX_LE, Kind, Telegram
 from dpstack.units import NEVER
 
 #: kinds without FCS
@@ -52,6 +52,10 @@ class DecoderStats:
         counters = self.as_dict()
         return sum(counters[flaw.value] for flaw in Flaw) + self.stalled
 
+    def by_cause(self) -> dict[str, int]:
+        """What was damaged or belonged to no telegram, zeros left out."""
+        return {name: n for name, n in self.as_dict().items() if n and name not in ("octets", "telegrams")}
+
     def as_dict(self) -> dict[str, int]:
         """All counters by name."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
@@ -63,7 +67,7 @@ class Decoder:
     An SD2 with LE = 3 comes out as a telegram without data and SAPs (``Telegram.empty_le3`` tells it) and is counted.
     """
 
-    __slots__ = ("_doubt", "_held", "_last", "on_bad", "stall_ns", "stats")
+    __slots__ = ("_doubt", "_held", "_last", "_tail", "on_bad", "stall_ns", "stats")
 
     def __init__(self, *, stall_ns: int) -> None:
         self.stall_ns = stall_ns
@@ -72,6 +76,7 @@ class Decoder:
         self.on_bad: Callable[[str], None] | None = None
         self._held = bytearray()  # octets of an unfinished telegram
         self._doubt = 0  # so many of the octets held or to come lie inside a rejected frame
+        self._tail = b""  # of the octets skipped just before: LE and LEr, if a second SD follows
         self._last = 0  # when octets came last; kept only while octets are held or in doubt
 
     @property
@@ -81,7 +86,7 @@ class Decoder:
 
     def feed(self, chunk: bytes, now: int) -> list[Telegram]:
         """The telegrams that end within ``chunk``, in order; ``now`` in ns. Never raises."""
-        if not self._held and not self._doubt:
+        if not self._held and not self._doubt and not self._tail:
             size = len(chunk)
             if size:
                 # the fast path: one read, one telegram
@@ -115,17 +120,20 @@ class Decoder:
             self.stats.skipped += 1
         held.clear()
         self._doubt = 0
+        self._tail = b""
         return found
 
     def reset(self) -> None:
         """Forget what is pending (the line went away); counters stay."""
         self._held.clear()
         self._doubt = 0
+        self._tail = b""
 
     def _feed_slowly(self, chunk: bytes, now: int) -> list[Telegram]:
         held = self._held
         if not held and now - self._last >= self.stall_ns:
             self._doubt = 0
+            self._tail = b""
         self._last = now
         self.stats.octets += len(chunk)
         held += chunk
@@ -158,13 +166,26 @@ class Decoder:
                     stats.empty_le3 += 1
                 if held[at] not in _UNCHECKED:
                     self._doubt = 0
+                self._tail = b""
                 at += size
                 continue
             if not in_doubt:
                 self._reject(telegram, at)
+            if held[at] == Kind.SD2:
+                self._doubt = max(self._doubt, at + self._headless(in_doubt))
+            self._tail = (self._tail + held[at : at + 1])[-2:]
             stats.skipped += 1
             at += 1
         return at
+
+    def _headless(self, in_doubt: bool) -> int:
+        """What is left of the telegram of which this SD may be the second one, the first being lost; 0: of none."""
+        tail = self._tail
+        if not tail or not EMPTY_LE <= tail[-1] <= MAX_LE:
+            return 0
+        if in_doubt and tail[:1] != tail[1:]:  # inside another damaged frame it takes both LE to believe it
+            return 0
+        return tail[-1] + 3
 
     def _reject(self, flaw: Flaw, at: int) -> None:
         self._count(flaw.value)

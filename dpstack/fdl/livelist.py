@@ -17,7 +17,7 @@ from dpstack.fdl.user import Failure, Request
 from dpstack.params import UNADDRESSED, BusParams
 from dpstack.phy.patience import Patience
 from dpstack.trace import Event
-from dpstack.units import BITS_PER_CHAR, NEVER
+from dpstack.units import NEVER
 
 #: 126 is the address of a slave as delivered; 127 is nobody's
 ALL_ADDRESSES: Final = range(UNADDRESSED + 1)
@@ -27,8 +27,7 @@ _SHARES: Final = 2
 
 def live_allowance(params: BusParams, patience: Patience, now: int) -> Allowance:
     """What silent polls of a live list may take beside data exchange: half of what the port's patience allows."""
-    cost_ns = params.ns(params.t_sl + BITS_PER_CHAR) + patience.unknown_ns
-    return Allowance(_SHARES * patience.unknown_share, cost_ns, now)
+    return Allowance(_SHARES * patience.unknown_share, patience.silent_ns(params), now)
 
 
 class LiveList:

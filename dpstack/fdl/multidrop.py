@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from dpstack.errors import ConfigError, UsageError
+from dpstack.fdl.commands import AtStation
 from dpstack.fdl.decoder import Decoder, DecoderStats
 from dpstack.fdl.passive import PassiveStation
 from dpstack.fdl.telegram import Telegram
@@ -149,7 +150,11 @@ class Multidrop:
         return [event for station in self._due for event in station.take_events()]
 
     def command(self, command: object, now: int) -> None:
-        """:class:`LineDown` and :class:`LineUp` from the driver. Raises UsageError on anything else."""
+        """:class:`LineDown` and :class:`LineUp` from the driver, :class:`AtStation`. UsageError on anything else."""
+        if isinstance(command, AtStation):
+            command.act(now)
+            self.poke()
+            return
         if not isinstance(command, LineDown | LineUp):
             raise UsageError(f"a multidrop port knows no {type(command).__name__}: tell the stations' applications")
         self._decoder.reset()

@@ -11,6 +11,7 @@ from typing import Final
 
 from dpstack.errors import ConfigError, UsageError
 from dpstack.fdl.codec import SC_OCTETS, encode_sd1, request_octets
+from dpstack.fdl.commands import AtStation
 from dpstack.fdl.decoder import Decoder
 from dpstack.fdl.events import le3_notice
 from dpstack.fdl.telegram import FC_FCB, FC_FCV, FC_FUNCTION, FC_REQUEST, Req, Resp, Telegram
@@ -225,8 +226,10 @@ class PassiveStation:
         return events
 
     def command(self, command: object, now: int) -> None:
-        """:class:`LineDown` and :class:`LineUp` from the driver. Raises UsageError on anything else."""
+        """:class:`LineDown` and :class:`LineUp` from the driver, :class:`AtStation`. UsageError on anything else."""
         match command:
+            case AtStation(act):
+                act(now)
             case LineDown() | LineUp():
                 self._forget()
                 self.line.sending_until(now)

@@ -9,6 +9,7 @@ from typing import Final
 
 from dpstack.fdl.telegram import StationType
 from dpstack.params import BusParams
+from dpstack.phy.patience import EXACT, Patience
 
 _CIRCLE: Final = 128
 #: A claim consists of two tokens to itself; only the third in a row says that the sender believes to be alone.
@@ -124,7 +125,20 @@ class Gap:
     spec p11. ``stations`` are those that answered, with their type.
     """
 
-    __slots__ = ("_cursor", "_hsa", "_next_pass_at", "_t_gud_ns", "_ts", "enabled", "skipped", "stations")
+    __slots__ = (
+        "_cost_ns",
+        "_cursor",
+        "_hsa",
+        "_next_pass_at",
+        "_ns",
+        "_patience",
+        "_t_gud_ns",
+        "_ts",
+        "allowance",
+        "enabled",
+        "skipped",
+        "stations",
+    )
 
     def __init__(self, params: BusParams) -> None:
         self._ts = params.address
@@ -136,6 +150,15 @@ class Gap:
         self.skipped = 0
         self._cursor = -1
         self._next_pass_at = 0
+        self.limit(EXACT, 0, 0)
+
+    def limit(self, patience: Patience, cost_ns: int, now: int) -> None:
+        """What silent polls of ``cost_ns`` each may take follows from ``patience`` and how large the GAP is."""
+        self._patience = patience
+        self._cost_ns = cost_ns
+        #: of silent polls of unknown addresses
+        self.allowance = Allowance(0, cost_ns, now)
+        self._ns = -1  # the one that the share was worked out for
 
     def restart(self) -> None:
         """Begin a pass at the next opportunity: the GAP has just become ours."""
@@ -146,6 +169,9 @@ class Gap:
         """The address to poll next, -1 when none is due; NS bounds the GAP. Asking does not move on."""
         if not self.enabled:
             return -1
+        if ns != self._ns:
+            self._ns = ns
+            self.allowance.share = self._patience.gap_share(self._size(ns), self._cost_ns)
         if self._cursor < 0:
             if now < self._next_pass_at:
                 return -1
@@ -171,6 +197,9 @@ class Gap:
         self._cursor = self._after(address)
         self.skipped = 0
 
+    def _size(self, ns: int) -> int:
+        return sum(1 for address in range(self._hsa + 1) if distance(self._ts, address) < distance(self._ts, ns))
+
     def _after(self, address: int) -> int:
         # TS itself ends a pass even when NS lies above HSA, where the wrap would jump over it
         return 0 if address >= self._hsa else address + 1
@@ -179,29 +208,30 @@ class Gap:
 class Allowance:
     """The share of the bus time that silent polls of unknown addresses may take: an account of nanoseconds.
 
-    It earns 1/``share`` of the time that passes, up to sixteen polls of ``cost_ns``, and starts full.
+    It earns 1/``share`` of the time that passes, up to sixteen polls of ``cost_ns``, and starts full. ``share`` 0: no
+    limit.
     """
 
-    __slots__ = ("_at", "_cap_ns", "_cost_ns", "_credit_ns", "_share")
+    __slots__ = ("_at", "_cap_ns", "_cost_ns", "_credit_ns", "share")
 
     def __init__(self, share: int, cost_ns: int, now: int) -> None:
-        self._share = share
+        self.share = share
         self._cost_ns = cost_ns
         self._cap_ns = self._credit_ns = 16 * cost_ns
         self._at = now
 
     def allows(self, now: int) -> bool:
         """Whether one more silent poll fits in."""
-        if not self._share:
+        if not self.share:
             return True
         # whole units only: the rest of the division is earned later, not lost
-        earned = (now - self._at) // self._share
+        earned = (now - self._at) // self.share
         if earned > 0:
-            self._at += earned * self._share
+            self._at += earned * self.share
             self._credit_ns = min(self._cap_ns, self._credit_ns + earned)
         return self._credit_ns >= self._cost_ns
 
     def charge(self, ns: int) -> None:
         """A poll of ``ns`` was silent. Debts are bounded too: whoever overdraws it does not end the GAP for long."""
-        if self._share:
+        if self.share:
             self._credit_ns = max(-self._cap_ns, self._credit_ns - ns)

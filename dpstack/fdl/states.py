@@ -95,7 +95,8 @@ def _rows() -> list[Row]:
             "silent for T_TO: claim the token; back-off over: listen afresh", f"{_FELSER}; spec p12"),
         # --- Active_Idle ---
         Row(_S.ACTIVE_IDLE, _I.TOKEN_TO_ME, "idle.token_to_me", (_S.ACTIVE_IDLE, _S.USE_TOKEN),
-            "from PS: take it; from another station: refuse it once, take it the second time", _FELSER),
+            "from PS, or who repeated a pass in vain: take it; else refuse it once, take it the second time",
+            f"{_FELSER}; rule"),
         Row(_S.ACTIVE_IDLE, _I.TOKEN_SEEN, "idle.token_seen", (_S.ACTIVE_IDLE, _S.LISTEN_TOKEN),
             "keep the LAS; skipped by the ring: listen again", _FELSER),
         Row(_S.ACTIVE_IDLE, _I.STATUS_REQUEST, "idle.status_in_ring", (_S.ACTIVE_IDLE,),

@@ -2,9 +2,15 @@
 
 Host slack enters deadlines only, never minimum gaps. It is paid for every silent address, and too little of it loses
 slaves when a virtual machine stalls 10 to 30 ms: so a station whose silence has consequences (in data exchange, or
-just given the token) is given ``known_ns``, an address that never answered ``unknown_ns``. Silent polls of the latter
-take at most 1/``unknown_share`` of the bus time for the GAP, and as much for a master's absent slaves: one account for
-both would let a few absent slaves keep every other master out of the ring.
+just given the token) is given ``known_ns``, an address that never answered ``unknown_ns``. A master's absent slaves may
+take 1/``unknown_share`` of the bus time in silence.
+
+The GAP has an account of its own, else a few absent slaves would keep every other master out of the ring. It is counted
+by the pass, because a pass is what a newcomer waits for: every silent address is asked about once in 3 s, for which the
+GAP takes 1 % to 10 % of the bus. With 1 % alone a second master on a pty (HSA 126, 187.5 kbit/s, 2.6 ms a silent poll)
+waited 22 to 32 s [M], on an adapter not yet measured 4 minutes; 10 % means 3.3 s and 26 s. It is less than hardware
+masters take, which poll in every rotation, and the median of the rotation does not show it. In a ring each master asks
+its own part of the addresses, so all of them together take little more than one.
 """
 
 from __future__ import annotations
@@ -12,7 +18,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Final
 
-from dpstack.units import NS_PER_MS
+from dpstack.params import BusParams
+from dpstack.units import BITS_PER_CHAR, NS_PER_MS, NS_PER_S
+
+#: every silent address of the GAP is asked about so often, ...
+_GAP_PASS_NS: Final = 3 * NS_PER_S
+#: ... for which 1/10 of the bus time is the most
+_GAP_SHARE: Final = 10
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -21,13 +33,25 @@ class Patience:
 
     known_ns: int = 0
     unknown_ns: int = 0
-    #: silent polls of addresses that never answered may take 1/unknown_share of the bus time (see above); 0 = no limit
+    #: silent polls of absent slaves may take 1/unknown_share of the bus time; the GAP has that at least (see above).
+    #: 0 = no limit
     unknown_share: int = 0
     #: added to the stall time of a telegram that arrives in pieces
     stall_ns: int = 0
     #: what is given to the port may go on the wire so much later. The end of an own telegram that nobody answers is
     #: known no better, so idle times count from its latest: else the next one would follow without a pause
     sending_ns: int = 0
+
+    def silent_ns(self, params: BusParams) -> int:
+        """How long a poll of an address that never answered waits. Ports show octets at their end, hence one more."""
+        return params.ns(params.t_sl + BITS_PER_CHAR) + self.unknown_ns
+
+    def gap_share(self, polls: int, cost_ns: int) -> int:
+        """Silent GAP polls may take 1/this of the bus time where a pass has ``polls`` of ``cost_ns``; 0 = no limit."""
+        if not self.unknown_share:
+            return 0
+        in_time = _GAP_PASS_NS // max(1, polls * cost_ns)
+        return min(max(in_time, _GAP_SHARE), max(self.unknown_share, _GAP_SHARE))
 
 
 #: Virtual time and ports that deliver exactly.

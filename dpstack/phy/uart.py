@@ -17,6 +17,12 @@ _SPACE: Final = ord("0")
 _EDGE: Final = b"10"
 _STOP: Final = BITS_PER_CHAR - 1
 
+# masks of inverted bits
+START_BIT: Final = 0x001
+DATA_BITS: Final = 0x1FE
+PARITY_BIT: Final = 0x200
+STOP_BIT: Final = 0x400
+
 
 class Character(NamedTuple):
     """A character as a receiver has it: end of its stop bit in ns, the data bits, and what is wrong with it."""
@@ -155,3 +161,16 @@ class Receiver:
 def _next_edge(levels: bytes, at: int) -> int:
     """The first bit behind bit ``at`` that is space while the one before it is mark; -1 when there is none."""
     return levels.find(_EDGE, at) + 1 or -1
+
+
+def flipped(octet: int, flips: int) -> int | None:
+    """What is received of ``octet`` when the bits ``flips`` of its character are inverted; None = dropped.
+
+    Bit 0 of ``flips`` is the start bit, 1..8 the data bits, 9 parity, 10 stop. An odd number of errors in data and
+    parity is a parity error, a wrong stop bit a framing error, without its start bit a character is not seen.
+    """
+    if flips & (START_BIT | STOP_BIT):
+        return None
+    if (flips & (DATA_BITS | PARITY_BIT)).bit_count() & 1:
+        return None
+    return octet ^ (flips & DATA_BITS) >> 1

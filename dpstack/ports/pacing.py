@@ -25,6 +25,10 @@ def slice_octets(baud: int) -> int:
     return max(1, slice_ns // chars_to_ns(1, baud))
 
 
+#: Octets a sender may have waiting, as much as the kernel buffers in front of a UART (a page).
+_BACKLOG: Final = 4096
+
+
 class PacedWire(Generic[Sender]):
     """Holds back what senders send. Their transmissions run side by side: the wire does not arbitrate."""
 
@@ -37,9 +41,12 @@ class PacedWire(Generic[Sender]):
         self._free_at: dict[Sender, int] = {}  # when a sender's own transmitter is empty
         loop.add_reader(self._timer.fd, self._due)
 
-    def send(self, sender: Sender, octets: bytes, baud: int) -> None:
-        """``octets`` leave ``sender`` now, or behind what it is still sending."""
-        start = max(monotonic_ns(), self._free_at.get(sender, 0))
+    def send(self, sender: Sender, octets: bytes, baud: int) -> bool:
+        """``octets`` leave ``sender`` now, or behind what it is still sending; False: that is too much, dropped."""
+        now = monotonic_ns()
+        start = max(now, self._free_at.get(sender, 0))
+        if start - now > chars_to_ns(_BACKLOG, baud):
+            return False
         step = slice_octets(baud)
         for first in range(0, len(octets), step):
             piece = octets[first : first + step]
@@ -48,6 +55,7 @@ class PacedWire(Generic[Sender]):
             heapq.heappush(self._queue, (at, self._order, sender, piece, baud))
         self._free_at[sender] = start + chars_to_ns(len(octets), baud)
         self._timer.set(self._queue[0][0])
+        return True
 
     def close(self) -> None:
         """Forget what is still under way."""

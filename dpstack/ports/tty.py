@@ -206,7 +206,7 @@ def _existing() -> str:
     ports = existing_ports()
     if ports:
         return "these exist: " + ", ".join(ports)
-    return 'no serial adapter is plugged in (try --port pty, or port = "virtual")'
+    return 'no serial adapter is plugged in (without one: a port of `dpstack segment`, or port = "virtual")'
 
 
 def how_to_be_permitted(name: str) -> str:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import log1p
 from random import Random
 from typing import TYPE_CHECKING, Final
 
 from dpstack.errors import ConfigError
+from dpstack.phy.noise import BitNoise
 from dpstack.units import BITS_PER_CHAR
 
 if TYPE_CHECKING:
@@ -36,17 +36,14 @@ class Faults:
         self.armed = False
         self._rng = Random(seed)
         self._orders: list[_Order] = []
-        self._per_bit = 0.0
-        self._sound_bits = 0  # until the next error
+        self._noise: BitNoise | None = None
 
     # --- what can be ordered ---
     def noise(self, per_bit: float) -> None:
         """From now on each bit on the wire is inverted with the probability ``per_bit`` (0..0.5); 0 ends it."""
         if not 0.0 <= per_bit <= 0.5:
             raise ConfigError(f"noise of {per_bit} per bit: give a probability from 0 to 0.5")
-        self._per_bit = per_bit
-        if per_bit:
-            self._sound_bits = self._draw()
+        self._noise = BitNoise(per_bit, self._rng) if per_bit else None
         self._rearm()
 
     def drop(self, which: Which, *, times: int | None = 1) -> None:
@@ -88,7 +85,7 @@ class Faults:
     def clear(self) -> None:
         """No faults any more."""
         self._orders.clear()
-        self._per_bit = 0.0
+        self._noise = None
         self._rearm()
 
     # --- what the medium asks ---
@@ -103,8 +100,9 @@ class Faults:
                 if not order.left:
                     self._orders.remove(order)
                     self._rearm()
-        if self._per_bit:
-            self._disturb(tx)
+        if self._noise is not None:
+            for number, mask in self._noise.flips(len(tx.octets)).items():
+                tx.flips[number] = tx.flips.get(number, 0) ^ mask
 
     def _order(self, which: Which, act: Callable[[Transmission], None], times: int | None) -> None:
         if times is not None and times < 1:
@@ -112,21 +110,8 @@ class Faults:
         self._orders.append(_Order(which, act, times))
         self._rearm()
 
-    def _disturb(self, tx: Transmission) -> None:
-        bits = len(tx.octets) * BITS_PER_CHAR
-        at = self._sound_bits
-        while at < bits:
-            number, bit = divmod(at, BITS_PER_CHAR)
-            tx.flips[number] = tx.flips.get(number, 0) ^ 1 << bit
-            at += 1 + self._draw()
-        self._sound_bits = at - bits
-
-    def _draw(self) -> int:
-        """Bits without error before the next one: geometric, so that sound telegrams cost one comparison."""
-        return int(log1p(-self._rng.random()) / log1p(-self._per_bit))
-
     def _rearm(self) -> None:
-        self.armed = bool(self._orders) or self._per_bit > 0.0
+        self.armed = bool(self._orders) or self._noise is not None
 
 
 def _lose(tx: Transmission) -> None:

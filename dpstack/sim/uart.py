@@ -6,30 +6,12 @@ Intact telegrams never come here; receivers at another rate sample the waveform 
 from __future__ import annotations
 
 from random import Random
-from typing import Final
 
+from dpstack.phy.uart import flipped
 from dpstack.units import BITS_PER_CHAR, chars_to_ns
 
 #: An octet as a receiver gets it: ns from the first start edge of the transmission to the octet's end, value.
 Heard = tuple[int, int]
-
-START_BIT: Final = 0x001
-DATA_BITS: Final = 0x1FE
-PARITY_BIT: Final = 0x200
-STOP_BIT: Final = 0x400
-
-
-def flipped(octet: int, flips: int) -> int | None:
-    """What is received of ``octet`` when the bits ``flips`` of its character are inverted; None = dropped.
-
-    Bit 0 of ``flips`` is the start bit, 1..8 the data bits, 9 parity, 10 stop. An odd number of errors in data and
-    parity is a parity error, a wrong stop bit a framing error, without its start bit a character is not seen.
-    """
-    if flips & (START_BIT | STOP_BIT):
-        return None
-    if (flips & (DATA_BITS | PARITY_BIT)).bit_count() & 1:
-        return None
-    return octet ^ (flips & DATA_BITS) >> 1
 
 
 def receive(octets: bytes, baud: int, flips: dict[int, int]) -> list[Heard]:

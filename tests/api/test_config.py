@@ -206,12 +206,10 @@ LATER: list[tuple[str, str]] = [
     (BUS + "echo = true\n", "plant.toml:4: [bus]: echo is not supported yet by this version; leave it out"),
     (BUS + "auto_clear = true\n", "plant.toml:4: [bus]: auto_clear is not supported yet by this version; leave it out"),
     (BUS + 'driver = "process"\n', 'plant.toml:4: [bus]: driver "process" is not supported yet by this version; use'),
-    (BUS + RAW + 'gsd = "x.gsd"\n', "plant.toml:9: [[slave]] raw: gsd is not supported yet by this version; leave it"),
-    (BUS + RAW + "modules = []\n", "plant.toml:9: [[slave]] raw: modules is not supported yet by this version; leave"),
-    (BUS + RAW + "parameters = {}\n", "plant.toml:9: [[slave]] raw: parameters is not supported yet by this version;"),
+    (BUS + RAW + 'gsd = "x.gsd"\n', "plant.toml:8: [[slave]] raw: config beside gsd; leave config out, or gsd"),
+    (BUS + RAW + "modules = []\n", "plant.toml:9: [[slave]] raw: modules without gsd; name the GSD file, or leave"),
+    (BUS + RAW + "parameters = {}\n", "plant.toml:9: [[slave]] raw: parameters without gsd; name the GSD file, or"),
     (BUS + RAW + "dpv1 = true\n", "plant.toml:9: [[slave]] raw: dpv1 is not supported yet by this version; leave it"),
-    (BUS + RAW + 'inputs = { a = "bool@0.3" }\n', "plant.toml:9: [[slave]] raw: inputs is not supported yet by this"),
-    (BUS + RAW + 'outputs = { a = "i16@2" }\n', "plant.toml:9: [[slave]] raw: outputs is not supported yet by this"),
 ]
 
 

@@ -97,7 +97,25 @@ def test_run_for_people(plant: str, capsys: Out) -> None:
     assert "slave 3 (hoist): data_exchange" in out
     assert "bus rotation time in us: min " in out
     assert "\nSlaves\naddress  name   state" in out
+    assert "Named inputs" not in out
     assert "\nProcess data\naddress  name   inputs" in out
+
+
+def test_run_shows_named_values(plant: str, capsys: Out) -> None:
+    named = 'inputs = { limit = "bool@0.3", raw = "bytes@0:1" }\noutputs = { flap = "bool@0.3" }\n'
+    Path(plant).write_text(PLANT + named, encoding="utf-8")
+    assert call("run", plant, "--seconds", "0.3", "--outputs", "9=0A") == 0
+    out = capsys.readouterr().out.splitlines()
+    at = out.index("Named inputs and outputs")
+    assert [line.split() for line in out[at + 1 : at + 5]] == [
+        ["address", "name", "field", "value"],
+        ["9", "raw", "limit", "True"],
+        ["9", "raw", "raw", "0a"],
+        ["9", "raw", "flap", "True"],
+    ]
+    assert call("run", plant, "--seconds", "0.3", "--json") == 0
+    slave = lines(capsys.readouterr().out)[-1]["slaves"]["9"]
+    assert slave["fields"] == {"limit": False, "raw": "00", "flap": False}
 
 
 def test_version(capsys: Out) -> None:

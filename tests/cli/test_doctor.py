@@ -206,3 +206,12 @@ def test_the_set_up_script_says_what_it_would_do() -> None:
     said = subprocess.run([script, "--print", "anna"], capture_output=True, text=True, check=True).stdout
     assert "+ usermod -aG dialout anna" in said
     assert "+ udevadm control --reload" in said
+
+
+def test_what_other_masters_need_beside_the_adapter_named(computer: Computer, port: Path) -> None:
+    ((text, todo),) = told(examine(str(port), computer), Level.NOTE)
+    assert text == (
+        "other masters on its bus need T_SL above its delay (20 ms until a run has measured it): "
+        "3825 at 187.5 kbit/s, 10115 at 500 kbit/s, and none is enough above 500 kbit/s"
+    )
+    assert "set t_sl on all masters" in todo

@@ -1,4 +1,4 @@
-"""Set_Prm and Global_Control, against octets of real bus logs and of manuals (protocol facts A1, B2, B4)."""
+"""Set_Prm, Global_Control and Set_Slave_Add, against octets of real bus logs and of manuals (facts A1, B2, B4, B8)."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpstack.dp.pdu import MAX_USER_PRM, GlobalControl, SetPrm
+from dpstack.dp.pdu import MAX_USER_PRM, GlobalControl, SetPrm, SetSlaveAdd
 from dpstack.errors import DpError, PduError
 
 # pyprofibus#7, data unit of 68 0F 0F 68 82 E3 5D 3D 3E B8 05 01 00 0C DA 01 40 00 00 22 16
@@ -153,3 +153,40 @@ def test_global_control_ignores_reserved_bits_and_refuses_other_lengths() -> Non
             GlobalControl.parse(octets)
     with pytest.raises(PduError, match="group_select = 256"):
         GlobalControl(group_mask=256).build()
+
+
+# --- Set_Slave_Add (B8) ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("octets", "pdu"),
+    [
+        ("05 12 34 00", SetSlaveAdd(5, 0x1234)),
+        ("7D 06 96 FF", SetSlaveAdd(125, 0x0696, no_add_chg=True)),
+        ("00 00 01 00 CA FE", SetSlaveAdd(0, 1, rem_slave_data=b"\xca\xfe")),
+    ],
+)
+def test_set_slave_add_both_ways(octets: str, pdu: SetSlaveAdd) -> None:
+    assert pdu.build() == bytes.fromhex(octets)
+    assert SetSlaveAdd.parse(bytes.fromhex(octets)) == pdu
+
+
+def test_any_octet_but_0_is_no_add_chg() -> None:
+    assert SetSlaveAdd.parse(bytes.fromhex("05 12 34 01")) == SetSlaveAdd(5, 0x1234, no_add_chg=True)
+
+
+@pytest.mark.parametrize("length", range(4))
+def test_set_slave_add_cut_short(length: int) -> None:
+    with pytest.raises(PduError, match=f"Set_Slave_Add ends after {length} octets"):
+        SetSlaveAdd.parse(bytes.fromhex("05 12 34 00")[:length])
+
+
+def test_set_slave_add_that_does_not_fit() -> None:
+    assert len(SetSlaveAdd(5, 1, rem_slave_data=bytes(240)).build()) == 244
+    with pytest.raises(PduError, match="241 octets for the device, 240 are possible"):
+        SetSlaveAdd(5, 1, rem_slave_data=bytes(241)).build()
+    for address in (-1, 126):
+        with pytest.raises(PduError, match="is no address for a slave, 125 is the highest"):
+            SetSlaveAdd(address, 1).build()
+    with pytest.raises(PduError, match="ident = 65536"):
+        SetSlaveAdd(5, 0x10000).build()

@@ -252,6 +252,7 @@ WRITES = [
     Request(3, Req.SRD_HIGH, b"\x01", 60, 62),
     Request(3, Req.SRD_HIGH, b"", 51, 51),
     Request(3, Req.SRD_HIGH, b"", 0, 50),
+    Request(126, Req.SRD_HIGH, b"\x05\x12\x34\x00", 55, 62),
     Request(3, Req.SDA_LOW, b"", 60, 62),
     Request(127, Req.SDN_HIGH, b"\x00\x00", 58, 62),
     Request(127, Req.CLOCK_VALUE),
@@ -274,7 +275,7 @@ def test_nothing_else_leaves_a_guarded_station() -> None:
     assert [request.dsap for request, _ in user.starts] == [request.dsap for request in READS]
     assert station.stats.refused == len(WRITES)
     told = [e for e in bus.told(Notice) if isinstance(e, Notice)]
-    assert len(told) == 8  # each kind once: Data_Exchange with 0 and with 1 octet is the same
+    assert len(told) == 9  # each kind once: Data_Exchange with 0 and with 1 octet is the same
     assert told[0].message.startswith("Data_Exchange to station 3 was not sent: this bus is read-only")
 
 

@@ -13,55 +13,14 @@ from faulty_slaves import (
     refuses_config,
     wrong_ident,
 )
+from octet_wire import BIT, PARAMS, Wire, framed
 from slave_kit import CFG, MS, PRM, Bench
 
 from dpstack.dp.mirror import MirrorDevice
 from dpstack.dp.slave_events import SlaveAppStateChanged
 from dpstack.dp.slaveapp import SlaveApp, SlaveAppState, make_slave
-from dpstack.fdl.passive import PassiveStation
 from dpstack.fdl.telegram import Resp
 from dpstack.fdl.user import RS_REPLY, SC_REPLY, Reply
-from dpstack.machine import pump
-from dpstack.params import BusParams
-
-PARAMS = BusParams.preset(500_000)
-BIT = 2_000
-
-
-class Wire:
-    """Feeds octets to a station and takes what it sends, in a time of its own."""
-
-    def __init__(self, station: PassiveStation) -> None:
-        self.station = station
-        self.now = MS
-        self.out: list[tuple[int, bytes]] = []
-
-    def _transmit(self, octets: bytes, now: int) -> int:
-        self.out.append((now, octets))
-        return now + len(octets) * 11 * BIT
-
-    def ask(self, octets: str) -> str:
-        """The answer to ``octets`` as hex, empty for silence."""
-        self.now += 1000 * BIT
-        self.out.clear()
-        end = self.now
-        due = pump(self.station, bytes.fromhex(octets), self.now, self._transmit)
-        while due <= end + 500 * BIT:
-            self.now = max(self.now, due)
-            due = pump(self.station, b"", self.now, self._transmit)
-        return self.out[0][1].hex(" ").upper() if self.out else ""
-
-    def pass_time(self, ns: int) -> None:
-        """Silence, and nothing else."""
-        self.now += ns
-        pump(self.station, b"", self.now, self._transmit)
-
-
-def framed(da: int, sa: int, fc: int, unit: str) -> str:
-    """An SD2 telegram, put together here by hand."""
-    body = bytes((da, sa, fc)) + bytes.fromhex(unit)
-    head = bytes((0x68, len(body), len(body), 0x68))
-    return (head + body + bytes((sum(body) & 0xFF, 0x16))).hex(" ")
 
 
 def test_the_telegrams_of_real_logs() -> None:
@@ -95,7 +54,7 @@ def test_the_whole_bring_up() -> None:
     assert wire.ask(framed(0xFF, 0x82, 0x46, "3A 3E 02 00")) == ""
     assert app.clear
     assert wire.ask("68 04 04 68 08 02 7D 55 DC 16") == "68 04 04 68 02 08 08 00 12 16"
-    # Set_Slave_Add is not active: RS
+    # Set_Slave_Add is closed in data exchange: RS
     assert wire.ask(framed(0x88, 0x82, 0x5D, "37 3E 09 0A 35 00")) == "10 02 08 03 0D 16"
     changes = [event.state for event in wire.station.take_events() if isinstance(event, SlaveAppStateChanged)]
     assert changes == [SlaveAppState.WAIT_CFG, SlaveAppState.DATA_EXCH]

@@ -202,7 +202,9 @@ def test_services_are_open_as_the_table_says(state: SlaveAppState, sa: int) -> N
     for dsap in [None, *range(64)]:
         if dsap == 58:
             continue  # an SDN, below
-        bench = in_state(state)
+        device = Recorder()
+        device.set_slave_add = True
+        bench = in_state(state, device)
         access = ACCESS.get(dsap)
         is_open = access is not None and state in access.states and (sa == MASTER or not access.owner_only)
         reply = bench.ask(dsap, data.get(dsap, b""), sa)

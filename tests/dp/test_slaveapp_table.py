@@ -32,6 +32,11 @@ def _held_cfg(bench: Bench) -> None:
     bench.cfg()
 
 
+def _set_address(bench: Bench) -> None:
+    bench.device.set_slave_add = True
+    bench.ask(55, bytes.fromhex("09 0A 35 00"))
+
+
 CAUSES: dict[AppEv, Cause] = {
     AppEv.PRM_GOOD: lambda bench: bench.prm(),
     AppEv.PRM_BAD: lambda bench: bench.prm(b"\x88"),
@@ -42,6 +47,7 @@ CAUSES: dict[AppEv, Cause] = {
     AppEv.CFG_BAD: lambda bench: bench.cfg(b"\x11"),
     AppEv.CFG_HELD: _held_cfg,
     AppEv.CFG_FOREIGN: _foreign_cfg,
+    AppEv.ADDRESS: _set_address,
     AppEv.LENGTH: lambda bench: bench.dx(b"\x01\x02"),
     AppEv.WATCHDOG: lambda bench: bench.pass_time(100 * MS),
     AppEv.FAILED: _break("ext_diag", lambda bench: bench.diag()),
@@ -59,7 +65,7 @@ def test_every_row(row: tuple[SlaveAppState, AppEv], monkeypatch: pytest.MonkeyP
         bench.cfg()
     assert bench.app.state is start
     taken = Rows()
-    monkeypatch.setattr("dpstack.dp.slaveapp.TABLE", taken)
+    monkeypatch.setattr("dpstack.dp.slave_core.TABLE", taken)
     CAUSES[event](bench)
     assert taken.last == row
     assert bench.app.state is TABLE[row].next

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
-import random
 import stat
 import termios
+import threading
+from functools import partial
 from pathlib import Path
 from time import monotonic_ns
 from typing import Any
@@ -14,8 +15,8 @@ import pytest
 from far_ends import FarEnd, open_slave, set_rate, until
 
 from dpstack.drivers.segment import Segment, default_directory
+from dpstack.drivers.segment_station import StationStats
 from dpstack.errors import ConfigError, PortBusyError, PortError, UsageError
-from dpstack.ports.garble import Noise
 from dpstack.ports.pacing import slice_octets
 
 TELEGRAM = bytes.fromhex("68 05 05 68 82 E3 6D 3C 3E 4C 16")
@@ -33,6 +34,29 @@ def _stations(segment: Segment) -> list[FarEnd]:
 def _leave(stations: list[FarEnd]) -> None:
     for station in stations:
         station.hang_up()
+
+
+class Flood:
+    """Somebody who never stops sending on ``fd``, whatever becomes of it, while it is entered."""
+
+    def __init__(self, fd: int) -> None:
+        self._fd = fd
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+
+    def _run(self) -> None:
+        while not self._over.is_set():
+            try:
+                os.write(self._fd, TELEGRAM * 20)
+            except BlockingIOError:
+                self._over.wait(0.0005)
+
+    def __enter__(self) -> None:
+        self._thread.start()
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._thread.join()
 
 
 async def test_all_others_hear_what_one_sends(directory: Path) -> None:
@@ -147,7 +171,8 @@ async def test_octets_sent_just_before_leaving_are_still_forwarded(directory: Pa
 
 
 async def test_a_station_that_does_not_read_costs_octets_only(directory: Path) -> None:
-    async with Segment(3, directory) as segment:
+    told_of: list[str] = []
+    async with Segment(3, directory, on_notice=told_of.append) as segment:
         one, lazy, busy = _stations(segment)
         got = 0
         for _ in range(300):
@@ -161,7 +186,9 @@ async def test_a_station_that_does_not_read_costs_octets_only(directory: Path) -
         assert told["damaged"] == 0
         stations = told["stations"]
         assert isinstance(stations, list)
-        assert stations[0] == {"path": segment.paths[0], "sent": 75_000, "received": 0, "dropped": 0}
+        octets = {"sent": 75_000, "received": 0, "dropped": 0, "overrun": 0}
+        assert stations[0] == {"path": segment.paths[0], **octets, "telegrams": 0, "damaged": 0, "erased": 0}
+        assert told_of == ["station 1 of the segment takes no more: what it does not read is dropped"]
         _leave([one, lazy, busy])
 
 
@@ -193,18 +220,21 @@ async def test_a_station_at_another_rate_gets_what_a_uart_samples_and_no_damaged
         _leave([one, other])
 
 
-async def test_noise_drops_octets_for_all_alike(directory: Path) -> None:
+async def test_noise_damages_octets_for_all_alike(directory: Path) -> None:
     async with Segment(3, directory, error_rate=0.01, seed=3) as segment:
         stations = _stations(segment)
         sent = bytes(range(250)) * 20
         for first in range(0, len(sent), 250):
             stations[0].send(sent[first : first + 250])
         await until(lambda: segment._stations[0].stats.sent == 5000, "forwarded")
-        damaged = segment._noise.damaged
+        told = segment.stats()
+        damaged, lost, changed = _count(told["damaged"]), _count(told["lost"]), _count(told["changed"])
         assert 300 < damaged < 800  # 1 - 0.99^11 = 10.5 % of 5000
-        one, other = await stations[1].recv(5000 - damaged), await stations[2].recv(5000 - damaged)
+        assert damaged == lost + changed
+        assert 0 < changed < 50  # 36 pairs of nine bits, 0.01^2 x 0.99^9: 0.3 % of 5000
+        one, other = await stations[1].recv(5000 - lost), await stations[2].recv(5000 - lost)
         assert one == other
-        assert len(one) == 5000 - damaged
+        assert len(one) == 5000 - lost
         segment.error_rate = 0.0
         stations[0].send(TELEGRAM)
         assert await stations[1].recv(len(TELEGRAM)) == TELEGRAM
@@ -212,19 +242,74 @@ async def test_noise_drops_octets_for_all_alike(directory: Path) -> None:
         _leave(stations)
 
 
-def test_noise_is_the_same_with_the_same_seed() -> None:
-    def run(seed: int) -> tuple[bytes, int]:
-        noise = Noise(1e-3, random.Random(seed))
-        return b"".join(noise.strike(bytes(range(n))) for n in range(256)), noise.damaged
-
-    assert run(1) == run(1)
-    assert run(1) != run(2)
-    assert 200 < run(1)[1] < 550  # 32 640 octets, 1.1 % of them
+def _count(value: object) -> int:
+    assert isinstance(value, int)
+    return value
 
 
-def test_no_noise_touches_nothing() -> None:
-    noise = Noise(0.0, random.Random(1))
-    assert noise.strike(TELEGRAM) is TELEGRAM
+async def test_the_segment_knows_which_telegrams_it_damaged(directory: Path) -> None:
+    """Each telegram that differs at a receiver, and no other; one that vanished wholly leaves no trace there."""
+    async with Segment(2, directory, error_rate=0.02, seed=5) as segment:
+        one, other = _stations(segment)
+        sender, receiver = (station.stats for station in segment._stations)
+        damaged = erased = 0
+        for number in range(300):
+            telegram = b"\xe5" if number % 3 == 0 else TELEGRAM
+            cut = len(telegram) if number % 2 else 4  # every other one in two pieces
+            end = sender.sent + len(telegram)
+            one.send(telegram[:cut])
+            one.send(telegram[cut:])
+            await until(partial(_has_sent, sender, end), "forwarded")
+            await until(lambda: receiver.received == sender.sent - segment._lost, "delivered")
+            got = other.take()
+            damaged += got != telegram
+            erased += not got
+        assert (sender.telegrams, sender.damaged, sender.erased) == (300, damaged, erased)
+        assert erased > 0
+        _leave([one, other])
+
+
+def _has_sent(stats: StationStats, octets: int) -> bool:
+    return stats.sent == octets
+
+
+async def test_an_endless_writer_leaves_their_turn_to_the_others(directory: Path) -> None:
+    """Station 0 floods from another thread; 1 and 2 go on talking, what 3 does not read is counted."""
+    told_of: list[str] = []
+    request = bytes.fromhex("10 02 63 49 AE 16")
+    async with Segment(4, directory, on_notice=told_of.append) as segment:
+        flood, one, other, lazy = _stations(segment)
+
+        def got_through() -> bool:
+            one.send(request)
+            while got := other.take():  # a pty gives a page at a time
+                if request in got:
+                    return True
+            return False
+
+        with Flood(flood.fd):
+            for _ in range(5):
+                await until(got_through, "a telegram in the flood")
+            await until(lambda: segment._stations[3].stats.dropped > 0, "nobody reads")
+        assert "station 3 of the segment takes no more: what it does not read is dropped" in told_of
+        assert len(told_of) == len(set(told_of))
+        _leave([flood, one, other, lazy])
+
+
+async def test_what_a_paced_wire_cannot_take_is_dropped_and_told_once(directory: Path) -> None:
+    told_of: list[str] = []
+    async with Segment(2, directory, baud=93_750, paced=True, on_notice=told_of.append) as segment:
+        flood, other = _stations(segment)
+        wire = segment._wire
+        assert wire is not None
+        with Flood(flood.fd):
+            await until(lambda: segment._stations[0].stats.overrun > 1_000_000, "the flood")
+            waiting = sum(len(piece) for _, _, _, piece, _ in wire._queue)
+            assert waiting <= 2 * 4096
+        assert told_of == [
+            "station 0 of the segment sends faster than 93.75 kbit/s: what the wire cannot take is dropped"
+        ]
+        _leave([flood, other])
 
 
 @pytest.mark.parametrize(

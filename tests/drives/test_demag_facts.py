@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from dpstack.dp.identifiers import io_lengths
 from dpstack.errors import ConfigError
+from dpstack.gsd.identifiers import io_lengths
 from dpstack.profile import State, drivecom
 from dpstack.profile.drivecom import TRANSITIONS, Command, DrivecomMachine, command
 from dpstack_drives.demag import DRIVE

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 from drive_bench import MS, DeviceBench, PluginBench, S, as_mapping
 
-from dpstack.dp.identifiers import io_lengths
 from dpstack.errors import ConfigError
+from dpstack.gsd.identifiers import io_lengths
 from dpstack.profile import Leave, State
 from dpstack_drives.fuji import DRIVE
 from dpstack_drives.fuji import table as t

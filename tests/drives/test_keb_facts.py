@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import re
 from importlib import resources
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpstack.dp.identifiers import io_lengths
 from dpstack.errors import ConfigError
+from dpstack.gsd.check import check
+from dpstack.gsd.identifiers import io_lengths
+from dpstack.gsd.parser import load_gsd
 from dpstack.profile import DriveProfile
 from dpstack_drives.demag import DRIVE as DEMAG
 from dpstack_drives.keb import DRIVE
@@ -152,24 +153,26 @@ def test_k10_what_happens_when_the_master_stops() -> None:
 def test_our_gsd_files_have_the_facts_of_the_profile(drive: DriveProfile, modules: int) -> None:
     assert drive.gsd is not None
     package, _, name = drive.gsd.partition(":")
-    text = (resources.files(package) / name).read_text("ascii")
-    assert text.startswith("#Profibus_DP\n")
-    assert "not " in text.splitlines()[1] + text.splitlines()[2]  # whose file it is not
-    assert f"Ident_Number = 0x{drive.ident:04X}\n" in text
-    found_rates = re.findall(r"MaxTsdr_([\d.]+)(M?) = (\d+)", text)
-    rates = {round(float(n) * (1e6 if mega else 1e3)): int(bits) for n, mega, bits in found_rates}
-    assert rates == drive.max_tsdr
-    assert len(re.findall(r"_supp = 1\n", text)) >= len(rates)
-    found = re.findall(r'^Module = "[^"]+" (.*)\nEndModule$', text, re.MULTILINE)
-    assert len(found) == modules
-    configs = [bytes(int(octet, 16) for octet in module.split(",")) for module in found]
+    octets = (resources.files(package) / name).read_bytes()
+    assert b"is not the vendor's file" in octets or b"is not KEB's file" in octets
+    file = load_gsd(octets, name)
+    assert (file.diagnostics, check(file)) == ((), ())
+    device = file.device
+    assert device.ident == drive.ident
+    assert {speed.baud: speed.max_tsdr for speed in device.speeds} == drive.max_tsdr
+    assert (device.min_slave_interval or 0) * 100_000 == drive.min_slave_interval_ns
+    assert (device.fail_safe, device.max_diag_data_len) == (drive.fail_safe, 6)
+    assert len(device.modules) == modules
+    configs = [module.config for module in device.modules]
+    sizes = (device.max_module, device.max_input_len, device.max_output_len, device.max_data_len)
     if drive is DEMAG:
+        assert sizes == (24, 48, 48, 96)
         assert configs == [spec.config for spec in drive.telegrams.values()]
-        assert text.count("Ext_User_Prm_Data_Const(") == 16
+        assert b"".join(const.octets for const in device.prm.consts) == drive.user_prm
     else:
+        assert sizes == (3, 16, 16, 32)
         assert b"".join(configs).hex() == "b7" + "a0a1a2a3a4a5a6a7" + "9091929394959697"
-        for fact in ("Max_Module = 3", "Max_Input_Len = 16", "Max_Output_Len = 16", "Max_Data_Len = 32"):
-            assert fact in text
+        assert device.user_prm_data_len == 0
 
 
 def test_the_simulated_drive_knows_its_trips_and_has_no_warnings() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from itertools import pairwise
 
+import pytest
 from ring_bus import ListUser, RingBus
 
 from dpstack.fdl.active import ActiveStation
@@ -12,7 +13,7 @@ from dpstack.fdl.events import StationFound
 from dpstack.fdl.telegram import Req, StationType
 from dpstack.fdl.user import Request
 from dpstack.params import BusParams
-from dpstack.phy.patience import ADAPTER, HOST
+from dpstack.phy.patience import ADAPTER, HOST, Patience
 from dpstack.units import NS_PER_MS
 
 
@@ -69,13 +70,62 @@ def test_an_unreadable_gap_answer_proves_nothing() -> None:
     assert len(bus.told(StationFound)) == 1
 
 
-def test_the_host_is_patient_with_silence_only_so_long() -> None:
-    bus = RingBus(mode="chunk")
-    user = ListUser()
-    station = bus.master(2, user, patience=HOST)
-    bus.run(10_000 * NS_PER_MS)
-    spent = station.stats.gap_polls * (2 * NS_PER_MS + bus.ns(200 + 11))
-    assert spent < 10_000 * NS_PER_MS // 100 + 17 * 3 * NS_PER_MS
+@pytest.mark.parametrize(
+    ("hsa", "baud", "patience", "unknown_ms", "percent"),
+    [
+        # a silent poll on a pty takes 2 ms and 111 bit times, 2.592 ms: 126 of them in 3 s would be 10.9 %
+        (126, 187_500, HOST, 2, 10),
+        # 60 x 2.592 ms in 3 s
+        (60, 187_500, HOST, 2, 5.2),
+        # 6 x 2.592 ms in 3 s would be 0.5 %: no need to dawdle
+        (6, 187_500, HOST, 2, 1),
+        (126, 500_000, ADAPTER, 20, 10),
+        # 20 x 31.563 ms in 3 s would be 21 %
+        (20, 9_600, ADAPTER, 20, 10),
+    ],
+)
+def test_a_pass_over_the_gap_takes_3_s_and_1_to_10_percent(
+    hsa: int, baud: int, patience: Patience, unknown_ms: int, percent: float
+) -> None:
+    """The account starts with 16 polls; between two passes are G x T_TR."""
+    bus = RingBus(baud, mode="chunk")
+    station = bus.master(2, patience=patience, hsa=hsa)
+    bus.run(12_000 * NS_PER_MS)
+    t_sl = 200 if baud == 500_000 else 100
+    silent = unknown_ms * NS_PER_MS + bus.ns(t_sl + 11)
+    spent = station.stats.gap_polls * silent / 120_000_000  # percent of 12 s
+    extra = 16 * silent / 120_000_000
+    assert 0.85 * percent < spent < 1.03 * percent + extra
+
+
+def test_a_gap_that_grows_is_polled_faster_at_once() -> None:
+    """A master left in the middle of a pass: the pass goes on as fast as its new length needs."""
+    bus = RingBus(187_500, mode="chunk")
+    station = bus.master(2, patience=HOST)
+    other = bus.master(5, patience=HOST)
+    bus.run(8_000 * NS_PER_MS)
+    assert healed(bus)
+    bus.kill(other)
+    bus.run(1_000 * NS_PER_MS)
+    before = station.stats.gap_polls
+    bus.run(3_300 * NS_PER_MS)
+    assert station.stats.gap_polls - before > 110
+
+
+@pytest.mark.parametrize("address", [3, 64, 125])
+def test_a_second_master_is_in_the_ring_after_one_pass(address: int) -> None:
+    """187.5 kbit/s on ptys, HSA 126: T_GUD of 267 ms, a pass of 126 x 2.592 ms / 10 %, a few rotations."""
+    bus = RingBus(187_500, mode="chunk")
+    bus.master(2, patience=HOST)
+    for _ in range(4):
+        bus.run(4_700 * NS_PER_MS)
+        newcomer = bus.master(address, patience=HOST)
+        start = bus.now
+        while not newcomer.in_ring:
+            bus.run(10 * NS_PER_MS)
+            assert bus.now - start < (267 + 3_266 + 100) * NS_PER_MS
+        bus.run(100 * NS_PER_MS)
+        bus.kill(newcomer)
 
 
 def test_absent_slaves_do_not_starve_the_gap() -> None:
@@ -95,7 +145,7 @@ def test_absent_slaves_do_not_starve_the_gap() -> None:
 def test_a_lone_idle_master_on_a_real_port_keeps_one_slot_time_between_tokens() -> None:
     bus = RingBus(mode="chunk")
     bus.master(2, patience=HOST, gap=0)
-    bus.run(100 * NS_PER_MS)
+    bus.run(200 * NS_PER_MS)
     gaps = {b.start - a.end for a, b in pairwise(bus.log[2:])}
     assert gaps == {bus.ns(200)}
 

@@ -306,3 +306,31 @@ def test_a_telegram_after_a_silence_is_found_whatever_came_before(octets: bytes,
 def test_every_flaw_has_its_counter() -> None:
     names = set(DecoderStats().as_dict())
     assert {flaw.value for flaw in Flaw} <= names
+
+
+@pytest.mark.parametrize("inside", ["DC 02 03", "E5", "E5 DC 02 03 E5"], ids=lambda x: x)
+@pytest.mark.parametrize("lost", [(0,), (1,), (2,), (3,), (0, 1), (0, 4), (5,)], ids=str)
+@pytest.mark.parametrize("bytewise", [True, False])
+def test_what_lies_in_a_telegram_whose_head_was_damaged_is_no_token_and_no_acknowledgement(
+    inside: str, lost: tuple[int, ...], bytewise: bool
+) -> None:
+    data = bytes(10) + bytes.fromhex(inside) + bytes(3)
+    body = bytes([2, 5, 8]) + data
+    le = len(body)
+    frame = bytes([0x68, le, le, 0x68]) + body + bytes([sum(body) & 0xFF, 0x16])
+    arrived = bytes(octet for number, octet in enumerate(frame) if number not in lost)
+    decoder = fresh()
+    assert feed_all(decoder, [arrived[n : n + 1] for n in range(len(arrived))] if bytewise else [arrived]) == []
+    assert decoder.stalled(STALL) == []
+    assert decoder.stats.bad >= 1
+    assert decoder.stats.doubtful >= 1
+    # silence ends the doubt
+    assert decoder.feed(TOKEN, 2 * STALL) == [TOKEN_T]
+
+
+def test_a_length_that_looks_like_a_start_octet() -> None:
+    frame = bytes.fromhex("68 10 10 68 02 05 08 00 00 00 00 00 00 00 00 E5 DC 02 03 00 D5 16")  # LE 16 is SD1
+    assert fresh().feed(frame, 0) != []
+    decoder = fresh()
+    assert feed_all(decoder, [frame[n : n + 1] for n in range(1, len(frame))]) == []
+    assert decoder.stalled(STALL) == []

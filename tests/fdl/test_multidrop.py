@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from dpstack.errors import ConfigError, UsageError
+from dpstack.fdl.commands import AtStation
 from dpstack.fdl.multidrop import Multidrop
 from dpstack.fdl.passive import PassiveStation
 from dpstack.fdl.telegram import Resp, Telegram
@@ -190,6 +191,24 @@ def test_stations_come_and_go_while_running() -> None:
     assert rig.say(REQUEST[4], 3 * 10**9) == [ANSWER[4]]
     rig.port.add(gone)
     assert rig.say(REQUEST[5], 4 * 10**9) == [ANSWER[5]]
+
+
+def test_what_is_done_at_a_station_may_change_its_address_and_its_deadline() -> None:
+    rig = Rig()
+
+    def act(now: int) -> None:
+        application = rig.applications[3]
+        assert application.station is not None
+        application.station.address = 5
+        application.due = now + 7
+
+    assert rig.port.wake_at() == NEVER
+    rig.port.command(AtStation(act), 10**6)
+    assert rig.port.wake_at() == 10**6 + 7
+    assert rig.say(REQUEST[3], 10**8) == []
+    moved = rig.say(REQUEST[5], 10**9)
+    assert [octets[:7] for octets in moved] == [bytes.fromhex("68 04 04 68 02 05 08")]
+    assert len(rig.applications[3].ticks) == 1
 
 
 def test_misuse() -> None:

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from dpstack.errors import ConfigError, UsageError
 from dpstack.fdl.codec import decode
+from dpstack.fdl.commands import AtStation
 from dpstack.fdl.passive import PassiveStation
 from dpstack.fdl.station import BusStation
 from dpstack.fdl.telegram import Req, Resp, Telegram
@@ -453,6 +454,18 @@ def test_the_line_going_down_forgets_the_answer_and_the_frame_count(how: str) ->
     assert len(application.served) == 3
     with pytest.raises(UsageError, match="knows no str"):
         bench.station.command("jump", 0)
+
+
+def test_what_is_done_at_the_station_keeps_answer_and_frame_count(how: str) -> None:
+    bench, application = build(how)
+    times: list[int] = []
+    bench.say(DX_7D, 10**6)
+    bench.station.command(AtStation(times.append), 10**6 + 1)
+    bench.run_until(10**7)
+    assert [octets for _, octets in bench.sent] == [DX_ANSWER]
+    assert bench.answers(DX_7D, 2 * 10**7) == [DX_ANSWER]  # repeated, not done again
+    assert len(application.served) == 1
+    assert times == [10**6 + 1]
 
 
 # --- noise ------------------------------------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from dpstack.phy.uart import flipped
 from dpstack.sim import uart
 
 BIT_500K = 2_000  # ns
@@ -23,7 +24,7 @@ BIT_500K = 2_000  # ns
     ],
 )
 def test_inverted_bits(flips: int, got: int | None) -> None:
-    assert uart.flipped(0x68, flips) == got
+    assert flipped(0x68, flips) == got
 
 
 def test_octets_come_at_the_end_of_their_stop_bit() -> None:

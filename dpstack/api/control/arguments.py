@@ -53,6 +53,15 @@ def switch(text: str) -> bool:
     return text.lower() == "on"
 
 
+def field_value(text: str) -> tuple[str, str, str]:
+    """``SLAVE.FIELD=VALUE``: the three parts."""
+    where, equals, value = text.partition("=")
+    slave, dot, name = where.rpartition(".")
+    if not (equals and dot and slave.strip() and name.strip()):
+        raise UsageError(f"{text!r} is not SLAVE.FIELD=VALUE; write it as 8.limit=on")
+    return slave.strip(), name.strip(), value
+
+
 def octets(text: str) -> tuple[str, bytes]:
     """``SLAVE=HEX``."""
     where, equals, digits = text.partition("=")

@@ -9,6 +9,7 @@ from dpstack.api.control.slaves import SlaveCommands, address_of
 from dpstack.api.control.specs import KINDS, SLAVES
 from dpstack.api.simulation import Segment, Simulation
 from dpstack.dp.commands import Mode, SetMode
+from dpstack.dp.fields import as_json
 from dpstack.errors import UsageError
 
 
@@ -18,6 +19,7 @@ def control_run(bus: Bus, port: str) -> ControlServer:
     handlers: dict[str, Handler] = {
         "status": lambda _: run_status(bus),
         "outputs": lambda args: _outputs(bus, args),
+        "set": lambda args: _set(bus, args),
         "operate": lambda _: bus.command(SetMode(Mode.OPERATE)),
         "clear": lambda _: bus.command(SetMode(Mode.CLEAR)),
         "stats": lambda _: bus.stats.summary(),
@@ -70,6 +72,9 @@ def run_status(bus: Bus) -> dict[str, object]:
             "inputs": slave.inputs.hex(),
             "outputs": slave.outputs.hex(),
         }
+        fields = slave.input_values | slave.output_values
+        if fields:
+            entry["fields"] = as_json(fields)
         if slave.fault is not None:
             entry["fault"] = slave.fault.text
         if slave.address in drives:
@@ -91,6 +96,26 @@ def _outputs(bus: Bus, args: list[str]) -> None:
     for text in args:
         where, octets = arguments.octets(text)
         wanted[address_of(where, names)] = octets
+    _put_out(bus, wanted)
+
+
+def _set(bus: Bus, args: list[str]) -> None:
+    """Named outputs; all or nothing as well, those of one slave in one image."""
+    names = {slave.address: slave.name for slave in bus.slaves}
+    wanted: dict[int, bytes] = {}
+    for text in args:
+        where, name, value = arguments.field_value(text)
+        address = address_of(where, names)
+        slave = bus.slave(address)
+        found = slave.output_field(name)
+        try:
+            wanted[address] = found.put(wanted.get(address, slave.outputs), found.read(value))
+        except ValueError as error:
+            raise UsageError(f"slave {address} ({slave.name}): {error}") from None
+    _put_out(bus, wanted)
+
+
+def _put_out(bus: Bus, wanted: dict[int, bytes]) -> None:
     for address, octets in wanted.items():
         slave = bus.slave(address)
         if any(drive.slave is slave for drive in bus.drives):

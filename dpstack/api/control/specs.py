@@ -55,6 +55,7 @@ SEGMENT: Final = (
 )
 RUN: Final = (
     Spec("outputs", "SLAVE=HEX...", "output octets of slaves without a drive plugin", "9=00FF"),
+    Spec("set", "SLAVE.FIELD=VALUE...", "named outputs, and no other bits", "8.limit=on 8.level=1200"),
     Spec("operate", "", "outputs go out", ""),
     Spec("clear", "", "inputs are read, outputs are zero", ""),
     Spec("stats", "", "counters and rotation times up to now", ""),

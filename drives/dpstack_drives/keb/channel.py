@@ -79,8 +79,8 @@ def _index(name: str | int) -> int:
     if t.looks_like_name(name):
         raise CommandError(
             "usage",
-            f"{name!r}: the address of its group is not in the manual (of {', '.join(t.GROUPS)} it is): give the index, "
-            f"0x2000 + the address in the application manual",
+            f"{name!r}: the address of its group is not in the manual (of {', '.join(t.GROUPS)} it is): give the "
+            "index, 0x2000 + the address in the application manual",
         )
     try:
         return int(name.removesuffix("h"), 16)

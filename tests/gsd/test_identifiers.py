@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpstack.dp.identifiers import Identifier, io_lengths, parse_identifiers
 from dpstack.dp.setup import watchdog_factors, watchdog_ns
 from dpstack.errors import ConfigError
+from dpstack.gsd.identifiers import Identifier, io_lengths, parse_identifiers
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Final
 
 from dpstack.errors import ConfigError
+
+#: octets of one telegram's data, each way
+MAX_IO: Final = 244
+#: an identifier of the general format has one of these bits
+_GENERAL: Final = 0x30
+#: low nibble of a special one in Chk_Cfg: no manufacturer octets follow, and none are compared (VPC3+, J)
+_NOT_COMPARED: Final = 0x0F
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,11 +54,46 @@ def io_lengths(config: bytes) -> tuple[int, int]:
     return inputs, outputs
 
 
+def agree(real: bytes, asked: bytes) -> bool:
+    """Whether Chk_Cfg's ``asked`` is the configuration ``real`` of a slave.
+
+    Manufacturer octets must be equal, unless the master asks for no comparison (low nibble 15, none follow).
+    """
+    if real == asked:
+        return True
+    try:
+        pairs = list(zip(_parse(real), _parse(asked), strict=True))
+    except (ConfigError, ValueError):
+        return False
+    return all(
+        ours.octets == theirs.octets
+        or (
+            not ours.octets[0] & _GENERAL
+            and theirs.octets[0] == ours.octets[0] | _NOT_COMPARED
+            and theirs.octets[1:] == ours.octets[1 : len(ours.octets) - len(ours.manufacturer)]
+        )
+        for ours, theirs in pairs
+    )
+
+
+def config_for(inputs: int, outputs: int) -> bytes:
+    """Identifier octets of a simple slave with so many input and output octets, consistent octet by octet.
+
+    Up to 16 octets go into one identifier of the general format. Raises ConfigError for more than 244 either way.
+    """
+    if not (0 <= inputs <= MAX_IO and 0 <= outputs <= MAX_IO):
+        raise ConfigError(f"{inputs} input and {outputs} output octets; 0..{MAX_IO} each are possible")
+    parts = [
+        (mask, min(16, total - at)) for mask, total in ((0x10, inputs), (0x20, outputs)) for at in range(0, total, 16)
+    ]
+    return bytes(mask | size - 1 for mask, size in parts) or b"\x00"
+
+
 def _parse(config: bytes) -> Iterator[Identifier]:
     at = 0
     while at < len(config):
         head = config[at]
-        if head & 0x30:
+        if head & _GENERAL:
             size = ((head & 0x0F) + 1) << (head >> 6 & 1)
             whole = bool(head & 0x80)
             inputs = size if head & 0x10 else 0
@@ -75,7 +118,7 @@ def _special(config: bytes, start: int) -> Identifier:
             sizes[mask] = (((length & 0x3F) + 1) << (length >> 6 & 1), bool(length & 0x80))
             at += 1
     manufacturer = head & 0x0F
-    if manufacturer == 15:  # none follow, no check
+    if manufacturer == _NOT_COMPARED:  # none follow, no check
         manufacturer = 0
     if at + manufacturer > len(config):
         raise ConfigError(

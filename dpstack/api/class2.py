@@ -1,0 +1,200 @@
+"""The services of a class 2 master, to be awaited: ``bus.class2``.
+
+They work for the slaves of this bus and for those of others, and take no slave away from its master. Each is one
+request in time that is left in a token hold; it has one result or one error.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from dpstack.dp.class2 import CancelService, ChangeAddress, ReadService, ServiceDone
+from dpstack.dp.class2_jobs import Outcome, Service, ServiceFailure
+from dpstack.dp.diagnosis import Diagnosis
+from dpstack.dp.fields import Value
+from dpstack.errors import (
+    BusError,
+    ConfigError,
+    DpError,
+    PduError,
+    ServiceRefused,
+    SlaveFault,
+    SlaveTimeout,
+    UsageError,
+)
+from dpstack.gsd.identifiers import Identifier, io_lengths, parse_identifiers
+from dpstack.units import s_to_ns
+
+if TYPE_CHECKING:
+    from dpstack.api.bus import Bus
+    from dpstack.api.slave import Slave
+
+
+@dataclass(frozen=True, slots=True)
+class ProcessData:
+    """Inputs or outputs of a slave as it has them: ``octets``, and ``values`` by name where this bus names them."""
+
+    octets: bytes
+    values: Mapping[str, Value] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Configuration:
+    """The identifier octets of a slave (Get_Cfg), and what they say.
+
+    ``finding``: why they cannot be read to the end; then there are no ``identifiers`` and no lengths.
+    """
+
+    octets: bytes
+    identifiers: tuple[Identifier, ...] = ()
+    input_len: int | None = None
+    output_len: int | None = None
+    finding: str | None = None
+
+    @classmethod
+    def of(cls, octets: bytes) -> Configuration:
+        """Read ``octets`` as a slave gave them."""
+        try:
+            return cls(octets, tuple(parse_identifiers(octets)), *io_lengths(octets))
+        except ConfigError as error:
+            return cls(octets, finding=str(error))
+
+
+class Class2:
+    """The class 2 services of one bus. A ``timeout`` in seconds counts from the call: others may be waiting before.
+
+    All raise UsageError for what cannot be (another address range, a closed bus, 32 services waiting), SlaveTimeout
+    when no answer came in time, ServiceRefused when the slave says no, SlaveFault for an answer that cannot be one,
+    BusError when the port vanished meanwhile.
+    """
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+        self._tokens = itertools.count(1)
+        self._waiting: dict[int, asyncio.Future[ServiceDone]] = {}
+
+    async def diagnosis(self, slave: Slave | str | int, *, timeout: float = 5.0) -> Diagnosis:
+        """Slave_Diag. (Of a slave in data exchange with this very master, the master takes notice of it too.)"""
+        done = await self._read(slave, Service.DIAGNOSIS, timeout)
+        return _diagnosis(done)
+
+    async def config(self, slave: Slave | str | int, *, timeout: float = 5.0) -> Configuration:
+        """Get_Cfg: the real configuration."""
+        return Configuration.of((await self._read(slave, Service.CONFIG, timeout)).outcome.data)
+
+    async def inputs(self, slave: Slave | str | int, *, timeout: float = 5.0) -> ProcessData:
+        """RD_Inp: the inputs that the slave gives its master; open while it is in data exchange with anybody."""
+        done = await self._read(slave, Service.INPUTS, timeout)
+        known = self._known(done.address)
+        return ProcessData(done.outcome.data, known.config.input_fields.values(done.outcome.data) if known else {})
+
+    async def outputs(self, slave: Slave | str | int, *, timeout: float = 5.0) -> ProcessData:
+        """RD_Outp: the outputs that the slave has got from its master; open as RD_Inp is."""
+        done = await self._read(slave, Service.OUTPUTS, timeout)
+        known = self._known(done.address)
+        return ProcessData(done.outcome.data, known.config.output_fields.values(done.outcome.data) if known else {})
+
+    async def set_address(
+        self,
+        old: int,
+        new: int,
+        *,
+        ident: int | None = None,
+        no_change: bool = False,
+        rem_slave_data: bytes = b"",
+        timeout: float = 15.0,
+    ) -> Diagnosis:
+        """Set_Slave_Add: give the slave at ``old`` (126: as delivered) the address ``new``, 0..125.
+
+        Before: ``ident`` is the slave's, nobody owns it, nobody answers at ``new``. Afterwards: the same device answers
+        at ``new``, nobody at ``old``; its diagnosis from there is returned. ``no_change``: it shall refuse any further
+        change (for good; only a reset at the device, if it has one, opens it again). ``rem_slave_data``: 0..240 octets
+        that mean something to the device only.
+
+        Raises as the others do. ServiceRefused with status "ignored": it was asked and kept its address. SlaveFault:
+        another device, owned by a master, ``new`` in use, or still somebody at ``old``.
+        """
+        if self._bus.config.bus.read_only:
+            raise UsageError("this bus is read-only: no slave gets another address; leave read_only out")
+        token = next(self._tokens)
+        command = ChangeAddress(token, old, new, ident, no_change, rem_slave_data, s_to_ns(timeout))
+        return _diagnosis(await self._do(token, command))
+
+    # --- one service --------------------------------------------------------------------------------------------
+
+    async def _read(self, slave: Slave | str | int, service: Service, timeout: float) -> ServiceDone:
+        address = self._address(slave)
+        known = self._known(address)
+        expected = None
+        if known is not None and service in (Service.INPUTS, Service.OUTPUTS):
+            expected = known.config.input_len if service is Service.INPUTS else known.config.output_len
+        token = next(self._tokens)
+        return await self._do(token, ReadService(token, address, service, expected, s_to_ns(timeout)))
+
+    def _address(self, slave: Slave | str | int) -> int:
+        """Addresses 0..126, whether this bus knows the slave or not; those it knows also by name."""
+        if isinstance(slave, int):
+            return slave
+        return self._bus.slave(slave).address if isinstance(slave, str) else slave.address
+
+    def _known(self, address: int) -> Slave | None:
+        return next((slave for slave in self._bus.slaves if slave.address == address), None)
+
+    async def _do(self, token: int, command: ReadService | ChangeAddress) -> ServiceDone:
+        bus = self._bus
+        future: asyncio.Future[ServiceDone] = asyncio.get_running_loop().create_future()
+        self._waiting[token] = future
+        try:
+            bus.command(command)
+            done = await future
+        except asyncio.CancelledError:
+            with contextlib.suppress(DpError):  # the bus may have ended meanwhile
+                bus.command(CancelService(token))
+            raise
+        finally:
+            del self._waiting[token]
+        if done.outcome.failure is not None:
+            raise _error(done, done.outcome.failure)
+        return done
+
+    def on_done(self, done: ServiceDone) -> None:
+        """From the machine: the end of a service. One that nobody waits for any more is dropped."""
+        future = self._waiting.get(done.token)
+        if future is not None and not future.done():
+            future.set_result(done)
+
+    def end(self, error: DpError) -> None:
+        """Nothing more will come: everybody who waits is told why."""
+        for future in self._waiting.values():
+            if not future.done():
+                future.set_exception(error)
+
+
+def _diagnosis(done: ServiceDone) -> Diagnosis:
+    found = Diagnosis.parse(done.outcome.data)
+    if found is None:  # judged before it came here
+        raise PduError(f"slave {done.address}: {len(done.outcome.data)} octets are no diagnosis")
+    return found
+
+
+_LATE = (ServiceFailure.SILENT, ServiceFailure.LATE, ServiceFailure.GONE)
+_NO = (ServiceFailure.REFUSED, ServiceFailure.KEPT)
+
+
+def _error(done: ServiceDone, failure: ServiceFailure) -> DpError:
+    """The exception of a service without a result."""
+    outcome: Outcome = done.outcome
+    if failure in _LATE:
+        return SlaveTimeout(done.address, outcome.text)
+    if failure in _NO:
+        return ServiceRefused(done.address, outcome.text, service=done.service.title, status=outcome.status)
+    if failure is ServiceFailure.GUARDED:
+        return UsageError(outcome.text)
+    if failure is ServiceFailure.LINE:
+        return BusError(outcome.text)
+    return SlaveFault(done.address, outcome.text)

@@ -1,0 +1,139 @@
+"""GSD files from disk, and what they say as plain data."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from dpstack.errors import ConfigError
+from dpstack.gsd.check import check
+from dpstack.gsd.identifiers import io_lengths
+from dpstack.gsd.model import Diagnostic, GsdFile, Module
+from dpstack.gsd.parser import load_gsd, parse_gsd
+from dpstack.gsd.prm import Reading, UserPrm
+from dpstack.gsd.text import MAX_OCTETS
+
+
+def read_octets(path: str | Path) -> bytes:
+    """The octets of a file, not many more than a GSD file can have. Raises ConfigError where it cannot be read."""
+    try:
+        with Path(path).open("rb") as file:
+            return file.read(MAX_OCTETS + 1)
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror or error}; give the path of a GSD file") from None
+
+
+def read_gsd(path: str | Path) -> GsdFile:
+    """Read a GSD file. Raises ConfigError where it cannot be read, GsdError where it cannot be used at all."""
+    return load_gsd(read_octets(path), str(path))
+
+
+def check_gsd(path: str | Path) -> tuple[Diagnostic, ...]:
+    """Everything that is to be said about a file. Raises ConfigError where it cannot be read."""
+    return check(parse_gsd(read_octets(path), str(path)))
+
+
+def gsd_dict(file: GsdFile) -> dict[str, object]:
+    """The file as JSON shows it (interface of ``dpstack gsd show --json``)."""
+    device = file.device
+    prm = {reading: UserPrm(device, reading=reading).octets().hex() for reading in Reading}
+    return {
+        "ident": None if device.ident is None else f"0x{device.ident:04X}",
+        "vendor": device.vendor,
+        "model": device.model,
+        "revision": device.revision,
+        "gsd_revision": device.gsd_revision,
+        "hardware_release": device.hardware_release,
+        "software_release": device.software_release,
+        "modular": device.modular,
+        "max_module": device.max_module,
+        "max_input_len": device.max_input_len,
+        "max_output_len": device.max_output_len,
+        "max_data_len": device.max_data_len,
+        "max_diag_data_len": device.max_diag_data_len,
+        "max_user_prm_data_len": device.max_user_prm_data_len,
+        "min_slave_interval": device.min_slave_interval,
+        "max_tsdr": {str(speed.baud): speed.max_tsdr for speed in device.speeds},
+        "supports": list(supports(file)),
+        "user_prm": prm[Reading.REFS],
+        "user_prm_const": prm[Reading.CONST],
+        "parameters": [_parameter(file, number) for number in device.parameters],
+        "unit_diag_bits": len(device.diagnosis.bits),
+        "slots": [
+            {"number": s.number, "name": s.name, "default": s.default, "allowed": [list(pair) for pair in s.allowed]}
+            for s in device.slots
+        ],
+        "modules": [module_dict(file, module) for module in device.modules],
+        "encoding": file.encoding,
+        "diagnostics": [diagnostic_dict(diagnostic) for diagnostic in check(file)],
+    }
+
+
+def diagnostic_dict(diagnostic: Diagnostic) -> dict[str, object]:
+    """One finding."""
+    return {
+        "line": diagnostic.line,
+        "column": diagnostic.column,
+        "severity": diagnostic.severity.value,
+        "message": diagnostic.message,
+    }
+
+
+def module_dict(file: GsdFile, module: Module) -> dict[str, object]:
+    """One module; ``inputs`` and ``outputs`` in octets, None where its identifier octets contradict themselves."""
+    inputs, outputs = module_lengths(module)
+    return {
+        "name": module.name,
+        "reference": module.reference,
+        "config": module.config.hex(),
+        "inputs": inputs,
+        "outputs": outputs,
+        "user_prm": module_prm(file, module).hex(),
+        "complete": module.complete,
+    }
+
+
+def module_lengths(module: Module) -> tuple[int | None, int | None]:
+    """(input octets, output octets), None where the identifier octets contradict themselves."""
+    try:
+        return io_lengths(module.config)
+    except ConfigError:
+        return None, None
+
+
+def module_prm(file: GsdFile, module: Module) -> bytes:
+    """The module's part of the user parameters with its defaults; empty where they fit no Set_Prm."""
+    try:
+        return UserPrm(file.device, (module,)).octets_of(1)
+    except ConfigError:
+        return b""
+
+
+def supports(file: GsdFile) -> tuple[str, ...]:
+    """What the device supports, in words."""
+    d = file.device
+    known = {
+        "sync": d.sync,
+        "freeze": d.freeze,
+        "auto-baud": d.auto_baud,
+        "set slave address": d.set_slave_add,
+        "fail-safe": d.fail_safe,
+        "DP-V1": d.dpv1.slave,
+        "acyclic class 1": d.dpv1.c1_read_write,
+        "acyclic class 2": d.dpv1.c2_read_write,
+        "watchdog base 1 ms": d.dpv1.wd_base_1ms,
+        "isochronous": d.isochronous.supported,
+        "publisher": d.isochronous.publisher,
+    }
+    return tuple(name for name, there in known.items() if there)
+
+
+def _parameter(file: GsdFile, number: int) -> dict[str, object]:
+    p = file.device.parameters[number]
+    return {
+        "number": p.number,
+        "name": p.name,
+        "type": p.type.text,
+        "default": p.default,
+        "allowed": [list(pair) for pair in p.allowed],
+        "texts": {str(value): text for value, text in p.texts.items()},
+    }

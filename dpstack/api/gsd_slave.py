@@ -1,0 +1,125 @@
+"""A [[slave]] table that names a GSD file: its modules, parameters and what follows from them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, NoReturn
+
+from dpstack.api.gsd import read_gsd
+from dpstack.api.tables import Table
+from dpstack.errors import ConfigError, GsdError
+from dpstack.gsd.configuration import Configuration, configure
+from dpstack.gsd.model import Device
+from dpstack.gsd.prm import Reading, UserPrm
+
+#: keys that mean something beside ``gsd`` only
+GSD_KEYS: Final = ("modules", "parameters", "defaults")
+
+
+@dataclass(frozen=True, slots=True)
+class GsdSlave:
+    """What a GSD file and the choices in the table give. ``notes``: what was decided and might be overlooked."""
+
+    device: Device
+    configuration: Configuration
+    user_prm: bytes
+    notes: tuple[str, ...]
+
+    @property
+    def max_tsdr(self) -> Mapping[int, int]:
+        """MaxTsdr in bit times by baud rate."""
+        return {speed.baud: speed.max_tsdr for speed in self.device.speeds if speed.max_tsdr is not None}
+
+    @property
+    def baud_rates(self) -> frozenset[int]:
+        """The rates the file declares, in bit/s."""
+        return frozenset(speed.baud for speed in self.device.speeds)
+
+
+def read_gsd_slave(table: Table, path: str) -> GsdSlave:
+    """Read the file (relative to the configuration) and make the choices. Raises ConfigError, one line."""
+    for key in ("config", "drive", "telegram", "reference_hz", "reference_rpm"):
+        if key in table:
+            table.fail(key, f"{key} beside gsd", f"leave {key} out, or gsd")
+    try:
+        file = read_gsd(table.folder / Path(path).expanduser())
+    except ConfigError as error:
+        _refuse(table, "gsd", error)
+    chosen = "modules" if "modules" in table else "gsd"
+    try:
+        configuration = configure(file.device, _modules(table))
+    except GsdError as error:
+        _refuse(table, chosen, error)
+    reading = _reading(table)
+    try:
+        prm = configuration.user_prm(reading)
+    except GsdError as error:
+        _refuse(table, chosen, error)
+    _set_parameters(table, prm)
+    octets = _given(table, prm)
+    notes = list(configuration.notes)
+    differing = prm.contradictions()
+    if differing and octets is None and reading is Reading.REFS and "defaults" not in table:
+        notes.append(
+            f"in its GSD file the defaults of {len(differing)} parameters contradict the constant octets (the first: "
+            f'{differing[0].text}); the defaults are used, defaults = "const" takes the constants'
+        )
+    return GsdSlave(file.device, configuration, prm.octets() if octets is None else octets, tuple(notes))
+
+
+def _modules(table: Table) -> list[int | str] | None:
+    value = table.raw("modules")
+    if value is None:
+        return None
+    if not isinstance(value, list) or any(isinstance(v, bool) or not isinstance(v, (int, str)) for v in value):
+        table.fail("modules", f"modules = {value!r} is no list of names and numbers", 'write modules = ["8 DO", 12]')
+    return list(value)
+
+
+def _reading(table: Table) -> Reading:
+    text = table.text("defaults")
+    if text is None:
+        return Reading.REFS
+    try:
+        return Reading(text)
+    except ValueError:
+        table.fail("defaults", f"defaults = {text!r}", 'it is "refs" (defaults of the parameters) or "const"')
+
+
+def _set_parameters(table: Table, prm: UserPrm) -> None:
+    value = table.raw("parameters")
+    if value is None:
+        return
+    if not isinstance(value, Mapping):
+        table.fail("parameters", "parameters is no table", 'write parameters = { "Diagnosis" = "on" }')
+    for name, wanted in value.items():
+        if not isinstance(wanted, (int, str)):
+            table.fail("parameters", f"parameter {name!r} = {wanted!r}", "give a number or a text of its list")
+        try:
+            prm.set(str(name), wanted)
+        except GsdError as error:
+            _refuse(table, "parameters", error)
+
+
+def _given(table: Table, prm: UserPrm) -> bytes | None:
+    """``user_prm`` in place of what follows from the file."""
+    octets = table.octets("user_prm")
+    if octets is None:
+        return None
+    if "parameters" in table:
+        table.fail("user_prm", "user_prm beside parameters", "give one of them")
+    expected, limit = len(prm.octets()), prm.device.max_user_prm_data_len
+    if expected and len(octets) != expected:
+        table.fail(
+            "user_prm", f"user_prm has {len(octets)} octets", f"with these modules {expected} are wanted; correct it"
+        )
+    if limit is not None and len(octets) > limit:
+        table.fail("user_prm", f"user_prm has {len(octets)} octets", f"Max_User_Prm_Data_Len is {limit}; shorten it")
+    return octets
+
+
+def _refuse(table: Table, key: str, error: ConfigError) -> NoReturn:
+    what, _, todo = str(error).partition("; ")
+    raise table.error(key, what, todo or "correct it") from None

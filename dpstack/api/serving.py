@@ -1,0 +1,285 @@
+"""Slaves of one's own on a bus: on a real port, or in a virtual world."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import TracebackType
+
+from dpstack.api.streams import Waiters
+from dpstack.dp.device import Device
+from dpstack.dp.diagnosis import Diagnosis
+from dpstack.dp.dp_slave import DpSlave
+from dpstack.dp.slaveapp import SlaveApp, SlaveAppState, SlaveAppStats
+from dpstack.drivers.aio import AsyncioRuntime, patience_of
+from dpstack.drivers.base import Runtime
+from dpstack.drivers.virtual import VirtualRuntime
+from dpstack.errors import BusError, ConfigError, SlaveTimeout
+from dpstack.fdl.commands import AtStation
+from dpstack.fdl.multidrop import Multidrop
+from dpstack.fdl.passive import PassiveStation
+from dpstack.machine import LineDown
+from dpstack.params import UNADDRESSED, BusParams
+from dpstack.phy.patience import EXACT, Patience
+from dpstack.ports import open_port
+from dpstack.sim.world import World
+from dpstack.trace import Event
+from dpstack.units import baud_text
+
+OnEvent = Callable[[Event], None]
+
+
+class ServedSlave:
+    """One slave as it is served. ``restart()`` and ``initial_reset()`` are not for use within its own functions."""
+
+    def __init__(self, device: Device, address: int, fixed: bool, params: BusParams, patience: Patience) -> None:
+        self.device = device
+        self._app = SlaveApp(device, address=address, address_fixed=fixed)
+        self.station = PassiveStation(address, self._app, params, patience=patience)
+        #: set by the server: what keeps the station running
+        self.runtime: Runtime | None = None
+        self._waiters = Waiters()
+        self._over: BusError | None = None
+
+    @property
+    def name(self) -> str:
+        """As in events."""
+        return self.device.name
+
+    @property
+    def address(self) -> int:
+        """Its station address; Set_Slave_Add may change it."""
+        return self.station.address
+
+    @property
+    def address_fixed(self) -> bool:
+        """No_Add_Chg was set: the address may be changed after an initial reset only."""
+        return self._app.address_fixed
+
+    @property
+    def state(self) -> SlaveAppState:
+        """Wait_Prm, Wait_Cfg or Data_Exch."""
+        return self._app.state
+
+    @property
+    def master(self) -> int | None:
+        """The master that has locked it."""
+        return self._app.master
+
+    @property
+    def outputs(self) -> bytes:
+        """The outputs as they are valid now: in Clear the safe ones; empty while not in data exchange."""
+        return self._app.outputs
+
+    @property
+    def inputs(self) -> bytes:
+        """The inputs the master reads; empty while not in data exchange."""
+        return self._app.inputs
+
+    @property
+    def failure(self) -> str | None:
+        """What its functions raised, None while they work; :meth:`restart` forgets it."""
+        return self._app.failure
+
+    @property
+    def stats(self) -> SlaveAppStats:
+        """Its counters."""
+        return self._app.stats
+
+    def diagnosis(self) -> Diagnosis:
+        """As the master would read it."""
+        return self._app.diagnosis(0 if self.runtime is None else self.runtime.now())
+
+    def restart(self) -> None:
+        """Off and on again: outputs safe, Wait_Prm, a failure forgotten, the address kept where the device keeps it."""
+        self._at_station(self._app.restart)
+
+    def initial_reset(self) -> None:
+        """As delivered: like :meth:`restart`, with address 126 and Set_Slave_Add open."""
+        self._at_station(self._app.initial_reset)
+
+    async def reached(self, state: SlaveAppState, timeout: float | None = None) -> None:
+        """Wait until it is in ``state``, for ``timeout`` seconds. Raises SlaveTimeout saying where it stands.
+
+        Raises BusError when it is served no more.
+        """
+        try:
+            await self._waiters.until(lambda: self._is_in(state), timeout)
+        except TimeoutError:
+            text = f"is still in {self.state.value} after {timeout} s, not in {state.value}"
+            raise SlaveTimeout(self.address, f"slave {self.address} ({self.name}) {text}: {self._hint()}") from None
+
+    def check(self) -> None:
+        """Something was told: let those who wait look."""
+        self._waiters.check()
+
+    def switch_off(self, why: BusError, now: int) -> None:
+        """The end of serving: outputs safe."""
+        self._over = why
+        self.station.command(LineDown("switched off"), now)
+        self._app.restart(now)
+        self._waiters.check()
+
+    def _is_in(self, state: SlaveAppState) -> bool:
+        if self._over is not None:
+            raise self._over
+        return self.state is state
+
+    def _hint(self) -> str:
+        if self.failure is not None:
+            return f"its function failed ({self.failure}); correct it and restart() the slave"
+        if self.stats.services + self.stats.exchanges + self.stats.refused == 0:
+            return "no master has spoken to it; check address, baud rate and cable"
+        return "its master stopped half-way; look at the slave's events for what was refused"
+
+    def _at_station(self, act: Callable[[int], None]) -> None:
+        def again(now: int) -> None:
+            self.station.command(LineDown("switched off"), now)
+            act(now)
+
+        if self.runtime is None:
+            again(0)
+        else:
+            self.runtime.command(AtStation(again))
+
+
+class SlaveServer:
+    """Serves slaves as stations behind one port (or in ``world``); ``async with`` opens and closes it.
+
+    On leaving, for whatever reason, all outputs go to their safe values. Raises ConfigError; PortError on entering.
+    """
+
+    def __init__(
+        self,
+        slaves: Mapping[int, Device],
+        *,
+        port: str | None,
+        baud: int | None,
+        fixed: bool,
+        world: World | None,
+        on_event: OnEvent | None,
+    ) -> None:
+        if not slaves:
+            raise ConfigError("no slave to serve")
+        if port is None and world is None:
+            raise ConfigError('no port; give for instance port="/dev/ttyUSB0", or a world')
+        if baud is None and world is None:
+            raise ConfigError("no baud; give for instance baud=500000 (dpstack.find_baud finds it by listening)")
+        self.baud = baud or (world.baud if world is not None else 0)
+        for device in slaves.values():
+            _check_rate(device, self.baud)
+        params = BusParams.preset(self.baud)
+        #: called for every event, at once
+        self.on_event = on_event
+        #: what stopped the server, a defect in dpstack; None while it works
+        self.failure: BusError | None = None
+        self._waiters = Waiters()
+        opened = None if port is None or world is not None else open_port(port, self.baud)
+        patience = EXACT if opened is None else patience_of(opened)
+        self.slaves = tuple(ServedSlave(device, at, fixed, params, patience) for at, device in slaves.items())
+        self._runtimes: list[Runtime] = []
+        if opened is not None:
+            line = Multidrop([slave.station for slave in self.slaves], params, patience=patience)
+            runtime: Runtime = AsyncioRuntime(opened, line, self._on_events, on_failure=self._failed)
+            self._take(runtime, *self.slaves)
+        elif world is not None:
+            for slave in self.slaves:
+                self._take(VirtualRuntime(world, slave.station, self._on_events, on_failure=self._failed), slave)
+
+    def _take(self, runtime: Runtime, *slaves: ServedSlave) -> None:
+        self._runtimes.append(runtime)
+        for slave in slaves:
+            slave.runtime = runtime
+
+    @property
+    def slave(self) -> ServedSlave:
+        """The slave, where there is one only; else the first."""
+        return self.slaves[0]
+
+    @property
+    def port_name(self) -> str:
+        """What the port is called; of a pty made here the path to open."""
+        return self._runtimes[0].port_name
+
+    async def serve_forever(self) -> None:
+        """Wait, while the slaves are served, until the task is cancelled. Raises BusError when that ends."""
+        await self._waiters.until(self._over, None)
+
+    async def __aenter__(self) -> SlaveServer:
+        for runtime in self._runtimes:
+            await runtime.open()
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._make_safe(BusError("the slaves are served no more"))
+        for runtime in self._runtimes:
+            await runtime.close()
+        self._on_events([event for slave in self.slaves for event in slave.station.take_events()])
+
+    def _on_events(self, events: list[Event]) -> None:
+        for slave in self.slaves:
+            slave.check()
+        if self.on_event is not None:
+            for event in events:
+                self.on_event(event)
+
+    def _make_safe(self, why: BusError) -> None:
+        for slave in self.slaves:
+            if slave.runtime is not None:
+                slave.switch_off(why, slave.runtime.now())
+
+    def _failed(self, error: Exception) -> None:
+        self.failure = BusError(f"the slaves were stopped by a defect in dpstack ({type(error).__name__}: {error})")
+        self.failure.__cause__ = error
+        self._make_safe(self.failure)
+        self._waiters.check()
+
+    def _over(self) -> bool:
+        if self.failure is not None:
+            raise self.failure
+        return False
+
+
+def serve_slave(
+    device: Device,
+    *,
+    port: str | None = None,
+    baud: int | None = None,
+    address: int | None = None,
+    address_fixed: bool = False,
+    world: World | None = None,
+    on_event: OnEvent | None = None,
+) -> SlaveServer:
+    """Serve ``device`` as a slave: ``async with serve_slave(...) as server``, then ``server.slave``.
+
+    ``port`` and ``baud`` (bit/s) as everywhere, or ``world``, a simulated bus. ``address`` None: 126, for a slave that
+    is given an address by Set_Slave_Add; ``address_fixed``: that came with No_Add_Chg. ``on_event`` is called for every
+    event at once. Raises ConfigError; PortError on entering.
+    """
+    if address is None:
+        if not device.set_slave_add:
+            raise ConfigError(
+                f"slave {device.name}: no address, and Set_Slave_Add is not supported; give address=0..125"
+            )
+        address = UNADDRESSED
+    return SlaveServer({address: device}, port=port, baud=baud, fixed=address_fixed, world=world, on_event=on_event)
+
+
+def serve_slaves(
+    slaves: Mapping[int, Device],
+    *,
+    port: str | None = None,
+    baud: int | None = None,
+    world: World | None = None,
+    on_event: OnEvent | None = None,
+) -> SlaveServer:
+    """Serve several slaves, address -> device, behind one port; otherwise as :func:`serve_slave`."""
+    return SlaveServer(slaves, port=port, baud=baud, fixed=False, world=world, on_event=on_event)
+
+
+def _check_rate(device: Device, baud: int) -> None:
+    rates = device.description.rates if isinstance(device, DpSlave) else {}
+    if rates and baud not in rates:
+        known = ", ".join(baud_text(rate) for rate in sorted(rates))
+        raise ConfigError(f"slave {device.name}: it has no {baud_text(baud)}; it knows {known}")

@@ -1,0 +1,10 @@
+"""Writing TOML: the little that skeletons and tables need."""
+
+from __future__ import annotations
+
+import json
+
+
+def quoted(text: str) -> str:
+    """A TOML string: JSON's escapes are TOML's too."""
+    return json.dumps(text, ensure_ascii=False)

@@ -1,0 +1,247 @@
+"""What a class 2 master asks a slave, and what the answers mean; queue and token are :mod:`dpstack.dp.class2`.
+
+A job is a generator of :class:`Step`: it gives the next request and is sent what became of it. Its end is one
+:class:`Outcome`. Services of protocol facts B5 and B8: Slave_Diag and Get_Cfg are open in every state, RD_Inp and
+RD_Outp in data exchange, all of them to every master; none of these changes anything in the slave.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import dataclass
+from enum import Enum, IntEnum
+from typing import Final, NamedTuple, Protocol, TypeVar
+
+from dpstack.dp.diagnosis import FIXED_LEN, MAX_LEN, Diagnosis
+from dpstack.dp.ms0 import EMPTY_STATUS, SERVICE_NAMES, positive, refusal_text
+from dpstack.fdl.telegram import (
+    SAP_GET_CFG,
+    SAP_RD_INP,
+    SAP_RD_OUTP,
+    SAP_SET_SLAVE_ADD,
+    SAP_SLAVE_DIAG,
+    SSAP_MS0,
+    Kind,
+    Req,
+    Resp,
+    Telegram,
+)
+from dpstack.fdl.user import Failure, Request
+from dpstack.units import NS_PER_MS
+
+T = TypeVar("T")
+
+#: three first requests and the probe with FCV = 1 that finds slaves which know nothing else (A4)
+ATTEMPTS: Final = 4
+_PAUSE: Final = 10 * NS_PER_MS
+#: "later": asked again; everything else that is negative is an answer
+_BUSY: Final = frozenset((int(Resp.UE), int(Resp.RR)))
+_NO_DATA: Final = EMPTY_STATUS | {int(Resp.NR)}
+
+
+class Service(IntEnum):
+    """The services of a class 2 master at a slave; the values are the SAPs."""
+
+    SET_ADDRESS = SAP_SET_SLAVE_ADD
+    INPUTS = SAP_RD_INP
+    OUTPUTS = SAP_RD_OUTP
+    CONFIG = SAP_GET_CFG
+    DIAGNOSIS = SAP_SLAVE_DIAG
+
+    @property
+    def title(self) -> str:
+        """The standard's name."""
+        return SERVICE_NAMES[self]
+
+
+class ServiceFailure(Enum):
+    """Why a service has no result."""
+
+    SILENT = "silent"  # no answer
+    UNREADABLE = "unreadable"  # octets came, no telegram
+    WRONG = "wrong"  # an answer that cannot be one
+    LENGTH = "length"  # an answer of an impossible length
+    REFUSED = "refused"  # the slave says no
+    GUARDED = "guarded"  # this bus is read-only
+    LATE = "late"  # not in the time given
+    LINE = "line"  # the port vanished
+    CANCELLED = "cancelled"  # nobody wants it any more
+    IDENT = "ident"  # another device
+    OWNED = "owned"  # in the hands of a class 1 master
+    TAKEN = "taken"  # the new address is in use
+    KEPT = "kept"  # the slave did not take the new address
+    GONE = "gone"  # it answers neither at the old nor at the new address
+    DOUBLE = "double"  # it has the new address, and the old one still answers
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """The one end of a service: ``data`` of the answer, or ``failure`` with ``text`` that says what to do.
+
+    ``status``: how a refusing slave answered.
+    """
+
+    data: bytes = b""
+    failure: ServiceFailure | None = None
+    text: str = ""
+    status: str = ""
+
+
+class Step(NamedTuple):
+    """The next request of a job, not earlier than ``pause_ns`` after the last one's end."""
+
+    request: Request
+    pause_ns: int = 0
+
+
+#: What a job is while it runs: the end of each request goes in, the result comes out.
+Steps = Generator[Step, "Telegram | Failure", T]
+
+
+class Job(Protocol):
+    """One service from its beginning to its one end."""
+
+    @property
+    def address(self) -> int:
+        """The slave it is about."""
+
+    @property
+    def service(self) -> Service:
+        """What is asked."""
+
+    @property
+    def aftermath(self) -> str:
+        """What has to be said of it when it is cut short now; empty when nothing has happened to the slave."""
+
+    def steps(self) -> Steps[Outcome]:
+        """Its requests, one after the other."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """One of the reading services. ``expected``: the octets that RD_Inp and RD_Outp must have, None for any number."""
+
+    address: int
+    service: Service
+    expected: int | None = None
+    #: it changes nothing
+    aftermath: str = ""
+
+    def steps(self) -> Steps[Outcome]:
+        """One request, repeated where there is hope."""
+        answer = yield from asked(request(self.address, self.service))
+        return judged(self.address, self.service, answer, self.expected)
+
+
+def request(address: int, service: Service, data: bytes = b"") -> Request:
+    """``service`` to ``address``: low priority by its place in the token hold; on the wire it is SRD high like all
+    services of DP, because some slaves know no other (A4)."""
+    return Request(address, Req.SRD_HIGH, data, service, SSAP_MS0)
+
+
+def asked(request: Request, attempts: int = ATTEMPTS) -> Steps[Telegram | Failure]:
+    """Up to ``attempts`` times, until there is an answer other than "busy"; others have their turn meanwhile.
+
+    The pauses grow: a computer that stands still for 30 ms must not use up all attempts at once.
+    """
+    answer: Telegram | Failure = Failure.NO_ANSWER
+    pause = 0
+    for attempt in range(attempts):
+        answer = yield Step(request, pause)
+        if answer is Failure.REFUSED:
+            break
+        if isinstance(answer, Telegram) and (answer.kind is Kind.SC or answer.function not in _BUSY):
+            break
+        pause = _PAUSE << attempt
+    return answer
+
+
+def judged(address: int, service: Service, answer: Telegram | Failure, expected: int | None = None) -> Outcome:
+    """The result of a service that reads."""
+    if not isinstance(answer, Telegram):
+        return unanswered(address, service, answer)
+    reads_data = service in (Service.INPUTS, Service.OUTPUTS)
+    empty = answer.kind is Kind.SC or answer.function in _NO_DATA  # no inputs, or no outputs: NR, OK, SC (A3)
+    if not (positive(service, answer) or (reads_data and empty and not answer.data)):
+        return refused(address, service, answer)
+    low, high = (FIXED_LEN, MAX_LEN) if service is Service.DIAGNOSIS else (0 if reads_data else 1, MAX_LEN)
+    got = len(answer.data)
+    if not low <= got <= high:
+        return Outcome(
+            failure=ServiceFailure.LENGTH,
+            text=f"slave {address} answers {service.title} with {got} octets, {low}..{high} are possible; "
+            f"it is no DP slave, or two stations have its address",
+        )
+    if expected is not None and got != expected:
+        return Outcome(
+            failure=ServiceFailure.LENGTH,
+            text=f"slave {address} answers {service.title} with {got} octets instead of {expected}; its real "
+            f"configuration differs from the one here: compare it with what Get_Cfg says",
+        )
+    return Outcome(answer.data)
+
+
+def unanswered(address: int, service: Service, why: Failure) -> Outcome:
+    """The result where no answer can be used."""
+    failure, what, todo = _UNANSWERED[why]
+    return Outcome(failure=failure, text=f"slave {address} {what} {service.title}; {todo}")
+
+
+_UNANSWERED: Final = {
+    Failure.NO_ANSWER: (
+        ServiceFailure.SILENT,
+        "does not answer",
+        "check address and power; `dpstack scan` shows who is there",
+    ),
+    Failure.GARBLED: (
+        ServiceFailure.UNREADABLE,
+        "gives no readable answer to",
+        "look for a second station with its address, and at cable and termination",
+    ),
+    Failure.WRONG: (
+        ServiceFailure.WRONG,
+        "gives answers that are none to",
+        "it answers from other service access points: it is no DP slave, or two stations have its address",
+    ),
+    Failure.REFUSED: (
+        ServiceFailure.GUARDED,
+        "was not sent",
+        "this bus is read-only: leave read_only out where slaves shall be changed",
+    ),
+}
+
+
+def refused(address: int, service: Service, answer: Telegram) -> Outcome:
+    """The result where the slave says no, and why that may be."""
+    if answer.kind is Kind.SC or answer.function not in _REFUSALS:
+        return Outcome(
+            failure=ServiceFailure.WRONG,
+            text=f"slave {address} answers {service.title} with {refusal_text(answer)}, which is no answer to it; "
+            f"look for a second station with its address",
+        )
+    status = refusal_text(answer)
+    todo = "it is busy: try again later" if answer.function in _BUSY else _CLOSED[service]
+    return Outcome(
+        failure=ServiceFailure.REFUSED,
+        text=f"slave {address} refuses {service.title} ({status}); {todo}",
+        status=status,
+    )
+
+
+_REFUSALS: Final = frozenset((int(Resp.UE), int(Resp.RR), int(Resp.RS), int(Resp.NR), int(Resp.RDL), int(Resp.RDH)))
+_READS_IN_EXCHANGE: Final = "it is open in data exchange only, and not in every device: look at its state"
+_CLOSED: Final = {
+    Service.DIAGNOSIS: "every DP slave has this service: the station is none, or not switched on for long enough",
+    Service.CONFIG: "every DP slave has this service: the station is none, or not switched on for long enough",
+    Service.INPUTS: _READS_IN_EXCHANGE,
+    Service.OUTPUTS: _READS_IN_EXCHANGE,
+    Service.SET_ADDRESS: "its address is set at the device itself (switches, menu), was locked by an earlier "
+    "Set_Slave_Add (No_Add_Chg), or a master has just parameterised it",
+}
+
+
+def diagnosis_of(answer: Telegram | Failure) -> Diagnosis | None:
+    """What ``answer`` to Slave_Diag says, None where it says nothing."""
+    if isinstance(answer, Telegram) and positive(Service.DIAGNOSIS, answer):
+        return Diagnosis.parse(answer.data)
+    return None

@@ -1,0 +1,128 @@
+"""The slave that a user builds: a description and one function from outputs and elapsed time to inputs."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from typing import Protocol
+
+from dpstack.dp.device import FunctionDevice, Leave, OnCycle
+from dpstack.dp.slave_description import SlaveDescription
+from dpstack.dp.user_diag import NO_DIAG, UserDiag
+from dpstack.errors import ConfigError
+from dpstack.gsd.identifiers import io_lengths
+
+
+class OnAddress(Protocol):
+    """Keeps what Set_Slave_Add brought where it survives a restart."""
+
+    def __call__(self, address: int, fixed: bool, rem_slave_data: bytes) -> None:
+        """As :meth:`~dpstack.dp.device.Device.address_set`: all of it is kept."""
+
+
+class DpSlave(FunctionDevice):
+    """A slave of the type ``description`` that does what ``on_cycle(outputs, elapsed)`` does.
+
+    ``on_cycle`` takes the outputs in the length of the configuration in use, ``elapsed`` in ns since data exchange
+    began, and returns the inputs in their length. It is called in every Data_Exchange, at SYNC and FREEZE, and
+    **with the safe outputs** as soon as the real ones end for whatever reason: Clear, an empty frame, watchdog, any way
+    out of data exchange. ``safe``: these octets, default zeros; only where all configurations have that length.
+    ``config``: what Get_Cfg says until a master has configured the slave: the modules that are plugged in.
+
+    ``on_prm(user_prm)`` judges user parameters: a reason to refuse them, or None. ``on_address`` keeps the address that
+    Set_Slave_Add gives; without it the slave has its old one after a restart. ``on_leave(reason)`` is told why data
+    exchange ended. What any of them raises takes this slave out of data exchange, with safe outputs and Stat_Diag,
+    until it is restarted; nothing else is disturbed.
+
+    Set :attr:`diag`, as a whole and whenever something changes, to what the slave shall say in its diagnosis.
+    Raises ConfigError.
+    """
+
+    def __init__(
+        self,
+        description: SlaveDescription,
+        on_cycle: OnCycle,
+        *,
+        config: bytes | None = None,
+        safe: bytes | None = None,
+        on_prm: Callable[[bytes], str | None] | None = None,
+        on_address: OnAddress | None = None,
+        on_leave: Callable[[Leave], None] | None = None,
+    ) -> None:
+        first = description.configs[0] if description.configs else description.modules[0].config
+        real = first if config is None else config
+        reason = description.check_cfg(real)
+        if reason is not None:
+            raise ConfigError(f"slave {description.name}: {reason}")
+        super().__init__(description.ident, real, on_cycle, description.name)
+        self.description = description
+        self.configs = tuple(dict.fromkeys((real, *description.configs)))
+        if safe is not None and description.modules:
+            raise ConfigError(f"slave {self.name}: a modular slave has zeros as safe outputs; leave safe out")
+        if safe is not None and {len(safe)} != {io_lengths(known)[1] for known in self.configs}:
+            raise ConfigError(f"slave {self.name}: {len(safe)} safe octets are not the outputs of every configuration")
+        self.sync_supported = description.sync
+        self.freeze_supported = description.freeze
+        self.fail_safe = description.fail_safe or description.fail_safe_required
+        self.fail_safe_required = description.fail_safe_required
+        self.set_slave_add = description.set_slave_add
+        self.wd_base_1ms = description.wd_base_1ms
+        self.max_diag_len = description.max_diag_len
+        self._diag = NO_DIAG
+        self.safe = safe or b""
+        self._safe = b""  # in the length of the configuration in use
+        self._on_prm = on_prm
+        self._on_address = on_address
+        self._on_leave = on_leave
+
+    # --- what a user may say at any time ------------------------------------------------------------------------
+
+    @property
+    def diag(self) -> UserDiag:
+        """What the slave says in its diagnosis; the master fetches a new one at once. TypeError for anything else."""
+        return self._diag
+
+    @diag.setter
+    def diag(self, diag: UserDiag) -> None:
+        if not isinstance(diag, UserDiag):
+            raise TypeError(f"slave {self.name}: diag is a UserDiag, for instance UserDiag.of(device_block(b'...'))")
+        self._diag = diag
+
+    def user_diag(self) -> UserDiag:
+        """The diagnosis as it was set."""
+        return self._diag
+
+    # --- Device -------------------------------------------------------------------------------------------------
+
+    def check_prm(self, user_prm: bytes) -> str | None:
+        """Length by the description, the rest by the user's own check."""
+        reason = self.description.check_prm(user_prm)
+        return self._on_prm(user_prm) if reason is None and self._on_prm is not None else reason
+
+    def check_cfg(self, config: bytes) -> str | None:
+        """By the description."""
+        return self.description.check_cfg(config)
+
+    def enter(self, config: bytes, now: int) -> None:
+        """Data exchange begins."""
+        super().enter(config, now)
+        self._safe = self.safe or bytes(io_lengths(config)[1])
+
+    def clear(self, now: int) -> None:
+        """Safe outputs at once."""
+        self.exchange(self._safe, now)
+
+    def leave(self, reason: Leave, now: int) -> None:
+        """Safe outputs at once, also to a function that has just failed: whatever it still does must be safe."""
+        told = contextlib.suppress(Exception) if reason is Leave.FAILURE else contextlib.nullcontext()
+        with told:
+            self.exchange(self._safe, now)
+        if self._on_leave is not None:
+            self._on_leave(reason)
+
+    def address_set(self, address: int, fixed: bool, rem_slave_data: bytes) -> bool:
+        """Kept where the user keeps it."""
+        if self._on_address is None:
+            return False
+        self._on_address(address, fixed, rem_slave_data)
+        return True

@@ -1,0 +1,215 @@
+"""Names for process data: what the octets of a slave's inputs or outputs mean, declared as short texts.
+
+``bool@0.3`` is bit 3 of octet 0, ``i16@2`` two octets from octet 2 on as a signed number, most significant octet first
+as PROFIBUS has it; ``i16le@2`` the other way round. ``bytes@4:3`` are three octets as they are.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+import struct
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+from dpstack.errors import ConfigError
+
+#: What a field holds.
+Value = bool | int | float | bytes
+
+#: struct's letter of every number, by type
+_NUMBERS: Final = {
+    "u8": "B",
+    "i8": "b",
+    "u16": "H",
+    "i16": "h",
+    "u32": "I",
+    "i32": "i",
+    "u64": "Q",
+    "i64": "q",
+    "f32": "f",
+    "f64": "d",
+}
+#: all types; the numbers of more than one octet also with ``le``
+TYPES: Final = ("bool", *_NUMBERS, "bytes")
+_LITTLE: Final = "le"
+_SPEC: Final = re.compile(r"(?P<type>[^@]*)@(?P<octet>\d+)(?:\.(?P<bit>\d+))?(?::(?P<length>\d+))?")
+_NAME: Final = re.compile(r"[^\W\d][\w -]*(?<! )")
+_SWITCH: Final = {"on": True, "true": True, "1": True, "off": False, "false": False, "0": False}
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """One named value. ``octet`` counts from 0; ``bit`` 0..7 of a bool, else None; ``length`` in octets."""
+
+    name: str
+    type: str
+    octet: int
+    length: int
+    bit: int | None = None
+    little: bool = False
+
+    @classmethod
+    def parse(cls, name: str, text: str) -> Field:
+        """Read ``text`` (see above). Raises ConfigError: ``what; what to do``."""
+        match = _SPEC.fullmatch(text.replace(" ", ""))
+        if match is None:
+            raise ConfigError(f'{name} = "{text}" is no field; write TYPE@OCTET, for instance "bool@0.3" or "i16@2"')
+        kind, octet = match["type"].lower(), int(match["octet"])
+        base = kind.removesuffix(_LITTLE)
+        if base not in TYPES or (base != kind and base not in _NUMBERS):
+            near = difflib.get_close_matches(base, TYPES, n=1, cutoff=0.5)
+            todo = (
+                f"did you mean {near[0]!r}?" if near else f"known types: {', '.join(TYPES)}; le for the low octet first"
+            )
+            raise ConfigError(f"{name}: unknown type {kind!r}; {todo}")
+        if (match["bit"] is not None) != (base == "bool"):
+            todo = 'write for instance "bool@0.3"' if base == "bool" else "a bit is a bool: leave the point out"
+            raise ConfigError(f'{name} = "{text}": {"no bit" if base == "bool" else f"{kind} has no bit"}; {todo}')
+        if (match["length"] is not None) != (base == "bytes"):
+            todo = 'write for instance "bytes@4:3"' if base == "bytes" else "only bytes have one: leave it out"
+            raise ConfigError(f'{name} = "{text}": {"no length" if base == "bytes" else "a length"}; {todo}')
+        if base == "bool":
+            bit = int(match["bit"])
+            if bit > 7:
+                raise ConfigError(f'{name} = "{text}": bit {bit}; an octet has bits 0..7')
+            return cls(name, base, octet, 1, bit)
+        length = int(match["length"]) if base == "bytes" else struct.calcsize(">" + _NUMBERS[base])
+        if not length:
+            raise ConfigError(f'{name} = "{text}": no octets; give a length of 1 or more')
+        return cls(name, base, octet, length, None, base != kind)
+
+    @property
+    def spec(self) -> str:
+        """As it is written."""
+        tail = "" if self.bit is None else f".{self.bit}"
+        tail += f":{self.length}" if self.type == "bytes" else ""
+        return f"{self.type}{_LITTLE if self.little else ''}@{self.octet}{tail}"
+
+    @property
+    def mask(self) -> int:
+        """Its bits in the whole image as one number, octet 0 lowest."""
+        if self.bit is not None:
+            return 1 << (8 * self.octet + self.bit)
+        return ((1 << 8 * self.length) - 1) << 8 * self.octet
+
+    @property
+    def _format(self) -> str:
+        return ("<" if self.little else ">") + _NUMBERS[self.type]
+
+    def get(self, octets: bytes) -> Value:
+        """Its value in ``octets``, which must be long enough."""
+        if self.bit is not None:
+            return bool(octets[self.octet] >> self.bit & 1)
+        if self.type == "bytes":
+            return octets[self.octet : self.octet + self.length]
+        value: int | float = struct.unpack_from(self._format, octets, self.octet)[0]
+        return value
+
+    def put(self, octets: bytes, value: object) -> bytes:
+        """``octets`` with its bits, and no others, changed. Raises ValueError that says what would fit."""
+        if self.bit is not None:
+            if value not in (0, 1) or isinstance(value, float):
+                raise ValueError(f"{self.name} is a bit: {value!r} is neither true nor false")
+            bits = octets[self.octet] & ~(1 << self.bit) | bool(value) << self.bit
+            return octets[: self.octet] + bytes((bits,)) + octets[self.octet + 1 :]
+        return octets[: self.octet] + self._octets(value) + octets[self.octet + self.length :]
+
+    def _octets(self, value: object) -> bytes:
+        if self.type == "bytes":
+            if not isinstance(value, (bytes, bytearray)) or len(value) != self.length:
+                given = f"{len(value)} octets" if isinstance(value, (bytes, bytearray)) else repr(value)
+                raise ValueError(f"{self.name} has {self.length} octets: {given} cannot be put there")
+            return bytes(value)
+        if self.type.startswith("f"):
+            return self._float_octets(value)
+        if isinstance(value, bool) or not isinstance(value, int):
+            raise ValueError(f"{self.name} is {self.type}, a whole number: {value!r} is none")
+        bits = 8 * self.length
+        low, high = (0, (1 << bits) - 1) if self.type.startswith("u") else (-1 << (bits - 1), (1 << (bits - 1)) - 1)
+        if not low <= value <= high:
+            raise ValueError(f"{self.name} = {value} is outside {low}..{high} ({self.type})")
+        return struct.pack(self._format, value)
+
+    def _float_octets(self, value: object) -> bytes:
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise ValueError(f"{self.name} is {self.type}, a number: {value!r} is none")
+        try:
+            if math.isfinite(value):
+                return struct.pack(self._format, value)
+        except OverflowError:
+            pass
+        raise ValueError(f"{self.name} = {value!r} is no number that {self.type} can hold")
+
+    def read(self, text: str) -> Value:
+        """The value that a person wrote. Raises ValueError that says how to write it."""
+        text = text.strip()
+        try:
+            if self.bit is not None:
+                return _SWITCH[text.lower()]
+            if self.type == "bytes":
+                return bytes.fromhex(text)
+            return float(text) if self.type.startswith("f") else int(text, 0)
+        except (KeyError, ValueError):
+            how = {"bool": "on or off", "bytes": "hex digits"}.get(self.type, "a number, for instance 12")
+            raise ValueError(f"{self.name} = {text!r} is no {self.type}: write {how}") from None
+
+
+@dataclass(frozen=True, slots=True)
+class FieldMap(Collection[str]):
+    """The fields of one image of ``length`` octets; empty where nothing is named."""
+
+    fields: Mapping[str, Field] = field(default_factory=dict)
+    length: int = 0
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.fields
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.fields)
+
+    def __len__(self) -> int:
+        return len(self.fields)
+
+    def values(self, octets: bytes) -> dict[str, Value]:
+        """All of one image; nothing when ``octets`` are too short for what is declared."""
+        if len(octets) < self.length:
+            return {}
+        return {name: found.get(octets) for name, found in self.fields.items()}
+
+
+def field_of(name: str, text: str, length: int, what: str) -> Field:
+    """Read and check one declaration for an image of ``length`` octets, called ``what``. Raises ConfigError."""
+    if not _NAME.fullmatch(name):
+        raise ConfigError(f"{name!r} is no name for a field; use letters, digits, _ and -, a letter first")
+    found = Field.parse(name, text)
+    if found.octet + found.length > length:
+        has = f"its configuration has octets 0..{length - 1} of {what}" if length else f"it has no {what}"
+        raise ConfigError(f'{name} = "{text}" ends in octet {found.octet + found.length - 1}; {has}')
+    return found
+
+
+def overlap(fields: Mapping[str, Field]) -> tuple[Field, Field] | None:
+    """The first two fields that share a bit, the later one first."""
+    seen: list[Field] = []
+    for found in fields.values():
+        for other in seen:
+            if found.mask & other.mask:
+                return found, other
+        seen.append(found)
+    return None
+
+
+def as_json(values: Mapping[str, Value]) -> dict[str, object]:
+    """Plain JSON data: octets as hex; what JSON cannot say of a float is null."""
+    made: dict[str, object] = {}
+    for name, value in values.items():
+        if isinstance(value, bytes):
+            made[name] = value.hex()
+        elif isinstance(value, float) and not math.isfinite(value):
+            made[name] = None
+        else:
+            made[name] = value
+    return made

@@ -1,0 +1,164 @@
+"""What a slave is, as its GSD file or its maker says: the checks of Set_Prm and Chk_Cfg follow from it.
+
+The names in brackets are the GSD keywords. A GSD model becomes a slave by filling in a :class:`SlaveDescription`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+from dpstack.dp.diagnosis import FIXED_LEN, MAX_LEN
+from dpstack.dp.pdu import MAX_USER_PRM
+from dpstack.errors import ConfigError
+from dpstack.fdl.telegram import MAX_DATA
+from dpstack.gsd.identifiers import config_for, io_lengths
+from dpstack.units import NS_PER_US
+
+#: Min_Slave_Interval counts in 100 us
+_INTERVAL_UNIT: Final = 100 * NS_PER_US
+
+
+@dataclass(frozen=True, slots=True)
+class SlaveModule:
+    """A module of a modular slave [Module]: its identifier octets, at least one. Raises ConfigError."""
+
+    name: str
+    config: bytes
+
+    def __post_init__(self) -> None:
+        if not self.config:
+            raise ConfigError(f"module {self.name}: no identifier octets")
+        io_lengths(self.config)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlaveDescription:
+    """One type of slave. Fixed: ``configs``, all that it accepts, the default first. Modular: ``modules`` instead.
+
+    ``ident`` [Ident_Number]; ``max_modules`` [Max_Module]; ``max_input_len``, ``max_output_len``, ``max_data_len``
+    [Max_Input_Len ...] in octets, the last for both together; ``user_prm_len``: fewest and most octets of user
+    parameters [Max_User_Prm_Data_Len]; ``sync``, ``freeze``, ``fail_safe``, ``set_slave_add``, ``wd_base_1ms``
+    [Sync_Mode_supp ...]; ``fail_safe_required`` [Fail_Safe_required]; ``max_diag_len`` [Max_Diag_Data_Len], 6..244;
+    ``rates``: baud rate -> MaxTsdr in bit times, empty for all; ``min_slave_interval_ns`` [Min_Slave_Intervall], for
+    the master. Raises ConfigError.
+    """
+
+    ident: int
+    name: str = "slave"
+    configs: tuple[bytes, ...] = ()
+    modules: tuple[SlaveModule, ...] = ()
+    max_modules: int = 1
+    max_input_len: int = MAX_DATA
+    max_output_len: int = MAX_DATA
+    max_data_len: int = 2 * MAX_DATA
+    user_prm_len: tuple[int, int] = (0, MAX_USER_PRM)
+    sync: bool = True
+    freeze: bool = True
+    fail_safe: bool = False
+    fail_safe_required: bool = False
+    set_slave_add: bool = False
+    wd_base_1ms: bool = False
+    max_diag_len: int = MAX_LEN
+    rates: Mapping[int, int] = field(default_factory=dict)
+    min_slave_interval_ns: int = 0
+
+    @classmethod
+    def simple(cls, ident: int, *, inputs: int, outputs: int, name: str = "slave") -> SlaveDescription:
+        """A slave with one configuration of so many octets each way, as seen from the master. Raises ConfigError."""
+        return cls(ident=ident, name=name, configs=(config_for(inputs, outputs),))
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.ident <= 0xFFFF:
+            raise self._wrong(f"ident {self.ident:#x} does not fit two octets")
+        if bool(self.configs) is bool(self.modules):
+            raise self._wrong("give configs (a fixed slave) or modules (a modular one)")
+        for config in self.configs:
+            reason = self._too_long(config)
+            if reason is not None:
+                raise self._wrong(reason)
+        least, most = self.user_prm_len
+        if not 0 <= least <= most <= MAX_USER_PRM:
+            raise self._wrong(f"user_prm_len {self.user_prm_len} is not within 0..{MAX_USER_PRM}")
+        if not FIXED_LEN <= self.max_diag_len <= MAX_LEN:
+            raise self._wrong(f"max_diag_len {self.max_diag_len} is outside {FIXED_LEN}..{MAX_LEN}")
+        if self.modules and self.max_modules < 1:
+            raise self._wrong(f"max_modules {self.max_modules}: a modular slave has room for 1 at least")
+
+    def _wrong(self, what: str) -> ConfigError:
+        return ConfigError(f"slave {self.name}: {what}")
+
+    # --- what follows from it -----------------------------------------------------------------------------------
+
+    def check_prm(self, user_prm: bytes) -> str | None:
+        """A reason to refuse the user parameters of Set_Prm, or None: their length."""
+        least, most = self.user_prm_len
+        if least <= len(user_prm) <= most:
+            return None
+        return (
+            f"{len(user_prm)} octets of user parameters, {least if least == most else f'{least}..{most}'} are expected"
+        )
+
+    def check_cfg(self, config: bytes) -> str | None:
+        """A reason to refuse the identifier octets of Chk_Cfg, or None. Raises ConfigError where they are none."""
+        if self.configs:
+            if config in self.configs:
+                return None
+            known = " or ".join(known.hex(" ").upper() for known in self.configs)
+            return f"configuration {config.hex(' ').upper() or 'without octets'} is not {known}"
+        return self._check_modules(config) or self._too_long(config)
+
+    def table(self, address: int, config: bytes | None = None) -> dict[str, object]:
+        """The [[slave]] table of a master for this slave at ``address``, as ``open_bus(slaves=[...])`` takes it.
+
+        ``config``: identifier octets, default the first of ``configs``. Raises ConfigError for a modular slave without.
+        """
+        if config is None:
+            if not self.configs:
+                raise self._wrong("it is modular; say which configuration the master shall ask for")
+            config = self.configs[0]
+        return {
+            "name": self.name,
+            "address": address,
+            "ident": self.ident,
+            "config": config.hex(" "),
+            "user_prm": bytes(self.user_prm_len[0]).hex(" "),
+            "fail_safe": self.fail_safe,
+            "min_slave_interval": -(-self.min_slave_interval_ns // _INTERVAL_UNIT),
+        }
+
+    # --- inside -------------------------------------------------------------------------------------------------
+
+    def _too_long(self, config: bytes) -> str | None:
+        inputs, outputs = io_lengths(config)
+        if inputs > self.max_input_len:
+            return f"{inputs} input octets, {self.max_input_len} are possible"
+        if outputs > self.max_output_len:
+            return f"{outputs} output octets, {self.max_output_len} are possible"
+        if inputs + outputs > self.max_data_len:
+            return f"{inputs} input and {outputs} output octets, {self.max_data_len} together are possible"
+        return None
+
+    def _check_modules(self, config: bytes) -> str | None:
+        """Whether ``config`` is a row of modules, each any number of times, ``max_modules`` together at most."""
+        known = {module.config for module in self.modules}  # there may be more than a thousand
+        lengths = {len(octets) for octets in known}
+        fewest: list[int | None] = [0] + [None] * len(config)  # modules that make up the octets until here
+        reached = 0
+        for at, count in enumerate(fewest):
+            if count is None:
+                continue
+            reached = at
+            for end in (at + length for length in lengths):
+                if end <= len(config) and config[at:end] in known:
+                    before = fewest[end]
+                    fewest[end] = count + 1 if before is None else min(before, count + 1)
+        count = fewest[-1]
+        if count is None:
+            return f"octet {reached + 1} ({config[reached]:02X}) of the configuration begins no module of this slave"
+        if not count:
+            return "a configuration without any module"
+        if count > self.max_modules:
+            return f"{count} modules, {self.max_modules} are possible"
+        return None

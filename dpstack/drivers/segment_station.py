@@ -1,0 +1,104 @@
+"""One station of a segment: its pty, its receiver, and the truth about what it sent."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from dataclasses import dataclass
+
+from dpstack.fdl.decoder import Decoder
+from dpstack.phy.uart import Receiver, flipped, waveform
+from dpstack.ports.ptymaster import PtyMaster
+from dpstack.units import NEVER
+
+
+@dataclass(slots=True)
+class StationStats:
+    """What a station sent and was given, and what noise did to it.
+
+    Octets: ``sent``, ``received``, ``dropped`` (its pty was full, telegram by telegram), ``overrun`` (sent faster than
+    a paced wire takes it). Telegrams of its on the wire: ``telegrams`` in all, ``damaged`` those with an inverted bit,
+    ``erased`` those of them of which no octet came through, so that no receiver can have noticed anything.
+    """
+
+    path: str
+    sent: int = 0
+    received: int = 0
+    dropped: int = 0
+    overrun: int = 0
+    telegrams: int = 0
+    damaged: int = 0
+    erased: int = 0
+
+
+class SegmentStation:
+    """A pty of the segment and who has it open."""
+
+    __slots__ = ("_arrived", "_damaged", "_receiver", "_telegrams", "cut_off", "master", "present", "stats", "told")
+
+    def __init__(self, master: PtyMaster, link: str) -> None:
+        self.master = master
+        self.present = False
+        #: neither heard nor hearing until this handle ends it (True: until told)
+        self.cut_off: asyncio.TimerHandle | bool = False
+        self.stats = StationStats(link)
+        #: what was told of it: once is enough
+        self.told: set[str] = set()
+        self._receiver: Receiver | None = None  # of a station at another rate than those who send
+        # where the telegrams it sends end, before noise; no time passes there, so none of them stalls
+        self._telegrams = Decoder(stall_ns=NEVER)
+        self._damaged = self._arrived = False  # of the telegram it is sending: hit; an octet of it came through
+
+    def left(self) -> None:
+        """Nobody has it open any more."""
+        if self.present:
+            self.present = False
+            self.master.forget()
+            self._telegrams.reset()
+            self._damaged = self._arrived = False
+
+    def put(self, octets: bytes, flips: dict[int, int]) -> bytes:
+        """It sends ``octets`` with the bits ``flips`` inverted: what UARTs at its rate make of them.
+
+        A UART drops a character with a parity or framing error; two errors in one may pass for another octet.
+        """
+        stats, telegrams = self.stats, self._telegrams
+        if not flips and not telegrams.pending:
+            stats.telegrams += len(telegrams.feed(octets, 0))
+            self._damaged, self._arrived = False, telegrams.pending
+            return octets
+        arrived = bytearray()
+        for number, octet in enumerate(octets):
+            mask = flips.get(number, 0)
+            got = flipped(octet, mask) if mask else octet
+            if got is not None:
+                arrived.append(got)
+            self._damaged |= bool(mask)
+            self._arrived |= got is not None
+            found = len(telegrams.feed(octets[number : number + 1], 0))
+            stats.telegrams += found
+            if found and self._damaged:
+                stats.damaged += 1
+                stats.erased += not self._arrived
+            if not telegrams.pending:
+                self._damaged = self._arrived = False
+        return bytes(arrived)
+
+    def misread(self, octets: bytes, baud: int, reading: int, start_ns: int, flips: dict[int, int]) -> bytes:
+        """What its UART at ``reading`` bit/s makes of ``octets`` that are sent at ``baud`` from ``start_ns`` on."""
+        receiver = self._receiver
+        if receiver is None or receiver.baud != reading:
+            receiver = self._receiver = Receiver(reading)
+        heard = receiver.idle(start_ns)
+        heard += receiver.hear(start_ns, waveform(octets, flips), baud)
+        return bytes(character.octet for character in heard if character.good)
+
+    def give(self, octets: bytes) -> bool:
+        """Hand over what it hears; False when its pty takes no more."""
+        try:
+            done = os.write(self.master.fd, octets)
+        except OSError:  # full, or closed this very moment
+            done = 0
+        self.stats.received += done
+        self.stats.dropped += len(octets) - done
+        return done == len(octets)

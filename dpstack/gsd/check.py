@@ -1,0 +1,44 @@
+"""What a whole file leaves to be said once it is read: defaults that contradict the constants beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from dpstack.errors import GsdError
+from dpstack.gsd.model import Device, Diagnostic, GsdFile, ordered
+from dpstack.gsd.prm import UserPrm
+from dpstack.trace import Severity
+
+
+def check(file: GsdFile) -> tuple[Diagnostic, ...]:
+    """The diagnostics of ``file`` and those on its user parameters, by place."""
+    return ordered([*file.diagnostics, *_prm_findings(file.device)])
+
+
+def _prm_findings(device: Device) -> Iterator[Diagnostic]:
+    try:
+        own = UserPrm(device)
+    except GsdError as error:
+        yield Diagnostic(device.prm.line, 1, Severity.WARNING, str(error))
+        return
+    yield from _contradictions(own, "the device", device.prm.line)
+    for module in device.modules:
+        if module.prm.consts and module.prm.refs:
+            bare = Device(parameters=device.parameters)
+            try:
+                yield from _contradictions(UserPrm(bare, (module,)), f"module {module.title}", module.prm.line)
+            except GsdError as error:
+                yield Diagnostic(module.prm.line, 1, Severity.WARNING, f"module {module.title}: {error}")
+
+
+def _contradictions(prm: UserPrm, title: str, line: int) -> Iterator[Diagnostic]:
+    found = prm.contradictions()
+    if found:
+        more = f" and {len(found) - 1} more" if len(found) > 1 else ""
+        text = found[0].text.partition("/")[2]
+        yield Diagnostic(
+            line,
+            1,
+            Severity.WARNING,
+            f"{title}: defaults contradict the constant octets ({text}{more}); the defaults are used unless asked",
+        )

@@ -1,0 +1,75 @@
+"""Texts of the diagnosis from a GSD file, looked up by what a decoder has found."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from dpstack.gsd.model import Device, Diagnosis, Module
+
+
+class DiagTexts:
+    """The texts of ``device`` with ``modules`` in the order of the configuration (None: an empty slot).
+
+    A module's own texts count before the device's where the module is told. Bits are counted from 0 at the first
+    octet behind the block's header (GE's MM300 manual prints it so, table 4-5); an area's first bit is its lowest.
+    """
+
+    def __init__(self, device: Device, modules: Sequence[Module | None] = ()) -> None:
+        self._device = device.diagnosis
+        self._types = {d.type: d for d in device.diag_types}
+        self._modules = tuple(module.diagnosis if module is not None else None for module in modules)
+
+    def unit_diag_texts(self, octets: bytes, module: int | None = None) -> tuple[str, ...]:
+        """Texts of a device related block; ``octets`` behind its header. ``module``: its index in the configuration."""
+        return tuple(text for text, _ in self._found(octets, module))
+
+    def unit_diag_helps(self, octets: bytes, module: int | None = None) -> tuple[str, ...]:
+        """The help for each of :meth:`unit_diag_texts`, empty where the file has none."""
+        return tuple(help_text for _, help_text in self._found(octets, module))
+
+    def channel_text(self, error_type: int, module: int | None = None) -> str | None:
+        """The text of a channel related error, 0..31."""
+        for diagnosis in self._sources(module):
+            if error_type in diagnosis.channel:
+                return diagnosis.channel[error_type]
+        return None
+
+    def channel_help(self, error_type: int, module: int | None = None) -> str | None:
+        """The help of a channel related error."""
+        for diagnosis in self._sources(module):
+            if error_type in diagnosis.channel_helps:
+                return diagnosis.channel_helps[error_type]
+        return None
+
+    def _sources(self, module: int | None) -> Iterator[Diagnosis]:
+        own = self._modules[module] if module is not None and 0 <= module < len(self._modules) else None
+        if own is not None:
+            yield own
+        yield self._device
+
+    def _found(self, octets: bytes, module: int | None) -> Iterator[tuple[str, str]]:
+        # UnitDiagType names the first octet, the type of a DP-V1 alarm or status: its texts replace the general ones
+        typed = self._types.get(octets[0]) if octets else None
+        sources = self._sources(module) if typed is None else (typed,)
+        told: set[tuple[str, int]] = set()
+        for diagnosis in sources:
+            for kind, at, text, help_text in _texts(diagnosis, octets):
+                if (kind, at) not in told:
+                    told.add((kind, at))
+                    yield text, help_text
+
+
+def _texts(diagnosis: Diagnosis, octets: bytes) -> Iterator[tuple[str, int, str, str]]:
+    """(what, bit, text, help) of everything in ``diagnosis`` that ``octets`` say."""
+    value, size = int.from_bytes(octets, "little"), 8 * len(octets)
+    for bit, text in sorted(diagnosis.bits.items()):
+        if 0 <= bit < size and value >> bit & 1:
+            yield "bit", bit, text, diagnosis.bit_helps.get(bit, "")
+    for bit, text in sorted(diagnosis.not_bits.items()):
+        if 0 <= bit < size and not value >> bit & 1:
+            yield "not bit", bit, text, diagnosis.not_bit_helps.get(bit, "")
+    for area in diagnosis.areas:
+        if area.last < size:
+            number = value >> area.first & (1 << area.last - area.first + 1) - 1
+            if number in area.values:
+                yield "area", area.first, area.values[number], area.helps.get(number, "")

@@ -1,0 +1,45 @@
+"""Collects what is odd in a file. Noise has no end, the list has one."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from dpstack.gsd.model import Diagnostic, ordered
+from dpstack.trace import Severity
+
+_MOST: Final = 500
+
+
+class Findings:
+    """Diagnostics of one file; beyond 500 of a severity the rest is only counted."""
+
+    def __init__(self) -> None:
+        self._kept: dict[Severity, list[Diagnostic]] = {severity: [] for severity in Severity}
+        self._more: dict[Severity, int] = {}
+
+    def info(self, line: int, column: int, message: str) -> None:
+        """Worth knowing, nothing wrong."""
+        self._add(Diagnostic(line, column, Severity.INFO, message))
+
+    def warning(self, line: int, column: int, message: str) -> None:
+        """Against the specification, or contradictory; the text says how it was read."""
+        self._add(Diagnostic(line, column, Severity.WARNING, message))
+
+    def error(self, line: int, column: int, message: str) -> None:
+        """Damage: something is missing."""
+        self._add(Diagnostic(line, column, Severity.ERROR, message))
+
+    def _add(self, diagnostic: Diagnostic) -> None:
+        kept = self._kept[diagnostic.severity]
+        if len(kept) < _MOST:
+            kept.append(diagnostic)
+        else:
+            self._more[diagnostic.severity] = self._more.get(diagnostic.severity, 0) + 1
+
+    def all(self) -> tuple[Diagnostic, ...]:
+        """By place; what was only counted as a finding on the whole file."""
+        counted = [
+            Diagnostic(0, 1, severity, f"{more} more findings of this severity are not listed")
+            for severity, more in self._more.items()
+        ]
+        return ordered([*counted, *(d for kept in self._kept.values() for d in kept)])

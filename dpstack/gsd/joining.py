@@ -1,0 +1,132 @@
+"""What was collected from a file becomes the model: parameters get their texts, references are checked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from dpstack.errors import ConfigError
+from dpstack.gsd.blocks import ParameterBlock, PrmTextBlock
+from dpstack.gsd.findings import Findings
+from dpstack.gsd.identifiers import io_lengths
+from dpstack.gsd.model import Device, Module, Parameter, PrmBlock
+from dpstack.gsd.module_block import NO_PRM, DeviceBlock
+from dpstack.gsd.settings import Settings
+
+
+def join(block: DeviceBlock, findings: Findings) -> Device:
+    """The device that ``block`` has read."""
+    settings = Settings(block.settings, findings)
+    fields = settings.device_fields()
+    parameters = _parameters(block.parameters, block.prm_texts, findings)
+    for number in sorted(block.used.keys() - parameters.keys()):
+        message = f"ExtUserPrmData {number} is referred to but nowhere defined; the reference is skipped"
+        findings.warning(block.used[number], 1, message)
+    sizes = {number: parameter.type.size for number, parameter in parameters.items()}
+    judged: dict[bytes, str] = {}
+    for module in block.modules:
+        _identifiers(module, judged, findings)
+        if module.prm is not NO_PRM:
+            _lengths(module, sizes, findings)
+    prm = PrmBlock(None, tuple(block.consts), tuple(block.refs), block.prm_line)
+    device = Device(
+        **fields,
+        modules=tuple(block.modules),
+        slots=tuple(sorted(block.slots, key=lambda slot: slot.number)),
+        parameters=parameters,
+        prm_texts={ref: texts.texts for ref, texts in block.prm_texts.items()},
+        prm=prm,
+        diagnosis=block.diagnosis(),
+        diag_types=tuple(block.diag_types),
+        settings={keyword: statement.value for keyword, (statement, _) in block.settings.items()},
+        raw=tuple(block.raws),
+    )
+    _whole(device, settings, findings)
+    return device
+
+
+def _parameters(
+    blocks: Mapping[int, ParameterBlock], texts: Mapping[int, PrmTextBlock], findings: Findings
+) -> dict[int, Parameter]:
+    found: dict[int, Parameter] = {}
+    for ref, block in blocks.items():
+        if block.type is None:
+            findings.warning(block.line, 1, f"ExtUserPrmData {ref} ({block.name!r}) has no readable type; left out")
+            continue
+        prm_text = None if block.text_ref is None else texts.get(block.text_ref)
+        if prm_text is None and block.text_ref is not None:
+            message = f"ExtUserPrmData {ref} refers to PrmText {block.text_ref}, which is nowhere defined"
+            findings.warning(block.line, 1, message)
+        found[ref] = Parameter(
+            ref,
+            block.name,
+            block.type,
+            block.default,
+            block.allowed,
+            block.text_ref,
+            _NO_TEXTS if prm_text is None else prm_text.texts,
+            block.changeable,
+            block.visible,
+            block.line,
+        )
+    return found
+
+
+_NO_TEXTS: Mapping[int, str] = {}
+
+
+def _identifiers(module: Module, judged: dict[bytes, str], findings: Findings) -> None:
+    """Identifier octets that contradict themselves; ``judged`` keeps what is known of each configuration."""
+    problem = judged.get(module.config)
+    if problem is None:
+        try:
+            io_lengths(module.config)
+            problem = "" if module.config else "no identifier octets; it changes nothing in a configuration"
+        except ConfigError as error:
+            problem = str(error)
+        judged[module.config] = problem
+    if problem and module.complete:
+        findings.warning(module.line, 1, f"module {module.name!r}: {problem}")
+
+
+def _lengths(module: Module, sizes: Mapping[int, int], findings: Findings) -> None:
+    """Parameters of a module beyond its Ext_Module_Prm_Data_Len."""
+    prm = module.prm
+    if prm.length is None:
+        message = f"module {module.name!r} has parameters but no Ext_Module_Prm_Data_Len; as long as they reach"
+        findings.warning(prm.line, 1, message)
+        return
+    reach = reach_of(prm, sizes)
+    if reach > prm.length:
+        message = (
+            f"module {module.name!r}: parameters reach to octet {reach}, Ext_Module_Prm_Data_Len is {prm.length}; "
+            f"the octets beyond it are left out"
+        )
+        findings.warning(prm.line, 1, message)
+
+
+def reach_of(prm: PrmBlock, sizes: Mapping[int, int]) -> int:
+    """How many octets the constants and references of ``prm`` take."""
+    reach = max((const.offset + len(const.octets) for const in prm.consts), default=0)
+    return max(reach, max([ref.offset + sizes.get(ref.number, 0) for ref in prm.refs], default=0))
+
+
+def _whole(device: Device, settings: Settings, findings: Findings) -> None:
+    """What concerns the file as a whole."""
+    if device.ident is None:
+        findings.error(1, 1, "no Ident_Number: the file is damaged, or it is of no DP slave; get a whole copy of it")
+    if not device.speeds:
+        findings.warning(1, 1, "no baud rate is declared (500_supp = 1 and so on)")
+    if device.station_type not in (None, 0):
+        findings.warning(settings.line("station_type"), 1, "Station_Type is not 0: the file is of a master")
+    given, length = device.user_prm_data, device.user_prm_data_len
+    if given is not None and (device.prm.given or device.max_user_prm_data_len is not None):
+        line = settings.line("user_prm_data")
+        findings.info(line, 1, "User_Prm_Data is not used: Ext_User_Prm_Data or Max_User_Prm_Data_Len is there")
+    elif given is not None and length is not None and len(given) != length:
+        message = f"User_Prm_Data has {len(given)} octets, User_Prm_Data_Len is {length}; all {len(given)} are used"
+        findings.warning(settings.line("user_prm_data"), 1, message)
+    known = {module.reference for module in device.modules}
+    for slot in device.slots:
+        if slot.default is not None and slot.default not in known:
+            message = f"Slot({slot.number}): no module has the reference {slot.default}, its default"
+            findings.warning(slot.line, 1, message)

@@ -1,0 +1,137 @@
+"""One logical line to one statement: ``keyword(index) = value``, comment taken off; and the values in it.
+
+The pattern is possessive throughout: a hostile line costs time in proportion to its length. A file repeats many of its
+lines (references to parameters above all), so the parser asks for each text only once and statements carry what was
+made of them.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Final
+
+from dpstack.gsd.model import Ranges
+
+#: keyword (of several words only in front of "=" or "("), index, equals sign, value
+_LINE: Final = re.compile(
+    r'[ \t]*+([^\s=(";]++(?:(?:[ \t]++[^\s=(";]++)++(?=[ \t]*+[=(]))?+)?+[ \t]*+'
+    r'(?:\(([^()";=]*+)\)[ \t]*+)?+'
+    r"(=)?+[ \t]*+"
+    r'((?:[^";]++|"[^"]*+"?+)*+)'
+)
+_NUMBER: Final = r"[+-]?(?:0[xX][0-9a-fA-F]{1,16}|[0-9]{1,20})"
+_ONE: Final = re.compile(rf"{_NUMBER}\Z")
+_RANGE: Final = re.compile(rf"({_NUMBER})[ \t]*+-[ \t]*+({_NUMBER})\Z")
+_FIRST: Final = re.compile(rf"({_NUMBER})(?![\w.])[ \t,]*+")
+_STRING: Final = re.compile(r'"([^"]*+)("?)[ \t]*+')
+#: what most numbers in GSD files look like
+_COMMON: Final[dict[str, int]] = {
+    **{str(n): n for n in range(1000)},
+    **{f"0x{n:02x}": n for n in range(256)},
+    **{f"0x{n:02X}": n for n in range(256)},
+}
+
+
+class Statement:
+    """One statement. ``keyword`` in lower case, ``written`` as in the file; ``index`` and ``value`` are stripped.
+
+    ``item``: what a block has made of it, kept because the same line may come again.
+    """
+
+    __slots__ = ("equals", "index", "item", "keyword", "text", "value", "written")
+
+    def __init__(self, written: str, index: str | None, equals: bool, value: str, text: str) -> None:
+        self.written = written
+        self.keyword = written.lower()
+        self.index = index
+        self.equals = equals
+        self.value = value
+        self.text = text
+        self.item: object = None
+
+    @property
+    def column(self) -> int:
+        """Where the value begins in its logical line, from 1."""
+        match = _LINE.match(self.text)
+        return 1 if match is None else match.start(4) + 1
+
+
+def lex(line: str) -> Statement | None:
+    """The statement of a logical line; None where it holds blanks or a comment only."""
+    match = _LINE.match(line)
+    if match is None:  # cannot be: every part may be missing
+        return None
+    keyword, index, equals, value = match.groups()
+    if keyword is None:
+        if index is None and not equals and not value:
+            return None
+        keyword = ""
+    return Statement(keyword, index if index is None else index.strip(), equals is not None, value.rstrip(), line)
+
+
+def number(text: str) -> int | None:
+    """A decimal or hexadecimal integer, None for anything else."""
+    known = _COMMON.get(text)
+    if known is not None:
+        return known
+    text = text.strip()
+    if not _ONE.match(text):
+        return None
+    return _int(text)
+
+
+def _int(text: str) -> int:
+    return int(text, 16 if "x" in text or "X" in text else 10)
+
+
+def numbers(text: str) -> list[int] | None:
+    """Numbers with commas (or only blanks) between; None where one of them is none. Empty text: an empty list."""
+    parts = text.split(",")
+    try:
+        return [_COMMON[part] for part in parts]
+    except KeyError:
+        pass
+    found: list[int] = []
+    for part in parts:
+        value = number(part)
+        if value is None:
+            words = part.split()
+            values = [number(word) for word in words]
+            if any(v is None for v in values):
+                return None
+            found += [v for v in values if v is not None]
+        else:
+            found.append(value)
+    return found
+
+
+def ranges(text: str) -> Ranges | None:
+    """``0-3``, ``0,1,5``, ``-32768-32767``, ``24 - 24``, or a mix; None where it is none of these."""
+    found: list[tuple[int, int]] = []
+    for part in text.split(","):
+        piece = part.strip()
+        if not piece:
+            continue
+        value = number(piece)
+        if value is not None:
+            found.append((value, value))
+            continue
+        match = _RANGE.match(piece)
+        if match is None:
+            return None
+        found.append((_int(match[1]), _int(match[2])))
+    return tuple(found)
+
+
+def first_number(text: str) -> tuple[int | None, str]:
+    """(the number in front, the rest behind it); None where no number stands in front."""
+    match = _FIRST.match(text)
+    return (None, text) if match is None else (_int(match[1]), text[match.end() :])
+
+
+def string(text: str) -> tuple[str | None, str, bool]:
+    """(the string in front, the rest behind it, its end is there); None where no string stands in front."""
+    match = _STRING.match(text)
+    if match is None:
+        return None, text, True
+    return match[1], text[match.end() :], bool(match[2])

@@ -1,0 +1,381 @@
+"""What a GSD file says, as data. Nothing here reads or judges: :mod:`dpstack.gsd.parser` makes it.
+
+Names are the keywords' (PNO order 2.122, GSD specification) in lower case. Lines count from 1. Times are in the file's
+units: min_slave_interval in 100 us, response time-outs in 10 ms, MaxTsdr in bit times.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import TypeAlias
+
+from dpstack.trace import Severity
+
+#: Allowed values: both ends of each range belong to it, a single value is a range of one.
+Ranges: TypeAlias = tuple[tuple[int, int], ...]
+
+
+def in_ranges(value: int, ranges: Ranges) -> bool:
+    """True when ``value`` lies in one of ``ranges``; no ranges allow everything."""
+    return not ranges or any(low <= value <= high for low, high in ranges)
+
+
+def ranges_text(ranges: Ranges) -> str:
+    """``0..3, 5`` for people."""
+    return ", ".join(f"{low}..{high}" if low != high else str(low) for low, high in ranges)
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Diagnostic:
+    """Something odd in the file. ``column`` from 1; line 0 is the file as a whole."""
+
+    line: int
+    column: int
+    severity: Severity = field(compare=False)
+    message: str = field(compare=False)
+
+    @property
+    def text(self) -> str:
+        """``12:5: warning: ...``."""
+        return f"{self.line}:{self.column}: {self.severity.value}: {self.message}"
+
+
+@dataclass(frozen=True, slots=True)
+class Raw:
+    """A statement that dpstack gives no meaning to, as it stands: ``keyword(index) = value``.
+
+    ``block`` is the keyword of the block around it, empty outside of all.
+    """
+
+    line: int
+    keyword: str
+    index: str | None
+    value: str
+    block: str = ""
+
+
+class PrmKind(Enum):
+    """The data type of a user parameter."""
+
+    BIT = "Bit"
+    BIT_AREA = "BitArea"
+    UNSIGNED8 = "Unsigned8"
+    UNSIGNED16 = "Unsigned16"
+    UNSIGNED32 = "Unsigned32"
+    SIGNED8 = "Signed8"
+    SIGNED16 = "Signed16"
+    SIGNED32 = "Signed32"
+
+
+@dataclass(frozen=True, slots=True)
+class PrmType:
+    """Type and place of a user parameter: bits ``first``..``last`` of ``size`` octets, big-endian."""
+
+    kind: PrmKind
+    first: int
+    last: int
+    size: int
+
+    @property
+    def signed(self) -> bool:
+        """Two's complement."""
+        return self.kind in (PrmKind.SIGNED8, PrmKind.SIGNED16, PrmKind.SIGNED32)
+
+    @property
+    def width(self) -> int:
+        """Bits."""
+        return self.last - self.first + 1
+
+    @property
+    def limits(self) -> tuple[int, int]:
+        """Lowest and highest value the bits can hold."""
+        if self.signed:
+            return -(1 << self.width - 1), (1 << self.width - 1) - 1
+        return 0, (1 << self.width) - 1
+
+    @property
+    def text(self) -> str:
+        """As the file writes it: ``BitArea(0-3)``, ``Unsigned16``."""
+        match self.kind:
+            case PrmKind.BIT:
+                return f"Bit({self.first})"
+            case PrmKind.BIT_AREA:
+                return f"BitArea({self.first}-{self.last})"
+            case other:
+                return str(other.value)
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """ExtUserPrmData: one user parameter that devices and modules refer to by ``number``.
+
+    ``allowed`` empty: everything the type can hold. ``texts``: value -> text of its PrmText, empty without one.
+    """
+
+    number: int
+    name: str
+    type: PrmType
+    default: int
+    allowed: Ranges = ()
+    text_ref: int | None = None
+    texts: Mapping[int, str] = field(default_factory=dict)
+    changeable: bool = True
+    visible: bool = True
+    line: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class PrmRef:
+    """Ext_User_Prm_Data_Ref(``offset``) = ``number``."""
+
+    offset: int
+    number: int
+
+
+@dataclass(frozen=True, slots=True)
+class PrmConst:
+    """Ext_User_Prm_Data_Const(``offset``) = ``octets``."""
+
+    offset: int
+    octets: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class PrmBlock:
+    """The user parameters of a device or module, in the order of the file.
+
+    ``length``: Ext_Module_Prm_Data_Len of a module; of the device None (as long as its parts reach).
+    """
+
+    length: int | None = None
+    consts: tuple[PrmConst, ...] = ()
+    refs: tuple[PrmRef, ...] = ()
+    line: int = 0
+
+    @property
+    def given(self) -> bool:
+        """Something is said at all."""
+        return self.length is not None or bool(self.consts) or bool(self.refs)
+
+
+@dataclass(frozen=True, slots=True)
+class DiagArea:
+    """Unit_Diag_Area: bits ``first``..``last`` of the device related diagnosis are one value."""
+
+    first: int
+    last: int
+    values: Mapping[int, str]
+    helps: Mapping[int, str] = field(default_factory=dict)
+    line: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """Texts of the diagnosis: of a device, a module or one UnitDiagType (``type``, the first octet after the header).
+
+    Bits count from 0 at the first octet after the block's header. X_ variants are merged: they say the same of DP-V1
+    blocks.
+    """
+
+    bits: Mapping[int, str] = field(default_factory=dict)
+    bit_helps: Mapping[int, str] = field(default_factory=dict)
+    not_bits: Mapping[int, str] = field(default_factory=dict)
+    not_bit_helps: Mapping[int, str] = field(default_factory=dict)
+    areas: tuple[DiagArea, ...] = ()
+    channel: Mapping[int, str] = field(default_factory=dict)
+    channel_helps: Mapping[int, str] = field(default_factory=dict)
+    type: int | None = None
+    line: int = 0
+
+    @property
+    def empty(self) -> bool:
+        """Nothing is said."""
+        return not (self.bits or self.not_bits or self.areas or self.channel)
+
+
+@dataclass(frozen=True, slots=True)
+class Module:
+    """One module: a name (no key: several may share it), its number where it has one, identifier octets.
+
+    ``complete`` is False when the file breaks off in it or its EndModule is missing: such a module is not to be used.
+    """
+
+    name: str
+    config: bytes
+    reference: int | None = None
+    info: str = ""
+    preset: bool = False
+    prm: PrmBlock = field(default_factory=PrmBlock)
+    diagnosis: Diagnosis = field(default_factory=Diagnosis)
+    raw: tuple[Raw, ...] = ()
+    complete: bool = True
+    line: int = 0
+
+    @property
+    def title(self) -> str:
+        """Name with reference for messages."""
+        return f"{self.name!r}" if self.reference is None else f"{self.name!r} (reference {self.reference})"
+
+
+@dataclass(frozen=True, slots=True)
+class Slot:
+    """One Slot of SlotDefinition: module references, ``default`` among ``allowed``."""
+
+    number: int
+    name: str
+    default: int | None
+    allowed: Ranges
+    line: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Speed:
+    """A baud rate in bit/s the device knows, with its MaxTsdr in bit times (None: the file does not say)."""
+
+    baud: int
+    max_tsdr: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class DpV1:
+    """The DP-V1 keywords. Lengths in octets, time-outs in 10 ms; ``alarms``: supported, ``required``: without fail."""
+
+    slave: bool = False
+    c1_read_write: bool = False
+    c1_max_data_len: int = 0
+    c1_response_timeout: int = 0
+    c2_read_write: bool = False
+    c2_max_data_len: int = 0
+    c2_response_timeout: int = 0
+    c2_max_count_channels: int = 0
+    max_initiate_pdu_length: int = 0
+    alarms: tuple[str, ...] = ()
+    required: tuple[str, ...] = ()
+    extra_alarm_sap: bool = False
+    alarm_sequence_mode_count: int = 0
+    alarm_type_mode: bool = False
+    wd_base_1ms: bool = False
+    check_cfg_mode: bool = False
+    fail_safe_required: bool = False
+    prm_block_structure: bool = False
+    prm_block_structure_required: bool = False
+    ident_maintenance: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Isochronous:
+    """The isochronous and data exchange broadcast keywords. Times as in the file: T_BASE in 1/12 us, T_DP in T_BASE."""
+
+    supported: bool = False
+    required: bool = False
+    publisher: bool = False
+    subscriber: bool = False
+    dxb_max_link_count: int = 0
+    dxb_max_data_length: int = 0
+    dxb_subscribertable_block_location: int | None = None
+    tbase_dp: int | None = None
+    tdp_min: int | None = None
+    tdp_max: int | None = None
+    t_pll_w_max: int | None = None
+    tbase_io: int | None = None
+    ti_min: int | None = None
+    to_min: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Device:
+    """One device. Lengths in octets, None where the file says nothing. ``min_slave_interval`` in 100 us.
+
+    ``settings``: every ``keyword = value`` of the device as written, by keyword in lower case (the last one counts),
+    known or not. ``raw``: statements and blocks without a meaning here.
+    """
+
+    ident: int | None = None
+    vendor: str = ""
+    model: str = ""
+    revision: str = ""
+    revision_number: int | None = None
+    gsd_revision: int | None = None
+    hardware_release: str = ""
+    software_release: str = ""
+    protocol_ident: int | None = None
+    station_type: int | None = None
+    fms: bool = False
+    speeds: tuple[Speed, ...] = ()
+    freeze: bool = False
+    sync: bool = False
+    auto_baud: bool = False
+    set_slave_add: bool = False
+    fail_safe: bool = False
+    redundancy: bool = False
+    repeater_ctrl_sig: int = 0
+    pins_24v: int = 0
+    implementation_type: str = ""
+    min_slave_interval: int | None = None
+    modular: bool = False
+    max_module: int | None = None
+    modul_offset: int | None = None
+    fix_preset_modules: bool = False
+    max_input_len: int | None = None
+    max_output_len: int | None = None
+    max_data_len: int | None = None
+    max_diag_data_len: int | None = None
+    diag_update_delay: int | None = None
+    max_user_prm_data_len: int | None = None
+    user_prm_data_len: int | None = None
+    user_prm_data: bytes | None = None
+    prm: PrmBlock = field(default_factory=PrmBlock)
+    slave_family: int | None = None
+    slave_family_path: tuple[str, ...] = ()
+    order_number: str = ""
+    info: str = ""
+    dpv1: DpV1 = field(default_factory=DpV1)
+    isochronous: Isochronous = field(default_factory=Isochronous)
+    modules: tuple[Module, ...] = ()
+    slots: tuple[Slot, ...] = ()
+    parameters: Mapping[int, Parameter] = field(default_factory=dict)
+    prm_texts: Mapping[int, Mapping[int, str]] = field(default_factory=dict)
+    diagnosis: Diagnosis = field(default_factory=Diagnosis)
+    diag_types: tuple[Diagnosis, ...] = ()
+    settings: Mapping[str, str] = field(default_factory=dict)
+    raw: tuple[Raw, ...] = ()
+
+    def max_tsdr(self, baud: int) -> int | None:
+        """MaxTsdr in bit times at ``baud`` bit/s; None where the file does not say."""
+        return next((speed.max_tsdr for speed in self.speeds if speed.baud == baud), None)
+
+    def modules_named(self, name: str) -> tuple[Module, ...]:
+        """Every module called ``name``: exactly, otherwise without regard to case and runs of blanks."""
+        exact = tuple(module for module in self.modules if module.name == name)
+        return exact or tuple(module for module in self.modules if folded(module.name) == folded(name))
+
+    def module_numbered(self, reference: int) -> Module | None:
+        """The first module with this reference number."""
+        return next((module for module in self.modules if module.reference == reference), None)
+
+
+@dataclass(frozen=True, slots=True)
+class GsdFile:
+    """What came of a file: the model and the findings. ``fatal``: why there is nothing to use, else None."""
+
+    name: str
+    device: Device
+    diagnostics: tuple[Diagnostic, ...] = ()
+    encoding: str = "ascii"
+    fatal: Diagnostic | None = None
+
+    def of(self, severity: Severity) -> tuple[Diagnostic, ...]:
+        """The findings of one severity."""
+        return tuple(d for d in self.diagnostics if d.severity is severity)
+
+
+def folded(name: str) -> str:
+    """A name as people compare it: case and runs of blanks do not count."""
+    return " ".join(name.split()).casefold()
+
+
+def ordered(diagnostics: Iterable[Diagnostic]) -> tuple[Diagnostic, ...]:
+    """By place in the file."""
+    return tuple(sorted(diagnostics))

@@ -1,0 +1,133 @@
+"""From the octets of a file to its logical lines: decoding, line ends, continuations.
+
+``\\`` at the end of a line (blanks or a comment may follow) joins the next one to it, also inside a string. At such a
+seam inside a string a run of blanks becomes one blank: it is how the file was laid out, not what it says.
+"""
+
+from __future__ import annotations
+
+import codecs
+import re
+from dataclasses import dataclass
+from typing import Final
+
+#: What no GSD file exceeds by far (the largest known one has 9372 lines): more is refused, not tried.
+MAX_OCTETS: Final = 8_000_000
+MAX_LINES: Final = 200_000
+MAX_LOGICAL: Final = 65_536
+
+_CP1252: Final = "".join(
+    bytes((n,)).decode("cp1252", "replace").replace("\ufffd", chr(n)) for n in range(256)
+)  # the five holes of CP1252 as Latin-1 has them
+#: the part of a line before its comment or its closing backslash: strings whole, an open one to its end
+_PLAIN: Final = re.compile(r'(?:[^"\\;]++|"[^"]*+"|\\(?![ \t]*(?:;|$)))*+')
+_SEAM: Final = re.compile(r"\\[ \t]*(?:;.*)?$")
+
+
+@dataclass(frozen=True, slots=True)
+class Text:
+    """Decoded text. ``lines``: logical lines, from the file's first. ``numbers``: physical line of each, or None where
+    logical and physical lines are the same. ``cut``: a physical line that had to be left incomplete, 0 for none.
+    """
+
+    lines: list[str]
+    numbers: list[int] | None
+    encoding: str
+    cut: int = 0
+
+    def line_of(self, index: int) -> int:
+        """The physical line (from 1) where logical line ``index`` (from 0) begins."""
+        return index + 1 if self.numbers is None else self.numbers[index]
+
+
+def decode(octets: bytes) -> tuple[str, str]:
+    """(text, encoding): UTF-8 with BOM, UTF-16 with BOM, strict UTF-8, else CP1252. Never fails."""
+    if octets.startswith(codecs.BOM_UTF8):
+        try:
+            return octets[3:].decode("utf-8"), "utf-8-sig"
+        except UnicodeDecodeError:
+            return codecs.charmap_decode(octets[3:], "strict", _CP1252)[0], "cp1252"
+    if octets.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return octets.decode("utf-16", "replace"), "utf-16"
+    if octets.isascii():
+        return octets.decode("ascii"), "ascii"
+    try:
+        return octets.decode("utf-8"), "utf-8"
+    except UnicodeDecodeError:
+        return codecs.charmap_decode(octets, "strict", _CP1252)[0], "cp1252"
+
+
+def read_text(octets: bytes) -> Text:
+    """Logical lines of ``octets`` (at most :data:`MAX_OCTETS`)."""
+    text, encoding = decode(octets)
+    text = text.rstrip("\0\x1a")  # how DOS ended files
+    for end in ("\r\r\n", "\r\n", "\r", "\x0b", "\x0c"):
+        text = text.replace(end, "\n")
+    physical = text.split("\n")
+    if "\\" not in text:
+        return Text(physical, None, encoding)
+    return _joined(physical, encoding)
+
+
+def _joined(physical: list[str], encoding: str) -> Text:
+    lines: list[str] = []
+    numbers: list[int] = []
+    cut = 0
+    parts: list[str] = []
+    length = 0
+    inside = False  # a string is open at the end of parts
+    for number, line in enumerate(physical, 1):
+        if not parts:
+            numbers.append(number)
+            if "\\" not in line:
+                lines.append(line)
+                continue
+        elif not inside and line.lstrip(" \t").startswith(";") and parts[-1].rstrip().endswith((",", "=")):
+            continue  # a remark between the lines of a list that is not complete
+        head, inside, goes_on = _split(line, inside)
+        parts.append(_behind_seam(head, parts[-1]) if parts else head)
+        length += len(head)
+        if length > MAX_LOGICAL:
+            cut, goes_on = cut or number, False
+        if not goes_on:
+            lines.append("".join(parts))
+            parts, length, inside = [], 0, False
+    if parts:
+        lines.append("".join(parts))
+    return Text(lines, numbers, encoding, cut)
+
+
+def _behind_seam(head: str, before: str) -> str:
+    bare = head.lstrip(" \t")
+    return bare if bare == head or before.endswith(" ") else " " + bare
+
+
+def _split(line: str, inside: bool) -> tuple[str, bool, bool]:
+    """(what this line adds, a string is open behind it, the next line belongs to it)."""
+    at = 0
+    if inside:
+        close = line.find('"')
+        if close < 0:
+            return _open_string(line, 0)
+        at = close + 1
+    plain = _PLAIN.match(line, at)
+    end = plain.end() if plain else at
+    if end < len(line) and line[end] == '"':
+        return _open_string(line, end)
+    if end < len(line) and line[end] == "\\":
+        return line[:end] + " ", False, True
+    return line, False, False
+
+
+def _open_string(line: str, start: int) -> tuple[str, bool, bool]:
+    """The string that is open at ``start`` ends on another line, where the last backslash says so."""
+    slash = line.rfind("\\")
+    if slash < start or not _SEAM.match(line, slash):
+        # a comment with a backslash of its own behind the seam
+        slash = next((m.start() for m in re.finditer(r"\\[ \t]*;", line[start:])), -1)
+        if slash < 0:
+            return line, False, False
+        slash += start
+    head = line[:slash]
+    kept = head.rstrip(" \t")
+    return (kept + " " if kept != head else kept), True, True

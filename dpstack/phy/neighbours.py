@@ -1,0 +1,100 @@
+"""What a late port asks of the other masters on its bus: they judge by their own T_SL and T_TO and know no slack.
+
+A port that delivers late by ``unknown_ns`` (there and back) shows twice. The first octet of its station after a token,
+or the answer of a simulated slave, begins so much later: within T_SL, else the token is taken back and the request
+repeated. And while the station holds the token it waits with its slack for those who do not answer: a master n claims
+the token after a silence of T_TO = (6 + 2 n) T_SL (protocol facts, A8). All masters of a bus have the same T_SL, so the
+sums are made for one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from dpstack.params import MAX_T_SL, BusParams
+from dpstack.phy.patience import ADAPTER, Patience
+from dpstack.units import BAUD_RATES, NS_PER_MS, NS_PER_S, baud_text
+
+#: T_SL is at least so much more than the longest time to the first bit (as max T_SDR + 15 <= T_SL)
+_MARGIN: Final = 15
+
+
+def t_sl_of_answers(params: BusParams, patience: Patience) -> int:
+    """T_SL in bit times that a master needs for whom a station on such a port answers or takes the token.
+
+    0 where there is no wire (``sending_ns`` 0): the others are programs on ports like this one, with a slack of theirs.
+    """
+    if not patience.sending_ns:
+        return 0
+    return _bits_up(patience.unknown_ns, params.baud) + max(params.t_id1, params.max_tsdr) + _MARGIN
+
+
+@dataclass(frozen=True, slots=True)
+class Neighbours:
+    """What other masters need beside a master with ``params`` and ``patience``; ``lowest`` is the lowest of them."""
+
+    params: BusParams
+    patience: Patience
+    lowest: int = 0
+
+    @property
+    def t_sl(self) -> int:
+        """T_SL in bit times for all masters of the bus, 0 where nothing is asked of them."""
+        answers = t_sl_of_answers(self.params, self.patience)
+        if not answers:
+            return 0
+        slack = _bits_up(self.patience.known_ns + self.patience.unknown_ns, self.params.baud)
+        # T_SL + slack < (6 + 2 n) T_SL
+        return max(answers, slack // (5 + 2 * self.lowest) + 1)
+
+    @property
+    def silence_ns(self) -> int:
+        """The longest silence while this station holds the token and a known station does not answer."""
+        return self.params.ns(self.params.t_sl) + self.patience.known_ns + self.patience.unknown_ns
+
+    @property
+    def t_to_ns(self) -> int:
+        """After such a silence the lowest of them claims the token, where its T_SL is that of ``params``."""
+        return self.params.ns((6 + 2 * self.lowest) * self.params.t_sl)
+
+    def advice(self) -> str:
+        """One line for people with the figures, and what to do; empty where T_SL of ``params`` is enough."""
+        need, params = self.t_sl, self.params
+        if need <= params.t_sl:
+            return ""
+        how = "assumed until it is measured" if self.patience == ADAPTER else "measured, or host_slack_ms"
+        why = (
+            f"over this port the first octet after a token comes up to {_ms(self.patience.unknown_ns)} late ({how}), "
+            f"where they wait {_ms(params.ns(params.t_sl))}"
+        )
+        if self.silence_ns > self.t_to_ns:
+            why += (
+                f", and while it waits {_ms(self.silence_ns)} for a silent station "
+                f"master {self.lowest} claims the token after {_ms(self.t_to_ns)}"
+            )
+        at = baud_text(params.baud)
+        if need > MAX_T_SL:
+            fits = self.fastest()
+            slower = f", or {baud_text(fits)} at most" if fits else ""
+            return f"no other master can share the bus at {at}: {why}; take an adapter that is faster{slower}"
+        return (
+            f"other masters need t_sl = {need} ({_ms(params.ns(need))} at {at}) or more, this one has {params.t_sl}: "
+            f"{why}; set t_sl on all of them"
+        )
+
+    def fastest(self) -> int:
+        """The fastest rate at which some T_SL is enough, 0 when there is none."""
+        return max((rate for rate in BAUD_RATES if self.at(rate).t_sl <= MAX_T_SL), default=0)
+
+    def at(self, baud: int) -> Neighbours:
+        """The same at another rate, with its preset."""
+        return Neighbours(BusParams.preset(baud, address=self.params.address), self.patience, self.lowest)
+
+
+def _bits_up(ns: int, baud: int) -> int:
+    return -(-ns * baud // NS_PER_S)
+
+
+def _ms(ns: int) -> str:
+    return f"{ns / NS_PER_MS:.3g} ms"

@@ -1,0 +1,175 @@
+"""Named inputs and outputs: from the configuration to a program, to ``run --json`` and to ``ctl``."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from typing import Any
+
+import pytest
+from api_kit import HOIST, RAW, bus_of, virtual
+
+import dpstack
+from dpstack.api.config import parse_config
+from dpstack.api.control import places
+from dpstack.api.control.programs import control_run
+from dpstack.dp.fields import Field
+from dpstack.errors import ConfigError
+
+VALVES: dict[str, object] = {
+    **RAW,
+    "name": "valves",
+    "address": 8,
+    "config": "23 13",
+    "inputs": {"limit": "bool@0.3", "status": "u8@0", "level": "i16@2", "level_raw": "bytes@2:2"},
+    "outputs": {"open": "bool@0.3", "close": "bool@0.4", "target": "i16@2"},
+}
+
+BUS = """[bus]
+port = "/dev/ttyX"
+baud = 500000
+
+[[slave]]
+name = "raw"
+address = 9
+ident = 0x1234
+config = "23 13"
+"""
+
+
+def test_a_configuration() -> None:
+    slave = parse_config(BUS + 'inputs = { limit = "bool@0.3", level = "i16@2" }\n', "plant.toml").slaves[0]
+    assert slave.input_fields.fields == {
+        "limit": Field("limit", "bool", 0, 1, 3),
+        "level": Field("level", "i16", 2, 2),
+    }
+    assert not slave.output_fields
+    slave = parse_config(BUS + '[slave.outputs]\n"my valve" = "bool@3.7"\n', "plant.toml").slaves[0]
+    assert list(slave.output_fields) == ["my valve"]
+
+
+@pytest.mark.parametrize(
+    ("keys", "line"),
+    [
+        ('inputs = "i16@2"\n', "plant.toml:10: [[slave]] raw: inputs = 'i16@2' is a text; it must be a table, for"),
+        (
+            "inputs = { level = 2 }\n",
+            "plant.toml:10: [[slave]] raw: inputs: level = 2 is an integer; it must be",
+        ),
+        (
+            'inputs = { level = "int16@2" }\n',
+            "plant.toml:10: [[slave]] raw: inputs: level: unknown type 'int16'; did you mean 'i16'?",
+        ),
+        (
+            '[slave.inputs]\na = "u8@0"\nlevel = "i16@3"\n',
+            'plant.toml:12: [[slave]] raw: inputs: level = "i16@3" ends in octet 4; its configuration has octets 0..3',
+        ),
+        (
+            'outputs = { a = "i16@2", b = "bool@3.7" }\n',
+            "plant.toml:10: [[slave]] raw: b (bool@3.7) and a (i16@2) share bits; move one of them, or name",
+        ),
+        (
+            'inputs = { a = "u8@0" }\noutputs = { a = "u8@0" }\n',
+            "plant.toml:11: [[slave]] raw: 'a' is an input and an output; give one of them another name",
+        ),
+        ('inputs = { "a.b" = "u8@0" }\n', "plant.toml:10: [[slave]] raw: inputs: 'a.b' is no name for a field; use"),
+        ('inputs = { a = "" }\n', "plant.toml:10: [[slave]] raw: inputs: a is empty; give it a value or leave it out"),
+    ],
+)
+def test_configurations_that_cannot_be(keys: str, line: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        parse_config(BUS + keys, "plant.toml")
+    assert str(caught.value).startswith(line)
+
+
+def test_names_in_a_program() -> None:
+    async def program() -> None:
+        async with bus_of(VALVES) as bus:
+            await bus.ready()
+            await bus.operate()
+            valves = bus.slave("valves")
+            valves.outputs = b"\x81\x55\x00\x00"
+            valves["open"] = True
+            assert valves.outputs == b"\x89\x55\x00\x00"  # its own bit only
+            valves.update({"open": False, "close": 1, "target": -2})
+            assert valves.outputs == b"\x91\x55\xff\xfe"
+            assert valves.output_values == {"open": False, "close": True, "target": -2}
+            await asyncio.sleep(0.05)
+            assert (valves["status"], valves["level"], valves["limit"]) == (0x91, -2, False)
+            assert valves.input_values == {"limit": False, "status": 0x91, "level": -2, "level_raw": b"\xff\xfe"}
+            assert valves["target"] == -2
+            assert "level" in valves
+            assert "Level" not in valves
+            assert list(valves) == ["limit", "status", "level", "level_raw", "open", "close", "target"]
+
+    virtual(program())
+
+
+@pytest.mark.parametrize(
+    ("values", "text"),
+    [
+        ({"close": True, "target": 40000}, r"slave 8 \(valves\): target = 40000 is outside -32768..32767 \(i16\)"),
+        ({"close": True, "traget": 1}, r"slave 8 \(valves\): no output is called 'traget'; did you mean target\?"),
+        ({"close": True, "xyz": 1}, "no output is called 'xyz'; there are: open, close, target"),
+        ({"close": True, "level": 1}, "level is an input: only outputs can be set"),
+        ({"open": "yes"}, "open is a bit: 'yes' is neither true nor false"),
+    ],
+)
+def test_all_or_nothing(values: dict[str, object], text: str) -> None:
+    async def program() -> None:
+        async with bus_of(VALVES) as bus:
+            valves = bus.slave("valves")
+            with pytest.raises(dpstack.UsageError, match=text):
+                valves.update(values)
+            assert valves.outputs == bytes(4)
+            with pytest.raises(dpstack.UsageError, match=r"no field is called 'lvel'; did you mean level\?"):
+                _ = valves["lvel"]
+
+    virtual(program())
+
+
+def test_where_nothing_is_named_and_where_a_plugin_writes() -> None:
+    async def program() -> None:
+        hoist = {**HOIST, "outputs": {"command": "u16@8"}}
+        async with bus_of(RAW, hoist) as bus:
+            with pytest.raises(dpstack.UsageError, match="no field is called 'a'; there are: none"):
+                _ = bus.slave("raw")["a"]
+            assert (bus.slave("raw").input_values, bus.slave("raw").output_values) == ({}, {})
+            assert bus.slave("hoist")["command"] == 0
+            with pytest.raises(dpstack.UsageError, match="its drive plugin makes the outputs"):
+                bus.slave("hoist")["command"] = 1
+
+    virtual(program())
+
+
+async def test_in_the_summary_and_through_the_control_socket() -> None:
+    async with bus_of(VALVES, {**HOIST, "outputs": {"command": "u16@8"}}) as bus, control_run(bus, "named"):
+        await bus.ready()
+        await bus.operate()
+        reader, writer = await asyncio.open_unix_connection(str(places.socket_path("named")))
+
+        async def ask(command: str, *args: str) -> Any:
+            writer.write(json.dumps({"command": command, "args": args}).encode() + b"\n")
+            answer = json.loads(await asyncio.wait_for(reader.readline(), 10))
+            return answer["result"] if answer["ok"] else answer["error"]
+
+        assert await ask("set", "valves.open=on", "8.target=-0x10") is None
+        valves = bus.slave(8)
+        assert valves.outputs == b"\x08\x00\xff\xf0"
+        while valves["level"] != -16:
+            await bus.rotated(bus.stats.rotations + 1, 10)
+        wanted = {"limit": True, "status": 8, "level": -16, "level_raw": "fff0"}
+        wanted |= {"open": True, "close": False, "target": -16}
+        assert (await ask("stats"))["slaves"]["8"]["fields"] == wanted
+        assert (await ask("status"))["slaves"]["8"]["fields"] == wanted
+        for args, text in (
+            (("8.open=off", "8.nonsense=1"), "no output is called 'nonsense'"),
+            (("8.open=off", "8.target=40000"), "target = 40000 is outside -32768..32767"),
+            (("8.open=off", "8.target=low"), "target = 'low' is no i16: write a number, for instance 12"),
+            (("8.open=off", "7.open=on"), "no slave '7' here; there are: 3 (hoist), 8 (valves)"),
+            (("8.open=off", "open=on"), "'open=on' is not SLAVE.FIELD=VALUE; write it as 8.limit=on"),
+            (("8.open=off", "3.command=1"), "its drive plugin makes the outputs"),
+        ):
+            assert text in await ask("set", *args)
+            assert valves["open"] is True
+        writer.close()

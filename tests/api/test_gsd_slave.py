@@ -1,0 +1,114 @@
+"""[[slave]] tables that name a GSD file: what follows from it, and every refusal."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from gsd_kit import FILES
+
+import dpstack
+from dpstack.api.config import Config, parse_config, rate_findings
+from dpstack.errors import ConfigError
+
+HEAD = '[bus]\nport = "virtual"\nbaud = 500000\n[[slave]]\nname = "io"\naddress = 8\n'
+
+
+def config(keys: str, name: str = "plant.toml") -> Config:
+    return parse_config(HEAD + keys, str(FILES / name))
+
+
+def test_what_follows_from_the_file() -> None:
+    found = config('gsd = "whole.gsd"\nmodules = ["8 DI", 2]\nparameters = { "Diagnosis" = "off", Delay = 100 }\n')
+    slave = found.slaves[0]
+    assert (slave.ident, slave.config.hex(" ")) == (0x1A2B, "10 20")
+    assert slave.user_prm.hex(" ") == "80 00 00 00 00 01 00 64"
+    assert (slave.input_len, slave.output_len) == (1, 1)
+    assert (slave.min_slave_interval_ns, slave.fail_safe) == (600_000, True)
+    assert (slave.setup(12_000_000).max_tsdr, slave.setup(19_200).max_tsdr) == (800, None)
+    assert slave.texts is not None
+    assert slave.texts.unit_diag_texts(b"\x01") == ("fuse blown",)
+    assert rate_findings(found, 500_000) == []
+    assert rate_findings(found, 19_200) == [
+        "slave 8 (io): by its GSD file it does not know 19.2 kbit/s; take another rate"
+    ]
+
+
+def test_both_readings_and_the_remark() -> None:
+    keys = 'gsd = "prm.gsd"\nmodules = ["AI"]\n'
+    refs = config(keys).slaves[0]
+    assert refs.user_prm.hex(" ") == "c0 00 00 d7 11 5f ff fe 00 00 00"
+    assert refs.notes == (
+        "slave 8 (io): in its GSD file the defaults of 4 parameters contradict the constant octets (the first: "
+        "0/Diagnosis@3.3: its default is 0 (off), the constant octets say 1 (on)); the defaults are used, "
+        'defaults = "const" takes the constants',
+    )
+    const = config(keys + 'defaults = "const"\n').slaves[0]
+    assert (const.user_prm.hex(" "), const.notes) == ("c0 00 00 ff 11 0f 00 05 00 00 00", ())
+    assert config(keys + 'defaults = "refs"\n').slaves[0].notes == ()
+
+
+def test_user_prm_in_place_of_the_files() -> None:
+    slave = config('gsd = "prm.gsd"\nmodules = ["PLAIN"]\nuser_prm = "01 02 03 04 05"\n').slaves[0]
+    assert slave.user_prm == bytes((1, 2, 3, 4, 5))
+
+
+def test_modules_as_the_file_presets_them() -> None:
+    assert config('gsd = "slots.gsd"\n').slaves[0].config == b"\x00\x11\x21"
+
+
+def test_an_absolute_path(tmp_path: Path) -> None:
+    text = HEAD + f'gsd = "{FILES / "slots.gsd"}"\n'
+    assert parse_config(text, str(tmp_path / "plant.toml")).slaves[0].ident == 0x0FFE
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ('gsd = "none.gsd"\n', "7: [[slave]] io: {files}/none.gsd: No such file or directory; give the path of a"),
+        ('gsd = "../test_constructs.py"\n', "7: [[slave]] io: {files}/../test_constructs.py:1: no GSD file: no line"),
+        ('gsd = "whole.gsd"\nmodules = ["8 DY"]\n', "8: [[slave]] io: there is no module '8 DY'; nearest are '8 DO'"),
+        ('gsd = "whole.gsd"\nmodules = "8 DI"\n', "8: [[slave]] io: modules = '8 DI' is no list of names and numbers"),
+        ('gsd = "equal_names.gsd"\n', "7: [[slave]] io: the device has 4 modules to choose from; name those "),
+        (
+            'gsd = "prm.gsd"\nmodules = [1]\nparameters = { "Ofset" = 3 }\n',
+            "9: [[slave]] io: there is no parameter 'Ofset'; nearest are 'Offset'",
+        ),
+        (
+            'gsd = "prm.gsd"\nmodules = [1]\nparameters = { Offset = 1000 }\n',
+            "9: [[slave]] io: 'Offset' = 1000 is not allowed; allowed are -100..100",
+        ),
+        (
+            'gsd = "prm.gsd"\nmodules = [1]\nparameters = { Offset = 1.5 }\n',
+            "9: [[slave]] io: parameter 'Offset' = 1.5; give a number or a text of its list",
+        ),
+        (
+            'gsd = "prm.gsd"\nmodules = [1]\nuser_prm = "01 02"\n',
+            "9: [[slave]] io: user_prm has 2 octets; with these modules 11 are wanted; correct it",
+        ),
+        ('gsd = "prm.gsd"\nmodules = [1]\ndefaults = "both"\n', "9: [[slave]] io: defaults = 'both'; it is \"refs\""),
+        ('gsd = "whole.gsd"\nconfig = "10"\n', "8: [[slave]] io: config beside gsd; leave config out, or gsd"),
+    ],
+)
+def test_refused(keys: str, message: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        config(keys)
+    assert str(caught.value).startswith(f"{FILES}/plant.toml:" + message.format(files=FILES))
+
+
+async def exchange() -> tuple[str, bytes]:
+    async with dpstack.open_bus(
+        port="virtual",
+        baud=500_000,
+        slaves=[{"name": "io", "address": 8, "gsd": str(FILES / "whole.gsd"), "modules": ["8 DO", "8 DI"]}],
+    ) as bus:
+        await bus.operate()
+        slave = bus.slave("io")
+        await slave.ready()
+        slave.outputs = b"\x5a"
+        await bus.rotated(10)
+        return slave.state.value, bytes(slave.inputs)
+
+
+def test_on_a_bus() -> None:
+    assert dpstack.run_virtual(exchange()) == ("data_exchange", b"\x5a")

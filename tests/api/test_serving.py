@@ -1,0 +1,249 @@
+"""serve_slave: a slave of one's own beside others, in a virtual world and on ptys."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from api_kit import bus_of, virtual
+from far_ends import open_slave, until
+from octet_wire import framed
+from support import WorldFactory
+
+import dpstack
+from dpstack import DpSlave, SlaveAppState, SlaveDescription
+from dpstack.dp.device import Leave
+from dpstack.dp.slave_events import AddressChanged, DeviceFailed
+from dpstack.drivers.segment import Segment
+from dpstack.errors import BusError, ConfigError, SlaveTimeout
+from dpstack.sim.world import World
+
+DATA_EXCH, WAIT_PRM = SlaveAppState.DATA_EXCH, SlaveAppState.WAIT_PRM
+RIG = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig")
+SLOW = SlaveDescription(ident=1, configs=RIG.configs, rates={9600: 60, 19200: 60})
+
+
+def mirror(outputs: bytes, elapsed: int) -> bytes:
+    return outputs
+
+
+def commissioned(**more: Any) -> DpSlave:
+    description = SlaveDescription(ident=0x1234, name="rig", configs=RIG.configs, set_slave_add=True)
+    return DpSlave(description, mirror, **more)
+
+
+def test_beside_a_master_in_one_world(world: WorldFactory) -> None:
+    async def program(w: World) -> None:
+        seen: list[str] = []
+        slave = DpSlave(RIG, lambda outputs, elapsed: bytes([outputs[0] + 1]), safe=b"\x0f", on_leave=left.append)
+        async with (
+            dpstack.serve_slave(slave, world=w, address=9, on_event=lambda e: seen.append(e.text)) as server,
+            bus_of(RIG.table(9), world=w) as bus,
+        ):
+            await bus.operate()
+            await server.slave.reached(DATA_EXCH, timeout=2)
+            bus.slave(9).outputs = b"\x41"
+            await bus.rotated(bus.stats.rotations + 3)
+            assert (server.slave.outputs, server.slave.inputs, bus.slave(9).inputs) == (b"\x41", b"\x42", b"\x42")
+            assert (server.slave.master, server.slave.address, server.slave.name) == (2, 9, "rig")
+            slave.diag = dpstack.UserDiag.of(dpstack.device_block(b"\x05"))
+            await bus.rotated(bus.stats.rotations + 5)
+            read = bus.slave(9).diagnosis
+            assert read is not None
+            assert read.ext == server.slave.diagnosis().ext == b"\x02\x05"
+        assert "rig): data_exchange" in " ".join(seen)
+
+    left: list[Leave] = []
+    w = world()
+    virtual(program(w))
+    assert left
+
+
+def test_a_function_that_raises_stops_its_slave_only(world: WorldFactory) -> None:
+    async def program(w: World) -> None:
+        given: list[bytes] = []
+        events: list[object] = []
+
+        def breaks(outputs: bytes, elapsed: int) -> bytes:
+            given.append(outputs)
+            if outputs == b"\x13":
+                raise ZeroDivisionError("13")
+            return outputs
+
+        slaves = {8: DpSlave(RIG, mirror), 9: DpSlave(RIG, breaks)}
+        async with (
+            dpstack.serve_slaves(slaves, world=w, on_event=events.append) as server,
+            bus_of(RIG.table(8) | {"name": "good"}, RIG.table(9) | {"name": "bad"}, world=w) as bus,
+        ):
+            good, bad = server.slaves
+            await bus.operate()
+            await bad.reached(DATA_EXCH, timeout=2)
+            bus.slave(9).outputs = b"\x13"
+            await bad.reached(WAIT_PRM, timeout=2)
+            assert given[-1] == b"\0"
+            assert bad.failure == "ZeroDivisionError: 13"
+            with pytest.raises(SlaveTimeout, match=r"slave 9 \(rig\) is still in .* its function failed"):
+                await bad.reached(DATA_EXCH, timeout=0.5)
+            read = bus.slave(9).diagnosis
+            assert read is not None
+            assert read.stat_diag
+            bus.slave(8).outputs = b"\x44"
+            await bus.rotated(bus.stats.rotations + 3)
+            assert good.outputs == b"\x44"
+            bus.slave(9).outputs = b"\x01"
+            bad.restart()
+            await bad.reached(DATA_EXCH, timeout=20)
+        assert [event.name for event in events if isinstance(event, DeviceFailed)] == ["rig"]
+
+    virtual(program(world()))
+
+
+@pytest.mark.parametrize("how", ["exit", "exception", "cancelled"])
+def test_outputs_are_safe_however_serving_ends(world: WorldFactory, how: str) -> None:
+    async def program(w: World) -> None:
+        given: list[bytes] = []
+
+        def log(outputs: bytes, elapsed: int) -> bytes:
+            given.append(outputs)
+            return outputs
+
+        async def serve() -> None:
+            async with dpstack.serve_slave(DpSlave(RIG, log, safe=b"\x0f"), world=w, address=9) as server:
+                await server.slave.reached(DATA_EXCH, timeout=2)
+                await asyncio.sleep(0.5)
+                if how == "exception":
+                    raise ZeroDivisionError
+                if how == "cancelled":
+                    await server.serve_forever()
+            with pytest.raises(BusError, match="served no more"):
+                await server.slave.reached(DATA_EXCH, timeout=1)
+
+        async with bus_of(RIG.table(9), world=w) as bus:
+            await bus.operate()
+            bus.slave(9).outputs = b"\x77"
+            task = asyncio.ensure_future(serve())
+            if how == "cancelled":
+                await asyncio.sleep(1)
+                task.cancel()
+            await asyncio.gather(task, return_exceptions=True)
+            assert given[-1] == b"\x0f"
+            assert b"\x77" in given
+
+    virtual(program(world()))
+
+
+def test_an_address_by_set_slave_add_is_kept_by_the_application(world: WorldFactory) -> None:
+    kept: list[tuple[int, bool, bytes]] = []
+    events: list[object] = []
+
+    async def program(w: World) -> None:
+        slave = commissioned(on_address=lambda address, fixed, rest: kept.append((address, fixed, rest)))
+        async with dpstack.serve_slave(slave, world=w, on_event=events.append) as server:
+            assert server.slave.address == 126
+            w.inject(bytes.fromhex(framed(0xFE, 0x82, 0x6D, "37 3E 09 12 34 01 AA")), baud=500_000)
+            await asyncio.sleep(0.01)
+            assert (server.slave.address, server.slave.address_fixed) == (9, True)
+            async with bus_of(RIG.table(9), world=w) as bus:
+                await bus.operate()
+                await server.slave.reached(DATA_EXCH, timeout=2)
+            server.slave.restart()
+            assert server.slave.address == 9
+            server.slave.initial_reset()
+            assert (server.slave.address, server.slave.address_fixed) == (126, False)
+
+    virtual(program(world()))
+    assert kept == [(9, True, b"\xaa"), (126, False, b"")]
+    assert [event.before for event in events if isinstance(event, AddressChanged)] == [126, 9]
+
+
+@pytest.mark.parametrize("wait", ["serve_forever", "reached"])
+def test_a_defect_of_ours_ends_serving_with_safe_outputs(
+    world: WorldFactory, monkeypatch: pytest.MonkeyPatch, wait: str
+) -> None:
+    async def program(w: World) -> None:
+        given: list[bytes] = []
+
+        def log(outputs: bytes, elapsed: int) -> bytes:
+            given.append(outputs)
+            return outputs
+
+        async with dpstack.serve_slave(DpSlave(RIG, log, safe=b"\x0f"), world=w, address=8) as server:
+            for unit in ("3D 3E 80 01 01 0B 12 34 00", "3E 3E 10 20"):
+                w.inject(bytes.fromhex(framed(0x88, 0x82, 0x6D, unit)), baud=500_000)
+                await asyncio.sleep(0.01)
+            assert server.slave.state is DATA_EXCH
+            monkeypatch.setattr("dpstack.dp.slaveapp.SlaveApp.serve", broken)
+            w.inject(bytes.fromhex(framed(0x88, 0x82, 0x6D, "3C 3E")), baud=500_000)
+            with pytest.raises(BusError, match=r"stopped by a defect in dpstack \(ZeroDivisionError: ours\)"):
+                await (server.serve_forever() if wait == "serve_forever" else server.slave.reached(WAIT_PRM, 5))
+            assert given == [b"\x0f"]
+            assert server.failure is not None
+
+    def broken(self: object, request: object, now: int) -> None:
+        raise ZeroDivisionError("ours")
+
+    virtual(program(world(referee=False)))
+
+
+def test_nobody_speaks_to_it(world: WorldFactory) -> None:
+    async def program(w: World) -> None:
+        async with dpstack.serve_slave(DpSlave(RIG, mirror), world=w, address=9) as server:
+            with pytest.raises(SlaveTimeout, match="no master has spoken to it; check address, baud rate and cable"):
+                await server.slave.reached(DATA_EXCH, timeout=1)
+
+    virtual(program(world()))
+
+
+@pytest.mark.parametrize(
+    ("make", "text"),
+    [
+        (lambda: dpstack.serve_slave(DpSlave(RIG, mirror), port="/dev/x", baud=500_000), "no address"),
+        (lambda: dpstack.serve_slave(DpSlave(RIG, mirror), baud=500_000, address=3), "no port"),
+        (lambda: dpstack.serve_slave(DpSlave(RIG, mirror), port="/dev/x", address=3), "no baud"),
+        (lambda: dpstack.serve_slave(DpSlave(RIG, mirror), port="/dev/x", baud=1, address=3), "1"),
+        (lambda: dpstack.serve_slave(DpSlave(RIG, mirror), world=World(), address=127), "must be 0..126"),
+        (lambda: dpstack.serve_slaves({}, world=World()), "no slave to serve"),
+        (
+            lambda: dpstack.serve_slave(DpSlave(SLOW, mirror), world=World(), address=3),
+            "it has no 500 kbit/s; it knows",
+        ),
+    ],
+)
+def test_impossible_arguments(make: Callable[[], object], text: str) -> None:
+    with pytest.raises(ConfigError, match=text):
+        make()
+
+
+# --- on ptys: what happens, never when ----------------------------------------------------------------------------
+
+
+async def test_on_a_port_octet_by_octet(tmp_path: Path) -> None:
+    given: list[bytes] = []
+
+    def log(outputs: bytes, elapsed: int) -> bytes:
+        given.append(outputs)
+        return outputs
+
+    async with Segment(2, tmp_path / "bus", baud=500_000) as segment:
+        async with dpstack.serve_slave(DpSlave(RIG, log), port=segment.paths[1], baud=500_000, address=8) as server:
+            far = open_slave(segment.paths[0])
+            try:
+                for request, answer in [
+                    (framed(0x88, 0x82, 0x6D, "3D 3E 80 01 01 0B 12 34 00"), "e5"),
+                    (framed(0x88, 0x82, 0x5D, "3E 3E 10 20"), "e5"),
+                    ("68 04 04 68 08 02 7D 55 DC 16", "68 04 04 68 02 08 08 55 67 16"),
+                ]:
+                    far.send(bytes.fromhex(request))
+                    octets = bytes.fromhex(answer)
+                    assert await far.recv(len(octets)) == octets
+                await until(lambda: server.slave.state is DATA_EXCH, "data exchange")
+                assert server.slave.outputs == b"\x55"
+                server.slave.restart()
+                assert server.slave.state is WAIT_PRM
+            finally:
+                far.hang_up()
+            assert server.port_name
+        assert given == [b"\x55", b"\0"]

@@ -1,0 +1,128 @@
+"""Standard output that nobody reads: the bus goes on, the program ends in order."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from programs import PLANT, Starter
+
+from dpstack.api.control.client import connect
+from dpstack.cli.outlet import LIMIT, Queue
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Starter]:
+    folder = tmp_path / "output"
+    folder.mkdir()
+    starter = Starter(folder)
+    yield starter
+    starter.close()
+
+
+@pytest.fixture
+def full_pipe() -> Iterator[tuple[int, int]]:
+    """Both ends of a pipe that takes no octet more."""
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    for piece in (b"before\n" * 100, b"\n"):
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                os.write(writing, piece)
+    os.set_blocking(writing, True)
+    yield reading, writing
+    os.close(reading)
+    os.close(writing)
+
+
+def queue(lost: list[OSError]) -> Queue:
+    return Queue(lambda lines: f"({lines} missing)", lost.append)
+
+
+def test_what_finds_no_room_is_counted_and_told_later(full_pipe: tuple[int, int]) -> None:
+    reading, writing = full_pipe
+    lost: list[OSError] = []
+    waiting = queue(lost)
+    count = LIMIT // 8 + 1000
+    for number in range(count):
+        waiting.put(writing, b"%07d\n" % number)  # a line of 8 octets: LIMIT // 8 of them find room
+    got = bytearray()
+
+    def read() -> None:
+        while not got.endswith(b"the end\n"):
+            got.extend(os.read(reading, 65_536))
+
+    reader = threading.Thread(target=read)
+    reader.start()
+    assert waiting.drained(writing)
+    waiting.put(writing, b"the end\n")
+    reader.join(20)
+    lines = got.decode().split()
+    lines = lines[lines.index("0000000") :]
+    kept = LIMIT // 8
+    assert lines[:kept] == [f"{number:07d}" for number in range(kept)]
+    assert lines[kept:] == [f"({count - kept}", "missing)", "the", "end"]
+    assert lost == []
+
+
+def test_a_reader_that_goes_away_is_told_once() -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    told = threading.Event()
+    lost: list[OSError] = []
+
+    def on_lost(error: OSError) -> None:
+        lost.append(error)
+        told.set()
+
+    waiting = Queue(str, on_lost)
+    waiting.put(writing, b"for nobody\n")
+    assert told.wait(20)
+    waiting.put(writing, b"for nobody\n")
+    assert waiting.drained(writing)
+    assert [type(error) for error in lost] == [BrokenPipeError]
+    os.close(writing)
+
+
+def test_run_keeps_its_bus_going_when_nobody_reads(tmp_path: Path, start: Starter, full_pipe: tuple[int, int]) -> None:
+    _, writing = full_pipe
+    directory = tmp_path / "bus"
+    start("segment", "--stations", "2", "--dir", str(directory)).wait_for(str(directory / "1"))
+    config = tmp_path / "plant.toml"
+    config.write_text(PLANT.format(port=directory / "1"), encoding="utf-8")
+    sim = start("sim", str(config), "--port", str(directory / "0"), "--json")
+    command = [sys.executable, "-m", "dpstack.cli.main", "run", str(config), "--json"]
+    with subprocess.Popen(command, stdout=writing, stderr=subprocess.PIPE) as run:
+        try:
+            sim.wait_for('"state":"data_exchange"', 3)
+            before = _exchanges(directory / "1")
+            end = time.monotonic() + 20
+            while any(now < was + 100 for now, was in zip(_exchanges(directory / "1"), before, strict=True)):
+                assert time.monotonic() < end, "the bus does not go on"
+                time.sleep(0.02)
+            run.send_signal(signal.SIGINT)
+            assert run.wait(20) == 1
+        finally:
+            run.kill()
+        assert b"cannot be written (nobody has read it" in (run.stderr.read() if run.stderr else b"")
+
+
+def test_standard_error_nobody_reads_does_not_hold_up_the_end(tmp_path: Path, full_pipe: tuple[int, int]) -> None:
+    _, writing = full_pipe
+    config = tmp_path / "plant.toml"
+    config.write_text(PLANT.format(port="virtual"), encoding="utf-8")
+    command = [sys.executable, "-m", "dpstack.cli.main", "run", str(config), "--rotations", "5"]
+    assert subprocess.run(command, stdout=writing, stderr=writing, timeout=60, check=False).returncode == 1
+
+
+def _exchanges(port: Path) -> list[int]:
+    with connect(str(port)) as client:
+        return [slave["exchanges"] for slave in client.call("stats")["slaves"].values()]

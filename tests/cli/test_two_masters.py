@@ -1,0 +1,109 @@
+"""Two masters with slaves of their own on one segment, and a scan and a search for the rate beside them.
+
+Assert what happens, never when: the short run takes what time it needs, the long one is for ``make soak``.
+"""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from programs import Program, Starter
+
+RATE = 187_500
+SLAVE = """
+[[slave]]
+name = "s{address}"
+address = {address}
+ident = 0x1234
+config = "20 10"
+"""
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Starter]:
+    folder = tmp_path / "output"
+    folder.mkdir()
+    starter = Starter(folder)
+    yield starter
+    starter.close()
+
+
+class Plant:
+    """``dpstack segment`` with ``stations``: all slaves on 0, master 2 on 1, master 5 on 2, both running."""
+
+    SLAVES = {2: (10, 11), 5: (20, 21)}
+
+    def __init__(self, folder: Path, start: Starter, stations: int) -> None:
+        self.start = start
+        self.bus = folder / "bus"
+        segment = start("segment", "--stations", str(stations), "--dir", str(self.bus), "--baud", str(RATE))
+        segment.wait_for(str(self.bus / str(stations - 1)))
+        everybody = self._config(folder, 9, sum(self.SLAVES.values(), ()))
+        self.sim = start("sim", everybody, "--port", str(self.bus / "0"))
+        self.sim.wait_for("s21")
+        self.runs: list[Program] = []
+        for number, (address, slaves) in enumerate(self.SLAVES.items(), 1):
+            config = self._config(folder, address, slaves)
+            self.runs.append(start("run", config, "--port", str(self.bus / str(number)), "--json"))
+        for run in self.runs:
+            run.wait_for('"state":"data_exchange"', 2, limit=60)
+
+    def _config(self, folder: Path, address: int, slaves: tuple[int, ...]) -> str:
+        path = folder / f"master{address}.toml"
+        tables = "".join(SLAVE.format(address=slave) for slave in slaves)
+        path.write_text(f'[bus]\nport = "virtual"\nbaud = {RATE}\naddress = {address}\n{tables}', encoding="utf-8")
+        return str(path)
+
+    def scan(self, station: int) -> Program:
+        return self.start("scan", "--port", str(self.bus / str(station)), "--baud", str(RATE), "--json")
+
+    def baud(self, station: int) -> Program:
+        return self.start("baud", "--port", str(self.bus / str(station)), "--timeout", "20", "--json")
+
+    def judge_scan(self, scan: Program) -> None:
+        assert scan.end(limit=90) == 0, scan.err
+        found = {station["address"]: station["master"] for station in scan.lines[-1]["stations"]}
+        # who answers later than 2 ms twice is not in the list: a busy computer may hide one, never invent one
+        known = {2: None, 5: None, **{slave: master for master, slaves in self.SLAVES.items() for slave in slaves}}
+        assert found
+        assert all(found[address] in (known[address], None) for address in found)
+
+    def judge_baud(self, baud: Program) -> None:
+        assert baud.end(limit=60) == 0, baud.err
+        assert baud.lines[-1]["baud"] == RATE
+
+    def end(self) -> None:
+        """Every slave is in data exchange with its master until the end."""
+        for run in self.runs:
+            assert run.process.poll() is None, run.err
+            assert run.end(signal.SIGINT) == 0, run.err
+            slaves = run.lines[-1]["slaves"].values()
+            assert all(slave["state"] == "data_exchange" and slave["exchanges"] > 20 for slave in slaves)
+        first, second = (run.out for run in self.runs)
+        assert "master 5 joined the token ring" in first
+        assert "master 2 joined the token ring" in second
+
+
+def test_two_masters_a_scan_and_a_search_at_once(tmp_path: Path, start: Starter) -> None:
+    plant = Plant(tmp_path, start, 5)
+    scan, baud = plant.scan(3), plant.baud(4)
+    plant.judge_baud(baud)
+    plant.judge_scan(scan)
+    plant.end()
+
+
+@pytest.mark.soak
+def test_a_minute_with_scan_and_search_at_once(tmp_path: Path, start: Starter) -> None:
+    """No slave is lost (on a computer that has the time: five programs want more than one core)."""
+    plant = Plant(tmp_path, start, 5)
+    end = time.monotonic() + 60
+    while time.monotonic() < end:
+        scan, baud = plant.scan(3), plant.baud(4)
+        plant.judge_baud(baud)
+        plant.judge_scan(scan)
+    plant.end()
+    assert all('"kind":"lost"' not in run.out for run in plant.runs)

@@ -1,0 +1,180 @@
+"""Named process data: declarations, values against literal octets, only the own bits change."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dpstack.dp.fields import Field, FieldMap, Value, as_json, field_of, overlap
+from dpstack.errors import ConfigError
+
+OCTETS = bytes.fromhex("80 01 FF FE 7F FF FF FF 3F C0 00 00 00 00 00 05")
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("bool@0.7", True),
+        ("bool@0.0", False),
+        ("bool@1.0", True),
+        ("u8@0", 0x80),
+        ("i8@0", -128),
+        ("u16@0", 0x8001),
+        ("i16@2", -2),
+        ("i16le@2", -257),
+        ("u16le@0", 0x0180),
+        ("u32@4", 0x7FFFFFFF),
+        ("i32@2", -98305),
+        ("u32le@0", 0xFEFF0180),
+        ("f32@8", 1.5),
+        ("u64@8", 0x3FC0_0000_0000_0005),
+        ("i64le@8", 0x0500_0000_0000_C03F),
+        ("f64@8", 0.12500000000000014),
+        ("bytes@14:2", b"\x00\x05"),
+        (" I16 @ 2 ", -2),
+    ],
+)
+def test_reading_literal_octets(text: str, value: Value) -> None:
+    found = Field.parse("x", text)
+    assert found.get(OCTETS) == value
+    assert type(found.get(OCTETS)) is type(value)
+    assert Field.parse("x", found.spec) == found
+    assert found.put(bytes(16), value) == bytes(o & m for o, m in zip(OCTETS, _mask(found), strict=True))
+
+
+def _mask(found: Field) -> bytes:
+    return found.mask.to_bytes(16, "little")
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "line"),
+    [
+        ("a", "i16", 'a = "i16" is no field; write TYPE@OCTET, for instance "bool@0.3" or "i16@2"'),
+        ("a", "@2", "a: unknown type ''; known types: bool, u8, i8, u16"),
+        ("a", "int16@2", "a: unknown type 'int16'; did you mean 'i16'?"),
+        ("a", "word@2", "a: unknown type 'word'; known types: bool, u8"),
+        ("a", "boolle@2.1", "a: unknown type 'boolle'; did you mean 'bool'?"),
+        ("a", "bool@2", 'a = "bool@2": no bit; write for instance "bool@0.3"'),
+        ("a", "bool@2.8", 'a = "bool@2.8": bit 8; an octet has bits 0..7'),
+        ("a", "i16@2.1", 'a = "i16@2.1": i16 has no bit; a bit is a bool: leave the point out'),
+        ("a", "i16@2:2", 'a = "i16@2:2": a length; only bytes have one: leave it out'),
+        ("a", "bytes@2", 'a = "bytes@2": no length; write for instance "bytes@4:3"'),
+        ("a", "bytes@2:0", 'a = "bytes@2:0": no octets; give a length of 1 or more'),
+        ("a", "i16@-1", 'a = "i16@-1" is no field;'),
+        ("a", "i16@7", 'a = "i16@7" ends in octet 8; its configuration has octets 0..7 of inputs'),
+        ("a", "bool@8.0", 'a = "bool@8.0" ends in octet 8; its configuration has octets 0..7 of inputs'),
+        ("a", "bytes@0:9", 'a = "bytes@0:9" ends in octet 8;'),
+        ("a.b", "i16@0", "'a.b' is no name for a field; use letters, digits, _ and -, a letter first"),
+        ("", "i16@0", "'' is no name for a field;"),
+        ("1", "i16@0", "'1' is no name for a field;"),
+        ("a ", "i16@0", "'a ' is no name for a field;"),
+    ],
+)
+def test_declarations_that_cannot_be(name: str, text: str, line: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        field_of(name, text, 8, "inputs")
+    assert str(caught.value).startswith(line)
+
+
+def test_a_slave_without_any() -> None:
+    with pytest.raises(ConfigError, match='a = "u8@0" ends in octet 0; it has no outputs'):
+        field_of("a", "u8@0", 0, "outputs")
+
+
+@pytest.mark.parametrize(
+    ("text", "value", "line"),
+    [
+        ("bool@0.0", 2, "x is a bit: 2 is neither true nor false"),
+        ("bool@0.0", 1.0, "x is a bit: 1.0 is neither"),
+        ("bool@0.0", "on", "x is a bit: 'on' is neither"),
+        ("u8@0", 256, "x = 256 is outside 0..255 (u8)"),
+        ("u8@0", -1, "x = -1 is outside 0..255 (u8)"),
+        ("i16@0", 32768, "x = 32768 is outside -32768..32767 (i16)"),
+        ("i16@0", 1.0, "x is i16, a whole number: 1.0 is none"),
+        ("i16@0", True, "x is i16, a whole number: True is none"),
+        ("u64@0", 1 << 64, "x = 18446744073709551616 is outside 0..18446744073709551615 (u64)"),
+        ("f32@0", 1e39, "x = 1e+39 is no number that f32 can hold"),
+        ("f32@0", math.nan, "x = nan is no number that f32 can hold"),
+        ("f64@0", 10**400, "x = 1000"),
+        ("f64@0", "1", "x is f64, a number: '1' is none"),
+        ("bytes@0:2", b"\1", "x has 2 octets: 1 octets cannot be put there"),
+        ("bytes@0:2", "00ff", "x has 2 octets: '00ff' cannot be put there"),
+    ],
+)
+def test_values_that_do_not_fit(text: str, value: object, line: str) -> None:
+    with pytest.raises(ValueError) as caught:
+        Field.parse("x", text).put(bytes(8), value)
+    assert str(caught.value).startswith(line)
+
+
+@pytest.mark.parametrize(
+    ("text", "typed", "value"),
+    [
+        ("bool@0.0", "On", True),
+        ("bool@0.0", "0", False),
+        ("i16@0", " -12 ", -12),
+        ("u16@0", "0x10", 16),
+        ("f32@0", "1.5", 1.5),
+        ("bytes@0:2", "00 ff", b"\x00\xff"),
+    ],
+)
+def test_values_as_people_write_them(text: str, typed: str, value: Value) -> None:
+    assert Field.parse("x", text).read(typed) == value
+
+
+@pytest.mark.parametrize(("text", "how"), [("bool@0.0", "on or off"), ("i16@0", "a number"), ("bytes@0:1", "hex dig")])
+def test_what_people_wrote_wrongly(text: str, how: str) -> None:
+    with pytest.raises(ValueError, match=f"x = 'maybe' is no .*: write {how}"):
+        Field.parse("x", text).read("maybe")
+
+
+_TYPES = st.sampled_from(
+    ("u8", "i8", "u16", "i16", "u32", "i32", "u64", "i64", "f32", "f64", "u16le", "i32le", "f64le", "bool", "bytes")
+)
+
+
+@st.composite
+def _fields(draw: st.DrawFn) -> Field:
+    kind, octet = draw(_TYPES), draw(st.integers(0, 12))
+    tail = f".{draw(st.integers(0, 7))}" if kind == "bool" else f":{draw(st.integers(1, 8))}" if kind == "bytes" else ""
+    return Field.parse("x", f"{kind}@{octet}{tail}")
+
+
+@given(_fields(), st.binary(min_size=20, max_size=20), st.binary(min_size=20, max_size=20))
+def test_writing_changes_its_own_bits_only(found: Field, octets: bytes, others: bytes) -> None:
+    value = found.get(octets)
+    if isinstance(value, float) and not math.isfinite(value):
+        return
+    made = found.put(others, value)
+    assert len(made) == 20
+    mask = found.mask.to_bytes(20, "little")
+    assert made == bytes(o & m | p & ~m for o, m, p in zip(octets, mask, others, strict=True))
+    assert found.get(made) == value
+
+
+def test_overlaps() -> None:
+    def fields(*texts: str) -> dict[str, Field]:
+        return {f"f{n}": Field.parse(f"f{n}", text) for n, text in enumerate(texts)}
+
+    assert overlap(fields("bool@0.0", "bool@0.1", "u8@1", "i16@2", "bytes@4:2")) is None
+    for texts in (("bool@0.3", "bool@0.3"), ("u8@0", "bool@0.7"), ("i32@0", "i16@3"), ("bytes@0:4", "u8@3")):
+        shared = overlap(fields("u8@9", *texts))
+        assert shared is not None
+        assert (shared[0].name, shared[1].name) == ("f2", "f1")
+
+
+def test_an_image_that_is_too_short_has_no_values() -> None:
+    fields = FieldMap({"a": Field.parse("a", "i16@2")}, 4)
+    assert fields.values(bytes(4)) == {"a": 0}
+    assert fields.values(bytes(3)) == {}
+    assert "a" in fields
+    assert list(fields) == ["a"]
+    assert len(fields) == 1
+
+
+def test_json() -> None:
+    values: dict[str, Value] = {"a": b"\x00\xff", "b": math.inf, "c": 1.5, "d": True}
+    assert as_json(values) == {"a": "00ff", "b": None, "c": 1.5, "d": True}

@@ -1,0 +1,250 @@
+"""The diagnosis that an application sets: blocks octet by octet, when it is fetched, what a lost answer does."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from octet_wire import PARAMS, Wire, framed
+from slave_kit import CFG, MASTER, PRM, SLAVE, Bench
+
+from dpstack.dp.dp_slave import DpSlave
+from dpstack.dp.ext_diagnosis import Block, split_blocks
+from dpstack.dp.slave_description import SlaveDescription
+from dpstack.dp.slaveapp import SlaveApp, make_slave
+from dpstack.dp.user_diag import (
+    NO_DIAG,
+    UserDiag,
+    channel_block,
+    device_block,
+    identifier_block,
+    revision_block,
+)
+from dpstack.errors import PduError
+from dpstack.fdl.telegram import Kind, Resp, Telegram
+
+
+def slave(**more: Any) -> DpSlave:
+    description = SlaveDescription(ident=0x0A35, configs=(CFG,), name="own", **more)
+    return DpSlave(description, lambda outputs, elapsed: outputs)
+
+
+# --- blocks (protocol facts B1) -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("block", "octets"),
+    [
+        (device_block(b"\x12\x34"), "03 12 34"),
+        (device_block(bytes(62)), "3F" + " 00" * 62),
+        (identifier_block([0, 3], 6), "42 09"),
+        (identifier_block([8], 9), "43 00 01"),
+        (identifier_block([], 1), "42 00"),
+        (channel_block(2, 5, 6, size=1, input=True), "82 45 26"),  # module 2, input channel 5, bit: line break
+        (channel_block(63, 63, 31, size=7, input=True, output=True), "BF FF FF"),
+        (channel_block(0, 1, 1, output=True), "80 81 01"),
+        (revision_block(5), "C5"),
+    ],
+)
+def test_blocks(block: Block, octets: str) -> None:
+    wanted = bytes.fromhex(octets)
+    assert block.octets == wanted
+    assert split_blocks(wanted) == ((block,), None)  # read back, it is the same
+
+
+@pytest.mark.parametrize(
+    ("make", "text"),
+    [
+        (lambda: device_block(b""), "0 octets; 1..62"),
+        (lambda: device_block(bytes(63)), "63 octets; 1..62"),
+        (lambda: identifier_block([6], 6), "module 6 of 6"),
+        (lambda: identifier_block([-1], 6), "module -1"),
+        (lambda: identifier_block([], 0), "0 octets"),
+        (lambda: channel_block(64, 0, 1), "identifier = 64"),
+        (lambda: channel_block(0, 64, 1), "channel = 64"),
+        (lambda: channel_block(0, 0, 32), "error = 32"),
+        (lambda: channel_block(0, 0, 1, size=8), "size = 8"),
+        (lambda: revision_block(64), "value = 64"),
+    ],
+)
+def test_what_does_not_fit_a_block(make: Callable[[], Block], text: str) -> None:
+    with pytest.raises(PduError, match=text):
+        make()
+
+
+@given(
+    st.lists(
+        st.one_of(
+            st.binary(min_size=1, max_size=62).map(device_block),
+            st.integers(1, 400).flatmap(
+                lambda n: st.lists(st.integers(0, n - 1), max_size=9).map(lambda faulty: identifier_block(faulty, n))
+            ),
+            st.builds(
+                channel_block,
+                st.integers(0, 63),
+                st.integers(0, 63),
+                st.integers(0, 31),
+                size=st.integers(0, 7),
+                input=st.booleans(),
+                output=st.booleans(),
+            ),
+            st.integers(0, 63).map(revision_block),
+        ),
+        max_size=12,
+    ),
+    st.integers(0, 238),
+)
+def test_any_blocks_come_back_and_are_cut_between_blocks(blocks: list[Block], room: int) -> None:
+    diag = UserDiag.of(*blocks)
+    assert split_blocks(diag.ext) == (tuple(blocks), None)
+    cut = diag.limited(room)
+    kept, finding = split_blocks(cut.ext)
+    assert finding is None
+    assert kept == tuple(blocks)[: len(kept)]
+    assert len(cut.ext) <= room
+    assert cut.overflow is (len(diag.ext) > room)
+
+
+# --- in the slave's diagnosis -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("diag", "octets"),
+    [
+        (NO_DIAG, "00 0C 00 02 0A 35"),
+        (UserDiag.of(device_block(b"\x01")), "08 0C 00 02 0A 35 02 01"),
+        (UserDiag.of(device_block(b"\x01"), fault=False), "00 0C 00 02 0A 35 02 01"),  # a mere message
+        (UserDiag.of(stat=True), "00 0E 00 02 0A 35"),
+        (UserDiag.of(fault=True), "08 0C 00 02 0A 35"),
+        (UserDiag.of(revision_block(1), stat=True, overflow=True), "08 0E 80 02 0A 35 C1"),
+        (
+            UserDiag.of(device_block(b"\x01"), identifier_block([1], 8), channel_block(1, 0, 6, input=True)),
+            "08 0C 00 02 0A 35 02 01 42 02 81 40 06",
+        ),
+    ],
+)
+def test_what_is_set_is_what_is_read(diag: UserDiag, octets: str) -> None:
+    device = slave()
+    bench = Bench(device).up()
+    device.diag = diag
+    assert bench.diag() == bytes.fromhex(octets)
+    assert bench.app.diagnosis(0).build() == bytes.fromhex(octets)
+
+
+@pytest.mark.parametrize("diag", [UserDiag.of(stat=True), UserDiag.of(fault=True), UserDiag.of(overflow=True)])
+def test_every_change_is_fetched(diag: UserDiag) -> None:
+    device = slave()
+    bench = Bench(device).up()
+    assert bench.dx().status is Resp.DL
+    for present in (diag, NO_DIAG):
+        device.diag = present
+        assert [bench.dx().status, bench.dx().status] == [Resp.DH, Resp.DH]
+        bench.diag()
+        assert bench.dx().status is Resp.DL
+
+
+def test_what_was_taken_back_before_anybody_read_it_is_no_news() -> None:
+    device = slave()
+    bench = Bench(device).up()
+    device.diag = UserDiag.of(stat=True)
+    assert bench.dx().status is Resp.DH
+    device.diag = NO_DIAG
+    assert bench.dx().status is Resp.DL
+
+
+@pytest.mark.parametrize(("room", "octets"), [(6, ""), (7, ""), (8, "02 01"), (10, "02 01"), (11, "02 01 81 40 06")])
+def test_more_than_max_diag_data_len_overflows_between_blocks(room: int, octets: str) -> None:
+    """What is left out is whole blocks: a block cut short would lie about its length."""
+    device = slave(max_diag_len=room)
+    device.diag = UserDiag.of(device_block(b"\x01"), channel_block(1, 0, 6, input=True), revision_block(3))
+    bench = Bench(device).up()
+    assert bench.diag() == bytes.fromhex("08 0C 80 02 0A 35" + octets)
+
+
+def test_diag_is_set_as_a_whole_or_not_at_all() -> None:
+    device = slave()
+    wrong: Any = b"\x02\x01"
+    with pytest.raises(TypeError, match="diag is a UserDiag"):
+        device.diag = wrong
+    wrong = "no octets"
+    with pytest.raises(TypeError, match="bytes, not str"):
+        UserDiag(wrong)
+    assert device.diag is NO_DIAG
+
+
+# --- lost answers -------------------------------------------------------------------------------------------------
+
+
+def request(bench: Bench, fc: int, dsap: int | None, data: bytes = b"") -> Resp:
+    reply = bench.app.serve(Telegram(Kind.SD2, SLAVE, MASTER, fc, dsap, None if dsap is None else 62, data), 0)
+    assert reply is not None
+    return reply.status
+
+
+def test_a_master_that_goes_on_has_read_it() -> None:
+    device = slave()
+    bench = Bench(device).up()
+    device.diag = UserDiag.of(device_block(b"\x01"))
+    assert request(bench, 0x5D, None, b"\1") is Resp.DH
+    request(bench, 0x7D, 60)
+    assert request(bench, 0x5D, None, b"\1") is Resp.DL
+
+
+@pytest.mark.parametrize("between", [None, 59])
+def test_a_master_that_takes_the_station_up_afresh_has_not(between: int | None) -> None:
+    """FCV 0, FCB 1 after the diagnosis: every attempt to get it failed (A4)."""
+    device = slave()
+    bench = Bench(device).up()
+    device.diag = UserDiag.of(device_block(b"\x01"))
+    request(bench, 0x7D, 60)
+    if between is not None:
+        request(bench, 0x6D, between)
+        assert request(bench, 0x5D, None, b"\1") is Resp.DH
+    else:
+        assert request(bench, 0x6D, None, b"\1") is Resp.DH
+    request(bench, 0x7D, 60)
+    assert request(bench, 0x5D, None, b"\1") is Resp.DL
+
+
+def test_a_repeated_request_gets_the_same_diagnosis_again_on_the_wire() -> None:
+    """The answer was lost; meanwhile the application says something else: that is fetched after it, neither lost nor
+    doubled."""
+    device = slave()
+    wire = Wire(make_slave(8, device, PARAMS))
+    wire.ask(framed(0x88, 0x82, 0x6D, "3D 3E 80 01 01 0B 0A 35 00"))
+    wire.ask(framed(0x88, 0x82, 0x5D, "3E 3E 10 20"))
+    device.diag = UserDiag.of(device_block(b"\x01"))
+    assert wire.ask("68 04 04 68 08 02 7D 55 DC 16") == "68 04 04 68 02 08 0A 55 69 16"  # DH
+    first = wire.ask(framed(0x88, 0x82, 0x5D, "3C 3E"))
+    assert first == framed(0x82, 0x88, 0x08, "3E 3C 08 04 00 02 0A 35 02 01").upper()
+    device.diag = UserDiag.of(device_block(b"\x02"))
+    assert wire.ask(framed(0x88, 0x82, 0x5D, "3C 3E")) == first
+    assert wire.ask("68 04 04 68 08 02 7D 55 DC 16") == "68 04 04 68 02 08 0A 55 69 16"  # DH: the second one
+    second = wire.ask(framed(0x88, 0x82, 0x5D, "3C 3E"))
+    assert second == framed(0x82, 0x88, 0x08, "3E 3C 08 04 00 02 0A 35 02 02").upper()
+    assert wire.ask("68 04 04 68 08 02 7D 55 DC 16") == "68 04 04 68 02 08 08 55 67 16"  # DL
+
+
+def test_a_new_owner_reads_it_too() -> None:
+    device = slave()
+    device.diag = UserDiag.of(device_block(b"\x01"))
+    bench = Bench(device).up()
+    assert bench.dx().status is Resp.DH
+    bench.diag()
+    assert bench.dx().status is Resp.DL
+    bench.up(PRM)
+    assert bench.dx().status is Resp.DH
+
+
+def test_a_device_that_returns_no_diagnosis_fails_alone() -> None:
+    class Lies(DpSlave):
+        def user_diag(self) -> Any:
+            return "ill"
+
+    bench = Bench(Lies(SlaveDescription(ident=0x0A35, configs=(CFG,)), lambda outputs, elapsed: outputs))
+    assert isinstance(bench.app, SlaveApp)
+    assert bench.diag()[:2] == b"\x02\x07"
+    assert bench.app.failure == "TypeError: user_diag() returned str, a UserDiag is wanted"

@@ -1,0 +1,182 @@
+"""What is wrong in a GSD file is told with line, column and severity; nothing raises, nothing is half-applied."""
+
+from __future__ import annotations
+
+import gsd_kit
+import pytest
+from gsd_kit import made, texts
+
+from dpstack.errors import ConfigError, GsdError
+from dpstack.gsd.parser import load_gsd, parse_gsd
+from dpstack.gsd.text import MAX_OCTETS
+from dpstack.trace import Severity
+
+
+@pytest.mark.parametrize(
+    ("octets", "message"),
+    [
+        (b"", "the file is empty; get a whole copy of it"),
+        (b"\r\n \t\n\x00\x1a", "the file is empty; get a whole copy of it"),
+        (b"<?xml version='1.0'?>", "no GSD file but an XML or HTML text, perhaps a GSDML file of PROFINET"),
+        (b"\xef\xbb\xbf<ISO15745Profile>", "no GSD file but an XML or HTML text"),
+        (b"PK\x03\x04rest", "no GSD file but a ZIP archive: unpack it"),
+        (b"BM\0\0", "no GSD file but a bitmap"),
+        (b"%PDF-1.4", "no GSD file but a PDF document"),
+        (b"[bus]\nport = 1\n", "no GSD file: no line #Profibus_DP; give the .gsd"),
+        (b"#Profibus_DP\nbut nothing else\n", "nothing to use: neither Ident_Number nor a module is in it"),
+        (b'text = "#Profibus_DP"\n', "no GSD file: no line #Profibus_DP"),
+        (bytes(range(256)) * 300, "no GSD file: no line #Profibus_DP"),
+        (b"x" * (MAX_OCTETS + 1), "no GSD file: more than 8 MB"),
+    ],
+)
+def test_what_is_no_gsd_file(octets: bytes, message: str) -> None:
+    file = parse_gsd(octets, "x.gsd")
+    assert file.fatal is not None
+    assert file.fatal.message.startswith(message)
+    assert file.of(Severity.ERROR)
+    with pytest.raises(GsdError) as caught:
+        load_gsd(octets, "x.gsd")
+    assert str(caught.value) == f"x.gsd:1: {file.fatal.message}"
+    assert isinstance(caught.value, ConfigError)
+
+
+def test_fifty_megabytes_of_noise() -> None:
+    assert parse_gsd(b"#Profibus_DP\n" + b"\xa5\x00;\\\n" * 10_000_000).fatal is not None
+
+
+@pytest.mark.parametrize(
+    ("text", "wanted"),
+    [
+        ('Text(0) = "a"\n', "5:1: warning: Text does not belong here (outside of all blocks); kept as it stands"),
+        ("EndModule\n", "5:1: warning: EndModule ends nothing here; it is skipped"),
+        ("Max_Module = many\n", "5:14: warning: Max_Module = many is no number; left out"),
+        ("Max_Input_Len = 245\n", "5:17: warning: Max_Input_Len = 245 is outside 0..244"),
+        ('Vendor_Name = "open\n', "5:15: warning: Vendor_Name: the text has no closing quote"),
+        (
+            "Ext_User_Prm_Data_Ref(a) = 1\n",
+            "5:28: warning: Ext_User_Prm_Data_Ref(a) = 1 cannot be read; it is left out",
+        ),
+        (
+            "Ext_User_Prm_Data_Const(0) = 256\n",
+            "5:30: warning: Ext_User_Prm_Data_Const(0) = 256 cannot be read; it is left out",
+        ),
+        (
+            "Ext_User_Prm_Data_Ref(0) = 5\n",
+            "5:1: warning: ExtUserPrmData 5 is referred to but nowhere defined; the reference is skipped",
+        ),
+        (
+            'PrmText = 1\nText(x) = "a"\nEndPrmText\n',
+            "6:11: warning: Text: x in parentheses is no number; this value is left out",
+        ),
+        (
+            'PrmText = one\nText(0) = "a"\nEndPrmText\n',
+            "5:11: warning: PrmText = one is not a number; the block is kept as it stands",
+        ),
+        (
+            "PrmText = 1\nMax_Module = 3\nEndPrmText\n",
+            "6:1: warning: Max_Module does not belong here (in PrmText 1); kept as it stands",
+        ),
+        (
+            'PrmText = 1\nExtUserPrmData = 1 "a"\nBit(0) 0 0-1\nEndExtUserPrmData\n',
+            "5:1: error: PrmText 1 never ends: EndPrmText is missing before ExtUserPrmData on line 6",
+        ),
+        (
+            'ExtUserPrmData = 1 "a"\nBit(99) 0 0-1\nEndExtUserPrmData\n',
+            "6:9: warning: ExtUserPrmData 1: Bit(99) names no bits of 0..31; the parameter is left out",
+        ),
+        (
+            'ExtUserPrmData = 1 "a"\nUnsigned8 300 0-255\nEndExtUserPrmData\n',
+            "6:11: warning: ExtUserPrmData 1: default 300 does not fit Unsigned8; its low bits are used",
+        ),
+        (
+            'ExtUserPrmData = 1 "a"\nUnsigned8 9 0-5\nEndExtUserPrmData\n',
+            "6:11: warning: ExtUserPrmData 1: default 9 is not among the allowed values 0..5",
+        ),
+        (
+            'ExtUserPrmData = 1 "a"\nUnsigned8 1 low\nEndExtUserPrmData\n',
+            "6:11: warning: ExtUserPrmData 1: allowed values 'low' cannot be read; every value of Unsigned8 is allowed",
+        ),
+        (
+            'ExtUserPrmData = 1 "a"\nUnsigned8\nEndExtUserPrmData\n',
+            "6:10: warning: ExtUserPrmData 1: no default value in Unsigned8 ; the parameter is left out",
+        ),
+        (
+            'ExtUserPrmData = 1 "a"\nPrm_Text_Ref = 4\nUnsigned8 0\nEndExtUserPrmData\n',
+            "5:1: warning: ExtUserPrmData 1 refers to PrmText 4, which is nowhere defined",
+        ),
+        (
+            'Unit_Diag_Area = 0-1\nValue(4) = "never"\nUnit_Diag_Area_End\n',
+            "6:12: warning: Value(4) does not fit bits 0..1; it can never be shown",
+        ),
+        (
+            "Unit_Diag_Area = wide\nUnit_Diag_Area_End\n",
+            "5:18: warning: Unit_Diag_Area = wide is not bits like 0-7; the block is kept as it stands",
+        ),
+        (
+            "User_Prm_Data_Len = 3\nUser_Prm_Data = 1,2\n",
+            "6:1: warning: User_Prm_Data has 2 octets, User_Prm_Data_Len is 3; all 2 are used",
+        ),
+        (
+            'SlotDefinition\nSlot(1) = "a" 9 1-3\nEndSlotDefinition\n',
+            "6:11: warning: Slot(1): the default module 9 is not among those allowed (1..3)",
+        ),
+        ("Station_Type = 1\n", "5:1: warning: Station_Type is not 0: the file is of a master"),
+        (
+            'Module = "m" 0x10\n1\n2\nEndModule\n',
+            "7:1: warning: module 'm' has two references, 1 and 2; the last one counts",
+        ),
+        (
+            'Module = "m 0x10\nEndModule\n',
+            '5:10: warning: Module = "m 0x10 is not a name in quotes; the block is kept as it stands',
+        ),
+    ],
+)
+def test_finding(text: str, wanted: str) -> None:
+    assert wanted in texts(made(text))
+
+
+def test_a_file_without_ident_number() -> None:
+    file = parse_gsd(b'#Profibus_DP\n500_supp = 1\nModule = "m" 0x10\nEndModule\n')
+    assert file.fatal is None
+    assert [d.message for d in file.of(Severity.ERROR)] == [
+        "no Ident_Number: the file is damaged, or it is of no DP slave; get a whole copy of it"
+    ]
+
+
+def test_findings_have_an_end() -> None:
+    file = made("Text(0)\n" * 2_000)
+    assert len(file.diagnostics) == 501
+    assert file.diagnostics[0].text == "0:1: warning: 1500 more findings of this severity are not listed"
+
+
+def test_too_many_lines() -> None:
+    file = made("\n" * 250_000 + "Max_Module = 3\n")
+    assert [d.text for d in file.of(Severity.ERROR)] == [
+        "200002:1: error: more than 200000 lines: the rest is not read"
+    ]
+    assert file.device.max_module is None
+
+
+def test_a_remark_between_continued_lines() -> None:
+    file = made(
+        'Module = "m" 0x10, \\\n  ; the second half\n0x20\n7\nEndModule\n'
+        "Ext_User_Prm_Data_Const(0) = 1,\\\n\nMax_Module = 3\n"
+    )
+    (module,) = file.device.modules
+    assert (module.config, module.reference) == (b"\x10\x20", 7)
+    assert (file.device.prm.consts[0].octets, file.device.max_module) == (b"\x01", 3)
+
+
+def test_a_continuation_without_end() -> None:
+    file = made('Info_Text = "' + "more and more \\\n" * 20_000 + '"\nMax_Module = 3\n')
+    assert [d.message for d in file.of(Severity.ERROR)] == [
+        "the continued line here has more than 65536 characters; it was ended"
+    ]
+    assert file.device.ident == 0x0FFE
+
+
+def test_every_file_of_ours_is_read() -> None:
+    names = {path.stem for path in gsd_kit.FILES.glob("*.gsd")}
+    assert len(names) >= 20
+    for name in names:
+        assert gsd_kit.read(name).device.ident in (0x0FFE, 0x0FFD, 0x1A2B)
