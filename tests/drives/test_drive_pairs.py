@@ -210,3 +210,21 @@ def test_random_inputs_and_orders_never_break_a_plugin(data: st.DataObject) -> N
     core.lost(now)
     answered |= {event["token"] for event in core.take_events() if event["type"] == "result"}
     assert answered == set(range(1, tokens + 1))
+
+
+def test_switched_off_and_on_a_drive_has_what_its_eeprom_holds() -> None:
+    hoist = pair(DEMAG, "PPO1")
+    hoist.ok("write", number=412, value=1)
+    hoist.ok("write", number=480, value=7.5, data_set=2, ram=True)
+    after = DEMAG.device("PPO1")
+    after.inherit(hoist.device)
+    bench = PairBench(DEMAG.core("it", "PPO1"), after)
+    assert bench.ok("start") == "running"
+    assert bench.ok("read", number=480, data_set=2) == 5.0  # that was RAM only
+    fan = pair(FUJI, "PPO1")
+    fan.ok("write", number="o30", value=3)
+    other = FUJI.device("PPO1")
+    other.inherit(fan.device)
+    assert other.check_cfg(FUJI.telegram("PPO1").config) == "configuration f3 71 is not PPO3 (71), o30 is 3"
+    assert other.check_cfg(FUJI.telegram("PPO3").config) is None
+    assert other.configs[0] == FUJI.telegram("PPO3").config
