@@ -104,7 +104,7 @@ class PairBench(PluginBench):
         assert device.check_cfg(core.telegram.config) is None
         device.enter(core.telegram.config, START)
         device.operate(START)
-        super().__init__(core, "00" * core.telegram.octets, rotation)
+        super().__init__(core, "00" * core.telegram.input_octets, rotation)
 
     def run(self, rotations: int = 1) -> bytes:
         out = b""

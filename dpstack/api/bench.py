@@ -14,6 +14,7 @@ from dpstack.fdl.station import BusStation
 from dpstack.machine import LineDown
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT, Patience
+from dpstack.profile import DriveDevice
 from dpstack.sim.world import World
 from dpstack.units import BAUD_RATES
 
@@ -21,7 +22,8 @@ from dpstack.units import BAUD_RATES
 def device_of(slave: SlaveConfig) -> Device:
     """What simulates ``slave``: the drive's simulated device, or a mirror of outputs to inputs."""
     if slave.profile is not None:
-        device = slave.profile.device(slave.telegram)
+        known = slave.profile.device_options
+        device = slave.profile.device(slave.telegram, {k: v for k, v in slave.options.items() if k in known})
         if slave.ident is not None:
             device.ident = slave.ident
         device.name = slave.name
@@ -37,7 +39,8 @@ def rates_of(slave: SlaveConfig) -> Sequence[int]:
 class Unit:
     """One simulated slave as it stands: station, application and device, made anew by :meth:`renew`.
 
-    ``searching``: it finds the baud rate by itself, among those that the device knows.
+    A drive keeps what it has stored in its EEPROM. ``searching``: it finds the baud rate by itself, among those that
+    the device knows.
     """
 
     def __init__(
@@ -47,11 +50,17 @@ class Unit:
         self.powered = True
         self._patience = patience
         self._searching = searching
-        self.renew(params)
+        self.device: Device = device_of(config)
+        self._stand(params)
 
     def renew(self, params: BusParams) -> None:
-        """As new out of the box."""
-        self.device: Device = device_of(self.config)
+        """Switched on again."""
+        before, self.device = self.device, device_of(self.config)
+        if isinstance(before, DriveDevice) and isinstance(self.device, DriveDevice):
+            self.device.inherit(before)
+        self._stand(params)
+
+    def _stand(self, params: BusParams) -> None:
         self.app = SlaveApp(self.device, address=self.config.address)
         self.station = PassiveStation(self.config.address, self.app, params, patience=self._patience)
         #: what is on a simulated bus: the station, or the search around it
@@ -101,7 +110,7 @@ class VirtualBench:
         self._end(address, self._silent.get(address))
 
     def power(self, address: int, on: bool) -> None:
-        """Off at once, on as new."""
+        """Off at once, on again; a drive keeps its EEPROM."""
         unit = self._units[address]
         if on is unit.powered:
             return

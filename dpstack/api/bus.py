@@ -91,7 +91,7 @@ class Bus(Composed):
     def _register(self, config: SlaveConfig) -> Slave:
         handler = self.master.handlers[config.address]
         slave = self._slaves[config.address] = Slave(self, config, handler)
-        core = attach_core(self.master, config)
+        core = attach_core(self.master, config, simulated=self.bench is not None)
         if core is not None:
             self._drives[config.address] = Drive(self, slave, core, handler.image)
         return slave

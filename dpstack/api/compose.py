@@ -158,11 +158,14 @@ def _watcher(config: Config, params: BusParams, patience: Patience) -> Scanner:
     return Scanner(params.address, live, period_ns=_DIAGNOSIS_PERIOD, wanted=wanted)
 
 
-def attach_core(master: Master, slave: SlaveConfig) -> DriveCore | None:
-    """Put the drive plugin of ``slave`` onto its process image; None where it has none."""
+def attach_core(master: Master, slave: SlaveConfig, *, simulated: bool) -> DriveCore | None:
+    """Put the drive plugin of ``slave`` onto its process image; None where it has none.
+
+    ``simulated``: the slave is one of ours, in the same process.
+    """
     if slave.profile is None or slave.raw:
         return None
-    core = slave.profile.core(slave.name, slave.telegram, slave.options)
+    core = slave.profile.core(slave.name, slave.telegram, slave.options, simulated=simulated)
     master.handlers[slave.address].image.unit = core
     return core
 

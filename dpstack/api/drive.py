@@ -133,6 +133,20 @@ class Drive:
         """Write a parameter in its own unit; ``ram`` does not store it (EEPROMs wear out). Raises ParameterError."""
         await self._order("write", timeout, number=number, value=value, data_set=data_set, index=index, ram=ram or None)
 
+    async def read_map(self, timeout: float = 10.0) -> dict[str, object]:
+        """The process data map as the drive has it. Raises UsageError where a drive has none to be read."""
+        return _members(await self.order("read_map", timeout))
+
+    async def write_map(
+        self, *, inputs: str | None = None, outputs: str | None = None, timeout: float = 10.0
+    ) -> dict[str, object]:
+        """Give the drive a process data map, checked before anything is sent; how it is written is the drive's."""
+        return _members(await self.order("write_map", timeout, inputs=inputs, outputs=outputs))
+
+    async def order(self, op: str, timeout: float = 5.0, **args: object) -> object:
+        """An order of this drive's own, by name, with its arguments. Raises UsageError naming those it has."""
+        return (await self._order(op, timeout, **args)).get("value")
+
     async def statuses(self) -> AsyncIterator[DriveStatus]:
         """Each new status; the latest wins, a slow reader never meets a backlog. Ends with the bus."""
         reader: Latest[DriveStatus] = Latest()
@@ -241,6 +255,12 @@ class Drive:
             case "lost":
                 return DriveError(self.name, text)
         return DriveError(self.name, text)
+
+
+def _members(value: object) -> dict[str, object]:
+    if isinstance(value, dict):
+        return value
+    raise TypeError(f"a process data map is {value!r}")
 
 
 def _number(value: object) -> float | int:

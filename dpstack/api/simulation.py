@@ -179,7 +179,7 @@ class Simulation:
             self._line.resume(unit.station.address)
 
     def power(self, address: int, on: bool) -> None:
-        """Switch a slave off at once, or on, as new."""
+        """Switch a slave off at once, or on again; a drive keeps its EEPROM."""
         unit = self._units[address]
         if on is unit.powered:
             return

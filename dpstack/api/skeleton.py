@@ -75,7 +75,7 @@ def _unusable(found: Found) -> str | None:
 
 def _table(found: Found) -> Iterator[str]:
     drive = drive_of(found)
-    telegrams = [] if drive is None else [t.name for t in drive.telegrams.values() if t.config == found.config]
+    telegrams = [] if drive is None else [t.name for t in drive.telegrams_of(found.config or b"")]
     if found.master is not None and found.state is SlaveView.DATA_EXCHANGE:
         yield f"# in data exchange with master {found.master}, which keeps it until it is stopped or gives it free"
     yield "[[slave]]"

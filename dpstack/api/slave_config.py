@@ -44,6 +44,7 @@ _KEYS: Final = (
     "dpv1",
     "reference_hz",
     "reference_rpm",
+    "options",
     "inputs",
     "outputs",
 )
@@ -206,20 +207,23 @@ def _drive(table: Table, name: str) -> _Basis:
         telegram = profile.telegram(wanted)
     except ConfigError as error:
         raise _split(table, "telegram", error) from None
-    options: dict[str, object] = {}
+    inside = table.table("options")
+    options = {} if inside is None else {key: inside.raw(key) for key in inside}
+    references: dict[str, object] = {}
     for key in ("reference_hz", "reference_rpm"):
         value = table.number(key, 0.001, 1_000_000)
         if value is not None:
-            options[key] = value
+            references[key] = value
+    options |= references
     try:
-        profile.core(table.text("name") or name, telegram.name, options)
+        core = profile.core(table.text("name") or name, telegram.name, options)
     except ConfigError as error:
-        raise _split(table, next(iter(options), None), error) from None
+        raise _split(table, next(iter(references), "options"), error) from None
     return _Basis(
         ident=profile.ident,
         config=telegram.config,
         user_prm=profile.user_prm,
-        safe=profile.safe_outputs.get(telegram.name, b""),
+        safe=core.safe_outputs,
         interval_ns=profile.min_slave_interval_ns,
         fail_safe=profile.fail_safe,
         max_tsdr=profile.max_tsdr,
@@ -231,7 +235,7 @@ def _drive(table: Table, name: str) -> _Basis:
 
 
 def _raw(table: Table) -> _Basis:
-    for key in ("telegram", "reference_hz", "reference_rpm"):
+    for key in ("telegram", "reference_hz", "reference_rpm", "options"):
         if key in table:
             table.fail(key, f"{key} without drive", f"add drive, or leave {key} out")
     config = table.octets("config")

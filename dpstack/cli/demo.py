@@ -15,6 +15,7 @@ from rich.text import Text
 from dpstack.api.bus import Bus
 from dpstack.api.compose import Case
 from dpstack.api.config import Config, make_config
+from dpstack.api.control.slaves import SlaveCommands
 from dpstack.api.drive import Drive
 from dpstack.api.opening import open_bus
 from dpstack.api.profiles import known_drives
@@ -91,7 +92,7 @@ class _Stage:
             async with asyncio.timeout(_PATIENCE_S):
                 await drive.slave.ready(_PATIENCE_S)
                 self.tell(drive, "in data exchange")
-                await story.play(drive, lambda text: self.tell(drive, text))
+                await story.play(drive, lambda text: self.tell(drive, text), lambda code: self.trip(drive, code))
         except (DpError, TimeoutError) as error:
             text = str(error) or f"its story did not come to its end in {_PATIENCE_S:g} s"
             self.failures.append(text)
@@ -99,6 +100,11 @@ class _Stage:
             return
         self.ended.add(address)
         self.tell(drive, "the end")
+
+    def trip(self, drive: Drive, code: str) -> None:
+        """A fault of the simulated drive, by the command of ``dpstack ctl``."""
+        assert self.bus.bench is not None
+        SlaveCommands(self.bus.bench).handlers()["trip"]([str(drive.slave.address), code])
 
     def tell(self, drive: Drive, text: str) -> None:
         """One line of a story."""

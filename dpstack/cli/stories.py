@@ -13,23 +13,25 @@ from dpstack.errors import DriveError
 _HOLD_S: Final = 0.5
 #: Takes one line of a story.
 Tell = Callable[[str], None]
+#: A fault of the simulated drive by its code or name, as ``dpstack ctl PORT trip`` gives it.
+Trip = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
 class Story:
     """``play`` runs the drive in ``telegram`` (None: its default); what it raises ends the demo with 1."""
 
-    play: Callable[[Drive, Tell], Awaitable[None]]
+    play: Callable[[Drive, Tell, Trip], Awaitable[None]]
     telegram: str | None = None
 
 
-async def any_drive(drive: Drive, tell: Tell) -> None:
+async def any_drive(drive: Drive, tell: Tell, trip: Trip) -> None:
     """Start, half speed, stop."""
     await _run(drive, tell, 0.5)
     await _stop(drive, tell)
 
 
-async def demag(drive: Drive, tell: Tell) -> None:
+async def demag(drive: Drive, tell: Tell, trip: Trip) -> None:
     """Parameter 412 leaves the factory as 44; only 1 lets the bus control the drive."""
     mode = await drive.read(412)
     tell(f"parameter 412 (local/remote) is {mode}: its contacts control it")
@@ -46,7 +48,7 @@ async def demag(drive: Drive, tell: Tell) -> None:
     await _stop(drive, tell)
 
 
-async def fuji(drive: Drive, tell: Tell) -> None:
+async def fuji(drive: Drive, tell: Tell, trip: Trip) -> None:
     """Forward, stop, reverse: the worked run of the manual."""
     await _run(drive, tell, 1.0)
     await _stop(drive, tell)
@@ -54,9 +56,28 @@ async def fuji(drive: Drive, tell: Tell) -> None:
     await _stop(drive, tell)
 
 
+async def keb(drive: Drive, tell: Tell, trip: Trip) -> None:
+    """Its own parameter channel; then an overload that is injected, named by ru.00 and acknowledged."""
+    await drive.write("oP.3", 20.0)
+    hertz = await drive.read("oP.3")
+    tell(f"oP.3 (digital setpoint) written and read back: {hertz} Hz, 80 counts each")
+    _expect(drive, hertz == 20.0, f"oP.3 is {hertz} instead of 20")
+    await _run(drive, tell, 0.6)
+    trip("E.OL")
+    async for status in drive.statuses():
+        if status.fault and "E.OL" in status.fault:
+            tell(f"tripped: {status.fault}")
+            break
+    await drive.acknowledge()
+    tell("acknowledged")
+    await _run(drive, tell, -0.4)
+    await _stop(drive, tell)
+
+
 STORIES: Final[dict[str, Story]] = {
     "demag-dedrive": Story(demag, "PPO1"),
     "fuji-frenic": Story(fuji, "PPO3"),
+    "keb-f5": Story(keb),
 }
 OTHERS: Final = Story(any_drive)
 

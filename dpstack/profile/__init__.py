@@ -4,15 +4,16 @@ from dpstack.dp.device import Device, Leave
 from dpstack.dp.image import CyclicUnit
 from dpstack.errors import ConfigError
 from dpstack.profile import drivecom, profidrive
-from dpstack.profile.access import ParamAccess, ParamRef
+from dpstack.profile.channel import CHANNEL_LEN, ChannelServer, ParameterChannel, ParamKey
 from dpstack.profile.core import OPS, DriveCore
 from dpstack.profile.device import DriveDevice
-from dpstack.profile.drive import DriveProfile, OptionSpec, TelegramSpec
-from dpstack.profile.jobs import CommandError, Steps
+from dpstack.profile.drive import DriveProfile, OptionSpec, TelegramFamily, TelegramSpec
+from dpstack.profile.jobs import Args, CommandError, Steps
 from dpstack.profile.motion import settled
 from dpstack.profile.motor import Motor
 from dpstack.profile.params import ParamSpec, ParamTable
 from dpstack.profile.pkw import Order, Pkw, PkwClient, PkwDialect, PkwServer, Reply
+from dpstack.profile.pkw_access import ParamRef, PkwAccess
 from dpstack.profile.registry import broken, find, known, refresh
 from dpstack.profile.states import FAULTED, MOVING, ControlTable, Goal, State, StateRow, StateTable
 from dpstack.profile.status import DriveStatus
@@ -21,6 +22,7 @@ from dpstack.profile.words import SPEED, Scale, Word, signed16
 from dpstack.units import NEVER, NS_PER_MS, NS_PER_S, NS_PER_US, ns_to_s, s_to_ns
 
 __all__ = [
+    "CHANNEL_LEN",
     "FAULTED",
     "MOVING",
     "NEVER",
@@ -29,6 +31,8 @@ __all__ = [
     "NS_PER_US",
     "OPS",
     "SPEED",
+    "Args",
+    "ChannelServer",
     "CommandError",
     "ConfigError",
     "ControlTable",
@@ -43,12 +47,14 @@ __all__ = [
     "Motor",
     "OptionSpec",
     "Order",
-    "ParamAccess",
+    "ParamKey",
     "ParamRef",
     "ParamSpec",
     "ParamStore",
     "ParamTable",
+    "ParameterChannel",
     "Pkw",
+    "PkwAccess",
     "PkwClient",
     "PkwDialect",
     "PkwServer",
@@ -58,6 +64,7 @@ __all__ = [
     "StateRow",
     "StateTable",
     "Steps",
+    "TelegramFamily",
     "TelegramSpec",
     "Word",
     "broken",

@@ -11,10 +11,9 @@ from collections.abc import Callable, Mapping
 from typing import Final
 
 from dpstack.profile import motion
-from dpstack.profile.access import ParamAccess
+from dpstack.profile.channel import CHANNEL_LEN, ParameterChannel, ParamKey
 from dpstack.profile.drive import TelegramSpec
 from dpstack.profile.jobs import Args, CommandError, ErrorKind, Job, Steps
-from dpstack.profile.pkw import PKW_LEN
 from dpstack.profile.states import FAULTED, ControlTable, Goal, State
 from dpstack.profile.status import DriveStatus
 from dpstack.profile.words import SPEED, Scale
@@ -36,6 +35,10 @@ class DriveCore:
     scale: Scale = SPEED
     #: why an acknowledgement may not be taken, for people
     lock_hint: str = ""
+    #: what to look at when it does not start and nothing tells why, for people
+    start_hint: str = ""
+    #: orders beyond those of every drive, see :meth:`order`
+    own_ops: tuple[str, ...] = ()
 
     def __init__(
         self,
@@ -56,11 +59,13 @@ class DriveCore:
         self.safe_outputs = safe_outputs
         #: after this time the inputs belong to the outputs sent now, in ns
         self.settle_ns = 3 * scan_ns + 20 * NS_PER_MS
-        self.access: ParamAccess | None = None
+        self.access: ParameterChannel | None = None
         self.now = 0
         #: inputs are of a drive in data exchange
         self.online = False
-        self.words: tuple[int, ...] = (0,) * telegram.words
+        #: the process data received, 16 bits each
+        self.words: tuple[int, ...] = (0,) * (telegram.inputs // 2)
+        self.status_word = 0
         self.state = State.OFFLINE
         self.goal = Goal.IDLE
         self.setpoint = 0.0
@@ -70,10 +75,10 @@ class DriveCore:
         self._achieved = False
         self._dirty = True
         self._inputs = b""
-        self._offset = PKW_LEN if telegram.pkw else 0
-        self._unpack = struct.Struct(f">{telegram.words}H").unpack_from
-        self._pack: Callable[..., bytes] = struct.Struct(f">{telegram.words}H").pack
-        self._rest = (0,) * (telegram.words - 2)
+        self._offset = CHANNEL_LEN if telegram.channel else 0
+        self._unpack = struct.Struct(f">{telegram.inputs // 2}H").unpack_from
+        self._pack: Callable[..., bytes] = struct.Struct(f">{telegram.outputs // 2}H").pack
+        self._rest = (0,) * (telegram.outputs // 2 - 2)
         self._jobs: list[Job] = []
         self._events: list[dict[str, object]] = []
         self._told: tuple[object, ...] = ()
@@ -88,15 +93,16 @@ class DriveCore:
         ``inputs`` are empty while there are no valid ones of this stay in data exchange.
         """
         self.now = now
-        if inputs != self._inputs and len(inputs) == self.telegram.octets:
+        if inputs != self._inputs and len(inputs) == self.telegram.input_octets:
             self._inputs = inputs
             self.words = self._unpack(inputs, self._offset)
+            self.status_word = self.status_of(inputs[self._offset :])
             self.online = True
             self.received()
             self.update()
         access = self.access
-        if access is not None and access.client.busy and self.online:
-            access.client.step(self._inputs, now)
+        if access is not None and access.busy and self.online:
+            access.step(self._inputs, now)
             self._dirty = True
         if self._jobs:
             for job in tuple(self._jobs):
@@ -114,7 +120,7 @@ class DriveCore:
             job.steps.close()
             self._failed(job.token, "lost", _LOST)
         if self.access is not None:
-            self.access.client.reset()
+            self.access.reset()
         self._inputs = b""
         self.set_goal(Goal.IDLE)
         self.state = State.OFFLINE
@@ -153,13 +159,13 @@ class DriveCore:
         """Decoded from the last inputs and the last command."""
         online = self.online
         speed, current, torque = self.measured() if online else (None, None, None)
-        word = self.words[0] if online else 0
+        word = self.status_word if online else 0
         bits = self.table.status
         return DriveStatus(
             state=self.state,
             running=self.state is State.RUNNING,
-            reached=bool(word & bits.mask("reached")),
-            remote=bool(word & bits.mask("remote")),
+            reached=bits.told(word, "reached"),
+            remote="remote" not in bits.bits or bits.told(word, "remote"),
             setpoint=self.setpoint,
             speed=speed,
             frequency_hz=None if speed is None else speed * self.reference_hz,
@@ -176,7 +182,7 @@ class DriveCore:
     @property
     def raw_state(self) -> State:
         """What the status word alone tells."""
-        return self.table.states.decode(self.words[0]) if self.online else State.OFFLINE
+        return self.table.states.decode(self.status_word) if self.online else State.OFFLINE
 
     def set_goal(self, goal: Goal) -> None:
         """Work towards ``goal`` from now on."""
@@ -192,7 +198,7 @@ class DriveCore:
     def update(self) -> None:
         """Derive state and control word from the status word and the goal; tell what changed."""
         if self.online:
-            status = self.words[0]
+            status = self.status_word
             raw = self.table.states.decode(status)
             if (
                 self._achieved
@@ -236,6 +242,22 @@ class DriveCore:
 
     # -- hooks: what a plugin overrides ---------------------------------------------------------------------------
 
+    def cannot(self, op: str) -> str | None:
+        """Why an order that moves the drive can never be carried out as things are configured; None where it can."""
+        return None
+
+    def order(self, op: str, args: Args) -> Steps[dict[str, object]] | None:
+        """An order of this drive's own (named in ``own_ops``), not begun yet. Raises CommandError."""
+        return None
+
+    def status_of(self, process: bytes) -> int:
+        """The status word in the process data received."""
+        return self.words[0]
+
+    def encode(self, control: int, setpoint: int) -> bytes:
+        """The process data to send, as many octets as the telegram has."""
+        return self._pack(control, setpoint, *self._rest)
+
     def received(self) -> None:
         """``words`` are new: take from them what the table does not know."""
 
@@ -275,13 +297,17 @@ class DriveCore:
 
     def _build(self) -> None:
         self._dirty = False
-        data = self._pack(self._control, self._setpoint_word, *self._rest)
+        data = self.encode(self._control, self._setpoint_word)
         access = self.access
-        self._outputs = data if access is None else access.client.octets + data
+        if access is not None:
+            data = access.octets + data
+        elif self._offset:
+            data = bytes(self._offset) + data
+        self._outputs = data
 
     def _tell(self) -> None:
         """A status event when state, remote, reached, warnings or faults changed."""
-        word = self.words[0] & self._tell_mask if self.online else 0
+        word = self.status_word & self._tell_mask if self.online else 0
         key = (self.state, word, self.faults(), self.warnings()) if self.online else (self.state,)
         if key != self._told:
             self._told = key
@@ -289,6 +315,8 @@ class DriveCore:
 
     def _job(self, op: str, args: Args, token: int) -> Job:
         if op in motion.OPS:
+            if (why := self.cannot(op)) is not None:
+                raise CommandError("usage", why)
             return motion.job(self, op, args, token)
         match op:
             case "speed":
@@ -302,7 +330,11 @@ class DriveCore:
             case "cancel":
                 steps = self._cancel(args.integer("order"))
             case _:
-                raise CommandError("usage", f"{self.drive} has no order {op!r}; it has {', '.join(OPS)}")
+                own = self.order(op, args)
+                if own is None:
+                    known = ", ".join((*OPS, *self.own_ops))
+                    raise CommandError("usage", f"{self.drive} has no order {op!r}; it has {known}")
+                steps = own
         args.done()
         return Job(op, token, steps, motion=False)
 
@@ -324,11 +356,11 @@ class DriveCore:
         access = self.access
         if access is None:
             raise CommandError("usage", f"{self.telegram.name} of {self.drive} has no parameter channel")
-        number, index = args.name_or_number("number"), args.integer("data_set", "index")
         deadline = self.now + args.timeout_ns(5.0)
+        number, data_set, index = args.name_or_number("number"), args.integer("data_set"), args.integer("index")
         if op == "read":
-            return access.read(access.resolve(number, index, False), deadline)
-        return access.write(access.resolve(number, index, args.flag("ram")), args.number("value"), deadline)
+            return access.read(ParamKey(number, data_set, index), deadline)
+        return access.write(ParamKey(number, data_set, index, args.flag("ram")), args.number("value"), deadline)
 
     def _resume(self, job: Job) -> None:
         if job not in self._jobs:

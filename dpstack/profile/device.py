@@ -10,16 +10,18 @@ from __future__ import annotations
 import struct
 
 from dpstack.dp.device import Device, Leave
+from dpstack.profile.channel import CHANNEL_LEN, ChannelServer
 from dpstack.profile.drive import DriveProfile, TelegramSpec
 from dpstack.profile.motor import Motor
-from dpstack.profile.pkw import PKW_LEN, ZEROS, PkwServer
 
 #: scans that are caught up one by one; of a longer silence the first part is skipped
 _MOST_SCANS = 20_000
 
 
 class DriveDevice(Device):
-    """Subclass it: :meth:`scan` and :meth:`master_lost`. ``telegram`` is the one in use, at first the drive's own.
+    """Subclass it: :meth:`scan` (or :meth:`refresh`) and :meth:`master_lost`.
+
+    ``telegram`` is the one in use, at first the drive's own.
 
     Faults and conditions from outside: :meth:`trip`, :meth:`warn`, :meth:`set_load`, :meth:`release`; they take
     effect at the next scan.
@@ -34,10 +36,9 @@ class DriveDevice(Device):
         self.configs = tuple(dict.fromkeys(configs))
         self.telegram = telegram
         self.motor = motor
-        self.pkw: PkwServer | None = None
+        self.channel: ChannelServer | None = None
         self.warning_mask = 0
         self.released = True
-        self._by_config = {spec.config: spec for spec in profile.telegrams.values()}
         self._outputs: bytes | None = None
         self._inputs = b""
         self._next: int | None = None
@@ -61,7 +62,14 @@ class DriveDevice(Device):
         """The hardware release inputs."""
         self.released = on
 
+    def inherit(self, before: DriveDevice) -> None:
+        """Switched on again: ``before`` is the drive as it was; take what it kept in its EEPROM."""
+
     # -- Device ---------------------------------------------------------------------------------------------------
+
+    def check_cfg(self, config: bytes) -> str | None:
+        """A telegram of the drive."""
+        return None if self.profile.telegrams_of(config) else super().check_cfg(config)
 
     def check_prm(self, user_prm: bytes) -> str | None:
         """Any octets of the length the drive's GSD gives, and zeros behind them."""
@@ -75,10 +83,10 @@ class DriveDevice(Device):
     def enter(self, config: bytes, now: int) -> None:
         """Data exchange begins; the telegram follows from the identifier octets."""
         self.advance(now)
-        self.telegram = self._by_config[config]
+        self.telegram = self.profile.telegrams_of(config)[0]
         self._outputs = None
-        if self.pkw is not None:
-            self.pkw.reset()
+        if self.channel is not None:
+            self.channel.reset()
         self._next = now + self.scan_ns
         self.motor.advance(now)
         self._refresh(now)
@@ -86,7 +94,7 @@ class DriveDevice(Device):
     def exchange(self, outputs: bytes, now: int) -> bytes:
         """Take ``outputs`` for the next scan, return the inputs of the last one."""
         self.advance(now)
-        self._outputs = outputs if len(outputs) == self.telegram.octets else None
+        self._outputs = outputs if len(outputs) == self.telegram.output_octets else None
         return self._inputs
 
     def clear(self, now: int) -> None:
@@ -128,6 +136,12 @@ class DriveDevice(Device):
         """The number of a fault from its code or name. Raises ValueError."""
         raise ValueError(f"{self.name} knows no fault {code!r}")
 
+    def refresh(self, process: bytes | None, now: int) -> bytes:
+        """One internal scan over octets, which hands words to :meth:`scan`; ``process`` None: void."""
+        telegram = self.telegram
+        words = None if process is None else struct.unpack(f">{telegram.outputs // 2}H", process)
+        return struct.pack(f">{telegram.inputs // 2}H", *self.scan(words, now))
+
     def scan(self, words: tuple[int, ...] | None, now: int) -> tuple[int, ...]:
         """One internal scan: process data from the master (None: void) -> process data to it."""
         raise NotImplementedError
@@ -143,12 +157,10 @@ class DriveDevice(Device):
     # -- inside ---------------------------------------------------------------------------------------------------
 
     def _refresh(self, now: int) -> None:
-        telegram = self.telegram
         outputs = self._outputs
+        lead = CHANNEL_LEN if self.telegram.channel else 0
         reply = b""
-        if telegram.pkw and self.pkw is not None:
-            reply = self.pkw.step(ZEROS if outputs is None else outputs[:PKW_LEN])
-        offset = PKW_LEN if telegram.pkw else 0
-        layout = struct.Struct(f">{telegram.words}H")
-        words = None if outputs is None else layout.unpack_from(outputs, offset)
-        self._inputs = reply + layout.pack(*self.scan(words, now))
+        if lead:
+            order = bytes(lead) if outputs is None else outputs[:lead]
+            reply = bytes(lead) if self.channel is None else self.channel.step(order)
+        self._inputs = reply + self.refresh(None if outputs is None else outputs[lead:], now)

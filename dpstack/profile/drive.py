@@ -5,9 +5,10 @@ from __future__ import annotations
 import difflib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from dpstack.errors import ConfigError
+from dpstack.profile.channel import CHANNEL_LEN
 
 if TYPE_CHECKING:
     from dpstack.profile.core import DriveCore
@@ -16,21 +17,38 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TelegramSpec:
-    """One telegram of a drive: identifier octets, octets each way, whether eight octets of parameter channel lead.
+    """One telegram of a drive: identifier octets, octets each way, whether a parameter channel leads.
 
-    ``words``: process data words behind the parameter channel. ``made_up``: the identifiers are in no manual.
+    ``outputs``, ``inputs``: octets of process data behind the parameter channel. ``made_up``: the identifiers are in
+    no manual.
     """
 
     name: str
     config: bytes
-    words: int
-    pkw: bool = False
+    outputs: int
+    inputs: int
+    channel: bool = False
     made_up: bool = False
 
     @property
-    def octets(self) -> int:
-        """Octets of outputs, and of inputs."""
-        return 2 * self.words + (8 if self.pkw else 0)
+    def output_octets(self) -> int:
+        """All octets of the outputs."""
+        return self.outputs + (CHANNEL_LEN if self.channel else 0)
+
+    @property
+    def input_octets(self) -> int:
+        """All octets of the inputs."""
+        return self.inputs + (CHANNEL_LEN if self.channel else 0)
+
+
+class TelegramFamily(NamedTuple):
+    """Telegrams too many to list, made when they are asked for.
+
+    ``named``: from a name, raises ConfigError. ``of_config``: from identifier octets, None where they are none.
+    """
+
+    named: Callable[[str], TelegramSpec]
+    of_config: Callable[[bytes], TelegramSpec | None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,6 +74,8 @@ class DriveProfile:
 
     ``max_tsdr``: bit times by baud rate, empty where the manual gives none. ``reference_hz``: what 100 % speed is
     at the factory. ``on_loss``: what the drive does when its master stops. ``notes``: what a user should know.
+    ``simulated_options``: options of the core that no manual gives, as the simulated drive has them. ``gsd``: a GSD
+    file of ours made from the manual's facts (not the vendor's), as ``package:file name``.
     """
 
     name: str
@@ -73,10 +93,12 @@ class DriveProfile:
     max_tsdr: Mapping[int, int] = field(default_factory=dict)
     min_slave_interval_ns: int = 0
     fail_safe: bool = False
-    safe_outputs: Mapping[str, bytes] = field(default_factory=dict)
     core_options: Mapping[str, OptionSpec] = field(default_factory=dict)
     device_options: Mapping[str, OptionSpec] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    family: TelegramFamily | None = None
+    simulated_options: Mapping[str, object] = field(default_factory=dict)
+    gsd: str | None = None
 
     def telegram(self, name: str | None = None) -> TelegramSpec:
         """A telegram by name (any case), the default one for None. Raises ConfigError naming those there are."""
@@ -84,11 +106,31 @@ class DriveProfile:
         for spec in self.telegrams.values():
             if spec.name.upper() == wanted.upper():
                 return spec
+        if self.family is not None:
+            return self.family.named(wanted)
         raise ConfigError(f"{self.name} has no telegram {name!r}; it has {', '.join(self.telegrams)}")
 
-    def core(self, name: str, telegram: str | None = None, options: Mapping[str, object] | None = None) -> DriveCore:
-        """The master's end for the drive called ``name`` in the configuration. Raises ConfigError."""
-        checked, extra = self._options(self.core_options, options or {}, f"drive {name} ({self.name})")
+    def telegrams_of(self, config: bytes) -> tuple[TelegramSpec, ...]:
+        """The telegrams with these identifier octets; none where the drive does not know them."""
+        found = tuple(spec for spec in self.telegrams.values() if spec.config == config)
+        if not found and self.family is not None and (made := self.family.of_config(config)) is not None:
+            return (made,)
+        return found
+
+    def core(
+        self,
+        name: str,
+        telegram: str | None = None,
+        options: Mapping[str, object] | None = None,
+        *,
+        simulated: bool = False,
+    ) -> DriveCore:
+        """The master's end for the drive called ``name`` in the configuration. Raises ConfigError.
+
+        ``simulated``: the other end is the simulated drive, so what is made up for it counts where nothing is given.
+        """
+        given = {**(self.simulated_options if simulated else {}), **(options or {})}
+        checked, extra = self._options(self.core_options, given, f"drive {name} ({self.name})")
         if extra:
             self._refuse(next(iter(extra)), self.core_options, f"drive {name} ({self.name})")
         return self.core_factory(self, name, self.telegram(telegram), checked)

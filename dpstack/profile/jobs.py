@@ -80,6 +80,13 @@ class Args:
             raise CommandError("usage", f"{self._op}: {name} must be a parameter number or name, not {value!r}")
         return value
 
+    def text(self, name: str) -> str | None:
+        """A text or None."""
+        value = self._get(name)
+        if value is not None and not isinstance(value, str):
+            raise CommandError("usage", f"{self._op}: {name} must be a text, not {value!r}")
+        return value
+
     def flag(self, name: str) -> bool:
         """True or False, default False."""
         value = self._get(name)

@@ -16,6 +16,8 @@ OPS: Final = ("start", "stop", "quick_stop", "coast", "acknowledge")
 
 #: default time-outs in s; 15 s of them is the time some drives lock a fault
 _TIMEOUTS: Final = {"start": 5.0, "stop": 60.0, "quick_stop": 60.0, "coast": 5.0, "acknowledge": 20.0}
+#: of the reference, for a drive that has no bit for it
+_NEAR: Final = 0.01
 _GOALS: Final = {"stop": Goal.STOP, "quick_stop": Goal.QUICK_STOP, "coast": Goal.COAST}
 
 
@@ -49,7 +51,9 @@ def start(core: DriveCore, deadline: int) -> Steps[dict[str, object]]:
             if core.raw_state in FAULTED:
                 raise CommandError("fault", (yield from _named(core, deadline)))
             if core.now >= deadline:
-                raise CommandError("timeout", core.obstacle() or f"the drive reports {core.raw_state}, not running")
+                raise CommandError(
+                    "timeout", core.obstacle() or f"the drive reports {core.raw_state}, not running{core.start_hint}"
+                )
             if core.obstacle() is None:
                 since = None
             elif since is None:
@@ -100,8 +104,12 @@ def acknowledge(core: DriveCore, deadline: int) -> Steps[dict[str, object]]:
 
 
 def reached(core: DriveCore, deadline: int, tolerance: float | None) -> Steps[dict[str, object]]:
-    """The drive says that it has reached its reference; with ``tolerance``: the speed is that near the set point."""
+    """The drive says that it has reached its reference; with ``tolerance``, or where it cannot say so: by its speed."""
     yield from _online(core, deadline)
+    if tolerance is None and "reached" not in core.table.status.bits:
+        tolerance = _NEAR
+    if tolerance is not None and core.measured()[0] is None:
+        raise CommandError("usage", "the drive does not tell its speed, so nobody knows when it is reached")
     while True:
         if core.raw_state in FAULTED:
             raise CommandError("fault", (yield from _named(core, deadline)))

@@ -16,7 +16,8 @@ _LONG: Final = 0xFFFF_FFFF
 class ParamSpec:
     """One parameter. ``low``, ``high`` and ``factory`` are in ``unit``; on the wire stands value x 10^decimals.
 
-    ``index``: a fixed subindex that belongs to the number. ``per_set``: exists once in every data set. ``read_only``.
+    ``per_unit`` instead of ``decimals`` where that is no power of ten. ``index``: a fixed subindex that belongs to the
+    number. ``by_name``: people know it by its name. ``per_set``: exists once in every data set. ``read_only``.
     ``text``: a string, which the parameter channel cannot carry. ``made_up``: limits or factory value are ours.
     """
 
@@ -26,6 +27,7 @@ class ParamSpec:
     index: int = 0
     long: bool = False
     decimals: int = 0
+    per_unit: float = 0
     unit: str = ""
     low: float = 0
     high: float = 0xFFFF
@@ -34,16 +36,19 @@ class ParamSpec:
     read_only: bool = False
     text: bool = False
     made_up: bool = False
+    by_name: bool = False
 
     def to_raw(self, value: float) -> int:
         """The integer on the wire. Raises ValueError with the limits."""
         if not (math.isfinite(value) and self.low <= value <= self.high):
             unit = f" {self.unit}" if self.unit else ""
             raise ValueError(f"{self.label}: {value:g}{unit} is outside {self.low:g}..{self.high:g}{unit}")
-        return round(value * float(10**self.decimals))
+        return round(value * (self.per_unit or float(10**self.decimals)))
 
     def to_value(self, raw: int) -> int | float:
         """The value in ``unit`` of an integer on the wire: an int where there are no decimals."""
+        if self.per_unit not in (0, 1):
+            return raw / self.per_unit
         return raw / 10**self.decimals if self.decimals else raw
 
     def pwe(self, raw: int) -> int:
@@ -59,7 +64,7 @@ class ParamSpec:
     @property
     def label(self) -> str:
         """Number and title for people."""
-        return f"{self.number} ({self.title})" if not self.index else f"{self.name} ({self.title})"
+        return f"{self.name if self.index or self.by_name else self.number} ({self.title})"
 
 
 class ParamTable:

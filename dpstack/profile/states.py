@@ -87,7 +87,7 @@ class ControlTable:
     ``run``: the control word that leads on from each state towards RUNNING. ``steady``: the words of the other
     goals. ``released_mask``: bits of one's own control word that must all be set for RUNNING to mean running;
     without them ``releasing`` states read as STOPPING (a status word alone cannot tell).
-    Bits of ``status`` by name: ``reached``, ``remote``, ``warning``.
+    Bits of ``status`` by name, as far as the drive has them: ``reached``, ``remote``, ``warning``.
     """
 
     control: Word

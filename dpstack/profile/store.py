@@ -70,6 +70,12 @@ class ParamStore:
                 values[place] = raw
             self.eeprom_writes += not ram_only
 
+    def inherit(self, before: ParamStore) -> None:
+        """Switched on again: EEPROM and RAM are what the EEPROM of ``before`` holds, and so is the count of writes."""
+        self._eeprom = {name: list(values) for name, values in before._eeprom.items()}
+        self.eeprom_writes = before.eeprom_writes
+        self.power_up()
+
     def power_up(self) -> None:
         """RAM is what the EEPROM holds."""
         self._ram = {name: list(values) for name, values in self._eeprom.items()}

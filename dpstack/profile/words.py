@@ -27,6 +27,10 @@ class Word:
             value |= 1 << self.bits[name]
         return value
 
+    def told(self, value: int, name: str) -> bool:
+        """The named bit is set in ``value``; False where the word has no such bit."""
+        return name in self.bits and bool(value >> self.bits[name] & 1)
+
     def names(self, value: int) -> tuple[str, ...]:
         """The names of the bits set in ``value``, lowest bit first; unnamed bits are left out."""
         return tuple(name for name, bit in sorted(self.bits.items(), key=lambda item: item[1]) if value >> bit & 1)

@@ -33,9 +33,9 @@ def test_d1_gsd_facts() -> None:
 @pytest.mark.parametrize(("name", "octets"), [("PPO1", 12), ("PPO2", 20), ("PPO3", 4), ("PPO4", 12)])
 def test_d2_lengths_follow_from_the_identifiers(name: str, octets: int) -> None:
     spec = DRIVE.telegram(name)
-    assert spec.octets == octets
+    assert (spec.output_octets, spec.input_octets) == (octets, octets)
     assert io_lengths(spec.config) == (octets, octets)
-    assert len(DRIVE.safe_outputs[name]) == octets
+    assert len(DRIVE.core("hoist", name).safe_outputs) == octets
     device = DRIVE.device("PPO1")
     assert device.check_cfg(spec.config) is None
     device.enter(spec.config, 0)

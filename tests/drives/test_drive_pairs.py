@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from dpstack.profile import DriveProfile, State
 from dpstack_drives.demag import DRIVE as DEMAG
 from dpstack_drives.fuji import DRIVE as FUJI
+from dpstack_drives.keb import DRIVE as KEB
 
 NONE: Mapping[str, object] = {}
 BUS = {"412": 1}
@@ -26,6 +27,9 @@ ALL = [
     (FUJI, "PPO2", NONE),
     (FUJI, "PPO3", NONE),
     (FUJI, "PPO4", NONE),
+    (KEB, "PCH+4/4", NONE),
+    (KEB, "PCH+8/8", NONE),
+    (KEB, "4/4", NONE),
 ]
 
 
@@ -36,7 +40,7 @@ def pair(
     options: Mapping[str, object] = NONE,
     rotation: int = 2 * MS,
 ) -> PairBench:
-    return PairBench(drive.core("it", telegram, options), drive.device(telegram, presets), rotation)
+    return PairBench(drive.core("it", telegram, options, simulated=True), drive.device(telegram, presets), rotation)
 
 
 @pytest.mark.parametrize("rotation", [MS // 2, 2 * MS, 7 * MS, 40 * MS])
@@ -59,9 +63,9 @@ def test_one_program_for_every_drive(
     bench.ok("quick_stop")
     bench.ok("start")
     bench.ok("coast")
-    assert bench.core.status().state is State.SWITCH_ON_INHIBITED
+    assert bench.core.status().state is (State.READY if drive is KEB else State.SWITCH_ON_INHIBITED)
     bench.ok("start")
-    bench.device.trip("F2100" if drive is DEMAG else "OC1")
+    bench.device.trip({DEMAG.name: "F2100", FUJI.name: "OC1", KEB.name: "E.OL"}[drive.name])
     bench.pass_time(400)
     assert bench.core.status().state is State.FAULT
     assert bench.refused("start")[0] == "fault"
@@ -164,15 +168,15 @@ def test_unchanged_inputs_cost_nothing(drive: DriveProfile, telegram: str, prese
 def test_random_outputs_never_break_a_simulated_drive(data: st.DataObject) -> None:
     drive, telegram, presets = data.draw(st.sampled_from(ALL))
     device = drive.device(telegram, presets)
-    core = drive.core("it", telegram)
+    core = drive.core("it", telegram, simulated=True)
     config = core.telegram.config
-    octets = core.telegram.octets
+    octets = core.telegram.output_octets
     now = 0
     device.enter(config, now)
     for outputs in data.draw(st.lists(st.binary(min_size=octets, max_size=octets), max_size=40)):
         now += data.draw(st.integers(0, 60 * MS))
         inputs = device.exchange(outputs, now)
-        assert len(inputs) == octets
+        assert len(inputs) == core.telegram.input_octets
         core.cyclic(inputs, now)
         assert core.status().state is not State.UNKNOWN
 
@@ -181,10 +185,11 @@ def test_random_outputs_never_break_a_simulated_drive(data: st.DataObject) -> No
 @given(st.data())
 def test_random_inputs_and_orders_never_break_a_plugin(data: st.DataObject) -> None:
     drive, telegram, _ = data.draw(st.sampled_from(ALL))
-    core = drive.core("it", telegram)
-    octets = core.telegram.octets
+    core = drive.core("it", telegram, simulated=True)
+    octets, sent = core.telegram.input_octets, core.telegram.output_octets
     rng = random.Random(data.draw(st.integers(0, 1 << 30)))
     ops = ["start", "stop", "coast", "quick_stop", "acknowledge", "speed", "frequency", "reached", "read", "write", "x"]
+    ops += ["read_map", "write_map", "inputs", "output"]
     now = 0
     answered: set[object] = set()
     tokens = 0
@@ -199,9 +204,27 @@ def test_random_inputs_and_orders_never_break_a_plugin(data: st.DataObject) -> N
         if rng.random() < 0.03:
             core.lost(now)
         out = core.cyclic(rng.randbytes(octets if rng.random() < 0.95 else rng.randrange(0, 21)), now)
-        assert len(out) == octets
+        assert len(out) == sent
         json.dumps(core.status().as_dict())
         answered |= {event["token"] for event in core.take_events() if event["type"] == "result"}
     core.lost(now)
     answered |= {event["token"] for event in core.take_events() if event["type"] == "result"}
     assert answered == set(range(1, tokens + 1))
+
+
+def test_switched_off_and_on_a_drive_has_what_its_eeprom_holds() -> None:
+    hoist = pair(DEMAG, "PPO1")
+    hoist.ok("write", number=412, value=1)
+    hoist.ok("write", number=480, value=7.5, data_set=2, ram=True)
+    after = DEMAG.device("PPO1")
+    after.inherit(hoist.device)
+    bench = PairBench(DEMAG.core("it", "PPO1"), after)
+    assert bench.ok("start") == "running"
+    assert bench.ok("read", number=480, data_set=2) == 5.0  # that was RAM only
+    fan = pair(FUJI, "PPO1")
+    fan.ok("write", number="o30", value=3)
+    other = FUJI.device("PPO1")
+    other.inherit(fan.device)
+    assert other.check_cfg(FUJI.telegram("PPO1").config) == "configuration f3 71 is not PPO3 (71), o30 is 3"
+    assert other.check_cfg(FUJI.telegram("PPO3").config) is None
+    assert other.configs[0] == FUJI.telegram("PPO3").config

@@ -48,9 +48,9 @@ def test_facts_and_what_is_made_up() -> None:
         spec = DRIVE.telegram(name)
         assert spec.made_up
         assert io_lengths(spec.config) == (octets, octets)
-        assert spec.octets == octets
-    assert DRIVE.safe_outputs["PPO3"].hex() == "047e0000"
-    assert DRIVE.safe_outputs["PPO1"].hex() == "0000000000000000047e0000"
+        assert (spec.output_octets, spec.input_octets) == (octets, octets)
+    assert DRIVE.core("fan", "PPO3").safe_outputs.hex() == "047e0000"
+    assert DRIVE.core("fan", "PPO1").safe_outputs.hex() == "0000000000000000047e0000"
 
 
 @pytest.mark.parametrize(
@@ -323,7 +323,7 @@ def test_safe_outputs_of_one_frame_count_although_clear_follows_at_once() -> Non
     bench = sim()
     bench.send("04 7E 40 00")
     bench.until("04 7F 40 00", "03 37 40 00", 3000)
-    bench.device.exchange(DRIVE.safe_outputs["PPO3"], bench.now + 10_000)
+    bench.device.exchange(DRIVE.core("fan", "PPO3").safe_outputs, bench.now + 10_000)
     bench.device.clear(bench.now + 20_000)
     bench.now += 3 * S
     bench.device.advance(bench.now)

@@ -13,6 +13,7 @@ from dpstack import profile
 from dpstack.errors import ConfigError
 from dpstack_drives.demag import DRIVE as DEMAG
 from dpstack_drives.fuji import DRIVE as FUJI
+from dpstack_drives.keb import DRIVE as KEB
 
 GOOD = [
     metadata.EntryPoint("demag-dedrive", "dpstack_drives.demag:DRIVE", "dpstack.drives"),
@@ -72,14 +73,12 @@ def test_what_the_package_exports_is_there() -> None:
         assert hasattr(profile, name)
 
 
-@pytest.mark.parametrize("drive", [DEMAG, FUJI])
+@pytest.mark.parametrize("drive", [DEMAG, FUJI, KEB])
 def test_profiles_are_whole(drive: profile.DriveProfile) -> None:
     assert drive.default_telegram in drive.telegrams
-    assert set(drive.safe_outputs) == set(drive.telegrams)
     for name, spec in drive.telegrams.items():
         core = drive.core("it", name)
-        assert core.safe_outputs == drive.safe_outputs[name]
-        assert len(core.safe_outputs) == spec.octets
+        assert len(core.safe_outputs) == spec.output_octets
         device = drive.device(name)
         assert device.configs[0] == spec.config
         assert device.ident == drive.ident

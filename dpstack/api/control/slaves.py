@@ -28,7 +28,7 @@ class Bench(Protocol):
         """The end of it."""
 
     def power(self, address: int, on: bool) -> None:
-        """Off at once, on as new."""
+        """Off at once, on again; a drive keeps its EEPROM."""
 
 
 class SlaveCommands:

@@ -45,7 +45,7 @@ SLAVES: Final = (
     Spec("silence", "SLAVE [TIME]", "deaf and mute for a time, else until resume", "3 2s"),
     Spec("resume", "SLAVE", "ends a silence", "3"),
     Spec("power-off", "SLAVE", "switches the slave off", "3"),
-    Spec("power-on", "SLAVE", "switches it on again, as new", "3"),
+    Spec("power-on", "SLAVE", "switches it on again; a drive keeps its EEPROM", "3"),
 )
 SEGMENT: Final = (
     Spec("noise", "RATE", "probability of a damaged bit from now on, 0 up to 1", "1e-4"),

@@ -13,8 +13,9 @@ from dpstack.profile import (
     CommandError,
     DriveCore,
     DriveProfile,
-    ParamAccess,
+    ParamKey,
     ParamRef,
+    PkwAccess,
     Steps,
     TelegramSpec,
     drivecom,
@@ -58,12 +59,12 @@ class DemagCore(DriveCore):
             drivecom.TABLE,
             scan_ns=t.scan_ms(telegram) * NS_PER_MS,
             reference_hz=float(options["reference_hz"]),
-            safe_outputs=bytes(telegram.octets),
+            safe_outputs=bytes(telegram.output_octets),
         )
         self._set_412 = bool(options["set_412"])
-        self._wide = telegram.words == 6
-        if telegram.pkw:
-            self.access = ParamAccess(t.PKW, self._resolve, lambda: self.now, self.settle_ns, self._written)
+        self._wide = telegram.inputs == 12
+        if telegram.channel:
+            self.access = PkwAccess(t.PKW, self._resolve, lambda: self.now, self.settle_ns, self._written)
 
     def received(self) -> None:
         """Take the actual value for what ZSW bits 12-14 say it is (11.2.3), or all of them (11.2.4)."""
@@ -114,13 +115,13 @@ class DemagCore(DriveCore):
 
     def warnings(self) -> tuple[str, ...]:
         """By name."""
-        if not self.words[0] & _WARNING:
+        if not self.status_word & _WARNING:
             return ()
         return t.warning_names(self._warning_word)
 
     def obstacle(self) -> str | None:
         """Bit 9 tells whether the bus controls the drive at all."""
-        if self.words[0] & _REMOTE:
+        if self.status_word & _REMOTE:
             return None
         return f"remote (bit 9) is 0: 412 is not 1 in the active data set, or {_NO_RELEASE}"
 
@@ -138,8 +139,7 @@ class DemagCore(DriveCore):
         active = yield from self._read(249, None, deadline)
         mode = yield from self._read(412, active, deadline)
         if mode != 1 and self._set_412:
-            ref = self._resolve(412, active, True)
-            yield from self.access.write(ref, 1, deadline)
+            yield from self.access.write(ParamKey(412, active, ram=True), 1, deadline)
             self.notice(f"412 was {mode}: set to 1 in data set {active} (RAM only)")
             yield from settled(self, self._remote, deadline)
             mode = 1
@@ -153,11 +153,11 @@ class DemagCore(DriveCore):
             raise CommandError("fault", _NO_RELEASE)
 
     def _remote(self) -> bool:
-        return bool(self.words[0] & _REMOTE)
+        return bool(self.status_word & _REMOTE)
 
     def _read(self, number: int, data_set: int | None, deadline: int) -> Steps[int]:
         assert self.access is not None
-        outcome = yield from self.access.read(self._resolve(number, data_set, False), deadline)
+        outcome = yield from self.access.read(ParamKey(number, data_set), deadline)
         value = outcome["value"]
         assert isinstance(value, int)
         return value
@@ -170,7 +170,8 @@ class DemagCore(DriveCore):
             if count in _TELL_WRITES:
                 self.notice(f"{ref.label} was written to the EEPROM {count} times, which wears it out: use ram = true")
 
-    def _resolve(self, name: str | int, data_set: int | None, ram: bool) -> ParamRef:
+    def _resolve(self, key: ParamKey) -> ParamRef:
+        name, data_set, ram = key.name, key.place, key.ram
         spec = t.PARAMETERS.named(name) if isinstance(name, str) else t.PARAMETERS.get(name)
         if spec is None and isinstance(name, str):
             near = " or ".join(t.PARAMETERS.nearest(name))

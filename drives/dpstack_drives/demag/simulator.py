@@ -55,7 +55,7 @@ class DemagDevice(DriveDevice):
     ) -> None:
         super().__init__(profile, telegram, Motor(load=float(options["load"])))
         self.store = ParamStore(t.PARAMETERS, presets, sets=t.SETS, where=f"simulated {profile.name}")
-        self.pkw = PkwServer(t.PKW, self._order)
+        self.channel = PkwServer(t.PKW, self._order)
         self.machine = drivecom.DrivecomMachine()
         self.f_max = float(options["f_max"])
         self.f_min = float(options["f_min"])
@@ -94,6 +94,11 @@ class DemagDevice(DriveDevice):
             known = ", ".join(f"F{known:04X}" for known in t.FAULTS)
             raise ValueError(f"{code!r} is no fault number such as {known}")
         return number
+
+    def inherit(self, before: DriveDevice) -> None:
+        """The parameters."""
+        if isinstance(before, DemagDevice):
+            self.store.inherit(before.store)
 
     def master_lost(self, reason: Leave, now: int) -> None:
         """The bus no longer controls: F2062 when the watchdog ended it, else the power stage just goes off."""
@@ -228,7 +233,7 @@ class DemagDevice(DriveDevice):
         status |= 0x8000 if self.warning_mask & t.TRIPS_SOON else 0
         frequency = _word(motor.frequency * rated / reference)
         current, active_current = _word(motor.current), _word(motor.torque if motor.on else 0.0)
-        if self.telegram.words == 6:
+        if self.telegram.inputs == 12:
             return status, frequency, current, active_current, self.warning_mask, self.fault
         select = control >> 12 & 7
         if select not in t.SELECTABLE:

@@ -28,10 +28,10 @@ MAX_TSDR: Final = {
 TELEGRAMS: Final = {
     spec.name: spec
     for spec in (
-        TelegramSpec(name="PPO1", config=bytes.fromhex("F3 71"), words=2, pkw=True),
-        TelegramSpec(name="PPO2", config=bytes.fromhex("F3 75"), words=6, pkw=True),
-        TelegramSpec(name="PPO3", config=bytes.fromhex("71"), words=2),
-        TelegramSpec(name="PPO4", config=bytes.fromhex("75"), words=6),
+        TelegramSpec(name="PPO1", config=bytes.fromhex("F3 71"), outputs=4, inputs=4, channel=True),
+        TelegramSpec(name="PPO2", config=bytes.fromhex("F3 75"), outputs=12, inputs=12, channel=True),
+        TelegramSpec(name="PPO3", config=bytes.fromhex("71"), outputs=4, inputs=4),
+        TelegramSpec(name="PPO4", config=bytes.fromhex("75"), outputs=12, inputs=12),
     )
 }
 

@@ -6,14 +6,16 @@ from collections.abc import Mapping
 from typing import Final
 
 from dpstack.profile import (
+    CHANNEL_LEN,
     FAULTED,
     NS_PER_MS,
     NS_PER_S,
     CommandError,
     DriveCore,
     DriveProfile,
-    ParamAccess,
+    ParamKey,
     ParamRef,
+    PkwAccess,
     State,
     Steps,
     TelegramSpec,
@@ -23,6 +25,8 @@ from dpstack_drives.fuji import table as t
 
 _REMOTE: Final = t.STATUS.mask("remote")
 _REVERSE: Final = t.CONTROL.mask("reverse")
+#: OFF1 (ramp down) with bit 10 set: zeros would be ignored and leave the drive running
+_SAFE: Final = bytes.fromhex("047E")
 #: how long the drive may take to react is not in the manual; waits reckon with this
 _SCAN_NS: Final = 20 * NS_PER_MS
 
@@ -47,10 +51,12 @@ class FujiCore(DriveCore):
             t.TABLE,
             scan_ns=_SCAN_NS,
             reference_hz=float(options["reference_hz"]),
-            safe_outputs=profile.safe_outputs[telegram.name],
+            safe_outputs=(bytes(CHANNEL_LEN) if telegram.channel else b"")
+            + _SAFE
+            + bytes(telegram.outputs - len(_SAFE)),
         )
-        if telegram.pkw:
-            self.access = ParamAccess(t.PKW, self._resolve, lambda: self.now, self.settle_ns)
+        if telegram.channel:
+            self.access = PkwAccess(t.PKW, self._resolve, lambda: self.now, self.settle_ns)
 
     def received(self) -> None:
         """With a parameter channel a trip is looked up in the malfunction history."""
@@ -85,7 +91,7 @@ class FujiCore(DriveCore):
 
     def obstacle(self) -> str | None:
         """STW bit 9, then the state that a CTW which is not obeyed leaves behind."""
-        if not self.words[0] & _REMOTE:
+        if not self.status_word & _REMOTE:
             return "STW bit 9 is 0: neither run nor frequency command comes from the bus; set y98 to 3"
         if self.raw_state is State.SWITCH_ON_INHIBITED:
             return (
@@ -102,25 +108,25 @@ class FujiCore(DriveCore):
             return
         why = self.obstacle() or ""
         if self.access is not None:
-            outcome = yield from self.access.read(self._resolve("y98", None, False), deadline)
+            outcome = yield from self.access.read(ParamKey("y98"), deadline)
             why = f"y98 is {outcome['value']}: {why}"
         raise CommandError("fault", why)
 
     def _remote(self) -> bool:
-        return bool(self.words[0] & _REMOTE)
+        return bool(self.status_word & _REMOTE)
 
     def _ask(self) -> Steps[dict[str, object]]:
         assert self.access is not None
-        ref = self._resolve(t.PNU_ALARMS, 1, False)
-        outcome = yield from self.access.read(ref, self.now + NS_PER_S)
+        outcome = yield from self.access.read(ParamKey(t.PNU_ALARMS, index=1), self.now + NS_PER_S)
         raw = outcome["raw"]
         assert isinstance(raw, int)
         self._alarm = raw
         self.update()
         return outcome
 
-    def _resolve(self, name: str | int, index: int | None, ram: bool) -> ParamRef:
-        if ram:
+    def _resolve(self, key: ParamKey) -> ParamRef:
+        name, index = key.name, key.place
+        if key.ram:
             raise CommandError("usage", f"{self.drive} has no writes to RAM only")
         if isinstance(name, str) and (found := t.address(name)) is not None:
             if index is not None:

@@ -9,9 +9,6 @@ from dpstack_drives.fuji import table as t
 from dpstack_drives.fuji.plugin import FujiCore
 from dpstack_drives.fuji.simulator import FujiDevice
 
-#: OFF1 (ramp down) with bit 10 set: zeros would be ignored and leave the drive running
-_SAFE: Final = bytes.fromhex("047E")
-
 DRIVE: Final = DriveProfile(
     name="fuji-frenic",
     title="Fuji FRENIC-Multi, OPC-E1-PDP",
@@ -20,9 +17,6 @@ DRIVE: Final = DriveProfile(
     telegrams=t.TELEGRAMS,
     default_telegram="PPO1",
     baud_rates=t.BAUD_RATES,
-    safe_outputs={
-        name: (bytes(8) if spec.pkw else b"") + _SAFE + bytes(2 * spec.words - 2) for name, spec in t.TELEGRAMS.items()
-    },
     reference_hz=60.0,
     on_loss=(
         "by o27 and o28; at the factory it coasts and trips Er5 as soon as its watchdog ends data exchange; "

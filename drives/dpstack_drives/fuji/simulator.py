@@ -51,7 +51,7 @@ class FujiDevice(DriveDevice):
         self.store = ParamStore(t.PARAMETERS, given, where=where)
         self.own = t.telegram_of(int(self.store.value("o30")))
         super().__init__(profile, self.own, Motor(load=float(options["load"])))
-        self.pkw = PkwServer(t.PKW, self._order)
+        self.channel = PkwServer(t.PKW, self._order)
         self.machine = profidrive.ProfidriveMachine()
         #: alarm codes (M16 to M19), latest first
         self.alarms: list[int] = []
@@ -82,12 +82,20 @@ class FujiDevice(DriveDevice):
                 return alarm.code
         raise ValueError(f"{code!r} is no alarm; known: {', '.join(alarm.keypad for alarm in t.ALARMS)}")
 
+    def inherit(self, before: DriveDevice) -> None:
+        """The function codes; o30 counts from power-on."""
+        if isinstance(before, FujiDevice):
+            self.store.inherit(before.store)
+            self.own = t.telegram_of(int(self.store.value("o30")))
+            self.telegram = self.own
+            self.configs = tuple(dict.fromkeys((self.own.config, *self.configs)))
+
     def exchange(self, outputs: bytes, now: int) -> bytes:
         """A frame with bit 10 stands until the next one, even when it was there for less than a scan (a reading)."""
         inputs = super().exchange(outputs, now)
         self._received = True
-        if len(outputs) == self.telegram.octets:
-            control, mrv = _COMMAND.unpack_from(outputs, 8 if self.telegram.pkw else 0)
+        if len(outputs) == self.telegram.output_octets:
+            control, mrv = _COMMAND.unpack_from(outputs, 8 if self.telegram.channel else 0)
             if control & 0x0400:
                 self._control, self._mrv = control, mrv
         return inputs
@@ -129,7 +137,7 @@ class FujiDevice(DriveDevice):
             reference = -reference
         self._drive(reference)
         self._status = self._word(source, reference)
-        extra = (0,) * (self.telegram.words - 2)
+        extra = (0,) * (self.telegram.inputs // 2 - 2)
         return (self._status, SPEED.encode(min(max(motor.frequency, -2.0), 0x7FFF / 0x4000)), *extra)
 
     def _judge_loss(self, data: bool, now: int) -> None:

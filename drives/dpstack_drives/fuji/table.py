@@ -31,10 +31,10 @@ BAUD_RATES: Final = (
 TELEGRAMS: Final = {
     spec.name: spec
     for spec in (
-        TelegramSpec(name="PPO1", config=bytes.fromhex("F3 71"), words=2, pkw=True, made_up=True),
-        TelegramSpec(name="PPO2", config=bytes.fromhex("F3 75"), words=6, pkw=True, made_up=True),
-        TelegramSpec(name="PPO3", config=bytes.fromhex("71"), words=2, made_up=True),
-        TelegramSpec(name="PPO4", config=bytes.fromhex("75"), words=6, made_up=True),
+        TelegramSpec(name="PPO1", config=bytes.fromhex("F3 71"), outputs=4, inputs=4, channel=True, made_up=True),
+        TelegramSpec(name="PPO2", config=bytes.fromhex("F3 75"), outputs=12, inputs=12, channel=True, made_up=True),
+        TelegramSpec(name="PPO3", config=bytes.fromhex("71"), outputs=4, inputs=4, made_up=True),
+        TelegramSpec(name="PPO4", config=bytes.fromhex("75"), outputs=12, inputs=12, made_up=True),
     )
 }
 #: the internal scan time is in no manual: a reading

@@ -1,17 +1,18 @@
-"""Parameters over the parameter channel as orders: named, scaled, checked before anything is sent."""
+"""Parameters over PKW as orders: named, scaled, checked before anything is sent."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import NamedTuple
 
+from dpstack.profile.channel import ParamKey
 from dpstack.profile.jobs import CommandError, Steps
 from dpstack.profile.params import ParamSpec
 from dpstack.profile.pkw import Order, Pkw, PkwClient, PkwDialect, Reply
 
 
 class ParamRef(NamedTuple):
-    """A parameter as it stands in the channel: PNU, IND's high octet, array orders or plain ones, what is known of it.
+    """A parameter as it stands in PKW: PNU, IND's high octet, array orders or plain ones, what is known of it.
 
     ``data_set`` is what to tell the user, None where the drive has none or the parameter exists once.
     """
@@ -24,17 +25,17 @@ class ParamRef(NamedTuple):
     data_set: int | None = None
 
 
-#: Finds a parameter: name or number, data set or index, RAM only. Raises CommandError.
-Resolver = Callable[["str | int", "int | None", bool], ParamRef]
+#: Finds what a user named. Raises CommandError.
+Resolver = Callable[[ParamKey], ParamRef]
 
 
-class ParamAccess:
-    """The master's end of a drive's parameters. ``clock`` tells the time of the current cycle in ns.
+class PkwAccess:
+    """A :class:`~dpstack.profile.channel.ParameterChannel` by PKW. ``clock`` tells the time of the current cycle in ns.
 
     ``settle_ns``: after this time the drive's reply belongs to what is sent now. ``written`` is told after a write.
     """
 
-    __slots__ = ("_clock", "_dialect", "client", "resolve", "written")
+    __slots__ = ("_client", "_clock", "_dialect", "_resolve", "_written")
 
     def __init__(
         self,
@@ -44,20 +45,40 @@ class ParamAccess:
         settle_ns: int,
         written: Callable[[ParamRef], None] | None = None,
     ) -> None:
-        self.written = written
+        self._written = written
         self._dialect = dialect
         self._clock = clock
-        self.resolve = resolve
-        self.client = PkwClient(dialect, settle_ns)
+        self._resolve = resolve
+        self._client = PkwClient(dialect, settle_ns)
 
-    def read(self, ref: ParamRef, deadline: int) -> Steps[dict[str, object]]:
+    @property
+    def octets(self) -> bytes:
+        """PKE, IND, PWE as they go out now."""
+        return self._client.octets
+
+    @property
+    def busy(self) -> bool:
+        """An order waits or runs, or the last one is not yet released."""
+        return self._client.busy
+
+    def step(self, inputs: bytes, now: int) -> None:
+        """One cycle of the handshake."""
+        self._client.step(inputs, now)
+
+    def reset(self) -> None:
+        """Both ends start at 0 again."""
+        self._client.reset()
+
+    def read(self, key: ParamKey, deadline: int) -> Steps[dict[str, object]]:
         """Read one parameter."""
+        ref = self._resolve(key)
         order = Pkw(Order.READ_ARRAY if ref.array else Order.READ, ref.pnu, ref.ind)
         reply = yield from self._exchange(order, ref, deadline)
         return _outcome(ref, reply)
 
-    def write(self, ref: ParamRef, value: float, deadline: int) -> Steps[dict[str, object]]:
+    def write(self, key: ParamKey, value: float, deadline: int) -> Steps[dict[str, object]]:
         """Write one parameter; of an unknown one the type is read first and ``value`` is the integer on the wire."""
+        ref = self._resolve(key)
         spec = ref.spec
         if spec is not None:
             if spec.read_only:
@@ -77,21 +98,21 @@ class ParamAccess:
         else:
             kind = Order.WRITE_LONG if long else Order.WRITE_WORD
         reply = yield from self._exchange(Pkw(kind, ref.pnu, ref.ind, pwe), ref, deadline)
-        if self.written is not None:
-            self.written(ref)
+        if self._written is not None:
+            self._written(ref)
         return _outcome(ref, reply)
 
     def _exchange(self, order: Pkw, ref: ParamRef, deadline: int) -> Steps[Pkw]:
         if order.id not in self._dialect.answers:
             raise CommandError("usage", f"{ref.label}: the drive has no order {order.id} in its parameter channel")
-        exchange = self.client.submit(order)
+        exchange = self._client.submit(order)
         try:
             while exchange.reply is None:
                 if self._clock() >= deadline:
                     raise CommandError("timeout", f"{ref.label}: {_silence(exchange.stray)}")
                 yield
         finally:
-            self.client.cancel(exchange, self._clock())
+            self._client.cancel(exchange, self._clock())
         reply = exchange.reply
         if reply.id == Reply.ERROR:
             number = reply.pwe & 0xFFFF

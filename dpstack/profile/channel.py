@@ -1,0 +1,64 @@
+"""A drive's parameters as the rest of the project sees them, by PKW or by a maker's own channel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, Protocol
+
+from dpstack.profile.jobs import Steps
+
+#: octets of a parameter channel in front of the process data, the same for every drive that has one
+CHANNEL_LEN: Final = 8
+
+
+@dataclass(frozen=True, slots=True)
+class ParamKey:
+    """A parameter as a user names it. What ``data_set`` and ``index`` mean is the drive's; ``ram``: do not store it."""
+
+    name: str | int
+    data_set: int | None = None
+    index: int | None = None
+    ram: bool = False
+
+    @property
+    def place(self) -> int | None:
+        """Data set or index, for drives where one octet stands for either."""
+        return self.index if self.data_set is None else self.data_set
+
+
+class ParameterChannel(Protocol):
+    """The master's end. Orders queue; each is a generator that ends with its outcome or raises CommandError.
+
+    An outcome has ``value`` (in ``unit``), ``raw`` (the integer on the wire), ``number``, ``name``, ``unit`` and
+    ``data_set``. Deadlines in ns.
+    """
+
+    @property
+    def octets(self) -> bytes:
+        """What to send now in front of the process data; empty where the channel is not part of them."""
+
+    @property
+    def busy(self) -> bool:
+        """True while :meth:`step` is wanted in every cycle."""
+
+    def step(self, inputs: bytes, now: int) -> None:
+        """Judge the channel's octets in ``inputs`` (the first ones) and go on; never raises."""
+
+    def reset(self) -> None:
+        """The slave left data exchange: all orders are given up."""
+
+    def read(self, key: ParamKey, deadline: int) -> Steps[dict[str, object]]:
+        """Read one parameter."""
+
+    def write(self, key: ParamKey, value: float, deadline: int) -> Steps[dict[str, object]]:
+        """Write one parameter; ``value`` in its unit, or the integer on the wire where its scale is unknown."""
+
+
+class ChannelServer(Protocol):
+    """The drive's end, asked once a scan."""
+
+    def reset(self) -> None:
+        """Data exchange begins."""
+
+    def step(self, octets: bytes) -> bytes:
+        """The reply to the octets of the order area (:data:`CHANNEL_LEN` both)."""

@@ -1,0 +1,225 @@
+"""The simulated PROFIBUS operator: process data maps with their enables, and when data go to and from the inverter.
+
+Rows K7, K9, K11, K12. Manual: Process Data Assignment, Saving of the F5 PB-Operator Configuration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final, Protocol
+
+from dpstack.profile import NS_PER_MS, NS_PER_US
+from dpstack_drives.keb import table as t
+from dpstack_drives.keb.channel import RefusedError
+from dpstack_drives.keb.pdmap import BLOCK, DEFAULT_INPUTS, DEFAULT_OUTPUTS, SUBINDEXES, Entry, PdMap, check
+
+#: one telegram to the inverter; how long it takes is made up
+LINK_NS: Final = NS_PER_MS
+#: Cyclic communication mode: the smallest cycle
+_SMALLEST_CYCLE_NS: Final = 2000 * NS_PER_US
+_MAX_PROCESS: Final = 2 * BLOCK
+_LENGTH: Final = 1
+
+
+class Inverter(Protocol):
+    """What the operator does with the inverter behind it."""
+
+    def provides(self, entry: Entry) -> bool:
+        """There is such a parameter, as long as the map says."""
+
+    def fetch(self, entry: Entry) -> int:
+        """Its value for the inputs, unsigned."""
+
+    def store_output(self, entry: Entry, raw: int) -> None:
+        """Write it; what it refuses stays as it is."""
+
+
+class Direction:
+    """The map of one direction: the records as written, what power-on falls back to, and what is active.
+
+    A change resets the enable of its block (of both, where it is the length); an enable takes effect at power-on.
+    """
+
+    def __init__(self, default: PdMap) -> None:
+        self._default = default
+        self.records = [dict(default.records(0)), dict(default.records(1))]
+        self.enable = [t.ENABLED, t.ENABLED]
+        self._kept = [dict(record) for record in self.records]
+        self._kept_enable = list(self.enable)
+        self.active: tuple[tuple[tuple[int, Entry], ...], ...] = ((), ())
+        self.power_on()
+
+    def map(self) -> PdMap | None:
+        """As the records have it; None where they make no sense."""
+        try:
+            return PdMap.from_records(*self.records)
+        except ValueError:
+            return None
+
+    def write(self, block: int, subindex: int, raw: int) -> None:
+        """One subindex of a record."""
+        self.records[block][subindex] = raw
+        for one in (0, 1) if subindex == _LENGTH else (block,):
+            self.enable[one] = 0
+
+    def confirm(self, block: int, enable: int) -> None:
+        """The map is right: from now on it outlives power-off."""
+        self.enable[block] = self._kept_enable[block] = enable
+        self._kept[block] = dict(self.records[block])
+
+    def inherit(self, before: Direction, *, default: bool) -> None:
+        """Switched on again; ``default``: Fb23 is 0."""
+        if not default:
+            self._kept = [dict(record) for record in before._kept]
+            self._kept_enable = list(before._kept_enable)
+        self.power_on()
+
+    def power_on(self) -> None:
+        """What is not enabled is lost; the maps go to the inverter."""
+        self.records = [dict(record) for record in self._kept]
+        self.enable = list(self._kept_enable)
+        found = self.map()
+        self.active = tuple(
+            tuple((at, entry) for at, entry in (found.places() if found else ()) if self._enabled(block, at, entry))
+            for block in (0, 1)
+        )
+
+    def _enabled(self, block: int, at: int, entry: Entry) -> bool:
+        """Bit n of the enable stands for octet n + 1 of the block."""
+        needed = ((1 << entry.octets) - 1) << at % BLOCK
+        return at // BLOCK == block and self.enable[block] & needed == needed
+
+
+class Operator:
+    """``second``: indexes of record and enable of block 2, inputs then outputs (no manual gives them).
+
+    ``cycle``: PD_In_Cycle (Fb09) in ns. ``com_cycle_us``: SelComCycle of the cyclic mode, 0 = off.
+    Readings: inputs of a block that is not enabled are 0; in the cyclic mode all process data go with every grid; an
+    enable is answered with 8/0/0034 whether it is confirmed or not.
+    """
+
+    def __init__(
+        self,
+        inverter: Inverter,
+        cycle: Callable[[], int],
+        second: tuple[tuple[int, int], tuple[int, int]],
+        com_cycle_us: float,
+    ) -> None:
+        self._inverter = inverter
+        self._cycle = cycle
+        self._com_cycle_ns = round(com_cycle_us * NS_PER_US)
+        self.into, self.out = Direction(DEFAULT_INPUTS), Direction(DEFAULT_OUTPUTS)
+        (in_record, in_enable), (out_record, out_enable) = second
+        self._records = {
+            t.MAP_INPUTS: (self.into, 0),
+            t.MAP_OUTPUTS: (self.out, 0),
+            in_record: (self.into, 1),
+            out_record: (self.out, 1),
+        }
+        self._enables = {
+            t.ENABLE_INPUTS: (self.into, 0),
+            t.ENABLE_OUTPUTS: (self.out, 0),
+            in_enable: (self.into, 1),
+            out_enable: (self.out, 1),
+        }
+        #: telegrams with outputs that went to the inverter
+        self.output_telegrams = 0
+        self._taken: list[bytes | None] = [None, None]
+        self._image = bytearray(_MAX_PROCESS)
+        self._due = 0
+        self._second_next = False
+
+    def inherit(self, before: Operator, *, default: bool) -> None:
+        """Switched on again."""
+        self.into.inherit(before.into, default=default)
+        self.out.inherit(before.out, default=default)
+
+    # -- parameters of its own ------------------------------------------------------------------------------------
+
+    def access(self, index: int, subindex: int, raw: int | None) -> int | None:
+        """Read (``raw`` None) or write a record or an enable; None where the index is neither. Raises RefusedError."""
+        if index in self._records:
+            direction, block = self._records[index]
+            return self._record(direction, block, subindex, raw)
+        if index in self._enables:
+            direction, block = self._enables[index]
+            if subindex:
+                raise RefusedError(t.BAD_SUBINDEX)
+            return self._enable(direction, block, raw)
+        return None
+
+    def _record(self, direction: Direction, block: int, subindex: int, raw: int | None) -> int:
+        first = _LENGTH if block == 0 else _LENGTH + 1
+        if not first <= subindex <= SUBINDEXES:
+            raise RefusedError(t.BAD_SUBINDEX)
+        if raw is None:
+            return direction.records[block][subindex]
+        if raw > (_MAX_PROCESS if subindex == _LENGTH else 0xFFFF):
+            raise RefusedError(t.BAD_MAP)
+        direction.write(block, subindex, raw)
+        return raw
+
+    def _enable(self, direction: Direction, block: int, raw: int | None) -> int:
+        if raw is None:
+            return direction.enable[block]
+        if raw > t.ENABLED:
+            raise RefusedError(t.BAD_VALUE)
+        if raw == 0:
+            direction.enable[block] = 0
+            return 0
+        if self._right(direction):
+            direction.confirm(block, raw)
+        else:
+            direction.enable[block] = 0
+        raise RefusedError(t.NOT_POSSIBLE)
+
+    def _right(self, direction: Direction) -> bool:
+        into, out = self.into.map(), self.out.map()
+        if into is None or out is None or check(into, out) is not None:
+            return False
+        return all(self._inverter.provides(entry) for entry in (into if direction is self.into else out).entries)
+
+    # -- process data ---------------------------------------------------------------------------------------------
+
+    def take(self, process: bytes, now: int) -> None:
+        """Outputs as received: a block goes to the inverter when it has changed, one telegram a scan.
+
+        In the cyclic mode every block goes at each point of the grid.
+        """
+        blocks = [process[:BLOCK], process[BLOCK:_MAX_PROCESS]]
+        grid = self._com_cycle_ns > 0
+        if grid and now < self._due:
+            return
+        for number, octets in enumerate(blocks):
+            entries = [(at, entry) for at, entry in self.out.active[number] if at + entry.octets <= len(process)]
+            if entries and (grid or octets != self._taken[number]):
+                self._taken[number] = octets
+                self.output_telegrams += 1
+                for at, entry in entries:
+                    self._inverter.store_output(entry, int.from_bytes(process[at : at + entry.octets], "big"))
+                if not grid:
+                    return
+
+    def fetch(self, length: int, now: int) -> bytes:
+        """Inputs of ``length`` octets as they stand now."""
+        if self._second_next:
+            self._second_next = False
+            self._read(1)
+        elif now >= self._due:
+            self._read(0)
+            if self._com_cycle_ns:
+                self._read(1)
+                self._due = now + max(_SMALLEST_CYCLE_NS, self._com_cycle_ns)
+            else:
+                self._second_next = bool(self.into.active[1])
+                self._due = now + max(self._cycle(), LINK_NS * (2 if self._second_next else 1))
+        return self.held(length)
+
+    def held(self, length: int) -> bytes:
+        """Inputs as they were read last."""
+        return bytes(self._image[:length]).ljust(length, b"\0")
+
+    def _read(self, block: int) -> None:
+        for at, entry in self.into.active[block]:
+            raw = self._inverter.fetch(entry)
+            self._image[at : at + entry.octets] = (raw & (1 << 8 * entry.octets) - 1).to_bytes(entry.octets, "big")

@@ -1,0 +1,115 @@
+"""The parameters of the simulated F5 as its operator reads and writes them (rows K3 to K6, K8)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Final
+
+from dpstack.profile import ParamSpec, ParamStore
+from dpstack_drives.keb import table as t
+from dpstack_drives.keb.channel import RefusedError
+from dpstack_drives.keb.pdmap import Entry
+
+#: what process data write: never stored
+_VOLATILE: Final = frozenset({t.CONTROL_WORD, t.SET_SPEED, t.CONTROL_LONG})
+_PASSWORD, _PASSWORD_INDEX = 440, 0x2801
+
+
+class Parameters:
+    """``presets`` by name; ``live`` gives actual values, None for what is stored. Raises ConfigError.
+
+    Readings: writes need the password of the recipe; a parameter that exists once is in set 0; subindex 0 is set 0.
+    """
+
+    def __init__(self, presets: Mapping[str, object], live: Callable[[int], int | None], where: str) -> None:
+        self.store = ParamStore(t.PARAMETERS, presets, sets=t.SETS, where=where)
+        self._live = live
+        #: the link to the inverter (HSP5) stands
+        self.linked = True
+        #: accesses that will be answered as busy
+        self.busy_accesses = 0
+
+    def raw(self, index: int) -> int:
+        """The integer stored in set 0."""
+        spec = t.PARAMETERS.get(index)
+        return 0 if spec is None else self.store.raw(spec)
+
+    def provides(self, entry: Entry) -> bool:
+        """For the operator."""
+        spec = t.PARAMETERS.get(entry.index)
+        return spec is not None and spec.long == entry.long
+
+    def fetch(self, entry: Entry) -> int:
+        """For the operator; of sets with different values the first (a reading)."""
+        spec = t.PARAMETERS.get(entry.index)
+        if spec is None:
+            return 0
+        live = self._live(entry.index)
+        first = (entry.sets & -entry.sets).bit_length()
+        return self.store.raw(spec, first) if live is None else live
+
+    def store_output(self, entry: Entry, raw: int) -> None:
+        """For the operator."""
+        spec = t.PARAMETERS.get(entry.index)
+        if spec is not None and not spec.read_only:
+            value = spec.from_pwe(raw)
+            if spec.low <= spec.to_value(value) <= spec.high:
+                self._write(spec, value, entry.sets, ram_only=True)
+
+    def _write(self, spec: ParamSpec, raw: int, sets: int, *, ram_only: bool) -> None:
+        if spec.number == t.CONTROL_LONG:
+            control = t.PARAMETERS.get(t.CONTROL_WORD)
+            assert control is not None
+            self.store.write(control, raw & 0xFFFF, ram_only=True)
+        for number in range(t.SETS):
+            if sets >> number & 1:
+                self.store.write(spec, raw, number + 1, ram_only=ram_only)
+                if not spec.per_set:
+                    return
+
+    def request(self, index: int, subindex: int, raw: int | None, octets: int) -> tuple[int, int]:
+        """An access of the parameter channel: the value and its octets. Raises RefusedError."""
+        if index in t.INVERTER:
+            if not self.linked:
+                raise RefusedError(t.NO_INVERTER)
+            if self.busy_accesses:
+                self.busy_accesses -= 1
+                raise RefusedError(t.BUSY)
+        spec = t.PARAMETERS.get(index)
+        if spec is None:
+            raise RefusedError(t.BAD_INDEX)
+        sets = self._sets(spec, subindex)
+        if raw is not None:
+            self._change(spec, sets, raw, octets)
+            return raw, octets
+        return self._read(spec, sets), 4 if spec.long else 2
+
+    def _sets(self, spec: ParamSpec, subindex: int) -> int:
+        """The sets meant; 0 is the one that Fr.09 points to, set 0 here."""
+        if spec.number in t.INTERFACE:
+            if subindex:
+                raise RefusedError(t.BAD_SUBINDEX)
+            return 1
+        if not spec.per_set and subindex > 1:
+            raise RefusedError(t.BAD_SET)
+        return subindex or 1
+
+    def _change(self, spec: ParamSpec, sets: int, raw: int, octets: int) -> None:
+        if spec.read_only:
+            raise RefusedError(t.WRITE_PROTECTED)
+        if self.store.value("ud.01") != _PASSWORD and spec.number in t.INVERTER and spec.number != _PASSWORD_INDEX:
+            raise RefusedError(t.PASSWORD)
+        half = 1 << 8 * octets - 1
+        value = (raw ^ half) - half if spec.low < 0 else raw
+        if not spec.low <= spec.to_value(value) <= spec.high:
+            raise RefusedError(t.BAD_VALUE)
+        self._write(spec, value, sets, ram_only=spec.number in _VOLATILE)
+
+    def _read(self, spec: ParamSpec, sets: int) -> int:
+        live = self._live(spec.number)
+        if live is not None:
+            return live & 0xFFFF_FFFF
+        values = {self.store.raw(spec, n + 1) for n in range(t.SETS) if sets >> n & 1}
+        if len(values) > 1:
+            raise RefusedError(t.NOT_POSSIBLE)
+        return values.pop() & 0xFFFF_FFFF

@@ -1,0 +1,168 @@
+"""The process data map: which parameter stands where, as records 6000h (inputs) and 6001h (outputs); rows K7 and K8.
+
+Manual: Process Data Assignment, and Changing the PD-Assignment via the Parameter Channel (examples 1 and 2).
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from itertools import zip_longest
+from typing import Final
+
+from dpstack_drives.keb import table as t
+
+#: octets of one of the two blocks
+BLOCK: Final = 8
+#: subindex 1, then an index and a set for each of 8 octets
+SUBINDEXES: Final = 1 + 2 * BLOCK
+_LENGTH: Final = 1
+_LONGEST: Final = 2 * BLOCK
+#: never as outputs: oP.27 to oP.35
+FORBIDDEN: Final = range(0x231B, 0x2324)
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One value: a parameter of the inverter by its index, word or long, and the sets (bit n for set n)."""
+
+    index: int
+    long: bool = False
+    sets: int = 1
+
+    @property
+    def octets(self) -> int:
+        """In the process data."""
+        return 4 if self.long else 2
+
+    def __str__(self) -> str:
+        return f"{self.index:04X}{':long' if self.long else ''}{f'@{self.sets}' if self.sets != 1 else ''}"
+
+
+@dataclass(frozen=True, slots=True)
+class PdMap:
+    """The values of one direction in their order; the first 8 octets are block 1, what follows is block 2."""
+
+    entries: tuple[Entry, ...]
+
+    @classmethod
+    def parse(cls, text: str) -> PdMap:
+        """``2032 2034``, ``202C:long 2033@1 sy.53``: indexes in hex or names. Raises ValueError."""
+        return cls(tuple(_entry(word) for word in text.split()))
+
+    @classmethod
+    def from_records(cls, values: Mapping[int, int], second: Mapping[int, int] | None = None) -> PdMap:
+        """From the values of the subindexes of a record, and of that of block 2. Raises ValueError."""
+        length = values.get(_LENGTH, 0)
+        if not 0 <= length <= _LONGEST:
+            raise ValueError(f"a process data length of {length} octets; 0..{_LONGEST} are possible")
+        entries: list[Entry] = []
+        for start, record in ((0, values), (BLOCK, second or {})):
+            end = min(length - start, BLOCK)
+            begins = [b for b in range(end) if record.get(2 + 2 * b)]
+            for begin, nxt in zip_longest(begins, begins[1:], fillvalue=end):
+                if nxt - begin not in (2, 4):
+                    raise ValueError(f"a value of {nxt - begin} octets at octet {start + begin}; they have 2 or 4")
+                entries.append(Entry(record[2 + 2 * begin], nxt - begin == 4, record.get(3 + 2 * begin, 0)))
+            if end > 0 and begins[:1] != [0]:
+                raise ValueError(f"no value begins at octet {start}")
+        return cls(tuple(entries))
+
+    def __str__(self) -> str:
+        return " ".join(map(str, self.entries))
+
+    @property
+    def octets(self) -> int:
+        """Length of the process data."""
+        return sum(entry.octets for entry in self.entries)
+
+    def places(self) -> Iterable[tuple[int, Entry]]:
+        """Every value with the octet at which it begins."""
+        at = 0
+        for entry in self.entries:
+            yield at, entry
+            at += entry.octets
+
+    def place(self, index: int) -> int | None:
+        """The octet at which a parameter begins, None where it is not mapped."""
+        return next((at for at, entry in self.places() if entry.index == index), None)
+
+    def block(self, number: int) -> tuple[Entry, ...]:
+        """The values of block 0 or 1."""
+        return tuple(entry for at, entry in self.places() if at // BLOCK == number)
+
+    def records(self, block: int = 0) -> list[tuple[int, int]]:
+        """Subindex and value of a block's record, all 17; of block 2 without the length, which is in block 1's."""
+        values = dict.fromkeys(range(2, SUBINDEXES + 1), 0)
+        if block == 0:
+            values[_LENGTH] = self.octets
+        for at, entry in self.places():
+            if at // BLOCK == block:
+                values[2 + 2 * (at % BLOCK)] = entry.index
+                values[3 + 2 * (at % BLOCK)] = entry.sets
+        return sorted(values.items())
+
+    def cut(self, octets: int) -> PdMap:
+        """The values that fit into so many octets."""
+        return PdMap(tuple(entry for at, entry in self.places() if at + entry.octets <= octets))
+
+    def take(self, process: bytes) -> dict[int, int]:
+        """The value of each parameter by its index, unsigned; ``process`` has the map's length or more."""
+        return {e.index: int.from_bytes(process[at : at + e.octets], "big") for at, e in self.places()}
+
+    def put(self, values: Mapping[int, int], octets: int) -> bytes:
+        """Process data of ``octets`` length; what has no value is 0. Each value's low bits count."""
+        data = bytearray(octets)
+        for at, entry in self.places():
+            raw = values.get(entry.index, 0) & 0xFFFF_FFFF
+            if entry.long:
+                struct.pack_into(">I", data, at, raw)
+            else:
+                struct.pack_into(">H", data, at, raw & 0xFFFF)
+        return bytes(data)
+
+
+def check(inputs: PdMap, outputs: PdMap) -> str | None:
+    """Why a drive would not confirm its enable for these maps; None where they are right (K7, K11)."""
+    for name, one in (("inputs", inputs), ("outputs", outputs)):
+        if one.octets > _LONGEST:
+            return f"{name}: {one.octets} octets, the operator has at most {_LONGEST}"
+        for at, entry in one.places():
+            if not t.INVERTER.start <= entry.index < t.INVERTER.stop:
+                return f"{name}: {entry.index:04X} is no parameter of the inverter (2000..5EFF)"
+            if not 1 <= entry.sets <= 0xFF:
+                return f"{name}: {entry.index:04X} has no set: give 1 (set 0) .. 255, a bit for each set"
+            if entry.long and entry.index in t.WORDS:
+                return f"{name}: {t.name_of(entry.index)} is a word, not a long"
+            if at // BLOCK != (at + entry.octets - 1) // BLOCK:
+                return f"{name}: {entry.index:04X} crosses from block 1 into block 2 (8 octets each)"
+            if one is outputs and entry.index in FORBIDDEN:
+                return f"outputs: {t.name_of(entry.index)} cannot be process output data (oP.27 to oP.35 never)"
+    for number in (0, 1):
+        into, out = (tuple(e.long for e in one.block(number)) for one in (inputs, outputs))
+        for name, shape in (("inputs", into), ("outputs", out)):
+            if list(shape) != sorted(shape, reverse=True):
+                return f"{name}, block {number + 1}: the long value must be the first"
+        if (len(set(into)) > 1 or len(set(out)) > 1) and into != out:
+            return f"block {number + 1} mixes longs and words: inputs and outputs must have the same structure there"
+    return None
+
+
+def _entry(word: str) -> Entry:
+    name, _, sets = word.partition("@")
+    name, _, kind = name.partition(":")
+    if kind not in ("", "long") or (sets and not sets.isdecimal()):
+        raise ValueError(f"{word!r} is no mapped value; write 2033, 202C:long, sy.51 or 2303@1 (sets, a bit for each)")
+    index = t.index_of(name)
+    if index is None:
+        try:
+            index = int(name, 16)
+        except ValueError:
+            raise ValueError(f"{word!r}: {name!r} is neither an index in hex nor a parameter such as sy.51") from None
+    return Entry(index, kind == "long", int(sets) if sets else 1)
+
+
+#: K8, example 1
+DEFAULT_INPUTS: Final = PdMap((Entry(t.STATUS_WORD), Entry(t.ACTUAL_SPEED)))
+DEFAULT_OUTPUTS: Final = PdMap((Entry(t.CONTROL_WORD), Entry(t.SET_SPEED)))

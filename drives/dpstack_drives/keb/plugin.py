@@ -1,0 +1,283 @@
+"""The master's end of a KEB COMBIVERT F5."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+from dpstack.profile import (
+    FAULTED,
+    NS_PER_MS,
+    NS_PER_S,
+    Args,
+    CommandError,
+    ConfigError,
+    ControlTable,
+    DriveCore,
+    DriveProfile,
+    Goal,
+    Scale,
+    State,
+    StateRow,
+    StateTable,
+    Steps,
+    TelegramSpec,
+    Word,
+)
+from dpstack_drives.keb import mapping, pdmap
+from dpstack_drives.keb import table as t
+from dpstack_drives.keb.channel import KebChannel, Target
+from dpstack_drives.keb.pdmap import PdMap
+
+#: names of control bits with a meaning here, and of status bits
+_NEEDS: Final = {
+    "start": (("run",), ("run",)),
+    "stop": (("run",), ("run",)),
+    "quick_stop": (("quick_stop",), ("run",)),
+    "coast": (("enable",), ("run",)),
+    "acknowledge": (("reset",), ("fault",)),
+}
+_MAP_TIMEOUT_S: Final = 10.0
+
+
+class KebCore(DriveCore):
+    """Bits of sy.50 and sy.51 and the unit of sy.52 are in no manual of ours: what an order needs is given by options.
+
+    Options: ``control_bits`` (``enable``, ``run``, ``reset``, ``reverse``, ``quick_stop`` mean something here, other
+    names do not) and ``status_bits`` (``run``, ``fault``, ``reached``; others are only shown) as ``name=bit ...`` or
+    ``simulated``; ``direction``: reverse by its bit with an absolute set speed (oP.01 = 9) or by the ``sign`` of sy.52;
+    ``rpm_per_count``; ``reference_rpm`` and ``reference_hz``: what 100 % is; ``map_inputs``, ``map_outputs``: the map
+    that the drive has, as in :class:`~dpstack_drives.keb.pdmap.PdMap`; ``block2_inputs``, ``block2_outputs``: indexes
+    of record and enable of block 2; ``pd_in_cycle_ms``.
+
+    Orders of its own: ``read_map``, ``write_map`` (``inputs``, ``outputs``), ``inputs`` (all mapped values) and
+    ``output`` (``number``, ``value``: a mapped output that no other order writes; without ``control_bits`` that is also
+    the control word, without ``rpm_per_count`` the set speed).
+    """
+
+    own_ops = ("read_map", "write_map", "inputs", "output")
+    start_hint = f"; does it obey the control word? {t.RECIPE}"
+
+    def __init__(
+        self, profile: DriveProfile, name: str, telegram: TelegramSpec, options: Mapping[str, bool | float | str]
+    ) -> None:
+        where = f"drive {name} ({profile.name})"
+        try:
+            self._bits = t.bits(str(options["control_bits"]), t.CONTROL_BITS, "control_bits")
+            status = t.bits(str(options["status_bits"]), t.STATUS_BITS, "status_bits")
+            self.inputs_map = _map(str(options["map_inputs"]), pdmap.DEFAULT_INPUTS, telegram.inputs, "map_inputs")
+            self.outputs_map = _map(str(options["map_outputs"]), pdmap.DEFAULT_OUTPUTS, telegram.outputs, "map_outputs")
+            second = [t.record_and_enable(str(options[f"block2_{way}"])) for way in ("inputs", "outputs")]
+            if (wrong := pdmap.check(self.inputs_map, self.outputs_map)) is not None:
+                raise ValueError(wrong)
+            table = _table(self._bits, status)
+        except ValueError as error:
+            raise ConfigError(f"{where}: {error}") from None
+        self._by_sign = options["direction"] == "sign"
+        self._rpm_per_count = float(options["rpm_per_count"])
+        reference = float(options["reference_rpm"])
+        if self._rpm_per_count:
+            self.scale = Scale("speed", full=1, span=self._rpm_per_count / reference)
+        self._ours = str(options["status_bits"]).strip() == t.SIMULATED_BITS
+        self._values: dict[int, int] = {}
+        self._state_number: int | None = None
+        self._asked = False
+        super().__init__(
+            name,
+            profile.name,
+            telegram,
+            table,
+            scan_ns=round(float(options["pd_in_cycle_ms"]) * NS_PER_MS),
+            reference_hz=float(options["reference_hz"]),
+            safe_outputs=bytes(telegram.output_octets),
+        )
+        if telegram.channel:
+            self.access = self._channel = KebChannel(lambda: self.now, self.settle_ns)
+            self._maps = mapping.MapAccess(self._channel, telegram, (second[0], second[1]), self.notice)
+
+    # -- process data ---------------------------------------------------------------------------------------------
+
+    def status_of(self, process: bytes) -> int:
+        """sy.51 where the map has it."""
+        at = self.inputs_map.place(t.STATUS_WORD)
+        return 0 if at is None else int.from_bytes(process[at : at + 2], "big")
+
+    def encode(self, control: int, setpoint: int) -> bytes:
+        """sy.50 and sy.52 where the map has them, what the user gave for the others."""
+        values = dict(self._values)
+        if self._bits:
+            values[t.CONTROL_WORD] = control
+        if self._rpm_per_count:
+            values[t.SET_SPEED] = setpoint
+        return self.outputs_map.put(values, self.telegram.outputs)
+
+    def lost(self, now: int) -> None:
+        """A control word given as it stands is not sent again by itself."""
+        self._values.pop(t.CONTROL_WORD, None)
+        super().lost(now)
+
+    def setpoint_word(self, fraction: float) -> int:
+        """sy.52."""
+        if self.outputs_map.place(t.SET_SPEED) is None:
+            raise ValueError("sy.52 (2034h, set speed) is not in the output map")
+        if not self._rpm_per_count:
+            raise ValueError("the unit of sy.52 is not in the manual: give the option rpm_per_count")
+        if fraction < 0 and not self._by_sign and "reverse" not in self._bits:
+            raise ValueError(
+                "a negative speed needs the bit 'reverse' in the option control_bits, or direction = 'sign' "
+                "(oP.01 = 9 takes the direction from sy.50)"
+            )
+        return self.scale.encode(fraction if self._by_sign else abs(fraction))
+
+    def control_bits(self) -> int:
+        """Direction by its bit."""
+        reverse = self.setpoint < 0 and not self._by_sign
+        return 1 << self._bits["reverse"] if reverse and self.goal is not Goal.IDLE else 0
+
+    def measured(self) -> tuple[float | None, float | None, float | None]:
+        """sy.53 where the map has it and its unit is known."""
+        at = self.inputs_map.place(t.ACTUAL_SPEED)
+        if at is None or not self._rpm_per_count:
+            return None, None, None
+        return self.scale.decode(self.words[at // 2]), None, None
+
+    def received(self) -> None:
+        """With a parameter channel a fault is looked up in ru.00."""
+        if self.raw_state not in FAULTED:
+            self._state_number = None
+            self._asked = False
+        elif not self._asked and self.access is not None:
+            self._asked = True
+            self.spawn("ru.00", self._ask())
+
+    def faults(self) -> tuple[str, ...]:
+        """What ru.00 says; its texts are in the application manual."""
+        if self.raw_state not in FAULTED:
+            return ()
+        if self._state_number is not None:
+            name = {number: text for text, number in t.TRIPS.items()}.get(self._state_number) if self._ours else None
+            return (f"inverter state ru.00 = {self._state_number}" + (f" {name}" if name else ""),)
+        if self.access is not None:
+            return ("not yet named",)
+        return ("without a name: only the parameter channel (PCH+...) tells ru.00",)
+
+    def fault_named(self) -> bool:
+        """Nothing more is to be learned."""
+        return self._state_number is not None or self.access is None
+
+    def cannot(self, op: str) -> str | None:
+        """What the options and the map do not give."""
+        if self.outputs_map.place(t.CONTROL_WORD) is None:
+            return f"{op}: sy.50 (2032h, control word) is not in the output map"
+        if self.inputs_map.place(t.STATUS_WORD) is None:
+            return f"{op}: sy.51 (2033h, status word) is not in the input map"
+        control, status = _NEEDS[op]
+        for names, known, option in (
+            (control, self._bits, "control_bits"),
+            (status, self.table.status.bits, "status_bits"),
+        ):
+            for name in names:
+                if name not in known:
+                    return (
+                        f"{op} needs the bit {name!r}: the bits of sy.50 and sy.51 are not in the manual, name them by "
+                        f"the option {option}, e.g. {option} = '{name}=<bit> ...'"
+                    )
+        return None
+
+    def _ask(self) -> Steps[dict[str, object]]:
+        target = Target(t.INVERTER_STATE, 1, "ru.00")
+        self._state_number = yield from self._channel.get(target, self.now + NS_PER_S)
+        self.update()
+        return {}
+
+    # -- orders of its own ----------------------------------------------------------------------------------------
+
+    def order(self, op: str, args: Args) -> Steps[dict[str, object]] | None:
+        """See the class."""
+        deadline = self.now + args.timeout_ns(_MAP_TIMEOUT_S)
+        match op:
+            case "inputs":
+                return self._inputs_values()
+            case "output":
+                return self._output(args.name_or_number("number"), args.number("value"))
+            case "read_map" | "write_map":
+                if self.access is None:
+                    raise CommandError("usage", f"{op}: {self.telegram.name} has no parameter channel: take PCH+...")
+                if op == "read_map":
+                    return self._maps.read(deadline)
+                try:
+                    inputs, outputs = (
+                        one if (text := args.text(name)) is None else PdMap.parse(text)
+                        for name, one in (("inputs", self.inputs_map), ("outputs", self.outputs_map))
+                    )
+                except ValueError as error:
+                    raise CommandError("usage", f"{op}: {error}") from None
+                return self._maps.write(inputs, outputs, deadline)
+            case _:
+                return None
+
+    def _inputs_values(self) -> Steps[dict[str, object]]:
+        """Every mapped input by its name: signed integers as they stand."""
+        yield from ()
+        if not self.online:
+            raise CommandError("lost", "the drive is not in data exchange")
+        values: dict[str, object] = {}
+        for at, entry in self.inputs_map.places():
+            raw = self.words[at // 2] if not entry.long else self.words[at // 2] << 16 | self.words[at // 2 + 1]
+            half = 1 << 8 * entry.octets - 1
+            values[t.name_of(entry.index)] = (raw ^ half) - half
+        return {"value": values}
+
+    def _output(self, name: str | int, value: float) -> Steps[dict[str, object]]:
+        yield from ()
+        index = name if isinstance(name, int) else t.index_of(name)
+        entry = next((e for e in self.outputs_map.entries if e.index == index), None)
+        if entry is None:
+            raise CommandError("usage", f"output: {name!r} is not in the output map ({self.outputs_map})")
+        ours = {t.CONTROL_WORD: bool(self._bits), t.SET_SPEED: bool(self._rpm_per_count)}
+        if ours.get(entry.index):
+            raise CommandError("usage", f"output: {t.name_of(entry.index)} is written by start, stop and speed")
+        bits = 8 * entry.octets
+        if value != int(value) or not -(1 << bits - 1) <= value < 1 << bits:
+            raise CommandError("usage", f"output: {t.name_of(entry.index)} takes {bits}-bit integers, not {value:g}")
+        self._values[entry.index] = int(value)
+        self._dirty = True
+        return {"value": int(value)}
+
+
+def _map(text: str, default: PdMap, octets: int, what: str) -> PdMap:
+    """The map of the option, or as much of the default as the telegram takes. Raises ValueError."""
+    if not text.strip():
+        return default.cut(octets)
+    given = PdMap.parse(text)
+    if given.octets > octets:
+        raise ValueError(f"{what}: {given.octets} octets, the telegram has {octets}")
+    return given
+
+
+def _table(control: Mapping[str, int], status: Mapping[str, int]) -> ControlTable:
+    """States and words from the bits that have names. Raises ValueError."""
+    enable, run, stop, reset = (1 << control[name] if name in control else 0 for name in _CONTROL)
+    runs, fault = (1 << status[name] if name in status else 0 for name in ("run", "fault"))
+    rows = [StateRow(State.FAULT, fault, fault)] if fault else []
+    if runs:
+        rows += [StateRow(State.RUNNING, runs | fault, runs), StateRow(State.READY, runs | fault, 0)]
+    return ControlTable(
+        control=Word("sy.50", control),
+        status=Word("sy.51", status),
+        states=StateTable(rows),
+        run={state: enable | run for state in State if state is not State.FAULT},
+        steady={
+            Goal.IDLE: 0,
+            Goal.STOP: enable,
+            Goal.QUICK_STOP: enable | stop,
+            Goal.COAST: 0,
+            Goal.ACK_HIGH: reset,
+            Goal.ACK_LOW: 0,
+        },
+        released_mask=enable | run,
+        releasing=frozenset({State.RUNNING}),
+    )
+
+
+_CONTROL: Final = ("enable", "run", "quick_stop", "reset")

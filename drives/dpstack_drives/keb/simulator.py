@@ -1,0 +1,284 @@
+"""The simulated KEB COMBIVERT F5 behind its PROFIBUS operator: parameters, control and status word, a motor."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+from dpstack.profile import (
+    NS_PER_MS,
+    NS_PER_S,
+    ConfigError,
+    DriveDevice,
+    DriveProfile,
+    Leave,
+    Motor,
+    TelegramSpec,
+)
+from dpstack_drives.keb import table as t
+from dpstack_drives.keb import telegrams
+from dpstack_drives.keb.channel import KebServer
+from dpstack_drives.keb.operator import LINK_NS, Operator
+from dpstack_drives.keb.parameters import Parameters
+from dpstack_drives.keb.watchdog import Life, Watchdog
+
+#: reference reached within this part of the reference (made up)
+_NEAR: Final = 0.005
+_AT_ONCE: Final = 1e6
+#: the quick stop ramp in parts of the reference per second (made up)
+_QUICK: Final = 5.0
+#: what oP.10 and the ramps refer to, in Hz (made up)
+_RATED_HZ: Final = 50.0
+_TRIPS_AT_ONCE, _STOPS_FIRST = 0, 1
+
+
+class KebDevice(DriveDevice):
+    """Inverter and operator.
+
+    Options: what the bits mean (``control_bits``, ``status_bits``), ``rpm_per_count`` and ``reference_rpm``,
+    ``block2_inputs`` and ``block2_outputs`` (record and enable), ``com_cycle_us``, ``load``; parameters by name.
+
+    Readings: sy.50 is obeyed while oP.01 is 9, sy.52 counts while oP.00 is 5 (the recipe's values, factory here);
+    without enable the motor coasts; a reset works with the edge of its bit; Pn.05 = 0 trips E.buS, 1 after a quick
+    stop, all others only switch a digital output (6 is the manual's). Clear writes zeros; after the end of data
+    exchange the last outputs stand until the watchdog acts.
+    """
+
+    def __init__(
+        self,
+        profile: DriveProfile,
+        telegram: TelegramSpec,
+        options: Mapping[str, bool | float | str],
+        presets: Mapping[str, object],
+    ) -> None:
+        super().__init__(profile, telegram, Motor(load=float(options["load"])))
+        where = f"simulated {profile.name}"
+        self.parameters = Parameters(presets, self._live, where)
+        self.store = self.parameters.store
+        try:
+            self._control = t.bits(str(options["control_bits"]), t.CONTROL_BITS, f"{where}: control_bits")
+            self._status = t.bits(str(options["status_bits"]), t.STATUS_BITS, f"{where}: status_bits")
+            into, out = (t.record_and_enable(str(options[f"block2_{way}"])) for way in ("inputs", "outputs"))
+        except ValueError as error:
+            raise ConfigError(str(error)) from None
+        if into is None or out is None:
+            raise ConfigError(f"{where}: block2_inputs and block2_outputs must name record and enable")
+        self._rpm_per_count = float(options["rpm_per_count"])
+        self._reference_rpm = float(options["reference_rpm"])
+        self.operator = Operator(self.parameters, self._in_cycle, (into, out), float(options["com_cycle_us"]))
+        self.server = KebServer(self._request)
+        self.channel = self.server
+        self.watchdog = Watchdog()
+        #: ru.00 of the trip, 0 without one
+        self.fault = 0
+        #: switched by Pn.05 = 6
+        self.digital_output = False
+        self._link_seen = 0
+        self._link_told = False
+        self._own = telegram
+        self._exchanging = False
+        self._clear = False
+        self._seen = (0, 0)  # output telegrams and requests up to the last scan
+        self._reset = False
+        self._stopping_for: int | None = None  # a trip that waits for the quick stop
+        self._setpoint = 0.0
+
+    # -- conditions -----------------------------------------------------------------------------------------------
+
+    @property
+    def scan_ns(self) -> int:
+        """One telegram between operator and inverter."""
+        return LINK_NS
+
+    def break_link(self, broken: bool) -> None:
+        """The link between operator and inverter (HSP5)."""
+        self.parameters.linked = not broken
+
+    def fault_code(self, code: str) -> int:
+        """``E.buS`` or the number that ru.00 shows. Raises ValueError."""
+        wanted = code.strip().lower()
+        for name, number in t.TRIPS.items():
+            if wanted in (name.lower(), str(number)):
+                return number
+        known = ", ".join(f"{name} ({number})" for name, number in t.TRIPS.items())
+        raise ValueError(f"{code!r} is no trip of the simulated F5; known (made up): {known}")
+
+    def warn(self, mask: int) -> None:
+        """There is none: raises ValueError."""
+        raise ValueError("the F5 shows no warning on the bus, only at a digital output (Pn.05 = 6)")
+
+    def inherit(self, before: DriveDevice) -> None:
+        """Parameters and enabled maps; Fb23 = 0 restores the default maps."""
+        if isinstance(before, KebDevice):
+            self.store.inherit(before.store)
+            self.operator.inherit(before.operator, default=not self.store.value("Fb.23"))
+
+    def check_cfg(self, config: bytes) -> str | None:
+        """What the printed GSD allows, and the drive's own telegram."""
+        spec = telegrams.of_config(config)
+        if spec is None:
+            return super().check_cfg(config)
+        if spec.made_up and config != self._own.config:
+            return f"configuration {config.hex(' ')} is more than the printed GSD allows"
+        return None
+
+    def enter(self, config: bytes, now: int) -> None:
+        """Data exchange begins."""
+        self._exchanging = True
+        self._clear = False
+        super().enter(config, now)
+
+    def clear(self, now: int) -> None:
+        """Zeros go out."""
+        super().clear(now)
+        self._clear = True
+
+    def exchange(self, outputs: bytes, now: int) -> bytes:
+        """Outputs count again."""
+        inputs = super().exchange(outputs, now)
+        self._clear = False
+        return inputs
+
+    def master_lost(self, reason: Leave, now: int) -> None:
+        """Nothing happens until the watchdog of the operator says so."""
+        self._exchanging = False
+        self._clear = False
+
+    # -- the internal scan ----------------------------------------------------------------------------------------
+
+    def refresh(self, process: bytes | None, now: int) -> bytes:
+        """Outputs to the inverter, watchdog, motor, inputs from it."""
+        if process is None and self._clear:
+            process = bytes(self.telegram.outputs)
+        if self.parameters.linked and process is not None:
+            self.operator.take(process, now)
+        self._supervise(now)
+        trip = self.take_trip()
+        if trip is not None:
+            self.fault = trip
+        self._drive()
+        if not self.parameters.linked:
+            return self.operator.held(self.telegram.inputs)
+        return self.operator.fetch(self.telegram.inputs, now)
+
+    def _supervise(self, now: int) -> None:
+        telegrams_sent, requests = self.operator.output_telegrams, self.server.requests
+        life = Life(0)
+        life |= Life.OUTPUTS if telegrams_sent != self._seen[0] else life
+        life |= Life.REQUEST if requests != self._seen[1] else life
+        life |= Life.EXCHANGE if self._exchanging else life
+        self._seen = (telegrams_sent, requests)
+        if self.watchdog.step(
+            life,
+            now,
+            activation=int(self.store.value("Fb.39")),
+            inhibit=int(self.store.value("Fb.40")),
+            time_ns=self._seconds("Pn.06"),
+        ):
+            self._react()
+        limit = self._seconds("sy.09")
+        if self.parameters.linked:
+            self._link_seen, self._link_told = now, False
+        elif limit and not self._link_told and now - self._link_seen >= limit:
+            self._link_told = True
+            self._react()
+
+    def _react(self) -> None:
+        """Pn.05."""
+        how = int(self.store.value("Pn.05"))
+        if how == _TRIPS_AT_ONCE:
+            self.fault = self.fault or t.E_BUS
+        elif how == _STOPS_FIRST:
+            self._stopping_for = t.E_BUS
+        else:
+            self.digital_output = True
+
+    def _drive(self) -> None:
+        motor = self.motor
+        control = self.parameters.raw(t.CONTROL_WORD) if self.store.value("oP.01") == 9 else 0
+        reset = self._told(control, "reset")
+        if reset and not self._reset and self.fault:
+            self.fault = 0
+            self.digital_output = False
+        self._reset = reset
+        if self._stopping_for is not None and not motor.frequency:
+            self.fault, self._stopping_for = self._stopping_for, None
+        enabled = self._told(control, "enable") or "enable" not in self._control
+        run = enabled and self._told(control, "run") and not self.fault
+        quick = self._told(control, "quick_stop") or self._stopping_for is not None
+        counts = self.parameters.raw(t.SET_SPEED) if self.store.value("oP.00") == 5 else 0
+        wanted = abs(counts) * self._rpm_per_count / self._reference_rpm
+        wanted = min(wanted, self.store.value("oP.10") / _RATED_HZ)
+        self._setpoint = -wanted if self._told(control, "reverse") else wanted
+        motor.setpoint = self._setpoint if run and not quick else 0.0
+        if self.fault or not enabled:
+            motor.switch(False)
+        elif run and not quick:
+            motor.switch(True)
+        elif not motor.frequency:
+            motor.switch(False)  # at the end of the ramp
+        motor.accel = self._rate("oP.28")
+        motor.decel = _QUICK if quick else self._rate("oP.30")
+
+    def _told(self, control: int, name: str) -> bool:
+        bit = self._control.get(name)
+        return bit is not None and bool(control >> bit & 1)
+
+    def _rate(self, name: str) -> float:
+        seconds = self.store.value(name)
+        return 1 / seconds if seconds else _AT_ONCE
+
+    def _seconds(self, name: str) -> int:
+        return round(self.store.value(name) * NS_PER_S)
+
+    def _in_cycle(self) -> int:
+        return int(self.store.value("Fb.09")) * NS_PER_MS
+
+    # -- parameters -----------------------------------------------------------------------------------------------
+
+    def _request(self, index: int, subindex: int, raw: int | None, octets: int) -> tuple[int, int]:
+        """The operator's own first, then the inverter's."""
+        found = self.operator.access(index, subindex, raw)
+        if found is None:
+            return self.parameters.request(index, subindex, raw, octets)
+        return found, 1 if not subindex or subindex == 1 else 2
+
+    def _status_word(self) -> int:
+        motor = self.motor
+        near = motor.on and abs(motor.frequency - self._setpoint) <= _NEAR
+        told = {
+            "ready": not self.fault,
+            "fault": bool(self.fault),
+            "run": motor.on,
+            "reverse": motor.frequency < 0,
+            "reached": near and not motor.limited,
+        }
+        return sum(1 << bit for name, bit in self._status.items() if told.get(name))
+
+    def _state(self) -> int:
+        if self.fault or not self.motor.on:
+            return self.fault or t.RU_OFF
+        if not self.motor.frequency:
+            return t.RU_STANDING
+        return t.RU_CONSTANT if self.motor.frequency == self.motor.setpoint else t.RU_RAMP
+
+    def _live(self, index: int) -> int | None:
+        """Actual values."""
+        match index:
+            case t.STATUS_WORD | t.STATUS_LONG:
+                return self._status_word()
+            case t.ACTUAL_SPEED:
+                counts = round(self.motor.frequency * self._reference_rpm / self._rpm_per_count)
+                return min(max(counts, -0x8000), 0x7FFF)
+            case t.INVERTER_STATE:
+                return self._state()
+            case 0x220C:
+                return round(100 * self.motor.torque)
+            case 0x5F25:  # Fb37
+                return self.telegram.inputs
+            case 0x5F26:
+                return self.telegram.outputs
+            case t.CONTROL_LONG:
+                return self.parameters.raw(t.CONTROL_WORD)
+            case _:
+                return None

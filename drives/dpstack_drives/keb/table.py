@@ -1,0 +1,256 @@
+"""What plugin and simulated drive share: parameters, error texts, names of bits. Rows K2 to K12 of the check list.
+
+Source: KEB, COMBICOM F5-Profibus (slides of a training course); the names in the comments are its headings. The bits
+of sy.50 and sy.51, the unit of sy.52 and most addresses are in the inverter's application manual, which we do not
+have. What is made up here for the simulated drive is marked so and never used towards a real drive by itself.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Final, NamedTuple
+
+from dpstack.profile import ParamSpec, ParamTable
+
+#: a guess from the name of the GSD file, keb305EB.gsd
+IDENT: Final = 0x05EB
+
+#: GSD-File
+MAX_TSDR: Final = {
+    9_600: 60,
+    19_200: 60,
+    93_750: 60,
+    187_500: 60,
+    500_000: 100,
+    1_500_000: 150,
+    3_000_000: 250,
+    6_000_000: 450,
+    12_000_000: 800,
+}
+
+#: Application Parameters: 2000h + the address of the application manual
+INVERTER: Final = range(0x2000, 0x5F00)
+INTERFACE: Final = range(0x5F00, 0x6000)
+SETS: Final = 8
+
+CONTROL_WORD, STATUS_WORD, SET_SPEED, ACTUAL_SPEED = 0x2032, 0x2033, 0x2034, 0x2035
+#: sy.43, sy.44; sy.50 and sy.51 are their low halves
+CONTROL_LONG, STATUS_LONG = 0x202B, 0x202C
+#: the parameters that the manual itself maps as words
+WORDS: Final = frozenset({CONTROL_WORD, STATUS_WORD, SET_SPEED, ACTUAL_SPEED})
+INVERTER_STATE: Final = 0x2200
+#: Changing the PD-Assignment: the records of the map, and their enables
+MAP_INPUTS, MAP_OUTPUTS = 0x6000, 0x6001
+ENABLE_INPUTS, ENABLE_OUTPUTS = 0x5FF8, 0x6002
+ENABLED: Final = 0xFF
+
+#: groups whose address the manual shows
+GROUPS: Final = {"sy": 0x20, "ru": 0x22, "oP": 0x23, "LE": 0x2D, "cS": 0x2F}
+#: made up (by their place in the order of groups): the simulated drive has them there
+GROUPS_MADE_UP: Final = {"Pn": 0x24, "ud": 0x28, "Fr": 0x29, "di": 0x2B}
+#: made up likewise: FbNN of the operator at 5F00h + NN
+_FB: Final = 0x5F00
+_NAME: Final = re.compile(r"([A-Za-z]{2})[. ]?(\d{1,3})")
+
+
+def index_of(name: str) -> int | None:
+    """The index of a parameter such as ``oP.3`` (or ``op03``) of a group whose address the manual shows, else None."""
+    return _index(name, GROUPS)
+
+
+def _index(name: str, groups: dict[str, int]) -> int | None:
+    match = _NAME.fullmatch(name.strip())
+    if match is None or int(match[2]) > 0xFF:
+        return None
+    group = next((high for text, high in groups.items() if text.lower() == match[1].lower()), None)
+    return None if group is None else group << 8 | int(match[2])
+
+
+def looks_like_name(name: str) -> bool:
+    """A group and a number, known or not."""
+    return _NAME.fullmatch(name.strip()) is not None
+
+
+def name_of(index: int) -> str:
+    """``oP.3 (2303h)`` where the group is known."""
+    group = next((text for text, high in GROUPS.items() if high == index >> 8), None)
+    return f"{index:04X}h" if group is None else f"{group}.{index & 0xFF:02} ({index:04X}h)"
+
+
+class Code(NamedTuple):
+    """An error of the parameter channel: class, code, additional code."""
+
+    kind: int
+    code: int
+    more: int
+
+    def __str__(self) -> str:
+        return f"{self.kind}/{self.code}/{self.more:04X}"
+
+    @property
+    def number(self) -> int:
+        """The four octets EB5 to EB8 as one number."""
+        return self.kind << 24 | self.code << 16 | self.more
+
+
+READ_AND_WRITE: Final = Code(5, 4, 0)
+NO_INVERTER: Final = Code(6, 2, 0)
+WRITE_PROTECTED: Final = Code(6, 3, 0)
+PASSWORD: Final = Code(6, 3, 0x30)
+BAD_INDEX: Final = Code(6, 4, 0)
+BAD_MAP: Final = Code(6, 5, 0)
+BAD_SUBINDEX: Final = Code(6, 5, 0x11)
+BUSY: Final = Code(8, 0, 0x22)
+BAD_VALUE: Final = Code(8, 0, 0x30)
+BAD_SET: Final = Code(8, 0, 0x33)
+NOT_POSSIBLE: Final = Code(8, 0, 0x34)
+
+#: Error messages of the parameterizing channel
+ERRORS: Final = {
+    READ_AND_WRITE: "read and write asked for at once",
+    NO_INVERTER: "the operator has no connection to the inverter",
+    WRITE_PROTECTED: "the parameter is write protected",
+    PASSWORD: "not accessible with the present password (ud.01)",
+    BAD_INDEX: "there is no such parameter (index)",
+    BAD_MAP: "invalid process data description",
+    BAD_SUBINDEX: "invalid subindex",
+    BUSY: "the inverter is busy",
+    BAD_VALUE: "the value is outside its range",
+    BAD_SET: "there is no such parameter set",
+    NOT_POSSIBLE: "the operation is not possible",
+}
+
+#: what makes the inverter obey sy.50 and sy.52 (Basic Adjustments), for people
+RECIPE: Final = (
+    "ud.01 = 440, Fr.01 = -4, Fr.02 = 5, oP.00 = 5, oP.01 = 9, di.01 = 1, di.02 = 1 (F5-C also ud.05 = 2; "
+    "F5-B, -C and -G need the rated motor speed)"
+)
+
+#: made up: what the bits mean in the simulated drive
+CONTROL_BITS: Final = "enable=0 reset=1 run=2 reverse=3 quick_stop=8"
+STATUS_BITS: Final = "ready=0 fault=1 run=2 reverse=3 reached=4"
+#: made up: trips of the simulated drive, as ru.00 shows them; E.buS is the manual's
+TRIPS: Final = {"E.OP": 1, "E.UP": 2, "E.OC": 4, "E.OH": 8, "E.OL": 16, "E.buS": 18, "E.EF": 31}
+E_BUS: Final = 18
+#: made up: ru.00 without a trip
+RU_OFF, RU_STANDING, RU_RAMP, RU_CONSTANT = 0, 70, 64, 66
+
+
+#: in place of bits: those that are made up for the simulated drive
+SIMULATED_BITS: Final = "simulated"
+
+
+def bits(text: str, made_up: str, what: str) -> dict[str, int]:
+    """Names of bits given as ``run=2 reverse=3``; ``simulated`` stands for ``made_up``. Raises ValueError."""
+    if text.strip() == SIMULATED_BITS:
+        text = made_up
+    found: dict[str, int] = {}
+    for word in text.replace(",", " ").split():
+        name, equals, number = word.partition("=")
+        if not (name.isidentifier() and equals and number.isdecimal() and int(number) <= 15):
+            raise ValueError(f"{what}: {word!r} is no bit; write names with their bit 0..15, e.g. {CONTROL_BITS!r}")
+        if name in found or int(number) in found.values():
+            raise ValueError(f"{what}: {word!r} names a bit or a name a second time")
+        found[name] = int(number)
+    return found
+
+
+class _P(NamedTuple):
+    """80 per Hz of oP.3 by arithmetic (K4). Limits and factory values are not in the manual."""
+
+    name: str
+    title: str
+    low: float = 0
+    high: float = 0xFFFF
+    factory: float = 0
+    per_unit: float = 1
+    unit: str = ""
+    read_only: bool = False
+    per_set: bool = False
+    long: bool = False
+    made_up: bool = True
+
+
+_ANY: Final = 0x7FFF_FFFF
+_PARAMETERS: Final = (
+    _P("sy.06", "PROFIBUS address", high=126, factory=126),
+    _P("sy.09", "HSP5 watchdog time", high=10, per_unit=100, unit="s"),
+    _P("sy.43", "control word (long)", -_ANY, _ANY, long=True),
+    _P("sy.44", "status word (long)", -_ANY, _ANY, long=True, read_only=True),
+    _P("sy.50", "control word (low)"),
+    _P("sy.51", "status word (low)", read_only=True),
+    _P("sy.52", "set speed value", -0x8000, 0x7FFF),
+    _P("sy.53", "actual speed value", -0x8000, 0x7FFF, read_only=True),
+    _P("ru.00", "inverter state", read_only=True),
+    _P("ru.12", "actual torque display", -_ANY, _ANY, long=True, read_only=True),
+    _P("ru.39", "OL counter display", read_only=True),
+    _P("oP.00", "reference source", high=10, factory=5),
+    _P("oP.01", "rotation source", high=10, factory=9),
+    _P("oP.03", "digital setpoint setting", -400, 400, per_unit=80, unit="Hz", per_set=True),
+    _P("oP.10", "max reference forward", 0, 400, 70, per_unit=80, unit="Hz", per_set=True),
+    _P("oP.28", "acceleration time", 0, 300, 1, per_unit=100, unit="s", per_set=True),
+    _P("oP.30", "deceleration time", 0, 300, 1, per_unit=100, unit="s", per_set=True),
+    _P("oP.59", "motorpoti ramp time", 0, 50_000, 66, long=True, per_set=True),
+    _P("LE.00", "switching level", -30_000, 30_000, long=True, per_set=True),
+    _P("cS.19", "abs. torque reference", -32_000, 32_000, long=True, per_set=True),
+    # at indexes that are made up
+    _P("Pn.05", "E.buS stopping mode", high=6, factory=6),
+    _P("Pn.06", "watchdog time", high=40, per_unit=100, unit="s"),
+    _P("ud.01", "password", -32_767, 32_767, 440),
+    _P("ud.05", "auto store", high=2, factory=2),
+    _P("Fr.01", "copy parameter set", -9, 7, -4),
+    _P("Fr.02", "parameter set source", high=5, factory=5),
+    _P("di.01", "select signal source", high=4095, factory=1),
+    _P("di.02", "digital input setting", high=4095, factory=1),
+    _P("Fb.09", "PD_In_Cycle", high=10_000, factory=25, unit="ms", made_up=False),
+    _P("Fb.23", "Take Stored PD-Map", high=ENABLED, factory=ENABLED, made_up=False),
+    _P("Fb.37", "Master_PDIN_Len", read_only=True),
+    _P("Fb.38", "Master_PDOUT_Len", read_only=True),
+    _P("Fb.39", "watchdog activation", high=3, made_up=False),
+    _P("Fb.40", "watchdog inhibit", high=7, factory=7, made_up=False),
+)
+
+
+def _specs() -> Iterator[ParamSpec]:
+    for p in _PARAMETERS:
+        index = _index(p.name, {**GROUPS, **GROUPS_MADE_UP})
+        yield ParamSpec(
+            number=_FB + int(p.name[3:]) if index is None else index,
+            name=p.name,
+            title=p.title,
+            by_name=True,
+            long=p.long,
+            per_unit=p.per_unit,
+            unit=p.unit,
+            low=p.low,
+            high=p.high,
+            factory=p.factory,
+            per_set=p.per_set,
+            read_only=p.read_only,
+            made_up=p.made_up,
+        )
+
+
+#: of the simulated drive; the plugin takes only the titles from it
+PARAMETERS: Final = ParamTable(_specs())
+#: counts per unit that the manual shows (oP.3: 0640h is 20 Hz); everything else goes as the integer on the wire
+SCALES: Final = {0x2303: (80, "Hz")}
+
+
+#: made up: record and enable of block 2 in the simulated drive (K12)
+BLOCK2_INPUTS, BLOCK2_OUTPUTS = "5FE0 5FE1", "5FE2 5FE3"
+
+
+def record_and_enable(text: str) -> tuple[int, int] | None:
+    """Two indexes in hex, of block 2's record and enable; None where there is no text. Raises ValueError."""
+    words = text.split()
+    if not words:
+        return None
+    try:
+        record, enable = (int(word, 16) for word in words)
+    except ValueError:
+        raise ValueError(
+            f"block 2: {text!r} is not two indexes in hex (record, enable), e.g. {BLOCK2_INPUTS!r}"
+        ) from None
+    return record, enable

@@ -1,0 +1,333 @@
+"""KEB's process data map (K7, K8, K11, K12): typed, checked, written over the channel, acting after power-on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import pytest
+from drive_bench import DeviceBench, PairBench, PluginBench
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dpstack_drives.keb import DRIVE
+from dpstack_drives.keb.pdmap import DEFAULT_INPUTS, DEFAULT_OUTPUTS, Entry, PdMap, check
+from dpstack_drives.keb.simulator import KebDevice
+
+NONE: Mapping[str, object] = {}
+ZERO = "00 00 00 00 00 00 00 00"
+#: the manual's example 1 of 6000h and of 6001h, and example 2
+EXAMPLE_1_IN = [4, 0x2033, 1, 0, 0, 0x2035, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]
+EXAMPLE_1_OUT = [4, 0x2032, 1, 0, 0, 0x2034, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]
+EXAMPLE_2 = [8, 0x233B, 1, 0, 0, 0, 0, 0, 0, 0x2D00, 1, 0, 0, 0, 0, 0, 0]
+#: K12
+TEST_INPUTS = "202C:long 2033 2035 2200 2227"
+TEST_OUTPUTS = "2F13:long 2032 2034 230A"
+
+
+def numbered(values: list[int]) -> dict[int, int]:
+    return dict(enumerate(values, 1))
+
+
+def again(device: KebDevice, telegram: str = "PCH+4/4") -> KebDevice:
+    """Off and on."""
+    other = DRIVE.device(telegram)
+    assert isinstance(other, KebDevice)
+    other.inherit(device)
+    return other
+
+
+def new(telegram: str = "PCH+4/4", presets: Mapping[str, object] = NONE) -> KebDevice:
+    device = DRIVE.device(telegram, presets)
+    assert isinstance(device, KebDevice)
+    return device
+
+
+# -- the records -------------------------------------------------------------------------------------------------------
+
+
+def test_k8_the_examples_of_the_manual_as_records() -> None:
+    assert dict(DEFAULT_INPUTS.records()) == numbered(EXAMPLE_1_IN)
+    assert dict(DEFAULT_OUTPUTS.records()) == numbered(EXAMPLE_1_OUT)
+    longs = PdMap((Entry(0x233B, long=True), Entry(0x2D00, long=True)))
+    assert dict(longs.records()) == numbered(EXAMPLE_2)
+    assert PdMap.from_records(numbered(EXAMPLE_2)) == longs
+    assert PdMap.from_records(numbered(EXAMPLE_1_IN)) == DEFAULT_INPUTS
+    assert str(longs) == "233B:long 2D00:long"
+    assert PdMap.parse("sy.51 sy.53") == DEFAULT_INPUTS
+
+
+def test_k12_the_test_map_in_two_blocks() -> None:
+    inputs, outputs = PdMap.parse(TEST_INPUTS), PdMap.parse(TEST_OUTPUTS)
+    assert (inputs.octets, outputs.octets) == (12, 10)
+    assert check(inputs, outputs) is None
+    first = [12, 0x202C, 1, 0, 0, 0, 0, 0, 0, 0x2033, 1, 0, 0, 0x2035, 1, 0, 0]
+    assert dict(inputs.records(0)) == numbered(first)
+    second = [0x2200, 1, 0, 0, 0x2227, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]
+    assert dict(inputs.records(1)) == dict(enumerate(second, 2))
+    assert PdMap.from_records(dict(inputs.records(0)), dict(inputs.records(1))) == inputs
+
+
+@pytest.mark.parametrize(
+    ("inputs", "outputs", "says"),
+    [
+        ("2033 2035 2200 2227", "2032 2034", None),
+        ("233B:long 2D00:long", "2032 2034", None),
+        ("202C:long 2033 2035", "2F13:long 2032 2034", None),
+        ("202C:long 2033 2035", "2032 2034", "block 1 mixes longs and words"),
+        ("202C:long 2033", "2F13:long 2032 2034", "block 1 mixes longs and words"),
+        ("2033 2035 2200 2227 2033 202C:long", "2032", "inputs, block 2: the long value must be the first"),
+        ("2033 202C:long 2035", "2033 202C:long 2035", "inputs, block 1: the long value must be the first"),
+        ("202C:long 2033 202C:long", "2032", "crosses from block 1 into block 2"),
+        ("2033:long", "2032:long", "inputs: sy.51 (2033h) is a word, not a long"),
+        ("2033", "oP.27", "outputs: oP.27 (231Bh) cannot be process output data"),
+        ("2033", "oP.35", "outputs: oP.35 (2323h) cannot be process output data"),
+        ("oP.27", "oP.36", None),
+        ("2033@0", "2032", "2033 has no set"),
+        ("2033@256", "2032", "2033 has no set"),
+        ("5F00", "2032", "5F00 is no parameter of the inverter"),
+        ("2033 " * 9, "2032", "inputs: 18 octets, the operator has at most 16"),
+    ],
+)
+def test_k7_k11_maps_are_checked_before_they_are_written(inputs: str, outputs: str, says: str | None) -> None:
+    found = check(PdMap.parse(inputs), PdMap.parse(outputs))
+    assert found is None if says is None else says in str(found)
+
+
+@pytest.mark.parametrize("text", ["2033:word", "2033@x", "sy:long@", "x", "@1"])
+def test_what_is_no_map(text: str) -> None:
+    with pytest.raises(ValueError, match=r"is no mapped value|neither an index"):
+        PdMap.parse(text)
+
+
+entries = st.builds(Entry, st.integers(0x2000, 0x5EFF), st.booleans(), st.integers(1, 255))
+
+
+@given(st.lists(entries, max_size=8).map(lambda found: PdMap(tuple(found))))
+def test_records_and_text_say_the_same_for_every_right_map(one: PdMap) -> None:
+    assert PdMap.parse(str(one)) == one
+    if check(one, one) is None:
+        assert PdMap.from_records(dict(one.records(0)), dict(one.records(1))) == one
+        values = {entry.index: number + 1 for number, entry in enumerate(one.entries)}
+        if len(values) == len(one.entries):
+            assert one.take(one.put(values, 16)) == values
+
+
+@given(st.dictionaries(st.integers(1, 17), st.integers(0, 0x20), max_size=17))
+def test_any_record_is_a_map_or_a_value_error(record: dict[int, int]) -> None:
+    try:
+        assert PdMap.from_records(record).octets == record.get(1, 0)
+    except ValueError:
+        return
+
+
+# -- the plugin writes it, octet by octet ------------------------------------------------------------------------------
+
+
+def test_k7_the_requests_of_write_map() -> None:
+    """34 subindexes, the two enables and their check, against a drive that confirms whatever it is asked."""
+    bench = PluginBench(DRIVE.core("hoist", "PCH+4/4"), ZERO + " 00 00 00 00")
+    token = bench.order("write_map", inputs="233B:long 2D00:long", outputs="2032 2034")
+    seen: list[tuple[int, int, int]] = []
+    while bench.result(token) is None:
+        out = bench.run()
+        request = (out[0] & 3, int.from_bytes(out[1:4], "big"), int.from_bytes(out[4:8], "big"))
+        if not seen or seen[-1] != request:
+            seen.append(request)
+        enable = out[2:4].hex() in ("5ff8", "6002")
+        error = enable and out[0] & 2
+        data = "08000034" if error else "000000ff" if enable else out[4:8].hex()
+        head = bytes([out[0] & 0x43 | (0x80 if error else 0)]) + out[1:4]
+        bench.inputs = head + bytes.fromhex(data) + bytes(4)
+    inputs = [(2, n << 16 | 0x6000, value) for n, value in enumerate(EXAMPLE_2, 1)]
+    outputs = [(2, n << 16 | 0x6001, value) for n, value in enumerate(EXAMPLE_1_OUT, 1)]
+    enables = [(2, 0x5FF8, 0xFF), (1, 0x5FF8, 0), (2, 0x6002, 0xFF), (1, 0x6002, 0)]
+    assert seen == inputs + outputs + enables
+    result = bench.result(token)
+    assert result is not None
+    assert result["acts"] == "after power-on"
+    assert "after the next power-on" in bench.notices()[0]
+    assert "the map has 8 octets of inputs, PCH+4/4 has 4" in bench.notices()[1]
+
+
+@pytest.mark.parametrize(
+    ("maps", "says"),
+    [
+        ({"inputs": "2033 202C:long"}, "write_map: inputs, block 1: the long value must be the first"),
+        ({"outputs": "oP.28 2032"}, "cannot be process output data"),
+        ({"inputs": "cheese"}, "write_map: 'cheese': 'cheese' is neither"),
+        ({"inputs": 5}, "inputs must be a text"),
+        ({"inputs": "2033 2033 2033 2033 2033"}, "block 2, whose indexes on the bus are not in the manual"),
+    ],
+)
+def test_k7_nothing_is_sent_for_a_wrong_map(maps: dict[str, object], says: str) -> None:
+    bench = PluginBench(DRIVE.core("hoist", "PCH+4/4"), ZERO + " 00 00 00 00")
+    result = bench.result(bench.order("write_map", **maps))
+    assert result is not None
+    assert says in str(result["text"])
+    assert bench.out()[:23] == ZERO
+
+
+# -- the drive, against literal requests -------------------------------------------------------------------------------
+
+
+class Requests:
+    """Literal requests to the simulated drive alone; the handshake bit is kept here."""
+
+    def __init__(self, device: KebDevice) -> None:
+        self.bench = DeviceBench(device, "B7 A3 93")
+        self.hand = 0
+
+    def ask(self, service: int, subindex: int, index: str, value: int = 0) -> str:
+        self.hand ^= 0x40
+        request = bytes([self.hand | 0x30 | service, subindex]) + bytes.fromhex(index) + value.to_bytes(4, "big")
+        reply = bytes.fromhex(self.bench.send(request.hex(" ") + " 00 00 00 00", 4))
+        assert reply[0] & 0x43 == self.hand | service
+        return ("error " if reply[0] & 0x80 else "") + reply[4:8].hex(" ").upper()
+
+    def write(self, record: str, values: list[int]) -> None:
+        for subindex, value in enumerate(values, 1):
+            assert self.ask(2, subindex, record, value) == value.to_bytes(4, "big").hex(" ").upper()
+
+
+def test_k7_a_change_resets_the_enable_and_is_lost_without_it() -> None:
+    device = new()
+    line = Requests(device)
+    assert [line.ask(1, n, "60 00") for n in (1, 2, 3, 6)] == [
+        "00 00 00 04",
+        "00 00 20 33",
+        "00 00 00 01",
+        "00 00 20 35",
+    ]
+    assert line.ask(1, 0, "5F F8") == "00 00 00 FF"
+    line.write("60 00", EXAMPLE_2)
+    assert line.ask(1, 0, "5F F8") == "00 00 00 00"
+    assert line.ask(1, 0, "60 02") == "00 00 00 FF"
+    assert again(device).operator.into.map() == DEFAULT_INPUTS
+
+
+def test_k7_the_enable_is_answered_by_an_error_and_the_map_acts_after_power_on() -> None:
+    """Which error is a reading: 8/0/0034."""
+    device = new()
+    line = Requests(device)
+    line.write("60 00", [2, 0x2200, 1] + 14 * [0])
+    assert line.ask(2, 0, "5F F8", 0xFF) == "error 08 00 00 34"
+    assert line.ask(1, 0, "5F F8") == "00 00 00 FF"
+    device.trip("E.OL")
+    assert line.bench.send(ZERO + " 00 00 00 00", 60)[24:] == "00 02 00 00"  # the old map: sy.51 = fault
+    after = Requests(again(device))
+    after.bench.device.trip("E.OL")
+    assert after.bench.send(ZERO + " 00 00 00 00", 60)[24:] == "00 10 00 00"  # ru.00 = 16
+    assert after.ask(1, 2, "60 00") == "00 00 22 00"
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        [4, 0x2032, 1, 0, 0, 0x231C, 1, 0, 0] + 8 * [0],  # oP.28
+        [4, 0x2032, 1, 0, 0, 0x2A00, 1, 0, 0] + 8 * [0],  # not provided
+        [4, 0x2032, 1, 0, 0, 0, 0, 0, 0] + 8 * [0],  # sy.50 as a long
+        [4, 0x230A, 1, 0, 0, 0, 0, 0, 0] + 8 * [0],  # oP.10 as a long
+        [4, 0x2032, 0, 0, 0, 0x2034, 1, 0, 0] + 8 * [0],  # no set
+        [8, 0x2F13, 1, 0, 0, 0, 0, 0, 0, 0x2032, 1, 0, 0, 0x2034, 1, 0, 0],  # mixed, the inputs are not
+    ],
+)
+def test_k11_a_wrong_map_is_taken_but_not_confirmed(values: list[int]) -> None:
+    device = new()
+    line = Requests(device)
+    line.write("60 01", values)
+    assert line.ask(2, 0, "60 02", 0xFF).startswith("error")
+    assert line.ask(1, 0, "60 02") == "00 00 00 00"
+    assert again(device).operator.out.map() == DEFAULT_OUTPUTS
+
+
+def test_k11_each_bit_of_the_enable_stands_for_an_octet() -> None:
+    device = new()
+    line = Requests(device)
+    line.ask(2, 0, "5F F8", 0x03)
+    after = DeviceBench(again(device), "B7 A3 93")
+    after.device.trip("E.OL")
+    assert after.send(ZERO + " 00 01 03 E8", 60)[24:29] == "00 02"
+    assert [entry.index for _, entry in again(device).operator.into.active[0]] == [0x2033]
+
+
+def test_k11_fb23_0_restores_the_default_map_at_power_on() -> None:
+    device = new()
+    line = Requests(device)
+    line.write("60 00", [2, 0x2200, 1] + 14 * [0])
+    line.ask(2, 0, "5F F8", 0xFF)
+    kept = again(device)
+    assert str(kept.operator.into.map()) == "2200"
+    line = Requests(kept)
+    assert line.ask(2, 0, "5F 17", 0) == "00 00 00 00"  # Fb23, at an index that is made up
+    assert again(kept).operator.into.map() == DEFAULT_INPUTS
+
+
+# -- both -------------------------------------------------------------------------------------------------------------
+
+
+def pair(telegram: str, options: Mapping[str, object] = NONE, device: KebDevice | None = None) -> PairBench:
+    return PairBench(DRIVE.core("it", telegram, options, simulated=True), device or new(telegram))
+
+
+def test_a_map_of_eight_octets_from_one_power_on_to_the_next() -> None:
+    telegram = "PCH+8/8"
+    inputs, outputs = "ru.12:long sy.51 sy.53", "cS.19:long sy.50 sy.52"
+    bench = pair(telegram)
+    bench.ok("write_map", inputs=inputs, outputs=outputs)
+    assert isinstance(bench.device, KebDevice)
+    options = {"map_inputs": inputs, "map_outputs": outputs}
+    bench = pair(telegram, options, again(bench.device, telegram))
+    read = bench.ok("read_map")
+    assert read == {
+        "inputs": "220C:long 2033 2035",
+        "inputs_enable": 255,
+        "outputs": "2F13:long 2032 2034",
+        "outputs_enable": 255,
+    }
+    bench.ok("speed", value=0.5)
+    bench.ok("start")
+    bench.ok("reached")
+    bench.pass_time(300)
+    values = bench.ok("inputs")
+    assert values == {"ru.12 (220Ch)": 20, "sy.51 (2033h)": 0x15, "sy.53 (2035h)": 750}
+    assert bench.ok("output", number="cS.19", value=-5) == -5
+    bench.pass_time(50)
+    assert isinstance(bench.device, KebDevice)
+    assert bench.device.store.value("cS.19") == -5
+    assert "is written by start" in bench.refused("output", number="sy.50", value=1)[1]
+    assert "is not in the output map" in bench.refused("output", number="sy.06", value=1)[1]
+    assert "takes 32-bit integers" in bench.refused("output", number="cS.19", value=0.5)[1]
+
+
+def test_k12_two_blocks_both_ways() -> None:
+    telegram = "PCH+8+2/8+4 own-gsd"
+    bench = pair(telegram)
+    bench.ok("write_map", inputs=TEST_INPUTS, outputs=TEST_OUTPUTS)
+    assert isinstance(bench.device, KebDevice)
+    options = {"map_inputs": TEST_INPUTS, "map_outputs": TEST_OUTPUTS}
+    bench = pair(telegram, options, again(bench.device, telegram))
+    read = bench.ok("read_map")
+    assert isinstance(read, dict)
+    assert (read["inputs"], read["outputs"]) == (TEST_INPUTS, TEST_OUTPUTS)
+    bench.ok("output", number="oP.10", value=25 * 80)  # block 2: half of 50 Hz at most
+    bench.ok("speed", value=1.0)
+    bench.ok("start")
+    bench.pass_time(2000)
+    assert bench.core.status().speed == pytest.approx(0.5, abs=0.001)
+    bench.device.trip("E.OL")
+    bench.pass_time(100)
+    values = bench.ok("inputs")
+    assert isinstance(values, dict)
+    assert values["ru.00 (2200h)"] == 16
+
+
+def test_k11_a_drive_that_does_not_confirm_is_told() -> None:
+    bench = pair("PCH+4/4")
+    text = bench.refused("write_map", outputs="2032 2A00")[1]
+    assert "does not confirm the enable of outputs, block 1 (6002h is 00h)" in text
+
+
+def test_a_map_that_makes_no_sense_is_told() -> None:
+    bench = pair("PCH+4/4")
+    bench.ok("write", number=0x6000, index=1, value=3)
+    assert "read_map: inputs: the record (6000h) has a value of 1 octets" in bench.refused("read_map")[1]

@@ -1,0 +1,191 @@
+"""KEB's plugin against literal octets: words and bits that the user names (K8), orders that cannot be without them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from drive_bench import PluginBench
+
+from dpstack.profile import State
+from dpstack_drives.keb import DRIVE
+
+#: bits of nobody's manual: what a user might have found in his
+BITS = {
+    "control_bits": "enable=1 run=4 reset=7 reverse=9 quick_stop=12",
+    "status_bits": "fault=3, run=5 reached=6 brake_open=11",
+    "rpm_per_count": 0.5,
+    "reference_rpm": 3000,
+}
+
+
+def plugin(inputs: str = "00 00 00 00", telegram: str = "4/4", **options: Any) -> PluginBench:
+    return PluginBench(DRIVE.core("hoist", telegram, {**BITS, **options}), inputs)
+
+
+def test_k8_the_words_by_the_users_bits() -> None:
+    bench = plugin()
+    assert bench.out() == "00 00 00 00"
+    bench.order("speed", value=0.25)  # 750 rpm, 0.5 rpm a count: 1500
+    start = bench.order("start")
+    assert bench.out() == "00 12 05 DC"
+    assert bench.result(start) is None
+    bench.see("00 20 00 64", 60)
+    result = bench.result(start)
+    assert result is not None
+    assert result["ok"]
+    status = bench.core.status()
+    assert (status.state, status.running, status.reached) == (State.RUNNING, True, False)
+    assert status.speed == pytest.approx(100 * 0.5 / 3000)
+    bench.see("08 60 05 DC")
+    status = bench.core.status()
+    assert status.reached
+    assert status.bits == ("run", "reached", "brake_open")
+    assert status.frequency_hz == pytest.approx(12.5)
+    assert status.words == (0x0860, 0x05DC)
+    assert status.remote
+    bench.order("stop")
+    assert bench.out() == "00 02 05 DC"
+    assert bench.core.status().state is State.STOPPING
+    bench.see("00 00 00 00", 60)
+    assert bench.core.status().state is State.READY
+    bench.order("start")
+    bench.see("00 20 00 00", 60)
+    bench.order("quick_stop")
+    assert bench.out() == "10 02 05 DC"
+    bench.order("coast")
+    assert bench.out() == "00 00 05 DC"
+
+
+def test_k8_reverse_by_its_bit_or_by_the_sign() -> None:
+    bench = plugin("00 20 00 00")
+    bench.order("speed", value=-0.25)
+    bench.order("start")
+    assert bench.out() == "02 12 05 DC"
+    bench = plugin("00 20 00 00", direction="sign")
+    bench.order("speed", value=-0.25)
+    bench.order("start")
+    assert bench.out() == "00 12 FA 24"
+
+
+def test_k8_a_fault_and_its_edge() -> None:
+    bench = plugin("00 08 00 00", "PCH+4/4")  # wrong length: not valid
+    bench.see("00 " * 8 + "00 08 00 00")
+    assert bench.core.status().state is State.FAULT
+    assert bench.out() == "71 01 22 00 00 00 00 00 00 00 00 00"  # it asks ru.00
+    bench.see("41 01 22 00 00 00 00 1F 00 08 00 00")
+    assert bench.core.status().faults == ("inverter state ru.00 = 31",)
+    token = bench.order("acknowledge")
+    assert bench.out()[24:] == "00 80 00 00"
+    bench.see("41 01 22 00 00 00 00 1F 00 00 00 00", 100)
+    result = bench.result(token)
+    assert result is not None
+    assert result["ok"]
+
+
+def test_without_a_channel_the_fault_has_no_name() -> None:
+    bench = plugin("00 08 00 00")
+    assert bench.core.status().faults == ("without a name: only the parameter channel (PCH+...) tells ru.00",)
+
+
+@pytest.mark.parametrize(
+    ("options", "op", "says"),
+    [
+        ({"control_bits": ""}, "start", "start needs the bit 'run': the bits of sy.50 and sy.51 are not in the manual"),
+        ({"control_bits": ""}, "stop", "option control_bits, e.g. control_bits = 'run=<bit> ...'"),
+        ({"status_bits": ""}, "start", "start needs the bit 'run'"),
+        ({"status_bits": "run=5"}, "acknowledge", "acknowledge needs the bit 'fault'"),
+        ({"control_bits": "run=4"}, "quick_stop", "quick_stop needs the bit 'quick_stop'"),
+        ({"control_bits": "run=4"}, "coast", "coast needs the bit 'enable'"),
+        ({"control_bits": "run=4"}, "acknowledge", "acknowledge needs the bit 'reset'"),
+        ({"map_outputs": "2034"}, "start", "sy.50 (2032h, control word) is not in the output map"),
+        ({"map_inputs": "2035"}, "start", "sy.51 (2033h, status word) is not in the input map"),
+    ],
+)
+def test_k8_what_cannot_be_done_is_said_by_name_and_at_once(options: dict[str, Any], op: str, says: str) -> None:
+    bench = plugin(**options)
+    result = bench.result(bench.order(op))
+    assert result is not None
+    assert result["error"] == "usage"
+    assert says in str(result["text"])
+    assert bench.out() == "00 00 00 00"
+
+
+@pytest.mark.parametrize(
+    ("options", "value", "says"),
+    [
+        ({"rpm_per_count": 0}, 0.5, "the unit of sy.52 is not in the manual: give the option rpm_per_count"),
+        ({"control_bits": "run=4"}, -0.5, "a negative speed needs the bit 'reverse'"),
+        ({"map_outputs": "2032"}, 0.5, "sy.52 (2034h, set speed) is not in the output map"),
+        ({}, 6.0, "speed 6 is outside"),
+    ],
+)
+def test_k8_set_points_that_cannot_be(options: dict[str, Any], value: float, says: str) -> None:
+    bench = plugin(**options)
+    result = bench.result(bench.order("speed", value=value))
+    assert result is not None
+    assert says in str(result["text"])
+
+
+def test_a_real_drive_gets_no_bits_that_are_made_up() -> None:
+    """Without options nothing can be started; for the simulated drive its own bits are known."""
+    bench = PluginBench(DRIVE.core("hoist"), "00 " * 12)
+    assert "not in the manual" in str(bench.result(bench.order("start")))
+    bench = PluginBench(DRIVE.core("hoist", simulated=True), "00 " * 12)
+    bench.order("start")
+    assert bench.out()[24:] == "00 05 00 00"
+    bench = PluginBench(DRIVE.core("hoist", options={"control_bits": "run=9"}, simulated=True), "00 " * 12)
+    bench.order("start")
+    assert bench.out()[24:] == "02 00 00 00"
+
+
+def test_k8_the_words_as_they_stand_where_nothing_is_named() -> None:
+    """Words exposed: the user's program makes them; the control word does not come back by itself."""
+    bench = PluginBench(DRIVE.core("hoist", "4/4"), "12 34 56 78")
+    assert bench.core.status().words == (0x1234, 0x5678)
+    assert bench.core.status().state is State.UNKNOWN
+    bench.order("output", number="sy.50", value=0xABCD)
+    bench.order("output", number="sy.52", value=-2)
+    assert bench.out() == "AB CD FF FE"
+    bench.core.lost(bench.now)
+    assert bench.out() == "00 00 FF FE"
+    named = plugin()
+    assert "is written by start" in str(named.result(named.order("output", number="sy.50", value=1)))
+
+
+def test_a_start_that_does_not_come_true_shows_the_recipe() -> None:
+    bench = plugin()
+    token = bench.order("start", timeout_s=0.2)
+    bench.run(150)
+    result = bench.result(token)
+    assert result is not None
+    assert "the drive reports ready, not running; does it obey the control word? ud.01 = 440" in str(result["text"])
+    assert bench.out() == "00 00 00 00"
+
+
+def test_reached_by_the_speed_where_no_bit_is_named() -> None:
+    bench = plugin("00 20 00 00", status_bits="run=5 fault=3")
+    bench.order("speed", value=0.25)
+    bench.order("start")
+    bench.run(60)
+    token = bench.order("reached")
+    bench.see("00 20 05 78", 60)
+    assert bench.result(token) is None
+    bench.see("00 20 05 B0", 2)
+    assert bench.result(token) is not None
+    blind = plugin("00 20 00 00", status_bits="run=5 fault=3", rpm_per_count=0)
+    assert "does not tell its speed" in str(blind.result(blind.order("reached")))
+
+
+@pytest.mark.parametrize(("telegram", "out"), [("1/4", "00"), ("3/4", "00 12 00"), ("8/4", "00 12 05 DC 00 00 00 00")])
+def test_k2_odd_lengths(telegram: str, out: str) -> None:
+    """The default map is cut to what the telegram takes."""
+    bench = plugin("00 00 00 00", telegram)
+    bench.order("speed", value=0.25)
+    bench.order("start")
+    assert bench.out() == out
+
+
+def test_unknown_orders_name_those_of_this_drive() -> None:
+    bench = plugin()
+    assert "read, write, read_map, write_map, inputs, output" in str(bench.result(bench.order("dance")))
