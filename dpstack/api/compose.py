@@ -18,6 +18,7 @@ from dpstack.dp.scanner import Scanner
 from dpstack.dp.setup import SlaveSetup
 from dpstack.drivers.aio import AsyncioRuntime, OnFailure, patience_of
 from dpstack.drivers.base import OnEvents, Runtime
+from dpstack.drivers.echo import Echo
 from dpstack.drivers.virtual import VirtualRuntime
 from dpstack.fdl.active import ActiveStation
 from dpstack.fdl.livelist import LiveList, live_allowance
@@ -30,6 +31,7 @@ from dpstack.profile import DriveCore
 from dpstack.sim.world import World
 from dpstack.units import NS_PER_MS, NS_PER_S
 
+ECHO: Final = {None: Echo.AUTO, True: Echo.ON, False: Echo.OFF}
 #: a read-only bus asks the whole live list and the diagnosis of each slave anew so often
 _LIST_PERIOD: Final = 10 * NS_PER_S
 _DIAGNOSIS_PERIOD: Final = 500 * NS_PER_MS
@@ -67,9 +69,9 @@ def with_t_tr(config: Config, params: BusParams, setups: Sequence[SlaveSetup]) -
     return params.replace(t_tr=t_tr_preset(params, setups))
 
 
-def port_of(config: Config, baud: int) -> Port:
-    """The port of ``config``, not open yet. Raises PortError."""
-    return open_port(config.port, baud, event_char=config.bus.event_char)
+def port_of(config: Config, baud: int, name: str | None = None) -> Port:
+    """The port of ``config`` (or ``name``, treated as it says), not open yet. Raises PortError."""
+    return open_port(name or config.port, baud, event_char=config.bus.event_char, rs485=config.bus.rs485)
 
 
 def patience_for(config: Config, port: Port) -> Patience:
@@ -133,7 +135,12 @@ def compose(
         # a pty is given what a stalled computer needs, and a user's own figure stands
         tune = port.delivery is Delivery.ADAPTER and config.bus.host_slack_ms is None
         runtime = AsyncioRuntime(
-            port, station, on_events, on_failure=on_failure, tune=station.set_patience if tune else None
+            port,
+            station,
+            on_events,
+            echo=ECHO[config.bus.echo],
+            on_failure=on_failure,
+            tune=station.set_patience if tune else None,
         )
         return Parts(config, plan, master, station, runtime, None, watcher, None, Rounds(master))
     bench = None
@@ -171,6 +178,7 @@ def attach_core(master: Master, slave: SlaveConfig, *, simulated: bool) -> Drive
 
 
 __all__ = [
+    "ECHO",
     "Case",
     "Parts",
     "Plan",

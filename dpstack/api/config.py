@@ -24,7 +24,7 @@ from dpstack.params import MAX_STATION, MAX_T_SL, BusParams
 from dpstack.units import BAUD_RATES, baud_text
 
 VIRTUAL: Final = "virtual"
-#: the baud rate is found by listening (see :mod:`dpstack.api.baud`)
+#: the baud rate is found by listening (see :mod:`dpstack.api.baud`); echo is recognised
 AUTO: Final = "auto"
 _DRIVERS: Final = ("auto", "asyncio")
 _BUS_KEYS: Final = (
@@ -42,6 +42,7 @@ _BUS_KEYS: Final = (
     "extra_idle_bits",
     "echo",
     "event_char",
+    "rs485",
     "auto_clear",
     "data_control_time_ms",
     "read_only",
@@ -49,7 +50,6 @@ _BUS_KEYS: Final = (
 #: keys whose function comes later, with the values that ask for nothing
 _BUS_LATER: Final[dict[str, tuple[object, ...]]] = {
     "cycle_ms": (),
-    "echo": ("auto", False),
 }
 _TOML_PLACE: Final = re.compile(r"^(.*?)\s*\(at (?:line (\d+), column (\d+)|end of document)\)$", re.DOTALL)
 
@@ -72,7 +72,9 @@ class BusConfig:
     auto_clear: bool = False
     data_control_time_ms: int = 1000
     read_only: bool = False
+    echo: bool | None = None  # None: found out at start
     event_char: bool = False
+    rs485: bool = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -269,8 +271,19 @@ def _read_bus(table: Table) -> BusConfig:
         auto_clear=table.flag("auto_clear", False),
         data_control_time_ms=_or(table.integer("data_control_time_ms", 10, 655_350), 1000),
         read_only=table.flag("read_only", False),
+        echo=_echo(table),
         event_char=table.flag("event_char", False),
+        rs485=table.flag("rs485", True),
     )
+
+
+def _echo(table: Table) -> bool | None:
+    echo = table.raw("echo")
+    if echo is None or echo == AUTO:
+        return None
+    if not isinstance(echo, bool):
+        table.fail("echo", f"echo = {echo!r}", 'it must be "auto", true or false')
+    return echo
 
 
 def _baud(table: Table) -> int | Literal["auto"] | None:

@@ -9,6 +9,7 @@ from types import TracebackType
 from typing import Final, Literal
 
 from dpstack.api.bench import Unit, rates_of
+from dpstack.api.compose import ECHO, port_of
 from dpstack.api.config import AUTO, Config
 from dpstack.dp.baud_watch import BaudState
 from dpstack.dp.device import Device
@@ -22,7 +23,6 @@ from dpstack.errors import BusError, ConfigError
 from dpstack.fdl.multidrop import Multidrop
 from dpstack.params import BusParams
 from dpstack.phy.neighbours import t_sl_of_answers
-from dpstack.ports import open_port
 from dpstack.trace import Event
 from dpstack.units import BAUD_RATES, NEVER, ns_to_s
 
@@ -83,7 +83,7 @@ class Simulation:
         rates = [DEFAULT_BAUD] if baud != AUTO else _common_rates(config)
         # every adapter can do the slowest rate, so a port that does not open there is not there
         start = baud if baud != AUTO else DEFAULT_BAUD if port == "pty" else min(rates)
-        opened = open_port(port, start)
+        opened = port_of(config, start, port)
         patience = patience_of(opened)
         self._params = params = BusParams.preset(start)
         #: T_SL in bit times that a real master needs for these slaves behind this port, 0 where it needs none for it
@@ -100,7 +100,9 @@ class Simulation:
                 self._line, self._watched, rates=rates, slack_ns=patience.known_ns, settle_ns=settle_ns_of(opened)
             )
         machine = self._search or self._line
-        self.runtime = AsyncioRuntime(opened, machine, self._on_events, on_failure=self._failed)
+        self.runtime = AsyncioRuntime(
+            opened, machine, self._on_events, echo=ECHO[config.bus.echo], on_failure=self._failed
+        )
         #: machine time of the start in ns
         self.started_ns = 0
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from datetime import UTC, datetime
 
 from dpstack.api.bus import Bus
@@ -64,14 +65,8 @@ class Reporter:
         slaves = stats.slaves.values()
         columns = ("address", "name", "state", "exchanges", "retries", "time-outs", "late", "bad")
         output.table("Slaves", columns, [_slave_row(s) for s in slaves])
-        output.table(
-            "Process data",
-            ("address", "name", "inputs", "outputs"),
-            [(s.address, s.name, s.inputs.hex(), s.outputs.hex()) for s in slaves],
-        )
-        named = [(s.address, s.name, key, value) for s in slaves for key, value in s.fields.items()]
-        if named:
-            output.table("Named inputs and outputs", ("address", "name", "field", "value"), named)
+        if self.bus is None or not self.bus.config.bus.read_only:  # else none was exchanged
+            _process_data(slaves)
         output.line(f"{stats.rotations} rotations in {stats.seconds:.3f} s, {_traffic(stats)}")
         for name, us in (("bus rotation time", stats.rotation_us), ("token rotation", stats.token_us)):
             if us["max"]:
@@ -84,6 +79,14 @@ class Reporter:
             )
         if not stats.paced:
             output.line("no wire gave the octets their time here: the times are this computer's, not a bus's")
+
+
+def _process_data(slaves: Iterable[SlaveStats]) -> None:
+    octets = [(s.address, s.name, s.inputs.hex(), s.outputs.hex()) for s in slaves]
+    output.table("Process data", ("address", "name", "inputs", "outputs"), octets)
+    named = [(s.address, s.name, key, value) for s in slaves for key, value in s.fields.items()]
+    if named:
+        output.table("Named inputs and outputs", ("address", "name", "field", "value"), named)
 
 
 def _slave_row(s: SlaveStats) -> tuple[object, ...]:

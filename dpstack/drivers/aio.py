@@ -40,6 +40,10 @@ BACKOFF_NS: Final = (100 * NS_PER_MS, 2_000 * NS_PER_MS)
 _LONGEST: Final = 256
 
 
+def _filter(echo: Echo) -> EchoFilter | None:
+    return None if echo is Echo.OFF else EchoFilter(echo)
+
+
 def patience_of(port: Port) -> Patience:
     """The patience a port's kind needs until it was measured."""
     return ADAPTER if port.delivery is Delivery.ADAPTER else HOST
@@ -76,12 +80,13 @@ class AsyncioRuntime:
         self._spin_ns = spin_ns
         self._backoff_ns = backoff_ns
         self._echo_wanted = echo
-        self._echo: EchoFilter | None = None
+        self._echo = _filter(echo)
         self._loop: asyncio.AbstractEventLoop | None = None  # set while running
         self._timer: Timer | None = None
         self._armed = NEVER  # the deadline the timer waits for: never later than _deadline
         self._deadline = NEVER
         self._is_down = False  # lost, and not open again yet
+        self._tolerated: set[str] = set()  # what the port cannot do: told once, however often it is opened
         self._reopening: asyncio.Task[None] | None = None
         self._again: asyncio.Handle | None = None
         self._wire_ns = wire_times(port)
@@ -244,10 +249,11 @@ class AsyncioRuntime:
         """Take what the port delivers, through the echo filter unless there is no echo."""
         if self._loop is None:
             return
-        wanted = self._echo_wanted
-        self._echo = None if wanted is Echo.OFF else EchoFilter(wanted)
+        self._echo = _filter(self._echo_wanted)
         self._port.attach(self._loop, self._step if self._echo is None else self._filtered, self._lost)
-        self._tell([self._notice(text) for text in self._port.notices])
+        news = [text for text in self._port.notices if text not in self._tolerated]
+        self._tolerated.update(news)
+        self._tell([self._notice(text) for text in news])
 
     def _filtered(self, chunk: bytes) -> None:
         echo = self._echo

@@ -19,11 +19,13 @@ from dpstack.ports.memory import MemoryPort, memory_pair
 __all__ = ["Delivery", "MemoryPort", "OnData", "OnLost", "Port", "PortError", "memory_pair", "open_port"]
 
 
-def open_port(name: str | Port, baud: int, *, paced: bool | None = None, event_char: bool = False) -> Port:
+def open_port(
+    name: str | Port, baud: int, *, paced: bool | None = None, event_char: bool = False, rs485: bool = True
+) -> Port:
     """The port ``name`` at ``baud`` bit/s: ready for ``await port.open()``, which touches it for the first time.
 
     ``paced`` overrides whether octets take their time on it (None: known by the kind). A port object is passed through.
-    ``event_char``: see :class:`dpstack.ports.tuning.Tuning`; other ports than a Linux tty take no notice of it.
+    ``event_char``, ``rs485``: see :class:`dpstack.ports.tuning.Tuning`; only a Linux tty takes notice of them.
     Raises PortError for a name that can be no port.
     """
     if isinstance(name, Port):
@@ -43,7 +45,7 @@ def open_port(name: str | Port, baud: int, *, paced: bool | None = None, event_c
         if termios2.AVAILABLE:
             from dpstack.ports.tty import TtyPort
 
-            return TtyPort(name, baud, paced=paced, event_char=event_char)
+            return TtyPort(name, baud, paced=paced, event_char=event_char, rs485=rs485)
     if name == "pty":
         raise PortError("--port pty needs Linux; name a serial port, socket://host:port or rfc2217://host:port")
     from dpstack.ports.pyserial import PySerialPort

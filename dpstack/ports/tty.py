@@ -40,12 +40,14 @@ class TtyPort(FdPort):
         paced: bool | None = None,
         marks: bool | None = None,
         event_char: bool = False,
+        rs485: bool = True,
         sysfs: Path = SYSFS,
     ) -> None:
         is_pty = is_pty_path(name)
         super().__init__(name, baud, paced=not is_pty if paced is None else paced)
         self.delivery = Delivery.HOST if is_pty else Delivery.ADAPTER
         self._event_char = event_char
+        self._rs485 = rs485
         self._sysfs = sysfs
         self._marks = not is_pty if marks is None else marks
         self._unmarker = Unmarker()
@@ -68,7 +70,8 @@ class TtyPort(FdPort):
             # Octets survive the last close of a pty, and a UART may have heard anything meanwhile.
             termios.tcflush(fd, termios.TCIOFLUSH)
             if self.delivery is Delivery.ADAPTER:
-                self._tuning = Tuning(fd, Adapter(self.name, self._sysfs), event_char=self._event_char)
+                adapter = Adapter(self.name, self._sysfs)
+                self._tuning = Tuning(fd, adapter, event_char=self._event_char, rs485=self._rs485)
                 self.notices += self._tuning.notices
         except termios.error as exc:
             os.close(fd)

@@ -20,10 +20,11 @@ ED: Final = 0x16
 class Tuning:
     """Of one open descriptor. ``event_char``: let an FTDI deliver at every ED octet instead of waiting for its timer.
 
+    ``rs485`` False: the driver's RS-485 mode is left as it is (a converter behind an RS-232 port switches by itself).
     ``notices``: what had to be tolerated. ``errors``: the driver's error counters at the start, None where it has none.
     """
 
-    def __init__(self, fd: int, adapter: Adapter, *, event_char: bool = False) -> None:
+    def __init__(self, fd: int, adapter: Adapter, *, event_char: bool = False, rs485: bool = True) -> None:
         self.notices: list[str] = []
         self.errors: uart.UartErrors | None = None
         self._fd = fd
@@ -32,7 +33,8 @@ class Tuning:
         self._missing: list[str] = []
         self._low_latency()
         self._latency_timer()
-        self._rs485()
+        if rs485:
+            self._rs485()
         self._counters()
         if event_char:
             self._event_char()

@@ -9,7 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dpstack.api.compose import compose
 from dpstack.api.config import Config, load_config, make_config, parse_config
+from dpstack.drivers.aio import AsyncioRuntime
+from dpstack.drivers.echo import Echo
 from dpstack.errors import ConfigError
 from dpstack.units import NS_PER_US
 
@@ -195,6 +198,8 @@ BAD: list[tuple[str, str]] = [
     (BUS.replace("500000", '"fast"'), "plant.toml:3: [bus]: baud = 'fast' is a text; it must be an integer"),
     (BUS + "address = 126\n", "plant.toml:4: [bus]: address = 126 is outside 0..125; correct it or leave it out"),
     (BUS + "hsa = 1\n", "plant.toml:4: [bus]: address 2 lies above hsa 1; no other master would ever find it"),
+    (BUS + 'echo = "on"\n', "plant.toml:4: [bus]: echo = 'on'; it must be \"auto\", true or false"),
+    (BUS + "rs485 = 1\n", "plant.toml:4: [bus]: rs485 = 1 is an integer; it must be true or false"),
     (BUS + 'driver = "fast"\n', 'plant.toml:4: [bus]: unknown driver \'fast\'; it must be "auto" or "asyncio"'),
     (BUS + "host_slack_ms = nan\n", "plant.toml:4: [bus]: host_slack_ms = nan is outside 0..10000; correct it"),
     (BUS.replace('"/dev/ttyX"', '""'), "plant.toml:2: [bus]: port is empty; give it a value or leave it out"),
@@ -203,7 +208,6 @@ BAD: list[tuple[str, str]] = [
 # known keys of functions that this version does not have
 LATER: list[tuple[str, str]] = [
     (BUS + "cycle_ms = 4.0\n", "plant.toml:4: [bus]: cycle_ms is not supported yet by this version; leave it out"),
-    (BUS + "echo = true\n", "plant.toml:4: [bus]: echo is not supported yet by this version; leave it out"),
     (BUS + "data_control_time_ms = 5\n", "plant.toml:4: [bus]: data_control_time_ms"),
     (BUS + 'driver = "process"\n', 'plant.toml:4: [bus]: driver "process" is not supported yet by this version; use'),
     (BUS + RAW + 'gsd = "x.gsd"\n', "plant.toml:8: [[slave]] raw: config beside gsd; leave config out, or gsd"),
@@ -321,6 +325,16 @@ def test_the_event_character_is_off_unless_asked_for() -> None:
     assert parse_config(text + "event_char = true").with_bus(address=5).bus.event_char is True
     with pytest.raises(ConfigError, match=r"plant.toml:4: .*event_char.* true or false"):
         parse_config(text + "event_char = 1", "plant.toml")
+
+
+@pytest.mark.parametrize(("text", "echo"), [("", None), ('"auto"', None), ("true", True), ("false", False)])
+def test_echo_is_found_out_unless_it_is_told(text: str, echo: bool | None) -> None:
+    config = parse_config(BUS + (f"echo = {text}\n" if text else ""))
+    assert config.bus.echo is echo
+    assert config.with_bus(address=5).bus.echo is echo  # "auto" is not turned into something else on the way
+    runtime = compose(config, lambda _events: None, lambda _exc: None).runtime
+    assert isinstance(runtime, AsyncioRuntime)
+    assert runtime.echo is {None: Echo.AUTO, True: Echo.ON, False: Echo.OFF}[echo]
 
 
 def test_a_rate_that_is_found_by_listening() -> None:

@@ -159,6 +159,18 @@ def test_run_read_only_leaves_everybody_as_he_is(plant: str, capsys: Out) -> Non
     assert summary["timeouts"] == 0
 
 
+def test_read_only_shows_people_no_process_data_since_none_is_exchanged(plant: str, capsys: Out) -> None:
+    path = Path(plant)
+    path.write_text(PLANT + 'inputs = { limit = "bool@0.0" }\n', encoding="utf-8")
+    assert call("run", plant, "--read-only", "--seconds", "0.5") == 1
+    told = capsys.readouterr().out
+    assert "Slaves" in told
+    assert not any(text in told for text in ("Process data", "Named inputs", "limit"))
+    assert call("run", plant, "--seconds", "0.5") == 0
+    told = capsys.readouterr().out
+    assert all(text in told for text in ("Process data", "Named inputs", "limit"))
+
+
 # --- wrong use ------------------------------------------------------------------------------------------------------
 
 WRONG: list[tuple[list[str], int, str]] = [

@@ -70,6 +70,24 @@ def test_rs485_that_is_set_up_already_is_not_touched(driver: FakeDriver, tmp_pat
     assert driver.rs485 == [0x05, 0, 0, 0, 0, 0, 0, 0]
 
 
+def test_rs485_is_left_alone_where_that_is_asked_for(
+    driver: FakeDriver, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    far = PtyFarEnd()
+    monkeypatch.setattr("dpstack.ports.tty.is_pty_path", lambda _name: False)
+    port = TtyPort(far.path, 9600, rs485=False, sysfs=tmp_path)
+    port.open_now()
+    assert driver.rs485 == [0] * 8
+    assert not any("RS-485" in notice for notice in port.notices)
+    port.close()
+    port = TtyPort(far.path, 9600, sysfs=tmp_path)
+    port.open_now()
+    assert driver.rs485[0] == 0x03  # enabled, RTS on send
+    port.close()
+    assert driver.rs485 == [0] * 8
+    far.hang_up()
+
+
 def test_what_a_driver_has_not_is_said_once_in_one_line(driver: FakeDriver, tmp_path: Path) -> None:
     driver.flags = driver.rs485 = driver.counts = None
     tuning = Tuning(7, Adapter("/dev/ttyS4", tmp_path))
