@@ -1,4 +1,5 @@
-"""Two masters with slaves of their own on one segment, and a scan and a search for the rate beside them.
+"""Two masters with slaves of their own on one segment; beside them a scan, a search for the rate, and a master with an
+address that is taken.
 
 Assert what happens, never when: the short run takes what time it needs, the long one is for ``make soak``.
 """
@@ -46,8 +47,9 @@ class Plant:
         self.sim = start("sim", everybody, "--port", str(self.bus / "0"))
         self.sim.wait_for("s21")
         self.runs: list[Program] = []
+        self.configs: dict[int, str] = {}
         for number, (address, slaves) in enumerate(self.SLAVES.items(), 1):
-            config = self._config(folder, address, slaves)
+            config = self.configs[address] = self._config(folder, address, slaves)
             self.runs.append(start("run", config, "--port", str(self.bus / str(number)), "--json"))
         for run in self.runs:
             run.wait_for('"state":"data_exchange"', 2, limit=60)
@@ -63,6 +65,16 @@ class Plant:
 
     def baud(self, station: int) -> Program:
         return self.start("baud", "--port", str(self.bus / str(station)), "--timeout", "20", "--json")
+
+    def twin(self, station: int) -> Program:
+        """One more master with address 2."""
+        return self.start("run", self.configs[2], "--port", str(self.bus / str(station)), "--json")
+
+    def judge_twin(self, twin: Program) -> None:
+        """It has not sent an octet, and says why."""
+        assert twin.end(limit=60) == 1
+        assert twin.err.startswith("dpstack: another station on the bus sends as address 2: staying out of the ring;")
+        assert '"state":' not in twin.out
 
     def judge_scan(self, scan: Program) -> None:
         assert scan.end(limit=90) == 0, scan.err
@@ -88,8 +100,9 @@ class Plant:
         assert "master 2 joined the token ring" in second
 
 
-def test_two_masters_a_scan_and_a_search_at_once(tmp_path: Path, start: Starter) -> None:
-    plant = Plant(tmp_path, start, 5)
+def test_two_masters_a_scan_a_search_and_a_twin_at_once(tmp_path: Path, start: Starter) -> None:
+    plant = Plant(tmp_path, start, 6)
+    plant.judge_twin(plant.twin(5))
     scan, baud = plant.scan(3), plant.baud(4)
     plant.judge_baud(baud)
     plant.judge_scan(scan)

@@ -260,19 +260,25 @@ async def test_a_lost_port_is_told_and_opened_again() -> None:
 async def test_what_a_port_cannot_do_is_named_once_however_often_it_comes_back() -> None:
     rig = Rig()
     rig.port.notices = ["has no parity bit"]
-    async with rig:
-        for _ in range(2):
-            rig.port.unplug("pulled out")
-            rig.port.plug()
-            await until(lambda: isinstance(rig.events[-1], PortBack), "the return")
-        assert [event.text for event in rig.events if "no parity" in event.text] == [
-            f"{rig.port.name}: has no parity bit"
-        ]
-        rig.port.notices = ["has no parity bit", "its latency timer stays at 16 ms"]
+
+    def count(kind: type[Event], text: str = "") -> int:
+        return sum(isinstance(event, kind) and text in event.text for event in rig.events)
+
+    async def come_back() -> None:
+        before = count(PortBack)
         rig.port.unplug("pulled out")
         rig.port.plug()
-        await until(lambda: "latency" in rig.events[-1].text, "what is new about it")
-        assert sum("no parity" in event.text for event in rig.events) == 1
+        await until(lambda: count(PortBack) == before + 1, "the return")
+
+    async with rig:
+        assert rig.events[0].text == f"{rig.port.name}: has no parity bit"
+        await come_back()
+        await come_back()
+        assert count(Notice, "no parity") == 1
+        rig.port.notices = ["has no parity bit", "its latency timer stays at 16 ms"]  # another adapter
+        await come_back()
+        await come_back()
+        assert (count(Notice, "no parity"), count(Notice, "latency timer")) == (1, 1)
 
 
 async def test_a_lost_port_may_be_closed() -> None:
