@@ -41,6 +41,7 @@ if [ "$print" = no ]; then
     printf '%s\n' '@dialout - rtprio 50' '@dialout - memlock unlimited' >"$limits"
 fi
 if [ -z "$root" ]; then
+    getent group dialout >/dev/null || run groupadd -r dialout # some distributions have it not
     if [ -n "$user" ] && [ "$user" != root ]; then
         run usermod -aG dialout "$user"
     fi
