@@ -122,9 +122,9 @@ class Bus(Composed):
         self._open = True
         try:
             if heard is not None:
-                self._tell(Notice(t_ns=self.started_ns, source="bus", message=heard))
+                self._tell(Notice(t_ns=self.runtime.now(), source="bus", message=heard))
             for note in (*self.plan.findings, *self.plan.notes):
-                self._tell(Notice(t_ns=self.started_ns, source="plan", message=note, severity=Severity.WARNING))
+                self._tell(Notice(t_ns=self.runtime.now(), source="plan", message=note, severity=Severity.WARNING))
             self._hand_on(GoOnline())
             await join(self, self._join_timeout)
         except BaseException:
