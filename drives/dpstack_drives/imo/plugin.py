@@ -28,7 +28,8 @@ from dpstack_drives.imo.pzd import PzdMap
 _SAFE: Final = bytes(8) + t.Command.STOP.to_bytes(2, "big") + bytes(2 * t.PZDS)
 #: how long the drive may take to react is not in the manual; waits reckon with this
 _SCAN_NS: Final = 20 * NS_PER_MS
-_LEARN_NS: Final = 10 * NS_PER_S
+#: two rotations for each of 22 parameters, at 9.6 kbit/s with other slaves
+_LEARN_NS: Final = 60 * NS_PER_S
 _MAP_TIMEOUT_S: Final = 10.0
 _INCHES: Final = {"forward": t.Command.INCH_FORWARD, "reverse": t.Command.INCH_REVERSE, "stop": t.Command.INCH_STOP}
 _SOURCES: Final = {
@@ -164,7 +165,7 @@ class ImoCore(DriveCore):
         if at is not None:
             code = self.words[1 + at]
             name = self._fault_names.get(code)
-            return (f"fault code {code}" + (f" {name}" if name else ""),)
+            return (f"{name} (code {code})" if name else f"code {code}",)
         if self.inputs_map is None and self._learning:
             return ("not yet named",)
         return ("without a name: no transmitted PZD (P15.13 to P15.23) is 11, fault_code; the keypad shows it",)
@@ -272,7 +273,10 @@ class ImoCore(DriveCore):
         return {"value": {"inputs": str(inputs), "outputs": str(outputs)}}
 
     def _read(self, deadline: int) -> Steps[dict[str, object]]:
-        yield from self._learn(deadline)
+        if self._learning:
+            yield from self._known(deadline)
+        else:
+            yield from self._learn(deadline)
         return {"value": {"inputs": str(self.inputs_map), "outputs": str(self.outputs_map)}}
 
     # -- orders of its own ----------------------------------------------------------------------------------------
