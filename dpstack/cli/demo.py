@@ -71,7 +71,8 @@ def plant(baud: int) -> Config:
             table["telegram"] = telegram
         setting = drives[name].rate_setting
         if setting is not None:
-            table["options"] = {setting.option: value for value, rate in setting.rates.items() if rate == baud}
+            value = next((value for value, rate in setting.rates.items() if rate == baud), None)
+            table["options"] = {} if value is None else {setting.option: value}
         slaves.append(table)
     return make_config("virtual", baud, _MASTER, slaves, where="demo", bus={"gap": 0})
 

@@ -198,8 +198,7 @@ def pkw(bench: PluginBench, reply: str) -> str:
 
 
 def quiet() -> PluginBench:
-    bench = Card(RUNS)
-    return bench
+    return Card(RUNS)
 
 
 def test_i3_the_read_of_the_manual() -> None:

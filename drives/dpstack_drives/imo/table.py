@@ -207,6 +207,7 @@ def name_of(number: int) -> str:
 
 
 KEYPAD_FREQUENCY: Final = 10
+#: 0..125 (printed 0-99 in table 2-4, 0-127 in 2.3); table 2-4 numbers it and the PZDs in another way: P15 holds
 ADDRESS: Final = 0x0F01
 #: tables 2-6 and 2-8: what each received and each transmitted PZD stands for (P15.22 is missing in print)
 RECEIVED: Final = tuple(range(0x0F02, 0x0F02 + PZDS))
