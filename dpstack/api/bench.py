@@ -32,15 +32,21 @@ def device_of(slave: SlaveConfig) -> Device:
 
 
 def rates_of(slave: SlaveConfig) -> Sequence[int]:
-    """The baud rates that the device knows, all where nothing is said of them."""
-    return (slave.profile.baud_rates if slave.profile else ()) or BAUD_RATES
+    """The baud rates that the device hears, all where nothing is said of them."""
+    return (slave.profile.rates(slave.options) if slave.profile else ()) or BAUD_RATES
+
+
+def set_rate(slave: SlaveConfig) -> int | None:
+    """The rate that the device is set to; None where it finds it by itself."""
+    fixed = slave.profile is not None and slave.profile.rate_setting is not None
+    return rates_of(slave)[0] if fixed else None
 
 
 class Unit:
     """One simulated slave as it stands: station, application and device, made anew by :meth:`renew`.
 
     A drive keeps what it has stored in its EEPROM. ``searching``: it finds the baud rate by itself, among those that
-    the device knows.
+    the device knows. One that cannot stays at the rate it is set to, whatever the bus has.
     """
 
     def __init__(
@@ -61,11 +67,14 @@ class Unit:
         self._stand(params)
 
     def _stand(self, params: BusParams) -> None:
+        own = set_rate(self.config)
+        if own is not None and own != params.baud:
+            params = BusParams.preset(own)
         self.app = SlaveApp(self.device, address=self.config.address)
         self.station = PassiveStation(self.config.address, self.app, params, patience=self._patience)
         #: what is on a simulated bus: the station, or the search around it
         self.on_bus: BusStation = self.station
-        if self._searching:
+        if self._searching and own is None:
             self.on_bus = SearchingSlave(self.station, self.app, rates=rates_of(self.config))
 
 

@@ -340,10 +340,21 @@ def _checked(config: Config) -> Config:
 
 
 def rate_findings(config: Config, baud: int) -> list[str]:
-    """Slaves whose manual or GSD file does not list ``baud``."""
+    """Slaves whose manual, GSD file or setting does not have ``baud``."""
     return [
-        f"slave {s.address} ({s.name}): {s.profile.name if s.profile else 'by its GSD file it'} does not know "
-        f"{baud_text(baud)}; take another rate"
+        f"slave {s.address} ({s.name}): {_rate_finding(s, baud)}"
         for s in config.slaves
         if s.baud_rates and baud not in s.baud_rates
     ]
+
+
+def _rate_finding(slave: SlaveConfig, baud: int) -> str:
+    profile = slave.profile
+    if profile is not None and profile.rate_setting is not None:
+        rates = " or ".join(baud_text(rate) for rate in slave.baud_rates)
+        option = profile.rate_setting.option
+        return (
+            f"{profile.name} finds no baud rate by itself and hears only {rates}, not {baud_text(baud)}: set it at the "
+            f"drive and tell it by the option {option}, or take another rate"
+        )
+    return f"{profile.name if profile else 'by its GSD file it'} does not know {baud_text(baud)}; take another rate"

@@ -8,9 +8,9 @@ from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Final, Literal
 
-from dpstack.api.bench import Unit, rates_of
+from dpstack.api.bench import Unit, rates_of, set_rate
 from dpstack.api.compose import ECHO, port_of
-from dpstack.api.config import AUTO, Config
+from dpstack.api.config import AUTO, Config, rate_findings
 from dpstack.dp.baud_watch import BaudState
 from dpstack.dp.device import Device
 from dpstack.dp.searching_port import PortBaudChanged, SearchingPort
@@ -80,6 +80,9 @@ class Simulation:
             raise ConfigError('port "virtual" has no other end; take "pty" or a device')
         #: called for every event, at once
         self.on_event: Callable[[Event], None] | None = None
+        if baud != AUTO and any(set_rate(slave) not in (None, baud) for slave in config.slaves):
+            # stations of one port share its receiver: this one could not be deaf by itself
+            raise ConfigError("; ".join(rate_findings(config, baud)))
         rates = [DEFAULT_BAUD] if baud != AUTO else _common_rates(config)
         # every adapter can do the slowest rate, so a port that does not open there is not there
         start = baud if baud != AUTO else DEFAULT_BAUD if port == "pty" else min(rates)

@@ -227,7 +227,7 @@ def _drive(table: Table, name: str) -> _Basis:
         interval_ns=profile.min_slave_interval_ns,
         fail_safe=profile.fail_safe,
         max_tsdr=profile.max_tsdr,
-        baud_rates=frozenset(profile.baud_rates),
+        baud_rates=frozenset(profile.rates(options)),
         profile=profile,
         telegram=telegram.name,
         options=options,

@@ -59,7 +59,8 @@ def execute(args: argparse.Namespace) -> int:
 
 def plant(baud: int) -> Config:
     """Every known drive at an address of its own. One master alone: the GAP is off, the rotation is the shortest."""
-    names = sorted(known_drives())
+    drives = known_drives()
+    names = sorted(drives)
     if not names:
         raise ConfigError("no drive is known; install dpstack with `pip install .` or `make demo`")
     slaves: list[dict[str, object]] = []
@@ -68,6 +69,10 @@ def plant(baud: int) -> Config:
         telegram = STORIES.get(name, OTHERS).telegram
         if telegram is not None:
             table["telegram"] = telegram
+        setting = drives[name].rate_setting
+        if setting is not None:
+            value = next((value for value, rate in setting.rates.items() if rate == baud), None)
+            table["options"] = {} if value is None else {setting.option: value}
         slaves.append(table)
     return make_config("virtual", baud, _MASTER, slaves, where="demo", bus={"gap": 0})
 

@@ -56,6 +56,25 @@ async def fuji(drive: Drive, tell: Tell, trip: Trip) -> None:
     await _stop(drive, tell)
 
 
+async def imo(drive: Drive, tell: Tell, trip: Trip) -> None:
+    """What its process data stand for is written first; then a fault that is injected, named and acknowledged."""
+    found = await drive.read_map(timeout=60)  # 22 parameters: long at 9.6 kbit/s
+    tell(f"P15.02 to P15.23 as delivered carry {found['outputs'] or 'nothing'}: no set frequency")
+    _expect(drive, found["outputs"] == "", f"its map is {found['outputs']}")
+    found = await drive.write_map(outputs="set_frequency", inputs="frequency current torque fault_code", timeout=60)
+    tell(f"PZD2 written: {found['outputs']}; it tells {found['inputs']}")
+    await _run(drive, tell, 0.5)
+    trip("OL1")
+    async for status in drive.statuses():
+        if status.fault and "OL1" in status.fault:
+            tell(f"tripped: {status.fault}")
+            break
+    await drive.acknowledge()
+    tell("acknowledged")
+    await _run(drive, tell, -0.3)
+    await _stop(drive, tell)
+
+
 async def keb(drive: Drive, tell: Tell, trip: Trip) -> None:
     """Its own parameter channel; then an overload that is injected, named by ru.00 and acknowledged."""
     await drive.write("oP.3", 20.0)
@@ -77,6 +96,7 @@ async def keb(drive: Drive, tell: Tell, trip: Trip) -> None:
 STORIES: Final[dict[str, Story]] = {
     "demag-dedrive": Story(demag, "PPO1"),
     "fuji-frenic": Story(fuji, "PPO3"),
+    "imo-hd2": Story(imo),
     "keb-f5": Story(keb),
 }
 OTHERS: Final = Story(any_drive)

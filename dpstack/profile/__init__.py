@@ -7,7 +7,7 @@ from dpstack.profile import drivecom, profidrive
 from dpstack.profile.channel import CHANNEL_LEN, ChannelServer, ParameterChannel, ParamKey
 from dpstack.profile.core import OPS, DriveCore
 from dpstack.profile.device import DriveDevice
-from dpstack.profile.drive import DriveProfile, OptionSpec, TelegramFamily, TelegramSpec
+from dpstack.profile.drive import DriveProfile, OptionSpec, RateSetting, TelegramFamily, TelegramSpec
 from dpstack.profile.jobs import Args, CommandError, Steps
 from dpstack.profile.motion import settled
 from dpstack.profile.motor import Motor
@@ -58,6 +58,7 @@ __all__ = [
     "PkwClient",
     "PkwDialect",
     "PkwServer",
+    "RateSetting",
     "Reply",
     "Scale",
     "State",

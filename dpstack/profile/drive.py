@@ -62,6 +62,13 @@ class OptionSpec:
     choices: tuple[str, ...] = ()
 
 
+class RateSetting(NamedTuple):
+    """A drive that cannot find the baud rate: its ``option`` says how it is set, ``rates`` what each value means."""
+
+    option: str
+    rates: Mapping[int, int]
+
+
 CoreFactory = Callable[["DriveProfile", str, TelegramSpec, Mapping[str, "bool | float | str"]], "DriveCore"]
 DeviceFactory = Callable[
     ["DriveProfile", TelegramSpec, Mapping[str, "bool | float | str"], Mapping[str, object]], "DriveDevice"
@@ -75,7 +82,8 @@ class DriveProfile:
     ``max_tsdr``: bit times by baud rate, empty where the manual gives none. ``reference_hz``: what 100 % speed is
     at the factory. ``on_loss``: what the drive does when its master stops. ``notes``: what a user should know.
     ``simulated_options``: options of the core that no manual gives, as the simulated drive has them. ``gsd``: a GSD
-    file of ours made from the manual's facts (not the vendor's), as ``package:file name``.
+    file of ours made from the manual's facts (not the vendor's), as ``package:file name``. ``rate_setting``: it hears
+    only the rate that it is set to.
     """
 
     name: str
@@ -99,6 +107,16 @@ class DriveProfile:
     family: TelegramFamily | None = None
     simulated_options: Mapping[str, object] = field(default_factory=dict)
     gsd: str | None = None
+    rate_setting: RateSetting | None = None
+
+    def rates(self, options: Mapping[str, object]) -> tuple[int, ...]:
+        """The baud rates that it hears with these options (checked before) in bit/s; empty: nothing is said of them."""
+        setting = self.rate_setting
+        if setting is None:
+            return self.baud_rates
+        value = options.get(setting.option, self.core_options[setting.option].default)
+        assert isinstance(value, (int, float))
+        return (setting.rates[int(value)],)
 
     def telegram(self, name: str | None = None) -> TelegramSpec:
         """A telegram by name (any case), the default one for None. Raises ConfigError naming those there are."""

@@ -70,11 +70,13 @@ class PkwDialect:
 
     ``zero_between``: the drive takes a new order only after it has answered 0 with 0 (D4). Without it a new order
     may follow at once unless it looks like the last one; then a reply counts only when id, PNU and index match.
+    ``parse``: of a :class:`Pkw` whose octets are laid out in another way.
     """
 
     answers: Mapping[int, tuple[int, ...]]
     errors: Mapping[int, str]
     zero_between: bool = True
+    parse: Callable[[bytes], Pkw] = Pkw.parse
 
     def error_text(self, number: int) -> str:
         """The drive's text for an error number."""
@@ -141,14 +143,15 @@ class PkwClient:
 
     def step(self, inputs: bytes, now: int) -> None:
         """Judge the channel's octets in ``inputs`` (the first eight) and advance the handshake."""
-        replied = bool(inputs[0] & 0xF0)
+        reply = self._dialect.parse(inputs)
+        replied = reply.id != Reply.NONE
         active = self._active
         if active is None:
             if replied and self._queue and not self._release:
-                self._queue[0].stray = Pkw.parse(inputs)  # nobody asked for that
+                self._queue[0].stray = reply  # nobody asked for that
             self._next(replied, now)
         elif replied:
-            self._judge(active, Pkw.parse(inputs))
+            self._judge(active, reply)
 
     def _next(self, replied: bool, now: int) -> None:
         """Send the next order as soon as what the drive says cannot be taken for its answer."""
@@ -199,7 +202,7 @@ class PkwServer:
     acts when it changes, and the value of a read is the momentary one in every call (reads: ids in ``reads``).
     """
 
-    __slots__ = ("_dialect", "_handler", "_last", "_reads", "_reply")
+    __slots__ = ("_dialect", "_handler", "_held", "_last", "_reads", "_reply")
 
     def __init__(
         self,
@@ -210,26 +213,28 @@ class PkwServer:
         self._dialect = dialect
         self._handler = handler
         self._reads = reads
+        self._held = False
         self._last = ZEROS
         self._reply = ZEROS
 
     def reset(self) -> None:
         """Data exchange begins: the reply is 0, the next order is new."""
+        self._held = False
         self._last = ZEROS
         self._reply = ZEROS
 
     def step(self, octets: bytes) -> bytes:
         """The reply to the eight octets of the order area."""
-        if not octets[0] & 0xF0:
-            self._last = self._reply = ZEROS
+        order = self._dialect.parse(octets)
+        if order.id == Order.NONE:
+            self.reset()
             return ZEROS
-        held = self._last[0] & 0xF0
-        if held and self._dialect.zero_between:
+        if self._held and self._dialect.zero_between:
             return self._reply
-        if octets == self._last and octets[0] >> 4 not in self._reads:
+        if octets == self._last and order.id not in self._reads:
             return self._reply
+        self._held = True
         self._last = octets
-        order = Pkw.parse(octets)
         reply, pwe = self._handler(order)
-        self._reply = Pkw(reply, order.pnu, order.ind, pwe).build()
+        self._reply = order._replace(id=reply, pwe=pwe).build()
         return self._reply

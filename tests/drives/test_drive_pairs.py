@@ -14,10 +14,12 @@ from hypothesis import strategies as st
 from dpstack.profile import DriveProfile, State
 from dpstack_drives.demag import DRIVE as DEMAG
 from dpstack_drives.fuji import DRIVE as FUJI
+from dpstack_drives.imo import DRIVE as IMO
 from dpstack_drives.keb import DRIVE as KEB
 
 NONE: Mapping[str, object] = {}
 BUS = {"412": 1}
+PZD = {"P15.02": 1, "P15.13": 1}
 ALL = [
     (DEMAG, "PPO1", BUS),
     (DEMAG, "PPO2", BUS),
@@ -30,6 +32,7 @@ ALL = [
     (KEB, "PCH+4/4", NONE),
     (KEB, "PCH+8/8", NONE),
     (KEB, "4/4", NONE),
+    (IMO, "PKW+12", PZD),
 ]
 
 
@@ -60,12 +63,15 @@ def test_one_program_for_every_drive(
     bench.ok("start")
     bench.ok("reached", tolerance=0.001)
     assert bench.core.status().speed == pytest.approx(-0.25, abs=0.001)
-    bench.ok("quick_stop")
+    if drive is IMO:
+        assert "imo-hd2 has no quick stop ramp" in bench.refused("quick_stop")[1]
+    else:
+        bench.ok("quick_stop")
     bench.ok("start")
     bench.ok("coast")
-    assert bench.core.status().state is (State.READY if drive is KEB else State.SWITCH_ON_INHIBITED)
+    assert bench.core.status().state is (State.READY if drive in (KEB, IMO) else State.SWITCH_ON_INHIBITED)
     bench.ok("start")
-    bench.device.trip({DEMAG.name: "F2100", FUJI.name: "OC1", KEB.name: "E.OL"}[drive.name])
+    bench.device.trip({DEMAG.name: "F2100", FUJI.name: "OC1", KEB.name: "E.OL", IMO.name: "OC1"}[drive.name])
     bench.pass_time(400)
     assert bench.core.status().state is State.FAULT
     assert bench.refused("start")[0] == "fault"
@@ -189,7 +195,7 @@ def test_random_inputs_and_orders_never_break_a_plugin(data: st.DataObject) -> N
     octets, sent = core.telegram.input_octets, core.telegram.output_octets
     rng = random.Random(data.draw(st.integers(0, 1 << 30)))
     ops = ["start", "stop", "coast", "quick_stop", "acknowledge", "speed", "frequency", "reached", "read", "write", "x"]
-    ops += ["read_map", "write_map", "inputs", "output"]
+    ops += ["read_map", "write_map", "inputs", "output", "inch", "pre_excite", "control"]
     now = 0
     answered: set[object] = set()
     tokens = 0

@@ -13,6 +13,7 @@ from dpstack import profile
 from dpstack.errors import ConfigError
 from dpstack_drives.demag import DRIVE as DEMAG
 from dpstack_drives.fuji import DRIVE as FUJI
+from dpstack_drives.imo import DRIVE as IMO
 from dpstack_drives.keb import DRIVE as KEB
 
 GOOD = [
@@ -73,7 +74,7 @@ def test_what_the_package_exports_is_there() -> None:
         assert hasattr(profile, name)
 
 
-@pytest.mark.parametrize("drive", [DEMAG, FUJI, KEB])
+@pytest.mark.parametrize("drive", [DEMAG, FUJI, KEB, IMO])
 def test_profiles_are_whole(drive: profile.DriveProfile) -> None:
     assert drive.default_telegram in drive.telegrams
     for name, spec in drive.telegrams.items():

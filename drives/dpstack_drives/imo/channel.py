@@ -1,0 +1,215 @@
+"""The PKW zone of the HD2 (row I3): PKW1 request or response, PKW2 address, PKW3 and PKW4 the value; both ends.
+
+Source: tables 2-9 to 2-11. Readings: the response repeats the address, as in the manual's example; a request acts when
+it changes, and what a read tells is the momentary value; response 4, which stands in the table of acceptance only, is
+that the master has no rights (CW bit 8 is 0).
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from enum import IntEnum
+from typing import Final
+
+from dpstack.profile import CommandError, ParamKey, ParamSpec, Pkw, PkwClient, PkwDialect, Steps
+from dpstack_drives.imo import table as t
+
+_LAYOUT: Final = struct.Struct(">HHI")
+
+
+class Request(IntEnum):
+    """PKW1 of the master (table 2-10); 2, 3 and 5 are not supported by the card today."""
+
+    NONE = 0
+    READ = 1
+    WORD_TO_RAM = 2
+    LONG_TO_RAM = 3
+    WORD = 4
+    LONG = 5
+
+
+class Response(IntEnum):
+    """PKW1 of the drive (tables 2-10 and 2-11)."""
+
+    NONE = 0
+    WORD = 1
+    LONG = 2
+    ERROR = 3
+    NO_RIGHTS = 4
+
+
+class ImoPkw(Pkw):
+    """The eight octets as four words: ``id`` PKW1, ``pnu`` PKW2, ``pwe`` PKW3 and PKW4."""
+
+    __slots__ = ()
+
+    def build(self) -> bytes:
+        """The eight octets."""
+        return _LAYOUT.pack(self.id, self.pnu, self.pwe)
+
+    @classmethod
+    def parse(cls, octets: bytes) -> ImoPkw:
+        """From (at least) eight octets."""
+        number, address, value = _LAYOUT.unpack_from(octets)
+        return cls(number, address, 0, value)
+
+
+PKW: Final = PkwDialect(
+    answers={
+        Request.READ: (Response.WORD, Response.LONG, Response.ERROR),
+        Request.WORD: (Response.WORD, Response.ERROR, Response.NO_RIGHTS),
+    },
+    errors=t.ERRORS,
+    zero_between=False,
+    parse=ImoPkw.parse,
+)
+_NO_RAM: Final = (
+    "the card does not support writes to RAM only (request 2): leave ram out, it then writes RAM and EEPROM (request 4)"
+)
+_EEPROM: Final = (
+    "each write goes to RAM and EEPROM (request 4; the card has no other): an EEPROM takes a limited number of them"
+)
+
+
+class ImoAccess:
+    """The master's end, a :class:`~dpstack.profile.ParameterChannel`. ``notice`` takes a line for the user.
+
+    ``settle_ns``: after this time the drive's response belongs to what is sent now.
+    """
+
+    __slots__ = ("_client", "_clock", "_notice", "_told")
+
+    def __init__(self, clock: Callable[[], int], settle_ns: int, notice: Callable[[str], None]) -> None:
+        self._client = PkwClient(PKW, settle_ns)
+        self._clock = clock
+        self._notice = notice
+        self._told = False
+
+    @property
+    def octets(self) -> bytes:
+        """PKW1 to PKW4 as they go out now."""
+        return self._client.octets
+
+    @property
+    def writing(self) -> bool:
+        """The request needs CW bit 8."""
+        return self._client.octets[1] == Request.WORD
+
+    @property
+    def busy(self) -> bool:
+        """A request waits or runs, or the last one is not yet released."""
+        return self._client.busy
+
+    def step(self, inputs: bytes, now: int) -> None:
+        """One cycle of the handshake."""
+        self._client.step(inputs, now)
+
+    def reset(self) -> None:
+        """Both ends start at 0 again."""
+        self._client.reset()
+
+    def read(self, key: ParamKey, deadline: int) -> Steps[dict[str, object]]:
+        """Read one parameter."""
+        number = _address(key)
+        reply = yield from self._exchange(ImoPkw(Request.READ, number), deadline)
+        return _outcome(number, reply)
+
+    def write(self, key: ParamKey, value: float, deadline: int) -> Steps[dict[str, object]]:
+        """Write one parameter of one word to RAM and EEPROM."""
+        number = _address(key)
+        if key.ram:
+            raise CommandError("usage", _NO_RAM)
+        raw = _raw(number, t.known(number), value)
+        reply = yield from self.put(number, raw, deadline)
+        return _outcome(number, reply)
+
+    def get(self, number: int, deadline: int) -> Steps[int]:
+        """The value at an address."""
+        reply = yield from self._exchange(ImoPkw(Request.READ, number), deadline)
+        return reply.pwe
+
+    def put(self, number: int, raw: int, deadline: int) -> Steps[Pkw]:
+        """Write a word at an address."""
+        if not self._told:
+            self._told = True
+            self._notice(_EEPROM)
+        reply = yield from self._exchange(ImoPkw(Request.WORD, number, 0, raw), deadline)
+        return reply
+
+    def _exchange(self, request: ImoPkw, deadline: int) -> Steps[Pkw]:
+        label = _label(request.pnu)
+        exchange = self._client.submit(request)
+        try:
+            while exchange.reply is None:
+                if self._clock() >= deadline:
+                    raise CommandError("timeout", f"{label}: {_silence(exchange.stray)}")
+                yield
+        finally:
+            self._client.cancel(exchange, self._clock())
+        reply = exchange.reply
+        if reply.id == Response.ERROR:
+            number = reply.pwe >> 16
+            raise CommandError("parameter", f"{label}: error {number}, {PKW.error_text(number)}", number)
+        if reply.id == Response.NO_RIGHTS:
+            raise CommandError("parameter", f"{label}: the bus has no right to change parameters (response 4)")
+        if reply.id not in PKW.answers[request.id]:
+            raise CommandError("parameter", f"{label}: response {reply.id} does not answer request {request.id}")
+        return reply
+
+
+def _address(key: ParamKey) -> int:
+    """PKW2 of what a user named. Raises CommandError."""
+    name = key.name
+    number = t.address(name) if isinstance(name, str) else name
+    if isinstance(name, str) and number is None and name.strip().isdecimal():
+        number = int(name)
+    if number is None:
+        raise CommandError("usage", f"{name!r} is neither a function code such as P15.02 nor an address")
+    if number > 0xFFFF:
+        raise CommandError("usage", f"parameter {number}: addresses are 0..65535 (group x 256 + number)")
+    if key.data_set is not None or key.index is not None:
+        raise CommandError("usage", f"{_label(number)}: imo-hd2 has neither data sets nor indexes")
+    return number
+
+
+def _label(number: int) -> str:
+    spec = t.known(number)
+    return t.name_of(number) if spec is None else spec.label
+
+
+def _raw(number: int, spec: ParamSpec | None, value: float) -> int:
+    """The word to write. Raises CommandError."""
+    if spec is None:
+        if value != int(value) or not -0x8000 <= value <= 0xFFFF:
+            raise CommandError(
+                "usage",
+                f"{_label(number)}: its scale is in the inverter's manual: give the 16-bit integer on the wire "
+                "(the card does not write parameters of two words, request 5)",
+            )
+        return int(value) & 0xFFFF
+    if spec.read_only:
+        raise CommandError("usage", f"{spec.label} is read only")
+    try:
+        return spec.to_raw(value) & 0xFFFF
+    except ValueError as error:
+        raise CommandError("usage", str(error)) from None
+
+
+def _outcome(number: int, reply: Pkw) -> dict[str, object]:
+    spec = t.known(number)
+    raw = reply.pwe if reply.id == Response.LONG else reply.pwe & 0xFFFF
+    return {
+        "value": raw if spec is None else spec.to_value(raw),
+        "raw": raw,
+        "number": number,
+        "name": t.name_of(number),
+        "unit": spec.unit if spec else "",
+        "data_set": None,
+    }
+
+
+def _silence(stray: Pkw | None) -> str:
+    if stray is None:
+        return "the drive did not answer in its parameter channel in time"
+    return f"the drive answered for {t.name_of(stray.pnu)} (response {stray.id}) instead"

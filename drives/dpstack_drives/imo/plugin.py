@@ -1,0 +1,354 @@
+"""The master's end of an IMO HD2."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+from dpstack.profile import (
+    FAULTED,
+    NS_PER_MS,
+    NS_PER_S,
+    Args,
+    CommandError,
+    ConfigError,
+    DriveCore,
+    DriveProfile,
+    Goal,
+    Steps,
+    TelegramSpec,
+    settled,
+)
+from dpstack_drives.imo import pzd
+from dpstack_drives.imo import table as t
+from dpstack_drives.imo.channel import ImoAccess
+from dpstack_drives.imo.pzd import PzdMap
+
+#: the command to stop: zeros are no command and would leave the drive running
+_SAFE: Final = bytes(8) + t.Command.STOP.to_bytes(2, "big") + bytes(2 * t.PZDS)
+#: how long the drive may take to react is not in the manual; waits reckon with this
+_SCAN_NS: Final = 20 * NS_PER_MS
+#: two rotations for each of 22 parameters, at 9.6 kbit/s with other slaves
+_LEARN_NS: Final = 60 * NS_PER_S
+_MAP_TIMEOUT_S: Final = 10.0
+_INCHES: Final = {"forward": t.Command.INCH_FORWARD, "reverse": t.Command.INCH_REVERSE, "stop": t.Command.INCH_STOP}
+_SOURCES: Final = {
+    t.Source.KEYPAD: "its keypad",
+    t.Source.TERMINALS: "its terminals",
+    t.Source.RESERVED: "a source that is reserved",
+}
+
+
+class ImoCore(DriveCore):
+    """Speed by the frequency in whichever PZD carries it; the drive is asked for its maps when data exchange begins.
+
+    Options: ``reference_hz`` (what 100 % is), ``max_hz`` (the inverter's maximum frequency; 0: ``reference_hz``),
+    ``reference_rpm`` and ``rated_current`` (0: not known), ``motor`` 1 or 2, ``heartbeat`` (CW bit 15 set, its echo
+    watched), ``map_inputs`` and ``map_outputs``: the maps that :meth:`order` ``write_map`` writes, and ``start()`` with
+    ``set_map``; ``fault_names`` (``4=OC1 ...``), ``baud_index``.
+
+    Orders of its own: ``read_map``, ``write_map`` (``inputs``, ``outputs``), ``inputs`` (all mapped values),
+    ``output`` (``number`` a name of the map, ``value`` in its unit), ``inch`` (``direction`` forward, reverse or stop),
+    ``pre_excite``, ``control`` (``number`` a name of CW bits 11 to 14, ``value`` 0 or 1).
+    """
+
+    own_ops = ("read_map", "write_map", "inputs", "output", "inch", "pre_excite", "control")
+    start_hint = "; does the inverter take run command and frequency from the communication card?"
+
+    def __init__(
+        self, profile: DriveProfile, name: str, telegram: TelegramSpec, options: Mapping[str, bool | float | str]
+    ) -> None:
+        try:
+            t.check_rate(float(options["baud_index"]))
+            self._fault_names = t.faults(str(options["fault_names"]))
+            self._wanted_inputs = PzdMap.parse(str(options["map_inputs"]), pzd.FROM_DRIVE)
+            self._wanted_outputs = PzdMap.parse(str(options["map_outputs"]), pzd.TO_DRIVE)
+        except ValueError as error:
+            raise ConfigError(f"drive {name} ({profile.name}): {error}") from None
+        self._max_hz = float(options["max_hz"] or options["reference_hz"])
+        self._reference_rpm = float(options["reference_rpm"])
+        self._rated_current = float(options["rated_current"])
+        self._set_map = bool(options["set_map"])
+        self._heartbeat = bool(options["heartbeat"])
+        self._fixed = t.CONTROL.mask(
+            *(["heartbeat"] if self._heartbeat else []), *(["motor_2"] if options["motor"] == "2" else [])
+        )
+        self._chosen = 0
+        self._values: dict[int, int] = {}
+        self._learning = False
+        self._online_at = 0
+        #: as the drive has them; None until it has told
+        self.inputs_map: PzdMap | None = None
+        self.outputs_map: PzdMap | None = None
+        super().__init__(
+            name,
+            profile.name,
+            telegram,
+            t.TABLE,
+            scan_ns=_SCAN_NS,
+            reference_hz=float(options["reference_hz"]),
+            safe_outputs=_SAFE,
+        )
+        self.access = self._channel = ImoAccess(lambda: self.now, self.settle_ns, self.notice)
+
+    # -- process data ---------------------------------------------------------------------------------------------
+
+    def received(self) -> None:
+        """At the beginning the drive is asked what stands in its process data.
+
+        A command to inch ends where it cannot be obeyed: it must not come true later by surprise.
+        """
+        if self.raw_state in FAULTED or self.obstacle() is not None:
+            self.table = t.TABLE
+        if self.inputs_map is None and not self._learning and not self._online_at:
+            self._online_at = self.now
+            self._learning = True
+            self.spawn("map", self._first_learn())
+
+    def lost(self, now: int) -> None:
+        """The maps may be others when it returns; bits and values of the user's do not come back by themselves."""
+        self.inputs_map = self.outputs_map = None
+        self._learning = False
+        self._online_at = 0
+        self._chosen = 0
+        self._values.clear()
+        super().lost(now)
+
+    def set_goal(self, goal: Goal) -> None:
+        """Any order that moves the drive ends inching and pre-excitation."""
+        self.table = t.TABLE
+        super().set_goal(goal)
+
+    def encode(self, control: int, setpoint: int) -> bytes:
+        """CW with the direction, and with bit 8 while a parameter is written; then PZD2 to PZD12."""
+        if control & t.CODE == t.Command.FORWARD and self.setpoint < 0:
+            control += t.Command.REVERSE - t.Command.FORWARD
+        if self._channel.writing:
+            control |= t.ENABLE_WRITING
+        outputs = self.outputs_map
+        words = (*self._rest, 0) if outputs is None else outputs.words({**self._values, pzd.SET_FREQUENCY: setpoint})
+        return self._pack(control, *words)
+
+    def setpoint_word(self, fraction: float) -> int:
+        """The set frequency in 0.01 Hz; the direction is in CW."""
+        try:
+            return pzd.TO_DRIVE[pzd.SET_FREQUENCY].encode(abs(fraction) * self.reference_hz, self._max_hz)
+        except ValueError as error:
+            raise ValueError(f"speed {fraction:g}: {error}") from None
+
+    def control_bits(self) -> int:
+        """Motor and heartbeat of the options, what the order ``control`` has set."""
+        return self._fixed | self._chosen
+
+    def measured(self) -> tuple[float | None, float | None, float | None]:
+        """Frequency (or rpm), current and torque where they are in the map; the sign is that of SW."""
+        values = {} if self.inputs_map is None else self.inputs_map.decode(self.words[1:])
+        speed: float | None = None
+        if (hertz := values.get("frequency")) is not None:
+            speed = hertz / self.reference_hz
+        elif self._reference_rpm and (rpm := values.get("rpm")) is not None:
+            speed = rpm / self._reference_rpm
+        if speed and self.status_word & t.CODE == t.Running.REVERSE:
+            speed = -speed
+        current, torque = values.get("current"), values.get("torque")
+        return (
+            speed,
+            current / self._rated_current if current is not None and self._rated_current else None,
+            None if torque is None else torque / 100,
+        )
+
+    def faults(self) -> tuple[str, ...]:
+        """By the fault code where it is in the map; its names are in the inverter's manual."""
+        if self.raw_state not in FAULTED:
+            return ()
+        at = None if self.inputs_map is None else self.inputs_map.place(pzd.FAULT_CODE)
+        if at is not None:
+            code = self.words[1 + at]
+            name = self._fault_names.get(code)
+            return (f"{name} (code {code})" if name else f"code {code}",)
+        if self.inputs_map is None and self._learning:
+            return ("not yet named",)
+        return ("without a name: no transmitted PZD (P15.13 to P15.23) is 11, fault_code; the keypad shows it",)
+
+    def fault_named(self) -> bool:
+        """The fault code stands beside SW."""
+        return not self._learning
+
+    def warnings(self) -> tuple[str, ...]:
+        """SW bit 12, and a heartbeat that is not echoed (an echo is a reading)."""
+        found = ["overload pre-alarm"] if t.STATUS.told(self.status_word, "overload") else []
+        late = self.now >= self._online_at + self.settle_ns
+        if self._heartbeat and late and not t.STATUS.told(self.status_word, "heartbeat"):
+            found.append("heartbeat not echoed (SW bit 15)")
+        return tuple(found)
+
+    # -- what keeps it from running -------------------------------------------------------------------------------
+
+    def cannot(self, op: str) -> str | None:
+        """It has no ramp of its own for an emergency."""
+        if op == "quick_stop":
+            return "imo-hd2 has no quick stop ramp: its emergency stop (6) coasts; use stop() or coast()"
+        return None
+
+    def obstacle(self) -> str | None:
+        """SW bits 13-14, then the voltage."""
+        source = t.Source(self.status_word >> t.SOURCE_SHIFT & 3)
+        if source is not t.Source.COMMUNICATION:
+            return (
+                f"SW bits 13-14 are {int(source)}: {_SOURCES[source]} commands the drive, not the bus; set the run "
+                "command channel to communication (2), a parameter of the inverter's manual"
+            )
+        if self.status_word & t.CODE == t.Running.POFF:
+            return "the drive reports POFF: its mains are off"
+        if not t.STATUS.told(self.status_word, "bus_voltage"):
+            return "SW bit 8 is 0: the bus voltage is not established, not ready to run; see to the mains"
+        return None
+
+    def prepare(self, deadline: int) -> Steps[None]:
+        """Nothing runs without the bus as the source, its voltage, and a PZD that carries the set frequency."""
+        yield from settled(self, lambda: self.obstacle() is None, deadline)
+        if (why := self.obstacle()) is not None:
+            raise CommandError("fault", why)
+        yield from self._known(deadline)
+        if self._frequency_at() is None and self._set_map:
+            yield from self._write(self._wanted_inputs, self._wanted_outputs, deadline)
+        if self._frequency_at() is None:
+            raise CommandError(
+                "fault",
+                "no received PZD carries the set frequency: of P15.02 to P15.12 none is 1; set P15.02 to 1, by "
+                "write_map(outputs='set_frequency') or the option set_map = true",
+            )
+
+    def _frequency_at(self) -> int | None:
+        return None if self.outputs_map is None else self.outputs_map.place(pzd.SET_FREQUENCY)
+
+    # -- maps -----------------------------------------------------------------------------------------------------
+
+    def _first_learn(self) -> Steps[dict[str, object]]:
+        try:
+            yield from self._learn(self.now + _LEARN_NS)
+        finally:
+            self._learning = False
+        return {}
+
+    def _known(self, deadline: int) -> Steps[None]:
+        """Wait for the maps, ask again where that failed."""
+        while self._learning:
+            if self.now >= deadline:
+                raise CommandError("timeout", "the drive has not yet told what its process data are (P15.02 to P15.23)")
+            yield
+        if self.inputs_map is None or self.outputs_map is None:
+            yield from self._learn(deadline)
+
+    def _learn(self, deadline: int) -> Steps[None]:
+        outputs = yield from self._ask(t.RECEIVED, deadline)
+        inputs = yield from self._ask(t.TRANSMITTED, deadline)
+        self._take(PzdMap(inputs, pzd.FROM_DRIVE), PzdMap(outputs, pzd.TO_DRIVE))
+
+    def _ask(self, numbers: tuple[int, ...], deadline: int) -> Steps[tuple[int, ...]]:
+        found: tuple[int, ...] = ()
+        for number in numbers:
+            found += ((yield from self._channel.get(number, deadline)),)
+        return found
+
+    def _take(self, inputs: PzdMap, outputs: PzdMap) -> None:
+        self.inputs_map, self.outputs_map = inputs, outputs
+        self._values = {number: raw for number, raw in self._values.items() if number in outputs.numbers}
+        self._dirty = True
+        self.update()
+
+    def _write(self, inputs: PzdMap, outputs: PzdMap, deadline: int) -> Steps[dict[str, object]]:
+        """What differs from the drive's own goes to RAM and EEPROM."""
+        yield from self._known(deadline)
+        assert self.inputs_map is not None
+        assert self.outputs_map is not None
+        for wanted, had, numbers in (
+            (outputs, self.outputs_map, t.RECEIVED),
+            (inputs, self.inputs_map, t.TRANSMITTED),
+        ):
+            for number, new, old in zip(numbers, wanted.numbers, had.numbers, strict=True):
+                if new != old:
+                    yield from self._channel.put(number, new, deadline)
+        self._take(inputs, outputs)
+        return {"value": {"inputs": str(inputs), "outputs": str(outputs)}}
+
+    def _read(self, deadline: int) -> Steps[dict[str, object]]:
+        if self._learning:
+            yield from self._known(deadline)
+        else:
+            yield from self._learn(deadline)
+        return {"value": {"inputs": str(self.inputs_map), "outputs": str(self.outputs_map)}}
+
+    # -- orders of its own ----------------------------------------------------------------------------------------
+
+    def order(self, op: str, args: Args) -> Steps[dict[str, object]] | None:
+        """See the class."""
+        deadline = self.now + args.timeout_ns(_MAP_TIMEOUT_S)
+        match op:
+            case "read_map":
+                return self._read(deadline)
+            case "write_map":
+                try:
+                    given = [
+                        wanted if (text := args.text(name)) is None else PzdMap.parse(text, wanted.functions)
+                        for name, wanted in (("inputs", self._wanted_inputs), ("outputs", self._wanted_outputs))
+                    ]
+                except ValueError as error:
+                    raise CommandError("usage", f"{op}: {error}") from None
+                return self._write(given[0], given[1], deadline)
+            case "inputs":
+                return self._inputs_values(deadline)
+            case "output":
+                return self._output(str(args.name_or_number("number")), args.number("value"), deadline)
+            case "inch":
+                wanted = args.text("direction") or ""
+                if wanted not in _INCHES:
+                    raise CommandError("usage", f"inch: direction must be {', '.join(_INCHES)}, not {wanted!r}")
+                return self._special(_INCHES[wanted], deadline)
+            case "pre_excite":
+                return self._special(t.Command.PRE_EXCITE, deadline)
+            case "control":
+                return self._set_bit(str(args.name_or_number("number")), args.number("value"))
+            case _:
+                return None
+
+    def _special(self, command: t.Command, deadline: int) -> Steps[dict[str, object]]:
+        """A command that lasts until another one: not a run, so it ends with the goal it began in."""
+        yield from settled(self, lambda: self.obstacle() is None, deadline)
+        if (why := self.obstacle()) is not None:
+            raise CommandError("fault", why)
+        if self.goal is Goal.RUN:
+            raise CommandError("usage", f"{command.name.lower()}: the drive is running; stop() it first")
+        self.set_goal(Goal.IDLE)
+        self.table = t.control_table(command)
+        self.update()
+        return {"value": command.name.lower()}
+
+    def _set_bit(self, name: str, value: float) -> Steps[dict[str, object]]:
+        yield from ()
+        if name not in t.SETTABLE or value not in (0, 1):
+            raise CommandError("usage", f"control: number must be {', '.join(t.SETTABLE)} and value 0 or 1")
+        mask = t.CONTROL.mask(name)
+        self._chosen = self._chosen | mask if value else self._chosen & ~mask
+        self.update()
+        return {"value": int(value)}
+
+    def _inputs_values(self, deadline: int) -> Steps[dict[str, object]]:
+        yield from self._known(deadline)
+        assert self.inputs_map is not None
+        return {"value": self.inputs_map.decode(self.words[1:])}
+
+    def _output(self, name: str, value: float, deadline: int) -> Steps[dict[str, object]]:
+        yield from self._known(deadline)
+        assert self.outputs_map is not None
+        function = self.outputs_map.named(name)
+        if function is None:
+            raise CommandError("usage", f"output: {name!r} is not in the output map ({self.outputs_map or 'empty'})")
+        if function.number == pzd.SET_FREQUENCY:
+            raise CommandError("usage", "output: set_frequency is written by speed and frequency")
+        try:
+            self._values[function.number] = function.encode(value, self._max_hz)
+        except ValueError as error:
+            raise CommandError("usage", f"output: {error}") from None
+        self._dirty = True
+        return {"value": value}

@@ -1,0 +1,175 @@
+"""What stands in PZD2 to PZD12 (row I4): typed names, engineering units, ranges checked before anything is sent.
+
+Source: tables 2-6 and 2-8 of the card's manual. Functions 14 and 15 of table 2-6 are cut off in our text: position
+reference, high word signed, low word unsigned. Readings: torque, power and analog inputs are signed; the ramp frequency
+is in 0.01 Hz; the rated torque stands as it is.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from dpstack_drives.imo import table as t
+
+_ANY: Final = 0xFFFF
+
+
+@dataclass(frozen=True, slots=True)
+class Function:
+    """One meaning of a PZD. ``low`` and ``high`` are in ``unit``; on the wire stands value x ``per_unit``.
+
+    ``fmax``: the upper limit is the inverter's maximum frequency.
+    """
+
+    number: int
+    name: str
+    unit: str
+    per_unit: float
+    low: float
+    high: float
+    fmax: bool = False
+
+    def encode(self, value: float, fmax: float) -> int:
+        """The 16-bit word. Raises ValueError with the range."""
+        high = fmax if self.fmax else self.high
+        unit = f" {self.unit}" if self.unit else ""
+        if not (math.isfinite(value) and self.low <= value <= high):
+            limit = " (the maximum frequency, option max_hz)" if self.fmax else ""
+            raise ValueError(f"{self.name} {value:g}{unit} is outside {self.low:g}..{high:g}{unit}{limit}")
+        raw = value * self.per_unit
+        if self.per_unit == 1 and raw != int(raw):
+            raise ValueError(f"{self.name} takes whole numbers, not {value:g}")
+        return round(raw) & 0xFFFF
+
+    def decode(self, word: int) -> float | int:
+        """The value of a 16-bit word."""
+        raw = (word ^ 0x8000) - 0x8000 if self.low < 0 else word
+        return raw if self.per_unit == 1 else raw / self.per_unit
+
+
+def _hertz(number: int, name: str) -> Function:
+    return Function(number, name, "Hz", 100, 0, 655.35, fmax=True)
+
+
+def _word(number: int, name: str, high: int = _ANY, unit: str = "") -> Function:
+    return Function(number, name, unit, 1, 0, high)
+
+
+def _signed(number: int, name: str, unit: str = "", per_unit: float = 1) -> Function:
+    return Function(number, name, unit, per_unit, -0x8000 / per_unit, 0x7FFF / per_unit)
+
+
+_RECEIVED: Final = (
+    _hertz(1, "set_frequency"),
+    Function(2, "pid_reference", "%", 10, 0, 100),
+    Function(3, "pid_feedback", "%", 10, 0, 100),
+    Function(4, "torque", "%", 10, -300, 300),
+    _hertz(5, "forward_limit"),
+    _hertz(6, "reverse_limit"),
+    Function(7, "motoring_torque_limit", "%", 10, 0, 300),
+    Function(8, "braking_torque_limit", "%", 10, 0, 300),
+    _word(9, "input_terminals", 0x3FF),
+    _word(10, "output_terminals", 0x0F),
+    Function(11, "voltage", "%", 10, 0, 100),
+    Function(12, "ao1", "%", 10, -100, 100),
+    Function(13, "ao2", "%", 10, -100, 100),
+    _signed(14, "position_reference_high"),
+    _word(15, "position_reference_low"),
+    _signed(16, "position_feedback_high"),
+    _word(17, "position_feedback_low"),
+    _word(18, "position_feedback_flag", 1),
+)
+_TRANSMITTED: Final = (
+    Function(1, "frequency", "Hz", 100, 0, 655.35),
+    Function(2, "set_frequency", "Hz", 100, 0, 655.35),
+    Function(3, "bus_voltage", "V", 10, 0, 6553.5),
+    _word(4, "output_voltage", unit="V"),
+    Function(5, "current", "A", 10, 0, 6553.5),
+    _signed(6, "torque", "%", 10),
+    _signed(7, "power", "%", 10),
+    _word(8, "rpm", unit="rpm"),
+    _word(9, "linear_speed", unit="m/s"),
+    Function(10, "ramp_frequency", "Hz", 100, 0, 655.35),
+    _word(11, "fault_code"),
+    _signed(12, "ai1", "V", 100),
+    _signed(13, "ai2", "V", 100),
+    _signed(14, "ai3", "V", 100),
+    Function(15, "hdia_frequency", "kHz", 100, 0, 655.35),
+    _word(16, "input_terminals"),
+    _word(17, "output_terminals"),
+    Function(18, "pid_reference", "%", 100, 0, 655.35),
+    Function(19, "pid_feedback", "%", 100, 0, 655.35),
+    _word(20, "rated_torque"),
+    _signed(21, "position_reference_high"),
+    _word(22, "position_reference_low"),
+    _signed(23, "position_feedback_high"),
+    _word(24, "position_feedback_low"),
+    _word(25, "state_word"),
+    Function(26, "hdib_frequency", "kHz", 100, 0, 655.35),
+)
+#: by number
+TO_DRIVE: Final[Mapping[int, Function]] = {one.number: one for one in _RECEIVED}
+FROM_DRIVE: Final[Mapping[int, Function]] = {one.number: one for one in _TRANSMITTED}
+SET_FREQUENCY, FREQUENCY, CURRENT, TORQUE, RPM, FAULT_CODE = 1, 1, 5, 6, 8, 11
+_EMPTY: Final = "-"
+
+
+@dataclass(frozen=True, slots=True)
+class PzdMap:
+    """The functions of PZD2 to PZD12 one way, 0 for an empty one. As text: their names in order, ``-`` for empty."""
+
+    numbers: tuple[int, ...]
+    functions: Mapping[int, Function]
+
+    @classmethod
+    def parse(cls, text: str, functions: Mapping[int, Function]) -> PzdMap:
+        """From names or numbers in order; what is not given is empty. Raises ValueError."""
+        words = text.replace(",", " ").split()
+        if len(words) > t.PZDS:
+            raise ValueError(f"{len(words)} process data, there are {t.PZDS} (PZD2 to PZD12)")
+        numbers = [_number(word, functions) for word in words]
+        for at, number in enumerate(numbers):
+            if number and functions is TO_DRIVE and number in numbers[:at]:
+                raise ValueError(f"{functions[number].name} twice: which one the drive takes is not in the manual")
+        return cls(tuple(numbers) + (0,) * (t.PZDS - len(numbers)), functions)
+
+    def __str__(self) -> str:
+        words = [self.functions[n].name if n in self.functions else str(n) if n else _EMPTY for n in self.numbers]
+        while words and words[-1] == _EMPTY:
+            words.pop()
+        return " ".join(words)
+
+    def place(self, number: int) -> int | None:
+        """Which word behind CW or SW (0 is PZD2) has the function; None where none has."""
+        return self.numbers.index(number) if number in self.numbers else None
+
+    def named(self, name: str) -> Function | None:
+        """A function of the map by its name."""
+        wanted = name.strip().lower()
+        return next((one for n in self.numbers if n and (one := self.functions.get(n)) and one.name == wanted), None)
+
+    def words(self, values: Mapping[int, int]) -> tuple[int, ...]:
+        """PZD2 to PZD12 of the words by function; 0 where there is none."""
+        return tuple(values.get(number, 0) if number else 0 for number in self.numbers)
+
+    def decode(self, words: Sequence[int]) -> dict[str, float | int]:
+        """PZD2 to PZD12 as values by name."""
+        pairs = zip(self.numbers, words, strict=True)
+        return {one.name: one.decode(word) for n, word in pairs if (one := self.functions.get(n)) is not None}
+
+
+def _number(word: str, functions: Mapping[int, Function]) -> int:
+    if word == _EMPTY:
+        return 0
+    if word.isdecimal() and (int(word) == 0 or int(word) in functions):
+        return int(word)
+    names = {one.name: one.number for one in functions.values()}
+    if word.lower() in names:
+        return names[word.lower()]
+    near = difflib.get_close_matches(word.lower(), names, n=1)
+    hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(names)}"
+    raise ValueError(f"{word!r} is no process data of the drive; {hint}")

@@ -1,0 +1,313 @@
+"""The simulated IMO HD2 with its HD2-E-PDP card."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+from dpstack.profile import (
+    NS_PER_MS,
+    ConfigError,
+    DriveDevice,
+    DriveProfile,
+    Leave,
+    Motor,
+    ParamStore,
+    Pkw,
+    PkwServer,
+    TelegramSpec,
+    signed16,
+)
+from dpstack_drives.imo import pzd
+from dpstack_drives.imo import table as t
+from dpstack_drives.imo.channel import PKW, Request, Response
+
+#: made up: what the motor is
+_RATED_HZ: Final = 50.0
+_RPM_PER_HZ: Final = 30.0
+_RATED_VOLTS, _BUS_VOLTS = 400.0, 540.0
+_RATED_TORQUE: Final = 65.0
+_INCH_HZ: Final = 5.0
+_AT_ONCE: Final = 1e6
+#: the internal scan is not in the manual
+_SCAN_NS: Final = 4 * NS_PER_MS
+#: torque limit of the inverter itself, of the rated one
+_MOST_TORQUE: Final = 1.5
+
+_RUNS: Final = {
+    t.Command.FORWARD: 1,
+    t.Command.REVERSE: -1,
+    t.Command.INCH_FORWARD: 1,
+    t.Command.INCH_REVERSE: -1,
+}
+_COMMANDS: Final = {int(command): command for command in t.Command if command is not t.Command.NONE}
+_INCHES: Final = frozenset({t.Command.INCH_FORWARD, t.Command.INCH_REVERSE})
+#: what the inverter does without its master
+GO_ON, STOP, COAST, TRIP = "go_on", "stop", "coast", "fault"
+
+
+class ImoDevice(DriveDevice):
+    """Options: ``load``, ``rated_current``, ``on_loss`` (go_on, stop, coast or fault), ``protected`` (a password),
+    ``baud_index``; parameters by name.
+
+    Readings: command 0 changes nothing; a PZD whose function is 0, or one beyond its range, is ignored or limited; the
+    running frequency has no sign; DC braking takes the frequency to 0 and holds it; the position feedback is taken when
+    its flag goes from 1 to 0; without a master the inverter does what ``on_loss`` says, at once. ``release`` switches
+    its mains: POFF.
+    """
+
+    def __init__(
+        self,
+        profile: DriveProfile,
+        telegram: TelegramSpec,
+        options: Mapping[str, bool | float | str],
+        presets: Mapping[str, object],
+    ) -> None:
+        where = f"simulated {profile.name}"
+        super().__init__(profile, telegram, Motor(load=float(options["load"])))
+        try:
+            t.check_rate(float(options["baud_index"]))
+        except ValueError as error:
+            raise ConfigError(f"{where}: {error}") from None
+        self.store = ParamStore(t.PARAMETERS, presets, where=where)
+        self.channel = PkwServer(PKW, self._request, reads=frozenset({int(Request.READ)}))
+        self._rated_current = float(options["rated_current"])
+        self._on_loss = str(options["on_loss"])
+        self._protected = bool(options["protected"])
+        self._control = 0
+        self._command = t.Command.NONE
+        #: words received by function of table 2-6
+        self.values: dict[int, int] = {}
+        self._position = (0, 0)
+        #: the present fault code, 0 without one
+        self.fault = 0
+        #: consumed energy in rated power x seconds
+        self.energy = 0.0
+        self._received: tuple[int, ...] = ()
+        self._transmitted: tuple[int, ...] = ()
+        self._load_maps()
+
+    # -- conditions -----------------------------------------------------------------------------------------------
+
+    @property
+    def scan_ns(self) -> int:
+        """A reading: the manual gives none."""
+        return _SCAN_NS
+
+    def fault_code(self, code: str) -> int:
+        """Name or number. Raises ValueError."""
+        known = t.faults(t.FAULTS_MADE_UP)
+        wanted = code.strip().lower()
+        for number, name in known.items():
+            if wanted in (name.lower(), str(number)):
+                return number
+        listed = ", ".join(f"{name} ({number})" for number, name in known.items())
+        raise ValueError(f"{code!r} is no fault of the simulated HD2; known (made up): {listed}")
+
+    def warn(self, mask: int) -> None:
+        """1: the overload pre-alarm, SW bit 12. Raises ValueError on any other."""
+        if mask not in (0, 1):
+            raise ValueError("the HD2 shows one warning on the bus, the overload pre-alarm: 1 sets it, 0 clears it")
+        super().warn(mask)
+
+    def inherit(self, before: DriveDevice) -> None:
+        """What P15 and the others hold."""
+        if isinstance(before, ImoDevice):
+            self.store.inherit(before.store)
+            self._load_maps()
+
+    def exchange(self, outputs: bytes, now: int) -> bytes:
+        """A command stands until the next one, even when it was there for less than a scan."""
+        inputs = super().exchange(outputs, now)
+        if len(outputs) == self.telegram.output_octets:
+            self._control = int.from_bytes(outputs[8:10], "big")
+            self._command = _COMMANDS.get(self._control & t.CODE, self._command)
+        return inputs
+
+    def master_lost(self, reason: Leave, now: int) -> None:
+        """The option ``on_loss``: what the inverter does is not in the card's manual."""
+        if self._on_loss == STOP:
+            self._command = t.Command.STOP
+        elif self._on_loss == COAST:
+            self._command = t.Command.COAST
+        elif self._on_loss == TRIP and self._command in _RUNS:
+            self._fail(t.LOST_MASTER)
+
+    # -- the internal scan ----------------------------------------------------------------------------------------
+
+    def scan(self, words: tuple[int, ...] | None, now: int) -> tuple[int, ...]:
+        """Take the process data, move the motor, report."""
+        trip = self.take_trip()
+        if trip is not None:
+            self._fail(trip)
+        if words is not None:
+            self._take(words)
+        if self._command is t.Command.RESET and self.fault:
+            self.fault = 0
+            self._command = t.Command.STOP
+        self._drive()
+        self._count_energy()
+        status = self._status()
+        return (status, *(self._word(number, status) for number in self._transmitted))
+
+    def _take(self, words: tuple[int, ...]) -> None:
+        flag = self.values.get(18, 0)
+        self.values = {number: word for number, word in zip(self._received, words[1:], strict=True) if number}
+        if flag and not self.values.get(18, 1):
+            self._position = (self.values.get(16, 0), self.values.get(17, 0))
+
+    def _drive(self) -> None:
+        motor, command = self.motor, self._command
+        obeys = self.store.value(t.SOURCE) == t.Source.COMMUNICATION and self.released and not self.fault
+        direction = _RUNS.get(command, 0) if obeys else 0
+        brakes = obeys and bool(self._control & t.CONTROL.mask("dc_brake"))
+        if not self.released or self.fault or command is t.Command.COAST:
+            motor.switch(False)
+        elif direction or brakes or self._pre_excites():
+            motor.switch(True)
+        elif not motor.frequency:
+            motor.switch(False)
+        hertz = _INCH_HZ if command in _INCHES else self._set_hertz(direction)
+        motor.setpoint = 0.0 if brakes else direction * hertz / _RATED_HZ
+        motor.accel = self._rate(t.ACCELERATION)
+        motor.decel = _AT_ONCE if brakes else self._rate(t.DECELERATION)
+        motor.limit = self._torque_limit()
+
+    def _pre_excites(self) -> bool:
+        wanted = self._command is t.Command.PRE_EXCITE or bool(self._control & t.CONTROL.mask("pre_excitation"))
+        return wanted and self.released and not self.fault and self.store.value(t.SOURCE) == t.Source.COMMUNICATION
+
+    def _set_hertz(self, direction: int) -> float:
+        hertz = min(self.values.get(1, 0) / 100, self.store.value(t.MAXIMUM_HZ))
+        limit = self.values.get(5 if direction > 0 else 6)
+        return hertz if limit is None else min(hertz, limit / 100)
+
+    def _torque_limit(self) -> float:
+        """PZD 7 or 8 by whether the motor drives or brakes; PZD 4 under torque control."""
+        motoring = self.motor.torque * self.motor.speed >= 0
+        most = [_MOST_TORQUE]
+        if (limit := self.values.get(7 if motoring else 8)) is not None:
+            most.append(limit / 1000)
+        if self._control & t.CONTROL.mask("torque_control") and 4 in self.values:
+            most.append(abs(signed16(self.values[4])) / 1000)
+        return min(most)
+
+    def _rate(self, name: str) -> float:
+        """Up to the maximum frequency in the parameter's time."""
+        seconds = self.store.value(name)
+        return self.store.value(t.MAXIMUM_HZ) / _RATED_HZ / seconds if seconds else _AT_ONCE
+
+    def _count_energy(self) -> None:
+        if self._control & t.CONTROL.mask("clear_energy"):
+            self.energy = 0.0
+        self.energy += abs(self.motor.torque * self.motor.speed) * _SCAN_NS / 1e9
+
+    def _status(self) -> int:
+        kept = self._control & t.CONTROL.mask("motor_2", "heartbeat")
+        status = int(self._state()) | kept | int(self.store.value(t.SOURCE)) << t.SOURCE_SHIFT
+        status |= t.STATUS.mask("bus_voltage") if self.released else 0
+        return status | (t.STATUS.mask("overload") if self.warning_mask else 0)
+
+    def _state(self) -> t.Running:
+        motor = self.motor
+        if self.fault:
+            return t.Running.FAULT
+        if not self.released:
+            return t.Running.POFF
+        brakes = bool(self._control & t.CONTROL.mask("dc_brake"))
+        if motor.on and motor.frequency:
+            return t.Running.FORWARD if motor.frequency > 0 else t.Running.REVERSE
+        if motor.on and not brakes and self._command in _RUNS:
+            return t.Running.FORWARD if _RUNS[self._command] > 0 else t.Running.REVERSE
+        return t.Running.PRE_EXCITED if motor.on and self._pre_excites() else t.Running.STOPPED
+
+    def _fail(self, code: int) -> None:
+        self.fault = code
+        self._command = t.Command.STOP
+        self.motor.switch(False)
+
+    def _word(self, number: int, status: int) -> int:
+        function = pzd.FROM_DRIVE.get(number)
+        if function is None:
+            return 0
+        value = self._actual(number, status)
+        return round(min(max(value, function.low), function.high) * function.per_unit) & 0xFFFF
+
+    def _actual(self, number: int, status: int) -> float:
+        """What is transmitted, in its unit (table 2-8)."""
+        motor = self.motor
+        hertz = abs(motor.frequency) * _RATED_HZ
+        match number:
+            case 1 | 10:
+                return hertz
+            case 2:
+                return self.values.get(1, 0) / 100
+            case 3:
+                return _BUS_VOLTS if self.released else 0.0
+            case 4:
+                part = self.values[11] / 1000 if 11 in self.values else abs(motor.frequency)
+                return round(min(1.0, part) * _RATED_VOLTS) if motor.on else 0.0
+            case 5:
+                return motor.current * self._rated_current
+            case 6:
+                return 100 * motor.torque
+            case 7:
+                return 100 * motor.torque * motor.speed
+            case 8:
+                return round(abs(motor.speed) * _RATED_HZ * _RPM_PER_HZ)
+            case 11:
+                return self.fault
+            case 16 | 17:
+                return self.values.get(number - 7, 0)
+            case 18 | 19:
+                return self.values.get(number - 16, 0) / 10
+            case 20:
+                return _RATED_TORQUE
+            case 21:
+                return signed16(self.values.get(14, 0))
+            case 22:
+                return self.values.get(15, 0)
+            case 23:
+                return signed16(self._position[0])
+            case 24:
+                return self._position[1]
+            case 25:
+                return status
+            case _:
+                return 0.0  # speed of a line, analog and pulse inputs: there are none
+
+    # -- parameters -----------------------------------------------------------------------------------------------
+
+    def _load_maps(self) -> None:
+        self._received = tuple(int(self.store.value(t.name_of(number))) for number in t.RECEIVED)
+        self._transmitted = tuple(int(self.store.value(t.name_of(number))) for number in t.TRANSMITTED)
+
+    def _request(self, request: Pkw) -> tuple[int, int]:
+        """Tables 2-10 and 2-11; what is wrong first: the request, the right, the address, then the parameter."""
+        spec = t.PARAMETERS.get(request.pnu)
+        if request.id == Request.READ:
+            return (Response.WORD, self.store.raw(spec)) if spec is not None else _error(2)
+        if request.id != Request.WORD:
+            return _error(1)
+        control = self._outputs[8:10] if self._outputs else b"\0\0"
+        if not int.from_bytes(control, "big") & t.ENABLE_WRITING:
+            return Response.NO_RIGHTS, 0
+        if spec is None:
+            return _error(2)
+        raw = request.pwe & 0xFFFF
+        if self._protected:
+            return _error(9)
+        if spec.read_only:
+            return _error(7)
+        if spec.number in t.STANDSTILL_ONLY and self.motor.on:
+            return _error(8)
+        if not spec.low <= spec.to_value(raw) <= spec.high:
+            return _error(3)
+        self.store.write(spec, raw)
+        self._load_maps()
+        return Response.WORD, raw
+
+
+def _error(number: int) -> tuple[int, int]:
+    """Response 3 with the number in PKW3."""
+    return Response.ERROR, number << 16
