@@ -15,6 +15,7 @@ from dpstack.profile import DriveProfile, State
 from dpstack_drives.demag import DRIVE as DEMAG
 from dpstack_drives.fuji import DRIVE as FUJI
 from dpstack_drives.keb import DRIVE as KEB
+from dpstack_drives.ls import DRIVE as LS
 
 NONE: Mapping[str, object] = {}
 BUS = {"412": 1}
@@ -30,6 +31,10 @@ ALL = [
     (KEB, "PCH+4/4", NONE),
     (KEB, "PCH+8/8", NONE),
     (KEB, "4/4", NONE),
+    (LS, "PPO1", NONE),
+    (LS, "PPO2", NONE),
+    (LS, "PPO6", NONE),
+    (LS, "ST1", NONE),
 ]
 
 
@@ -65,7 +70,7 @@ def test_one_program_for_every_drive(
     bench.ok("coast")
     assert bench.core.status().state is (State.READY if drive is KEB else State.SWITCH_ON_INHIBITED)
     bench.ok("start")
-    bench.device.trip({DEMAG.name: "F2100", FUJI.name: "OC1", KEB.name: "E.OL"}[drive.name])
+    bench.device.trip({DEMAG.name: "F2100", FUJI.name: "OC1", KEB.name: "E.OL", LS.name: "overload"}[drive.name])
     bench.pass_time(400)
     assert bench.core.status().state is State.FAULT
     assert bench.refused("start")[0] == "fault"

@@ -272,9 +272,11 @@ class LsCore(DriveCore):
             return
         if self.access is not None:
             source = yield from self._value(ParamKey("dr-06"), deadline)
-            if source is not None:
-                why = f"dr-06 is {source}: {why}"
-        raise CommandError("fault", why)
+            if source not in (None, t.FIELD_BUS["dr-06"]):
+                raise CommandError("fault", f"dr-06 is {source}: {why}")
+        if self._profile != t.PROFIDRIVE and self.table.status.told(self.status_word, "keypad"):
+            raise CommandError("fault", why)
+        # otherwise it may only be slow: the time-out tells the same
 
     def _value(self, key: ParamKey, deadline: int) -> Steps[object]:
         """A parameter's value, None where the drive does not know it."""

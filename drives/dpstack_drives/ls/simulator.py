@@ -29,7 +29,6 @@ from dpstack_drives.ls.runstate import LsMachine
 from dpstack_drives.ls.settings import Settings
 
 _POWERED: Final = frozenset({State.RUNNING, State.STOPPING, State.QUICK_STOP})
-_FIELD_BUS: Final = {"dr-06": 4, "dr-07": 8}
 _COAST: Final = 2
 #: stop and emergency of the LS control word: a frame with them counts even when the next one follows within a scan
 _STOPS: Final = t.LS_CONTROL.mask("stop", "emergency")
@@ -219,7 +218,7 @@ class LsDevice(DriveDevice):
             self._fail(t.LOST_COMMAND)
 
     def _bus_commands(self, source: str) -> bool:
-        return self.store.value(source) == _FIELD_BUS[source]
+        return self.store.value(source) == t.FIELD_BUS[source]
 
     def _run_profidrive(self, words: tuple[int, ...]) -> None:
         motor, machine, control = self.motor, self.machine, self._control
@@ -265,10 +264,10 @@ class LsDevice(DriveDevice):
         motor.switch(bool(direction) or stopping)
         self._ramp(direction * reference)
         self._word = control
-        self._status = self._ls_status(control, keypad)
+        self._status = self._ls_status(control, direction)
 
-    def _ls_status(self, control: int, keypad: bool) -> int:
-        motor, direction = self.motor, self.runner.direction
+    def _ls_status(self, control: int, direction: int) -> int:
+        motor, keypad = self.motor, not self._bus_commands("dr-06")
         turning = motor.frequency or direction
         gap = abs(motor.setpoint) - abs(motor.frequency)
         moving = motor.on and abs(gap) > _NEAR
@@ -291,6 +290,13 @@ class LsDevice(DriveDevice):
             **granted,
         }
         return t.LS_STATUS.mask(*(name for name, on in told.items() if on))
+
+    def _run_status(self) -> int:
+        """000E: the LS status word, whatever the profile is."""
+        if self.kind != t.PROFIDRIVE:
+            return self._status
+        direction = (-1 if self.motor.setpoint < 0 else 1) if self.machine.state is State.RUNNING else 0
+        return self._ls_status(t.AUTHORITY, direction)
 
     def _ramp(self, setpoint: float, *, quick: bool = False) -> None:
         motor = self.motor
@@ -353,7 +359,7 @@ class LsDevice(DriveDevice):
             case t.OUTPUT_FREQUENCY:
                 return self._hundredths()
             case t.RUN_STATUS:
-                return self._ls_status(self._word, not self._bus_commands("dr-06"))
+                return self._run_status()
             case t.TRIP:
                 return next(iter(self.module.situations[0]), 0)
             case _:

@@ -313,6 +313,8 @@ _ROWS: Final = (
     _Row("PRT-13", "Lost command time", 0.1, 120, 1, 1, "s", made_up=True),
     _Row("PRT-14", "Lost command frequency", 0, 400, 0, 2, "Hz", made_up=True),
 )
+#: command and frequency source: the field bus has them (inverter's manual)
+FIELD_BUS: Final = {"dr-06": 4, "dr-07": 8}
 #: COM-31 and COM-51, COM-30 and COM-50
 PARA_STATUS, PARA_CONTROL, STATUS_COUNT, CONTROL_COUNT, UPDATE = 0x171F, 0x1733, 0x171E, 0x1732, 0x175E
 #: PZD of Para-1 (0 is the first) in PPOs, behind the profile's two words
