@@ -61,6 +61,8 @@ class Unit:
         self._stand(params)
 
     def _stand(self, params: BusParams) -> None:
+        if isinstance(self.device, DriveDevice):
+            self.device.installed(self.config.address, None if self._searching else params.baud)
         self.app = SlaveApp(self.device, address=self.config.address)
         self.station = PassiveStation(self.config.address, self.app, params, patience=self._patience)
         #: what is on a simulated bus: the station, or the search around it

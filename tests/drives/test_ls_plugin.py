@@ -117,8 +117,8 @@ def test_l4_a_run() -> None:
     bench.order("speed", value=-0.5)
     assert bench.out() == "60 04 0B B8"
     bench.see("70 44 0B B8")
-    status = bench.core.status()
-    assert (status.speed, status.reached) == (pytest.approx(-0.5), True)
+    assert bench.core.status().speed == pytest.approx(-0.5)
+    assert bench.core.status().reached
     stop = bench.order("stop")
     assert bench.out() == "60 01 0B B8"
     bench.see("61 24 05 DC", 60)
@@ -160,7 +160,8 @@ def test_l1_l7_vendor_words() -> None:
     bench.order("start")
     assert bench.out() == "0B B8 00 04"
     bench.see("0B B8 10 44 00 00", 3)
-    assert (bench.core.status().speed, bench.core.status().reached) == (pytest.approx(-0.5), True)
+    assert bench.core.status().speed == pytest.approx(-0.5)
+    assert bench.core.status().reached
     bench.see("00 00 00 09 00 0C", 3)
     assert "000F is 000C" in str(bench.core.status().fault)
     bench.order("acknowledge")
@@ -275,6 +276,11 @@ def test_l6_writes_and_errors() -> None:
     bench.see(f"70 11 03 00 00 00 00 11 {S2}", 2)
     assert "not in this operating mode" in text(bench, token)
     assert as_mapping(bench.result(token))["number"] == 0x11
+    bench.see(ZERO + S2, 2)
+    token = bench.order("write", number="dr-03", value=5.0)
+    bench.run(2)
+    bench.see(f"80 11 03 00 00 00 00 00 {S2}", 2)
+    assert "no control over the parameters" in text(bench, token)
 
 
 @pytest.mark.parametrize(
@@ -314,6 +320,16 @@ def test_l9_faults_and_warnings_by_name() -> None:
     bench.see("13 B9 00 00 00 00 00 12 02 B5 00 00", 2)
     assert bench.core.status().warnings == ("warning word 0012",)
     assert "PPO3 has no parameter channel" in str(plugin("02 7C 00 00").core.status().fault)
+
+
+def test_l9_what_was_asked_is_asked_again_after_the_drive_was_away() -> None:
+    bench = plugin(ZERO + "02 7C 00 00", "PPO1")
+    assert bench.out().startswith("63 B3 00 00")
+    bench.core.lost(bench.now)
+    bench.see(ZERO + "02 7C 00 00", 2)
+    assert bench.out().startswith("63 B3 00 00")
+    bench.see("73 B3 00 00 00 00 00 00 02 7C 00 00", 2)
+    assert bench.core.status().faults == ("without a name: PNU 947 holds none",)
 
 
 def test_l2_a_start_with_another_profile_says_com_11() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
 
 import pytest
 from drive_bench import MS, DeviceBench, S
@@ -12,12 +12,14 @@ from dpstack.profile import Leave
 from dpstack_drives.ls import DRIVE
 from dpstack_drives.ls.simulator import LsDevice
 
+NONE: Mapping[str, float] = {}
+NO_OPTIONS: dict[str, object] = {}
 ZERO = "00 00 00 00 00 00 00 00 "
 
 
-def sim(telegram: str = "PPO3", **presets: Any) -> DeviceBench:
-    given = {name.replace("_at_", "-"): value for name, value in presets.items()}
-    return DeviceBench(DRIVE.device(telegram, given), DRIVE.telegram(telegram).config.hex())
+def sim(telegram: str = "PPO3", codes: Mapping[str, float] = NONE, **options: object) -> DeviceBench:
+    """``codes``: parameters by code."""
+    return DeviceBench(DRIVE.device(telegram, {**options, **codes}), DRIVE.telegram(telegram).config.hex())
 
 
 def pkw(bench: DeviceBench, order: str) -> str:
@@ -63,7 +65,7 @@ def test_l3_copies(control: str, status: str) -> None:
 
 @pytest.mark.parametrize(("mode", "ms"), [(0, 1000), (2, 0)])
 def test_l3_bit_3_stops_by_ad_08(mode: int, ms: int) -> None:
-    bench = running(sim(**{"Ad-08": mode}))
+    bench = running(sim(codes={"Ad-08": mode}))
     start = bench.now
     bench.until("04 77 40 00", "02 33 00 00", 1500)
     assert ms <= (bench.now - start) / MS < ms + 100
@@ -128,11 +130,11 @@ def test_l5_com_14_acts_with_com_94() -> None:
 
 
 def test_l2_another_command_source_leaves_it_in_s1() -> None:
-    assert sim(**{"dr-06": 1}).send("04 7E 40 00") == "02 74 00 00"
+    assert sim(codes={"dr-06": 1}).send("04 7E 40 00") == "02 74 00 00"
 
 
 def test_safe_outputs_of_one_frame_count_although_clear_follows_at_once() -> None:
-    for options in ({}, {"profile": "ls"}):
+    for options in (NO_OPTIONS, {"profile": "ls"}):
         bench = sim(**options)
         if options:
             bench.until("60 02 17 70", "68 42 17 70", 3000)
@@ -167,7 +169,7 @@ def test_l4_without_authority_nothing_moves() -> None:
     assert bench.send("00 02 17 70", 300) == "00 01 00 00"
     assert bench.send("20 02 17 70", 300) == "28 42 00 00"  # runs, but the set point is not the bus's
     assert bench.send("00 00 17 70", 300) == "00 01 00 00"  # authority withdrawn
-    assert sim(profile="ls", **{"dr-06": 0}).send("60 02 17 70") == "80 01 00 00"  # the keypad controls
+    assert sim(profile="ls", codes={"dr-06": 0}).send("60 02 17 70") == "80 01 00 00"  # the keypad controls
 
 
 def test_l4_fault_and_reset_by_the_edge_of_bit_3() -> None:
@@ -274,7 +276,7 @@ def test_l1_version_2_01_has_only_the_vendor_telegram() -> None:
     ],
 )
 def test_l6_l9_orders_and_replies(order: str, reply: str) -> None:
-    assert pkw(sim("PPO1", **{"COM-07": 7, "COM-12": 6}), order) == reply
+    assert pkw(sim("PPO1", codes={"COM-07": 7, "COM-12": 6}), order) == reply
 
 
 def test_l6_a_write_acts_once_when_the_request_changes() -> None:
@@ -298,12 +300,12 @@ def test_l6_not_while_it_turns() -> None:
     ("telegram", "options", "value"), [("PPO1", {}, "00 01"), ("PPO1", {"profile": "ls"}, "80 02")]
 )
 def test_l2_l9_pnu_930(telegram: str, options: dict[str, object], value: str) -> None:
-    assert pkw(sim(telegram, **options), "13 A2 00 00 00 00 00 00")[18:] == value
+    assert pkw(sim(telegram, NONE, **options), "13 A2 00 00 00 00 00 00")[18:] == value
 
 
 def test_l2_the_telegram_decides_where_it_can() -> None:
     for telegram, kind in (("VENDOR 2/3", 0), ("ST1", 1)):
-        bench = sim(telegram, **{"COM-11": 2})
+        bench = sim(telegram, {"COM-11": 2})
         assert isinstance(bench.device, LsDevice)
         assert bench.device.kind == kind
 
@@ -369,7 +371,7 @@ def test_l9_972_zeroes_944_947_and_953_when_it_rises() -> None:
     ],
 )
 def test_l11_lost_command(mode: int, ms: float, word: str) -> None:
-    bench = running(sim(**{"PRT-12": mode, "PRT-13": 1.0, "PRT-14": 30.0}))
+    bench = running(sim(codes={"PRT-12": mode, "PRT-13": 1.0, "PRT-14": 30.0}))
     bench.device.leave(Leave.WATCHDOG, bench.now)
     bench.now += round(ms * MS)
     bench.device.advance(bench.now)
@@ -385,7 +387,7 @@ def test_l11_lost_command(mode: int, ms: float, word: str) -> None:
 
 
 def test_l11_data_that_return_in_time() -> None:
-    bench = running(sim(**{"PRT-12": 1}))
+    bench = running(sim(codes={"PRT-12": 1}))
     bench.device.leave(Leave.WATCHDOG, bench.now)
     bench.now += 500 * MS
     bench.device.enter(b"\x71", bench.now)
@@ -420,7 +422,7 @@ def test_unknown_trips_and_options_are_refused() -> None:
 
 
 def test_switched_off_and_on_it_has_what_was_written_and_com_11_counts() -> None:
-    bench = sim("PPO1", **{"DRV-03": 2.0})
+    bench = sim("PPO1", codes={"DRV-03": 2.0})
     pkw(bench, "20 17 0B 00 00 00 00 02")  # COM-11 := 2, no COM-94
     assert pkw(bench, "13 A2 00 00 00 00 00 00")[18:] == "00 01"
     after = DRIVE.device("PPO1")
@@ -428,3 +430,17 @@ def test_switched_off_and_on_it_has_what_was_written_and_com_11_counts() -> None
     again = DeviceBench(after, "F3 71")
     assert pkw(again, "13 A2 00 00 00 00 00 00")[18:] == "80 02"
     assert pkw(again, "10 11 03 00 00 00 00 00")[18:] == "00 14"
+
+
+def test_l9_918_and_963_tell_address_and_rate() -> None:
+    for baud, shown in (
+        (9600, "00 00"),
+        (1_500_000, "00 06"),
+        (45_450, "00 0B"),
+        (12_000_000, "00 09"),
+        (None, "00 FF"),
+    ):
+        bench = sim("PPO1")
+        bench.device.installed(9, baud)
+        assert pkw(bench, "13 96 00 00 00 00 00 00")[18:] == "00 09"
+        assert pkw(bench, "13 C3 00 00 00 00 00 00")[18:] == shown

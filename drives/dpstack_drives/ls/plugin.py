@@ -83,7 +83,7 @@ class LsCore(DriveCore):
         except ValueError as error:
             raise ConfigError(f"{where}: {error}") from None
         self._values: dict[int, int] = {}
-        self._trips: tuple[int, ...] = ()
+        self._trips: tuple[int, ...] | None = None  # not asked yet, or no answer
         self._warning: int | None = None
         self._asked_trip = self._asked_warning = False
         reference_hz = float(options["reference_hz"])
@@ -205,7 +205,7 @@ class LsCore(DriveCore):
         """With a parameter channel trips (PNU 947) and warnings (953) are looked up."""
         faulted = self.raw_state in FAULTED
         if not faulted:
-            self._trips = ()
+            self._trips = None
             self._asked_trip = False
         elif not self._asked_trip and self.access is not None:
             self._asked_trip = True
@@ -217,6 +217,12 @@ class LsCore(DriveCore):
             self._asked_warning = True
             self.spawn("warning", self._ask_warning())
 
+    def lost(self, now: int) -> None:
+        """What was asked will not be answered: ask again when it is back."""
+        self._trips = self._warning = None
+        self._asked_trip = self._asked_warning = False
+        super().lost(now)
+
     def _warned(self) -> bool:
         return self.online and self.table.status.told(self.status_word, "warning")
 
@@ -224,8 +230,8 @@ class LsCore(DriveCore):
         """The messages of the present situation by name."""
         if self.raw_state not in FAULTED:
             return ()
-        if self._trips:
-            return tuple(map(t.trip_text, self._trips))
+        if self._trips is not None:
+            return tuple(map(t.trip_text, self._trips)) or ("without a name: PNU 947 holds none",)
         if self.access is not None:
             return ("not yet named",)
         word = self._mapped(t.TRIP)
@@ -234,7 +240,7 @@ class LsCore(DriveCore):
 
     def fault_named(self) -> bool:
         """Nothing more is to be learned."""
-        return bool(self._trips) or self.access is None
+        return self._trips is not None or self.access is None
 
     def warnings(self) -> tuple[str, ...]:
         """ZSW1 bit 7; its bits are in the inverter's manual."""

@@ -42,8 +42,7 @@ class LsDevice(DriveDevice):
 
     Readings: a frame of PROFIdrive with bit 10 stands until the next one with it; OFF1 ramps by dr-04; what Para
     Control writes is not stored over power-off, and out of its limits it is ignored; 0005 and 0006 are obeyed in
-    VENDOR only; the lost command (PRT-12, PRT-13) is judged whatever ended data exchange. The module does not know
-    address and baud rate of the bus: COM-07 and COM-12 are what it shows.
+    VENDOR only; the lost command (PRT-12, PRT-13) is judged whatever ended data exchange.
     """
 
     def __init__(
@@ -109,6 +108,13 @@ class LsDevice(DriveDevice):
         if isinstance(before, LsDevice):
             self.store.inherit(before.store)
             self._apply()
+
+    def installed(self, address: int, baud: int | None) -> None:
+        """COM-07 and COM-12; a search for the rate leaves that at 255, invalid."""
+        if address >= 1:
+            self.store.write(settings.spec("COM-07"), address, ram_only=True)
+        index = next((index for index, rate in t.BAUD_INDEX.items() if rate == baud), t.INVALID_BAUD)
+        self.store.write(settings.spec("COM-12"), index, ram_only=True)
 
     def enter(self, config: bytes, now: int) -> None:
         """The vendor telegram's word counts become COM-50 and COM-30 (4.2.10)."""
