@@ -316,6 +316,17 @@ def trip(bench: DeviceBench, *numbers: int) -> None:
         bench.send(ZERO + "04 00 00 00", 10)
 
 
+def test_l2_a_fault_outlives_a_change_of_the_telegram_and_a_run_command_does_not() -> None:
+    bench = running(sim())
+    bench.device.enter(bytes.fromhex("61 52"), bench.now)  # VENDOR 2/3
+    assert bench.send("00 00 00 00")[6:11] == "61 22"  # it ramps down
+    assert bench.send("00 00 00 00", 1500)[6:11] == "60 01"
+    bench.device.trip("BX")
+    bench.send("00 00 00 00")
+    bench.device.enter(b"\x71", bench.now)
+    assert bench.send("04 7E 00 00") == "02 7C 00 00"
+
+
 def test_l9_fault_situations() -> None:
     """947: eight of eight; the ninth overwrites the eighth, an acknowledgement shifts."""
     bench = sim("PPO1")

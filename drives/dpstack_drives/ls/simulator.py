@@ -388,7 +388,11 @@ class LsDevice(DriveDevice):
             self._begin()
 
     def _begin(self) -> None:
-        """Another profile or telegram: no command of the former one counts."""
-        self._control = self._reference = 0
+        """Another profile or telegram: no command of the former one counts, a fault stays."""
+        faulted = self.runner.fault
+        self._control = self._reference = self._stops = 0
         self.machine, self.runner = profidrive.ProfidriveMachine(), LsMachine()
         self._last = ()
+        if faulted:
+            self.machine.state = State.FAULT
+            self.runner.fault = True
