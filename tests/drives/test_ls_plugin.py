@@ -153,6 +153,17 @@ def test_l4_the_keypad_in_control_is_told() -> None:
 # -- vendor telegram and maps --------------------------------------------------------------------------------------
 
 
+def test_l11_swapped_words() -> None:
+    """COM-68 = 1: the octets of each word change places, those of the parameter channel do not."""
+    bench = plugin(ZERO + "37 03 00 F0", "PPO1", swap=True)
+    assert bench.core.status().speed == -0.25
+    assert bench.core.status().reached
+    bench.order("speed", value=0.5)
+    bench.order("read", number=965)
+    bench.run()
+    assert bench.out() == "13 C5 00 00 00 00 00 00 7E 04 00 20"
+
+
 def test_l1_l7_vendor_words() -> None:
     bench = plugin("00 00 00 01 00 00", "VENDOR 2/3")
     assert not bench.notices()  # no drive profile, so 0005 and 000A are what to use
