@@ -70,6 +70,8 @@ class Unit:
         own = set_rate(self.config)
         if own is not None and own != params.baud:
             params = BusParams.preset(own)
+        if isinstance(self.device, DriveDevice):
+            self.device.installed(self.config.address, None if self._searching else params.baud)
         self.app = SlaveApp(self.device, address=self.config.address)
         self.station = PassiveStation(self.config.address, self.app, params, patience=self._patience)
         #: what is on a simulated bus: the station, or the search around it

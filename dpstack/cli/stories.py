@@ -93,11 +93,34 @@ async def keb(drive: Drive, tell: Tell, trip: Trip) -> None:
     await _stop(drive, tell)
 
 
+async def ls(drive: Drive, tell: Tell, trip: Trip) -> None:
+    """Its process data map over the bus, then a fault that the module's history names."""
+    await drive.write("dr-03", 2.0)
+    tell(f"dr-03 (acceleration time) written and read back: {await drive.read('dr-03')} s")
+    found = await drive.write_map(inputs="dr-03 In-90", outputs="dr-04")
+    tell(f"Para Status {found['inputs']}, Para Control {found['outputs']}: COM-31.., COM-51.., COM-94 = 1")
+    await drive.order("output", number="dr-04", value=1.5)
+    await _run(drive, tell, 0.5)
+    values = await drive.order("inputs")
+    tell(f"mapped inputs: {values}")
+    _expect(drive, values == {"dr-03": 2.0, "In-90": 0}, f"mapped inputs are {values}")
+    trip("overcurrent")
+    async for status in drive.statuses():
+        if status.fault == "11 overcurrent":
+            tell(f"tripped: {status.fault} (PNU 947)")
+            break
+    await drive.acknowledge()
+    tell("acknowledged")
+    await _run(drive, tell, -0.25)
+    await _stop(drive, tell)
+
+
 STORIES: Final[dict[str, Story]] = {
     "demag-dedrive": Story(demag, "PPO1"),
     "fuji-frenic": Story(fuji, "PPO3"),
     "imo-hd2": Story(imo),
     "keb-f5": Story(keb),
+    "ls-s100": Story(ls, "PPO5"),
 }
 OTHERS: Final = Story(any_drive)
 

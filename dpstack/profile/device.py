@@ -65,6 +65,9 @@ class DriveDevice(Device):
     def inherit(self, before: DriveDevice) -> None:
         """Switched on again: ``before`` is the drive as it was; take what it kept in its EEPROM."""
 
+    def installed(self, address: int, baud: int | None) -> None:
+        """Where it stands: its address and the baud rate in bit/s, None while it is not known."""
+
     # -- Device ---------------------------------------------------------------------------------------------------
 
     def check_cfg(self, config: bytes) -> str | None:

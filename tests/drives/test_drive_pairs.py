@@ -16,6 +16,7 @@ from dpstack_drives.demag import DRIVE as DEMAG
 from dpstack_drives.fuji import DRIVE as FUJI
 from dpstack_drives.imo import DRIVE as IMO
 from dpstack_drives.keb import DRIVE as KEB
+from dpstack_drives.ls import DRIVE as LS
 
 NONE: Mapping[str, object] = {}
 BUS = {"412": 1}
@@ -33,6 +34,10 @@ ALL = [
     (KEB, "PCH+8/8", NONE),
     (KEB, "4/4", NONE),
     (IMO, "PKW+12", PZD),
+    (LS, "PPO1", NONE),
+    (LS, "PPO2", NONE),
+    (LS, "PPO6", NONE),
+    (LS, "ST1", NONE),
 ]
 
 
@@ -71,7 +76,9 @@ def test_one_program_for_every_drive(
     bench.ok("coast")
     assert bench.core.status().state is (State.READY if drive in (KEB, IMO) else State.SWITCH_ON_INHIBITED)
     bench.ok("start")
-    bench.device.trip({DEMAG.name: "F2100", FUJI.name: "OC1", KEB.name: "E.OL", IMO.name: "OC1"}[drive.name])
+    bench.device.trip(
+        {DEMAG.name: "F2100", FUJI.name: "OC1", KEB.name: "E.OL", IMO.name: "OC1", LS.name: "overload"}[drive.name]
+    )
     bench.pass_time(400)
     assert bench.core.status().state is State.FAULT
     assert bench.refused("start")[0] == "fault"

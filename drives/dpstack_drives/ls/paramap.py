@@ -1,0 +1,79 @@
+"""Para Status (COM-31..) and Para Control (COM-51..): which address stands where (row L7; manual 4.2.4-4.2.8)."""
+
+from __future__ import annotations
+
+import re
+from typing import Final
+
+from dpstack.profile import ParameterChannel, ParamKey, Steps
+from dpstack_drives.ls import table as t
+from dpstack_drives.ls import telegrams
+
+#: as delivered
+DEFAULT_STATUS: Final = (0x000A, 0x000E, 0x000F)
+DEFAULT_CONTROL: Final = (0x0005, 0x0006)
+_BARE: Final = re.compile(r"[0-9A-Fa-f]{4}")
+
+
+def parse(text: str) -> tuple[int, ...]:
+    """``000A 000E dr-03``: four hex digits, ``0x0A``, or a keypad code; 0000 leaves a word empty. Raises ValueError."""
+    found = []
+    for word in text.split():
+        where = int(word, 16) if _BARE.fullmatch(word) else t.address(word)
+        if where is None:
+            raise ValueError(f"{word!r} is no address; write 000A (four hex digits), dr-03 or In-90")
+        found.append(where)
+    return tuple(found)
+
+
+def show(entries: tuple[int, ...]) -> str:
+    """The addresses in hex."""
+    return " ".join(f"{entry:04X}" for entry in entries)
+
+
+def check(entries: tuple[int, ...], most: int, what: str, *, written: bool) -> str | None:
+    """Why a map cannot be; None where it can. ``written``: the words are written to the drive."""
+    if len(entries) > most:
+        return f"{what}: {len(entries)} addresses, the telegram has room for {most}"
+    for place, where in enumerate(entries):
+        if not where:
+            continue
+        spec = t.spec_at(where)
+        if written and where in entries[:place]:
+            return f"{what}: {where:04X} stands there twice; the last word would win"
+        if written and spec is not None and spec.read_only:
+            return f"{what}: {t.code_of(where)} ({spec.title}) is read only"
+    return None
+
+
+_PLACES: Final = (("inputs", t.STATUS_COUNT, t.PARA_STATUS), ("outputs", t.CONTROL_COUNT, t.PARA_CONTROL))
+
+
+def read(access: ParameterChannel, deadline: int) -> Steps[dict[str, object]]:
+    """The maps as the drive has them."""
+    found: dict[str, object] = {}
+    for name, count_at, first in _PLACES:
+        count = yield from _raw(access, count_at, deadline)
+        entries: tuple[int, ...] = ()
+        for place in range(min(count, telegrams.MOST)):
+            entry = yield from _raw(access, first + place, deadline)
+            entries += (entry,)
+        found[name] = show(entries)
+    return {"value": found}
+
+
+def write(access: ParameterChannel, status: tuple[int, ...], control: tuple[int, ...], deadline: int) -> Steps[None]:
+    """Addresses and their numbers, then COM-94 = 1, which applies them (4.2.8)."""
+    for (_, count_at, first), entries in zip(_PLACES, (status, control), strict=True):
+        some = entries or (0,)  # the number is 1 at least
+        for place, where in enumerate(some):
+            yield from access.write(ParamKey(first + place), where, deadline)
+        yield from access.write(ParamKey(count_at), len(some), deadline)
+    yield from access.write(ParamKey(t.UPDATE), 1, deadline)
+
+
+def _raw(access: ParameterChannel, where: int, deadline: int) -> Steps[int]:
+    outcome = yield from access.read(ParamKey(where), deadline)
+    raw = outcome["raw"]
+    assert isinstance(raw, int)
+    return raw

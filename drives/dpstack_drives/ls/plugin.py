@@ -1,0 +1,393 @@
+"""The master's end of an LS LSLV-S100."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from typing import Final
+
+from dpstack.profile import (
+    CHANNEL_LEN,
+    FAULTED,
+    NS_PER_MS,
+    NS_PER_S,
+    SPEED,
+    Args,
+    CommandError,
+    ConfigError,
+    DriveCore,
+    DriveProfile,
+    Goal,
+    ParamKey,
+    ParamRef,
+    PkwAccess,
+    Scale,
+    State,
+    Steps,
+    TelegramSpec,
+    settled,
+)
+from dpstack_drives.ls import paramap, references, telegrams
+from dpstack_drives.ls import table as t
+
+#: OFF1 (ramp down) with bit 10 set: zeros would be ignored and leave the drive running
+_SAFE: Final = 0x047E
+#: of the reference: below it the output frequency counts as 0
+_STILL: Final = 0.005
+_SCAN_NS: Final = t.SCAN_MS * NS_PER_MS
+_MAP_TIMEOUT_S: Final = 10.0
+_SOURCE: Final = "set dr-06 (command source) to 4, field bus, and see that the keypad is not in local mode"
+
+
+def profile_of(telegram: TelegramSpec, wanted: str) -> int:
+    """COM-11 of a telegram: 0 with 100, 1 with 1, the user's with 101 to 106 (L2). Raises ConfigError."""
+    number = telegrams.number_of(telegram)
+    if number == telegrams.VENDOR:
+        return t.IO
+    if wanted == "ls" and telegram.name == "ST1":
+        raise ConfigError("ST1 is a telegram of PROFIdrive: the LS Drive profile needs PPO1 to PPO6")
+    return t.LS_DRIVE if wanted == "ls" else t.PROFIDRIVE
+
+
+class LsCore(DriveCore):
+    """PROFIdrive or LS Drive profile in PPO1 to PPO6, PROFIdrive in ST1, the drive's own words in VENDOR n/m.
+
+    Options: ``profile`` (COM-11: ``profidrive`` or ``ls``); ``speed_unit`` (COM-14: ``percent`` of dr-20 or ``rpm``);
+    ``reference_hz`` (dr-20) and ``reference_rpm``: what 100 % is; ``para_status``, ``para_control``: the addresses that
+    COM-31.. and COM-51.. have; ``swap`` (COM-68).
+
+    Orders of its own: ``inputs`` (all mapped values), ``output`` (``number``, ``value``), ``read_map`` and
+    ``write_map`` (``inputs``, ``outputs``).
+
+    Readings: in VENDOR, 0006h and 000Eh have the bits of the LS Drive profile (they are in the inverter's manual); the
+    frequencies of the LS Drive profile have no sign, the direction is in control and status word.
+    """
+
+    own_ops = ("inputs", "output", "read_map", "write_map")
+    start_hint = f"; {_SOURCE}"
+
+    def __init__(
+        self, profile: DriveProfile, name: str, telegram: TelegramSpec, options: Mapping[str, bool | float | str]
+    ) -> None:
+        where = f"drive {name} ({profile.name})"
+        try:
+            self._profile = profile_of(telegram, str(options["profile"]))
+        except ConfigError as error:
+            raise ConfigError(f"{where}: {error}") from None
+        self._io = self._profile == t.IO
+        self._at = 0 if self._io else t.PARA_AT
+        self._rooms = tuple(min(max(n // 2 - self._at, 0), telegrams.MOST) for n in (telegram.inputs, telegram.outputs))
+        try:
+            self._status_map = self._map(str(options["para_status"]), paramap.DEFAULT_STATUS, written=False)
+            self._control_map = self._map(str(options["para_control"]), paramap.DEFAULT_CONTROL, written=True)
+        except ValueError as error:
+            raise ConfigError(f"{where}: {error}") from None
+        self._values: dict[int, int] = {}
+        self._trips: tuple[int, ...] | None = None  # not asked yet, or no answer
+        self._warning: int | None = None
+        self._asked_trip = self._asked_warning = False
+        reference_hz = float(options["reference_hz"])
+        if self._profile != t.PROFIDRIVE:
+            self.scale = Scale("speed", full=1, span=0.01 / reference_hz)
+        elif options["speed_unit"] == "rpm":
+            self.scale = Scale("speed", full=1, span=1 / float(options["reference_rpm"]))
+        else:
+            self.scale = SPEED
+        order = "<" if options["swap"] else ">"
+        self._words_out = struct.Struct(f"{order}{telegram.outputs // 2}H")
+        table = t.PROFIDRIVE_TABLE if self._profile == t.PROFIDRIVE else t.ls_table(0 if self._io else t.AUTHORITY)
+        super().__init__(
+            name,
+            profile.name,
+            telegram,
+            table,
+            scan_ns=_SCAN_NS,
+            reference_hz=reference_hz,
+            safe_outputs=(bytes(CHANNEL_LEN) if telegram.channel else b"")
+            + self.encode(_SAFE if self._profile == t.PROFIDRIVE else table.word(Goal.IDLE, State.OFFLINE), 0),
+        )
+        self._unpack = struct.Struct(f"{order}{telegram.inputs // 2}H").unpack_from
+        if telegram.channel:
+            self.access = PkwAccess(t.PKW, self._resolve, lambda: self.now, self.settle_ns)
+        self._advise_maps()
+
+    def _map(self, text: str, default: tuple[int, ...], *, written: bool) -> tuple[int, ...]:
+        """The map of the option, or as much of the drive's default as the telegram takes. Raises ValueError."""
+        room = self._rooms[written]
+        if not text.strip():
+            return default[:room]
+        given = paramap.parse(text)
+        wrong = paramap.check(given, room, "para_control" if written else "para_status", written=written)
+        if wrong is not None:
+            raise ValueError(wrong)
+        return given
+
+    def _advise_maps(self) -> None:
+        for where in sorted({*self._status_map, *self._control_map} & t.ADVISED_AGAINST):
+            self._advise(where)
+
+    def _advise(self, where: int) -> None:
+        if self._io:
+            return
+        self.notice(
+            f"address {where:04X} is not to be used beside a drive profile (manual 5.1, 5.3): take it out of "
+            "COM-31.. and COM-51.. (write_map) or leave it alone"
+        )
+
+    # -- process data ---------------------------------------------------------------------------------------------
+
+    def status_of(self, process: bytes) -> int:
+        """ZSW1 or the LS status word, or 000Eh where Para Status has it; with bit 16 while ACT is not 0."""
+        if self._io:
+            return self._mapped(t.RUN_STATUS) or 0
+        word = self.words[0]
+        if self._profile == t.PROFIDRIVE and abs(self.scale.decode(self.words[1])) > _STILL:
+            word |= t.TURNING
+        return word
+
+    def _mapped(self, where: int) -> int | None:
+        if where not in self._status_map:
+            return None
+        return self.words[self._at + self._status_map.index(where)]
+
+    def encode(self, control: int, setpoint: int) -> bytes:
+        """The profile's two words and what the user gave for the mapped ones; VENDOR has only mapped ones."""
+        control &= 0xFFFF  # bit 16 is our own
+        values = dict(self._values)
+        words = [0] * (self._words_out.size // 2)
+        if self._io:
+            values |= {t.OPERATION: control, t.FREQUENCY: setpoint}
+        else:
+            words[:2] = control, setpoint
+        for place, where in enumerate(self._control_map, self._at):
+            words[place] = values.get(where, 0) if where else 0
+        return self._words_out.pack(*words)
+
+    def control_bits(self) -> int:
+        """The direction of the LS Drive profile's run command."""
+        if self._profile == t.PROFIDRIVE or self.goal is not Goal.RUN:
+            return 0
+        return t.LS_CONTROL.mask("reverse" if self.setpoint < 0 else "forward")
+
+    def setpoint_word(self, fraction: float) -> int:
+        """C000..4000 of dr-20, rpm, or 0.01 Hz without a sign."""
+        if not abs(fraction) <= 1:
+            raise ValueError(f"speed {fraction:g} is outside -1..1: 100 % is dr-20 (maximum frequency)")
+        if self._io and t.FREQUENCY not in self._control_map:
+            raise ValueError("0005 (frequency command) is not in para_control (COM-51..)")
+        if self._profile == t.PROFIDRIVE:
+            return self.scale.encode(fraction)
+        return round(abs(fraction) / self.scale.span)
+
+    def measured(self) -> tuple[float | None, float | None, float | None]:
+        """ACT, or 000Ah in VENDOR."""
+        if self._profile == t.PROFIDRIVE:
+            return self.scale.decode(self.words[1]), None, None
+        raw = self._mapped(t.OUTPUT_FREQUENCY) if self._io else self.words[1]
+        if raw is None:
+            return None, None, None
+        speed = raw * self.scale.span
+        return -speed if self.table.status.told(self.status_word, "reverse") else speed, None, None
+
+    def cannot(self, op: str) -> str | None:
+        """What the profile or the map does not have."""
+        if op == "quick_stop" and self._profile != t.PROFIDRIVE:
+            return "the LS control word has no quick stop: stop() ramps down, coast() takes the power off"
+        if self._io and t.OPERATION not in self._control_map:
+            return f"{op}: 0006 (operation command) is not in para_control (COM-51..)"
+        if self._io and t.RUN_STATUS not in self._status_map:
+            return f"{op}: 000E (operating status) is not in para_status (COM-31..)"
+        return None
+
+    # -- faults and what keeps it from running --------------------------------------------------------------------
+
+    def received(self) -> None:
+        """With a parameter channel trips (PNU 947) and warnings (953) are looked up."""
+        faulted = self.raw_state in FAULTED
+        if not faulted:
+            self._trips = None
+            self._asked_trip = False
+        elif not self._asked_trip and self.access is not None:
+            self._asked_trip = True
+            self.spawn("trips", self._ask_trips())
+        if not self._warned():
+            self._warning = None
+            self._asked_warning = False
+        elif not self._asked_warning and self.access is not None:
+            self._asked_warning = True
+            self.spawn("warning", self._ask_warning())
+
+    def lost(self, now: int) -> None:
+        """What was asked will not be answered: ask again when it is back."""
+        self._trips = self._warning = None
+        self._asked_trip = self._asked_warning = False
+        super().lost(now)
+
+    def _warned(self) -> bool:
+        return self.online and self.table.status.told(self.status_word, "warning")
+
+    def faults(self) -> tuple[str, ...]:
+        """The messages of the present situation by name."""
+        if self.raw_state not in FAULTED:
+            return ()
+        if self._trips is not None:
+            return tuple(map(t.trip_text, self._trips)) or ("without a name: PNU 947 holds none",)
+        if self.access is not None:
+            return ("not yet named",)
+        word = self._mapped(t.TRIP)
+        shown = f" (000F is {word:04X})" if word is not None else ""
+        return (f"without a name{shown}: {self.telegram.name} has no parameter channel, the keypad shows it",)
+
+    def fault_named(self) -> bool:
+        """Nothing more is to be learned."""
+        return self._trips is not None or self.access is None
+
+    def warnings(self) -> tuple[str, ...]:
+        """ZSW1 bit 7; its bits are in the inverter's manual."""
+        if not self._warned():
+            return ()
+        return ("warning" if self._warning is None else f"warning word {self._warning:04X}",)
+
+    def obstacle(self) -> str | None:
+        """Somebody else has the control."""
+        if self._profile == t.PROFIDRIVE:
+            if self.raw_state is State.SWITCH_ON_INHIBITED:
+                return f"the drive stays in S1 (switching on inhibited) and does not obey STW1: {_SOURCE}"
+            return None
+        if self.table.status.told(self.status_word, "keypad"):
+            return f"LS status bit 15: the keypad controls the drive: {_SOURCE}"
+        if not self._io and not self.table.status.told(self.status_word, "run_granted"):
+            return f"LS status bit 13: the run authority is not granted: {_SOURCE}"
+        return None
+
+    def prepare(self, deadline: int) -> Steps[None]:
+        """First the profile that the drive has (PNU 930); once it does not obey, who has the control."""
+        if self.goal is not Goal.RUN:
+            if self.access is not None:
+                found = yield from self._value(ParamKey(t.PNU_PROFILE), deadline)
+                if found is not None and found != t.PNU_930[self._profile]:
+                    raise CommandError(
+                        "fault",
+                        f"the drive has profile {found:04X} (PNU 930), the option profile says "
+                        f"{t.PNU_930[self._profile]:04X}: set COM-11 to {self._profile} and COM-94 to 1",
+                    )
+            return
+        yield from settled(self, lambda: self.obstacle() is None, deadline)
+        why = self.obstacle()
+        if why is None:
+            return
+        if self.access is not None:
+            source = yield from self._value(ParamKey("dr-06"), deadline)
+            if source not in (None, t.FIELD_BUS["dr-06"]):
+                raise CommandError("fault", f"dr-06 is {source}: {why}")
+        if self._profile != t.PROFIDRIVE and self.table.status.told(self.status_word, "keypad"):
+            raise CommandError("fault", why)
+        # otherwise it may only be slow: the time-out tells the same
+
+    def _value(self, key: ParamKey, deadline: int) -> Steps[object]:
+        """A parameter's value, None where the drive does not know it."""
+        assert self.access is not None
+        try:
+            outcome = yield from self.access.read(key, deadline)
+        except CommandError as error:
+            if error.kind != "parameter":
+                raise
+            return None
+        return outcome["value"]
+
+    def _ask_trips(self) -> Steps[dict[str, object]]:
+        found: list[int] = []
+        for index in range(t.MESSAGES):
+            number = yield from self._value(ParamKey(t.PNU_FAULTS, index=index), self.now + NS_PER_S)
+            if not isinstance(number, int) or not number:
+                break
+            found.append(number)
+        self._trips = tuple(found)
+        self.update()
+        return {}
+
+    def _ask_warning(self) -> Steps[dict[str, object]]:
+        word = yield from self._value(ParamKey(t.PNU_WARNING), self.now + NS_PER_S)
+        self._warning = word if isinstance(word, int) else None
+        self.update()
+        return {}
+
+    # -- parameters -----------------------------------------------------------------------------------------------
+
+    def _resolve(self, key: ParamKey) -> ParamRef:
+        ref, where = references.resolve(key, self.drive)
+        if where in t.ADVISED_AGAINST:
+            self._advise(where)
+        return ref
+
+    # -- orders of its own ----------------------------------------------------------------------------------------
+
+    def order(self, op: str, args: Args) -> Steps[dict[str, object]] | None:
+        """See the class."""
+        deadline = self.now + args.timeout_ns(_MAP_TIMEOUT_S)
+        match op:
+            case "inputs":
+                return self._inputs_values()
+            case "output":
+                return self._output(args.name_or_number("number"), args.number("value"))
+            case "read_map" | "write_map":
+                if self.access is None:
+                    raise CommandError("usage", f"{op}: {self.telegram.name} has no parameter channel")
+                if op == "read_map":
+                    return paramap.read(self.access, deadline)
+                return self._write_map(args.text("inputs"), args.text("outputs"), deadline)
+            case _:
+                return None
+
+    def _inputs_values(self) -> Steps[dict[str, object]]:
+        """Every mapped word by its code, in its unit where that is known."""
+        yield from ()
+        if not self.online:
+            raise CommandError("lost", "the drive is not in data exchange")
+        values: dict[str, object] = {}
+        for place, where in enumerate(self._status_map, self._at):
+            if where:
+                spec, raw = t.spec_at(where), self.words[place]
+                values[t.code_of(where)] = raw if spec is None else spec.to_value(raw)
+        return {"value": values}
+
+    def _output(self, name: str | int, value: float) -> Steps[dict[str, object]]:
+        yield from ()
+        where = name if isinstance(name, int) else t.address(name)
+        if where not in self._control_map or not where:
+            raise CommandError(
+                "usage", f"output: {name!r} is not in para_control ({paramap.show(self._control_map) or 'empty'})"
+            )
+        if self._io and where in (t.FREQUENCY, t.OPERATION):
+            raise CommandError("usage", f"output: {where:04X} is written by start, stop and speed")
+        spec = t.spec_at(where)
+        try:
+            raw = int(value) if spec is None else spec.to_raw(value)
+        except ValueError as error:
+            raise CommandError("usage", f"output: {error}") from None
+        if spec is None and not (value == raw and 0 <= raw <= 0xFFFF):
+            raise CommandError(
+                "usage", f"output: {t.code_of(where)} takes the 16-bit integer on the wire, not {value:g}"
+            )
+        self._values[where] = raw
+        self._dirty = True
+        return {"value": value}
+
+    def _write_map(self, inputs: str | None, outputs: str | None, deadline: int) -> Steps[dict[str, object]]:
+        assert self.access is not None
+        try:
+            status, control = (
+                old if text is None else paramap.parse(text)
+                for text, old in ((inputs, self._status_map), (outputs, self._control_map))
+            )
+        except ValueError as error:
+            raise CommandError("usage", f"write_map: {error}") from None
+        for written, entries in enumerate((status, control)):
+            what = "outputs" if written else "inputs"
+            if (wrong := paramap.check(entries, self._rooms[written], what, written=bool(written))) is not None:
+                raise CommandError("usage", f"write_map: {wrong}")
+        yield from paramap.write(self.access, status, control, deadline)
+        self._status_map, self._control_map = status, control
+        self._dirty = True
+        self._advise_maps()
+        return {"value": {"inputs": paramap.show(status), "outputs": paramap.show(control)}}

@@ -1,0 +1,398 @@
+"""The simulated LS LSLV-S100 with CPDP-S100."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from typing import Final
+
+from dpstack.profile import (
+    NS_PER_MS,
+    NS_PER_S,
+    SPEED,
+    DriveDevice,
+    DriveProfile,
+    Leave,
+    Motor,
+    ParamStore,
+    PkwServer,
+    State,
+    TelegramSpec,
+    profidrive,
+    signed16,
+)
+from dpstack_drives.ls import settings, telegrams
+from dpstack_drives.ls import table as t
+from dpstack_drives.ls.module import Module
+from dpstack_drives.ls.plugin import profile_of
+from dpstack_drives.ls.runstate import LsMachine
+from dpstack_drives.ls.settings import Settings
+
+_POWERED: Final = frozenset({State.RUNNING, State.STOPPING, State.QUICK_STOP})
+_COAST: Final = 2
+#: stop and emergency of the LS control word: a frame with them counts even when the next one follows within a scan
+_STOPS: Final = t.LS_CONTROL.mask("stop", "emergency")
+#: reference reached within this part of dr-20 (a reading)
+_NEAR: Final = 0.005
+_AT_ONCE: Final = 1e6
+
+
+class LsDevice(DriveDevice):
+    """Options: the plugin's, ``load``, ``version`` (2.01 knows only VENDOR), ``quick_stop_s``; parameters by code.
+
+    Readings: a frame of PROFIdrive with bit 10 stands until the next one with it; OFF1 ramps by dr-04; what Para
+    Control writes is not stored over power-off, and out of its limits it is ignored; 0005 and 0006 are obeyed in
+    VENDOR only; the lost command (PRT-12, PRT-13) is judged whatever ended data exchange.
+    """
+
+    def __init__(
+        self,
+        profile: DriveProfile,
+        telegram: TelegramSpec,
+        options: Mapping[str, bool | float | str],
+        given: Mapping[str, object],
+    ) -> None:
+        where = f"simulated {profile.name}"
+        self.legacy = options["version"] == "2.01"
+        profile_of(telegram, str(options["profile"]))
+        self.store = ParamStore(t.PARAMETERS, settings.presets(options, given, where), where=where)
+        self.machine = profidrive.ProfidriveMachine()
+        self.runner = LsMachine()
+        self._reference_rpm = float(options["reference_rpm"])
+        self._quick_stop_s = float(options["quick_stop_s"])
+        self._settings = Settings(self.store)
+        self._control = self._reference = 0  # of PROFIdrive, as they stand
+        self._word = self._status = 0  # control word as it came, status word
+        self._stops = 0
+        self._last: tuple[int, ...] = ()
+        self._cyclic: dict[int, int] = {}
+        self._hold = True
+        self._received = False
+        self._lost_at: int | None = None
+        self._forced = False  # ramps down, then trips
+        self._instead: float | None = None  # frequency of a lost command
+        super().__init__(profile, telegram, Motor(load=float(options["load"])))
+        self.module = Module(self.store, self._live, self._changed, lambda: bool(self.motor.frequency))
+        self.channel = PkwServer(t.PKW, self.module.order)
+
+    @property
+    def scan_ns(self) -> int:
+        """A reading: the manual gives none."""
+        return t.SCAN_MS * NS_PER_MS
+
+    @property
+    def kind(self) -> int:
+        """The profile in use, as COM-11 counts."""
+        number = telegrams.number_of(self.telegram)
+        if number == telegrams.VENDOR:
+            return t.IO
+        return t.LS_DRIVE if number != 1 and self._settings.profile == t.LS_DRIVE else t.PROFIDRIVE
+
+    def check_cfg(self, config: bytes) -> str | None:
+        """Version 2.01 has only the vendor telegram (2.1, table 2)."""
+        found = self.profile.telegrams_of(config)
+        if found and self.legacy and telegrams.number_of(found[0]) != telegrams.VENDOR:
+            return f"version 2.01 has no {found[0].name}: take VENDOR n/m"
+        return super().check_cfg(config)
+
+    def fault_code(self, code: str) -> int:
+        """Number or name of a trip (7.2). Raises ValueError."""
+        wanted = code.strip().lower()
+        for number, name in t.TRIPS.items():
+            if wanted in (str(number), name.lower()):
+                return number
+        raise ValueError(f"{code!r} is no trip; known: {', '.join(map(t.trip_text, t.TRIPS))}")
+
+    def inherit(self, before: DriveDevice) -> None:
+        """The parameters; what waited for COM-94 counts from power-on."""
+        if isinstance(before, LsDevice):
+            self.store.inherit(before.store)
+            self._apply()
+
+    def installed(self, address: int, baud: int | None) -> None:
+        """COM-07 and COM-12; a search for the rate leaves that at 255, invalid."""
+        if address >= 1:
+            self.store.write(settings.spec("COM-07"), address, ram_only=True)
+        index = next((index for index, rate in t.BAUD_INDEX.items() if rate == baud), t.INVALID_BAUD)
+        self.store.write(settings.spec("COM-12"), index, ram_only=True)
+
+    def enter(self, config: bytes, now: int) -> None:
+        """The vendor telegram's word counts become COM-50 and COM-30 (4.2.10)."""
+        self.advance(now)
+        spec = self.profile.telegrams_of(config)[0]
+        if spec.config != self.telegram.config:
+            self._begin()
+        if telegrams.number_of(spec) == telegrams.VENDOR:
+            settings.take_counts(self.store, spec)
+            self._apply()
+        self._cyclic.clear()
+        self._hold = True
+        super().enter(config, now)
+
+    def exchange(self, outputs: bytes, now: int) -> bytes:
+        """A frame that stops counts even when the next one follows within a scan."""
+        inputs = super().exchange(outputs, now)
+        if len(outputs) == self.telegram.output_octets:
+            self._hold = False
+            self._received = True
+            self._lost_at = self._instead = None
+            words = self._words(outputs[8 if self.telegram.channel else 0 :])
+            if self.kind == t.PROFIDRIVE:
+                if words[0] & 0x0400:
+                    self._control, self._reference = words[0], words[1]
+            else:
+                self._stops |= self._commands(words)[0] & _STOPS
+        return inputs
+
+    def clear(self, now: int) -> None:
+        """Outputs count as zeros."""
+        super().clear(now)
+        self._hold = False
+
+    def master_lost(self, reason: Leave, now: int) -> None:
+        """Lost command (L11): PRT-12 and PRT-13; until then the last outputs stand."""
+        self._hold = True
+        if self._received and int(self.store.value("PRT-12")):
+            self._lost_at = now + round(self.store.value("PRT-13") * NS_PER_S)
+        self._received = False
+
+    def refresh(self, process: bytes | None, now: int) -> bytes:
+        """COM-68 swaps the octets of every word, not those of the parameter channel (a reading)."""
+        order = "<" if self._settings.swap else ">"
+        words = None if process is None else self._words(process)
+        return struct.pack(f"{order}{self.telegram.inputs // 2}H", *self.scan(words, now))
+
+    def _words(self, process: bytes) -> tuple[int, ...]:
+        return struct.unpack(f"{'<' if self._settings.swap else '>'}{self.telegram.outputs // 2}H", process)
+
+    # -- one scan -------------------------------------------------------------------------------------------------
+
+    def scan(self, words: tuple[int, ...] | None, now: int) -> tuple[int, ...]:
+        """Obey, move the motor, report."""
+        size = self.telegram.outputs // 2
+        if words is not None:
+            self._take_mapped(words)
+        elif self._hold and len(self._last) == size:
+            words = self._last
+        else:
+            words = (0,) * size
+        self._last = words
+        self._judge_loss(now)
+        trip = self.take_trip()
+        if trip is not None:
+            self._fail(trip)
+        if self.kind == t.PROFIDRIVE:
+            self._run_profidrive(words)
+            front = [self._status, self._speed_word()]
+        else:
+            self._run_ls(*self._commands(words))
+            front = [] if self.kind == t.IO else [self._status, self._hundredths()]
+        room = self.telegram.inputs // 2 - len(front)
+        mapped = [self._shown(where) for where in self._settings.status_map[:room]]
+        return (*front, *mapped, *(0,) * (room - len(mapped)))
+
+    def _commands(self, words: tuple[int, ...]) -> tuple[int, int]:
+        """Control word and frequency command of the LS Drive profile; in VENDOR from 0006 and 0005."""
+        if self.kind == t.LS_DRIVE:
+            return words[0], words[1]
+        values = dict(zip(self._settings.control_map, words, strict=False))
+        return values.get(t.OPERATION, 0) | t.AUTHORITY, values.get(t.FREQUENCY, 0)
+
+    def _fail(self, number: int) -> None:
+        self.module.fault(number)
+        self.machine.state = State.FAULT
+        self.runner.fault = True
+        self._forced = False
+
+    def _judge_loss(self, now: int) -> None:
+        if self._lost_at is not None and now >= self._lost_at:
+            self._lost_at = None
+            match int(self.store.value("PRT-12")):
+                case 1:
+                    self._fail(t.LOST_COMMAND)
+                case 2:
+                    self._forced = self.motor.on
+                    if not self._forced:
+                        self._fail(t.LOST_COMMAND)
+                case 4:
+                    self._instead = self.motor.frequency
+                case 5:
+                    self._instead = self.store.value("PRT-14") / self.store.value("dr-20")
+                case _:  # 3: hold input, go on with the last outputs
+                    pass
+        if self._forced and not self.motor.frequency:
+            self._fail(t.LOST_COMMAND)
+
+    def _bus_commands(self, source: str) -> bool:
+        return self.store.value(source) == t.FIELD_BUS[source]
+
+    def _run_profidrive(self, words: tuple[int, ...]) -> None:
+        motor, machine, control = self.motor, self.machine, self._control
+        still = not motor.frequency
+        before = machine.state
+        if self._bus_commands("dr-06"):
+            machine.step(control | 0x40, still=still)  # bit 6 works on the set point
+        elif before is not State.FAULT:
+            machine.state = State.SWITCH_ON_INHIBITED
+        if before is State.FAULT and machine.state is not before:
+            self._acknowledged()
+        state = machine.state
+        reference = self._fraction(self._reference) if self._bus_commands("dr-07") else 0.0
+        if not control & 0x10 or not control & 0x40:
+            reference = 0.0
+        elif not control & 0x20:
+            reference = motor.frequency
+        stopping = state is State.READY and motor.on and not still and self.store.value("Ad-08") != _COAST
+        motor.switch(state in _POWERED or stopping)
+        self._ramp(reference if state is State.RUNNING else 0.0, quick=state is State.QUICK_STOP)
+        self._word = words[0]
+        status = machine.SHOWN[state] & 0x49
+        for bit, of in t.COPIES.items():
+            status |= (self._word >> of & 1) << bit
+        status |= 0x0080 if self.warning_mask else 0
+        if state is State.RUNNING and not motor.limited and abs(motor.frequency - motor.setpoint) <= _NEAR:
+            status |= 0x0100
+        self._status = status
+
+    def _run_ls(self, control: int, hundredths: int) -> None:
+        motor, runner = self.motor, self.runner
+        stops, self._stops = self._stops, 0
+        keypad = not self._bus_commands("dr-06")
+        faulted = runner.fault
+        runner.step(0 if keypad else control | stops)
+        if faulted and not runner.fault:
+            self._acknowledged()
+        granted = bool(control & t.LS_CONTROL.mask("ramp_authority")) and self._bus_commands("dr-07")
+        reference = min(hundredths / 100 / self.store.value("dr-20"), 1.0) if granted else 0.0
+        direction = runner.direction
+        turning = motor.on and bool(motor.frequency)
+        stopping = turning and not direction and not runner.coast and self.store.value("Ad-08") != _COAST
+        motor.switch(bool(direction) or stopping)
+        self._ramp(direction * reference)
+        self._word = control
+        self._status = self._ls_status(control, direction)
+
+    def _ls_status(self, control: int, direction: int) -> int:
+        motor, keypad = self.motor, not self._bus_commands("dr-06")
+        turning = motor.frequency or direction
+        gap = abs(motor.setpoint) - abs(motor.frequency)
+        moving = motor.on and abs(gap) > _NEAR
+        granted = {} if keypad else {"run_granted": control & 0x2000, "ramp_granted": control & 0x4000}
+        told: dict[str, object] = {
+            "stopped": not motor.on,
+            "forward": motor.on and turning > 0,
+            "reverse": motor.on and turning < 0,
+            "fault": self.runner.fault,
+            "accelerating": moving and gap > 0,
+            "decelerating": moving and gap < 0,
+            "reached": motor.on
+            and bool(direction)
+            and not motor.limited
+            and abs(motor.frequency - motor.setpoint) <= _NEAR,
+            "stopping": motor.on and not direction,
+            "forward_command": direction > 0,
+            "reverse_command": direction < 0,
+            "keypad": keypad,
+            **granted,
+        }
+        return t.LS_STATUS.mask(*(name for name, on in told.items() if on))
+
+    def _run_status(self) -> int:
+        """000E: the LS status word, whatever the profile is."""
+        if self.kind != t.PROFIDRIVE:
+            return self._status
+        direction = (-1 if self.motor.setpoint < 0 else 1) if self.machine.state is State.RUNNING else 0
+        return self._ls_status(t.AUTHORITY, direction)
+
+    def _ramp(self, setpoint: float, *, quick: bool = False) -> None:
+        motor = self.motor
+        up, down = self.store.value("dr-03"), self._quick_stop_s if quick else self.store.value("dr-04")
+        motor.accel, motor.decel = (1 / seconds if seconds else _AT_ONCE for seconds in (up, down))
+        if self._instead is not None and setpoint:
+            setpoint = self._instead
+        motor.setpoint = 0.0 if self._forced else min(max(setpoint, -1.0), 1.0)
+
+    def _acknowledged(self) -> None:
+        self.module.acknowledged()
+        self.machine.state = State.SWITCH_ON_INHIBITED
+        self.runner.fault = False
+
+    def _fraction(self, word: int) -> float:
+        return signed16(word) / self._reference_rpm if self._settings.rpm else SPEED.decode(word)
+
+    def _speed_word(self) -> int:
+        frequency = self.motor.frequency
+        raw = round(frequency * self._reference_rpm) & 0xFFFF if self._settings.rpm else None
+        return SPEED.encode(min(max(frequency, -2.0), 1.99)) if raw is None else raw
+
+    def _hundredths(self) -> int:
+        return round(abs(self.motor.frequency) * self.store.value("dr-20") * 100) & 0xFFFF
+
+    # -- parameters -----------------------------------------------------------------------------------------------
+
+    def _take_mapped(self, words: tuple[int, ...]) -> None:
+        at = 0 if self.kind == t.IO else t.PARA_AT
+        for where, raw in zip(self._settings.control_map, words[at:], strict=False):
+            if not where or self._cyclic.get(where) == raw:
+                continue
+            self._cyclic[where] = raw
+            spec = t.spec_at(where)
+            if spec is not None and not spec.read_only and spec.low <= spec.to_value(raw) <= spec.high:
+                self.store.write(spec, raw, ram_only=True)
+
+    def _shown(self, where: int) -> int:
+        spec = t.spec_at(where) if where else None
+        return 0 if spec is None else self.module.value(spec) & 0xFFFF
+
+    def _live(self, number: int, index: int) -> int | None:
+        match number if number > 0xFF else number << 8 | index:
+            case t.PNU_ADDRESS:
+                return self.store.raw(settings.spec("COM-07"))
+            case t.PNU_TELEGRAM | 0x170A:
+                return telegrams.number_of(self.telegram)
+            case t.PNU_PROFILE:
+                return t.PNU_930[self.kind]
+            case t.PNU_WARNING | t.WARNING:
+                return self.warning_mask
+            case t.PNU_BAUD:
+                return self.store.raw(settings.spec("COM-12"))
+            case t.PNU_VERSION:
+                return 0x0328
+            case t.PNU_STW1:
+                return 0 if self.kind == t.IO else self._word
+            case t.PNU_ZSW1:
+                return 0 if self.kind == t.IO else self._status
+            case t.OUTPUT_FREQUENCY:
+                return self._hundredths()
+            case t.RUN_STATUS:
+                return self._run_status()
+            case t.TRIP:
+                return next(iter(self.module.situations[0]), 0)
+            case _:
+                return None
+
+    def _changed(self, where: int) -> None:
+        if where == t.PNU_RESET:
+            self.module.clear()
+            self.warning_mask = 0
+        elif where == t.UPDATE and self.store.value("COM-94"):
+            self.store.write(settings.spec("COM-94"), 0, ram_only=True)
+            self._apply()
+
+    def _apply(self) -> None:
+        """COM-94 = 1, or power-on: what counts from now on."""
+        before = self._settings.profile
+        self._settings = Settings(self.store)
+        self._cyclic.clear()
+        if self._settings.profile != before:
+            self._begin()
+
+    def _begin(self) -> None:
+        """Another profile or telegram: no command of the former one counts, a fault stays."""
+        faulted = self.runner.fault
+        self._control = self._reference = self._stops = 0
+        self.machine, self.runner = profidrive.ProfidriveMachine(), LsMachine()
+        self._last = ()
+        if faulted:
+            self.machine.state = State.FAULT
+            self.runner.fault = True

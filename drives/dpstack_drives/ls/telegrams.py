@@ -1,0 +1,80 @@
+"""Telegrams of the CPDP-S100 (row L1, PNU 922; manual 6.1): standard telegram 1, PPO1 to PPO6, and the vendor's own.
+
+``VENDOR OUTPUTS/INPUTS`` has 1..8 words each way, which Para Control (COM-51..) and Para Status (COM-31..) fill. ST1,
+PPO3 and VENDOR 2/2 are alike by length: their identifier octets tell them apart. All identifier octets are made up,
+as the manual prints no GSD file. The manual's "8 words at most" and PPO5's 14 contradict: what is configured counts.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Final
+
+from dpstack.profile import ConfigError, TelegramFamily, TelegramSpec
+
+_OUT, _IN = 0x60, 0x50
+#: COM-30 and COM-50; the manual has 0..8 and 1..8: 1..8 is taken
+MOST: Final = 8
+VENDOR: Final = 100
+_HOW: Final = "VENDOR OUTPUTS/INPUTS, 1..8 words each, e.g. VENDOR 2/3"
+_NAME: Final = re.compile(r"VENDOR\s+(\d+)\s*/\s*(\d+)", re.IGNORECASE)
+
+
+def _fixed(name: str, config: str, words: int, channel: bool = False) -> TelegramSpec:
+    size = 2 * words
+    octets = bytes.fromhex(config)
+    return TelegramSpec(name=name, config=octets, outputs=size, inputs=size, channel=channel, made_up=True)
+
+
+TELEGRAMS: Final = {
+    spec.name: spec
+    for spec in (
+        _fixed("PPO1", "F3 71", 2, True),
+        _fixed("PPO2", "F3 75", 6, True),
+        _fixed("PPO3", "71", 2),
+        _fixed("PPO4", "75", 6),
+        _fixed("PPO5", "F3 79", 10, True),
+        _fixed("PPO6", "79", 10),
+        _fixed("ST1", "F1", 2),
+    )
+}
+DEFAULT: Final = "PPO1"
+#: PNU 922
+_NUMBERS: Final = {"ST1": 1, "PPO1": 101, "PPO2": 102, "PPO3": 103, "PPO4": 104, "PPO5": 105, "PPO6": 106}
+
+
+def number_of(spec: TelegramSpec) -> int:
+    """What PNU 922 and COM-10 show."""
+    return _NUMBERS.get(spec.name, VENDOR)
+
+
+def vendor(outputs: int, inputs: int) -> TelegramSpec:
+    """The vendor telegram of so many words, 1..8 each."""
+    return TelegramSpec(
+        name=f"VENDOR {outputs}/{inputs}",
+        config=bytes((_OUT + outputs - 1, _IN + inputs - 1)),
+        outputs=2 * outputs,
+        inputs=2 * inputs,
+        made_up=True,
+    )
+
+
+def named(name: str) -> TelegramSpec:
+    """The vendor telegram called ``name`` (any case). Raises ConfigError that says how names are written."""
+    match = _NAME.fullmatch(name.strip())
+    if match is None:
+        raise ConfigError(f"ls-s100 has no telegram {name!r}; it has {', '.join(TELEGRAMS)} and {_HOW}")
+    outputs, inputs = int(match[1]), int(match[2])
+    if not (1 <= outputs <= MOST and 1 <= inputs <= MOST):
+        raise ConfigError(f"telegram {name!r}: COM-50 (outputs) and COM-30 (inputs) are 1..{MOST}; write {_HOW}")
+    return vendor(outputs, inputs)
+
+
+def of_config(config: bytes) -> TelegramSpec | None:
+    """The vendor telegram with these identifier octets; None where they are none."""
+    if len(config) != 2 or not (0 <= config[0] - _OUT < MOST and 0 <= config[1] - _IN < MOST):
+        return None
+    return vendor(config[0] - _OUT + 1, config[1] - _IN + 1)
+
+
+FAMILY: Final = TelegramFamily(named, of_config)

@@ -1,0 +1,140 @@
+"""An LS S100 on a bus, as a user has it: profiles by configuration, ways out, power-off, faults, a scan's skeleton."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+
+import dpstack
+from dpstack.api.livelist import LiveListResult
+from dpstack.api.skeleton import config_skeleton
+from dpstack.dp.scanner import Found, SlaveView
+from dpstack.fdl.telegram import StationType
+
+PUMP: Mapping[str, object] = {"name": "pump", "address": 6, "drive": "ls-s100", "telegram": "PPO1"}
+LS = {"profile": "ls"}
+
+
+def test_a_users_program() -> None:
+    async def program() -> None:
+        async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[PUMP]) as bus:
+            pump = bus.drive("pump")
+            assert bus.bench is not None
+            await bus.ready()
+            await bus.operate()
+            pump.frequency = 30.0
+            await pump.start()
+            await pump.reached()
+            assert pump.status.frequency_hz == pytest.approx(30, abs=0.5)
+            assert await pump.read(918) == 6
+            assert await pump.read("baud_rate") == 4  # 500 kbit/s
+            await pump.write("dr-03", 2.5)
+            device = bus.bench.device(6)
+            assert isinstance(device, dpstack.profile.DriveDevice)
+            device.trip("LV")
+            async for status in pump.statuses():
+                if status.fault == "34 LV":
+                    break
+            with pytest.raises(dpstack.DriveFault, match="34 LV; acknowledge it first"):
+                await pump.start()
+            await pump.acknowledge()
+            await pump.start()
+            await pump.quick_stop()
+            with pytest.raises(dpstack.ParameterError, match="error 0, illegal parameter number"):
+                await pump.read("dr-99")
+            with pytest.raises(dpstack.UsageError, match="dr-20"):
+                pump.speed = 1.5
+            bus.bench.power(6, False)
+            await bus.until(lambda: not bus.slave(6).ready_now, 5)
+            bus.bench.power(6, True)
+            await bus.slave(6).ready()
+            assert await pump.read("dr-03") == 2.5  # its EEPROM
+
+    dpstack.run_virtual(program())
+
+
+@pytest.mark.parametrize("way", ["clear", "stop"])
+@pytest.mark.parametrize(("telegram", "options"), [("PPO3", {}), ("PPO3", LS), ("VENDOR 2/3", {})])
+def test_a_running_drive_comes_to_rest(telegram: str, options: Mapping[str, object], way: str) -> None:
+    """The safe outputs stop it before Clear, whose zeros PROFIdrive ignores."""
+
+    async def program() -> None:
+        table = {**PUMP, "telegram": telegram, "options": options}
+        async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[table]) as bus:
+            pump = bus.drive("pump")
+            assert bus.bench is not None
+            device = bus.bench.device(6)
+            assert isinstance(device, dpstack.profile.DriveDevice)
+            await bus.ready()
+            await bus.operate()
+            await pump.start()
+            pump.speed = 0.5
+            await pump.reached()
+            await (bus.clear() if way == "clear" else bus.stop())
+            await asyncio.sleep(0.15)
+            await bus.clear()
+            await asyncio.sleep(2)
+            assert device.motor.frequency == 0
+            await bus.operate()
+            await asyncio.sleep(0.5)
+            assert device.motor.frequency == 0
+            assert pump.speed == 0.5  # the set point stays, the run command does not
+
+    dpstack.run_virtual(program())
+
+
+def test_the_wrong_profile_is_told_with_the_parameter_to_change() -> None:
+    async def program() -> None:
+        table = {**PUMP, "options": LS}
+        async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[table]) as bus:
+            pump = bus.drive("pump")
+            await bus.ready()
+            await bus.operate()
+            await pump.start()
+            await pump.stop()
+            with pytest.raises(dpstack.UsageError, match="no quick stop"):
+                await pump.quick_stop()
+            await pump.write("COM-11", 1)
+            await pump.write("COM-94", 1)
+            with pytest.raises(dpstack.DriveFault, match="set COM-11 to 2 and COM-94 to 1"):
+                await pump.start()
+
+    dpstack.run_virtual(program())
+
+
+def test_the_configuration_tells_what_is_made_up(tmp_path: Path) -> None:
+    path = tmp_path / "plant.toml"
+    path.write_text(
+        """
+[bus]
+port = "/dev/ttyUSB0"
+baud = 500000
+
+[[slave]]
+name = "pump"
+address = 6
+drive = "ls-s100"
+telegram = "VENDOR 3/2"
+options = { para_control = "0005 0006 dr-03" }
+""",
+        encoding="utf-8",
+    )
+    slave = dpstack.load_config(path).slaves[0]
+    assert slave.config.hex() == "6251"
+    assert "identifier octets 62 51 of ls-s100 are in no manual" in slave.notes[0]
+
+
+def test_the_skeleton_of_a_scan_names_the_telegram() -> None:
+    found = Found(
+        address=6,
+        kind=StationType.SLAVE,
+        ident=0x0A6C,
+        config=bytes.fromhex("62 51"),
+        state=SlaveView.WAIT_PRM,
+    )
+    text = config_skeleton(LiveListResult(baud=500_000, address=2, stations=(found,)), "virtual")
+    assert 'drive = "ls-s100"' in text
+    assert 'telegram = "VENDOR 3/2"' in text

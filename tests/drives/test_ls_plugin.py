@@ -1,0 +1,407 @@
+"""The master's end of an LS S100 against literal octets (L1 to L7, L9)."""
+
+from __future__ import annotations
+
+import pytest
+from drive_bench import PairBench, PluginBench, as_mapping
+
+from dpstack.errors import ConfigError
+from dpstack.profile import State
+from dpstack_drives.ls import DRIVE
+
+ZERO = "00 00 00 00 00 00 00 00 "
+S2 = "02 35 00 00"
+
+
+def plugin(inputs: str = S2, telegram: str = "PPO3", **options: object) -> PluginBench:
+    return PluginBench(DRIVE.core("pump", telegram, options), inputs)
+
+
+def text(bench: PluginBench, token: int) -> str:
+    return str(as_mapping(bench.result(token))["text"])
+
+
+# -- PROFIdrive ----------------------------------------------------------------------------------------------------
+
+
+def test_l3_a_run() -> None:
+    bench = plugin("00 40 00 00")
+    bench.order("speed", value=1.0)
+    assert bench.out() == "04 7E 40 00"
+    start = bench.order("start")
+    assert bench.see("02 74 00 00") == "04 7E 40 00"  # S1, with 047E copied
+    assert bench.see("02 35 00 00") == "04 7F 40 00"
+    bench.see("02 37 00 10", 3)
+    assert as_mapping(bench.result(start))["value"] == "running"
+    reached = bench.order("reached")
+    bench.see("02 37 20 00", 60)
+    assert bench.result(reached) is None
+    bench.see("03 37 40 00")
+    assert as_mapping(bench.result(reached))["value"] == 1.0
+    stop = bench.order("stop")
+    assert bench.out() == "04 7E 40 00"
+    bench.see("02 35 20 00", 60)  # like S2, but it turns
+    assert bench.core.status().state is State.STOPPING
+    assert bench.result(stop) is None
+    bench.see("02 35 00 00", 60)
+    assert as_mapping(bench.result(stop))["value"] == "ready_to_switch_on"
+
+
+def test_l3_taken_back_during_the_ramp() -> None:
+    bench = plugin("02 35 20 00")
+    bench.order("start")
+    assert bench.out() == "04 7F 00 00"
+    assert bench.see("02 37 20 00") == "04 7F 00 00"
+
+
+@pytest.mark.parametrize(("op", "word"), [("quick_stop", "04 7A"), ("coast", "04 7C"), ("acknowledge", "04 80")])
+def test_l3_words(op: str, word: str) -> None:
+    bench = plugin("02 48 00 00" if op == "acknowledge" else "03 37 40 00")
+    bench.order(op)
+    assert bench.out()[:5] == word
+
+
+def test_l3_s4_is_taken_only_with_3_and_6_clear() -> None:
+    for word, state in (("02 77", State.UNKNOWN), ("02 3F", State.FAULT), ("02 37", State.RUNNING)):
+        bench = plugin("02 37 00 00")
+        bench.order("start")
+        bench.see("02 37 00 00", 30)
+        bench.see(word + " 00 00")
+        assert bench.core.status().state is state
+
+
+@pytest.mark.parametrize(("speed", "word"), [(1.0, "40 00"), (-0.25, "F0 00"), (-1.0, "C0 00"), (0.5, "20 00")])
+def test_l5_per_cent_of_dr_20(speed: float, word: str) -> None:
+    """F000 is 15 Hz reverse at 60 Hz; C000 is -60 Hz (the manual once prints 60 Hz)."""
+    bench = plugin()
+    bench.order("speed", value=speed)
+    assert bench.out()[6:] == word
+    bench.see(f"02 37 {word}")
+    assert bench.core.status().frequency_hz == 60 * speed
+
+
+def test_l5_the_range_is_c000_to_4000() -> None:
+    bench = plugin()
+    for speed in (1.01, -1.5):
+        assert "dr-20" in text(bench, bench.order("speed", value=speed))
+
+
+def test_l5_rpm() -> None:
+    bench = plugin(speed_unit="rpm", reference_rpm=1500.0, reference_hz=50.0)
+    bench.order("speed", value=0.8)
+    assert bench.out()[6:] == "04 B0"  # 1200 rpm
+    bench.see("02 37 FB 50")
+    assert bench.core.status().frequency_hz == pytest.approx(-40)
+
+
+def test_safe_outputs() -> None:
+    assert DRIVE.core("pump", "PPO3").safe_outputs.hex() == "047e0000"
+    assert DRIVE.core("pump", "PPO1").safe_outputs.hex() == "0000000000000000047e0000"
+    assert DRIVE.core("pump", "PPO3", {"profile": "ls"}).safe_outputs.hex() == "60010000"
+    assert DRIVE.core("pump", "VENDOR 2/3").safe_outputs.hex() == "00000001"
+    assert DRIVE.core("pump", "PPO3", {"swap": True}).safe_outputs.hex() == "7e040000"
+
+
+# -- LS Drive profile ----------------------------------------------------------------------------------------------
+
+
+def test_l4_a_run() -> None:
+    bench = plugin("60 01 00 00", profile="ls")
+    assert bench.out() == "60 01 00 00"
+    bench.order("speed", value=1.0)
+    start = bench.order("start")
+    assert bench.out() == "60 02 17 70"  # forward, 60.00 Hz
+    bench.see("68 12 01 F4", 3)
+    assert as_mapping(bench.result(start))["value"] == "running"
+    assert bench.core.status().frequency_hz == pytest.approx(5)
+    bench.order("speed", value=-0.5)
+    assert bench.out() == "60 04 0B B8"
+    bench.see("70 44 0B B8")
+    assert bench.core.status().speed == pytest.approx(-0.5)
+    assert bench.core.status().reached
+    stop = bench.order("stop")
+    assert bench.out() == "60 01 0B B8"
+    bench.see("61 24 05 DC", 60)
+    assert bench.core.status().state is State.STOPPING
+    bench.see("60 01 00 00", 60)
+    assert as_mapping(bench.result(stop))["value"] == "ready"
+    bench.order("coast")
+    assert bench.out() == "60 10 0B B8"
+    bench.see("60 09 00 00", 3)
+    bench.order("acknowledge")
+    assert bench.out() == "60 08 0B B8"
+
+
+def test_l4_what_the_profile_cannot_do_is_refused_by_name() -> None:
+    bench = plugin("60 01 00 00", profile="ls")
+    assert "no quick stop" in text(bench, bench.order("quick_stop"))
+    with pytest.raises(ConfigError, match=r"drive pump .*ST1 is a telegram of PROFIdrive"):
+        DRIVE.core("pump", "ST1", {"profile": "ls"})
+
+
+def test_l4_the_keypad_in_control_is_told() -> None:
+    bench = plugin("80 01 00 00", profile="ls")
+    token = bench.order("start")
+    bench.run(200)
+    assert "bit 15: the keypad controls the drive: set dr-06" in text(bench, token)
+    bench = plugin("00 01 00 00", profile="ls")
+    token = bench.order("start", timeout_s=1)
+    bench.run(600)
+    assert "bit 13: the run authority is not granted: set dr-06" in text(bench, token)
+
+
+# -- vendor telegram and maps --------------------------------------------------------------------------------------
+
+
+def test_l11_swapped_words() -> None:
+    """COM-68 = 1: the octets of each word change places, those of the parameter channel do not."""
+    bench = plugin(ZERO + "37 03 00 F0", "PPO1", swap=True)
+    assert bench.core.status().speed == -0.25
+    assert bench.core.status().reached
+    bench.order("speed", value=0.5)
+    bench.order("read", number=965)
+    bench.run()
+    assert bench.out() == "13 C5 00 00 00 00 00 00 7E 04 00 20"
+
+
+def test_l1_l7_vendor_words() -> None:
+    bench = plugin("00 00 00 01 00 00", "VENDOR 2/3")
+    assert not bench.notices()  # no drive profile, so 0005 and 000A are what to use
+    bench.order("speed", value=-0.5)
+    bench.order("start")
+    assert bench.out() == "0B B8 00 04"
+    bench.see("0B B8 10 44 00 00", 3)
+    assert bench.core.status().speed == pytest.approx(-0.5)
+    assert bench.core.status().reached
+    bench.see("00 00 00 09 00 0C", 3)
+    assert "000F is 000C" in str(bench.core.status().fault)
+    bench.order("acknowledge")
+    assert bench.out() == "0B B8 00 08"
+    assert "written by start" in text(bench, bench.order("output", number="0x0006", value=2))
+
+
+def test_l7_vendor_without_the_words_for_it() -> None:
+    bench = plugin("00 00", "VENDOR 1/1", para_control="dr-03", para_status="0334")
+    assert "0006 (operation command) is not in para_control" in text(bench, bench.order("start"))
+    assert "0005 (frequency command)" in text(bench, bench.order("speed", value=0.5))
+    bench = plugin("00 00", "VENDOR 1/1", para_control="0006", para_status="0334")
+    assert "000E (operating status) is not in para_status" in text(bench, bench.order("stop"))
+
+
+def test_l7_mapped_values() -> None:
+    bench = plugin(
+        "02 35 00 00 00 14 01 00 00 07 00 00", "PPO4", para_status="dr-03 In-90 0x0700", para_control="dr-04"
+    )
+    assert as_mapping(bench.result(bench.order("inputs")))["value"] == {"dr-03": 2.0, "In-90": 0x0100, "0700": 7}
+    bench.order("output", number="dr-04", value=2.5)
+    assert bench.out() == "04 7E 00 00 00 19 00 00 00 00 00 00"
+    assert "outside 0..600" in text(bench, bench.order("output", number="dr-04", value=601))
+    assert "not in para_control (1104)" in text(bench, bench.order("output", number="dr-03", value=1))
+
+
+@pytest.mark.parametrize(
+    ("options", "match"),
+    [
+        ({"para_status": "1 2"}, "no address"),
+        ({"para_status": "dr-03 dr-04 dr-06 dr-07 dr-20"}, "room for 4"),
+        ({"para_control": "000A"}, "read only"),
+        ({"profil": "ls"}, "did you mean profile"),
+    ],
+)
+def test_l7_maps_are_checked_at_once(options: dict[str, object], match: str) -> None:
+    with pytest.raises(ConfigError, match=match):
+        DRIVE.core("pump", "PPO4", options)
+
+
+def test_l7_addresses_that_are_advised_against() -> None:
+    assert [notice[:12] for notice in plugin(ZERO + S2 + " 00" * 8, "PPO2").notices()] == [
+        "address 0005",
+        "address 000A",
+    ]
+    assert not plugin(ZERO + S2, "PPO1").notices()
+    bench = plugin(ZERO + S2, "PPO1")
+    for number in ("0x0381", 0x0015):
+        bench.order("read", number=number)
+    bench.run(2)
+    assert [notice[:12] for notice in bench.notices()] == ["address 0381", "address 0015"]
+
+
+def test_l7_write_map_on_the_wire() -> None:
+    """COM-31.. and COM-30, COM-51.. and COM-50, then COM-94 = 1."""
+    bench = plugin(ZERO + S2 + " 00" * 8, "PPO2", para_status="000E", para_control="dr-04")
+    token = bench.order("write_map", inputs="dr-03 In-90", outputs="")
+    sent = []
+    for _ in range(60):
+        out = bench.out()[:23]
+        if not out.startswith("00"):
+            if out not in sent:
+                sent.append(out)
+            bench.see(f"1{out[1:]} {S2}" + " 00" * 8)
+        else:
+            bench.see(ZERO + S2 + " 00" * 8)
+    assert sent == [
+        "20 17 1F 00 00 00 11 03",
+        "20 17 20 00 00 00 15 5A",
+        "20 17 1E 00 00 00 00 02",
+        "20 17 33 00 00 00 00 00",
+        "20 17 32 00 00 00 00 01",
+        "20 17 5E 00 00 00 00 01",
+    ]
+    assert as_mapping(bench.result(token))["value"] == {"inputs": "1103 155A", "outputs": ""}
+    assert "room for 4" in text(bench, bench.order("write_map", inputs="dr-03 " * 5))
+    assert "no address" in text(bench, bench.order("write_map", inputs="speed"))
+    bench = plugin()
+    assert "PPO3 has no parameter channel" in text(bench, bench.order("write_map", inputs="dr-03"))
+
+
+# -- parameters ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("args", "order", "reply", "value"),
+    [
+        ({"number": 965}, "13 C5 00 00 00 00 00 00", "13 C5 00 00 00 00 03 28", 0x0328),
+        ({"number": 964, "index": 1}, "63 C4 01 00 00 00 00 00", "43 C4 01 00 00 00 00 01", 1),
+        ({"number": 0x1101}, "10 11 01 00 00 00 00 00", "10 11 01 00 00 00 00 05", 5),
+        ({"number": "0h1101"}, "10 11 01 00 00 00 00 00", "10 11 01 00 00 00 00 05", 5),
+        ({"number": "dr-03"}, "10 11 03 00 00 00 00 00", "10 11 03 00 00 00 00 0F", 1.5),
+        ({"number": "0x03C5"}, "10 03 C5 00 00 00 00 00", "10 03 C5 00 00 00 00 01", 1),
+        ({"number": "fault_counter"}, "13 B0 00 00 00 00 00 00", "13 B0 00 00 00 00 00 02", 2),
+        ({"number": 0x0316}, "10 03 16 00 00 00 00 00", "10 03 16 00 00 00 00 02", 2),
+    ],
+)
+def test_l6_reads(args: dict[str, object], order: str, reply: str, value: float) -> None:
+    bench = plugin(ZERO + S2, "PPO1")
+    token = bench.order("read", **args)
+    bench.run()
+    assert bench.out() == f"{order} 04 7E 00 00"
+    bench.see(f"{reply} {S2}", 2)
+    assert as_mapping(bench.result(token))["value"] == value
+
+
+def test_l6_writes_and_errors() -> None:
+    bench = plugin(ZERO + S2, "PPO1")
+    token = bench.order("write", number="dr-03", value=5.0)
+    bench.run()
+    assert bench.out().startswith("20 11 03 00 00 00 00 32")
+    bench.see(f"70 11 03 00 00 00 00 11 {S2}", 2)
+    assert "not in this operating mode" in text(bench, token)
+    assert as_mapping(bench.result(token))["number"] == 0x11
+    bench.see(ZERO + S2, 2)
+    token = bench.order("write", number="dr-03", value=5.0)
+    bench.run(2)
+    bench.see(f"80 11 03 00 00 00 00 00 {S2}", 2)
+    assert "no control over the parameters" in text(bench, token)
+
+
+@pytest.mark.parametrize(
+    ("op", "args", "message"),
+    [
+        ("read", {"number": "Q-26"}, "neither a code such as dr-03"),
+        ("read", {"number": "dr-03", "index": 1}, "dr-03 has no index"),
+        ("read", {"number": 965, "index": 1}, "it has no index"),
+        ("read", {"number": 947, "index": 64}, r"indexes are 0..63"),
+        ("read", {"number": 0x10000}, "1..65535"),
+        ("write", {"number": "dr-03", "value": 1, "ram": True}, "RAM"),
+        ("write", {"number": "dr-03", "value": 601}, "0..600"),
+        ("write", {"number": 965, "value": 1}, "read only"),
+    ],
+)
+def test_misuse_of_parameters(op: str, args: dict[str, object], message: str) -> None:
+    bench = plugin(ZERO + S2, "PPO1")
+    assert message in text(bench, bench.order(op, **args))
+
+
+# -- faults, warnings, what a start tells --------------------------------------------------------------------------
+
+
+def test_l9_faults_and_warnings_by_name() -> None:
+    bench = plugin(ZERO + S2, "PPO1")
+    bench.see(ZERO + "02 7C 00 00", 2)
+    assert bench.out().startswith("63 B3 00 00")
+    bench.see("43 B3 00 00 00 00 00 0B 02 7C 00 00", 2)
+    bench.see(ZERO + "02 7C 00 00", 2)
+    assert bench.out().startswith("63 B3 01 00")
+    bench.see("43 B3 01 00 00 00 00 22 02 7C 00 00", 2)
+    bench.see(ZERO + "02 7C 00 00", 2)
+    bench.see("43 B3 02 00 00 00 00 00 02 7C 00 00", 2)
+    assert bench.core.status().faults == ("11 overcurrent", "34 LV")
+    bench.see(ZERO + "02 B5 00 00", 2)
+    assert bench.out().startswith("13 B9 00 00")
+    bench.see("13 B9 00 00 00 00 00 12 02 B5 00 00", 2)
+    assert bench.core.status().warnings == ("warning word 0012",)
+    assert "PPO3 has no parameter channel" in str(plugin("02 7C 00 00").core.status().fault)
+
+
+def test_l9_what_was_asked_is_asked_again_after_the_drive_was_away() -> None:
+    bench = plugin(ZERO + "02 7C 00 00", "PPO1")
+    assert bench.out().startswith("63 B3 00 00")
+    bench.core.lost(bench.now)
+    bench.see(ZERO + "02 7C 00 00", 2)
+    assert bench.out().startswith("63 B3 00 00")
+    bench.see("73 B3 00 00 00 00 00 00 02 7C 00 00", 2)
+    assert bench.core.status().faults == ("without a name: PNU 947 holds none",)
+
+
+def test_l2_a_start_with_another_profile_says_com_11() -> None:
+    bench = plugin(ZERO + S2, "PPO1")
+    token = bench.order("start")
+    bench.run()
+    assert bench.out().startswith("13 A2 00 00")
+    bench.see("13 A2 00 00 00 00 80 02 60 01 00 00", 2)
+    assert text(bench, token) == (
+        "the drive has profile 8002 (PNU 930), the option profile says 0001: set COM-11 to 1 and COM-94 to 1"
+    )
+
+
+def test_a_drive_that_stays_in_s1_is_told_with_what_to_look_at() -> None:
+    bench = plugin("02 74 00 00")
+    token = bench.order("start", timeout_s=1)
+    bench.run(600)
+    assert "stays in S1" in text(bench, token)
+    assert "set dr-06 (command source) to 4" in text(bench, token)
+    device = DRIVE.device("PPO1", {"dr-06": 1})
+    kind, why = PairBench(DRIVE.core("pump", "PPO1"), device).refused("start")
+    assert kind == "fault"
+    assert why.startswith("dr-06 is 1: the drive stays in S1")
+
+
+# -- with the simulated drive --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("telegram", "options"),
+    [
+        ("PPO1", {"profile": "ls"}),
+        ("PPO6", {"profile": "ls", "swap": True}),
+        ("PPO3", {"speed_unit": "rpm", "reference_rpm": 1450.0, "reference_hz": 50.0}),
+        ("VENDOR 2/3", {}),
+        ("VENDOR 4/5", {"para_control": "dr-03 0006 0005", "para_status": "000E In-90 000A"}),
+    ],
+)
+def test_the_same_words_for_every_profile(telegram: str, options: dict[str, object]) -> None:
+    bench = PairBench(DRIVE.core("pump", telegram, options), DRIVE.device(telegram, options))
+    for speed in (0.5, -0.25):
+        bench.ok("speed", value=speed)
+        assert bench.ok("start", timeout_s=3) == "running"
+        assert bench.ok("reached", timeout_s=10) == pytest.approx(speed, abs=0.006)
+        bench.ok("stop")
+        assert bench.core.status().speed == pytest.approx(0, abs=0.02)
+    bench.ok("start")
+    bench.ok("coast")
+    bench.device.trip("fan")
+    bench.pass_time(300)
+    assert bench.core.status().state is State.FAULT
+    assert bench.refused("start")[0] == "fault"
+    bench.ok("acknowledge")
+    assert bench.ok("start") == "running"
+
+
+def test_read_map_and_write_map() -> None:
+    bench = PairBench(DRIVE.core("pump", "PPO2"), DRIVE.device("PPO2"))
+    assert bench.ok("read_map") == {"inputs": "000A 000E 000F", "outputs": "0005 0006"}
+    assert bench.ok("write_map", inputs="dr-03 dr-04", outputs="dr-03") == {"inputs": "1103 1104", "outputs": "1103"}
+    bench.ok("output", number="dr-03", value=3.0)
+    bench.pass_time(50)
+    assert bench.ok("inputs") == {"dr-03": 3.0, "dr-04": 1.0}
+    assert bench.ok("read_map") == {"inputs": "1103 1104", "outputs": "1103"}
