@@ -303,7 +303,7 @@ def test_demo_fast(baud: str, capsys: Out) -> None:
     assert told[0]["event"] == "start"
     summary = told[-1]
     assert summary["event"] == "summary"
-    assert summary["stories"] == {"ended": 4, "of": 4}
+    assert summary["stories"] == {"ended": 5, "of": 5}
     assert summary["rotation_us"]["p50"] == pytest.approx(summary["planned_us"], rel=0.02)
     story = [e["text"] for e in told if e["event"] == "story" and e["name"] == "demag"]
     assert story[0] == "in data exchange"
@@ -331,4 +331,4 @@ def test_demo_says_which_story_failed(capsys: Out, monkeypatch: pytest.MonkeyPat
     assert call("demo", "--fast", "--json") == 1
     printed = capsys.readouterr()
     assert printed.err == "dpstack: it will not\n"
-    assert lines(printed.out)[-1]["stories"] == {"ended": 3, "of": 4}
+    assert lines(printed.out)[-1]["stories"] == {"ended": 4, "of": 5}

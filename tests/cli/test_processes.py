@@ -334,7 +334,7 @@ def test_the_demo_on_a_terminal() -> None:
     assert os.waitstatus_to_exitcode(status) == 0, text[-2000:]
     assert "the end" in text
     assert "running" in text
-    assert "planned 4.572 ms" in text
+    assert "planned 6.472 ms" in text
     assert "parameter 412 (local/remote) is 44" in text
     assert "|███" in text
     assert "███|" in text
