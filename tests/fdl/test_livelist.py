@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import pytest
 from ring_bus import ListUser, RingBus, fixed
 
 from dpstack.fdl.commands import AttachUser, DetachUser
 from dpstack.fdl.events import StationFound
-from dpstack.fdl.livelist import LiveList, live_allowance
-from dpstack.fdl.telegram import Req, StationType
-from dpstack.fdl.user import Request
+from dpstack.fdl.livelist import LiveList, live_allowance, long_look
+from dpstack.fdl.telegram import Kind, Req, StationType, Telegram
+from dpstack.fdl.user import Failure, Request
 from dpstack.params import BusParams
-from dpstack.phy.patience import HOST
+from dpstack.phy.patience import ADAPTER, EXACT, HOST, Patience, slack
 from dpstack.units import NS_PER_MS
 
 #: FDL status of station 2 to 4 and to 126, answers: a slave
@@ -154,3 +155,60 @@ def test_soon_and_forgotten() -> None:
     assert polls(bus)[:3] == [77, 0, 1]
     live.forget(4, bus.now)
     assert live.stations == {}
+
+
+def asked(live: LiveList, took_ns: int, answers: dict[int, Telegram]) -> list[Request]:
+    """The whole list as a link would ask it, each silence noticed after ``took_ns`` and ``extra_ns``."""
+    requests: list[Request] = []
+    now = 0
+    while not live.done:
+        now += NS_PER_MS
+        live.token_received(now)
+        request = live.next_request(now, False)
+        assert request is not None
+        requests.append(request)
+        live.started(request, now)
+        now += took_ns + request.extra_ns
+        answer = answers.get(request.da) if request.extra_ns else None
+        live.result(request, Failure.NO_ANSWER if answer is None else answer, now)
+    return requests
+
+
+def test_a_busy_computer_looks_once_more_with_patience() -> None:
+    """At 500 kbit/s: 6 octets, T_SL of 200 and one octet are 554 us; 2 ms of slack, 1 ms of it more is busy."""
+    params = BusParams.preset(500_000, address=2)
+    look = long_look(params, HOST)
+    assert look == (3_554_000, 18 * NS_PER_MS)
+    late = {4: Telegram(Kind.SD1, 2, 4, fc=0)}
+    addresses = [3, 4, 5]
+
+    in_time = LiveList(2, addresses=addresses, long_look=look)
+    assert [r.da for r in asked(in_time, 3_553_999, late)] == addresses * 2
+    assert in_time.stations == {}
+
+    busy = LiveList(2, addresses=addresses, long_look=look)
+    requests = asked(busy, 3_554_000, late)
+    assert [(r.da, r.extra_ns) for r in requests] == [(a, 0) for a in addresses * 2] + [
+        (a, 18 * NS_PER_MS) for a in addresses
+    ]
+    assert busy.stations == {4: StationType.SLAVE}
+
+
+@pytest.mark.parametrize("patience", [EXACT, ADAPTER, slack(20 * NS_PER_MS)])
+def test_no_long_look_where_every_look_is_one(patience: Patience) -> None:
+    assert long_look(BusParams.preset(500_000), patience) is None
+
+
+def test_extra_time_for_an_answer() -> None:
+    """The answer begins 18 ms after the request; HOST waits 2 ms, T_SL and one octet."""
+    outcomes = []
+    for extra_ns in (0, 18 * NS_PER_MS):
+        bus = RingBus(mode="chunk")
+        bus.slaves[4] = fixed(TO_4, SLAVE_4, 9_000)
+        user = ListUser(low=[Request(4, Req.FDL_STATUS, retry=False, extra_ns=extra_ns)])
+        bus.master(2, user, gap=0, patience=HOST)
+        bus.run(500 * NS_PER_MS)
+        ((_, outcome, _),) = user.results
+        outcomes.append(outcome)
+    assert outcomes[0] is Failure.NO_ANSWER
+    assert isinstance(outcomes[1], Telegram)
