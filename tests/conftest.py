@@ -36,9 +36,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def runtime_directory() -> Iterator[str]:
-    """Programs under test, in this process and in others, keep their sockets to themselves (short: a socket's path)."""
+    """Programs under test, in this process and in others, keep their sockets to themselves (short: a socket's path).
+
+    They are compiled once, not at every start, whatever the environment says.
+    """
     with tempfile.TemporaryDirectory(prefix="dp") as path, pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_RUNTIME_DIR", path)
+        patch.setenv("PYTHONPYCACHEPREFIX", f"{path}/compiled")
+        patch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)
         yield path
 
 

@@ -62,7 +62,7 @@ def requests(count: int) -> list[Request]:
     return [kinds[i % len(kinds)] for i in range(count)]
 
 
-@examples(150)
+@examples(50, soak=1_500)
 @given(STEPS, st.booleans())
 def test_anything_settles_and_comes_back(steps: list[tuple[str, object]], slow: bool) -> None:
     user = ListUser(per_hold=requests(3))
@@ -111,7 +111,7 @@ def test_anything_settles_and_comes_back(steps: list[tuple[str, object]], slow: 
     assert station.wake_at() < NEVER
 
 
-@examples(25)
+@examples(10, soak=250)
 @given(
     st.sets(st.integers(0, 14), min_size=2, max_size=8),
     st.integers(0, 2**32),

@@ -143,13 +143,13 @@ def run(scenario: Scenario, *, slaves: bool) -> None:
         ring.until(lambda: ring.exchanging, 5_000_000)
 
 
-@examples(40, soak=1_000)
+@examples(25, soak=1_000)
 @given(SCENARIOS)
 def test_bare_masters_heal(scenario: Scenario) -> None:
     run(scenario, slaves=False)
 
 
-@examples(25, soak=500)
+@examples(12, soak=500)
 @given(SCENARIOS)
 def test_masters_with_slaves_heal(scenario: Scenario) -> None:
     run(scenario, slaves=True)
