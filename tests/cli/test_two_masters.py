@@ -67,7 +67,7 @@ class Plant:
     def judge_scan(self, scan: Program) -> None:
         assert scan.end(limit=90) == 0, scan.err
         found = {station["address"]: station["master"] for station in scan.lines[-1]["stations"]}
-        # who answers later than 2 ms twice is not in the list: a busy computer may hide one, never invent one
+        # later than 2 ms twice, than 20 ms then: not in the list. A busy computer may hide one, never invent one
         known = {2: None, 5: None, **{slave: master for master, slaves in self.SLAVES.items() for slave in slaves}}
         assert found
         assert all(found[address] in (known[address], None) for address in found)
