@@ -94,7 +94,7 @@ def test_beside_a_master_and_read_only(
     text = Path(plant(tmp_path, bus / "1")).read_text(encoding="utf-8").replace("500000", "500000\nhsa = 5")
     config.write_text(text, encoding="utf-8")
     run = starter("run", str(config), "--json")
-    run.wait_for('"state":"data_exchange"', 3)
+    run.wait_for_slaves(3)
     code, out, err = scan(capsys, bus / "2", "--json")
     assert (code, err) == (0, "")
     stations = json.loads(out)["stations"]
