@@ -27,6 +27,8 @@ _SHARES: Final = 2
 _POLL_BITS: Final = 6 * BITS_PER_CHAR
 #: of a busy computer an address that never answered is given so much once (stalls of 10 to 30 ms, each poll another)
 _BUSY_NS: Final = 20 * NS_PER_MS
+#: one late poll in so many is a busy computer; fewer hide a station that is asked twice once in 2500 times
+_BUSY_POLLS: Final = 50
 
 
 def live_allowance(params: BusParams, patience: Patience, now: int) -> Allowance:
@@ -37,8 +39,8 @@ def live_allowance(params: BusParams, patience: Patience, now: int) -> Allowance
 class LongLook(NamedTuple):
     """A silent poll that takes ``late_ns`` or more, first bit to time-out, shows that this computer has little time.
 
-    Then a station that is a process of the same computer may have had none for any of our requests: it answers none
-    that has another one behind it. So whoever is silent is asked once more and given ``extra_ns`` in addition.
+    When one in 50 does, a station that is a process of the same computer may have had none for any of our requests: it
+    answers none that has another one behind it. So whoever is silent is asked once more, with ``extra_ns`` in addition.
     """
 
     late_ns: int
@@ -89,7 +91,7 @@ class LiveList:
         self._queue = deque(self._addresses)
         self._silent: list[int] = []  # of this pass
         self._long_look = long_look
-        self._busy = False  # the computer, as seen in this list
+        self._polls = self._late = 0  # silent ones, and those of them that showed a busy computer
         self._extra_ns = 0  # in this pass
         self._turn = False  # nothing was asked in this hold yet
         self._waiting = -1  # the address under way
@@ -157,10 +159,15 @@ class LiveList:
             self._settle(address, None, now)
 
     def _silence(self, took_ns: int) -> None:
+        self._polls += 1
         if self._allowance is not None:
             self._allowance.charge(took_ns)
         if self._long_look is not None and took_ns >= self._long_look.late_ns:
-            self._busy = True
+            self._late += 1
+
+    @property
+    def _busy(self) -> bool:
+        return 0 < self._polls <= self._late * _BUSY_POLLS
 
     def _settle(self, address: int, kind: StationType | None, now: int) -> None:
         known = self.stations.get(address)
@@ -178,7 +185,7 @@ class LiveList:
         if silent and self._passes_left > 0:
             self._passes_left -= 1
             self._queue.extend(silent)
-        elif silent and self._busy and self._long_look is not None and not self._limited:
+        elif silent and self._long_look is not None and not self._limited and self._busy:
             self._extra_ns, self._long_look = self._long_look.extra_ns, None  # once
             self._queue.extend(silent)
         else:
