@@ -24,8 +24,11 @@ check: $(VENV)/.check
 	$(PY) -m mypy
 	$(PY) -m pytest tests/test_docs.py tests/test_imports.py
 
+# make soak SEED=... looks again where an earlier run looked
+soak: SEED := $(shell date +%s)
 soak: $(VENV)/.test
-	$(PY) -m pytest -m soak
+	@echo "what hypothesis tries: SEED=$(SEED)"
+	$(PY) -m pytest -m soak --hypothesis-profile=soak --hypothesis-seed=$(SEED)
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info drives/*.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

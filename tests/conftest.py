@@ -2,18 +2,48 @@
 
 from __future__ import annotations
 
+import signal
 import tempfile
 from collections.abc import Generator, Iterator
 
 import pytest
+from hypothesis import is_hypothesis_test
+from property_kit import register_profiles, soaking
 from support import WorldFactory, wire_log
+
+register_profiles()  # before test modules take their settings from them
+
+
+def pytest_configure() -> None:
+    """A shell's ``&`` and ``nohup`` hand on signals that are ignored, also to the programs that tests start.
+
+    A handler is not handed on: SIGHUP still does not end pytest, but a program under test.
+    """
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, lambda number, frame: None)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """``make soak`` runs what hypothesis drives too."""
+    if soaking():
+        for item in items:
+            if is_hypothesis_test(getattr(item, "obj", None)):
+                item.add_marker(pytest.mark.soak)
 
 
 @pytest.fixture(scope="session", autouse=True)
 def runtime_directory() -> Iterator[str]:
-    """Programs under test, in this process and in others, keep their sockets to themselves (short: a socket's path)."""
+    """Programs under test, in this process and in others, keep their sockets to themselves (short: a socket's path).
+
+    They are compiled once, not at every start, whatever the environment says.
+    """
     with tempfile.TemporaryDirectory(prefix="dp") as path, pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_RUNTIME_DIR", path)
+        patch.setenv("PYTHONPYCACHEPREFIX", f"{path}/compiled")
+        patch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)
         yield path
 
 

@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -57,10 +58,22 @@ class Program:
         return [json.loads(line) for line in self.out.splitlines() if line.endswith("}")]
 
     def wait_for(self, text: str, times: int = 1, limit: float = 20.0) -> None:
+        self._wait(lambda: self.out.count(text) >= times, repr(text), limit)
+
+    def wait_for_slaves(self, count: int, limit: float = 20.0) -> None:
+        """Until ``count`` slaves of this ``run --json`` are in data exchange, each one whatever became of it before."""
+
+        def exchanging() -> bool:
+            states = {line["address"]: line["state"] for line in self.lines if line.get("event") == "slave"}
+            return list(states.values()) == ["data_exchange"] * count
+
+        self._wait(exchanging, f"data exchange with {count} slaves", limit)
+
+    def _wait(self, happened: Callable[[], bool], what: str, limit: float) -> None:
         end = time.monotonic() + limit
-        while self.out.count(text) < times:
+        while not happened():
             assert self.process.poll() is None, f"ended with {self.process.returncode}: {self.out}{self.err}"
-            assert time.monotonic() < end, f"{text!r} not seen in: {self.out}{self.err}"
+            assert time.monotonic() < end, f"{what} not seen in: {self.out}{self.err}"
             time.sleep(0.02)
 
     def end(self, number: int | None = None, limit: float = 20.0) -> int:

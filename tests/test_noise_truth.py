@@ -15,8 +15,9 @@ from itertools import pairwise
 import pytest
 from bus_kit import SimBus
 from fire_kit import FireRing
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from property_kit import examples
 from support import MS, S
 
 from dpstack.dp.events import SlaveState, SlaveStateChanged
@@ -188,7 +189,7 @@ def test_every_damaged_telegram_is_counted_and_no_wrong_octet_gets_through(rate:
     assert exchanges > 0
 
 
-@settings(max_examples=12, deadline=None)
+@examples(12)
 @given(
     seed=st.integers(0, 1 << 32),
     rate=st.sampled_from([1e-5, 1e-4, 3e-4, 1e-3, 2e-3]),

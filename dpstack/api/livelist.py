@@ -13,7 +13,7 @@ from dpstack.dp.events import SlaveState
 from dpstack.dp.scanner import Found, Scanner, SlaveView, view_of
 from dpstack.errors import BusError, DpError
 from dpstack.fdl.commands import AttachUser, DetachUser
-from dpstack.fdl.livelist import LiveList, live_allowance
+from dpstack.fdl.livelist import LiveList, live_allowance, long_look
 from dpstack.fdl.telegram import StationType
 from dpstack.params import MAX_STATION
 
@@ -29,7 +29,9 @@ async def scan_on(bus: Bus, *, configs: bool, addresses: Iterable[int], quick: b
     own = bus.params.address
     allowance = None if quick else live_allowance(bus.params, bus.station.patience, bus.runtime.now())
     mine = {} if bus.master.read_only else {slave.address: slave for slave in bus.slaves}
-    scanner = Scanner(own, LiveList(own, addresses=addresses, allowance=allowance), configs=configs, skip=mine)
+    look = long_look(bus.params, bus.station.patience) if quick else None
+    live = LiveList(own, addresses=addresses, allowance=allowance, long_look=look)
+    scanner = Scanner(own, live, configs=configs, skip=mine)
     bus.command(AttachUser(scanner))
     try:
         await bus.until(lambda: scanner.done)

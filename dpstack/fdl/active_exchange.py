@@ -99,7 +99,7 @@ def _await(link: Link, at: int) -> None:
     link.enter(State.AWAIT_DATA_RESPONSE)
     request = link.request
     patient = request.patient or request.da in link.slow
-    link.deadline = at + (link.slot_known_ns if patient else link.slot_unknown_ns)
+    link.deadline = at + (link.slot_known_ns if patient else link.slot_unknown_ns) + request.extra_ns
     if link.exact:
         link.early_until = at + link.early_ns
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable
-from typing import Final
+from typing import Final, NamedTuple
 
 from dpstack.fdl.events import StationFound
 from dpstack.fdl.ring import Allowance
@@ -17,12 +17,18 @@ from dpstack.fdl.user import Failure, Request
 from dpstack.params import UNADDRESSED, BusParams
 from dpstack.phy.patience import Patience
 from dpstack.trace import Event
-from dpstack.units import NEVER
+from dpstack.units import BITS_PER_CHAR, NEVER, NS_PER_MS
 
 #: 126 is the address of a slave as delivered; 127 is nobody's
 ALL_ADDRESSES: Final = range(UNADDRESSED + 1)
 #: the GAP lives on the same silent polls: the live list leaves it half of what they may take
 _SHARES: Final = 2
+#: an FDL status is SD1
+_POLL_BITS: Final = 6 * BITS_PER_CHAR
+#: of a busy computer an address that never answered is given so much once (stalls of 10 to 30 ms, each poll another)
+_BUSY_NS: Final = 20 * NS_PER_MS
+#: one late poll in so many is a busy computer; fewer hide a station that is asked twice once in 2500 times
+_BUSY_POLLS: Final = 50
 
 
 def live_allowance(params: BusParams, patience: Patience, now: int) -> Allowance:
@@ -30,12 +36,33 @@ def live_allowance(params: BusParams, patience: Patience, now: int) -> Allowance
     return Allowance(_SHARES * patience.unknown_share, patience.silent_ns(params), now)
 
 
+class LongLook(NamedTuple):
+    """A silent poll that takes ``late_ns`` or more, first bit to time-out, shows that this computer has little time.
+
+    When one in 50 does, a station that is a process of the same computer may have had none for any of our requests: it
+    answers none that has another one behind it. So whoever is silent is asked once more, with ``extra_ns`` in addition.
+    """
+
+    late_ns: int
+    extra_ns: int
+
+
+def long_look(params: BusParams, patience: Patience) -> LongLook | None:
+    """For a port with ``patience``; None where a silent address is given as much in any case, or time is exact."""
+    extra_ns = min(patience.known_ns, _BUSY_NS) - patience.unknown_ns
+    if extra_ns <= 0:
+        return None
+    poll_ns = params.ns(_POLL_BITS) + patience.sending_ns + patience.silent_ns(params)
+    return LongLook(poll_ns + patience.unknown_ns // 2, extra_ns)
+
+
 class LiveList:
     """The stations of a bus as a ``LinkUser``; ``own`` is the asking station's address and is left out.
 
     ``addresses`` are asked in turn, the silent ones in ``passes`` passes: one damaged answer or a host that stalls
     must not hide a station. Then the list is ``done``; with ``period_ns`` it begins again so long after a pass began.
-    ``allowance`` None: nothing but the live list counts, no limit; ``quick_start``: none the first time.
+    ``allowance`` None: nothing but the live list counts, no limit; ``quick_start``: none the first time. While there is
+    none, ``long_look`` adds a patient pass for a computer that is busy.
     """
 
     def __init__(
@@ -47,6 +74,7 @@ class LiveList:
         period_ns: int = 0,
         allowance: Allowance | None = None,
         quick_start: bool = False,
+        long_look: LongLook | None = None,
     ) -> None:
         #: the stations that answered last time, with their type
         self.stations: dict[int, StationType] = {}
@@ -62,6 +90,9 @@ class LiveList:
         self._limited = allowance is not None and not quick_start
         self._queue = deque(self._addresses)
         self._silent: list[int] = []  # of this pass
+        self._long_look = long_look
+        self._polls = self._late = 0  # silent ones, and those of them that showed a busy computer
+        self._extra_ns = 0  # in this pass
         self._turn = False  # nothing was asked in this hold yet
         self._waiting = -1  # the address under way
         self._begun = -1
@@ -98,7 +129,7 @@ class LiveList:
             return None
         self._turn = False
         self._waiting = self._queue.popleft()
-        return Request(address, Req.FDL_STATUS, patient=known, retry=known)
+        return Request(address, Req.FDL_STATUS, patient=known, retry=known, extra_ns=self._extra_ns)
 
     def started(self, request: Request, at: int) -> None:
         """What a silent poll takes counts from here."""
@@ -121,12 +152,22 @@ class LiveList:
     def _no_answer(self, address: int, silent: bool, now: int) -> None:
         if not silent:
             self.unreadable.add(address)
-        elif address not in self.stations and self._allowance is not None:
-            self._allowance.charge(now - self._started)
-        if self._passes_left > 0:
-            self._silent.append(address)
-        elif silent:  # what cannot be read proves nothing
+        elif address not in self.stations:
+            self._silence(now - self._started)
+        self._silent.append(address)
+        if silent and self._passes_left == 0:  # what cannot be read proves nothing
             self._settle(address, None, now)
+
+    def _silence(self, took_ns: int) -> None:
+        self._polls += 1
+        if self._allowance is not None:
+            self._allowance.charge(took_ns)
+        if self._long_look is not None and took_ns >= self._long_look.late_ns:
+            self._late += 1
+
+    @property
+    def _busy(self) -> bool:
+        return 0 < self._polls <= self._late * _BUSY_POLLS
 
     def _settle(self, address: int, kind: StationType | None, now: int) -> None:
         known = self.stations.get(address)
@@ -140,13 +181,17 @@ class LiveList:
 
     def _end_pass(self) -> None:
         """The silent ones again, while there are passes left."""
-        if self._silent and self._passes_left > 0:
+        silent, self._silent = self._silent, []
+        if silent and self._passes_left > 0:
             self._passes_left -= 1
-            self._queue.extend(self._silent)
-            self._silent = []
+            self._queue.extend(silent)
+        elif silent and self._long_look is not None and not self._limited and self._busy:
+            self._extra_ns, self._long_look = self._long_look.extra_ns, None  # once
+            self._queue.extend(silent)
         else:
             self.done = True
             self._limited = True
+            self._extra_ns = 0
 
     def command(self, command: object, now: int) -> bool:
         """It takes no orders."""

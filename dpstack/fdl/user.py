@@ -26,7 +26,7 @@ class Request(NamedTuple):
     """One request a link user wants to have sent. ``data`` is the data unit without SAP octets (0..244 octets).
 
     ``function`` says the priority too (SRD_HIGH, SRD_LOW ...). ``patient`` asks for the slack of a station whose
-    silence has consequences. ``retry`` False makes it one attempt;
+    silence has consequences; ``extra_ns`` is waited in addition. ``retry`` False makes it one attempt;
     ``restart`` takes the station up afresh (FCV 0, FCB 1) whatever was known of it. ``tag`` is the user's own.
     """
 
@@ -39,6 +39,7 @@ class Request(NamedTuple):
     retry: bool = True
     restart: bool = False
     tag: object = None
+    extra_ns: int = 0
 
     @property
     def expect(self) -> Expect:

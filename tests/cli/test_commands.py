@@ -294,7 +294,7 @@ def test_plan_for_people(plant: str, capsys: Out) -> None:
 # --- demo -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("baud", ["500000", "12000000", "19200"])
+@pytest.mark.parametrize("baud", ["500000", "1500000", "19200", pytest.param("12000000", marks=pytest.mark.soak)])
 def test_demo_fast(baud: str, capsys: Out) -> None:
     assert call("demo", "--fast", "--json", "--baud", baud) == 0
     printed = capsys.readouterr()

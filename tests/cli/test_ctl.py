@@ -48,7 +48,7 @@ def test_three_programs_are_told_what_to_do(tmp_path: Path, start: Starter, caps
     config.write_text(PLANT.format(port=bus / "1"), encoding="utf-8")
     start("sim", str(config), "--port", str(bus / "0")).wait_for("raw")
     run = start("run", str(config), "--json")
-    run.wait_for('"state":"data_exchange"', 3)
+    run.wait_for_slaves(3)
 
     assert "trip SLAVE CODE" in ctl(capsys, str(bus / "0"))
     assert ctl(capsys, str(bus / "0"), "trip", "hoist", "F2100") == "ok\n"

@@ -80,11 +80,12 @@ def test_the_simulator_dies_and_comes_back(tmp_path: Path, start: Starter, segme
     sim = start("sim", config, "--port", str(segment / "0"))
     sim.wait_for("raw")
     run = start("run", config, "--json")
-    run.wait_for('"state":"data_exchange"', 3)
+    run.wait_for_slaves(3)
     sim.end(signal.SIGKILL)
     run.wait_for('"kind":"lost"', 3)
     start("sim", config, "--port", str(segment / "0")).wait_for("raw")
     run.wait_for('"state":"data_exchange"', 6)
+    run.wait_for_slaves(3)
     assert run.end(signal.SIGINT) == 0
     assert all(s["state"] == "data_exchange" for s in run.lines[-1]["slaves"].values())
 
@@ -113,7 +114,7 @@ def test_the_end_leaves_safe_outputs(tmp_path: Path, start: Starter, segment: Pa
     config = plant(tmp_path, segment / "1")
     start("sim", config, "--port", str(segment / "0")).wait_for("raw")
     run = start("run", config, "--json")
-    run.wait_for('"state":"data_exchange"', 3)
+    run.wait_for_slaves(3)
     assert run.end(signal.SIGTERM) == 0
     told = run.lines
     assert [e["mode"] for e in told if e["event"] == "mode"] == ["operate", "clear", "offline"]
@@ -129,12 +130,13 @@ def test_the_port_vanishes(tmp_path: Path, start: Starter) -> None:
     sim = start("sim", config, "--port", str(directory / "0"))
     sim.wait_for("raw")
     run = start("run", config, "--json")
-    run.wait_for('"state":"data_exchange"', 3)
+    run.wait_for_slaves(3)
     segment.end(signal.SIGTERM)
     run.wait_for('"lost":true')
     start("segment", "--stations", "2", "--dir", str(directory)).wait_for(str(directory / "1"))
     run.wait_for('"lost":false')
     run.wait_for('"state":"data_exchange"', 6)
+    run.wait_for_slaves(3)
     assert run.end(signal.SIGINT) == 0
     assert run.err == ""
 
@@ -165,7 +167,7 @@ def test_the_rate_of_a_running_bus_is_found_and_a_second_master_joins_at_it(tmp_
     config.write_text(PLANT.format(port=directory / "1").replace("500000", "187500"), encoding="utf-8")
     sim = start("sim", str(config), "--port", str(directory / "0"), "--baud", "auto")
     run = start("run", str(config), "--json")
-    run.wait_for('"state":"data_exchange"', 3)
+    run.wait_for_slaves(3)
     assert "at 187.5 kbit/s" in sim.out
     found = start("baud", "--port", str(directory / "2"), "--timeout", "20", "--json")
     assert found.end() == 0
@@ -180,6 +182,7 @@ def test_the_rate_of_a_running_bus_is_found_and_a_second_master_joins_at_it(tmp_
     assert joined.end(limit=60) == 0, joined.err
     assert joined.lines[0]["baud"] == 187_500
     assert joined.lines[-1]["tokens"] > 0
+    run.wait_for_slaves(3)
     assert run.end(signal.SIGINT) == 0
     assert run.err == ""
 
@@ -212,7 +215,7 @@ def test_slaves_follow_to_another_rate_without_a_restart(
 
     for turn, baud in enumerate((187_500, 500_000), 1):
         run = start("run", str(config), "--baud", str(baud), "--json")
-        run.wait_for('"state":"data_exchange"', 3)
+        run.wait_for_slaves(3)
         assert ask(segment / "0", "status")["result"]["baud"] == baud
         assert ask(segment / "1", "status")["result"]["baud"] == baud
         assert run.end(signal.SIGTERM) == 0

@@ -6,9 +6,10 @@ Losses, damaged telegrams, late answers, wrong answers, refusals, tokens lost, t
 from __future__ import annotations
 
 from class2_kit import MS, Class2Bus
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from octet_slave import RR, RS, SC, OctetSlave, Say, sd1, sd2
+from property_kit import examples
 
 from dpstack.dp.class2 import CancelService, ChangeAddress, ReadService
 from dpstack.dp.class2_jobs import Service, ServiceFailure
@@ -38,7 +39,7 @@ _losses = st.tuples(st.just("loss"), st.integers(0, 3), st.none())
 _others = st.tuples(st.sampled_from(("down", "up", "offline", "online", "cancel", "well")), st.none(), st.none())
 
 
-@settings(max_examples=120, deadline=None)
+@examples(120)
 @given(
     st.lists(st.one_of(_reads, _reads, _changes, _runs, _runs, _faults, _delays, _losses, _others), max_size=20),
     st.sampled_from(("whole", "octets", "chunk")),

@@ -14,6 +14,7 @@ from faulty_slaves import RefusesParameters, locked_by, refuses_config, wrong_id
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, precondition, rule
+from property_kit import examples
 from scripted_link import MS, ScriptedLink
 from support_responder import Slave as OctetSlave
 
@@ -267,4 +268,4 @@ class AnyOrder(RuleBasedStateMachine):
 
 
 TestAnyOrder = AnyOrder.TestCase
-TestAnyOrder.settings = settings(max_examples=25, stateful_step_count=25)
+TestAnyOrder.settings = settings(examples(25), stateful_step_count=25)

@@ -6,9 +6,10 @@ The rows are (what is asked, what is answered, the state afterwards); telegrams 
 from __future__ import annotations
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from octet_wire import BIT, MS, PARAMS, Wire, framed
+from property_kit import examples
 
 from dpstack.dp.dp_slave import DpSlave
 from dpstack.dp.slave_description import SlaveDescription
@@ -350,7 +351,7 @@ class Player(Slave):
         return ""
 
 
-@settings(max_examples=150, deadline=None)
+@examples(150)
 @given(st.lists(STEPS, max_size=30))
 def test_whatever_a_master_of_octets_sends(script: list[tuple[str, int, str]]) -> None:
     slave = Player(SYNCABLE)

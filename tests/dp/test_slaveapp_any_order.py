@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from property_kit import examples
 from slave_kit import CFG, KEEP, MS, PRM, PRM_NO_WD, SLAVE, UNLOCK, Bench, Recorder, global_control, srd
 
 from dpstack.dp.slaveapp import SlaveAppState
@@ -59,7 +60,7 @@ def play(bench: Bench, what: str, sa: int, arg: object) -> Reply | None:
     return None
 
 
-@settings(max_examples=300, deadline=None)
+@examples(300)
 @given(st.sampled_from(["", "prm", "prm cfg"]), st.lists(steps, max_size=40))
 def test_any_order(begin: str, script: list[tuple[str, int, object]]) -> None:
     bench = Bench(Sized())

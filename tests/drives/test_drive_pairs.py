@@ -8,8 +8,9 @@ from collections.abc import Mapping
 
 import pytest
 from drive_bench import MS, PairBench
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from property_kit import examples
 
 from dpstack.profile import DriveProfile, State
 from dpstack_drives.demag import DRIVE as DEMAG
@@ -176,7 +177,7 @@ def test_unchanged_inputs_cost_nothing(drive: DriveProfile, telegram: str, prese
     assert bench.core.cyclic(inputs, bench.now + 1) is first
 
 
-@settings(max_examples=60, deadline=None)
+@examples(60)
 @given(st.data())
 def test_random_outputs_never_break_a_simulated_drive(data: st.DataObject) -> None:
     drive, telegram, presets = data.draw(st.sampled_from(ALL))
@@ -194,7 +195,7 @@ def test_random_outputs_never_break_a_simulated_drive(data: st.DataObject) -> No
         assert core.status().state is not State.UNKNOWN
 
 
-@settings(max_examples=60, deadline=None)
+@examples(60)
 @given(st.data())
 def test_random_inputs_and_orders_never_break_a_plugin(data: st.DataObject) -> None:
     drive, telegram, _ = data.draw(st.sampled_from(ALL))

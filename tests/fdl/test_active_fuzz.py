@@ -5,8 +5,9 @@ from __future__ import annotations
 import random
 from functools import partial
 
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from property_kit import examples
 from ring_bus import ListUser, RingBus, Sent
 
 from dpstack.fdl.active import ActiveStation
@@ -61,7 +62,7 @@ def requests(count: int) -> list[Request]:
     return [kinds[i % len(kinds)] for i in range(count)]
 
 
-@settings(max_examples=150, deadline=None)
+@examples(50, soak=1_500)
 @given(STEPS, st.booleans())
 def test_anything_settles_and_comes_back(steps: list[tuple[str, object]], slow: bool) -> None:
     user = ListUser(per_hold=requests(3))
@@ -110,7 +111,7 @@ def test_anything_settles_and_comes_back(steps: list[tuple[str, object]], slow: 
     assert station.wake_at() < NEVER
 
 
-@settings(max_examples=25, deadline=None)
+@examples(10, soak=250)
 @given(
     st.sets(st.integers(0, 14), min_size=2, max_size=8),
     st.integers(0, 2**32),

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import pytest
 from ring_bus import ListUser, RingBus, fixed
 
 from dpstack.fdl.commands import AttachUser, DetachUser
 from dpstack.fdl.events import StationFound
-from dpstack.fdl.livelist import LiveList, live_allowance
-from dpstack.fdl.telegram import Req, StationType
-from dpstack.fdl.user import Request
+from dpstack.fdl.livelist import LiveList, live_allowance, long_look
+from dpstack.fdl.telegram import Kind, Req, StationType, Telegram
+from dpstack.fdl.user import Failure, Request
 from dpstack.params import BusParams
-from dpstack.phy.patience import HOST
+from dpstack.phy.patience import ADAPTER, EXACT, HOST, Patience, slack
 from dpstack.units import NS_PER_MS
 
 #: FDL status of station 2 to 4 and to 126, answers: a slave
@@ -120,12 +121,12 @@ def test_silent_polls_on_a_host_port_keep_to_their_share_and_leave_the_gap_its_o
     params = BusParams.preset(500_000, address=2)
     live = LiveList(2, period_ns=1, allowance=live_allowance(params, HOST, 0))
     station = bus.master(2, live, patience=HOST)
-    bus.run(60_000 * NS_PER_MS)
+    bus.run(20_000 * NS_PER_MS)
     cost = 2 * NS_PER_MS + bus.ns(200 + 11)
     mine = len(polls(bus)) - station.stats.gap_polls
-    assert mine * cost < 60_000 * NS_PER_MS // 200 + 17 * cost
-    assert mine > 50
-    assert station.stats.gap_polls > 50
+    assert mine * cost < 20_000 * NS_PER_MS // 200 + 17 * cost
+    assert mine > 17
+    assert station.stats.gap_polls > 17
 
 
 def test_a_user_that_comes_and_goes() -> None:
@@ -154,3 +155,65 @@ def test_soon_and_forgotten() -> None:
     assert polls(bus)[:3] == [77, 0, 1]
     live.forget(4, bus.now)
     assert live.stations == {}
+
+
+def asked(live: LiveList, took_ns: int, answers: dict[int, Telegram], first_ns: int = 0) -> list[Request]:
+    """The whole list as a link would ask it, each silence noticed after ``took_ns`` (``first_ns``) and ``extra_ns``."""
+    requests: list[Request] = []
+    now = 0
+    while not live.done:
+        now += NS_PER_MS
+        live.token_received(now)
+        request = live.next_request(now, False)
+        assert request is not None
+        requests.append(request)
+        live.started(request, now)
+        now += (took_ns if requests[1:] else max(took_ns, first_ns)) + request.extra_ns
+        answer = answers.get(request.da) if request.extra_ns else None
+        live.result(request, Failure.NO_ANSWER if answer is None else answer, now)
+    return requests
+
+
+def test_a_busy_computer_looks_once_more_with_patience() -> None:
+    """At 500 kbit/s: 6 octets, T_SL of 200 and one octet are 554 us; 2 ms of slack, 1 ms of it more is busy."""
+    params = BusParams.preset(500_000, address=2)
+    look = long_look(params, HOST)
+    assert look == (3_554_000, 18 * NS_PER_MS)
+    late = {4: Telegram(Kind.SD1, 2, 4, fc=0)}
+    addresses = [3, 4, 5]
+
+    in_time = LiveList(2, addresses=addresses, long_look=look)
+    assert [r.da for r in asked(in_time, 3_553_999, late)] == addresses * 2
+    assert in_time.stations == {}
+
+    # one of 52 is late: no more than what happens on any computer; one of 50 is more
+    for count, extra in ((26, 0), (25, 25)):
+        once = LiveList(2, addresses=range(3, 3 + count), long_look=look)
+        assert len(asked(once, 3_553_999, {}, first_ns=3_554_000)) == 2 * count + extra
+
+    busy = LiveList(2, addresses=addresses, long_look=look)
+    requests = asked(busy, 3_554_000, late)
+    assert [(r.da, r.extra_ns) for r in requests] == [(a, 0) for a in addresses * 2] + [
+        (a, 18 * NS_PER_MS) for a in addresses
+    ]
+    assert busy.stations == {4: StationType.SLAVE}
+
+
+@pytest.mark.parametrize("patience", [EXACT, ADAPTER, slack(20 * NS_PER_MS)])
+def test_no_long_look_where_every_look_is_one(patience: Patience) -> None:
+    assert long_look(BusParams.preset(500_000), patience) is None
+
+
+def test_extra_time_for_an_answer() -> None:
+    """The answer begins 18 ms after the request; HOST waits 2 ms, T_SL and one octet."""
+    outcomes = []
+    for extra_ns in (0, 18 * NS_PER_MS):
+        bus = RingBus(mode="chunk")
+        bus.slaves[4] = fixed(TO_4, SLAVE_4, 9_000)
+        user = ListUser(low=[Request(4, Req.FDL_STATUS, retry=False, extra_ns=extra_ns)])
+        bus.master(2, user, gap=0, patience=HOST)
+        bus.run(500 * NS_PER_MS)
+        ((_, outcome, _),) = user.results
+        outcomes.append(outcome)
+    assert outcomes[0] is Failure.NO_ANSWER
+    assert isinstance(outcomes[1], Telegram)

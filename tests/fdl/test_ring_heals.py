@@ -10,13 +10,13 @@ pass over the GAP begins up to G x T_TR later, and polls one address a token hol
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import pytest
 from fire_kit import FireRing, fire_params, healing_bits, inclusion_bits
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from property_kit import examples
 from support import wire_log
 
 from dpstack.fdl.events import AddressCollision
@@ -143,33 +143,15 @@ def run(scenario: Scenario, *, slaves: bool) -> None:
         ring.until(lambda: ring.exchanging, 5_000_000)
 
 
-def driven(examples: int) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Run a test with so many scenarios."""
-    checks = [HealthCheck.too_slow]
-    return lambda test: settings(max_examples=examples, deadline=None, suppress_health_check=checks)(
-        given(SCENARIOS)(test)
-    )
-
-
-@driven(40)
+@examples(25, soak=1_000)
+@given(SCENARIOS)
 def test_bare_masters_heal(scenario: Scenario) -> None:
     run(scenario, slaves=False)
 
 
-@driven(25)
+@examples(12, soak=500)
+@given(SCENARIOS)
 def test_masters_with_slaves_heal(scenario: Scenario) -> None:
-    run(scenario, slaves=True)
-
-
-@pytest.mark.soak
-@driven(1_000)
-def test_bare_masters_heal_again_and_again(scenario: Scenario) -> None:
-    run(scenario, slaves=False)
-
-
-@pytest.mark.soak
-@driven(500)
-def test_masters_with_slaves_heal_again_and_again(scenario: Scenario) -> None:
     run(scenario, slaves=True)
 
 

@@ -53,7 +53,7 @@ def test_the_wire_log_is_the_same_for_the_same_seed_and_another_for_another(worl
 
 @pytest.mark.parametrize("per_bit", [1e-5, 1e-4, 1e-3])
 def test_noise_makes_nobody_break_the_rules(world: WorldFactory, per_bit: float) -> None:
-    for seed in range(4):
+    for seed in range(2):
         bus = bring_up(world, seed=seed)
         bus.world.faults.noise(per_bit)
         bus.world.run_for(2 * S)

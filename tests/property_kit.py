@@ -1,0 +1,37 @@
+"""How many examples hypothesis tries: few and always the same in ``make test``, many and random in ``make soak``."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from hypothesis import HealthCheck, Phase, settings
+
+#: ``make soak`` tries so many times the examples of ``make test``
+_MORE: Final = 10
+
+
+def register_profiles() -> None:
+    """``test`` tells the first example that fails and does not shrink it, which takes minutes where worlds run.
+
+    What would depend on the speed of the computer is off in both.
+    """
+    same = settings(
+        deadline=None,
+        database=None,
+        print_blob=True,
+        report_multiple_bugs=False,
+        suppress_health_check=[HealthCheck.too_slow],
+    )
+    settings.register_profile("test", same, derandomize=True, phases=(Phase.explicit, Phase.generate))
+    settings.register_profile("soak", same, derandomize=False, max_examples=_MORE * same.max_examples)
+    settings.load_profile("test")
+
+
+def soaking() -> bool:
+    """Whether hypothesis is to look for what it has not found yet."""
+    return settings.get_current_profile_name() == "soak"
+
+
+def examples(count: int, *, soak: int | None = None) -> settings:
+    """The settings of a test with ``count`` examples; ``soak``: so many in ``make soak``, None: ten times as many."""
+    return settings(max_examples=(_MORE * count if soak is None else soak) if soaking() else count)
