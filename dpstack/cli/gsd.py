@@ -28,7 +28,7 @@ def add_to(commands: options.Commands) -> None:
     parser = options.command(commands, "gsd", "GSD files: show, check, configure", "dpstack gsd show valves.gsd")
     inner = parser.add_subparsers(dest="gsd_command", metavar="COMMAND", required=True)
     shower = options.command(inner, "show", "what a GSD file says", "dpstack gsd show valves.gsd --json")
-    shower.add_argument("file", metavar="FILE", help="GSD file, or a drive that dpstack brings one for (demag-dedrive, keb-f5)")
+    shower.add_argument("file", metavar="FILE", help="GSD file, or a drive that has one here (demag-dedrive, keb-f5)")
     options.add_json(shower)
     shower.set_defaults(execute=show)
     checker = options.command(

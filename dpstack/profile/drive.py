@@ -129,15 +129,16 @@ class DriveProfile:
         min_slave_interval_ns: int,
         fail_safe: bool,
     ) -> DriveProfile:
-        """The drive with ``telegram`` only, as a GSD file describes it; what it says is not made up.
+        """The drive with ``telegram`` by default, as a GSD file describes it; what that says is not made up.
 
         ``ident`` None: the file has none.
         """
+        others = {name: spec for name, spec in self.telegrams.items() if name != telegram.name}
         return replace(
             self,
             ident=self.ident if ident is None else ident,
             ident_made_up=self.ident_made_up and ident is None,
-            telegrams={telegram.name: replace(telegram, config=config, made_up=False)},
+            telegrams={telegram.name: replace(telegram, config=config, made_up=False)} | others,
             default_telegram=telegram.name,
             user_prm=user_prm,
             baud_rates=baud_rates,

@@ -14,6 +14,7 @@ from octet_wire import PARAMS, Wire, framed
 import dpstack
 from dpstack.api.bench import device_of
 from dpstack.api.config import slave_config
+from dpstack.api.events import event_json
 from dpstack.dp.device import Device
 from dpstack.dp.slave_gsd import slave_description
 from dpstack.dp.slaveapp import make_slave
@@ -195,3 +196,51 @@ async def bring_up() -> tuple[str, bytes]:
 
 def test_the_same_file_at_both_ends() -> None:
     assert dpstack.run_virtual(bring_up()) == ("data_exchange", b"\xf0")
+
+
+# --- its diagnosis in the words of the file ------------------------------------------------------------------------
+
+#: device related bits 0 and 9; identifier related module 0; channel 3 of module 0, a bit, input, error 16
+EXT = bytes.fromhex("03 01 02 42 01 80 43 30")
+DIAGNOSIS = str(FILES / "diagnosis.gsd")
+
+
+async def diagnosis_of(ext: bytes) -> tuple[tuple[str, ...], list[dict[str, object]]]:
+    """(diagnosis_texts, lines of run --json)."""
+    world = dpstack.World()
+    slave = dpstack.slave_from_gsd(DIAGNOSIS, lambda outputs, elapsed: b"\0", ["own texts"])
+    async with (
+        dpstack.serve_slave(slave, world=world, address=9),
+        dpstack.open_bus(world=world, baud=500_000, slaves=[{"name": "io", "address": 9, "gsd": DIAGNOSIS}]) as bus,
+    ):
+        await bus.operate()
+        await bus.ready()
+        events = bus.events()
+        slave.diag = dpstack.UserDiag(ext, True)
+        await bus.until(lambda: getattr(bus.slave("io").diagnosis, "ext", b"") == ext, timeout=1)
+        await bus.rotated(bus.stats.rotations + 5)
+        assert bus.slave("io").ready_now
+        texts = bus.slave("io").diagnosis_texts
+    return texts, [line async for event in events if (line := event_json(event, 0.0)) is not None]
+
+
+def test_a_diagnosis_reaches_the_program_and_the_json_lines() -> None:
+    texts, lines = dpstack.run_virtual(diagnosis_of(EXT))
+    words = (
+        "fuse blown (replace F1)",
+        "too hot",
+        "no load voltage",
+        "modules with a diagnosis: 0 (own texts)",
+        "module 0 (own texts), input channel 3 (bit): coil open",
+    )
+    assert texts[-5:] == words
+    told = [line for line in lines if line["event"] == "diagnosis" and "ext_diag" in str(line["flags"])]
+    assert [line["texts"] for line in told] == [list(words)]
+
+
+def test_block_lengths_that_lie_are_told_once_and_what_is_there_is_decoded() -> None:
+    texts, lines = dpstack.run_virtual(diagnosis_of(bytes.fromhex("03 01 02 48 05")))
+    assert texts[-1] == "modules with a diagnosis: 0 (own texts), 2"
+    assert "fuse blown (replace F1)" in texts
+    findings = [str(line) for line in lines if "announces a block of 8 octets" in str(line)]
+    assert len(findings) == 1
