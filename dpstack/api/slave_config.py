@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
@@ -128,6 +129,24 @@ class SlaveConfig:
             ignore_auto_clear=self.ignore_auto_clear,
             texts=self.texts,
         )
+
+
+def refitted(slave: SlaveConfig) -> SlaveConfig:
+    """``slave`` after a change, held against its names for process data and its GSD file. Raises ConfigError."""
+    where, told = f"slave {slave.address} ({slave.name})", slave.description
+    if told is not None:
+        for key, supported in (("sync", told.sync), ("freeze", told.freeze)):
+            if getattr(slave, key) and not supported:
+                raise ConfigError(f"{where}: its GSD file says {key.capitalize()}_Mode_supp = 0; leave {key} out")
+        reason = told.check_prm(slave.user_prm) if slave.config in told.configs else None
+        if reason is not None:
+            raise ConfigError(f"{where}: {reason}")
+    try:
+        inputs = slave.input_fields.fitted(slave.input_len, "inputs")
+        outputs = slave.output_fields.fitted(slave.output_len, "outputs")
+    except ConfigError as error:
+        raise ConfigError(f"{where}: {error}; a named field would be lost") from None
+    return dataclasses.replace(slave, input_fields=inputs, output_fields=outputs)
 
 
 def read_slave(table: Table) -> SlaveConfig:
