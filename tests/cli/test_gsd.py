@@ -97,6 +97,15 @@ def test_check_tells_and_judges(capsys: pytest.CaptureFixture[str], tmp_path: Pa
     assert [d["severity"] for d in second["diagnostics"]].count("error") == 3
 
 
+def test_check_tells_that_a_modular_station_has_no_module(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    cut = tmp_path / "cut.gsd"
+    cut.write_text((FILES / "whole.gsd").read_text(encoding="utf-8").partition('Module = "')[0], encoding="utf-8")
+    assert main(["gsd", "check", str(cut)]) == 0
+    assert "a modular station (Modular_Station = 1) without any Module: the file may be cut short" in (
+        capsys.readouterr().out
+    )
+
+
 @pytest.mark.parametrize("command", ["show", "configure"])
 def test_what_cannot_be_read(command: str, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert main(["gsd", command, str(tmp_path / "none.gsd")]) == 2
