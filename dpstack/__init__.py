@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from dpstack.api.opening import open_bus
     from dpstack.api.serving import SlaveServer, serve_slave, serve_slaves
     from dpstack.api.slave import Slave
+    from dpstack.api.slave_from_gsd import slave_from_gsd
     from dpstack.api.virtual import World, run_virtual, simulate
     from dpstack.dp.dp_slave import DpSlave
     from dpstack.dp.slave_description import SlaveDescription, SlaveModule
@@ -102,6 +103,7 @@ __all__ = [
     "serve_slave",
     "serve_slaves",
     "simulate",
+    "slave_from_gsd",
 ]
 
 _WHERE: Final = {
@@ -116,6 +118,7 @@ _WHERE: Final = {
     "Mode": "api.events",
     "SlaveState": "api.events",
     "Slave": "api.slave",
+    "slave_from_gsd": "api.slave_from_gsd",
     "run_virtual": "api.virtual",
     "simulate": "api.virtual",
     "World": "api.virtual",

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.dp.device import Device
-from dpstack.dp.mirror import MirrorDevice
+from dpstack.dp.mirror import MirrorDevice, mirror_of
 from dpstack.dp.slave_baud import SearchingSlave
+from dpstack.dp.slave_description import SlaveDescription
 from dpstack.dp.slaveapp import SlaveApp
 from dpstack.fdl.passive import PassiveStation
 from dpstack.fdl.station import BusStation
@@ -20,7 +22,10 @@ from dpstack.units import BAUD_RATES
 
 
 def device_of(slave: SlaveConfig) -> Device:
-    """What simulates ``slave``: the drive's simulated device, or a mirror of outputs to inputs."""
+    """What simulates ``slave``: the drive's simulated device, or a mirror of outputs to inputs.
+
+    A mirror has the lengths, limits and services of the GSD file, where there is one.
+    """
     if slave.profile is not None:
         known = slave.profile.device_options
         device = slave.profile.device(slave.telegram, {k: v for k, v in slave.options.items() if k in known})
@@ -28,12 +33,21 @@ def device_of(slave: SlaveConfig) -> Device:
             device.ident = slave.ident
         device.name = slave.name
         return device
+    if slave.description is not None:
+        return mirror_of(_own(slave, slave.description))
     return MirrorDevice(slave.ident or 0, slave.config, slave.name, fail_safe=slave.fail_safe)
+
+
+def _own(slave: SlaveConfig, description: SlaveDescription) -> SlaveDescription:
+    """``description`` under the slave's own name, with the ident number that the table gives."""
+    return dataclasses.replace(
+        description, name=slave.name, ident=description.ident if slave.ident is None else slave.ident
+    )
 
 
 def rates_of(slave: SlaveConfig) -> Sequence[int]:
     """The baud rates that the device hears, all where nothing is said of them."""
-    return (slave.profile.rates(slave.options) if slave.profile else ()) or BAUD_RATES
+    return sorted(slave.baud_rates) or BAUD_RATES
 
 
 def set_rate(slave: SlaveConfig) -> int | None:

@@ -235,7 +235,10 @@ class Bus(Composed):
         return self._register(config)
 
     async def remove(self, slave: Slave | str | int) -> None:
-        """Give a slave up: safe outputs for one cycle, unlock, then forget it."""
+        """Give a slave up: safe outputs for 50 ms, Unlock, then forget it.
+
+        Returns when it has been ordered; the bus does not end before, and a slave added at its address waits.
+        """
         address = slave.address if isinstance(slave, Slave) else self.slave(slave).address
         self.command(RemoveSlave(address))
         del self._slaves[address]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import resources
 from pathlib import Path
 
 from dpstack.errors import ConfigError
@@ -11,20 +12,56 @@ from dpstack.gsd.model import Diagnostic, GsdFile, Module
 from dpstack.gsd.parser import load_gsd, parse_gsd
 from dpstack.gsd.prm import Reading, UserPrm
 from dpstack.gsd.text import MAX_OCTETS
+from dpstack.profile import registry
 
 
-def read_octets(path: str | Path) -> bytes:
-    """The octets of a file, not many more than a GSD file can have. Raises ConfigError where it cannot be read."""
+def bundled() -> dict[str, str]:
+    """Drives whose package brings a GSD file (written by its authors, not the vendor's): name -> ``package:file``."""
+    return {name: drive.gsd for name, drive in registry.known().items() if drive.gsd is not None}
+
+
+def read_octets(path: str | Path, folder: Path = Path()) -> bytes:
+    """The octets of a file in ``folder``, not many more than a GSD file can have; or of a drive's own by its name.
+
+    Raises ConfigError where it cannot be read.
+    """
+    file = folder / Path(path).expanduser()
     try:
-        with Path(path).open("rb") as file:
-            return file.read(MAX_OCTETS + 1)
+        with file.open("rb") as octets:
+            return octets.read(MAX_OCTETS + 1)
+    except FileNotFoundError as error:
+        if str(path) in bundled():
+            return _own(str(path))
+        raise _unreadable(file, error) from None
+    except (OSError, ValueError) as error:
+        raise _unreadable(file, error) from None
+
+
+def _own(drive: str) -> bytes:
+    package, _, name = bundled()[drive].partition(":")
+    return (resources.files(package) / name).read_bytes()
+
+
+def _unreadable(file: Path, error: OSError | ValueError) -> ConfigError:
+    why = error.strerror if isinstance(error, OSError) else None
+    return ConfigError(f"{file}: {why or error}; give the path of a GSD file")
+
+
+def read_gsd(path: str | Path, folder: Path = Path()) -> GsdFile:
+    """Read a GSD file as :func:`read_octets` does. Raises ConfigError, GsdError where it cannot be used at all."""
+    octets = read_octets(path, folder)
+    return load_gsd(octets, str(folder / Path(path).expanduser()))
+
+
+def copy_gsd(drive: str, target: str | Path) -> None:
+    """Write the GSD file that the package of ``drive`` brings to ``target``, a new file. Raises ConfigError."""
+    if drive not in bundled():
+        raise ConfigError(f"no GSD file was written for {drive!r}; there is one for {', '.join(bundled()) or 'none'}")
+    try:
+        with Path(target).open("xb") as file:
+            file.write(_own(drive))
     except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror or error}; give the path of a GSD file") from None
-
-
-def read_gsd(path: str | Path) -> GsdFile:
-    """Read a GSD file. Raises ConfigError where it cannot be read, GsdError where it cannot be used at all."""
-    return load_gsd(read_octets(path), str(path))
+        raise ConfigError(f"{target}: {error.strerror or error}; give the name of a new file") from None
 
 
 def check_gsd(path: str | Path) -> tuple[Diagnostic, ...]:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Final, NoReturn
 
 from dpstack.api.gsd import read_gsd
@@ -38,18 +37,19 @@ class GsdSlave:
         return frozenset(speed.baud for speed in self.device.speeds)
 
 
-def read_gsd_slave(table: Table, path: str) -> GsdSlave:
-    """Read the file (relative to the configuration) and make the choices. Raises ConfigError, one line."""
-    for key in ("config", "drive", "telegram", "reference_hz", "reference_rpm"):
-        if key in table:
-            table.fail(key, f"{key} beside gsd", f"leave {key} out, or gsd")
+def read_gsd_slave(table: Table, path: str, preset: Callable[[Device], Configuration] = configure) -> GsdSlave:
+    """Read the file (relative to the configuration) and make the choices. Raises ConfigError, one line.
+
+    ``preset``: what is plugged where the table does not say it; may raise GsdError.
+    """
     try:
-        file = read_gsd(table.folder / Path(path).expanduser())
+        file = read_gsd(path, table.folder)
     except ConfigError as error:
         _refuse(table, "gsd", error)
     chosen = "modules" if "modules" in table else "gsd"
     try:
-        configuration = configure(file.device, _modules(table))
+        modules = _modules(table)
+        configuration = preset(file.device) if modules is None else configure(file.device, modules)
     except GsdError as error:
         _refuse(table, chosen, error)
     reading = _reading(table)

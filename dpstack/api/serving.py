@@ -13,7 +13,7 @@ from dpstack.dp.slaveapp import SlaveApp, SlaveAppState, SlaveAppStats
 from dpstack.drivers.aio import AsyncioRuntime, patience_of
 from dpstack.drivers.base import Runtime
 from dpstack.drivers.virtual import VirtualRuntime
-from dpstack.errors import BusError, ConfigError, SlaveTimeout
+from dpstack.errors import BusError, ConfigError, SlaveTimeout, UsageError
 from dpstack.fdl.commands import AtStation
 from dpstack.fdl.multidrop import Multidrop
 from dpstack.fdl.passive import PassiveStation
@@ -29,7 +29,7 @@ OnEvent = Callable[[Event], None]
 
 
 class ServedSlave:
-    """One slave as it is served. ``restart()`` and ``initial_reset()`` are not for use within its own functions."""
+    """One slave as it is served. ``restart()`` and ``initial_reset()`` raise UsageError within its own functions."""
 
     def __init__(self, device: Device, address: int, fixed: bool, params: BusParams, patience: Patience) -> None:
         self.device = device
@@ -136,6 +136,11 @@ class ServedSlave:
             self.station.command(LineDown("switched off"), now)
             act(now)
 
+        if isinstance(self.device, DpSlave) and self.device.inside:
+            raise UsageError(
+                f"slave {self.name}: it cannot be restarted or reset within its own function; "
+                f"do it afterwards, for instance by loop.call_soon(server.slave.restart)"
+            )
         if self.runtime is None:
             again(0)
         else:

@@ -47,7 +47,8 @@ class SimulatedSlave:
         self.unit = unit
         self.name = unit.config.name
         self.address = unit.config.address
-        self.kind = unit.config.profile.name if unit.config.profile else "mirror"
+        profile, description = unit.config.profile, unit.config.description
+        self.kind = profile.name if profile else f"mirror, {description.name}" if description else "mirror"
 
     @property
     def state(self) -> SlaveAppState:

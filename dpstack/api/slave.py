@@ -7,7 +7,7 @@ import difflib
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, TypedDict, Unpack
 
-from dpstack.api.slave_config import SlaveConfig
+from dpstack.api.slave_config import SlaveConfig, refitted
 from dpstack.dp import faults
 from dpstack.dp.commands import ActivateSlave, DeactivateSlave, ReparameteriseSlave
 from dpstack.dp.diag_texts import block_texts
@@ -248,7 +248,8 @@ class Slave:
     async def deactivate(self) -> None:
         """Take it out of service: safe outputs for 50 ms, Unlock, then nothing is sent to it until :meth:`activate`.
 
-        A drive's pending orders end with DriveError.
+        Returns when it has been ordered; the bus does not end before it is done. A drive's pending orders end with
+        DriveError.
         """
         self._bus.command(DeactivateSlave(self.address))
 
@@ -259,7 +260,8 @@ class Slave:
     async def reparameterise(self, *, timeout: float | None = 5.0, **changes: Unpack[Changes]) -> None:
         """Other parameters while the bus runs: safe outputs for 50 ms, Unlock, a new bring-up, data exchange.
 
-        ``changes`` are those of :class:`Changes`. Raises ConfigError before anything is changed, UsageError for other
+        ``changes`` are those of :class:`Changes`. Raises ConfigError before anything is changed (also where a named
+        field would lie outside, or its GSD file does not have it), UsageError for other
         lengths under a drive plugin, SlaveFault or SlaveTimeout as :meth:`ready`. A drive's pending orders end with
         DriveError. ``timeout`` in seconds.
         """
@@ -267,7 +269,7 @@ class Slave:
         if unknown:
             known = ", ".join(sorted(Changes.__annotations__))
             raise UsageError(f"{unknown[0]!r} cannot be changed; these can: {known}")
-        config = dataclasses.replace(self.config, **changes)
+        config = refitted(dataclasses.replace(self.config, **changes))
         self._bus.command(ReparameteriseSlave(config.setup(self._bus.params.baud)))
         self.config = config
         self._handler = self._bus.master.handlers[self.address]

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
 from dpstack.api.field_config import read_fields
-from dpstack.api.gsd_slave import GSD_KEYS, read_gsd_slave
+from dpstack.api.slave_basis import Basis, basis_of
 from dpstack.api.tables import Table
 from dpstack.dp.diag_texts import DiagTexts
 from dpstack.dp.fields import FieldMap
-from dpstack.dp.setup import SlaveSetup
+from dpstack.dp.setup import DPV1_STATUS_LEN, INTERVAL_UNIT, MAX_WATCHDOG_MS, SlaveSetup
+from dpstack.dp.slave_description import SlaveDescription
 from dpstack.errors import ConfigError
-from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.identifiers import io_lengths
+from dpstack.gsd.model import Device
 from dpstack.params import MAX_STATION
-from dpstack.profile import DriveProfile, registry
-from dpstack.units import NS_PER_US
+from dpstack.profile import DriveProfile
 
 _KEYS: Final = (
     "name",
@@ -52,9 +53,6 @@ _KEYS: Final = (
 _LATER: Final[dict[str, tuple[object, ...]]] = {
     "dpv1": (False,),
 }
-#: Min_Slave_Interval counts in 100 us, as GSD files do
-_INTERVAL_UNIT: Final = 100 * NS_PER_US
-MAX_WATCHDOG_MS: Final = 650_250
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,12 +74,16 @@ class SlaveConfig:
     initial: bytes | None = None
     min_slave_interval_ns: int = 0
     fail_safe: bool = False
+    #: a DP-V1 slave is told so in DPV1_Status_1
+    fail_safe_told: bool = False
     sync: bool = False
     freeze: bool = False
     wd_base_1ms: bool = False
     ignore_auto_clear: bool = False
     #: what the device's GSD file says to a diagnosis
     texts: DiagTexts | None = field(default=None, compare=False, repr=False)
+    #: as a slave, where its GSD file describes it
+    description: SlaveDescription | None = field(default=None, compare=False, repr=False)
     #: names for what is in the process data
     input_fields: FieldMap = field(default_factory=FieldMap)
     output_fields: FieldMap = field(default_factory=FieldMap)
@@ -116,6 +118,7 @@ class SlaveConfig:
             safe=self.safe,
             initial=self.initial,
             fail_safe=self.fail_safe,
+            fail_safe_told=self.fail_safe_told,
             every=self.every,
             min_slave_interval_ns=self.min_slave_interval_ns,
             max_tsdr=self.max_tsdr.get(baud),
@@ -128,6 +131,24 @@ class SlaveConfig:
         )
 
 
+def refitted(slave: SlaveConfig) -> SlaveConfig:
+    """``slave`` after a change, held against its names for process data and its GSD file. Raises ConfigError."""
+    where, told = f"slave {slave.address} ({slave.name})", slave.description
+    if told is not None:
+        for key, supported in (("sync", told.sync), ("freeze", told.freeze)):
+            if getattr(slave, key) and not supported:
+                raise ConfigError(f"{where}: its GSD file says {key.capitalize()}_Mode_supp = 0; leave {key} out")
+        reason = told.check_prm(slave.user_prm) if slave.config in told.configs else None
+        if reason is not None:
+            raise ConfigError(f"{where}: {reason}")
+    try:
+        inputs = slave.input_fields.fitted(slave.input_len, "inputs")
+        outputs = slave.output_fields.fitted(slave.output_len, "outputs")
+    except ConfigError as error:
+        raise ConfigError(f"{where}: {error}; a named field would be lost") from None
+    return dataclasses.replace(slave, input_fields=inputs, output_fields=outputs)
+
+
 def read_slave(table: Table) -> SlaveConfig:
     """Check one table. Raises ConfigError, one line."""
     named = table.raw("name")
@@ -138,7 +159,7 @@ def read_slave(table: Table) -> SlaveConfig:
     address = table.integer("address", 0, MAX_STATION, "stations have 0..125; 126 is a slave without an address yet")
     if address is None:
         table.fail(None, "no address", "add its station address, 0..125")
-    slave = _build(table, address, _basis(table))
+    slave = _build(table, address, basis_of(table))
     try:
         slave.setup(500_000)
     except ConfigError as error:
@@ -146,123 +167,7 @@ def read_slave(table: Table) -> SlaveConfig:
     return slave
 
 
-@dataclass(frozen=True, slots=True)
-class _Basis:
-    """What the kinds of slave take from elsewhere: the drive's manual, a GSD file, or nothing."""
-
-    ident: int | None
-    config: bytes
-    user_prm: bytes = b""
-    safe: bytes = b""
-    interval_ns: int = 0
-    fail_safe: bool = False
-    profile: DriveProfile | None = None
-    telegram: str | None = None
-    options: Mapping[str, object] = field(default_factory=dict)
-    max_tsdr: Mapping[int, int] = field(default_factory=dict)
-    baud_rates: frozenset[int] = frozenset()
-    texts: DiagTexts | None = None
-    notes: tuple[str, ...] = ()
-
-
-def _basis(table: Table) -> _Basis:
-    """What the table stands on: a GSD file, a known drive, or octets."""
-    drive, gsd = table.text("drive"), table.text("gsd")
-    if gsd is not None:
-        return _gsd(table, gsd)
-    for key in GSD_KEYS:
-        if key in table:
-            table.fail(key, f"{key} without gsd", f"name the GSD file, or leave {key} out")
-    return _raw(table) if drive is None else _drive(table, drive)
-
-
-def _gsd(table: Table, path: str) -> _Basis:
-    found = read_gsd_slave(table, path)
-    device = found.device
-    if device.ident is None and "ident" not in table:
-        table.fail("gsd", f"{path} has no Ident_Number", 'add ident = 0x1234, or ident = "ask"')
-    return _Basis(
-        ident=device.ident,
-        config=found.configuration.config,
-        user_prm=found.user_prm,
-        interval_ns=(device.min_slave_interval or 0) * _INTERVAL_UNIT,
-        fail_safe=device.fail_safe,
-        max_tsdr=found.max_tsdr,
-        baud_rates=found.baud_rates,
-        texts=found.configuration.texts(),
-        notes=found.notes,
-    )
-
-
-def _drive(table: Table, name: str) -> _Basis:
-    for key in ("config",):
-        if key in table:
-            table.fail(key, f"{key} beside drive", f"leave {key} out: it follows from drive and telegram")
-    try:
-        profile = registry.find(name)
-    except ConfigError as error:
-        raise _split(table, "drive", error) from None
-    wanted = table.text("telegram")
-    try:
-        telegram = profile.telegram(wanted)
-    except ConfigError as error:
-        raise _split(table, "telegram", error) from None
-    inside = table.table("options")
-    options = {} if inside is None else {key: inside.raw(key) for key in inside}
-    references: dict[str, object] = {}
-    for key in ("reference_hz", "reference_rpm"):
-        value = table.number(key, 0.001, 1_000_000)
-        if value is not None:
-            references[key] = value
-    options |= references
-    try:
-        core = profile.core(table.text("name") or name, telegram.name, options)
-    except ConfigError as error:
-        raise _split(table, next(iter(references), "options"), error) from None
-    return _Basis(
-        ident=profile.ident,
-        config=telegram.config,
-        user_prm=profile.user_prm,
-        safe=core.safe_outputs,
-        interval_ns=profile.min_slave_interval_ns,
-        fail_safe=profile.fail_safe,
-        max_tsdr=profile.max_tsdr,
-        baud_rates=frozenset(profile.rates(options)),
-        profile=profile,
-        telegram=telegram.name,
-        options=options,
-    )
-
-
-def _raw(table: Table) -> _Basis:
-    for key in ("telegram", "reference_hz", "reference_rpm", "options"):
-        if key in table:
-            table.fail(key, f"{key} without drive", f"add drive, or leave {key} out")
-    config = table.octets("config")
-    if config is None:
-        table.fail(
-            None,
-            "neither drive nor config",
-            'name a drive or a GSD file, or give ident and config (identifier octets, "20 10")',
-        )
-    try:
-        io_lengths(config)
-    except ConfigError as error:
-        raise table.error("config", f"config: {error}", "take the octets from its GSD file") from None
-    if not 1 <= len(config) <= MAX_DATA:
-        table.fail("config", f"config has {len(config)} octets", f"1..{MAX_DATA} are possible")
-    if "ident" not in table:
-        table.fail(None, "no ident", 'add ident = 0x1234 (from its GSD file), or ident = "ask"')
-    return _Basis(ident=None, config=config)
-
-
-def _split(table: Table, key: str | None, error: ConfigError) -> ConfigError:
-    """A refusal of the drive registry (``what; what to do``) with the place in front."""
-    what, _, todo = str(error).partition("; ")
-    return table.error(key, what, todo or "correct it")
-
-
-def _build(table: Table, address: int, basis: _Basis) -> SlaveConfig:
+def _build(table: Table, address: int, basis: Basis) -> SlaveConfig:
     watchdog = table.integer("watchdog_ms", 0, MAX_WATCHDOG_MS, "0 is off; leave it out for the plan's recommendation")
     interval = table.integer("min_slave_interval", 0, 0xFFFF)
     every = table.integer("every", 1, 10_000)
@@ -270,7 +175,10 @@ def _build(table: Table, address: int, basis: _Basis) -> SlaveConfig:
     outputs = io_lengths(basis.config)[1]
     if safe is not None and len(safe) != outputs:
         table.fail("safe", f"safe has {len(safe)} octets", f"the configuration has {outputs} octets of outputs")
-    user_prm = None if basis.texts is not None else table.octets("user_prm")
+    device = basis.device
+    octets = table.octets("user_prm") if device is None else None  # with a GSD file it was looked at there
+    user_prm = basis.user_prm if octets is None else octets
+    dpv1 = device is not None and device.dpv1.slave and len(user_prm) >= DPV1_STATUS_LEN
     ident, ident_note = _ident(table, basis)
     input_fields, output_fields = read_fields(table, *io_lengths(basis.config))
     name = table.text("name") or f"slave{address}"
@@ -286,22 +194,24 @@ def _build(table: Table, address: int, basis: _Basis) -> SlaveConfig:
         address=address,
         ident=ident,
         config=basis.config,
-        user_prm=basis.user_prm if user_prm is None else user_prm,
+        user_prm=user_prm,
         profile=profile,
         telegram=basis.telegram,
         options=basis.options,
         max_tsdr=basis.max_tsdr,
         baud_rates=basis.baud_rates,
         texts=basis.texts,
+        description=basis.description,
         watchdog_ms=watchdog,
         groups=table.integers("groups", 1, 8),
         every=1 if every is None else every,
         safe=basis.safe if safe is None else safe,
-        min_slave_interval_ns=basis.interval_ns if interval is None else interval * _INTERVAL_UNIT,
-        fail_safe=table.flag("fail_safe", basis.fail_safe),
-        sync=table.flag("sync", False),
-        freeze=table.flag("freeze", False),
-        wd_base_1ms=table.flag("wd_base_1ms", False),
+        min_slave_interval_ns=basis.interval_ns if interval is None else interval * INTERVAL_UNIT,
+        fail_safe=_fail_safe(table, basis),
+        fail_safe_told=dpv1 and basis.fail_safe,
+        sync=_mode(table, "sync", None if device is None else device.sync, "Sync_Mode_supp"),
+        freeze=_mode(table, "freeze", None if device is None else device.freeze, "Freeze_Mode_supp"),
+        wd_base_1ms=_wd_base_1ms(table, device, dpv1),
         ignore_auto_clear=table.flag("ignore_auto_clear", False),
         input_fields=input_fields,
         output_fields=output_fields,
@@ -309,7 +219,30 @@ def _build(table: Table, address: int, basis: _Basis) -> SlaveConfig:
     )
 
 
-def _ident(table: Table, basis: _Basis) -> tuple[int | None, str]:
+def _mode(table: Table, key: str, supported: bool | None, keyword: str) -> bool:
+    """A flag that a GSD file may not allow; ``supported`` None: there is no such file."""
+    wanted = table.flag(key, False)
+    if wanted and supported is False:
+        table.fail(key, f"{key} = true, but its GSD file says {keyword} = 0", f"leave {key} out")
+    return wanted
+
+
+def _wd_base_1ms(table: Table, device: Device | None, dpv1: bool) -> bool:
+    supported = device is not None and device.dpv1.wd_base_1ms
+    wanted = table.flag("wd_base_1ms", supported and dpv1)
+    if wanted and device is not None and not supported:
+        table.fail("wd_base_1ms", "wd_base_1ms = true, but its GSD file says WD_Base_1ms_supp = 0", "leave it out")
+    return wanted
+
+
+def _fail_safe(table: Table, basis: Basis) -> bool:
+    wanted = table.flag("fail_safe", basis.fail_safe)
+    if basis.device is not None and basis.device.dpv1.fail_safe_required and not wanted:
+        table.fail("fail_safe", "fail_safe = false, but its GSD file says Fail_Safe_required = 1", "leave it out")
+    return wanted
+
+
+def _ident(table: Table, basis: Basis) -> tuple[int | None, str]:
     """The ident number and a remark on it. "ask" is None."""
     profile = basis.profile
     value = table.raw("ident")

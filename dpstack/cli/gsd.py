@@ -4,7 +4,16 @@ from __future__ import annotations
 
 import argparse
 
-from dpstack.api.gsd import check_gsd, diagnostic_dict, gsd_dict, module_lengths, module_prm, read_gsd, supports
+from dpstack.api.gsd import (
+    check_gsd,
+    copy_gsd,
+    diagnostic_dict,
+    gsd_dict,
+    module_lengths,
+    module_prm,
+    read_gsd,
+    supports,
+)
 from dpstack.cli import gsd_configure, options, output
 from dpstack.gsd.check import check
 from dpstack.gsd.model import Diagnostic, GsdFile, Parameter, ranges_text
@@ -19,7 +28,7 @@ def add_to(commands: options.Commands) -> None:
     parser = options.command(commands, "gsd", "GSD files: show, check, configure", "dpstack gsd show valves.gsd")
     inner = parser.add_subparsers(dest="gsd_command", metavar="COMMAND", required=True)
     shower = options.command(inner, "show", "what a GSD file says", "dpstack gsd show valves.gsd --json")
-    shower.add_argument("file", metavar="FILE", help="GSD file")
+    shower.add_argument("file", metavar="FILE", help="GSD file, or a drive that has one here (demag-dedrive, keb-f5)")
     options.add_json(shower)
     shower.set_defaults(execute=show)
     checker = options.command(
@@ -36,6 +45,15 @@ def add_to(commands: options.Commands) -> None:
     )
     chooser.add_argument("file", metavar="FILE", help="GSD file, as the configuration will name it")
     chooser.set_defaults(execute=configure)
+    copier = options.command(
+        inner,
+        "copy",
+        "write the GSD file that dpstack brings for a drive (made from its manual's facts, not the vendor's)",
+        "dpstack gsd copy demag-dedrive hoist.gsd",
+    )
+    copier.add_argument("drive", metavar="DRIVE", help="name of the drive")
+    copier.add_argument("file", metavar="FILE", help="where to; a new file")
+    copier.set_defaults(execute=copy)
 
 
 def show(args: argparse.Namespace) -> int:
@@ -51,6 +69,12 @@ def show(args: argparse.Namespace) -> int:
 def configure(args: argparse.Namespace) -> int:
     """Ask, then print a table."""
     return gsd_configure.run(read_gsd(args.file), args.file)
+
+
+def copy(args: argparse.Namespace) -> int:
+    """Write a drive's own file."""
+    copy_gsd(args.drive, args.file)
+    return 0
 
 
 def check_files(args: argparse.Namespace) -> int:

@@ -15,8 +15,17 @@ class DiagTexts(Protocol):
     def unit_diag_texts(self, octets: bytes) -> tuple[str, ...]:
         """What the device related block says: ``octets`` without its header, bit 0 of the first octet is bit 0."""
 
-    def channel_text(self, error_type: int) -> str | None:
-        """A maker's own channel error (16..31), None where the file has no text for it."""
+    def unit_diag_helps(self, octets: bytes) -> tuple[str, ...]:
+        """What helps, for each of :meth:`unit_diag_texts`; empty where nothing is said."""
+
+    def channel_text(self, error_type: int, module: int | None = None) -> str | None:
+        """A maker's own channel error (16..31) of the ``module``, None where the file has no text for it."""
+
+    def channel_help(self, error_type: int, module: int | None = None) -> str | None:
+        """What helps against it."""
+
+    def module_name(self, module: int) -> str:
+        """The name of a module by its place in the configuration, from 0; empty where there is none."""
 
 
 def block_texts(diagnosis: Diagnosis, texts: DiagTexts | None = None) -> tuple[str, ...]:
@@ -28,16 +37,26 @@ def _lines(diagnosis: Diagnosis, texts: DiagTexts | None) -> Iterator[str]:
     for block in diagnosis.blocks:
         match block:
             case DeviceBlock():
-                known = texts.unit_diag_texts(block.data) if texts is not None else ()
-                if known:
-                    yield from known
+                known = () if texts is None else texts.unit_diag_texts(block.data)
+                if texts is not None and known:
+                    yield from map(_explained, known, texts.unit_diag_helps(block.data))
                 elif any(block.data):
                     yield f"device: {block.data.hex(' ')}"
             case IdentifierBlock():
                 if block.modules:
-                    yield "modules with a diagnosis: " + ", ".join(map(str, block.modules))
-            case ChannelBlock():
-                own = texts.channel_text(block.error) if texts is not None else None
-                yield f"{block.place}: {own or block.cause}"
+                    modules = (_explained(str(number), _name(texts, number)) for number in block.modules)
+                    yield "modules with a diagnosis: " + ", ".join(modules)
+            case ChannelBlock(identifier=module, error=error):
+                own = None if texts is None else texts.channel_text(error, module)
+                remedy = None if texts is None or own is None else texts.channel_help(error, module)
+                yield f"{block.place(_name(texts, module))}: {_explained(own or block.cause, remedy)}"
     if diagnosis.ext_rest:
         yield f"not decoded: {diagnosis.ext_rest.hex(' ')}"
+
+
+def _explained(text: str, more: str | None) -> str:
+    return f"{text} ({more})" if more else text
+
+
+def _name(texts: DiagTexts | None, module: int) -> str:
+    return "" if texts is None else texts.module_name(module)

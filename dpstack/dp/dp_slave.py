@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Protocol
 
 from dpstack.dp.device import FunctionDevice, Leave, OnCycle
@@ -74,6 +74,8 @@ class DpSlave(FunctionDevice):
         self._on_prm = on_prm
         self._on_address = on_address
         self._on_leave = on_leave
+        #: one of the user's functions runs at this moment
+        self.inside = False
 
     # --- what a user may say at any time ------------------------------------------------------------------------
 
@@ -97,7 +99,10 @@ class DpSlave(FunctionDevice):
     def check_prm(self, user_prm: bytes) -> str | None:
         """Length by the description, the rest by the user's own check."""
         reason = self.description.check_prm(user_prm)
-        return self._on_prm(user_prm) if reason is None and self._on_prm is not None else reason
+        if reason is not None or self._on_prm is None:
+            return reason
+        with self._called():
+            return self._on_prm(user_prm)
 
     def check_cfg(self, config: bytes) -> str | None:
         """By the description."""
@@ -107,6 +112,14 @@ class DpSlave(FunctionDevice):
         """Data exchange begins."""
         super().enter(config, now)
         self._safe = self.safe or bytes(io_lengths(config)[1])
+
+    def exchange(self, outputs: bytes, now: int) -> bytes:
+        """The user's function."""
+        self.inside = True
+        try:
+            return super().exchange(outputs, now)
+        finally:
+            self.inside = False
 
     def clear(self, now: int) -> None:
         """Safe outputs at once."""
@@ -118,11 +131,21 @@ class DpSlave(FunctionDevice):
         with told:
             self.exchange(self._safe, now)
         if self._on_leave is not None:
-            self._on_leave(reason)
+            with self._called():
+                self._on_leave(reason)
 
     def address_set(self, address: int, fixed: bool, rem_slave_data: bytes) -> bool:
         """Kept where the user keeps it."""
         if self._on_address is None:
             return False
-        self._on_address(address, fixed, rem_slave_data)
+        with self._called():
+            self._on_address(address, fixed, rem_slave_data)
         return True
+
+    @contextlib.contextmanager
+    def _called(self) -> Iterator[None]:
+        self.inside = True
+        try:
+            yield
+        finally:
+            self.inside = False

@@ -67,12 +67,12 @@ class ChannelBlock(Block):
     size: int
     error: int
 
-    @property
-    def place(self) -> str:
-        """Which channel, for people."""
+    def place(self, module_name: str = "") -> str:
+        """Which channel, for people, with the name of its module where that is known."""
         direction = {(True, False): "input ", (False, True): "output ", (True, True): "in/output "}
         kind = direction.get((self.input, self.output), "")
-        return f"module {self.identifier}, {kind}channel {self.channel} ({_SIZES[self.size]})"
+        name = f" ({module_name})" if module_name else ""
+        return f"module {self.identifier}{name}, {kind}channel {self.channel} ({_SIZES[self.size]})"
 
     @property
     def cause(self) -> str:
@@ -82,7 +82,7 @@ class ChannelBlock(Block):
     @property
     def text(self) -> str:
         """Both in one line."""
-        return f"{self.place}: {self.cause}"
+        return f"{self.place()}: {self.cause}"
 
 
 @dataclass(frozen=True, slots=True)

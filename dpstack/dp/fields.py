@@ -173,6 +173,12 @@ class FieldMap(Collection[str]):
     def __len__(self) -> int:
         return len(self.fields)
 
+    def fitted(self, length: int, what: str) -> FieldMap:
+        """The same names for an image of another length, called ``what``. Raises ConfigError where one lies outside."""
+        if length == self.length:
+            return self
+        return FieldMap({name: field_of(name, f.spec, length, what) for name, f in self.fields.items()}, length)
+
     def values(self, octets: bytes) -> dict[str, Value]:
         """All of one image; nothing when ``octets`` are too short for what is declared."""
         if len(octets) < self.length:

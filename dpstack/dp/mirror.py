@@ -1,8 +1,10 @@
-"""A device that mirrors its outputs to its inputs: what a raw ``[[slave]]`` table is simulated as."""
+"""Devices that mirror their outputs to their inputs: what a ``[[slave]]`` table without a drive is simulated as."""
 
 from __future__ import annotations
 
 from dpstack.dp.device import Device
+from dpstack.dp.dp_slave import DpSlave
+from dpstack.dp.slave_description import SlaveDescription
 from dpstack.gsd.identifiers import io_lengths
 
 
@@ -20,11 +22,19 @@ class MirrorDevice(Device):
         self.configs = (config,)
         self.name = name
         self.fail_safe = fail_safe
-        self._input_len, outputs = io_lengths(config)
-        self._padding = bytes(max(0, self._input_len - outputs))
+        self._input_len = io_lengths(config)[0]
 
     def exchange(self, outputs: bytes, now: int) -> bytes:
         """What came, in the inputs' length."""
-        if len(outputs) == self._input_len:
-            return outputs
-        return (outputs + self._padding)[: self._input_len]
+        return fitted(outputs, self._input_len)
+
+
+def mirror_of(description: SlaveDescription) -> DpSlave:
+    """A slave of that type, with its one configuration, that mirrors its outputs as :class:`MirrorDevice` does."""
+    inputs = io_lengths(description.configs[0])[0]
+    return DpSlave(description, lambda outputs, elapsed: fitted(outputs, inputs))
+
+
+def fitted(outputs: bytes, length: int) -> bytes:
+    """``outputs`` in another length: cut, or filled up with zeros."""
+    return outputs if len(outputs) == length else outputs[:length].ljust(length, b"\0")

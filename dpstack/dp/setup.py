@@ -6,18 +6,22 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 from dpstack.dp.diag_texts import DiagTexts
+from dpstack.dp.pdu import MAX_USER_PRM
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.params import MAX_STATION, UNADDRESSED
-from dpstack.units import NS_PER_MS
+from dpstack.units import NS_PER_MS, NS_PER_US
 
-MAX_USER_PRM: Final = 237
+#: Min_Slave_Interval counts in 100 us, as GSD files do
+INTERVAL_UNIT: Final = 100 * NS_PER_US
 MAX_WATCHDOG_MS: Final = 650_250
 #: the longest watchdog with the 1 ms base
 _MAX_FINE_MS: Final = 255 * 255
-#: WD_Base_1ms in DPV1_Status_1, the first octet of the user parameters (protocol facts C1)
-_WD_BASE_1MS: Final = 0x04
+#: a DP-V1 slave's user parameters begin with DPV1_Status_1..3; bits of the first (protocol facts C1)
+DPV1_STATUS_LEN: Final = 3
+FAIL_SAFE: Final = 0x40
+WD_BASE_1MS: Final = 0x04
 
 
 class WatchdogTime(NamedTuple):
@@ -46,6 +50,7 @@ class SlaveSetup:
     None lets the master choose from the plan. ``safe`` are the output octets for every way out (default zeros),
     ``initial`` the first ones (default ``safe``). ``groups`` are group numbers 1..8. ``every``: every n-th round.
     ``wd_base_1ms``: a DP-V1 slave with a watchdog base of 1 ms; its user parameters begin with DPV1_Status_1..3.
+    ``fail_safe``: it gets empty frames in Clear; ``fail_safe_told``: DPV1_Status_1 says to a DP-V1 slave whether.
     ``ignore_auto_clear``: the master stays in Operate without it. ``texts``: what its GSD file says to a diagnosis.
 
     Raises :class:`~dpstack.errors.ConfigError`.
@@ -64,6 +69,7 @@ class SlaveSetup:
     safe: bytes = b""
     initial: bytes | None = None
     fail_safe: bool = False
+    fail_safe_told: bool = False
     every: int = 1
     min_slave_interval_ns: int = 0
     max_tsdr: int | None = None
@@ -85,11 +91,12 @@ class SlaveSetup:
             raise ConfigError(f"{where}: {len(self.user_prm)} octets of user parameters; {MAX_USER_PRM} are possible")
         if self.watchdog_ms is not None and not 0 <= self.watchdog_ms <= MAX_WATCHDOG_MS:
             raise ConfigError(f"{where}: watchdog_ms {self.watchdog_ms} is outside 0 (off)..650250")
-        if self.wd_base_1ms and len(self.user_prm) < 3:
-            raise ConfigError(
-                f"{where}: wd_base_1ms needs user_prm that begin with the three DPV1_Status octets, "
-                f"{len(self.user_prm)} octets are given"
-            )
+        for key in ("wd_base_1ms", "fail_safe_told"):
+            if getattr(self, key) and len(self.user_prm) < DPV1_STATUS_LEN:
+                raise ConfigError(
+                    f"{where}: {key} needs user_prm that begin with the three DPV1_Status octets, "
+                    f"{len(self.user_prm)} octets are given"
+                )
         if any(not 1 <= g <= 8 for g in self.groups):
             raise ConfigError(f"{where}: groups are numbered 1..8")
         if self.every < 1:
@@ -137,13 +144,17 @@ class SlaveSetup:
         return coarse
 
     def user_octets(self, watchdog: WatchdogTime | None) -> bytes:
-        """The user parameters as they are sent: WD_Base_1ms says what base ``watchdog`` has."""
-        if not self.wd_base_1ms:
-            return self.user_prm
-        first = self.user_prm[0] & ~_WD_BASE_1MS
-        if watchdog is not None and watchdog.base_ms == 1:
-            first |= _WD_BASE_1MS
-        return bytes((first,)) + self.user_prm[1:]
+        """The user parameters as they are sent: WD_Base_1ms is the base of ``watchdog``, Fail_Safe what Clear is."""
+        octets = bytearray(self.user_prm)
+        if self.wd_base_1ms:
+            _put(octets, WD_BASE_1MS, watchdog is not None and watchdog.base_ms == 1)
+        if self.fail_safe_told:
+            _put(octets, FAIL_SAFE, self.fail_safe)
+        return bytes(octets)
+
+
+def _put(octets: bytearray, bit: int, on: bool) -> None:
+    octets[0] = octets[0] | bit if on else octets[0] & ~bit
 
 
 def group_mask(groups: tuple[int, ...]) -> int:

@@ -7,17 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Final
 
 from dpstack.dp.diagnosis import FIXED_LEN, MAX_LEN
 from dpstack.dp.pdu import MAX_USER_PRM
+from dpstack.dp.setup import INTERVAL_UNIT
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.identifiers import config_for, io_lengths
-from dpstack.units import NS_PER_US
-
-#: Min_Slave_Interval counts in 100 us
-_INTERVAL_UNIT: Final = 100 * NS_PER_US
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +121,7 @@ class SlaveDescription:
             "config": config.hex(" "),
             "user_prm": bytes(self.user_prm_len[0]).hex(" "),
             "fail_safe": self.fail_safe,
-            "min_slave_interval": -(-self.min_slave_interval_ns // _INTERVAL_UNIT),
+            "min_slave_interval": -(-self.min_slave_interval_ns // INTERVAL_UNIT),
         }
 
     # --- inside -------------------------------------------------------------------------------------------------

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 from dpstack.dp.device import Device
 from dpstack.dp.diagnosis import FIXED_LEN, MAX_LEN
 from dpstack.dp.pdu import SetPrm
-from dpstack.dp.setup import watchdog_ns
+from dpstack.dp.setup import FAIL_SAFE, WD_BASE_1MS, watchdog_ns
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.identifiers import agree, io_lengths
 from dpstack.units import NEVER
-
-#: DPV1_Status_1, the first user parameter (C1)
-_FAIL_SAFE: Final = 0x40
-_WD_BASE_1MS: Final = 0x04
 
 
 class Refusal(NamedTuple):
@@ -39,7 +35,7 @@ def judge_prm(device: Device, prm: SetPrm, *, ask_device: bool) -> Refusal | Non
         return Refusal("octet 1: SYNC is not supported", True)
     if prm.freeze and not device.freeze_supported:
         return Refusal("octet 1: FREEZE is not supported", True)
-    if device.fail_safe_required and not _dpv1_status(prm) & _FAIL_SAFE:
+    if device.fail_safe_required and not _dpv1_status(prm) & FAIL_SAFE:
         return Refusal(
             "octet 8 bit 6: Fail_Safe is not set, this device needs a master that sends empty frames in Clear"
         )
@@ -51,8 +47,8 @@ def watchdog_time(device: Device, prm: SetPrm) -> int:
     """The watchdog time that ``prm`` asks for in ns, 0 when it is off: base 10 ms, or 1 ms with WD_Base_1ms (C1)."""
     if prm.watchdog is None:
         return 0
-    time_ns = watchdog_ns(prm.watchdog)
-    return time_ns // 10 if device.wd_base_1ms and _dpv1_status(prm) & _WD_BASE_1MS else time_ns
+    fine = device.wd_base_1ms and _dpv1_status(prm) & WD_BASE_1MS
+    return watchdog_ns(prm.watchdog, 1) if fine else watchdog_ns(prm.watchdog)
 
 
 def _dpv1_status(prm: SetPrm) -> int:

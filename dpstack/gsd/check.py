@@ -1,4 +1,4 @@
-"""What a whole file leaves to be said once it is read: defaults that contradict the constants beside them."""
+"""What a whole file leaves to be said once it is read: defaults that contradict their constants, missing modules."""
 
 from __future__ import annotations
 
@@ -11,8 +11,12 @@ from dpstack.trace import Severity
 
 
 def check(file: GsdFile) -> tuple[Diagnostic, ...]:
-    """The diagnostics of ``file`` and those on its user parameters, by place."""
-    return ordered([*file.diagnostics, *_prm_findings(file.device)])
+    """The diagnostics of ``file`` and those on its user parameters and modules, by place."""
+    found = [*file.diagnostics, *_prm_findings(file.device)]
+    if file.device.modular and not file.device.modules:
+        text = "a modular station (Modular_Station = 1) without any Module: the file may be cut short; get a whole copy"
+        found.append(Diagnostic(0, 0, Severity.WARNING, text))
+    return ordered(found)
 
 
 def _prm_findings(device: Device) -> Iterator[Diagnostic]:

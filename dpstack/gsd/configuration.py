@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -126,6 +127,27 @@ def _no_choice(device: Device) -> str:
     if not names:
         return "the GSD file has no modules; give ident and config (identifier octets) in its place"
     return f"the device has {len(device.modules)} modules to choose from; name those that are plugged: {names} ..."
+
+
+def configuration_like(device: Device, config: bytes, lengths: tuple[int, int]) -> Configuration:
+    """What is plugged for a telegram: the preset, or one module, with the identifier octets ``config``, or else with
+    ``lengths``, (input octets, output octets). Raises GsdError where there is none, or more than one.
+    """
+    preset = default_modules(device)
+    rows = [preset] if preset else []
+    rows += [(module,) for module in device.modules if module.complete and (module,) != preset]
+    possible: list[Configuration] = []
+    for row in rows:
+        with contextlib.suppress(GsdError):
+            possible.append(plug(device, row))
+    fitting = [c for c in possible if c.config == config] or [c for c in possible if (c.inputs, c.outputs) == lengths]
+    if len(fitting) == 1:
+        return fitting[0]
+    wanted = f"{lengths[0]} octets of inputs and {lengths[1]} of outputs"
+    if not fitting:
+        raise GsdError(f"no single module has {wanted}; name those that are plugged")
+    names = " or ".join(" and ".join(m.title for m in c.modules if m is not None) for c in fitting[:8])
+    raise GsdError(f"{len(fitting)} modules have {wanted}; name the one that is plugged: {names}")
 
 
 def plug(device: Device, modules: Sequence[Module | None]) -> Configuration:

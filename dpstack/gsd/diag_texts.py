@@ -17,7 +17,7 @@ class DiagTexts:
     def __init__(self, device: Device, modules: Sequence[Module | None] = ()) -> None:
         self._device = device.diagnosis
         self._types = {d.type: d for d in device.diag_types}
-        self._modules = tuple(module.diagnosis if module is not None else None for module in modules)
+        self._modules = tuple(modules)
 
     def unit_diag_texts(self, octets: bytes, module: int | None = None) -> tuple[str, ...]:
         """Texts of a device related block; ``octets`` behind its header. ``module``: its index in the configuration."""
@@ -35,17 +35,25 @@ class DiagTexts:
         return None
 
     def channel_help(self, error_type: int, module: int | None = None) -> str | None:
-        """The help of a channel related error."""
+        """The help of a channel related error, from where :meth:`channel_text` has its text."""
         for diagnosis in self._sources(module):
-            if error_type in diagnosis.channel_helps:
-                return diagnosis.channel_helps[error_type]
+            if error_type in diagnosis.channel:
+                return diagnosis.channel_helps.get(error_type)
         return None
 
+    def module_name(self, module: int) -> str:
+        """The name of a module by its index in the configuration; empty for an empty slot and where there is none."""
+        found = self._module(module)
+        return "" if found is None else found.name
+
     def _sources(self, module: int | None) -> Iterator[Diagnosis]:
-        own = self._modules[module] if module is not None and 0 <= module < len(self._modules) else None
+        own = self._module(module)
         if own is not None:
-            yield own
+            yield own.diagnosis
         yield self._device
+
+    def _module(self, number: int | None) -> Module | None:
+        return self._modules[number] if number is not None and 0 <= number < len(self._modules) else None
 
     def _found(self, octets: bytes, module: int | None) -> Iterator[tuple[str, str]]:
         # UnitDiagType names the first octet, the type of a DP-V1 alarm or status: its texts replace the general ones

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from dpstack.errors import ConfigError
@@ -134,6 +134,36 @@ class DriveProfile:
         if not found and self.family is not None and (made := self.family.of_config(config)) is not None:
             return (made,)
         return found
+
+    def described(
+        self,
+        telegram: TelegramSpec,
+        *,
+        config: bytes,
+        ident: int | None,
+        user_prm: bytes,
+        baud_rates: tuple[int, ...],
+        max_tsdr: Mapping[int, int],
+        min_slave_interval_ns: int,
+        fail_safe: bool,
+    ) -> DriveProfile:
+        """The drive with ``telegram`` by default, as a GSD file describes it; what that says is not made up.
+
+        ``ident`` None: the file has none.
+        """
+        others = {name: spec for name, spec in self.telegrams.items() if name != telegram.name}
+        return replace(
+            self,
+            ident=self.ident if ident is None else ident,
+            ident_made_up=self.ident_made_up and ident is None,
+            telegrams={telegram.name: replace(telegram, config=config, made_up=False)} | others,
+            default_telegram=telegram.name,
+            user_prm=user_prm,
+            baud_rates=baud_rates,
+            max_tsdr=max_tsdr,
+            min_slave_interval_ns=min_slave_interval_ns,
+            fail_safe=fail_safe,
+        )
 
     def core(
         self,

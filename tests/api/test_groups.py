@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 from api_kit import FAN, RAW, bus_of, virtual
+from gsd_kit import FILES
 
 import dpstack
 from dpstack.api.config import parse_config
@@ -165,6 +166,26 @@ def test_parameterised_anew() -> None:
             with pytest.raises(dpstack.SlaveFault, match="refuses the configuration"):
                 await raw.reparameterise(config=b"\x21\x11")
             await raw.reparameterise(config=b"\x20\x10")
+
+    virtual(program())
+
+
+def test_names_and_the_gsd_file_hold_new_parameters_too() -> None:
+    named = {**RAW, "inputs": {"limit": "bool@0.3"}}
+    told = {"name": "told", "address": 8, "gsd": str(FILES / "slots.gsd")}
+
+    async def program() -> None:
+        async with bus_of(named, told) as bus:
+            await bus.ready()
+            raw, other = bus.slave("raw"), bus.slave("told")
+            before = raw.setup, other.setup
+            with pytest.raises(dpstack.ConfigError, match=r"slave 9 \(raw\): limit = .* it has no inputs"):
+                await raw.reparameterise(config=b"\x20")
+            with pytest.raises(dpstack.ConfigError, match=r"slave 8 \(told\): its GSD file says Sync_Mode_supp = 0"):
+                await other.reparameterise(sync=True)
+            assert (raw.setup, other.setup) == before
+            assert raw["limit"] is False
+            assert raw.ready_now
 
     virtual(program())
 

@@ -88,12 +88,54 @@ def test_an_absolute_path(tmp_path: Path) -> None:
         ),
         ('gsd = "prm.gsd"\nmodules = [1]\ndefaults = "both"\n', "9: [[slave]] io: defaults = 'both'; it is \"refs\""),
         ('gsd = "whole.gsd"\nconfig = "10"\n', "8: [[slave]] io: config beside gsd; leave config out, or gsd"),
+        ('gsd = "whole.gsd"\noptions = { a = 1 }\n', "8: [[slave]] io: options without drive; add drive, or leave "),
+        (
+            'gsd = "slots.gsd"\nsync = true\n',
+            "8: [[slave]] io: sync = true, but its GSD file says Sync_Mode_supp = 0; leave sync out",
+        ),
+        (
+            'gsd = "slots.gsd"\nfreeze = true\n',
+            "8: [[slave]] io: freeze = true, but its GSD file says Freeze_Mode_supp = 0; leave freeze out",
+        ),
+        (
+            'gsd = "slots.gsd"\nwd_base_1ms = true\n',
+            "8: [[slave]] io: wd_base_1ms = true, but its GSD file says WD_Base_1ms_supp = 0; leave it out",
+        ),
     ],
 )
 def test_refused(keys: str, message: str) -> None:
     with pytest.raises(ConfigError) as caught:
         config(keys)
     assert str(caught.value).startswith(f"{FILES}/plant.toml:" + message.format(files=FILES))
+
+
+def test_what_dpv1_status_says_follows_from_the_file() -> None:
+    keys = 'gsd = "whole.gsd"\nmodules = ["8 DO"]\n'
+    setup = config(keys + "watchdog_ms = 25\n").slaves[0].setup(500_000)
+    watchdog = setup.watchdog(100)
+    assert watchdog is not None
+    assert (watchdog.factors, watchdog.base_ms) == ((1, 25), 1)
+    assert setup.user_octets(watchdog).hex(" ") == "c4 00 00 08 00"  # DPV1_Enable, Fail_Safe, WD_Base_1ms
+    coarse = config(keys + "watchdog_ms = 20\nfail_safe = false\nwd_base_1ms = false\n").slaves[0].setup(500_000)
+    assert coarse.user_octets(coarse.watchdog(100)).hex(" ") == "80 00 00 08 00"
+
+
+def test_fail_safe_required_cannot_be_left_out(tmp_path: Path) -> None:
+    text = (FILES / "whole.gsd").read_text(encoding="utf-8").replace("Fail_Safe = 1", "Fail_Safe_required = 1")
+    (tmp_path / "required.gsd").write_text(text, encoding="utf-8")
+    keys = 'gsd = "required.gsd"\nmodules = ["8 DO"]\n'
+    setup = parse_config(HEAD + keys, str(tmp_path / "plant.toml")).slaves[0].setup(500_000)
+    assert (setup.fail_safe, setup.user_octets(None)[0]) == (True, 0xC0)
+    with pytest.raises(
+        ConfigError, match=r"9: \[\[slave\]\] io: fail_safe = false, but its GSD file says Fail_Safe_req"
+    ):
+        parse_config(HEAD + keys + "fail_safe = false\n", str(tmp_path / "plant.toml"))
+
+
+def test_bus_parameters_fit_the_slowest_slave() -> None:
+    slow = config('gsd = "whole.gsd"\nmodules = ["8 DO"]\n')
+    assert slow.params(12_000_000).t_sl == 1000  # the table's: MaxTsdr 800
+    assert slow.params(45_450).t_sl > 250
 
 
 async def exchange() -> tuple[str, bytes]:

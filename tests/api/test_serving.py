@@ -101,6 +101,32 @@ def test_a_function_that_raises_stops_its_slave_only(world: WorldFactory) -> Non
     virtual(program(world()))
 
 
+def test_a_function_cannot_restart_its_own_slave(world: WorldFactory) -> None:
+    async def program(w: World) -> None:
+        servers: list[dpstack.SlaveServer] = []
+
+        def restarts(outputs: bytes, elapsed: int) -> bytes:
+            if outputs == b"\x13":
+                servers[0].slave.restart()
+            return outputs
+
+        async with (
+            dpstack.serve_slave(DpSlave(RIG, restarts), world=w, address=8) as server,
+            bus_of(RIG.table(8), world=w) as bus,
+        ):
+            servers.append(server)
+            await bus.operate()
+            await server.slave.reached(DATA_EXCH, timeout=2)
+            bus.slave(8).outputs = b"\x13"
+            await server.slave.reached(WAIT_PRM, timeout=2)
+            assert "cannot be restarted or reset within its own function" in str(server.slave.failure)
+            bus.slave(8).outputs = b"\x01"
+            server.slave.restart()
+            await server.slave.reached(DATA_EXCH, timeout=20)
+
+    virtual(program(world()))
+
+
 @pytest.mark.parametrize("how", ["exit", "exception", "cancelled"])
 def test_outputs_are_safe_however_serving_ends(world: WorldFactory, how: str) -> None:
     async def program(w: World) -> None:

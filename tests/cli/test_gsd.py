@@ -97,6 +97,15 @@ def test_check_tells_and_judges(capsys: pytest.CaptureFixture[str], tmp_path: Pa
     assert [d["severity"] for d in second["diagnostics"]].count("error") == 3
 
 
+def test_check_tells_that_a_modular_station_has_no_module(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    cut = tmp_path / "cut.gsd"
+    cut.write_text((FILES / "whole.gsd").read_text(encoding="utf-8").partition('Module = "')[0], encoding="utf-8")
+    assert main(["gsd", "check", str(cut)]) == 0
+    assert "a modular station (Modular_Station = 1) without any Module: the file may be cut short" in (
+        capsys.readouterr().out
+    )
+
+
 @pytest.mark.parametrize("command", ["show", "configure"])
 def test_what_cannot_be_read(command: str, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert main(["gsd", command, str(tmp_path / "none.gsd")]) == 2
@@ -170,3 +179,19 @@ def test_answers_that_end_too_early(monkeypatch: pytest.MonkeyPatch, capsys: pyt
     out, err = capsys.readouterr()
     assert out == ""
     assert err.endswith("the answers ended before the table was complete; nothing was written\n")
+
+
+def test_the_files_of_bundled_drives_by_name(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert main(["gsd", "show", "demag-dedrive", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["ident"] == "0x0696"
+    assert main(["gsd", "check", "demag-dedrive", "keb-f5"]) == 0
+    capsys.readouterr()
+    target = tmp_path / "hoist.gsd"
+    assert main(["gsd", "copy", "demag-dedrive", str(target)]) == 0
+    assert target.read_bytes().startswith(b"#Profibus_DP")
+    assert main(["gsd", "copy", "demag-dedrive", str(target)]) == 2
+    assert main(["gsd", "copy", "fuji-frenic", str(target)]) == 2
+    assert capsys.readouterr().err == (
+        f"dpstack: {target}: File exists; give the name of a new file\n"
+        "dpstack: no GSD file was written for 'fuji-frenic'; there is one for demag-dedrive, keb-f5\n"
+    )

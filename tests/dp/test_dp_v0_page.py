@@ -7,6 +7,7 @@ import functools
 import re
 from pathlib import Path
 
+from dpstack.dp.slave_states import ACCESS
 from tools.make_dp_v0_docs import TARGET, render
 
 ROOT = Path(__file__).resolve().parent.parent.parent
@@ -25,10 +26,30 @@ def test_the_page_is_written_by_the_tool() -> None:
     assert TARGET.read_text(encoding="utf-8") == render(), "run tools/make_dp_v0_docs.py"
 
 
+def rows() -> list[str]:
+    """Of both tables with tests, without the table of bits (its tests stand above it) and without heads."""
+    lines = TARGET.read_text(encoding="utf-8").partition("## The diagnosis, bit by bit")[0].splitlines()
+    return [line for line in lines if line.startswith("| ") and not line.startswith("| | the master")]
+
+
+def test_every_row_names_a_test_for_each_end_it_has() -> None:
+    found = rows()
+    assert len(found) > 40
+    for row in found:
+        _, _, _, master, slave_what, slave, _ = re.split(r" ?\| ?", row)
+        assert "::" in master, row
+        assert "::" in slave or slave_what == "(the master's)", row
+
+
+def test_every_service_of_the_slave_has_a_row() -> None:
+    text = "\n".join(rows())
+    assert [a.name for a in ACCESS.values() if not re.search(rf"^\| .*{a.name}", text, re.MULTILINE)] == []
+
+
 def test_modules_and_tests_named_on_the_page_exist() -> None:
     text = TARGET.read_text(encoding="utf-8")
     named = re.findall(r"`([\w/]+\.py)::(\w+)`", text)
-    assert len(named) > 20
+    assert len(named) > 80
     assert [f"{file}::{test}" for file, test in named if test not in names_in(ROOT / "tests" / file)] == []
     modules = re.findall(r"`([\w/]+\.py)`", text)
     assert [m for m in modules if not any((base / m).exists() for base in (ROOT / "dpstack", ROOT))] == []

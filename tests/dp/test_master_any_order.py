@@ -2,7 +2,8 @@
 
 A master and three slaves in virtual time: two are built with this project's slave, the third knows octets only. Devices
 are exchanged, switched off and reset, slaves added, removed, taken out of service and parameterised anew, modes
-changed, SYNC and FREEZE ordered, the token lost, in whatever order hypothesis finds.
+changed, SYNC and FREEZE ordered, the token lost, and a class 2 master gives slaves other addresses meanwhile, in
+whatever order hypothesis finds.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from dpstack.dp.setup import SlaveSetup
 from dpstack.dp.slaveapp import SlaveApp
 from dpstack.errors import BusError, UsageError
 from dpstack.fdl.codec import decode
-from dpstack.fdl.telegram import SHORT_ACK, Kind, Telegram
+from dpstack.fdl.telegram import SAP_SET_SLAVE_ADD, SHORT_ACK, Kind, Telegram
 from dpstack.fdl.user import Expect, Failure, Reply, Request
 from dpstack.machine import LineDown
 from dpstack.params import BusParams
@@ -43,6 +44,9 @@ from dpstack.params import BusParams
 IDENT, CONFIG, OTHER_CONFIG = 0x0696, bytes.fromhex("20 10"), bytes.fromhex("21 11")
 ADDRESSES = (3, 4, 5)
 OCTETS_ONLY = 5
+#: nobody's in the configuration: where a slave may be sent to and come back from
+SPARE = 6
+CLASS_2 = 9
 #: the longest back-off is 10 s, and a reset may come just before a retry
 SETTLED = 25_000 * MS
 
@@ -78,6 +82,12 @@ class Ours:
 
     def reset(self, now: int) -> None:
         self.app.restart(now)
+
+    def readdress(self, old: int, new: int, now: int) -> bool:
+        """Set_Slave_Add of a class 2 master; whether the slave goes to ``new``."""
+        data = bytes((new,)) + self.app.device.ident.to_bytes(2, "big") + b"\0"
+        self.app.serve(Telegram(Kind.SD2, old, CLASS_2, 0x4D, SAP_SET_SLAVE_ADD, 62, data), now)
+        return self.app.address == new
 
     def _telegram(self, request: Request) -> Telegram:
         return Telegram(Kind.SD2, request.da, 2, 0x40 | request.function, request.dsap, request.ssap, request.data)
@@ -195,6 +205,13 @@ class AnyOrder(RuleBasedStateMachine):
     def reset(self, address: int) -> None:
         if address in self.bus.far and self.devices[address] != "of another master":
             self.bus.far[address].reset(self.bus.now)
+
+    @rule(old=st.sampled_from((3, 4, SPARE)), new=st.sampled_from((3, 4, SPARE)))
+    def give_another_address(self, old: int, new: int) -> None:
+        far = self.bus.far.get(old)
+        if isinstance(far, Ours) and new not in self.bus.far and far.readdress(old, new, self.bus.now):
+            self.bus.far[new] = self.bus.far.pop(old)
+            self.devices[new], self.devices[old] = self.devices[old], "off"
 
     @rule(ms=st.integers(1, 3_000))
     def pass_time(self, ms: int) -> None:

@@ -199,8 +199,17 @@ class Texts:
     def unit_diag_texts(self, octets: bytes) -> tuple[str, ...]:
         return ("24 V is missing",) if octets[:1] == b"\x01" else ()
 
-    def channel_text(self, error_type: int) -> str | None:
+    def unit_diag_helps(self, octets: bytes) -> tuple[str, ...]:
+        return ("",) * len(self.unit_diag_texts(octets))
+
+    def channel_text(self, error_type: int, module: int | None = None) -> str | None:
         return {16: "sensor dirty"}.get(error_type)
+
+    def channel_help(self, error_type: int, module: int | None = None) -> str | None:
+        return None
+
+    def module_name(self, module: int) -> str:
+        return ""
 
 
 def test_extended_diagnosis_is_told_in_words() -> None:

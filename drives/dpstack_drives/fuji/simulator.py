@@ -49,7 +49,7 @@ class FujiDevice(DriveDevice):
         where = f"simulated {profile.name}"
         given = {"y98": 3, "o30": t.O30[telegram.name], **presets}
         self.store = ParamStore(t.PARAMETERS, given, where=where)
-        self.own = t.telegram_of(int(self.store.value("o30")))
+        self.own = profile.telegram(t.telegram_of(int(self.store.value("o30"))))
         super().__init__(profile, self.own, Motor(load=float(options["load"])))
         self.channel = PkwServer(t.PKW, self._order)
         self.machine = profidrive.ProfidriveMachine()
@@ -86,7 +86,7 @@ class FujiDevice(DriveDevice):
         """The function codes; o30 counts from power-on."""
         if isinstance(before, FujiDevice):
             self.store.inherit(before.store)
-            self.own = t.telegram_of(int(self.store.value("o30")))
+            self.own = self.profile.telegram(t.telegram_of(int(self.store.value("o30"))))
             self.telegram = self.own
             self.configs = tuple(dict.fromkeys((self.own.config, *self.configs)))
 

@@ -45,9 +45,9 @@ _BY_O30: Final = {2: "PPO2", 3: "PPO3", 4: "PPO4", 5: "PPO2"}
 O30: Final = {"PPO1": 1, "PPO2": 2, "PPO3": 3, "PPO4": 4}
 
 
-def telegram_of(o30: int) -> TelegramSpec:
-    """The telegram of the drive's own setting."""
-    return TELEGRAMS[_BY_O30.get(o30, "PPO1")]
+def telegram_of(o30: int) -> str:
+    """The telegram of the drive's own setting, by name."""
+    return _BY_O30.get(o30, "PPO1")
 
 
 #: Table 8.5

@@ -1,0 +1,77 @@
+"""From what a GSD file says to the description that a slave is made of."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from dpstack.dp.diagnosis import FIXED_LEN, MAX_LEN
+from dpstack.dp.pdu import MAX_USER_PRM
+from dpstack.dp.setup import INTERVAL_UNIT
+from dpstack.dp.slave_description import SlaveDescription, SlaveModule
+from dpstack.errors import ConfigError
+from dpstack.fdl.telegram import MAX_DATA
+from dpstack.gsd.configuration import Configuration
+from dpstack.gsd.identifiers import io_lengths
+from dpstack.gsd.model import Device
+
+#: what stands for an empty slot of a modular station
+_EMPTY_SLOT: Final = b"\0"
+
+
+def slave_description(
+    device: Device, chosen: Configuration | None = None, *, name: str = "", ident: int | None = None
+) -> SlaveDescription:
+    """The slave of the type ``device``.
+
+    ``chosen``: what is plugged into it, and nothing else is accepted then, nor user parameters of another length than
+    these modules have. None: a compact station accepts any one of its modules, a modular one any row of them and of
+    empty slots within its limits, both up to Max_User_Prm_Data_Len octets of user parameters; modules that the file
+    breaks off in, or whose identifier octets contradict themselves, are left out. ``ident`` where the file has none.
+    Raises ConfigError.
+    """
+    number = device.ident if ident is None else ident
+    if number is None:
+        raise ConfigError(f"{device.model or 'the GSD file'} has no Ident_Number; give ident")
+    compact = not device.modular
+    most = device.user_prm_data_len if device.max_user_prm_data_len is None else device.max_user_prm_data_len
+    prm = 0 if chosen is None else len(chosen.user_prm().octets())
+    return SlaveDescription(
+        ident=number,
+        name=name or device.model or "slave",
+        configs=() if chosen is None else (chosen.config,),
+        modules=_modules(device) if chosen is None else (),
+        max_modules=1 if compact else device.max_module or MAX_DATA,
+        # a compact station has no need of these keywords: they count for a modular one
+        max_input_len=_within(None if compact else device.max_input_len, MAX_DATA),
+        max_output_len=_within(None if compact else device.max_output_len, MAX_DATA),
+        max_data_len=_within(None if compact else device.max_data_len, 2 * MAX_DATA),
+        user_prm_len=(prm, prm) if prm else (0, _within(most, MAX_USER_PRM)),
+        sync=device.sync,
+        freeze=device.freeze,
+        fail_safe=device.fail_safe,
+        fail_safe_required=device.dpv1.fail_safe_required,
+        set_slave_add=device.set_slave_add,
+        wd_base_1ms=device.dpv1.wd_base_1ms,
+        max_diag_len=max(FIXED_LEN, _within(device.max_diag_data_len, MAX_LEN)),
+        rates={speed.baud: speed.max_tsdr or 0 for speed in device.speeds},
+        min_slave_interval_ns=(device.min_slave_interval or 0) * INTERVAL_UNIT,
+    )
+
+
+def _modules(device: Device) -> tuple[SlaveModule, ...]:
+    usable = tuple(SlaveModule(m.name, m.config) for m in device.modules if m.complete and _possible(m.config))
+    if not usable:
+        raise ConfigError(f"{device.model or 'the GSD file'} has no module with identifier octets")
+    return (*usable, SlaveModule("empty slot", _EMPTY_SLOT)) if device.modular else usable
+
+
+def _possible(config: bytes) -> bool:
+    try:
+        io_lengths(config)
+    except ConfigError:
+        return False
+    return bool(config)
+
+
+def _within(value: int | None, most: int) -> int:
+    return most if value is None else min(value, most)

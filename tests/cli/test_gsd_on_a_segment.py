@@ -1,0 +1,55 @@
+"""The same GSD file at both ends as users start them: ``sim`` and ``run`` and ``address`` on a segment of ptys."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from gsd_kit import FILES
+from programs import Starter
+
+from dpstack.cli.main import main
+
+HEAD = '[bus]\nport = "{port}"\nbaud = 500000\n'
+IO = f"""
+[[slave]]
+name = "io"
+address = 8
+gsd = "{FILES / "whole.gsd"}"
+modules = ["8 DO", "8 DI"]
+parameters = {{ "Diagnosis" = "off" }}
+sync = true
+"""
+RAW = '[[slave]]\nname = "raw"\naddress = 20\nident = 0x1234\nconfig = "20 10"\n'
+
+
+@pytest.fixture
+def bus(tmp_path: Path) -> Iterator[Path]:
+    """A segment of two with simulated slaves on port 0; ``plant.toml`` beside it is for port 1."""
+    folder = tmp_path / "bus"
+    (tmp_path / "plant.toml").write_text(HEAD.format(port=folder / "1") + IO)
+    (tmp_path / "sim.toml").write_text(HEAD.format(port=folder / "0") + IO + RAW)
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    starter = Starter(logs)
+    try:
+        starter("segment", "--stations", "2", "--dir", str(folder)).wait_for(str(folder / "1"))
+        starter("sim", str(tmp_path / "sim.toml"), "--port", str(folder / "0")).wait_for("raw")
+        yield folder
+    finally:
+        starter.close()
+
+
+def test_run_and_address_against_simulated_slaves(bus: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plant, port = str(bus.parent / "plant.toml"), str(bus / "1")
+    assert main(["address", "20", "9", "--port", port, "--baud", "500000"]) == 0
+    assert capsys.readouterr().out == "slave 20 has address 9 now: ident 0x1234, verified there\n"
+    assert main(["address", "8", "10", "--port", port, "--baud", "500000"]) == 1  # Set_Slave_Add_supp = 0
+    assert "Set_Slave_Add" in capsys.readouterr().err
+
+    assert main(["run", plant, "--rotations", "50", "--outputs", "8=5A", "--json"]) == 0
+    summary = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert summary["slaves"]["8"]["state"] == "data_exchange"
+    assert summary["slaves"]["8"]["inputs"] == "5a"
