@@ -233,7 +233,7 @@ class AsyncioRuntime:
 
     def _drain(self) -> bytes:
         octets = self._port.read_now()
-        return octets if self._echo is None else self._echo.strip(octets)
+        return octets if self._echo is None else self._stripped(self._echo, octets)
 
     def _let_loop_turn(self) -> None:
         if self._loop is not None and self._again is None:
@@ -259,15 +259,20 @@ class AsyncioRuntime:
         echo = self._echo
         if echo is None or self._loop is None:
             return
+        self._step(self._stripped(echo, chunk))
+
+    def _stripped(self, echo: EchoFilter, chunk: bytes) -> bytes:
+        """``chunk`` without echo; what the line turns out to be takes effect here, whoever has read the port."""
         before = echo.state
-        self._step(echo.strip(chunk))
-        if echo.state is before or self._loop is None:
-            return
-        if echo.state is Echo.ON:
-            self._tell([self._notice("the line echoes what is sent: the echo is removed")])
-        else:
-            self._echo = None
-            self._port.attach(self._loop, self._step, self._lost)
+        rest = echo.strip(chunk)
+        if echo.state is not before:
+            if echo.state is Echo.ON:
+                self._tell([self._notice("the line echoes what is sent: the echo is removed")])
+            else:
+                self._echo = None
+                if self._loop is not None:
+                    self._port.attach(self._loop, self._step, self._lost)
+        return rest
 
     # --- loss, defects, events ----------------------------------------------------------------------------------------
 

@@ -51,7 +51,7 @@ class EchoFilter:
 
     def strip(self, chunk: bytes) -> bytes:
         """What remains of ``chunk``; in state AUTO with what was held before in front of it."""
-        if not self._expected or not chunk:
+        if not self._expected or not chunk or self.state is Echo.OFF:
             return chunk
         return self._learn(chunk) if self.state is Echo.AUTO else self._remove(chunk)
 

@@ -47,6 +47,8 @@ def test_three_other_answers_say_that_there_is_none() -> None:
         echo.sent(REQUEST)
         assert echo.strip(ANSWER) == ANSWER
     assert echo.state is Echo.OFF
+    echo.sent(REQUEST)
+    assert echo.strip(ANSWER) == ANSWER  # and nothing is taken away any more, not even the octet they share
 
 
 def test_silence_says_nothing() -> None:
