@@ -1,0 +1,272 @@
+"""The end of a bus, of any kind: in order, nobody waits for ever, nothing is lost."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+from api_kit import FAN, RAW, bus_of, slave_in, virtual
+from support import WorldFactory
+
+import dpstack
+from dpstack.api.events import Notice
+from dpstack.dp.device import FunctionDevice
+from dpstack.sim.world import World
+
+# --- every kind of end ----------------------------------------------------------------------------------------------
+
+
+class BoomError(Exception):
+    """Raised by the program under test."""
+
+
+@pytest.mark.parametrize("how", ["exit", "exception", "cancelled", "close twice"])
+def test_the_end_is_orderly(world: WorldFactory, how: str) -> None:
+    async def program(w: World) -> None:
+        outputs: list[bytes] = []
+
+        def device(data: bytes, elapsed: int) -> bytes:
+            outputs.append(data)
+            return data
+
+        _, app = slave_in(w, FunctionDevice(0x1234, bytes.fromhex("20 10"), device), 9)
+        bus = bus_of(RAW | {"safe": "11"}, world=w)
+
+        async def use() -> None:
+            async with bus:
+                await bus.operate()
+                await bus.ready()
+                bus.slave(9).outputs = b"\x77"
+                await bus.rotated(bus.stats.rotations + 5)
+                if how == "exception":
+                    raise BoomError
+                if how == "cancelled":
+                    await asyncio.sleep(1000)
+                if how == "close twice":
+                    await bus.close()
+
+        task = asyncio.ensure_future(use())
+        if how == "cancelled":
+            await asyncio.sleep(0.5)
+            task.cancel()
+        result = (await asyncio.gather(task, return_exceptions=True))[0]
+        wanted = {"exception": BoomError, "cancelled": asyncio.CancelledError}.get(how, type(None))
+        assert isinstance(result, wanted)
+        assert b"\x77" in outputs
+        assert b"\x11" in outputs[outputs.index(b"\x77") :]  # the safe value went out
+        assert app.clear  # then Clear
+        assert not bus.is_open
+        with pytest.raises(dpstack.UsageError, match="the bus is not open"):
+            await bus.operate()
+        with pytest.raises(dpstack.UsageError, match="opened before"):
+            await bus.open()
+        log = [entry.octets for entry in w.log]
+        clears = [octets for octets in log if octets[:1] == b"\x68" and octets[7:11] == b"\x3a\x3e\x02\x00"]
+        assert len(clears) >= 2
+
+    virtual(program(world()))
+
+
+def test_pending_orders_and_readers_end_with_the_bus() -> None:
+    async def program() -> None:
+        async with bus_of(FAN) as bus:
+            await bus.operate()
+            fan = bus.drive("fan")
+            await fan.start()
+            waiting = asyncio.ensure_future(fan.reached(tolerance=0.0))
+            fan.speed = 0.3333
+            reading = asyncio.ensure_future(_count(fan))
+            await asyncio.sleep(0.01)
+        with pytest.raises(dpstack.DpError):
+            await waiting
+        assert await reading >= 1
+
+    virtual(program())
+
+
+async def _count(drive: dpstack.Drive) -> int:
+    return len([status async for status in drive.statuses()])
+
+
+def test_a_second_station_with_our_address(world: WorldFactory) -> None:
+    async def program(w: World) -> None:
+        async with bus_of(RAW, world=w):
+            with pytest.raises(dpstack.BusError, match="another station on the bus sends as address 2"):
+                async with bus_of(RAW, world=w):
+                    pass
+
+    virtual(program(world(referee=False)))
+
+
+def test_without_a_ring_there_is_a_reason(world: WorldFactory) -> None:
+    async def program(w: World) -> None:
+        # master 1 does not look further than its HSA: master 50 is never asked in
+        async with dpstack.open_bus(port="virtual", baud=500_000, address=1, slaves=[], world=w, hsa=10):
+            bus = dpstack.open_bus(port="virtual", baud=500_000, address=50, slaves=[], world=w, join_timeout=2.0)
+            with pytest.raises(dpstack.BusError, match=r"masters 1 do not let it in; their HSA must be 50 or more"):
+                await bus.open()
+
+    virtual(program(world()))
+
+
+def test_misuse_says_what_to_do() -> None:
+    with pytest.raises(dpstack.ConfigError, match="open_bus: no baud"):
+        dpstack.open_bus(port="virtual")
+    with pytest.raises(dpstack.ConfigError, match="open_bus: no port"):
+        dpstack.open_bus(baud=500_000)
+    with pytest.raises(dpstack.ConfigError, match="open_bus: bus: unknown key 'gapp'"):
+        dpstack.open_bus(port="virtual", baud=500_000, gapp=1)
+    bus = bus_of(RAW)
+    with pytest.raises(dpstack.UsageError, match="the bus is not open: use it inside"):
+        bus.command(object())
+
+
+def test_missing_port_raises_on_entering() -> None:
+    async def program() -> None:
+        async with dpstack.open_bus(port="/dev/nosuch-port", baud=500_000, slaves=[RAW]):
+            pass
+
+    with pytest.raises(dpstack.PortError, match="/dev/nosuch-port: no such port"):
+        asyncio.run(program())
+
+
+def test_plan_notes_are_told_at_the_start() -> None:
+    async def program() -> None:
+        seen: list[dpstack.Event] = []
+        async with bus_of(RAW | {"watchdog_ms": 0}, on_event=seen.append):
+            pass
+        assert any(isinstance(e, Notice) and "its watchdog is off" in e.text for e in seen)
+
+    virtual(program())
+
+
+# --- what must not be lost, and who must not wait for ever ----------------------------------------------------------
+
+
+def test_a_handler_that_raises_loses_no_event_and_does_not_hold_up_the_end() -> None:
+    seen: list[str] = []
+    told: list[str] = []
+
+    def on_event(event: dpstack.Event) -> None:
+        seen.append(event.text)
+        raise ZeroDivisionError(event.text)
+
+    async def program() -> int:
+        loop = asyncio.get_running_loop()
+        loop.set_exception_handler(lambda _, context: told.append(context["message"]))
+        async with bus_of(RAW, on_event=on_event) as bus:
+            await bus.ready()
+            await bus.operate()
+            end = asyncio.get_running_loop().time()
+        assert asyncio.get_running_loop().time() - end < 0.2
+        assert [event.text async for event in bus.events()] == seen
+        return len(seen)
+
+    assert virtual(program()) == len(told) > 8
+    assert told[0].startswith("on_event raised at '")
+    assert seen[-1] == "station 2 left the token ring: ordered"
+
+
+def test_who_waits_is_told_of_the_end() -> None:
+    async def program() -> None:
+        async with bus_of(RAW) as bus:
+            waiting = [
+                asyncio.ensure_future(bus.slave("raw").wait_state(dpstack.SlaveState.FAULT)),
+                asyncio.ensure_future(bus.rotated(None)),
+            ]
+            await bus.ready()
+        for each in waiting:
+            with pytest.raises(dpstack.UsageError, match="the bus is closed"):
+                await each
+        with pytest.raises(dpstack.UsageError, match="the bus is closed"):
+            await bus.slave("raw").wait_state(dpstack.SlaveState.FAULT)
+
+    virtual(program())
+
+
+def test_statuses_asked_for_after_the_end_end() -> None:
+    async def program() -> None:
+        async with bus_of(FAN) as bus:
+            await bus.ready()
+        assert len([status async for status in bus.drive("fan").statuses()]) == 1
+
+    virtual(program())
+
+
+def test_a_defect_ends_streams_and_statuses(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def program() -> None:
+        async with bus_of(FAN) as bus:
+            await bus.ready()
+            events, statuses = bus.events(), bus.drive("fan").statuses()
+
+            async def texts() -> str:
+                return [event.text async for event in events][-1]
+
+            async def count() -> int:
+                return len([status async for status in statuses])
+
+            readers = asyncio.gather(texts(), count())
+            await asyncio.sleep(0)
+
+            def broken(now: int) -> None:
+                raise ZeroDivisionError("a defect")
+
+            monkeypatch.setattr(bus.master, "on_round", broken)
+            text, number = await readers
+            assert "stopped by a defect in dpstack (ZeroDivisionError: a defect)" in text
+            assert number >= 1
+            with pytest.raises(dpstack.BusError, match="stopped by a defect"):
+                await bus.until(lambda: False)
+
+    virtual(program())
+
+
+def test_an_event_stream_may_be_closed_twice() -> None:
+    async def program() -> None:
+        async with bus_of(RAW) as bus:
+            stream = bus.events()
+            stream.close()
+            stream.close()
+
+    virtual(program())
+
+
+def test_the_port_is_released_when_the_end_is_cut_short(monkeypatch: pytest.MonkeyPatch) -> None:
+    closed: list[bool] = []
+
+    async def program() -> None:
+        bus = bus_of(RAW)
+        await bus.open()
+        close = bus.runtime.close
+
+        async def watched() -> None:
+            await close()
+            closed.append(True)
+
+        monkeypatch.setattr(bus.runtime, "close", watched)
+        ending = asyncio.ensure_future(bus.close())
+        await asyncio.sleep(0.0001)
+        for task in asyncio.all_tasks() - {asyncio.current_task()}:
+            task.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await ending
+        await asyncio.sleep(0)
+
+    virtual(program())
+    assert closed == [True]
+
+
+def test_a_slave_that_was_removed_may_come_again() -> None:
+    """With port "virtual" there is one simulated slave at the address, not two."""
+
+    async def program() -> None:
+        async with bus_of(RAW) as bus:
+            await bus.ready()
+            await bus.remove("raw")
+            await asyncio.sleep(0.1)
+            again = await bus.add_slave(RAW | {"name": "again", "config": "21 11"})
+            await again.ready()
+            assert len(again.inputs) == 2
+            assert bus.stats.bad == {}
+
+    virtual(program())

@@ -1,0 +1,30 @@
+"""A simulated LS S100 on a bench, for its tests."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from drive_bench import DeviceBench
+
+from dpstack_drives.ls import DRIVE
+
+NONE: Mapping[str, float] = {}
+NO_OPTIONS: dict[str, object] = {}
+ZERO = "00 00 00 00 00 00 00 00 "
+
+
+def sim(telegram: str = "PPO3", codes: Mapping[str, float] = NONE, **options: object) -> DeviceBench:
+    """``codes``: parameters by code."""
+    return DeviceBench(DRIVE.device(telegram, {**options, **codes}), DRIVE.telegram(telegram).config.hex())
+
+
+def pkw(bench: DeviceBench, order: str) -> str:
+    """A fresh order in PPO1."""
+    bench.send(ZERO + "00 00 00 00", 10)
+    return bench.send(order + " 00 00 00 00", 10)[:23]
+
+
+def running(bench: DeviceBench, outputs: str = "04 7F 40 00", inputs: str = "03 37 40 00") -> DeviceBench:
+    bench.send("04 7E 00 00")
+    bench.until(outputs, inputs, 3000)
+    return bench
