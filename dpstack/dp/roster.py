@@ -84,6 +84,8 @@ class Roster:
         self._turns.changed()
 
     def _make(self, setup: SlaveSetup, before: SlaveHandler | None = None) -> SlaveHandler:
+        self._controls.cycle_freeze.check(setup)
+        self._controls.cycle_sync.check(setup)
         return SlaveHandler(
             setup,
             own=self._params.address,

@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 
 from dpstack.dp.events import SlaveState
+from dpstack.dp.rates import Rates
 from dpstack.dp.slave_handler import SlaveHandler
 
 #: states in which a slave is left alone or not there: its Min_Slave_Interval holds nobody up
@@ -20,9 +21,20 @@ class Turns:
     ones take at most 1/absent_share of the bus time; 0 = no limit.
     """
 
-    __slots__ = ("_absent_share", "_fresh", "_poll_from", "_services", "_stale", "exchanging", "interval")
+    __slots__ = (
+        "_absent_share",
+        "_fresh",
+        "_held",
+        "_poll_from",
+        "_services",
+        "_stale",
+        "exchanging",
+        "interval",
+        "rates",
+    )
 
-    def __init__(self, absent_share: int) -> None:
+    def __init__(self, absent_share: int, cycle_ns: int) -> None:
+        self.rates = Rates(cycle_ns)
         self.exchanging: list[SlaveHandler] = []
         self.interval = 0
         self._absent_share = absent_share
@@ -30,6 +42,8 @@ class Turns:
         self._stale = True
         self._fresh = False
         self._poll_from = 0
+        #: whose service does not fit before the next cycle: what is left of this one only gets shorter
+        self._held: set[SlaveHandler] = set()
 
     @property
     def waiting(self) -> int:
@@ -48,10 +62,13 @@ class Turns:
 
     def begin_round(self, handlers: Mapping[int, SlaveHandler]) -> None:
         """Sort anew where something changed. Who has a diagnosis waiting comes first: a DH is answered at once (B6)."""
+        if self._held:
+            self._held.clear()
         if not self._stale:
             return
         self._stale = False
         by_address = [handlers[address] for address in sorted(handlers)]
+        self.rates.arrange([h.setup for h in by_address])
         self.exchanging = [h for h in by_address if h.state is SlaveState.DATA_EXCHANGE]
         wanting = [h for h in by_address if h.state is not SlaveState.DATA_EXCHANGE or h.diag_due]
         wanted = set(wanting)
@@ -61,6 +78,19 @@ class Turns:
         urgent = [h for h in new if h.diag_due]
         self._services = deque(urgent + kept + [h for h in new if not h.diag_due])
         self.interval = max((h.setup.min_slave_interval_ns for h in by_address if h.state not in _AWAY), default=0)
+
+    def due(self, number: int) -> list[SlaveHandler]:
+        """Who has a turn in cycle ``number``, of those in data exchange."""
+        if not self.rates.uneven:
+            return self.exchanging
+        return [h for h in self.exchanging if self.rates.due(h.setup.address, number)]
+
+    def held_back(self, handler: SlaveHandler) -> None:
+        """Its service does not fit before the next cycle: it is the first one after that."""
+        self._held.add(handler)
+        if handler in self._services:
+            self._services.remove(handler)
+            self._services.appendleft(handler)
 
     def next(self, now: int, blocked: Callable[[int], bool]) -> SlaveHandler | None:
         """The next slave that wants a service and whose address is not ``blocked``.
@@ -87,7 +117,7 @@ class Turns:
         """Absent ones within their share of the bus; nobody before the one removed at its address is unlocked."""
         if not handler.wants_service(now) or (handler.state is SlaveState.OFFLINE and now < self._poll_from):
             return False
-        return not blocked(handler.setup.address)
+        return handler not in self._held and not blocked(handler.setup.address)
 
     def polled(self, handler: SlaveHandler, took_ns: int, now: int) -> None:
         """A service to ``handler`` took so long: an absent one's is charged to the share of all absent ones."""
