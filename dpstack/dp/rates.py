@@ -57,6 +57,15 @@ def fullest(shares: Iterable[Share], chosen: Mapping[int, int]) -> frozenset[int
     return frozenset(addresses)
 
 
+def round_interval_ns(slaves: Iterable[tuple[int, int]]) -> int:
+    """The shortest time between the beginnings of two rounds in ns, for slaves of (``every``, Min_Slave_Interval in ns).
+
+    A slave of every n-th round allows rounds n times as often as its interval says. A round that leaves nobody out
+    (the last ones, an order to all) needs the longest interval as it is: give ``every`` 1 then.
+    """
+    return max((-(-interval // every) for every, interval in slaves), default=0)
+
+
 def _emptiest(load: list[int], every: int) -> int:
     """The first offset whose fullest cycle is emptiest; among equals the one with the least in all its cycles."""
     return min(range(every), key=lambda offset: (max(part := load[offset::every]), sum(part)))

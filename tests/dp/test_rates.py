@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpstack.dp.rates import HYPERPERIOD, Share, fullest, offsets
+from dpstack.dp.rates import HYPERPERIOD, Share, fullest, offsets, round_interval_ns
 
 
 def loads(shares: list[Share], chosen: dict[int, int], cycles: int) -> list[int]:
@@ -53,6 +53,11 @@ def test_groups_without_a_common_hyperperiod_meet_some_time() -> None:
     chosen = offsets(shares)
     assert chosen == {3: 0, 5: 1, 4: 0}
     assert fullest(shares, chosen) == {3, 4}
+
+
+def test_min_slave_interval_of_a_slave_that_is_not_in_each_round() -> None:
+    assert round_interval_ns([(1, 100_000), (10, 2_000_000), (3, 1_000_000)]) == 333_334
+    assert round_interval_ns([]) == 0
 
 
 EVERY = st.sampled_from([1, 2, 3, 4, 5, 6, 7, 8, 9, 10])
