@@ -20,6 +20,8 @@ GAP_REQUEST: Final = SD1_OCTETS
 GLOBAL_CONTROL: Final = SD2_FRAME + SAPS + 2
 #: Slave_Diag without data
 DIAG_REQUEST: Final = SD2_FRAME + SAPS
+#: the longest diagnosis, where a slave's Max_Diag_Data_Len is not known
+MAX_DIAG_LEN: Final = 244
 LONGEST_TELEGRAM: Final = SD2_FRAME + 246
 
 
@@ -43,10 +45,36 @@ def shortest_tsdr(params: BusParams, setup: SlaveSetup) -> int:
     return max(params.min_tsdr, setup.min_tsdr)
 
 
+def longest_tsdr(params: BusParams, setup: SlaveSetup) -> int:
+    """The T_SDR of ``setup`` at the most, in bit times: its MaxTsdr, or the bus's max T_SDR."""
+    longest = params.max_tsdr if setup.max_tsdr is None else setup.max_tsdr
+    return max(shortest_tsdr(params, setup), longest)
+
+
+def vain_bits(params: BusParams, request: int) -> int:
+    """A request of so many octets and the whole slot time in vain."""
+    return chars(request) + max(params.t_sl, params.t_id1)
+
+
 def exchange_bits(params: BusParams, request: int, answer: int, tsdr: int, retries: int = 0) -> int:
     """Request, T_SDR, answer, T_ID1; before it ``retries`` times the request with the whole slot time in vain."""
-    vain = chars(request) + max(params.t_sl, params.t_id1)
-    return retries * vain + chars(request) + tsdr + chars(answer) + params.t_id1
+    return retries * vain_bits(params, request) + chars(request) + tsdr + chars(answer) + params.t_id1
+
+
+def data_bits(params: BusParams, setup: SlaveSetup, tsdr: int, retries: int = 0) -> int:
+    """Data_Exchange with ``setup``."""
+    return exchange_bits(params, request_octets(setup), answer_octets(setup), tsdr, retries)
+
+
+def diagnosis_bits(params: BusParams, setup: SlaveSetup, retries: int = 0) -> int:
+    """Slave_Diag with the longest diagnosis of ``setup``."""
+    octets = DIAG_REQUEST + (MAX_DIAG_LEN if setup.max_diag_len is None else setup.max_diag_len)
+    return exchange_bits(params, DIAG_REQUEST, octets, longest_tsdr(params, setup), retries)
+
+
+def acyclic_bits(params: BusParams, retries: int = 0) -> int:
+    """The longest acyclic service: as many octets as a telegram can have, and an empty answer."""
+    return exchange_bits(params, LONGEST_TELEGRAM, DIAG_REQUEST, params.max_tsdr, retries)
 
 
 def token_bits(params: BusParams) -> int:
@@ -56,11 +84,14 @@ def token_bits(params: BusParams) -> int:
 
 def gap_poll_bits(params: BusParams) -> int:
     """A silent GAP poll; 0 where the GAP is off."""
-    return chars(GAP_REQUEST) + max(params.t_sl, params.t_id1) if params.gap else 0
+    return vain_bits(params, GAP_REQUEST) if params.gap else 0
+
+
+def global_control_bits(params: BusParams) -> int:
+    """Global_Control, which nobody answers."""
+    return chars(GLOBAL_CONTROL) + params.t_id2
 
 
 def share(params: BusParams, setup: SlaveSetup) -> Share:
     """What ``setup`` takes of a cycle at the least: by this the master and the plan spread the rate groups."""
-    tsdr = shortest_tsdr(params, setup)
-    bits = exchange_bits(params, request_octets(setup), answer_octets(setup), tsdr)
-    return Share(setup.address, setup.every, params.ns(bits))
+    return Share(setup.address, setup.every, params.ns(data_bits(params, setup, shortest_tsdr(params, setup))))

@@ -58,7 +58,7 @@ def fullest(shares: Iterable[Share], chosen: Mapping[int, int]) -> frozenset[int
 
 
 def round_interval_ns(slaves: Iterable[tuple[int, int]]) -> int:
-    """The shortest time between the beginnings of two rounds in ns, for slaves of (``every``, Min_Slave_Interval in ns).
+    """The shortest time between the beginnings of two rounds in ns; ``slaves``: ``every`` and Min_Slave_Interval in ns.
 
     A slave of every n-th round allows rounds n times as often as its interval says. A round that leaves nobody out
     (the last ones, an order to all) needs the longest interval as it is: give ``every`` 1 then.
