@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from dpstack.dp.diagnosis import MAX_LEN
 from dpstack.dp.rates import Share
 from dpstack.dp.setup import SlaveSetup
 from dpstack.params import BusParams
@@ -20,8 +21,6 @@ GAP_REQUEST: Final = SD1_OCTETS
 GLOBAL_CONTROL: Final = SD2_FRAME + SAPS + 2
 #: Slave_Diag without data
 DIAG_REQUEST: Final = SD2_FRAME + SAPS
-#: the longest diagnosis, where a slave's Max_Diag_Data_Len is not known
-MAX_DIAG_LEN: Final = 244
 LONGEST_TELEGRAM: Final = SD2_FRAME + 246
 
 
@@ -67,8 +66,8 @@ def data_bits(params: BusParams, setup: SlaveSetup, tsdr: int, retries: int = 0)
 
 
 def diagnosis_bits(params: BusParams, setup: SlaveSetup, retries: int = 0) -> int:
-    """Slave_Diag with the longest diagnosis of ``setup``."""
-    octets = DIAG_REQUEST + (MAX_DIAG_LEN if setup.max_diag_len is None else setup.max_diag_len)
+    """Slave_Diag with the longest diagnosis of ``setup``, 244 octets where its Max_Diag_Data_Len is not known."""
+    octets = DIAG_REQUEST + (MAX_LEN if setup.max_diag_len is None else setup.max_diag_len)
     return exchange_bits(params, DIAG_REQUEST, octets, longest_tsdr(params, setup), retries)
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 from dpstack.dp.diag_texts import DiagTexts
+from dpstack.dp.diagnosis import FIXED_LEN, MAX_LEN
 from dpstack.dp.pdu import MAX_USER_PRM
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
@@ -103,8 +104,8 @@ class SlaveSetup:
             raise ConfigError(f"{where}: groups are numbered 1..8")
         if self.every < 1:
             raise ConfigError(f"{where}: every must be 1 or more")
-        if self.max_diag_len is not None and not 6 <= self.max_diag_len <= MAX_DATA:
-            raise ConfigError(f"{where}: max_diag_len {self.max_diag_len} is outside 6..{MAX_DATA}")
+        if self.max_diag_len is not None and not FIXED_LEN <= self.max_diag_len <= MAX_LEN:
+            raise ConfigError(f"{where}: max_diag_len {self.max_diag_len} is outside {FIXED_LEN}..{MAX_LEN}")
         inputs, outputs = io_lengths(self.config)
         if inputs > MAX_DATA or outputs > MAX_DATA:
             raise ConfigError(f"{where}: {inputs} input and {outputs} output octets; {MAX_DATA} each are possible")
