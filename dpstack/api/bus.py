@@ -229,7 +229,7 @@ class Bus(Composed):
         config = table if isinstance(table, SlaveConfig) else slave_config(table)
         if any(slave.name == config.name for slave in self._slaves.values()):
             raise ConfigError(f"there is a slave called {config.name!r} already: give the new one another name")
-        self.command(AddSlave(config.setup(self.params.baud)))
+        self.command(AddSlave(self.fitting(config)))
         if self.bench is not None:
             self.bench.add(config)
         return self._register(config)

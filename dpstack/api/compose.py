@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 from dpstack.api.bench import VirtualBench
 from dpstack.api.config import Config, rate_findings
+from dpstack.api.planning import other_masters, refuse_misfit, with_t_tr
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.api.streams import Rounds
 from dpstack.dp.class2 import Class2
 from dpstack.dp.master import Master
-from dpstack.dp.plan import Case, Plan, make_plan, t_tr_preset
+from dpstack.dp.plan import Case, Plan, make_plan
 from dpstack.dp.reading import reading_only
 from dpstack.dp.scanner import Scanner
-from dpstack.dp.setup import SlaveSetup
 from dpstack.drivers.aio import AsyncioRuntime, OnFailure, patience_of
 from dpstack.drivers.base import OnEvents, Runtime
 from dpstack.drivers.echo import Echo
@@ -38,7 +37,10 @@ _DIAGNOSIS_PERIOD: Final = 500 * NS_PER_MS
 
 
 def plan_bus(config: Config, baud: int | None = None) -> Plan:
-    """The plan of ``config`` at ``baud`` (default: its own rate). Raises ConfigError."""
+    """The plan of ``config`` at ``baud`` (default: its own rate). Raises ConfigError.
+
+    What keeps the bus from being opened is told there, and stands in the plan as a finding.
+    """
     rate = config.baud if baud is None else baud
     setups = config.setups(rate)
     params = with_t_tr(config, config.params(rate), setups)
@@ -53,6 +55,8 @@ def plan_bus(config: Config, baud: int | None = None) -> Plan:
     return make_plan(
         params,
         setups,
+        others=other_masters(config, rate),
+        cycle_ns=config.bus.cycle_ns,
         pty=pty,
         host_slack_ns=slack_ns,
         data_control_ns=config.bus.data_control_time_ms * NS_PER_MS if config.bus.auto_clear else 0,
@@ -60,13 +64,6 @@ def plan_bus(config: Config, baud: int | None = None) -> Plan:
         notes=notes,
         beside=beside,
     )
-
-
-def with_t_tr(config: Config, params: BusParams, setups: Sequence[SlaveSetup]) -> BusParams:
-    """``params`` with T_TR enough for the longest normal round, unless the configuration fixes it."""
-    if config.bus.t_tr is not None:
-        return params
-    return params.replace(t_tr=t_tr_preset(params, setups))
 
 
 def port_of(config: Config, baud: int, name: str | None = None) -> Port:
@@ -114,6 +111,7 @@ def compose(
     """
     plan = plan_bus(config)
     params = plan.params
+    refuse_misfit(config, plan, config.setups())
     virtual = world is not None or config.virtual
     port = None if virtual else port_of(config, params.baud)
     patience = EXACT if port is None else patience_for(config, port)
@@ -187,5 +185,4 @@ __all__ = [
     "patience_for",
     "plan_bus",
     "port_of",
-    "with_t_tr",
 ]

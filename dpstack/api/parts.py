@@ -9,10 +9,13 @@ from dpstack.api.baud import need_wire, rate_of
 from dpstack.api.bench import VirtualBench
 from dpstack.api.compose import Parts
 from dpstack.api.config import AUTO, Config
+from dpstack.api.planning import refuse_misfit
+from dpstack.api.slave_config import SlaveConfig
 from dpstack.api.streams import Rounds
 from dpstack.dp.master import Master
 from dpstack.dp.plan import Plan
 from dpstack.dp.scanner import Scanner
+from dpstack.dp.setup import SlaveSetup
 from dpstack.drivers.base import Runtime
 from dpstack.errors import UsageError
 from dpstack.fdl.active import ActiveStation
@@ -74,6 +77,13 @@ class Composed:
     def params(self) -> BusParams:
         """The bus parameters."""
         return self.parts.plan.params
+
+    def fitting(self, slave: SlaveConfig) -> SlaveSetup:
+        """``slave`` for the master, beside all others. Raises ConfigError where the cycle has no room for it."""
+        setup = slave.setup(self.params.baud)
+        others = [h.setup for address, h in self.master.handlers.items() if address != slave.address]
+        refuse_misfit(self.config, self.plan, [*others, setup])
+        return setup
 
     @property
     def station(self) -> ActiveStation:

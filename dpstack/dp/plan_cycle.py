@@ -1,0 +1,199 @@
+"""A fixed cycle held against the plan: what is refused, what will miss its time and how often, which rate it needs.
+
+A cycle is possible where the shortest rotation fits. What is not data (diagnosis, services, GAP) waits for a cycle with
+time to spare; what never fits costs whole cycles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final, NamedTuple
+
+from dpstack.dp.durations import acyclic_bits, request_octets, vain_bits
+from dpstack.dp.rotations import Case, Figures, longest_diagnosis
+from dpstack.dp.setup import SlaveSetup
+from dpstack.units import NS_PER_MS, NS_PER_US, baud_text, ms_text
+
+
+class Verdict(Enum):
+    """What becomes of a cycle."""
+
+    IMPOSSIBLE = "impossible"  # shorter than the shortest rotation: refused
+    UNLIKELY = "unlikely"  # shorter than the typical one: missed unless the slaves are fast
+    TIGHT = "tight"  # missed now and then on an undisturbed bus
+    UNDISTURBED = "undisturbed"  # missed after repetitions and long services only
+    ALWAYS = "always"  # kept in the longest rotation too
+
+
+class Refusal(NamedTuple):
+    """Why a bus cannot run like this, and what to do. ``slave``: whose table it is about, None for the bus."""
+
+    what: str
+    todo: str
+    slave: int | None = None
+
+    @property
+    def text(self) -> str:
+        """One line."""
+        return f"{self.what}; {self.todo}"
+
+
+#: the case that must fit for each verdict, best first
+_FITS: Final = (
+    (Case.LONGEST, Verdict.ALWAYS),
+    (Case.NORMAL, Verdict.UNDISTURBED),
+    (Case.TYPICAL, Verdict.TIGHT),
+    (Case.SHORTEST, Verdict.UNLIKELY),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class CyclePlan:
+    """The judgement of one cycle. ``load``: the part of it that the typical rotation takes. One line each:
+    ``findings`` (beside ``refusals``) and ``notes``.
+    """
+
+    cycle_ns: int
+    verdict: Verdict
+    load: float
+    refusals: tuple[Refusal, ...]
+    findings: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    def as_dict(self) -> dict[str, object]:
+        """Plain JSON data."""
+        return {
+            "cycle_ms": self.cycle_ns / NS_PER_MS,
+            "verdict": self.verdict.value,
+            "load_percent": round(100 * self.load, 1),
+        }
+
+
+def judge_cycle(figures: Figures) -> CyclePlan:
+    """Judge the cycle of ``figures``, which has one."""
+    cycle = figures.cycle_ns
+    fits = (verdict for case, verdict in _FITS if figures.work_ns(case) <= cycle)
+    verdict = next(fits, Verdict.IMPOSSIBLE)
+    findings = [_missed(figures, verdict)] if verdict in (Verdict.UNLIKELY, Verdict.TIGHT) else []
+    return CyclePlan(
+        cycle_ns=cycle,
+        verdict=verdict,
+        load=figures.work_ns(Case.TYPICAL) / cycle,
+        refusals=tuple(_refusals(figures)),
+        findings=tuple(findings),
+        notes=(_missed(figures, verdict),) if verdict is Verdict.UNDISTURBED else (),
+    )
+
+
+def slowest_rates(at_rates: Iterable[Figures], cycle_ns: int) -> dict[Case, int | None]:
+    """The slowest baud rate at which each case fits into ``cycle_ns``, None where there is none.
+
+    ``at_rates``: the bus at each rate that all its slaves know, from slow to fast.
+    """
+    found: dict[Case, int | None] = dict.fromkeys(Case)
+    for figures in at_rates:
+        for case in Case:
+            if found[case] is None and figures.work_ns(case) <= cycle_ns:
+                found[case] = figures.params.baud
+    return found
+
+
+def _refusals(figures: Figures) -> Iterable[Refusal]:
+    cycle, shortest = figures.cycle_ns, figures.rotations[Case.SHORTEST]
+    least = figures.work_ns(Case.SHORTEST)
+    if least > cycle:
+        yield _too_short(figures, least, [s for s in figures.setups if s.address in shortest.together])
+    for setup in figures.setups:
+        turn = cycle * setup.every
+        who = f"slave {setup.address} ({setup.name})"
+        if setup.min_slave_interval_ns > turn:
+            interval = setup.min_slave_interval_ns
+            yield Refusal(
+                f"{who}: its Min_Slave_Interval of {ms_text(interval)} is longer than {_turn(cycle, setup)}",
+                f"give it every = {-(-interval // cycle)}, or take cycle_ms = {_least(-(-interval // setup.every))}",
+                setup.address,
+            )
+        watchdog = setup.watchdog(0)
+        if watchdog is not None and watchdog.ns < turn:
+            yield Refusal(
+                f"{who}: its watchdog of {watchdog.ms} ms is shorter than {_turn(cycle, setup)}: it would always trip",
+                f"take watchdog_ms = {-(-3 * turn // (10 * NS_PER_MS)) * 10} or more",
+                setup.address,
+            )
+
+
+def _too_short(figures: Figures, least: int, together: Sequence[SlaveSetup]) -> Refusal:
+    at, cycle, others = baud_text(figures.params.baud), figures.cycle_ns / NS_PER_MS, figures.others.count
+    beside = f" and {others} other master{'s' * (others > 1)}" if others else ""
+    slaves = f"{len(together)} slave{'s' * (len(together) != 1)}"
+    if len(together) < len(figures.setups):
+        names = ", ".join(str(s.address) for s in together)
+        what = (
+            f"the rate groups do not fit into cycle_ms = {cycle:g}: the fullest cycle has {slaves} ({names}){beside} "
+            f"and takes {_least(least)} ms at least at {at}"
+        )
+    else:
+        what = (
+            f"cycle_ms = {cycle:g} is shorter than possible: {slaves}{beside} take {_least(least)} ms at least at {at}"
+        )
+    every = ", a larger every for slaves that need not be in each cycle" if len(together) > 1 else ""
+    return Refusal(what, f"take cycle_ms = {_least(least)} or more{every}, or a faster rate")
+
+
+def _missed(figures: Figures, verdict: Verdict) -> str:
+    """How often a cycle that is possible will be missed, and why."""
+    cycle, at = figures.cycle_ns, baud_text(figures.params.baud)
+    typical, normal, longest = (figures.work_ns(case) for case in (Case.TYPICAL, Case.NORMAL, Case.LONGEST))
+    head = f"cycle_ms = {cycle / NS_PER_MS:g} "
+    if verdict is Verdict.UNLIKELY:
+        return (
+            f"{head}is shorter than the typical rotation ({ms_text(typical)} at {at}): with slaves that answer after "
+            f"60 bit times {_skipped(typical, cycle)}; take {_least(typical)} or more, or a faster rate"
+        )
+    costs = _costs(figures)
+    if verdict is Verdict.TIGHT:
+        return (
+            f"{head}lies between the typical rotation ({ms_text(typical)}) and the longest undisturbed one "
+            f"({ms_text(normal)} at {at}): misses are to be expected where slaves need their max T_SDR, "
+            f"and for {costs}; {_least(normal)} or a faster rate keeps it while nothing is repeated"
+        )
+    return (
+        f"{head}is kept while nothing is repeated; misses are to be expected for {costs} (longest: {ms_text(longest)})"
+    )
+
+
+def _skipped(rotation: int, cycle: int) -> str:
+    """What of the cycles is left where every round takes longer than one."""
+    return f"{-(-rotation // cycle) - 1} of {-(-rotation // cycle)} cycles are missed"
+
+
+def _costs(figures: Figures) -> str:
+    """What does not fit into the spare time of a typical cycle, and how many cycles it costs."""
+    params, cycle = figures.params, figures.cycle_ns
+    spare = cycle - figures.work_ns(Case.TYPICAL)
+    vain = max((vain_bits(params, request_octets(s)) for s in figures.setups), default=0)
+    pieces = (
+        ("repeated request", params.ns(vain) + figures.host_slack_ns),
+        ("diagnosis", params.ns(longest_diagnosis(params, figures.setups))),
+        ("acyclic service", params.ns(acyclic_bits(params))),
+    )
+    told = [
+        f"each {name} ({ms_text(takes)}: {-(-(takes - spare) // cycle)} cycle{'s' * (takes - spare > cycle)})"
+        for name, takes in pieces
+        if takes > spare
+    ]
+    if told:
+        return ", ".join(told)
+    return "several repeated requests or services that come together"
+
+
+def _turn(cycle: int, setup: SlaveSetup) -> str:
+    turn = f"cycle_ms = {cycle / NS_PER_MS:g}"
+    return turn if setup.every == 1 else f"{turn} x every = {setup.every} ({ms_text(cycle * setup.every)})"
+
+
+def _least(ns: int) -> str:
+    """Milliseconds for the configuration, up to the next microsecond."""
+    return f"{-(-ns // NS_PER_US) / 1000:g}"
