@@ -18,6 +18,8 @@ _BUS_KEYS: Final = (
     "baud",
     "address",
     "cycle_ms",
+    "cycle_freeze",
+    "cycle_sync",
     "other_masters",
     "driver",
     "t_sl",
@@ -43,13 +45,16 @@ class BusConfig:
     """The [bus] table. ``port`` and ``baud`` may be missing until they are needed. Times in bit times unless named.
 
     ``cycle_ms`` None: free running. ``other_masters``: so many that need as long as this one, or the bus rotation
-    time of each in ms.
+    time of each in ms. ``cycle_freeze``, ``cycle_sync``: groups that every cycle begins with a FREEZE of, and ends with
+    a SYNC of.
     """
 
     port: str | None = None
     baud: int | Literal["auto"] | None = None
     address: int = 2
     cycle_ms: float | None = None
+    cycle_freeze: tuple[int, ...] = ()
+    cycle_sync: tuple[int, ...] = ()
     other_masters: int | tuple[float, ...] = 0
     driver: str = "auto"
     t_sl: int | None = None
@@ -85,6 +90,8 @@ def read_bus(table: Table) -> BusConfig:
         baud=_baud(table),
         address=_or(table.integer("address", 0, MAX_STATION), 2),
         cycle_ms=_cycle_ms(table),
+        cycle_freeze=table.integers("cycle_freeze", 1, 8),
+        cycle_sync=table.integers("cycle_sync", 1, 8),
         other_masters=_other_masters(table),
         driver=driver,
         t_sl=table.integer("t_sl", 37, MAX_T_SL),

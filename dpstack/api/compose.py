@@ -124,11 +124,15 @@ def compose(
         auto_clear=config.bus.auto_clear,
         data_control_ns=config.bus.data_control_time_ms * NS_PER_MS,
         read_only=read_only,
+        cycle_ns=config.bus.cycle_ns,
+        cycle_freeze=config.bus.cycle_freeze,
+        cycle_sync=config.bus.cycle_sync,
     )
     watcher = _watcher(config, params, patience) if read_only and watched else None
     users: list[LinkUser] = [master] if watcher is None else [master, watcher]
     users.append(Class2(params.address, master))
-    station = ActiveStation(params, users, patience=patience, guard=reading_only if read_only else None)
+    guard = reading_only if read_only else None
+    station = ActiveStation(params, users, patience=patience, guard=guard, budget=master.budget)
     if port is not None:
         # a pty is given what a stalled computer needs, and a user's own figure stands
         tune = port.delivery is Delivery.ADAPTER and config.bus.host_slack_ms is None

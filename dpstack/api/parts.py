@@ -12,8 +12,9 @@ from dpstack.api.config import AUTO, Config
 from dpstack.api.planning import refuse_misfit
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.api.streams import Rounds
+from dpstack.dp.commands import Mode
 from dpstack.dp.master import Master
-from dpstack.dp.plan import Plan
+from dpstack.dp.plan import Case, Plan
 from dpstack.dp.scanner import Scanner
 from dpstack.dp.setup import SlaveSetup
 from dpstack.drivers.base import Runtime
@@ -21,6 +22,7 @@ from dpstack.errors import UsageError
 from dpstack.fdl.active import ActiveStation
 from dpstack.params import BusParams
 from dpstack.sim.world import World
+from dpstack.units import ns_to_s
 
 SEARCHING: Final = "searching for the baud rate"
 
@@ -84,6 +86,16 @@ class Composed:
         others = [h.setup for address, h in self.master.handlers.items() if address != slave.address]
         refuse_misfit(self.config, self.plan, [*others, setup])
         return setup
+
+    @property
+    def rotation_limit_s(self) -> float:
+        """The longest rotation of the plan in seconds."""
+        return ns_to_s(self.plan.rotation_ns(Case.LONGEST))
+
+    @property
+    def mode(self) -> Mode:
+        """The mode of the master."""
+        return self.master.mode
 
     @property
     def station(self) -> ActiveStation:

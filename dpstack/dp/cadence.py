@@ -13,9 +13,11 @@ from typing import Final
 
 from dpstack.dp.cycle import CycleBook, MissReason
 from dpstack.dp.events import CyclesMissed
+from dpstack.dp.setup import SlaveSetup
+from dpstack.errors import ConfigError
 from dpstack.fdl.budget import Budget
 from dpstack.trace import Event
-from dpstack.units import NEVER, NS_PER_MS, NS_PER_S
+from dpstack.units import NEVER, NS_PER_S, ms_text
 
 #: misses are told at once after a quiet time of this length, else summed up over it
 _TOLD_EVERY: Final = NS_PER_S
@@ -29,7 +31,18 @@ class Cadence:
     ``number`` of the last round, ``started_at`` its first bit, ``due_at`` when that was due.
     """
 
-    __slots__ = ("_misses", "_next", "_not_before", "_over_at", "book", "budget", "due_at", "number", "started_at")
+    __slots__ = (
+        "_begun_at",
+        "_interval",
+        "_misses",
+        "_next",
+        "_over_at",
+        "book",
+        "budget",
+        "due_at",
+        "number",
+        "started_at",
+    )
 
     def __init__(self, cycle_ns: int, emit: Callable[[Event], None]) -> None:
         self.book = CycleBook(cycle_ns)
@@ -38,7 +51,8 @@ class Cadence:
         self.started_at = 0
         self.due_at = 0
         self._next = NEVER  # the grid
-        self._not_before = 0  # free running
+        self._begun_at = 0
+        self._interval = 0  # the shortest time to the next round, free running
         self._over_at = 0
         self._misses = _Misses(self.book, emit)
 
@@ -47,10 +61,10 @@ class Cadence:
         """Rounds are on the grid now."""
         return self._next != NEVER
 
-    def due(self, now: int) -> bool:
-        """Whether a round may begin with the token held ``now``."""
+    def due(self, now: int, interval: int = 0) -> bool:
+        """Whether a round may begin with the token held ``now``; free running ``interval`` after the last at least."""
         if self._next == NEVER:
-            return now >= self._not_before
+            return now >= self._begun_at + max(interval, self._interval)
         late = now - self._next
         cycle_ns = self.book.cycle_ns
         if late > cycle_ns // 2:
@@ -67,7 +81,7 @@ class Cadence:
         """A round begins; ``fixed``: on the grid, else the next one not earlier than ``interval`` after ``now``."""
         cycle_ns = self.book.cycle_ns
         self.number += 1
-        self._not_before = now + interval
+        self._begun_at, self._interval = now, interval
         if fixed and cycle_ns:
             going = self._next != NEVER
             self.due_at = self._next if going else _OPEN
@@ -117,12 +131,23 @@ class Cadence:
 
     def forget(self) -> None:
         """The slaves are lost: the next round may begin at once."""
-        self._not_before = 0
+        self._begun_at = self._interval = 0
+
+    def check(self, setup: SlaveSetup) -> None:
+        """Raises ConfigError where the fixed cycle is too fast for a slave."""
+        turn_ns = self.book.cycle_ns * setup.every
+        interval_ns = setup.min_slave_interval_ns
+        if turn_ns and interval_ns > turn_ns:
+            raise ConfigError(
+                f"slave {setup.address} ({setup.name}): its Min_Slave_Interval of {ms_text(interval_ns)} is longer "
+                f"than {ms_text(turn_ns)}, the time between its turns; give it every = "
+                f"{-(-interval_ns // self.book.cycle_ns)}, or take a longer cycle"
+            )
 
     def _reason(self) -> tuple[MissReason, str]:
         """Why the cycle that is due could not begin."""
         if self._over_at > self._next:
-            return MissReason.OVERRUN, f"the round before took {_ms(self._over_at - self.started_at)}"
+            return MissReason.OVERRUN, f"the round before took {ms_text(self._over_at - self.started_at)}"
         if self.budget.overdrawn:
             return MissReason.NO_ROOM, f"{self.budget.overdrawn} fits between no two cycles and was sent before"
         if not self.budget.alone:
@@ -177,7 +202,3 @@ class _Misses:
                 )
             )
             self._count = 0
-
-
-def _ms(ns: int) -> str:
-    return f"{ns / NS_PER_MS:.3g} ms"

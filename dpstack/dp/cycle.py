@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import Final
 
 from dpstack.stats import Histogram
 
@@ -16,6 +17,19 @@ class MissReason(Enum):
     NO_ROOM = "no_room"  # something that fits between no two cycles was sent before it
     TOKEN = "token"  # another master had the token
     LATE = "late"  # none of these: this computer, or its port, was late
+
+    @property
+    def text(self) -> str:
+        """For people, after a number."""
+        return _TEXTS[self]
+
+
+_TEXTS: Final = {
+    MissReason.OVERRUN: "after a long round",
+    MissReason.NO_ROOM: "after a request that fits between no two cycles",
+    MissReason.TOKEN: "waiting for the token",
+    MissReason.LATE: "by this computer or its port",
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

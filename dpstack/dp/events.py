@@ -8,7 +8,7 @@ from enum import Enum
 from dpstack.dp.commands import Mode
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.trace import Event
-from dpstack.units import NS_PER_MS
+from dpstack.units import ms_text
 
 
 class SlaveState(Enum):
@@ -173,7 +173,7 @@ class CyclesMissed(Event):
     @property
     def text(self) -> str:
         """How many, how late, why."""
-        late = f"{self.late_ns / NS_PER_MS:.3g} ms late: {self.reason}"
+        late = f"{ms_text(self.late_ns)} late: {self.reason}"
         if self.count == 1:
             return f"deadline miss {self.missed}: cycle {self.number} was {late}"
         return f"deadline misses {self.missed - self.count + 1} to {self.missed}: cycle {self.number} was {late}"

@@ -81,7 +81,7 @@ class Master:
         self.cycle: CycleData | None = None
         self.controls = Controls(params, self.handlers, self._emit, cycle_freeze, cycle_sync)
         self._events: list[Event] = []
-        self._turns = Turns(absent_share, cycle_ns)
+        self._turns = Turns(absent_share, params)
         self._farewells = Farewells()
         self._roster = Roster(
             params,
@@ -92,6 +92,7 @@ class Master:
             controls=self.controls,
             sending=lambda: self._course.mode > Mode.STOP,
             emit=self._emit,
+            check=self._check,
         )
         self._control = DataControl(auto_clear=auto_clear, time_ns=data_control_ns)
         self._token = TokenAge(params)
@@ -157,6 +158,11 @@ class Master:
         """What happened since the last call."""
         events, self._events = self._events, []
         return events
+
+    def _check(self, setup: SlaveSetup) -> None:
+        self._cadence.check(setup)
+        self.controls.cycle_freeze.check(setup)
+        self.controls.cycle_sync.check(setup)
 
     def _emit(self, event: Event) -> None:
         self._events.append(event)

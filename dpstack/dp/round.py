@@ -25,9 +25,9 @@ from dpstack.dp.turns import Turns
 from dpstack.fdl.telegram import SAP_CHK_CFG, SAP_GET_CFG, SAP_SET_PRM
 from dpstack.fdl.user import Request
 
-#: octets of a diagnosis that was not read yet; longer ones are known after the first
+#: octets of a diagnosis where Max_Diag_Data_Len is not known; a longer one is known after the first
 _DIAGNOSIS: Final = 32
-#: the answers of known length; Slave_Diag is as long as the last one
+#: the answers of known length
 _ANSWERS: Final = {SAP_SET_PRM: 0, SAP_CHK_CFG: 0, SAP_GET_CFG: 244}
 
 
@@ -81,7 +81,7 @@ class Round:
         """A hold begins; free running so does a new round, when the last one is through and the next one may."""
         if self._cadence.fixed:
             self._services = 1
-        elif not self.open and self._cadence.due(now):
+        elif not self.open and self._cadence.due(now, self._turns.interval_all if self._everybody else 0):
             self._begin(now)
 
     def next_request(self, now: int) -> Request | None:
@@ -118,10 +118,10 @@ class Round:
         turns, course = self._turns, self._course
         turns.begin_round(self._handlers)
         exchanging = turns.exchanging
-        self._cadence.begin(now, fixed=bool(exchanging) and not course.descending, interval=turns.interval)
+        everybody = self._everybody
+        interval = turns.interval_all if everybody else turns.interval
+        self._cadence.begin(now, fixed=bool(exchanging) and not course.descending, interval=interval)
         self._controls.begin_round()
-        # on the way down nobody is left out
-        everybody = course.descending or self._controls.wants_all
         self._due = exchanging if everybody else turns.due(self._cadence.number)
         for handler in self._due:
             handler.image.latch()
@@ -139,6 +139,11 @@ class Round:
             self._services = 1 if exchanging else turns.waiting
             if course.target is Mode.OFFLINE:
                 self._services = 0
+
+    @property
+    def _everybody(self) -> bool:
+        """Nobody is left out: on the way down, and where an order waits for everybody."""
+        return self._course.descending or self._controls.wants_all
 
     def _before_data(self, now: int) -> Request | None:
         request = self._controls.before_data(self._course.mode, now)
@@ -188,9 +193,11 @@ class Round:
         """What waits for a time between two cycles."""
         request = self._controls.repetition(self._course.mode, now)
         if request is None and (request := self._service(now)) is not None and isinstance(request.tag, SlaveHandler):
+            longest = request.tag.setup.max_diag_len
             last = request.tag.diagnoses.last
-            diagnosis = _DIAGNOSIS if last is None else 6 + len(last.ext)
-            request = request._replace(answer=_ANSWERS.get(request.dsap or 0, diagnosis))
+            if longest is None:
+                longest = _DIAGNOSIS if last is None else max(_DIAGNOSIS, 6 + len(last.ext))
+            request = request._replace(answer=_ANSWERS.get(request.dsap or 0, longest))
         return request
 
     def _end(self, now: int) -> None:

@@ -6,8 +6,9 @@ from collections import deque
 from collections.abc import Callable, Mapping
 
 from dpstack.dp.events import SlaveState
-from dpstack.dp.rates import Rates
+from dpstack.dp.rate_turns import RateTurns
 from dpstack.dp.slave_handler import SlaveHandler
+from dpstack.params import BusParams
 
 #: states in which a slave is left alone or not there: its Min_Slave_Interval holds nobody up
 _AWAY = (SlaveState.OFFLINE, SlaveState.FAULT, SlaveState.DEACTIVATED)
@@ -16,9 +17,10 @@ _AWAY = (SlaveState.OFFLINE, SlaveState.FAULT, SlaveState.DEACTIVATED)
 class Turns:
     """The slaves of a master in order. ``exchanging``: those in data exchange, by address.
 
-    ``interval``: the longest Min_Slave_Interval of those that are spoken with, in ns: the shortest time between the
-    beginnings of two rounds (section J). ``absent_share``: while any slave is in data exchange, silent polls of absent
-    ones take at most 1/absent_share of the bus time; 0 = no limit.
+    ``interval``: the shortest time in ns between the beginnings of two rounds, by the Min_Slave_Interval of those that
+    are spoken with (section J); ``interval_all``: the same beside a round that leaves nobody out. ``absent_share``:
+    while any slave is in data exchange, silent polls of absent ones take at most 1/absent_share of the bus time; 0 = no
+    limit.
     """
 
     __slots__ = (
@@ -30,13 +32,14 @@ class Turns:
         "_stale",
         "exchanging",
         "interval",
+        "interval_all",
         "rates",
     )
 
-    def __init__(self, absent_share: int, cycle_ns: int) -> None:
-        self.rates = Rates(cycle_ns)
+    def __init__(self, absent_share: int, params: BusParams) -> None:
+        self.rates = RateTurns(params)
         self.exchanging: list[SlaveHandler] = []
-        self.interval = 0
+        self.interval = self.interval_all = 0
         self._absent_share = absent_share
         self._services: deque[SlaveHandler] = deque()
         self._stale = True
@@ -77,7 +80,12 @@ class Turns:
         new = [h for h in wanting if h not in known]
         urgent = [h for h in new if h.diag_due]
         self._services = deque(urgent + kept + [h for h in new if not h.diag_due])
-        self.interval = max((h.setup.min_slave_interval_ns for h in by_address if h.state not in _AWAY), default=0)
+        spoken_with = [h.setup for h in by_address if h.state not in _AWAY]
+        self.interval = self.rates.interval_ns(spoken_with)
+        self.interval_all = max((s.min_slave_interval_ns for s in spoken_with), default=0)
+        for handler in wanting:
+            if handler.state is not SlaveState.DATA_EXCHANGE:
+                self.rates.away(handler.setup.address)
 
     def due(self, number: int) -> list[SlaveHandler]:
         """Who has a turn in cycle ``number``, of those in data exchange."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from dpstack.fdl.budget import PATIENCE
 from dpstack.fdl.telegram import StationType
 from dpstack.trace import Event, Notice, Severity
-from dpstack.units import NS_PER_MS
+from dpstack.units import ms_text
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -118,10 +118,10 @@ class DoesNotFit(Event):
     @property
     def text(self) -> str:
         """What, how long, and what to do."""
-        slack = f", {self.slack_ns / NS_PER_MS:.3g} ms for a late port in each attempt" if self.slack_ns else ""
+        slack = f", {ms_text(self.slack_ns)} for a late port in each attempt" if self.slack_ns else ""
         less = "a longer cycle_ms or a smaller host_slack_ms" if self.slack_ns else "a longer cycle_ms"
         return (
             f"{self.service} to station {self.address} fits between no two cycles: it can take "
-            f"{self.takes_ns / NS_PER_MS:.3g} ms (silence and repetitions{slack}); such requests go out in every "
+            f"{ms_text(self.takes_ns)} (silence and repetitions{slack}); such requests go out in every "
             f"{PATIENCE}th cycle at most, and the next one may begin late; {less} makes room"
         )
