@@ -47,7 +47,10 @@ class CycleBus:
         self.slaves = {s.address: mirror(s.address, self.params) for s in self.setups if s.address not in self.silent}
         for station in self.slaves.values():
             self.world.add(station)
-        self.master = Master(self.params, self.setups, cycle_ns=self.cycle_ns, **self.options)
+        watchdog_ms = max(200, 5 * self.cycle_ns // MS)
+        self.master = Master(
+            self.params, self.setups, **{"cycle_ns": self.cycle_ns, "watchdog_ms": watchdog_ms, **self.options}
+        )
         users = [self.master, *self.more]
         self.station = ActiveStation(
             self.params, users, patience=self.patience, budget=self.master.budget, now=self.world.now
@@ -70,10 +73,16 @@ class CycleBus:
         self.wire.clear()
         self.events.clear()
 
+    def data(self, address: int) -> list[WireEntry]:
+        """Data_Exchange requests to ``address``, repetitions left out: SD2, LE 15, no SAPs, FC 5D or 7D."""
+        mine = [e for e in self.wire if len(e.octets) > 6 and e.octets[4] & 0x7F == address]
+        mine = [e for e in mine if e.octets[0] == 0x68 and e.octets[5] & 0x7F == self.params.address]
+        first = [e for n, e in enumerate(mine) if not n or e.octets != mine[n - 1].octets]
+        return [e for e in first if e.octets[1] == 15 and e.octets[4:6] == bytes((address, self.params.address))]
+
     def exchanges(self, address: int) -> list[int]:
-        """When Data_Exchange requests to ``address`` began, repetitions too: SD2, LE 15, no SAPs, FC 5D or 7D."""
-        head = bytes((0x68, 15, 15, 0x68, address, self.params.address))
-        return [e.start_ns for e in self.wire if e.octets[:6] == head and e.octets[6] in (0x5D, 0x7D)]
+        """When they began."""
+        return [e.start_ns for e in self.data(address)]
 
     def requests(self, dsap: int) -> list[WireEntry]:
         """The requests of this master to the SAP."""

@@ -66,15 +66,19 @@ class Budget:
         first, last = self._waiting.get(key, (cycle, -1))
         if last < cycle - 1:
             first = cycle  # nobody wanted it for a whole cycle: another wait
-        if last != cycle:
-            self.held_back += 1
-            self._waiting[key] = first, cycle
-        if cycle - max(first, self._forced_in) < PATIENCE:
+        self._waiting[key] = first, cycle
+        if not self._must_go(first):
+            self.held_back += last != cycle
             return False
-        waiting = self._waiting = {k: w for k, w in self._waiting.items() if w[1] >= cycle - 1}
-        if first > min(since for since, _ in waiting.values()):
-            return False  # somebody else has waited longer
-        del waiting[key]
+        del self._waiting[key]
         self._forced_in = cycle
         self.forced += 1
         return True
+
+    def _must_go(self, first: int) -> bool:
+        """It has waited long enough since the cycle ``first``, longest of all, and no other one went of late."""
+        cycle = self._cycle
+        if cycle - max(first, self._forced_in) < PATIENCE:
+            return False
+        self._waiting = {key: wait for key, wait in self._waiting.items() if wait[1] >= cycle - 1}
+        return first <= min(since for since, _ in self._waiting.values())
