@@ -173,11 +173,13 @@ def test_rate_groups_are_spread_and_keep_their_cycles(world: WorldFactory) -> No
 
 def test_min_slave_interval_is_kept_after_a_late_start(world: WorldFactory) -> None:
     """Its own bound, not only the grid's: after a late exchange the next one waits, others do not."""
-    bus = running(world, slave(5), slave(6, min_slave_interval_ns=4 * MS))
-    bus.world.run_for(8 * MS)
+    params = P500.replace(max_retry=5)
+    bus = CycleBus(world(), params, (slave(5), slave(6, min_slave_interval_ns=4 * MS)), 4 * MS)
+    bus.until_exchanging()
+    bus.quiet()
     begin = bus.world.now
     for n in range(40):  # a lost answer of slave 5 now and then makes 6 later by a repetition
-        bus.world.call_at(begin + n * 9_300_000, lambda: bus.world.silence(bus.slaves[5], 600 * US))
+        bus.world.call_at(begin + n * 9_310_000, lambda: bus.world.silence(bus.slaves[5], 600 * US))
     bus.world.run_for(400 * MS)
     assert bus.station.stats.station(5).retries > 2
     assert min(steps(bus.exchanges(6))) == 4 * MS
