@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from dpstack.api.config import Config, rate_findings
-from dpstack.dp.plan import Case, OtherMasters, Plan, t_tr_preset
-from dpstack.dp.plan_cycle import judge_cycle, slowest_rates
+from dpstack.dp.plan import OtherMasters, Plan, t_tr_preset
+from dpstack.dp.plan_cycle import Verdict, judge_cycle, slowest_rates
 from dpstack.dp.rotations import Figures, figures
 from dpstack.dp.setup import SlaveSetup
 from dpstack.errors import ConfigError
@@ -32,8 +32,8 @@ def with_t_tr(config: Config, params: BusParams, setups: Sequence[SlaveSetup]) -
     return params.replace(t_tr=t_tr_preset(params, setups, other_masters(config, params.baud)))
 
 
-def cycle_rates(config: Config, cycle_ns: int) -> dict[Case, int | None]:
-    """The slowest baud rate, of those that all slaves know, at which each case fits into ``cycle_ns``."""
+def cycle_rates(config: Config, cycle_ns: int) -> dict[Verdict, int | None]:
+    """The slowest baud rate, of those that all slaves know, at which ``cycle_ns`` is judged so or better."""
     return slowest_rates(_at_rates(config), cycle_ns)
 
 
@@ -57,6 +57,9 @@ def refuse_misfit(config: Config, plan: Plan, setups: Sequence[SlaveSetup]) -> N
         numbers = {slave.address: number for number, slave in enumerate(config.slaves)}
         number = numbers.get(-1 if refusal.slave is None else refusal.slave)
         path = ("bus", "cycle_ms") if number is None else ("slave", number)
-        faster = cycle_rates(config, config.bus.cycle_ns)[Case.SHORTEST] if refusal.slave is None else None
+        faster = cycle_rates(config, config.bus.cycle_ns)[Verdict.POSSIBLE] if refusal.slave is None else None
         hint = f" ({baud_text(faster)} would do)" if faster is not None and faster > plan.params.baud else ""
         raise config.source.error(path, f"[bus]: {refusal.what}", f"{refusal.todo}{hint}")
+
+
+__all__ = ["Verdict", "cycle_rates", "other_masters", "refuse_misfit", "with_t_tr"]
