@@ -160,7 +160,8 @@ def _too_short(figures: Figures, least: int, together: Sequence[SlaveSetup]) -> 
         )
     else:
         what = (
-            f"cycle_ms = {cycle:g} is shorter than possible: {slaves}{beside} take {_least(least)} ms at least at {at}"
+            f"cycle_ms = {cycle:g} is shorter than possible: the shortest rotation with {slaves}{beside} takes "
+            f"{_least(least)} ms at {at}"
         )
     every = ", a larger every for slaves that need not be in each cycle" if len(together) > 1 else ""
     return Refusal(what, f"take cycle_ms = {_least(least)} or more{every}, or a faster rate")
@@ -175,7 +176,7 @@ def _missed(figures: Figures, verdict: Verdict) -> str:
         cycles = -(-typical // cycle)
         return (
             f"{head} shorter than the typical rotation ({ms_text(typical)} at {at}): with slaves that answer after "
-            f"60 bit times {cycles - 1} of {cycles} cycles will be missed; take {_least(typical)} or more, or a faster rate"
+            f"60 bit times {cycles - 1} of {cycles} cycles are missed; take {_least(typical)} or more, or a faster rate"
         )
     if verdict is Verdict.TYPICAL:
         enough = least[Verdict.UNDISTURBED]
