@@ -13,7 +13,7 @@ VIRTUAL: Final = "virtual"
 #: the baud rate is found by listening (see :mod:`dpstack.api.baud`); echo is recognised
 AUTO: Final = "auto"
 _DRIVERS: Final = ("auto", "asyncio")
-_BUS_KEYS: Final = (
+_KEYS: Final = (
     "port",
     "baud",
     "address",
@@ -79,7 +79,7 @@ class BusConfig:
 
 def read_bus(table: Table) -> BusConfig:
     """Check it. Raises ConfigError, one line."""
-    table.check_keys(_BUS_KEYS)
+    table.check_keys(_KEYS)
     driver = table.text("driver") or "auto"
     if driver == "process":
         table.fail("driver", 'driver "process" is not supported yet by this version', 'use "auto" or "asyncio"')

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from dpstack.api.config import Config, rate_findings
-from dpstack.dp.plan import Case, OtherMasters, Plan, t_tr_preset
-from dpstack.dp.plan_cycle import judge_cycle, slowest_rates
+from dpstack.dp.plan import OtherMasters, Plan, t_tr_preset
+from dpstack.dp.plan_cycle import Verdict, judge_cycle, slowest_rates
 from dpstack.dp.rotations import Figures, figures
 from dpstack.dp.setup import SlaveSetup
 from dpstack.errors import ConfigError
@@ -32,8 +32,8 @@ def with_t_tr(config: Config, params: BusParams, setups: Sequence[SlaveSetup]) -
     return params.replace(t_tr=t_tr_preset(params, setups, other_masters(config, params.baud)))
 
 
-def cycle_rates(config: Config, cycle_ns: int) -> dict[Case, int | None]:
-    """The slowest baud rate, of those that all slaves know, at which each case fits into ``cycle_ns``."""
+def cycle_rates(config: Config, cycle_ns: int) -> dict[Verdict, int | None]:
+    """The slowest baud rate, of those that all slaves know, at which ``cycle_ns`` is judged so or better."""
     return slowest_rates(_at_rates(config), cycle_ns)
 
 
@@ -50,13 +50,20 @@ def _at_rates(config: Config) -> Iterable[Figures]:
 
 def refuse_misfit(config: Config, plan: Plan, setups: Sequence[SlaveSetup]) -> None:
     """Refuse ``setups`` that the cycle of ``plan`` cannot have. Raises ConfigError, one line."""
-    if not config.bus.cycle_ns:
+    cycle_ns = config.bus.cycle_ns
+    if not cycle_ns:
         return
-    counted = figures(plan.params, setups, others=plan.figures.others, cycle_ns=config.bus.cycle_ns)
-    for refusal in judge_cycle(counted).refusals:
-        numbers = {slave.address: number for number, slave in enumerate(config.slaves)}
-        number = numbers.get(-1 if refusal.slave is None else refusal.slave)
-        path = ("bus", "cycle_ms") if number is None else ("slave", number)
-        faster = cycle_rates(config, config.bus.cycle_ns)[Case.SHORTEST] if refusal.slave is None else None
+    refusals = judge_cycle(figures(plan.params, setups, others=plan.figures.others, cycle_ns=cycle_ns)).refusals
+    if not refusals:
+        return
+    what, todo, address = refusals[0]
+    if address is None:
+        faster = cycle_rates(config, cycle_ns)[Verdict.POSSIBLE]
         hint = f" ({baud_text(faster)} would do)" if faster is not None and faster > plan.params.baud else ""
-        raise config.source.error(path, f"[bus]: {refusal.what}", f"{refusal.todo}{hint}")
+        raise config.source.error(("bus", "cycle_ms"), f"[bus]: {what}", f"{todo}{hint}")
+    numbers = {slave.address: number for number, slave in enumerate(config.slaves)}
+    path = ("slave", numbers[address]) if address in numbers else ("bus", "cycle_ms")
+    raise config.source.error(path, what, todo)
+
+
+__all__ = ["Verdict", "cycle_rates", "other_masters", "refuse_misfit", "with_t_tr"]

@@ -11,20 +11,34 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final, NamedTuple
 
-from dpstack.dp.durations import acyclic_bits, request_octets, vain_bits
+from dpstack.dp.durations import acyclic_bits, gap_poll_bits, global_control_bits, request_octets, vain_bits
 from dpstack.dp.rotations import Case, Figures, longest_diagnosis
 from dpstack.dp.setup import SlaveSetup
 from dpstack.units import NS_PER_MS, NS_PER_US, baud_text, ms_text
 
 
 class Verdict(Enum):
-    """What becomes of a cycle."""
+    """What becomes of a cycle, worst first."""
 
     IMPOSSIBLE = "impossible"  # shorter than the shortest rotation: refused
-    UNLIKELY = "unlikely"  # shorter than the typical one: missed unless the slaves are fast
-    TIGHT = "tight"  # missed now and then on an undisturbed bus
-    UNDISTURBED = "undisturbed"  # missed after repetitions and long services only
+    POSSIBLE = "possible"  # shorter than the typical one: missed unless the slaves are fast
+    TYPICAL = "typical"  # missed now and then on an undisturbed bus
+    UNDISTURBED = "undisturbed"  # missed after repetitions only
     ALWAYS = "always"  # kept in the longest rotation too
+
+    @property
+    def text(self) -> str:
+        """For people."""
+        return _TEXTS[self]
+
+
+_TEXTS: Final = {
+    Verdict.IMPOSSIBLE: "impossible, the shortest rotation does not fit",
+    Verdict.POSSIBLE: "missed, the typical rotation does not fit",
+    Verdict.TYPICAL: "tight, missed now and then",
+    Verdict.UNDISTURBED: "kept while nothing is repeated",
+    Verdict.ALWAYS: "kept, the longest rotation fits",
+}
 
 
 class Refusal(NamedTuple):
@@ -38,15 +52,6 @@ class Refusal(NamedTuple):
     def text(self) -> str:
         """One line."""
         return f"{self.what}; {self.todo}"
-
-
-#: the case that must fit for each verdict, best first
-_FITS: Final = (
-    (Case.LONGEST, Verdict.ALWAYS),
-    (Case.NORMAL, Verdict.UNDISTURBED),
-    (Case.TYPICAL, Verdict.TIGHT),
-    (Case.SHORTEST, Verdict.UNLIKELY),
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,33 +76,52 @@ class CyclePlan:
         }
 
 
+def least_ns(figures: Figures) -> dict[Verdict, int]:
+    """The shortest cycle for each verdict in ns, best first.
+
+    Undisturbed: all slaves need their max T_SDR and the longest of what comes beside the data fits into the rest.
+    """
+    params, normal = figures.params, figures.rotations[Case.NORMAL]
+    beside = max(
+        longest_diagnosis(params, figures.setups),
+        acyclic_bits(params),
+        global_control_bits(params),
+        gap_poll_bits(params),
+    )
+    return {
+        Verdict.ALWAYS: figures.work_ns(Case.LONGEST),
+        Verdict.UNDISTURBED: params.ns(normal.work - normal.beside + beside),
+        Verdict.TYPICAL: figures.work_ns(Case.TYPICAL),
+        Verdict.POSSIBLE: figures.work_ns(Case.SHORTEST),
+    }
+
+
+def slowest_rates(at_rates: Iterable[Figures], cycle_ns: int) -> dict[Verdict, int | None]:
+    """The slowest baud rate at which ``cycle_ns`` is judged so or better, None where there is none.
+
+    ``at_rates``: the bus at each rate that all its slaves know, from slow to fast.
+    """
+    found: dict[Verdict, int | None] = dict.fromkeys(list(Verdict)[1:])
+    for figures in at_rates:
+        for verdict, least in least_ns(figures).items():
+            if found[verdict] is None and least <= cycle_ns:
+                found[verdict] = figures.params.baud
+    return found
+
+
 def judge_cycle(figures: Figures) -> CyclePlan:
     """Judge the cycle of ``figures``, which has one."""
     cycle = figures.cycle_ns
-    fits = (verdict for case, verdict in _FITS if figures.work_ns(case) <= cycle)
+    fits = (verdict for verdict, least in least_ns(figures).items() if least <= cycle)
     verdict = next(fits, Verdict.IMPOSSIBLE)
-    findings = [_missed(figures, verdict)] if verdict in (Verdict.UNLIKELY, Verdict.TIGHT) else []
     return CyclePlan(
         cycle_ns=cycle,
         verdict=verdict,
         load=figures.work_ns(Case.TYPICAL) / cycle,
         refusals=tuple(_refusals(figures)),
-        findings=tuple(findings),
+        findings=(_missed(figures, verdict),) if verdict in (Verdict.POSSIBLE, Verdict.TYPICAL) else (),
         notes=(_missed(figures, verdict),) if verdict is Verdict.UNDISTURBED else (),
     )
-
-
-def slowest_rates(at_rates: Iterable[Figures], cycle_ns: int) -> dict[Case, int | None]:
-    """The slowest baud rate at which each case fits into ``cycle_ns``, None where there is none.
-
-    ``at_rates``: the bus at each rate that all its slaves know, from slow to fast.
-    """
-    found: dict[Case, int | None] = dict.fromkeys(Case)
-    for figures in at_rates:
-        for case in Case:
-            if found[case] is None and figures.work_ns(case) <= cycle_ns:
-                found[case] = figures.params.baud
-    return found
 
 
 def _refusals(figures: Figures) -> Iterable[Refusal]:
@@ -136,7 +160,8 @@ def _too_short(figures: Figures, least: int, together: Sequence[SlaveSetup]) -> 
         )
     else:
         what = (
-            f"cycle_ms = {cycle:g} is shorter than possible: {slaves}{beside} take {_least(least)} ms at least at {at}"
+            f"cycle_ms = {cycle:g} is shorter than possible: the shortest rotation with {slaves}{beside} takes "
+            f"{_least(least)} ms at {at}"
         )
     every = ", a larger every for slaves that need not be in each cycle" if len(together) > 1 else ""
     return Refusal(what, f"take cycle_ms = {_least(least)} or more{every}, or a faster rate")
@@ -144,49 +169,42 @@ def _too_short(figures: Figures, least: int, together: Sequence[SlaveSetup]) -> 
 
 def _missed(figures: Figures, verdict: Verdict) -> str:
     """How often a cycle that is possible will be missed, and why."""
-    cycle, at = figures.cycle_ns, baud_text(figures.params.baud)
-    typical, normal, longest = (figures.work_ns(case) for case in (Case.TYPICAL, Case.NORMAL, Case.LONGEST))
-    head = f"cycle_ms = {cycle / NS_PER_MS:g} "
-    if verdict is Verdict.UNLIKELY:
+    cycle, at, least = figures.cycle_ns, baud_text(figures.params.baud), least_ns(figures)
+    head = f"cycle_ms = {cycle / NS_PER_MS:g} is"
+    if verdict is Verdict.POSSIBLE:
+        typical = least[Verdict.TYPICAL]
+        cycles = -(-typical // cycle)
         return (
-            f"{head}is shorter than the typical rotation ({ms_text(typical)} at {at}): with slaves that answer after "
-            f"60 bit times {_skipped(typical, cycle)}; take {_least(typical)} or more, or a faster rate"
+            f"{head} shorter than the typical rotation ({ms_text(typical)} at {at}): with slaves that answer after "
+            f"60 bit times {cycles - 1} of {cycles} cycles are missed; take {_least(typical)} or more, or a faster rate"
         )
-    costs = _costs(figures)
-    if verdict is Verdict.TIGHT:
+    if verdict is Verdict.TYPICAL:
+        enough = least[Verdict.UNDISTURBED]
         return (
-            f"{head}lies between the typical rotation ({ms_text(typical)}) and the longest undisturbed one "
-            f"({ms_text(normal)} at {at}): misses are to be expected where slaves need their max T_SDR, "
-            f"and for {costs}; {_least(normal)} or a faster rate keeps it while nothing is repeated"
+            f"{head} enough for the typical rotation ({ms_text(least[Verdict.TYPICAL])} at {at}) only: misses are to "
+            f"be expected for {', '.join(_costs(figures))}; take {_least(enough)} or more, or a faster rate"
         )
-    return (
-        f"{head}is kept while nothing is repeated; misses are to be expected for {costs} (longest: {ms_text(longest)})"
-    )
+    costs = _costs(figures) or ["several repeated requests in one cycle"]
+    return f"{head} kept at {at} while nothing is repeated: misses are to be expected for {', '.join(costs)}"
 
 
-def _skipped(rotation: int, cycle: int) -> str:
-    """What of the cycles is left where every round takes longer than one."""
-    return f"{-(-rotation // cycle) - 1} of {-(-rotation // cycle)} cycles are missed"
-
-
-def _costs(figures: Figures) -> str:
-    """What does not fit into the spare time of a typical cycle, and how many cycles it costs."""
-    params, cycle = figures.params, figures.cycle_ns
-    spare = cycle - figures.work_ns(Case.TYPICAL)
+def _costs(figures: Figures) -> list[str]:
+    """What does not fit into a cycle, and how many cycles each costs."""
+    params, cycle, normal = figures.params, figures.cycle_ns, figures.rotations[Case.NORMAL]
+    slow = params.ns(normal.work - normal.beside)
+    spare = cycle - (figures.work_ns(Case.TYPICAL) if slow > cycle else slow)
     vain = max((vain_bits(params, request_octets(s)) for s in figures.setups), default=0)
     pieces = (
         ("repeated request", params.ns(vain) + figures.host_slack_ns),
         ("diagnosis", params.ns(longest_diagnosis(params, figures.setups))),
         ("acyclic service", params.ns(acyclic_bits(params))),
     )
-    told = [
-        f"each {name} ({ms_text(takes)}: {-(-(takes - spare) // cycle)} cycle{'s' * (takes - spare > cycle)})"
-        for name, takes in pieces
-        if takes > spare
-    ]
-    if told:
-        return ", ".join(told)
-    return "several repeated requests or services that come together"
+    told = [f"rounds in which all slaves need their max T_SDR ({ms_text(slow)})"] if slow > cycle else []
+    for name, takes in pieces:
+        if takes > spare:
+            cycles = -(-(takes - spare) // cycle)
+            told.append(f"each {name} that takes long (up to {ms_text(takes)}: {cycles} cycle{'s' * (cycles > 1)})")
+    return told
 
 
 def _turn(cycle: int, setup: SlaveSetup) -> str:
