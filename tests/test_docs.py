@@ -89,6 +89,10 @@ def test_examples_run(example: Path, capsys: pytest.CaptureFixture[str]) -> None
             "the slaves follow to 1500000 bit/s, master 5 found 1500000",
             "the slaves follow to 187500 bit/s, master 5 found 187500",
         ],
+        "fixed_cycle": [
+            "200 cycles, the two never more than 0 apart, 0 missed",
+            "the lamp was told 0.25 times a cycle",
+        ],
         "own_slave": ["level 40 %", "ext_diag, wd_on 80 40 07", "valve closed"],
         "two_drives": ["hoist at 25 Hz", "fan at 24 Hz", "fan at -24 Hz"],
         "valves_in_step": [
