@@ -25,6 +25,9 @@ from dpstack.dp.turns import Turns
 from dpstack.fdl.telegram import SAP_CHK_CFG, SAP_GET_CFG, SAP_SET_PRM
 from dpstack.fdl.user import Request
 
+# asked in every exchange: an enum's member costs ten times a name of the module
+_DATA_EXCHANGE: Final = SlaveState.DATA_EXCHANGE
+_OPERATE: Final = Mode.OPERATE
 #: octets of a diagnosis where Max_Diag_Data_Len is not known; a longer one is known after the first
 _DIAGNOSIS: Final = 32
 #: the answers of known length
@@ -157,7 +160,7 @@ class Round:
         due = self._due
         while self._cursor < len(due):
             handler = due[self._cursor]
-            if handler.state is SlaveState.DATA_EXCHANGE:
+            if handler.state is _DATA_EXCHANGE:
                 if self._cadence.fixed and handler in self._spaced:
                     self._cadence.resume()
                     until = self._spaced[handler]
@@ -176,8 +179,8 @@ class Round:
 
     def _outputs(self, handler: SlaveHandler, now: int) -> bytes:
         course = self._course
-        if course.mode is Mode.OPERATE:
-            return handler.unit.outputs(now) if course.target is Mode.OPERATE else handler.setup.safe_outputs
+        if course.mode is _OPERATE:
+            return handler.unit.outputs(now) if course.target is _OPERATE else handler.setup.safe_outputs
         # Clear: a Fail_Safe slave gets an empty frame, the others zeros (section J, Siemens CP5613)
         return b"" if handler.setup.fail_safe else bytes(handler.image.output_len)
 
