@@ -75,8 +75,8 @@ class Round:
         self._services = 0
         self._unsent = False  # no request of it went out yet
         self._freeze = self._sync = False  # still to be sent in it
-        #: with a fixed cycle, slaves that have one: no exchange before this time
-        self._spaced: dict[SlaveHandler, int] = {}
+        #: with a fixed cycle, by address of slaves that have a Min_Slave_Interval: no exchange before this time
+        self._spaced: dict[int, int] = {}
 
     # --- the link layer's questions -----------------------------------------------------------------------------
 
@@ -161,9 +161,9 @@ class Round:
         while self._cursor < len(due):
             handler = due[self._cursor]
             if handler.state is _DATA_EXCHANGE:
-                if self._cadence.fixed and handler in self._spaced:
+                until = self._spaced.get(handler.setup.address) if self._cadence.fixed else None
+                if until is not None:
                     self._cadence.resume()
-                    until = self._spaced[handler]
                     if now < until:
                         if until - now <= self._cadence.book.cycle_ns // 2:
                             self._cadence.pause(until)
@@ -216,7 +216,7 @@ class Round:
         if request.dsap is None and self._cadence.fixed and isinstance(request.tag, SlaveHandler):
             interval = request.tag.setup.min_slave_interval_ns
             if interval:
-                self._spaced[request.tag] = at + interval
+                self._spaced[request.da] = at + interval
 
     def held_back(self, request: Request) -> None:
         """It does not fit before the next cycle."""

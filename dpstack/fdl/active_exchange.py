@@ -70,10 +70,14 @@ def ends_at(link: Link, request: Request, now: int) -> int:
     tries = link.max_retry if request.retry else 0
     if service.counted and (request.restart or not link.fcb.operational[request.da]):
         tries = 0
-    patient = request.patient or request.da in link.slow or link.knows(request.da)
-    slot = (link.slot_known_ns if patient else link.slot_unknown_ns) + request.extra_ns
+    slot = (link.slot_known_ns if waits_long(link, request) else link.slot_unknown_ns) + request.extra_ns
     answer = chars_to_ns(request.answer + _SAPS + _FRAME, baud)
     return begins + (tries + 1) * (sending + slot) + answer + line.t_id1_ns
+
+
+def waits_long(link: Link, request: Request) -> bool:
+    """Whether the answer to ``request`` will be given the slack of a station whose silence would be news."""
+    return request.patient or request.da in link.slow or link.knows(request.da)
 
 
 def start(link: Link, user: LinkUser, request: Request) -> None:

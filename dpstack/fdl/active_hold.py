@@ -95,7 +95,8 @@ def _admitted(link: Link, request: Request, now: int) -> bool:
         budget.overdrawn = f"{name} to station {request.da}"
         if request.dsap not in link.told_forced:
             link.told_forced.add(request.dsap)
-            slack_ns = link.patience.known_ns
+            patience = link.patience
+            slack_ns = patience.known_ns if exchange.waits_long(link, request) else patience.unknown_ns
             link.events.append(
                 DoesNotFit(t_ns=now, service=name, address=request.da, takes_ns=until - now, slack_ns=slack_ns)
             )

@@ -107,7 +107,7 @@ def test_the_picture_of_a_cycle(world: WorldFactory) -> None:
     assert [c.number for c in seen] == list(range(seen[0].number, seen[0].number + len(seen)))
     last = seen[-1]
     assert last.inputs == {5: bytes(range(12)), 6: bytes(12)}  # the slaves mirror their outputs
-    assert (last.fresh, last.late_ns, last.missed) == ({5, 6}, 0, 0)
+    assert (last.fresh, last.late_ns, last.missed) == (frozenset((5, 6)), 0, 0)
     bus.world.remove(bus.slaves[6])
     bus.world.run_for(4 * MS)
     assert bus.master.cycle is not None
