@@ -7,7 +7,7 @@ from typing import Final
 
 from dpstack.api.bench import VirtualBench
 from dpstack.api.config import Config, rate_findings
-from dpstack.api.planning import other_masters, refuse_misfit, with_t_tr
+from dpstack.api.planning import adapter_notes, other_masters, refuse_misfit, with_t_tr
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.api.streams import Rounds
 from dpstack.dp.class2 import Class2
@@ -51,6 +51,8 @@ def plan_bus(config: Config, baud: int | None = None) -> Plan:
         patience = patience_for(config, port)
         pty, slack_ns = port.delivery is Delivery.HOST, patience.known_ns
         beside = Neighbours(params, patience).advice()
+        if port.delivery is Delivery.ADAPTER:
+            notes += adapter_notes(config, params, setups)
     findings = rate_findings(config, rate)
     return make_plan(
         params,

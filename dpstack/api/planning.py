@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import Final
 
 from dpstack.api.config import Config, rate_findings
-from dpstack.dp.plan import OtherMasters, Plan, t_tr_preset
+from dpstack.dp.plan import Case, OtherMasters, Plan, rotation, t_tr_preset
 from dpstack.dp.plan_cycle import Verdict, judge_cycle, slowest_rates
 from dpstack.dp.rotations import Figures, figures
 from dpstack.dp.setup import SlaveSetup
 from dpstack.errors import ConfigError
 from dpstack.params import BusParams
-from dpstack.units import BAUD_RATES, NS_PER_MS, NS_PER_S, baud_text
+from dpstack.units import BAUD_RATES, NS_PER_MS, NS_PER_S, baud_text, ms_text
+
+#: what an exchange and the token cost over an adapter with a latency timer of 1 ms (docs/bus-parameters.md)
+_ADAPTER_EXCHANGE: Final = 2 * NS_PER_MS
+_ADAPTER_TOKEN: Final = NS_PER_MS
 
 
 def other_masters(config: Config, baud: int) -> OtherMasters:
@@ -48,6 +53,19 @@ def _at_rates(config: Config) -> Iterable[Figures]:
         yield figures(params, setups, others=other_masters(config, rate))
 
 
+def adapter_notes(config: Config, params: BusParams, setups: Sequence[SlaveSetup]) -> list[str]:
+    """What a USB adapter does to the cycle, which is known before one is opened; nothing where there is time for it."""
+    slaves = len(rotation(params, setups, Case.SHORTEST).together)
+    round_ns = slaves * _ADAPTER_EXCHANGE + _ADAPTER_TOKEN
+    if not config.bus.cycle_ns or round_ns <= config.bus.cycle_ns:
+        return []
+    return [
+        f"over a USB adapter with a latency timer of 1 ms an exchange takes {ms_text(_ADAPTER_EXCHANGE)} or so at any "
+        f"rate, a round of {slaves} slave{'s' * (slaves != 1)} {ms_text(round_ns)}: longer than "
+        f"cycle_ms = {config.bus.cycle_ms:g}; a UART of the computer's own has no such delay"
+    ]
+
+
 def refuse_misfit(config: Config, plan: Plan, setups: Sequence[SlaveSetup]) -> None:
     """Refuse ``setups`` that the cycle of ``plan`` cannot have. Raises ConfigError, one line."""
     cycle_ns = config.bus.cycle_ns
@@ -66,4 +84,4 @@ def refuse_misfit(config: Config, plan: Plan, setups: Sequence[SlaveSetup]) -> N
     raise config.source.error(path, what, todo)
 
 
-__all__ = ["Verdict", "cycle_rates", "other_masters", "refuse_misfit", "with_t_tr"]
+__all__ = ["Verdict", "adapter_notes", "cycle_rates", "other_masters", "refuse_misfit", "with_t_tr"]

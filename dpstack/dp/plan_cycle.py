@@ -173,10 +173,9 @@ def _missed(figures: Figures, verdict: Verdict) -> str:
     head = f"cycle_ms = {cycle / NS_PER_MS:g} is"
     if verdict is Verdict.POSSIBLE:
         typical = least[Verdict.TYPICAL]
-        cycles = -(-typical // cycle)
         return (
             f"{head} shorter than the typical rotation ({ms_text(typical)} at {at}): with slaves that answer after "
-            f"60 bit times {cycles - 1} of {cycles} cycles are missed; take {_least(typical)} or more, or a faster rate"
+            f"60 bit times {_overrun(figures)}; take {_least(typical)} or more, or a faster rate"
         )
     if verdict is Verdict.TYPICAL:
         enough = least[Verdict.UNDISTURBED]
@@ -186,6 +185,15 @@ def _missed(figures: Figures, verdict: Verdict) -> str:
         )
     costs = _costs(figures) or ["several repeated requests in one cycle"]
     return f"{head} kept at {at} while nothing is repeated: misses are to be expected for {', '.join(costs)}"
+
+
+def _overrun(figures: Figures) -> str:
+    """What happens where the typical rotation takes longer than the cycle: with or without its GAP poll."""
+    typical, cycle = figures.rotations[Case.TYPICAL], figures.cycle_ns
+    data = figures.params.ns(typical.work - typical.beside)
+    if data <= cycle:
+        return f"no GAP poll fits beside the data ({ms_text(data)}), and each makes a cycle late"
+    return f"the data alone take {ms_text(data)}: cycles begin late and {1 - cycle / data:.0%} are left out"
 
 
 def _costs(figures: Figures) -> list[str]:

@@ -76,6 +76,16 @@ def test_what_has_no_room_is_refused_while_the_bus_runs() -> None:
     virtual(program())
 
 
+def test_what_a_usb_adapter_does_to_a_cycle() -> None:
+    notes = plan_bus(config("cycle_ms = 2\n", port="/dev/ttyUSB7")).notes
+    assert (
+        "over a USB adapter with a latency timer of 1 ms an exchange takes 2 ms or so at any rate, a round of 1 slave "
+        "3 ms: longer than cycle_ms = 2; a UART of the computer's own has no such delay" in notes
+    )
+    for bus, port in (("cycle_ms = 3\n", "/dev/ttyUSB7"), ("", "/dev/ttyUSB7"), ("cycle_ms = 2\n", "virtual")):
+        assert not any("USB adapter" in note for note in plan_bus(config(bus, port=port)).notes)
+
+
 # --- other masters ---------------------------------------------------------------------------------------------------
 
 
