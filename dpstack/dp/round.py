@@ -193,7 +193,8 @@ class Round:
         return None
 
     def _between(self, now: int) -> Request | None:
-        """What waits for a time between two cycles."""
+        """What waits for a time between two cycles; what a cycle brought up does not wait for the next one."""
+        self._turns.sort(self._handlers)
         request = self._controls.repetition(self._course.mode, now)
         if request is None and (request := self._service(now)) is not None and isinstance(request.tag, SlaveHandler):
             longest = request.tag.setup.max_diag_len
