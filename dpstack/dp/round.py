@@ -84,8 +84,9 @@ class Round:
         """A hold begins; free running so does a new round, when the last one is through and the next one may."""
         if self._cadence.fixed:
             self._services = 1
-        elif not self.open and self._cadence.due(now, self._turns.interval_all if self._everybody else 0):
-            self._begin(now)
+        elif not self.open and self._cadence.due(now):
+            if not self._everybody or self._cadence.due(now, self._turns.interval_all):
+                self._begin(now)
 
     def next_request(self, now: int) -> Request | None:
         """The next request, in the round or between two fixed cycles."""
