@@ -14,7 +14,7 @@ from bench.machine import load, machine
 
 @dataclass
 class Figure:
-    """One figure; ``goal`` is a bound where the project has set one: an upper one, a lower one where ``more`` is better.
+    """One figure; ``goal`` is a bound where the project has set one: an upper, where ``more`` is better a lower one.
 
     ``rounds`` are the values of the single rounds that ``value`` sums up, empty where there was one only.
     """
@@ -111,7 +111,7 @@ class Report:
         about = self.about
         realtime = cast(Mapping[str, object], about.get("realtime", {}))
         lines = [
-            f"{self.name}: Python {about.get('python')}, {about.get('processors')} processors, {about.get('processor')}",
+            f"{self.name}: Python {about.get('python')}, {about.get('processors')} x {about.get('processor')}",
             f"  {about.get('system')}, governor {about.get('governor')}, load {about.get('load')} at the start, "
             f"{self.load_at_end} at the end, real-time priority {realtime.get('priority') or 'not permitted'}",
         ]

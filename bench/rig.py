@@ -1,0 +1,369 @@
+"""A wire and a master on it, as processes of their own on processors of their own, and what the two have to tell."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+from statistics import median
+from typing import Final, NamedTuple
+
+from bench.masters import CONFIG, FIRST, IDENT, OCTETS
+from dpstack.params import BusParams
+
+_ROOT: Final = Path(__file__).resolve().parent.parent
+_PROBE: Final = Path(__file__).resolve().parent / "probe"
+_START_S: Final = 90.0
+
+
+class NotAvailableError(Exception):
+    """What was to be measured is not there; the text says what and why."""
+
+
+class Record(NamedTuple):
+    """One telegram of the master on a paced wire. Times in ns of CLOCK_MONOTONIC; of answers 0 where there is none."""
+
+    read: int  # the wire has it
+    begin: int  # on the wire
+    end: int
+    answer_end: int
+    due: int  # the answer's last octet, at the master
+    written: int  # when it was written there
+    first: int  # octet
+    to: int  # DA, -1 for a token
+    octets: int
+    answer_octets: int
+
+    @property
+    def exchange(self) -> bool:
+        """A Data_Exchange as these masters send it."""
+        return self.answer_octets == 9 + OCTETS and self.octets == 9 + OCTETS
+
+
+@dataclass(frozen=True, slots=True)
+class Taken:
+    """What a measurement of ``seconds`` gave. CPU times in ns; ``turns`` in ns, without and with the token between."""
+
+    seconds: float
+    exchanges: int
+    cpu: int
+    records: list[Record]
+    held: int
+    turns: list[int]
+    token_turns: list[int]
+
+
+class Processors(NamedTuple):
+    """Where the ends run; None: wherever the system puts them."""
+
+    master: int | None
+    wire: int | None
+
+    @property
+    def text(self) -> str:
+        """For a report's notes."""
+        if self.master is None:
+            return "processors not pinned"
+        if self.wire is None:
+            return f"everything on processor {self.master}: there is no other"
+        return f"master on processor {self.master}, wire on processor {self.wire}"
+
+
+def processors() -> Processors:
+    """The first for the master, and for the calibration loops of this process; the next one for the wire."""
+    if not hasattr(os, "sched_setaffinity"):
+        return Processors(None, None)
+    mine, *others = sorted(os.sched_getaffinity(os.getppid() if _pinned else 0))
+    _pinned.append(mine)
+    os.sched_setaffinity(0, {mine})
+    return Processors(mine, others[0] if others else None)
+
+
+_pinned: list[int] = []
+
+
+@dataclass(frozen=True, slots=True)
+class Adapter:
+    """A USB adapter's habits: its frames in us, its latency timer in ms."""
+
+    frame_us: int = 1000
+    latency_ms: int = 16
+
+
+class Process:
+    """A process of ours with lines of JSON on its output and orders on its input."""
+
+    def __init__(self, words: Sequence[str], processor: int | None, env: dict[str, str] | None = None) -> None:
+        self.began = time.monotonic_ns()
+        self._process = subprocess.Popen(
+            words,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+            cwd=_ROOT,
+            env=env,
+        )
+        if processor is not None:
+            os.sched_setaffinity(self._process.pid, {processor})
+
+    @property
+    def pid(self) -> int:
+        """Its number."""
+        return self._process.pid
+
+    def order(self, text: str) -> None:
+        """One line to it."""
+        assert self._process.stdin is not None
+        with contextlib.suppress(BrokenPipeError):
+            self._process.stdin.write(text + "\n")
+            self._process.stdin.flush()
+
+    def line(self, timeout: float = _START_S) -> str:
+        """The next line from it, empty at its end; it is killed when none comes in time."""
+        assert self._process.stdout is not None
+        killer = threading.Timer(timeout, self._process.kill)
+        killer.daemon = True
+        killer.start()
+        try:
+            return self._process.stdout.readline()
+        finally:
+            killer.cancel()
+
+    def end(self, timeout: float = 10.0) -> list[dict[str, object]]:
+        """Close its input, wait for its end, kill it if it must be; what it still had to tell. Nothing when repeated."""
+        stdin, self._process.stdin = self._process.stdin, None
+        if stdin is None:
+            return []
+        with contextlib.suppress(BrokenPipeError):
+            stdin.close()
+        try:
+            out, _ = self._process.communicate(timeout=timeout)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            out, _ = self._process.communicate()
+        return [json.loads(line) for line in out.splitlines() if line.startswith("{")]
+
+
+class Bench:
+    """One master on one wire, both running, all slaves in data exchange. ``facts`` is what the master told then."""
+
+    def __init__(self, wire: Process, master: Process, facts: dict[str, object], folder: Path) -> None:
+        self.facts = facts
+        self.began = master.began
+        self._wire = wire
+        self._master = master
+        self._folder = folder
+
+    def measure(self, seconds: float, *, settle: float = 0.2) -> Taken:
+        """Leave both alone for ``settle`` seconds, then look on for ``seconds``."""
+        time.sleep(settle)
+        self._ask("begin")
+        since, cpu = time.monotonic_ns(), self._cpu()
+        time.sleep(seconds)
+        cpu, until = self._cpu() - cpu, time.monotonic_ns()
+        path = self._folder / "taken.json"
+        self._ask(f"end {path}")
+        data = json.loads(path.read_text(encoding="utf-8"))
+        turns, token_turns = self._turns(since, until)
+        records = [Record(*record) for record in data["records"]]
+        return Taken((until - since) / 1e9, data["exchanges"], cpu, records, data["held"], turns, token_turns)
+
+    def _ask(self, order: str) -> None:
+        self._wire.order(order)
+        if not self._wire.line(30.0):
+            raise RuntimeError("the wire ended before it was told to")
+
+    def _cpu(self) -> int:
+        return sum(_cpu_of(pid) for pid in _family(self._master.pid))
+
+    def _turns(self, since: int, until: int) -> tuple[list[int], list[int]]:
+        turns: list[int] = []
+        token_turns: list[int] = []
+        for path in self._folder.iterdir():
+            if path.name.isdigit():
+                pairs = memoryview(path.read_bytes()).cast("Q")
+                for place in range(1, min(len(pairs), 1 + 2 * pairs[0]), 2):
+                    if since <= pairs[place] < until:
+                        value = pairs[place + 1]
+                        (token_turns if value & 1 else turns).append(value >> 1)
+        return turns, token_turns
+
+
+@contextlib.contextmanager
+def bench(
+    kind: str,
+    slaves: int,
+    baud: int,
+    where: Processors,
+    *,
+    paced: bool = True,
+    adapter: Adapter | None = None,
+    probe: bool = False,
+    app: str = "idle",
+    gap: int | None = None,
+    cycle_ms: float | None = None,
+) -> Iterator[Bench]:
+    """Start a wire and a master of ``kind`` on it. Raises NotAvailableError when there is none of that kind.
+
+    ``paced``: the wire takes its time; ``adapter``: there is one between; ``probe``: turn-arounds are noted.
+    """
+    refused = unavailable(kind, cycle_ms)
+    if refused:
+        raise NotAvailableError(refused)
+    params = BusParams.preset(baud)
+    wire_words = [sys.executable, str(_ROOT / "bench" / "wire.py"), "--baud", str(baud)]
+    wire_words += [f"{FIRST + n}:{IDENT:04x}:{CONFIG.hex()}:{OCTETS}:{OCTETS}" for n in range(slaves)]
+    if paced:
+        wire_words += ["--paced", "--min-tsdr", str(params.min_tsdr), "--slice-bits", str(params.t_sl // 4)]
+        wire_words += ["--t-id1", str(params.t_id1), "--t-id2", str(params.t_id2), "--t-sl", str(params.t_sl)]
+    if adapter is not None:
+        wire_words += ["--frame-us", str(adapter.frame_us), "--latency-ms", str(adapter.latency_ms)]
+    with contextlib.ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="dpstack-bench-")))
+        wire = Process(wire_words, where.wire)
+        stack.callback(wire.end, 2.0)
+        port = str(json.loads(wire.line() or "{}").get("port", ""))
+        if not port:
+            raise RuntimeError("the wire did not start")
+        words = [sys.executable, "-m", "bench.masters", kind, port, "--baud", str(baud), "--slaves", str(slaves)]
+        words += ["--app", app]
+        if gap is not None:
+            words += ["--gap", str(gap)]
+        if cycle_ms is not None:
+            words += ["--cycle-ms", str(cycle_ms)]
+        if kind == "bare" and paced:
+            words += ["--t-id1", str(params.t_id1)]
+        master = Process(words, where.master, _probed(port, folder) if probe else None)
+        told: list[dict[str, object]] = []
+        stack.callback(lambda: told.extend(master.end()))
+        facts = json.loads(master.line() or "{}")
+        if "ready" not in facts:
+            raise RuntimeError(f"{kind}, {slaves} slaves: {facts.get('error', 'the master ended without a word')}")
+        yield Bench(wire, master, facts, folder)
+        told += master.end()
+        if told:
+            raise RuntimeError(f"{kind}, {slaves} slaves: {told[0]}")
+
+
+def _probed(port: str, folder: Path) -> dict[str, str]:
+    return {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(filter(None, (str(_PROBE), os.environ.get("PYTHONPATH")))),
+        "BENCH_LINE": port,
+        "BENCH_PROBE": str(folder),
+    }
+
+
+@cache
+def unavailable(kind: str, cycle_ms: float | None = None) -> str:
+    """Why a master of ``kind`` cannot be measured here; empty when it can."""
+    import dpstack
+
+    if kind == "pyprofibus":
+        found = importlib.util.find_spec("pyprofibus") is not None
+        return "" if found else "pyprofibus is not installed: python -m pip install -e '.[bench]'"
+    if kind in ("asyncio", "process"):
+        keys: dict[str, object] = {"driver": kind} | ({} if cycle_ms is None else {"cycle_ms": cycle_ms})
+        try:
+            dpstack.open_bus(port="/dev/null", baud=12_000_000, **keys)
+        except dpstack.ConfigError as error:
+            return f"{kind} is not available: {error}".replace("\n", " ")
+    return ""
+
+
+def available(kinds: Sequence[str], notes: list[str], cycle_ms: float | None = None) -> list[str]:
+    """Those of ``kinds`` that can be measured; why the others cannot goes to ``notes``."""
+    for kind in kinds:
+        if unavailable(kind, cycle_ms):
+            notes.append(unavailable(kind, cycle_ms))
+    return [kind for kind in kinds if not unavailable(kind, cycle_ms)]
+
+
+def _family(pid: int) -> list[int]:
+    """The process, its children, theirs."""
+    family = [pid]
+    for task in Path(f"/proc/{pid}/task").glob("*/children"):
+        with contextlib.suppress(OSError):
+            for child in task.read_text().split():
+                family += _family(int(child))
+    return family
+
+
+def _cpu_of(pid: int) -> int:
+    """Processor time of another process in ns (the clock of a process, clock_getcpuclockid(3))."""
+    return time.clock_gettime_ns((~pid << 3) | 2)
+
+
+# --- what the records of a paced wire say ---
+
+
+def pty_share(records: Sequence[Record], baud: int) -> float:
+    """Of a bare loop: from its answer's last octet written to its next request read, without T_ID1; the median in ns.
+
+    That is what two ways over the pty cost and what the system needs to wake a process.
+    """
+    idle = BusParams.preset(baud).ns(BusParams.preset(baud).t_id1)
+    return middle([b.read - a.written - idle for a, b in pairwise(records) if a.written])
+
+
+class Round(NamedTuple):
+    """One rotation: how long it took, and the time on the wire by the rules of what was sent in it. In ns."""
+
+    took: int
+    wire: int
+    exchanges: int
+
+
+def rotations(records: Sequence[Record], baud: int) -> list[Round]:
+    """Rotations between Data_Exchanges with the first slave; those with a silent address or a service left out."""
+    params = BusParams.preset(baud)
+    rounds: list[Round] = []
+    begin, bits, exchanges, usual = 0, 0, 0, False
+    for record in records:
+        if record.exchange and record.to == FIRST:
+            if usual:
+                rounds.append(Round(record.read - begin, params.ns(bits), exchanges))
+            begin, bits, exchanges, usual = record.read, 0, 0, True
+        bits += 11 * record.octets + params.t_id1
+        if record.answer_octets:
+            bits += params.min_tsdr + 11 * record.answer_octets
+        exchanges += record.exchange
+        usual = usual and (record.exchange or record.to < 0)
+    return rounds
+
+
+def middle(values: Sequence[float]) -> float:
+    """The median. Raises RuntimeError when nothing was measured."""
+    if not values:
+        raise RuntimeError("nothing was measured: take more seconds")
+    return median(values)
+
+
+__all__ = [
+    "Adapter",
+    "Bench",
+    "NotAvailableError",
+    "Processors",
+    "Record",
+    "Round",
+    "Taken",
+    "available",
+    "bench",
+    "middle",
+    "processors",
+    "pty_share",
+    "rotations",
+    "unavailable",
+]
