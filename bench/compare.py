@@ -97,7 +97,7 @@ def _change(name: str, old: Figure | None, new: Figure | None) -> Change:
         known = old or new
         assert known is not None
         verdict = Verdict.NEW if old is None else Verdict.GONE
-        return Change(name, known.unit, old and old.value, new and new.value, None, None, verdict)
+        return Change(name, known.unit, old.value if old else None, new.value if new else None, None, None, verdict)
     ratio = new.value / old.value if old.value else None
     spreads = (old.spread, new.spread)
     noise = None if None in spreads else max(_LEAST, sum(s for s in spreads if s is not None))

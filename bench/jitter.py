@@ -67,7 +67,7 @@ class Lateness:
         if len(begins) < 2:
             raise RuntimeError("not two rounds were seen: take more seconds, or a longer cycle")
         # the place of a round: a late one does not move those that follow
-        offsets = []
+        offsets: list[float] = []
         place, earliest = 0, begins[0]
         for begin in begins:
             place = max(place + bool(offsets), round((begin - earliest) / cycle))

@@ -18,7 +18,7 @@ import threading
 import time
 import tty
 from time import monotonic_ns
-from typing import Final
+from typing import Any, Final
 
 FIRST: Final = 3
 IDENT: Final = 0x0696
@@ -56,19 +56,19 @@ def told(**facts: object) -> None:
 
 async def dpstack_master(args: argparse.Namespace, ended: Ended) -> None:
     """A bus as the README shows it."""
-    import dpstack
+    from dpstack import open_bus
 
     imported = monotonic_ns()
     tables = [
         {"name": f"s{n}", "address": FIRST + n, "ident": IDENT, "config": CONFIG.hex(" ")} for n in range(args.slaves)
     ]
-    keys: dict[str, object] = {"driver": args.kind}
+    keys: dict[str, Any] = {"driver": args.kind}
     if args.gap is not None:
         keys["gap"] = args.gap
     if args.cycle_ms:
         keys["cycle_ms"] = args.cycle_ms
     events: list[tuple[str, int, str]] = []
-    bus = dpstack.open_bus(
+    bus = open_bus(
         port=args.port,
         baud=args.baud,
         address=_OWN,

@@ -17,7 +17,7 @@ from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from statistics import median
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from bench.masters import CONFIG, FIRST, IDENT, OCTETS
 from dpstack.params import BusParams
@@ -142,7 +142,7 @@ class Process:
             killer.cancel()
 
     def end(self, timeout: float = 10.0) -> list[dict[str, object]]:
-        """Close its input, wait for its end, kill it if it must be; what it still had to tell. Nothing when repeated."""
+        """Close its input and wait for its end, or kill it; what it still had to tell, nothing when repeated."""
         stdin, self._process.stdin = self._process.stdin, None
         if stdin is None:
             return []
@@ -275,7 +275,7 @@ def unavailable(kind: str, cycle_ms: float | None = None) -> str:
         found = importlib.util.find_spec("pyprofibus") is not None
         return "" if found else "pyprofibus is not installed: python -m pip install -e '.[bench]'"
     if kind in ("asyncio", "process"):
-        keys: dict[str, object] = {"driver": kind} | ({} if cycle_ms is None else {"cycle_ms": cycle_ms})
+        keys: dict[str, Any] = {"driver": kind} | ({} if cycle_ms is None else {"cycle_ms": cycle_ms})
         try:
             dpstack.open_bus(port="/dev/null", baud=12_000_000, **keys)
         except dpstack.ConfigError as error:
@@ -285,9 +285,7 @@ def unavailable(kind: str, cycle_ms: float | None = None) -> str:
 
 def available(kinds: Sequence[str], notes: list[str], cycle_ms: float | None = None) -> list[str]:
     """Those of ``kinds`` that can be measured; why the others cannot goes to ``notes``."""
-    for kind in kinds:
-        if unavailable(kind, cycle_ms):
-            notes.append(unavailable(kind, cycle_ms))
+    notes.extend(filter(None, (unavailable(kind, cycle_ms) for kind in kinds)))
     return [kind for kind in kinds if not unavailable(kind, cycle_ms)]
 
 

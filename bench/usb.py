@@ -2,9 +2,9 @@
 
 The other end simulates the adapter: what the master writes goes on the wire with the next USB frame (1 ms), answers are
 handed over when a packet is full or the latency timer has run out, with a frame. The timer is at 16 ms, as chips come,
-or at 1 ms, as dpstack sets it where it may. Per exchange: *wire* is what the telegrams take by the rules, *stack* from
-the answer's last octet handed over to the next request read without T_ID1 (the pty's share is in it), *adapter* the
-rest: waiting for frames and timer.
+or at 1 ms, as dpstack sets it where it may. The GAP is off. Per exchange: *wire* is what the telegrams take by the
+rules, *stack* from the answer's last octet handed over to the next request read without T_ID1 (the pty's share is in
+it), *adapter* the rest: waiting for frames and timer.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def run(argv: list[str]) -> Report:
     runs: dict[tuple[int, int, str], list[list[Record]]] = {case: [] for case in cases}
     for _ in range(args.rounds):
         for (baud, timer, kind), records in runs.items():
-            with bench(kind, args.slaves, baud, where, adapter=Adapter(latency_ms=timer)) as running:
+            with bench(kind, args.slaves, baud, where, adapter=Adapter(latency_ms=timer), gap=0) as running:
                 records.append(running.measure(args.seconds).records)
     for (baud, timer, kind), records in runs.items():
         title = f"{baud_text(baud)}, timer {timer} ms, {kind}"

@@ -58,7 +58,7 @@ class Wire:
         os.close(far)
         self._buffer = bytearray()
         self._options = options
-        self._bit = 1_000_000_000 / options.baud
+        self._bit: float = 1_000_000_000 / options.baud
         self._slice = max(1, options.slice_bits // 11)
         self._free_at = 0  # from when on the next telegram may begin by the rules
         self._packet_at = 0  # when the adapter handed over its last packet

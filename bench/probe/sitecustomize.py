@@ -20,8 +20,8 @@ def install(line: str, folder: str) -> None:
     """Put timed functions in place of ``os.read`` and ``os.write`` once ``line`` is opened."""
     read, write, opened = os.read, os.write, os.open
 
-    def timed_open(path, *args, **kwargs):  # type: ignore[no-untyped-def]
-        fd = opened(path, *args, **kwargs)
+    def timed_open(path: str, flags: int, mode: int = 0o777, *, dir_fd: int | None = None) -> int:
+        fd = opened(path, flags, mode, dir_fd=dir_fd)
         if path == line:
             watch(fd)
         return fd
@@ -59,9 +59,9 @@ def install(line: str, folder: str) -> None:
                     token = False
             return done
 
-        os.read, os.write = timed_read, timed_write
+        vars(os).update(read=timed_read, write=timed_write)
 
-    os.open = timed_open
+    vars(os).update(open=timed_open)
 
 
 if "BENCH_LINE" in os.environ and "BENCH_PROBE" in os.environ:
