@@ -15,7 +15,7 @@ from typing import Final
 
 from bench.calibration import calibrate
 from bench.report import Report, quantile
-from bench.rig import Processors, Taken, available, bench, processors
+from bench.rig import Processors, Taken, available, bench, disturbed, pinned
 from dpstack.params import BusParams
 
 _BAUD: Final = 12_000_000
@@ -35,22 +35,23 @@ def run(argv: list[str]) -> Report:
     parser.add_argument("--rounds", type=int, default=9, help="of all kinds in turn; medians are reported")
     parser.add_argument("--kinds", nargs="*", choices=_KINDS, default=_KINDS)
     args = parser.parse_args(argv)
-    where = processors()
-    report = Report("cycle", notes=[where.text])
-    kinds = available(args.kinds, report.notes)
-    loops: list[float] = []
-    taken: dict[tuple[str, int], list[Taken]] = {(kind, n): [] for n in args.slaves for kind in kinds}
-    for _ in range(args.rounds):
-        loops.append(calibrate(rounds=5))
-        for kind, n in taken:
-            taken[kind, n].append(_measure(kind, n, args.seconds, where))
-    report.measured("calibration loop", [loop / 1000 for loop in loops], "us")
-    for (kind, n), rounds in taken.items():
-        _add(report, kind, n, rounds, loops)
-    for n in args.slaves:
-        _compared(report, n, {kind: taken[kind, n] for kind in kinds})
-    idle = BusParams.preset(_BAUD).t_id1
-    report.notes.append(f"T_ID1 = {idle} bit times = {idle / 12:.1f} us is part of every turn-around")
+    with pinned() as where:
+        report = Report("cycle", notes=[where.text])
+        kinds = available(args.kinds, report.notes)
+        loops: list[float] = []
+        taken: dict[tuple[str, int], list[Taken]] = {(kind, n): [] for n in args.slaves for kind in kinds}
+        for _ in range(args.rounds):
+            loops.append(calibrate(rounds=5))
+            for kind, n in taken:
+                taken[kind, n].append(_measure(kind, n, args.seconds, where))
+        report.measured("calibration loop", [loop / 1000 for loop in loops], "us")
+        for (kind, n), rounds in taken.items():
+            _add(report, kind, n, rounds, loops)
+        for n in args.slaves:
+            _compared(report, n, {kind: taken[kind, n] for kind in kinds})
+        report.notes += disturbed(t for rounds in taken.values() for t in rounds)
+        idle = BusParams.preset(_BAUD).t_id1
+        report.notes.append(f"T_ID1 = {idle} bit times = {idle / 12:.1f} us is part of every turn-around")
     return report
 
 

@@ -17,7 +17,7 @@ from typing import Final
 from bench.machine import realtime
 from bench.masters import APPLICATIONS, FIRST
 from bench.report import Report, quantile
-from bench.rig import Record, available, bench, processors
+from bench.rig import Record, Taken, available, bench, disturbed, pinned
 
 _DRIVERS: Final = ("asyncio", "process")
 _GAP_NS: Final = 40_000_000
@@ -35,26 +35,29 @@ def run(argv: list[str]) -> Report:
     parser.add_argument("--kinds", nargs="*", choices=_DRIVERS, default=_DRIVERS)
     parser.add_argument("--apps", nargs="*", choices=APPLICATIONS, default=APPLICATIONS)
     args = parser.parse_args(argv)
-    where = processors()
-    rights = realtime()
-    report = Report("jitter", notes=[where.text])
-    report.notes.append(f"real-time share: {rights['runtime_us']} of every {rights['period_us']} us")
-    kinds = available(args.kinds, report.notes, max(args.cycles))
-    cases = [(kind, cycle, app) for kind in kinds for cycle in args.cycles for app in args.apps]
-    runs: dict[tuple[str, float, str], list[Lateness]] = {case: [] for case in cases}
-    for _ in range(args.rounds):
+    with pinned() as where:
+        rights = realtime()
+        report = Report("jitter", notes=[where.text])
+        report.notes.append(f"real-time share: {rights['runtime_us']} of every {rights['period_us']} us")
+        kinds = available(args.kinds, report.notes, max(args.cycles))
+        cases = [(kind, cycle, app) for kind in kinds for cycle in args.cycles for app in args.apps]
+        taken: list[Taken] = []
+        runs: dict[tuple[str, float, str], list[Lateness]] = {case: [] for case in cases}
+        for _ in range(args.rounds):
+            for (kind, cycle, app), rounds in runs.items():
+                with bench(kind, args.slaves, args.baud, where, app=app, cycle_ms=cycle) as running:
+                    taken.append(running.measure(args.seconds))
+                rounds.append(Lateness(taken[-1].records, cycle))
+        report.notes += disturbed(taken)
         for (kind, cycle, app), rounds in runs.items():
-            with bench(kind, args.slaves, args.baud, where, app=app, cycle_ms=cycle) as running:
-                rounds.append(Lateness(running.measure(args.seconds).records, cycle))
-    for (kind, cycle, app), rounds in runs.items():
-        _add(report, f"{kind}, {cycle:g} ms, {app}", rounds, kind)
-    for kind in kinds:
-        for cycle in args.cycles:
-            if {"burn", "idle"} <= set(args.apps):
-                busy, idle = ([r.quantile_us(0.999) for r in runs[kind, cycle, app]] for app in ("burn", "idle"))
-                ratios = [b / max(i, 1e-3) for b, i in zip(busy, idle, strict=True)]
-                goal = 2.0 if kind == "process" else None
-                report.measured(f"{kind}, {cycle:g} ms: lateness p99.9, burn to idle", ratios, "ratio", goal)
+            _add(report, f"{kind}, {cycle:g} ms, {app}", rounds, kind)
+        for kind in kinds:
+            for cycle in args.cycles:
+                if {"burn", "idle"} <= set(args.apps):
+                    busy, idle = ([r.quantile_us(0.999) for r in runs[kind, cycle, app]] for app in ("burn", "idle"))
+                    ratios = [b / max(i, 1e-3) for b, i in zip(busy, idle, strict=True)]
+                    goal = 2.0 if kind == "process" else None
+                    report.measured(f"{kind}, {cycle:g} ms: lateness p99.9, burn to idle", ratios, "ratio", goal)
     return report
 
 

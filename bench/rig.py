@@ -11,7 +11,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
@@ -25,6 +25,11 @@ from dpstack.params import BusParams
 _ROOT: Final = Path(__file__).resolve().parent.parent
 _PROBE: Final = Path(__file__).resolve().parent / "probe"
 _START_S: Final = 90.0
+#: a measurement has so many rounds at least, unless that takes longer than this
+_LEAST_ROUNDS: Final = 6
+_PATIENCE_NS: Final = 10_000_000_000
+#: more than this share of the time in run queues is worth a note
+_DISTURBED: Final = 0.02
 
 
 class NotAvailableError(Exception):
@@ -58,6 +63,7 @@ class Taken:
     seconds: float
     exchanges: int
     cpu: int
+    waited: float  # share of the time in which either end could have run, and another program had its processor
     records: list[Record]
     held: int
     turns: list[int]
@@ -80,17 +86,19 @@ class Processors(NamedTuple):
         return f"master on processor {self.master}, wire on processor {self.wire}"
 
 
-def processors() -> Processors:
+@contextlib.contextmanager
+def pinned() -> Iterator[Processors]:
     """The first for the master, and for the calibration loops of this process; the next one for the wire."""
     if not hasattr(os, "sched_setaffinity"):
-        return Processors(None, None)
-    mine, *others = sorted(os.sched_getaffinity(os.getppid() if _pinned else 0))
-    _pinned.append(mine)
+        yield Processors(None, None)
+        return
+    before = os.sched_getaffinity(0)
+    mine, *others = sorted(before)
     os.sched_setaffinity(0, {mine})
-    return Processors(mine, others[0] if others else None)
-
-
-_pinned: list[int] = []
+    try:
+        yield Processors(mine, others[0] if others else None)
+    finally:
+        os.sched_setaffinity(0, before)
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,34 +167,45 @@ class Process:
 class Bench:
     """One master on one wire, both running, all slaves in data exchange. ``facts`` is what the master told then."""
 
-    def __init__(self, wire: Process, master: Process, facts: dict[str, object], folder: Path) -> None:
+    def __init__(self, wire: Process, master: Process, slaves: int, facts: dict[str, object], folder: Path) -> None:
         self.facts = facts
+        self._least = _LEAST_ROUNDS * slaves
         self.began = master.began
         self._wire = wire
         self._master = master
         self._folder = folder
 
     def measure(self, seconds: float, *, settle: float = 0.2) -> Taken:
-        """Leave both alone for ``settle`` seconds, then look on for ``seconds``."""
+        """Leave both alone for ``settle`` seconds, then look on for ``seconds``, longer while there is too little."""
         time.sleep(settle)
         self._ask("begin")
-        since, cpu = time.monotonic_ns(), self._cpu()
+        since, cpu, waited = time.monotonic_ns(), self._sum(_cpu_of), self._waited()
         time.sleep(seconds)
-        cpu, until = self._cpu() - cpu, time.monotonic_ns()
+        give_up = time.monotonic_ns() + _PATIENCE_NS
+        while int(self._ask("count")) < self._least and time.monotonic_ns() < give_up:
+            time.sleep(seconds)
+        cpu, until = self._sum(_cpu_of) - cpu, time.monotonic_ns()
+        waited = self._waited() - waited
         path = self._folder / "taken.json"
         self._ask(f"end {path}")
         data = json.loads(path.read_text(encoding="utf-8"))
         turns, token_turns = self._turns(since, until)
         records = [Record(*record) for record in data["records"]]
-        return Taken((until - since) / 1e9, data["exchanges"], cpu, records, data["held"], turns, token_turns)
+        took = until - since
+        return Taken(took / 1e9, data["exchanges"], cpu, waited / took, records, data["held"], turns, token_turns)
 
-    def _ask(self, order: str) -> None:
+    def _ask(self, order: str) -> str:
         self._wire.order(order)
-        if not self._wire.line(30.0):
+        answer = self._wire.line(30.0)
+        if not answer:
             raise RuntimeError("the wire ended before it was told to")
+        return answer
 
-    def _cpu(self) -> int:
-        return sum(_cpu_of(pid) for pid in _family(self._master.pid))
+    def _sum(self, of: Callable[[int], int]) -> int:
+        return sum(of(pid) for pid in _family(self._master.pid))
+
+    def _waited(self) -> int:
+        return self._sum(_waited_of) + _waited_of(self._wire.pid)
 
     def _turns(self, since: int, until: int) -> tuple[list[int], list[int]]:
         turns: list[int] = []
@@ -251,7 +270,7 @@ def bench(
         facts = json.loads(master.line() or "{}")
         if "ready" not in facts:
             raise RuntimeError(f"{kind}, {slaves} slaves: {facts.get('error', 'the master ended without a word')}")
-        yield Bench(wire, master, facts, folder)
+        yield Bench(wire, master, slaves, facts, folder)
         told += master.end()
         if told:
             raise RuntimeError(f"{kind}, {slaves} slaves: {told[0]}")
@@ -302,6 +321,24 @@ def _family(pid: int) -> list[int]:
 def _cpu_of(pid: int) -> int:
     """Processor time of another process in ns (the clock of a process, clock_getcpuclockid(3))."""
     return time.clock_gettime_ns((~pid << 3) | 2)
+
+
+def _waited_of(pid: int) -> int:
+    """How long threads of a process have stood in a run queue, in ns (the second figure of schedstat)."""
+    waited = 0
+    for path in Path(f"/proc/{pid}/task").glob("*/schedstat"):
+        with contextlib.suppress(OSError, IndexError):
+            waited += int(path.read_text().split()[1])
+    return waited
+
+
+def disturbed(taken: Iterable[Taken]) -> list[str]:
+    """A line for a report's notes when other programs had the processors too long."""
+    shares = [t.waited for t in taken]
+    share = median(shares) if shares else 0.0
+    if share < _DISTURBED:
+        return []
+    return [f"other programs had the processors {share:.0%} of the time (median): these figures are theirs too"]
 
 
 # --- what the records of a paced wire say ---
@@ -359,8 +396,9 @@ __all__ = [
     "Taken",
     "available",
     "bench",
+    "disturbed",
     "middle",
-    "processors",
+    "pinned",
     "pty_share",
     "rotations",
     "unavailable",

@@ -17,7 +17,7 @@ from statistics import median
 from typing import Final
 
 from bench.report import Report, quantile
-from bench.rig import Processors, Taken, available, bench, middle, processors, pty_share, rotations
+from bench.rig import Processors, Taken, available, bench, disturbed, middle, pinned, pty_share, rotations
 from dpstack.params import BusParams
 from dpstack.units import baud_text
 
@@ -41,11 +41,11 @@ def run(argv: list[str]) -> Report:
     parser.add_argument("--rounds", type=int, default=9, help="of all kinds in turn; medians are reported")
     parser.add_argument("--kinds", nargs="*", choices=_KINDS, default=_KINDS)
     args = parser.parse_args(argv)
-    where = processors()
-    report = Report("rotation", notes=[where.text])
-    kinds = available(args.kinds, report.notes)
-    for baud in args.bauds:
-        _at(report, baud, args, kinds, where)
+    with pinned() as where:
+        report = Report("rotation", notes=[where.text])
+        kinds = available(args.kinds, report.notes)
+        for baud in args.bauds:
+            _at(report, baud, args, kinds, where)
     return report
 
 
@@ -79,6 +79,7 @@ def _at(report: Report, baud: int, args: argparse.Namespace, kinds: Sequence[str
             report.measured(f"{at}, {kind}: CPU time per exchange to pyprofibus's", ratios, "ratio", _GOAL_CPU)
     late = [t.written - t.due for runs in taken.values() for run in runs for t in run.records if t.written]
     report.add(f"{at}: the wire's own lateness p50", middle(late) / 1000, "us")
+    report.notes += [f"{at}: {note}" for note in disturbed(run for runs in taken.values() for run in runs)]
     held = sum(run.held for kind in _DRIVERS for run in taken.get(kind, []))
     asked = sum(len(run.records) for kind in _DRIVERS for run in taken.get(kind, []))
     if held:

@@ -11,7 +11,7 @@ import argparse
 from typing import Final, cast
 
 from bench.report import Report
-from bench.rig import Bench, Processors, available, bench, processors
+from bench.rig import Bench, Processors, available, bench, pinned
 
 _DRIVERS: Final = ("asyncio", "process")
 _PARTS: Final = ("program", "opening", "listening", "bring-up", "all")
@@ -25,16 +25,16 @@ def run(argv: list[str]) -> Report:
     parser.add_argument("--rounds", type=int, default=9)
     parser.add_argument("--kinds", nargs="*", choices=_DRIVERS, default=_DRIVERS)
     args = parser.parse_args(argv)
-    where = processors()
-    report = Report("startup", notes=[where.text])
-    kinds = available(args.kinds, report.notes)
-    runs: dict[str, list[dict[str, float]]] = {kind: [] for kind in kinds}
-    for _ in range(args.rounds):
+    with pinned() as where:
+        report = Report("startup", notes=[where.text])
+        kinds = available(args.kinds, report.notes)
+        runs: dict[str, list[dict[str, float]]] = {kind: [] for kind in kinds}
+        for _ in range(args.rounds):
+            for kind, parts in runs.items():
+                parts.append(_measure(kind, args.slaves, args.baud, where))
         for kind, parts in runs.items():
-            parts.append(_measure(kind, args.slaves, args.baud, where))
-    for kind, parts in runs.items():
-        for name in _PARTS:
-            report.measured(f"{kind}, {args.slaves} slaves: {name}", [part[name] for part in parts], "ms")
+            for name in _PARTS:
+                report.measured(f"{kind}, {args.slaves} slaves: {name}", [part[name] for part in parts], "ms")
     return report
 
 

@@ -15,7 +15,7 @@ from itertools import pairwise
 from typing import Final
 
 from bench.report import Report, quantile
-from bench.rig import Adapter, Record, available, bench, middle, processors, rotations
+from bench.rig import Adapter, Record, Taken, available, bench, disturbed, middle, pinned, rotations
 from dpstack.params import BusParams
 from dpstack.units import baud_text
 
@@ -33,24 +33,25 @@ def run(argv: list[str]) -> Report:
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--kinds", nargs="*", choices=_DRIVERS, default=_DRIVERS)
     args = parser.parse_args(argv)
-    where = processors()
-    report = Report("usb", notes=[where.text])
-    kinds = available(args.kinds, report.notes)
-    cases = [(baud, timer, kind) for baud in args.bauds for timer in args.timers for kind in kinds]
-    runs: dict[tuple[int, int, str], list[list[Record]]] = {case: [] for case in cases}
-    for _ in range(args.rounds):
-        for (baud, timer, kind), records in runs.items():
-            with bench(kind, args.slaves, baud, where, adapter=Adapter(latency_ms=timer), gap=0) as running:
-                records.append(running.measure(args.seconds).records)
-    for (baud, timer, kind), records in runs.items():
-        title = f"{baud_text(baud)}, timer {timer} ms, {kind}"
-        rounds = [rotations(r, baud) for r in records]
-        for q in (0.5, 0.99):
-            values = [quantile([r.took for r in each], q) / 1e6 for each in rounds if each]
-            report.measured(f"{title}: rotation p{q * 100:.0f}", values, "ms")
-        parts = [_parts(r, baud) for r in records]
-        for n, name in enumerate(("wire", "adapter", "stack")):
-            report.measured(f"{title}: {name} per exchange", [part[n] / 1e6 for part in parts], "ms")
+    with pinned() as where:
+        report = Report("usb", notes=[where.text])
+        kinds = available(args.kinds, report.notes)
+        cases = [(baud, timer, kind) for baud in args.bauds for timer in args.timers for kind in kinds]
+        runs: dict[tuple[int, int, str], list[Taken]] = {case: [] for case in cases}
+        for _ in range(args.rounds):
+            for (baud, timer, kind), taken in runs.items():
+                with bench(kind, args.slaves, baud, where, adapter=Adapter(latency_ms=timer), gap=0) as running:
+                    taken.append(running.measure(args.seconds))
+        for (baud, timer, kind), taken in runs.items():
+            title = f"{baud_text(baud)}, timer {timer} ms, {kind}"
+            rounds = [rotations(t.records, baud) for t in taken]
+            for q in (0.5, 0.99):
+                values = [quantile([r.took for r in each], q) / 1e6 for each in rounds if each]
+                report.measured(f"{title}: rotation p{q * 100:.0f}", values, "ms")
+            parts = [_parts(t.records, baud) for t in taken]
+            for n, name in enumerate(("wire", "adapter", "stack")):
+                report.measured(f"{title}: {name} per exchange", [part[n] / 1e6 for part in parts], "ms")
+        report.notes += disturbed(t for taken in runs.values() for t in taken)
     return report
 
 

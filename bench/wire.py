@@ -7,7 +7,8 @@ handed over in slices. Behind an adapter requests wait for a USB frame, answers 
 and for a frame.
 
 It prints one JSON line with the port. Then lines on standard input: ``begin`` forgets what was recorded, ``end FILE``
-writes it as JSON; the end of the input ends it.
+writes it as JSON, ``count`` does nothing; each is answered by the number of exchanges since ``begin``. The end of the
+input ends it.
 """
 
 from __future__ import annotations
@@ -62,7 +63,8 @@ class Wire:
         self._slice = max(1, options.slice_bits // 11)
         self._free_at = 0  # from when on the next telegram may begin by the rules
         self._packet_at = 0  # when the adapter handed over its last packet
-        self._pieces: list[tuple[int, bytes]] = []
+        #: what is to be written, and when
+        self.pieces: list[tuple[int, bytes]] = []
         self.records: list[Record] = []
         self._last: Record = []
         self.held = 0
@@ -77,16 +79,16 @@ class Wire:
         """Serve until the process is ended."""
         looking_until = 0
         while True:
-            due = self._pieces[0][0] if self._pieces else _FOREVER
+            due = self.pieces[0][0] if self.pieces else _FOREVER
             now = monotonic_ns()
             if due <= now:
-                os.write(self._fd, self._pieces.pop(0)[1])
+                os.write(self._fd, self.pieces.pop(0)[1])
                 now = monotonic_ns()
                 looking_until = now + _LOOK
-                if not self._pieces:
+                if not self.pieces:
                     self._last[_WRITTEN] = now
                 continue
-            if due - now > _SPIN and (self._pieces or now > looking_until):
+            if due - now > _SPIN and (self.pieces or now > looking_until):
                 wait = 0.05 if due == _FOREVER else (due - now - _SPIN // 2) / 1e9
                 if not select.select((self._fd,), (), (), wait)[0]:
                     continue
@@ -97,7 +99,7 @@ class Wire:
             except OSError:
                 return
             if chunk:
-                self._take(chunk, monotonic_ns())
+                self.take(chunk, monotonic_ns())
 
     def run_free(self) -> None:
         """As :meth:`run`, without a wire: an answer is written at once. Only exchanges are counted."""
@@ -111,7 +113,8 @@ class Wire:
             except OSError:
                 return
 
-    def _take(self, chunk: bytes, now: int) -> None:
+    def take(self, chunk: bytes, now: int) -> None:
+        """Octets of the master, read at ``now``: what follows from them goes to ``records`` and ``pieces``."""
         buffer = self._buffer
         buffer += chunk
         while buffer:
@@ -133,7 +136,7 @@ class Wire:
         if answer:
             starts = end + self.bits(options.min_tsdr)
             over = starts + self.bits(11 * len(answer))
-            self._pieces = [*self._pieces, *(self._handed_over if options.frame_us else self._sliced)(answer, starts)]
+            self.pieces = [*self.pieces, *(self._handed_over if options.frame_us else self._sliced)(answer, starts)]
             self._free_at = over + self.bits(options.t_id1)
         else:
             over = 0
@@ -141,7 +144,7 @@ class Wire:
             silent = bool(body) and not broadcast and body[2] & 0x40
             idle = options.t_id2 if broadcast else options.t_sl if silent else options.t_id1
             self._free_at = end + self.bits(idle)
-        handed = self._pieces[-1][0] if answer else 0
+        handed = self.pieces[-1][0] if answer else 0
         to = body[0] & 0x7F if body else -1
         self._last = [now, begin, end, over, handed, 0, first, to, len(octets), len(answer)]
         self.records.append(self._last)
@@ -191,7 +194,7 @@ class Wire:
                     "cpu": process_time_ns() - self.cpu,
                 }
                 Path(path).write_text(json.dumps(data), encoding="utf-8")
-            print("done", flush=True)
+            print(self.exchanges() - self.count, flush=True)
         os._exit(0)  # the other thread is in the middle of something
 
     def exchanges(self) -> int:
