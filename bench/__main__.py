@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import Final
 
-from bench.compare import compare, load_report, reference_of, save
+from bench.compare import compare, load_reference, load_report, reference_of, save
 from bench.plot import PlotError, plot
 from bench.report import Report
 
@@ -58,11 +58,12 @@ def main(argv: list[str] | None = None) -> int:
         report = run(args.name, rest)
         print(report.as_json() if args.json else report.as_text())
         if args.save is not None:
-            save(report, _path(args.save, args.name))
+            save(report, reference_of(args.name) if args.save == Path() else args.save)
         if args.plot is not None:
             plot(report, args.plot)
         if args.compare is not None:
-            return _told(load_report(_path(args.compare, args.name)), report, as_json=args.json)
+            old = load_reference(args.name) if args.compare == Path() else load_report(args.compare)
+            return _told(old, report, as_json=args.json)
     except (ValueError, PlotError) as error:
         print(f"bench: {error}", file=sys.stderr)
         return 2
@@ -77,10 +78,6 @@ def run(name: str, argv: list[str]) -> Report:
     return report.finished()
 
 
-def _path(given: Path, name: str) -> Path:
-    return reference_of(name) if given == Path() else given
-
-
 def _compare(argv: list[str], *, as_json: bool) -> int:
     parser = argparse.ArgumentParser(prog="python -m bench compare", epilog="1: something became worse beyond noise")
     parser.add_argument("name")
@@ -90,7 +87,7 @@ def _compare(argv: list[str], *, as_json: bool) -> int:
         raise ValueError("compare takes at most two files")
     if args.name not in BENCHMARKS:
         raise ValueError(f"no benchmark {args.name!r}; there are: {', '.join(BENCHMARKS)}")
-    old = load_report(args.file[0] if len(args.file) == 2 else reference_of(args.name))
+    old = load_report(args.file[0]) if len(args.file) == 2 else load_reference(args.name)
     new = load_report(args.file[-1]) if args.file else run(args.name, [])
     return _told(old, new, as_json=as_json)
 

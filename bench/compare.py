@@ -128,6 +128,13 @@ def reference_of(name: str) -> Path:
     return REFERENCE / f"{name}.json"
 
 
+def load_reference(name: str) -> Report:
+    """The stored reference of a benchmark. Raises ValueError that says how to get one."""
+    if not reference_of(name).exists():
+        raise ValueError(f"there is no stored reference of {name} yet: python -m bench {name} --save takes one")
+    return load_report(reference_of(name))
+
+
 def save(report: Report, path: Path) -> None:
     """Store ``report``, in lines that a diff can show."""
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -25,6 +25,7 @@ from dpstack.params import BusParams
 _ROOT: Final = Path(__file__).resolve().parent.parent
 _PROBE: Final = Path(__file__).resolve().parent / "probe"
 _START_S: Final = 90.0
+_SETTLE_S: Final = 0.2
 #: a measurement has so many rounds at least, unless that takes longer than this
 _LEAST_ROUNDS: Final = 6
 _PATIENCE_NS: Final = 10_000_000_000
@@ -175,9 +176,9 @@ class Bench:
         self._master = master
         self._folder = folder
 
-    def measure(self, seconds: float, *, settle: float = 0.2) -> Taken:
-        """Leave both alone for ``settle`` seconds, then look on for ``seconds``, longer while there is too little."""
-        time.sleep(settle)
+    def measure(self, seconds: float) -> Taken:
+        """Leave both alone for a moment, then look on for ``seconds``, longer while there is too little."""
+        time.sleep(min(_SETTLE_S, seconds))
         self._ask("begin")
         since, cpu, waited = time.monotonic_ns(), self._sum(_cpu_of), self._waited()
         time.sleep(seconds)
