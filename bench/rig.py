@@ -17,9 +17,11 @@ from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from statistics import median
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from bench.masters import CONFIG, FIRST, IDENT, OCTETS
+from dpstack.api.config import make_config
+from dpstack.errors import ConfigError
 from dpstack.params import BusParams
 
 _ROOT: Final = Path(__file__).resolve().parent.parent
@@ -289,16 +291,14 @@ def _probed(port: str, folder: Path) -> dict[str, str]:
 @cache
 def unavailable(kind: str, cycle_ms: float | None = None) -> str:
     """Why a master of ``kind`` cannot be measured here; empty when it can."""
-    import dpstack
-
     if kind == "pyprofibus":
         found = importlib.util.find_spec("pyprofibus") is not None
         return "" if found else "pyprofibus is not installed: python -m pip install -e '.[bench]'"
     if kind in ("asyncio", "process"):
-        keys: dict[str, Any] = {"driver": kind} | ({} if cycle_ms is None else {"cycle_ms": cycle_ms})
+        keys: dict[str, object] = {"driver": kind} | ({} if cycle_ms is None else {"cycle_ms": cycle_ms})
         try:
-            dpstack.open_bus(port="/dev/null", baud=12_000_000, **keys)
-        except dpstack.ConfigError as error:
+            make_config("/dev/null", 12_000_000, 2, (), bus=keys)
+        except ConfigError as error:
             return f"{kind} is not available: {error}".replace("\n", " ")
     return ""
 
