@@ -17,7 +17,7 @@ from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from statistics import median
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from bench.masters import CONFIG, FIRST, IDENT, OCTETS
 from dpstack.api.config import make_config
@@ -189,13 +189,28 @@ class Bench:
             time.sleep(seconds)
         cpu, until = self._sum(_cpu_of) - cpu, time.monotonic_ns()
         waited = self._waited() - waited
-        path = self._folder / "taken.json"
-        self._ask(f"end {path}")
-        data = json.loads(path.read_text(encoding="utf-8"))
+        data = self._data()
         turns, token_turns = self._turns(since, until)
         records = [Record(*record) for record in data["records"]]
         took = until - since
         return Taken(took / 1e9, data["exchanges"], cpu, waited / took, records, data["held"], turns, token_turns)
+
+    def opened_at(self) -> int:
+        """When the master's port was opened, in ns; only with a probe."""
+        found = [path.read_bytes()[8:16] for path in self._folder.iterdir() if path.name.isdigit()]
+        if not found:
+            raise RuntimeError("the probe saw nobody open the port")
+        return min(int.from_bytes(octets, sys.byteorder) for octets in found)
+
+    def first_at(self) -> int:
+        """When the first octets came to a free wire, in ns."""
+        return int(self._data()["first_at"])
+
+    def _data(self) -> dict[str, Any]:
+        path = self._folder / "taken.json"
+        self._ask(f"end {path}")
+        data: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        return data
 
     def _ask(self, order: str) -> str:
         self._wire.order(order)
@@ -216,7 +231,7 @@ class Bench:
         for path in self._folder.iterdir():
             if path.name.isdigit():
                 pairs = memoryview(path.read_bytes()).cast("Q")
-                for place in range(1, min(len(pairs), 1 + 2 * pairs[0]), 2):
+                for place in range(2, min(len(pairs), 2 + 2 * pairs[0]), 2):
                     if since <= pairs[place] < until:
                         value = pairs[place + 1]
                         (token_turns if value & 1 else turns).append(value >> 1)

@@ -70,6 +70,8 @@ class Wire:
         self.held = 0
         self.count = 0
         self.cpu = 0
+        #: of a free line: when the first octets came
+        self.first_at = 0
 
     def bits(self, count: float) -> int:
         """``count`` bit times in ns."""
@@ -105,11 +107,14 @@ class Wire:
         """As :meth:`run`, without a wire: an answer is written at once. Only exchanges are counted."""
         fd, feed = self._fd, self._slaves.feed
         os.set_blocking(fd, True)
+        chunk = os.read(fd, 4096)
+        self.first_at = monotonic_ns()
         while True:
             try:
-                out = feed(os.read(fd, 4096))
+                out = feed(chunk)
                 if out:
                     os.write(fd, out)
+                chunk = os.read(fd, 4096)
             except OSError:
                 return
 
@@ -192,6 +197,7 @@ class Wire:
                     "held": held,
                     "exchanges": self.exchanges() - self.count,
                     "cpu": process_time_ns() - self.cpu,
+                    "first_at": self.first_at,
                 }
                 Path(path).write_text(json.dumps(data), encoding="utf-8")
             print(self.exchanges() - self.count, flush=True)

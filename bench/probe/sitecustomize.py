@@ -1,9 +1,9 @@
 """Loaded by an interpreter that has this folder on its PYTHONPATH: notes turn-arounds at one tty, in shared memory.
 
 BENCH_LINE is the tty, BENCH_PROBE a folder. A process that opens the tty with ``os.open`` writes to BENCH_PROBE/PID:
-a count, then pairs of 64 bits, the time of a write (CLOCK_MONOTONIC, ns) and the turn-around before it, from the return
-of the last read to the return of the write, twice its value in ns, plus 1 when the token lay between. The ring has room
-for CAPACITY pairs. Nothing of the project is imported here.
+two numbers of 64 bits, a count and when the tty was opened (CLOCK_MONOTONIC, ns), then pairs: the time of a write and the
+turn-around before it, from the return of the last read to the return of the write, twice its value in ns, plus 1 when
+the token lay between. The ring has room for CAPACITY pairs. Nothing of the project is imported here.
 """
 
 from __future__ import annotations
@@ -27,11 +27,12 @@ def install(line: str, folder: str) -> None:
         return fd
 
     def watch(line_fd: int) -> None:
-        size = 8 * (1 + 2 * CAPACITY)
+        size = 8 * (2 + 2 * CAPACITY)
         file = opened(os.path.join(folder, str(os.getpid())), os.O_RDWR | os.O_CREAT, 0o600)
         os.ftruncate(file, size)
         pairs = memoryview(mmap.mmap(file, size)).cast("Q")
         os.close(file)
+        pairs[1] = monotonic_ns()
         read_at = 0
         token = False
 
@@ -51,7 +52,7 @@ def install(line: str, folder: str) -> None:
                 elif read_at:
                     now = monotonic_ns()
                     count = pairs[0]
-                    place = 1 + 2 * (count % CAPACITY)
+                    place = 2 + 2 * (count % CAPACITY)
                     pairs[place] = now
                     pairs[place + 1] = (now - read_at) * 2 + token
                     pairs[0] = count + 1
