@@ -202,7 +202,7 @@ def test_usb_runs() -> None:
 
 def test_startup_runs() -> None:
     report = startup.run(words("--slaves 2 --rounds 1 --kinds asyncio"))
-    names = ("program", "opening", "listening", "bring-up", "all")
+    names = ("program", "opening", "listening", "claim", "bring-up", "all")
     assert titles(report) == {f"asyncio, 2 slaves: {name}" for name in names}
     *parts, whole_time = (f.value for f in report.figures)
     assert sum(parts) == pytest.approx(whole_time)

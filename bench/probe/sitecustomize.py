@@ -1,9 +1,9 @@
 """Loaded by an interpreter that has this folder on its PYTHONPATH: notes turn-arounds at one tty, in shared memory.
 
 BENCH_LINE is the tty, BENCH_PROBE a folder. A process that opens the tty with ``os.open`` writes to BENCH_PROBE/PID:
-two numbers of 64 bits, a count and when the tty was opened (CLOCK_MONOTONIC, ns), then pairs: the time of a write and the
-turn-around before it, from the return of the last read to the return of the write, twice its value in ns, plus 1 when
-the token lay between. The ring has room for CAPACITY pairs. Nothing of the project is imported here.
+numbers of 64 bits, a count, the time at which the tty was opened (CLOCK_MONOTONIC, ns), then pairs: the time of a write
+and the turn-around before it, from the return of the last read to the return of the write, twice its value in ns, plus
+1 when the token lay between. The ring has room for CAPACITY pairs. Nothing of the project is imported here.
 """
 
 from __future__ import annotations
