@@ -1,10 +1,10 @@
 """How late the rounds of a fixed cycle begin, beside a program that is idle, blocks for 50 ms, or burns CPU.
 
-The wire notes when the first Data_Exchange of every round arrives. A round's place is the multiple of the cycle next to
-it; its lateness is how far it lies behind its place, counted from the earliest round of the run. Rounds that a stall
-has swallowed are counted as missed. *Gaps* are pauses of 40 ms and more on the bus: the kernel takes the processor from
-real-time processes for about 50 ms in every second when they use more than sched_rt_runtime_us, and it shows as one gap
-a second.
+The wire notes when the first Data_Exchange of every round arrives. The grid of the rounds is found from them: no round
+begins before its place, so the grid stands behind the longest stretch of the cycle in which none began. Lateness is how
+far a round lies behind its place; places without a round are counted as missed. *Gaps* are pauses of 40 ms and more on
+the bus: the kernel takes the processor from real-time processes for about 50 ms in every second when they use more than
+sched_rt_runtime_us, and it shows as one gap a second.
 """
 
 from __future__ import annotations
@@ -69,21 +69,27 @@ class Lateness:
         begins = [r.read for r in records if r.exchange and r.to == FIRST]
         if len(begins) < 2:
             raise RuntimeError("not two rounds were seen: take more seconds, or a longer cycle")
-        # the place of a round: a late one does not move those that follow
-        offsets: list[float] = []
-        place, earliest = 0, begins[0]
-        for begin in begins:
-            place = max(place + bool(offsets), round((begin - earliest) / cycle))
-            offsets.append(begin - place * cycle)
-        first = min(offsets)
-        self.late = [offset - first for offset in offsets]
-        self.missed = place + 1 - len(begins)
+        anchor = _phase(begins, cycle)
+        places = [int((begin - anchor) // cycle) for begin in begins]
+        for n in range(len(places) - 2, -1, -1):  # two rounds at one place: the former is more than a cycle late
+            places[n] = min(places[n], places[n + 1] - 1)
+        self.late = [begin - anchor - place * cycle for begin, place in zip(begins, places, strict=True)]
+        self.missed = places[-1] - places[0] + 1 - len(places)
         self.gaps = sum(b.read - a.read >= _GAP_NS for a, b in pairwise(records))
         self.seconds = (records[-1].read - records[0].read) / 1e9
 
     def quantile_us(self, q: float) -> float:
         """Lateness in us."""
         return quantile(self.late, q) / 1000
+
+
+def _phase(begins: Sequence[int], cycle: float) -> float:
+    """Where the grid of the rounds stands: behind the longest stretch of the cycle in which no round began."""
+    first = begins[0]
+    residues = sorted({(begin - first) % cycle for begin in begins})
+    gaps = [b - a for a, b in pairwise([*residues, residues[0] + cycle])]
+    after = (gaps.index(max(gaps)) + 1) % len(residues)
+    return first + residues[after] - cycle * (residues[after] > 0)
 
 
 def _add(report: Report, title: str, rounds: Sequence[Lateness], kind: str) -> None:
