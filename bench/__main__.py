@@ -32,7 +32,10 @@ python -m bench compare rotation a.json b.json compares two files, the older fir
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one benchmark, compare two reports, or list what there is. 1: something became worse, or nothing was measured; 2: wrong use."""
+    """Run one benchmark, compare two reports, or list what there is.
+
+    1: something became worse, or nothing was measured; 2: wrong use.
+    """
     words = sys.argv[1:] if argv is None else argv
     parser = argparse.ArgumentParser(
         prog="python -m bench",
