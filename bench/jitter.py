@@ -16,8 +16,9 @@ from typing import Final
 
 from bench.machine import realtime
 from bench.masters import APPLICATIONS, FIRST
+from bench.records import Record
 from bench.report import Report, quantile
-from bench.rig import Record, Taken, available, bench, disturbed, pinned
+from bench.rig import Taken, available, bench, disturbed, pinned
 
 _DRIVERS: Final = ("asyncio", "process")
 _GAP_NS: Final = 40_000_000

@@ -14,12 +14,12 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
-from itertools import pairwise
 from pathlib import Path
 from statistics import median
 from typing import Any, Final, NamedTuple
 
 from bench.masters import CONFIG, FIRST, IDENT, OCTETS
+from bench.records import Record
 from dpstack.api.config import make_config
 from dpstack.errors import ConfigError
 from dpstack.params import BusParams
@@ -29,7 +29,7 @@ _PROBE: Final = Path(__file__).resolve().parent / "probe"
 _START_S: Final = 90.0
 _SETTLE_S: Final = 0.2
 #: a measurement has so many rounds at least, unless that takes longer than this
-_LEAST_ROUNDS: Final = 6
+_LEAST_ROUNDS: Final = 12
 _PATIENCE_NS: Final = 10_000_000_000
 #: more than this share of the time in run queues is worth a note
 _DISTURBED: Final = 0.02
@@ -37,26 +37,6 @@ _DISTURBED: Final = 0.02
 
 class NotAvailableError(Exception):
     """What was to be measured is not there; the text says what and why."""
-
-
-class Record(NamedTuple):
-    """One telegram of the master on a paced wire. Times in ns of CLOCK_MONOTONIC; of answers 0 where there is none."""
-
-    read: int  # the wire has it
-    begin: int  # on the wire
-    end: int
-    answer_end: int
-    due: int  # the answer's last octet, at the master
-    written: int  # when it was written there
-    first: int  # octet
-    to: int  # DA, -1 for a token
-    octets: int
-    answer_octets: int
-
-    @property
-    def exchange(self) -> bool:
-        """A Data_Exchange as these masters send it."""
-        return self.answer_octets == 9 + OCTETS and self.octets == 9 + OCTETS
 
 
 @dataclass(frozen=True, slots=True)
@@ -355,67 +335,3 @@ def disturbed(taken: Iterable[Taken]) -> list[str]:
     if share < _DISTURBED:
         return []
     return [f"other programs had the processors {share:.0%} of the time (median): these figures are theirs too"]
-
-
-# --- what the records of a paced wire say ---
-
-
-def pty_share(records: Sequence[Record], baud: int) -> float:
-    """Of a bare loop: from its answer's last octet written to its next request read, without T_ID1; the median in ns.
-
-    That is what two ways over the pty cost and what the system needs to wake a process.
-    """
-    idle = BusParams.preset(baud).ns(BusParams.preset(baud).t_id1)
-    return middle([b.read - a.written - idle for a, b in pairwise(records) if a.written])
-
-
-class Round(NamedTuple):
-    """One rotation: how long it took, and the time on the wire by the rules of what was sent in it. In ns."""
-
-    took: int
-    wire: int
-    exchanges: int
-
-
-def rotations(records: Sequence[Record], baud: int) -> list[Round]:
-    """Rotations between Data_Exchanges with the first slave; those with a silent address or a service left out."""
-    params = BusParams.preset(baud)
-    rounds: list[Round] = []
-    begin, bits, exchanges, usual = 0, 0, 0, False
-    for record in records:
-        if record.exchange and record.to == FIRST:
-            if usual:
-                rounds.append(Round(record.read - begin, params.ns(bits), exchanges))
-            begin, bits, exchanges, usual = record.read, 0, 0, True
-        bits += 11 * record.octets + params.t_id1
-        if record.answer_octets:
-            bits += params.min_tsdr + 11 * record.answer_octets
-        exchanges += record.exchange
-        usual = usual and (record.exchange or record.to < 0)
-    return rounds
-
-
-def middle(values: Sequence[float]) -> float:
-    """The median. Raises RuntimeError when nothing was measured."""
-    if not values:
-        raise RuntimeError("nothing was measured: take more seconds")
-    return median(values)
-
-
-__all__ = [
-    "Adapter",
-    "Bench",
-    "NotAvailableError",
-    "Processors",
-    "Record",
-    "Round",
-    "Taken",
-    "available",
-    "bench",
-    "disturbed",
-    "middle",
-    "pinned",
-    "pty_share",
-    "rotations",
-    "unavailable",
-]

@@ -16,8 +16,9 @@ from collections.abc import Sequence
 from statistics import median
 from typing import Final
 
+from bench.records import middle, pty_share, rotations
 from bench.report import Report, quantile
-from bench.rig import Processors, Taken, available, bench, disturbed, middle, pinned, pty_share, rotations
+from bench.rig import Processors, Taken, available, bench, disturbed, pinned
 from dpstack.params import BusParams
 from dpstack.units import baud_text
 

@@ -14,8 +14,9 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import Final
 
+from bench.records import Record, middle, rotations
 from bench.report import Report, quantile
-from bench.rig import Adapter, Record, Taken, available, bench, disturbed, middle, pinned, rotations
+from bench.rig import Adapter, Taken, available, bench, disturbed, pinned
 from dpstack.params import BusParams
 from dpstack.units import baud_text
 

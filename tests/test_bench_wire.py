@@ -10,8 +10,9 @@ import pytest
 
 from bench import cycle, jitter, rotation, startup, usb
 from bench.jitter import Lateness
+from bench.records import Record, pty_share, rotations
 from bench.report import Report
-from bench.rig import Record, pty_share, rotations, unavailable
+from bench.rig import unavailable
 from bench.wire import Wire
 
 MS = 1_000_000
