@@ -28,6 +28,8 @@ KINDS: Final = ("asyncio", "process", "bare", "pyprofibus")
 #: what else the program does that the master serves
 APPLICATIONS: Final = ("idle", "block", "burn")
 _OWN: Final = 2
+#: with a master that has not brought all its slaves up
+_PATIENCE_NS: Final = 60_000_000_000
 _BLOCK_S: Final = 0.05
 _BLOCK_EVERY_S: Final = 0.5
 
@@ -80,7 +82,7 @@ async def dpstack_master(args: argparse.Namespace, ended: Ended) -> None:
     async with bus:
         opened = monotonic_ns()
         await bus.operate()
-        await bus.ready(timeout=60)
+        await bus.ready(timeout=_PATIENCE_NS / 1e9)
         told(ready=monotonic_ns(), imported=imported, opening=opening, opened=opened, events=events)
         events.clear()
         await application(args.app, ended)
@@ -190,13 +192,13 @@ def pyprofibus_master(args: argparse.Namespace, ended: Ended) -> None:
         output = bytes(OCTETS)
         for slave in slaves:
             slave.setMasterOutData(output)
-        give_up = monotonic_ns() + 60_000_000_000
+        give_up = monotonic_ns() + _PATIENCE_NS
         while not all(slave.isConnected() for slave in slaves):
             served = master.run()
             if served is not None:
                 served.setMasterOutData(output)
             if monotonic_ns() > give_up or ended.is_set():
-                raise RuntimeError("pyprofibus did not bring all slaves up")
+                raise RuntimeError(f"not all slaves came up within {_PATIENCE_NS // 1_000_000_000} s")
     told(ready=monotonic_ns())
     with contextlib.redirect_stdout(sys.stderr):
         while not ended.is_set():

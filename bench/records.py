@@ -8,6 +8,7 @@ from statistics import median
 from typing import NamedTuple
 
 from bench.masters import FIRST, OCTETS
+from bench.report import quantile
 from dpstack.params import BusParams
 
 
@@ -32,12 +33,13 @@ class Record(NamedTuple):
 
 
 def pty_share(records: Sequence[Record], baud: int) -> float:
-    """Of a bare loop: from its answer's last octet written to its next request read, without T_ID1; the median in ns.
+    """Of a bare loop: from its answer's last octet written to its next request read, without T_ID1, in ns.
 
-    That is what two ways over the pty cost and what the system needs to wake a process.
+    That is what two ways over the pty cost and what the system needs to wake a process. It is the share that nine of
+    ten exchanges exceed: other programs, which hold up a loop without priority most of all, shall not excuse a master.
     """
     idle = BusParams.preset(baud).ns(BusParams.preset(baud).t_id1)
-    return middle([b.read - a.written - idle for a, b in pairwise(records) if a.written])
+    return quantile([b.read - a.written - idle for a, b in pairwise(records) if a.written], 0.1)
 
 
 class Round(NamedTuple):

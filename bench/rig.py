@@ -35,6 +35,10 @@ _PATIENCE_NS: Final = 10_000_000_000
 _DISTURBED: Final = 0.02
 
 
+class MasterFailedError(RuntimeError):
+    """A master did not bring its slaves up, or ended before it was told to; the text says which one and why."""
+
+
 class NotAvailableError(Exception):
     """What was to be measured is not there; the text says what and why."""
 
@@ -232,7 +236,8 @@ def bench(
     gap: int | None = None,
     cycle_ms: float | None = None,
 ) -> Iterator[Bench]:
-    """Start a wire and a master of ``kind`` on it. Raises NotAvailableError when there is none of that kind.
+    """Start a wire and a master of ``kind`` on it. Raises NotAvailableError when there is none of that kind,
+    MasterFailedError when it does not get its slaves into data exchange.
 
     ``paced``: the wire takes its time; ``adapter``: there is one between; ``probe``: turn-arounds are noted.
     """
@@ -267,11 +272,11 @@ def bench(
         stack.callback(lambda: told.extend(master.end()))
         facts = json.loads(master.line() or "{}")
         if "ready" not in facts:
-            raise RuntimeError(f"{kind}, {slaves} slaves: {facts.get('error', 'the master ended without a word')}")
+            raise MasterFailedError(f"{kind}, {slaves} slaves: {facts.get('error', 'the master ended without a word')}")
         yield Bench(wire, master, slaves, facts, folder)
         told += master.end()
         if told:
-            raise RuntimeError(f"{kind}, {slaves} slaves: {told[0]}")
+            raise MasterFailedError(f"{kind}, {slaves} slaves: {told[0]}")
 
 
 def _probed(port: str, folder: Path) -> dict[str, str]:
