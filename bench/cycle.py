@@ -14,13 +14,12 @@ from collections.abc import Sequence
 from typing import Final
 
 from bench.calibration import calibrate
+from bench.masters import DRIVERS, KINDS
 from bench.report import Report, quantile
-from bench.rig import MasterFailedError, Processors, Taken, available, bench, disturbed, pinned
+from bench.rig import Processors, Taken, available, bench, disturbed, one_round, pinned
 from dpstack.params import BusParams
 
 _BAUD: Final = 12_000_000
-_DRIVERS: Final = ("asyncio", "process")
-_KINDS: Final = (*_DRIVERS, "bare", "pyprofibus")
 #: turn-around in calibration loops
 _GOALS: Final = {"asyncio": 30.0, "process": 18.0}
 #: with so many slaves whole exchanges shall be faster than pyprofibus's
@@ -33,7 +32,7 @@ def run(argv: list[str]) -> Report:
     parser.add_argument("--slaves", type=int, nargs="*", default=[1, 4, 16, 64])
     parser.add_argument("--seconds", type=float, default=0.7, help="of one measurement")
     parser.add_argument("--rounds", type=int, default=9, help="of all kinds in turn; medians are reported")
-    parser.add_argument("--kinds", nargs="*", choices=_KINDS, default=_KINDS)
+    parser.add_argument("--kinds", nargs="*", choices=KINDS, default=KINDS)
     args = parser.parse_args(argv)
     with pinned() as where:
         report = Report("cycle", notes=[where.text])
@@ -42,14 +41,7 @@ def run(argv: list[str]) -> Report:
         taken: dict[tuple[str, int], list[Taken]] = {(kind, n): [] for n in args.slaves for kind in kinds}
         for _ in range(args.rounds):
             loops.append(calibrate(rounds=5))
-            for kind, n in list(taken):
-                try:
-                    taken[kind, n].append(_measure(kind, n, args.seconds, where))
-                except MasterFailedError as error:
-                    if kind in _DRIVERS:
-                        raise
-                    report.notes.append(f"left out: {error}")  # the other stack's affair
-                    del taken[kind, n]
+            one_round(taken, lambda kind, n: _measure(kind, n, args.seconds, where), report.notes)
         report.measured("calibration loop", [loop / 1000 for loop in loops], "us")
         for (kind, n), rounds in taken.items():
             _add(report, kind, n, rounds, loops)
@@ -62,7 +54,7 @@ def run(argv: list[str]) -> Report:
 
 
 def _measure(kind: str, slaves: int, seconds: float, where: Processors) -> Taken:
-    with bench(kind, slaves, _BAUD, where, paced=False, probe=kind in _DRIVERS, gap=0) as running:
+    with bench(kind, slaves, _BAUD, where, paced=False, probe=kind in DRIVERS, gap=0) as running:
         return running.measure(seconds)
 
 
@@ -71,7 +63,7 @@ def _add(report: Report, kind: str, slaves: int, rounds: Sequence[Taken], loops:
     pairs = list(zip(rounds, loops, strict=True))
     # with one slave only those before a Global_Control are left: too few, and another thing
     plain = [(t.turns, loop) for t, loop in pairs if len(t.turns) > len(t.token_turns) // 2]
-    if kind in _DRIVERS:
+    if kind in DRIVERS:
         for q, goal in ((0.5, _GOALS[kind]), (0.99, None)):
             values = [quantile(turns, q) / loop for turns, loop in plain]
             report.measured(f"{title}: turn-around p{q * 100:.0f}", values, "loops", goal)
@@ -85,7 +77,7 @@ def _add(report: Report, kind: str, slaves: int, rounds: Sequence[Taken], loops:
 def _compared(report: Report, slaves: int, taken: dict[str, list[Taken]]) -> None:
     """Exchanges per second of the drivers as multiples of the others', round by round."""
     for other in ("pyprofibus", "bare"):
-        for kind in _DRIVERS:
+        for kind in DRIVERS:
             if kind in taken and other in taken:
                 ratios = [
                     (ours.exchanges / ours.seconds) / max(theirs.exchanges / theirs.seconds, 1)

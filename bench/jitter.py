@@ -15,12 +15,11 @@ from itertools import pairwise
 from typing import Final
 
 from bench.machine import realtime
-from bench.masters import APPLICATIONS, FIRST
+from bench.masters import APPLICATIONS, DRIVERS, FIRST
 from bench.records import Record
 from bench.report import Report, quantile
 from bench.rig import Taken, available, bench, disturbed, pinned
 
-_DRIVERS: Final = ("asyncio", "process")
 _GAP_NS: Final = 40_000_000
 _QUANTILES: Final = (("p50", 0.5), ("p99", 0.99), ("p99.9", 0.999), ("max", 1.0))
 
@@ -33,7 +32,7 @@ def run(argv: list[str]) -> Report:
     parser.add_argument("--baud", type=int, default=1_500_000)
     parser.add_argument("--seconds", type=float, default=5.0, help="of one measurement")
     parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--kinds", nargs="*", choices=_DRIVERS, default=_DRIVERS)
+    parser.add_argument("--kinds", nargs="*", choices=DRIVERS, default=DRIVERS)
     parser.add_argument("--apps", nargs="*", choices=APPLICATIONS, default=APPLICATIONS)
     args = parser.parse_args(argv)
     with pinned() as where:

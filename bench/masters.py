@@ -24,7 +24,8 @@ FIRST: Final = 3
 IDENT: Final = 0x0696
 CONFIG: Final = bytes((0xF3, 0x71))
 OCTETS: Final = 12
-KINDS: Final = ("asyncio", "process", "bare", "pyprofibus")
+DRIVERS: Final = ("asyncio", "process")
+KINDS: Final = (*DRIVERS, "bare", "pyprofibus")
 #: what else the program does that the master serves
 APPLICATIONS: Final = ("idle", "block", "burn")
 _OWN: Final = 2
@@ -130,9 +131,10 @@ def bare_master(args: argparse.Namespace, ended: Ended) -> None:
     addresses = [FIRST + n for n in range(args.slaves)]
     prm = bytes((0x80, 1, 1, 11)) + IDENT.to_bytes(2, "big") + bytes(1)
     for address in addresses:
-        bare_exchange(fd, sd2(address, 0x6D, prm, bytes((61, 62))))
-        bare_exchange(fd, sd2(address, 0x5D, CONFIG, bytes((62, 62))))
-    rounds = [[sd2(address, fc, bytes(OCTETS)) for address in addresses] for fc in (0x7D, 0x5D)]
+        bare_exchange(fd, sd2(address, 0x6D, prm, bytes((61, 62))), 1)
+        bare_exchange(fd, sd2(address, 0x5D, CONFIG, bytes((62, 62))), 1)
+        bare_exchange(fd, sd2(address, 0x7D, bytes(OCTETS)), 9 + OCTETS)
+    rounds = [[sd2(address, fc, bytes(OCTETS)) for address in addresses] for fc in (0x5D, 0x7D)]
     told(ready=monotonic_ns())
     write, read, clock = os.write, os.read, monotonic_ns
     turn = 0
@@ -154,11 +156,16 @@ def bare_master(args: argparse.Namespace, ended: Ended) -> None:
         turn ^= 1
 
 
-def bare_exchange(fd: int, request: bytes) -> None:
-    """One request that is answered by SC."""
+def bare_exchange(fd: int, request: bytes, octets: int) -> None:
+    """One request and its answer of so many octets. Raises RuntimeError when it is another one."""
     os.write(fd, request)
-    if not select.select((fd,), (), (), 5)[0] or os.read(fd, 100) != b"\xe5":
-        raise RuntimeError("the wire's slaves refuse parameters or configuration")
+    got = b""
+    while len(got) < octets and select.select((fd,), (), (), 5)[0]:
+        got += os.read(fd, 100)
+        if len(got) >= 6 and got[0] != 0x68:  # RS, which is shorter than what was asked for
+            break
+    if len(got) != octets:
+        raise RuntimeError(f"the wire's slaves refuse: {got.hex(' ') or 'no answer'} to {request.hex(' ')}")
     time.sleep(0.005)
 
 

@@ -18,7 +18,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any, Final, NamedTuple
 
-from bench.masters import CONFIG, FIRST, IDENT, OCTETS
+from bench.masters import CONFIG, DRIVERS, FIRST, IDENT, OCTETS
 from bench.records import Record
 from dpstack.api.config import make_config
 from dpstack.errors import ConfigError
@@ -235,18 +235,20 @@ def bench(
     app: str = "idle",
     gap: int | None = None,
     cycle_ms: float | None = None,
+    ident: int = IDENT,
 ) -> Iterator[Bench]:
     """Start a wire and a master of ``kind`` on it. Raises NotAvailableError when there is none of that kind,
     MasterFailedError when it does not get its slaves into data exchange.
 
-    ``paced``: the wire takes its time; ``adapter``: there is one between; ``probe``: turn-arounds are noted.
+    ``paced``: the wire takes its time; ``adapter``: there is one between; ``probe``: turn-arounds are noted;
+    ``ident``: what the slaves are, of which the masters believe IDENT.
     """
     refused = unavailable(kind, cycle_ms)
     if refused:
         raise NotAvailableError(refused)
     params = BusParams.preset(baud)
     wire_words = [sys.executable, str(_ROOT / "bench" / "wire.py"), "--baud", str(baud)]
-    wire_words += [f"{FIRST + n}:{IDENT:04x}:{CONFIG.hex()}:{OCTETS}:{OCTETS}" for n in range(slaves)]
+    wire_words += [f"{FIRST + n}:{ident:04x}:{CONFIG.hex()}:{OCTETS}:{OCTETS}" for n in range(slaves)]
     if paced:
         wire_words += ["--paced", "--min-tsdr", str(params.min_tsdr), "--slice-bits", str(params.t_sl // 4)]
         wire_words += ["--t-id1", str(params.t_id1), "--t-id2", str(params.t_id2), "--t-sl", str(params.t_sl)]
@@ -294,7 +296,7 @@ def unavailable(kind: str, cycle_ms: float | None = None) -> str:
     if kind == "pyprofibus":
         found = importlib.util.find_spec("pyprofibus") is not None
         return "" if found else "pyprofibus is not installed: python -m pip install -e '.[bench]'"
-    if kind in ("asyncio", "process"):
+    if kind in DRIVERS:
         keys: dict[str, object] = {"driver": kind} | ({} if cycle_ms is None else {"cycle_ms": cycle_ms})
         try:
             make_config("/dev/null", 12_000_000, 2, (), bus=keys)
@@ -307,6 +309,24 @@ def available(kinds: Sequence[str], notes: list[str], cycle_ms: float | None = N
     """Those of ``kinds`` that can be measured; why the others cannot goes to ``notes``."""
     notes.extend(filter(None, (unavailable(kind, cycle_ms) for kind in kinds)))
     return [kind for kind in kinds if not unavailable(kind, cycle_ms)]
+
+
+def one_round(
+    taken: dict[tuple[str, int], list[Taken]], measure: Callable[[str, int], Taken], notes: list[str]
+) -> None:
+    """Measure every (kind, slaves) of ``taken`` once more.
+
+    What others than our own drivers cannot do is their affair: it goes to ``notes`` and out of ``taken``. Raises
+    MasterFailedError for our own.
+    """
+    for kind, slaves in list(taken):
+        try:
+            taken[kind, slaves].append(measure(kind, slaves))
+        except MasterFailedError as error:
+            if kind in DRIVERS:
+                raise
+            notes.append(f"left out: {error}")
+            del taken[kind, slaves]
 
 
 def _family(pid: int) -> list[int]:

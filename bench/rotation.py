@@ -16,14 +16,13 @@ from collections.abc import Sequence
 from statistics import median
 from typing import Final
 
+from bench.masters import DRIVERS, KINDS
 from bench.records import middle, pty_share, rotations
 from bench.report import Report, quantile
-from bench.rig import Processors, Taken, available, bench, disturbed, pinned
+from bench.rig import Processors, Taken, available, bench, disturbed, one_round, pinned
 from dpstack.params import BusParams
 from dpstack.units import baud_text
 
-_DRIVERS: Final = ("asyncio", "process")
-_KINDS: Final = (*_DRIVERS, "bare", "pyprofibus")
 _BAUDS: Final = (187_500, 500_000, 1_500_000, 3_000_000)
 #: efficiency with ten slaves and the process driver
 _GOALS: Final = {187_500: 0.97, 500_000: 0.95, 1_500_000: 0.88, 3_000_000: 0.75}
@@ -40,7 +39,7 @@ def run(argv: list[str]) -> Report:
     parser.add_argument("--slaves", type=int, default=_GOAL_SLAVES)
     parser.add_argument("--seconds", type=float, default=1.0, help="of one measurement, four rotations at least")
     parser.add_argument("--rounds", type=int, default=9, help="of all kinds in turn; medians are reported")
-    parser.add_argument("--kinds", nargs="*", choices=_KINDS, default=_KINDS)
+    parser.add_argument("--kinds", nargs="*", choices=KINDS, default=KINDS)
     args = parser.parse_args(argv)
     with pinned() as where:
         report = Report("rotation", notes=[where.text])
@@ -54,11 +53,16 @@ def _at(report: Report, baud: int, args: argparse.Namespace, kinds: Sequence[str
     params = BusParams.preset(baud)
     ruled = args.slaves * (2 * 21 * 11 + params.min_tsdr + params.t_id1) + 33 + params.t_id1
     seconds = max(args.seconds, 6 * params.ns(ruled) / 1e9)
-    taken: dict[str, list[Taken]] = {kind: [] for kind in kinds if kind != "pyprofibus" or baud == _CPU_BAUD}
+    wanted = [kind for kind in kinds if kind != "pyprofibus" or baud == _CPU_BAUD]
+    cases: dict[tuple[str, int], list[Taken]] = {(kind, args.slaves): [] for kind in wanted}
+
+    def measure(kind: str, slaves: int) -> Taken:
+        with bench(kind, slaves, baud, where, gap=0) as running:
+            return running.measure(seconds)
+
     for _ in range(args.rounds):
-        for kind in taken:
-            with bench(kind, args.slaves, baud, where, gap=0) as running:
-                taken[kind].append(running.measure(seconds))
+        one_round(cases, measure, report.notes)
+    taken = {kind: runs for (kind, _), runs in cases.items()}
     at = baud_text(baud)
     report.add(f"{at}: rotation by the rules", params.ns(ruled) / 1000, "us")
     share = 0.0
@@ -71,7 +75,7 @@ def _at(report: Report, baud: int, args: argparse.Namespace, kinds: Sequence[str
         if kind != "pyprofibus":
             _efficiency(report, title, kind, baud, args.slaves, runs, share)
         report.measured(f"{title}: CPU time per exchange", [t.cpu / max(t.exchanges, 1) / 1000 for t in runs], "us")
-    for kind in _DRIVERS:
+    for kind in DRIVERS:
         if kind in taken and "pyprofibus" in taken:
             ratios = [
                 (ours.cpu / max(ours.exchanges, 1)) / (theirs.cpu / max(theirs.exchanges, 1))
@@ -81,8 +85,8 @@ def _at(report: Report, baud: int, args: argparse.Namespace, kinds: Sequence[str
     late = [t.written - t.due for runs in taken.values() for run in runs for t in run.records if t.written]
     report.add(f"{at}: the wire's own lateness p50", middle(late) / 1000, "us")
     report.notes += [f"{at}: {note}" for note in disturbed(run for runs in taken.values() for run in runs)]
-    held = sum(run.held for kind in _DRIVERS for run in taken.get(kind, []))
-    asked = sum(len(run.records) for kind in _DRIVERS for run in taken.get(kind, []))
+    held = sum(run.held for kind in DRIVERS for run in taken.get(kind, []))
+    asked = sum(len(run.records) for kind in DRIVERS for run in taken.get(kind, []))
     if held:
         report.notes.append(
             f"{at}: {held} of {asked} telegrams came before their idle time was over and were held back"
@@ -100,6 +104,6 @@ def _efficiency(
         report.measured(f"{title}: rotation p{q * 100:.0f}", values, "us")
     values = [middle([r.wire / r.took for r in rounds]) for rounds in measured]
     report.measured(f"{title}: efficiency p50", values, "ratio", goal, more=True)
-    if share and kind in _DRIVERS:
+    if share and kind in DRIVERS:
         values = [middle([r.wire / max(r.took - r.exchanges * share, r.wire) for r in rounds]) for rounds in measured]
         report.measured(f"{title}: efficiency p50 without the pty's share", values, "ratio", goal, more=True)

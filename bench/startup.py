@@ -10,10 +10,10 @@ from __future__ import annotations
 import argparse
 from typing import Final, cast
 
+from bench.masters import DRIVERS
 from bench.report import Report
 from bench.rig import Bench, Processors, available, bench, pinned
 
-_DRIVERS: Final = ("asyncio", "process")
 _PARTS: Final = ("program", "opening", "listening", "claim", "bring-up", "all")
 
 
@@ -23,7 +23,7 @@ def run(argv: list[str]) -> Report:
     parser.add_argument("--slaves", type=int, default=32)
     parser.add_argument("--baud", type=int, default=12_000_000)
     parser.add_argument("--rounds", type=int, default=9)
-    parser.add_argument("--kinds", nargs="*", choices=_DRIVERS, default=_DRIVERS)
+    parser.add_argument("--kinds", nargs="*", choices=DRIVERS, default=DRIVERS)
     args = parser.parse_args(argv)
     with pinned() as where:
         report = Report("startup", notes=[where.text])

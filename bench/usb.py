@@ -14,13 +14,13 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import Final
 
+from bench.masters import DRIVERS
 from bench.records import Record, middle, rotations
 from bench.report import Report, quantile
 from bench.rig import Adapter, Taken, available, bench, disturbed, pinned
 from dpstack.params import BusParams
 from dpstack.units import baud_text
 
-_DRIVERS: Final = ("asyncio", "process")
 _TIMERS: Final = (16, 1)
 
 
@@ -32,7 +32,7 @@ def run(argv: list[str]) -> Report:
     parser.add_argument("--timers", type=int, nargs="*", default=_TIMERS, help="the latency timer in ms")
     parser.add_argument("--seconds", type=float, default=2.0, help="of one measurement")
     parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--kinds", nargs="*", choices=_DRIVERS, default=_DRIVERS)
+    parser.add_argument("--kinds", nargs="*", choices=DRIVERS, default=DRIVERS)
     args = parser.parse_args(argv)
     with pinned() as where:
         report = Report("usb", notes=[where.text])

@@ -12,7 +12,7 @@ from bench import cycle, jitter, rotation, startup, usb
 from bench.jitter import Lateness
 from bench.records import Record, pty_share, rotations
 from bench.report import Report
-from bench.rig import unavailable
+from bench.rig import MasterFailedError, Taken, bench, one_round, pinned, unavailable
 from bench.wire import Wire
 
 MS = 1_000_000
@@ -226,3 +226,25 @@ def test_jitter_runs_or_says_why_not() -> None:
     assert not refused or refused in report.notes
     figures = ("lateness p50", "lateness p99", "lateness p99.9", "lateness max", "missed rounds", "gaps a second")
     assert titles(report) == (set() if refused else {f"asyncio, 10 ms, idle: {figure}" for figure in figures})
+
+
+def test_what_another_stack_cannot_do_is_left_out_and_what_ours_cannot_is_not() -> None:
+    def fails(kind: str, slaves: int) -> Taken:
+        raise MasterFailedError(f"{kind}, {slaves} slaves: why")
+
+    notes: list[str] = []
+    taken: dict[tuple[str, int], list[Taken]] = {("pyprofibus", 64): []}
+    one_round(taken, fails, notes)
+    assert taken == {}
+    assert notes == ["left out: pyprofibus, 64 slaves: why"]
+    with pytest.raises(MasterFailedError):
+        one_round({("asyncio", 1): []}, fails, notes)
+
+
+def test_a_master_that_fails_is_told_with_its_reason() -> None:
+    with (
+        pinned() as where,
+        pytest.raises(MasterFailedError, match=r"bare, 1 slaves: RuntimeError: the wire's slaves refuse"),
+        bench("bare", 1, 500_000, where, ident=0x1234),
+    ):
+        pytest.fail("slaves of another ident number never come up")
