@@ -34,8 +34,9 @@ def run(argv: list[str]) -> Report:
     parser.add_argument("--rounds", type=int, default=9, help="of all kinds in turn; medians are reported")
     parser.add_argument("--kinds", nargs="*", choices=KINDS, default=KINDS)
     args = parser.parse_args(argv)
+    report = Report("cycle")
     with pinned() as where:
-        report = Report("cycle", notes=[where.text])
+        report.notes.append(where.text)
         kinds = available(args.kinds, report.notes)
         loops: list[float] = []
         taken: dict[tuple[str, int], list[Taken]] = {(kind, n): [] for n in args.slaves for kind in kinds}

@@ -35,9 +35,10 @@ def run(argv: list[str]) -> Report:
     parser.add_argument("--kinds", nargs="*", choices=DRIVERS, default=DRIVERS)
     parser.add_argument("--apps", nargs="*", choices=APPLICATIONS, default=APPLICATIONS)
     args = parser.parse_args(argv)
+    report = Report("jitter")
     with pinned() as where:
         rights = realtime()
-        report = Report("jitter", notes=[where.text])
+        report.notes.append(where.text)
         report.notes.append(f"real-time share: {rights['runtime_us']} of every {rights['period_us']} us")
         kinds = available(args.kinds, report.notes, max(args.cycles))
         cases = [(kind, cycle, app) for kind in kinds for cycle in args.cycles for app in args.apps]

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from bench.report import Figure, Report
+
+
+#: figures that lie further apart than this are drawn on a logarithmic scale
+_DECADES: Final = 50
 
 
 class PlotError(Exception):
@@ -44,6 +48,8 @@ def _bars(panel: Any, unit: str, figures: list[Figure]) -> None:
     for row, figure in enumerate(figures):
         if figure.goal is not None:
             panel.plot([figure.goal] * 2, [row - 0.4, row + 0.4], color="#d62728", linewidth=2)
+    if min(values) > 0 and max(values) > _DECADES * min(values):
+        panel.set_xscale("log")
     panel.invert_yaxis()
     panel.set_xlabel(unit or "ratio")
     panel.tick_params(labelsize=8)

@@ -41,8 +41,9 @@ def run(argv: list[str]) -> Report:
     parser.add_argument("--rounds", type=int, default=9, help="of all kinds in turn; medians are reported")
     parser.add_argument("--kinds", nargs="*", choices=KINDS, default=KINDS)
     args = parser.parse_args(argv)
+    report = Report("rotation")
     with pinned() as where:
-        report = Report("rotation", notes=[where.text])
+        report.notes.append(where.text)
         kinds = available(args.kinds, report.notes)
         for baud in args.bauds:
             _at(report, baud, args, kinds, where)

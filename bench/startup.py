@@ -25,8 +25,9 @@ def run(argv: list[str]) -> Report:
     parser.add_argument("--rounds", type=int, default=9)
     parser.add_argument("--kinds", nargs="*", choices=DRIVERS, default=DRIVERS)
     args = parser.parse_args(argv)
+    report = Report("startup")
     with pinned() as where:
-        report = Report("startup", notes=[where.text])
+        report.notes.append(where.text)
         kinds = available(args.kinds, report.notes)
         runs: dict[str, list[dict[str, float]]] = {kind: [] for kind in kinds}
         for _ in range(args.rounds):

@@ -34,8 +34,9 @@ def run(argv: list[str]) -> Report:
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--kinds", nargs="*", choices=DRIVERS, default=DRIVERS)
     args = parser.parse_args(argv)
+    report = Report("usb")
     with pinned() as where:
-        report = Report("usb", notes=[where.text])
+        report.notes.append(where.text)
         kinds = available(args.kinds, report.notes)
         cases = [(baud, timer, kind) for baud in args.bauds for timer in args.timers for kind in kinds]
         runs: dict[tuple[int, int, str], list[Taken]] = {case: [] for case in cases}
