@@ -7,7 +7,6 @@ from typing import Any, Final
 
 from bench.report import Figure, Report
 
-
 #: figures that lie further apart than this are drawn on a logarithmic scale
 _DECADES: Final = 50
 
