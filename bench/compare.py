@@ -79,7 +79,7 @@ class Comparison:
             ratio = f"{c.ratio:>10.3f}" if c.ratio is not None else f"{'-':>10}"
             noise = f"{c.noise:>8.0%}" if c.noise is not None else f"{'-':>8}"
             lines.append(f"  {c.name:<{width}} {old} {new} {ratio} {noise} {c.unit:<6} {c.verdict.value}")
-        return "\n".join(lines + [f"  not the same: {w}" for w in self.warnings])
+        return "\n".join(lines + [f"  {w}" for w in self.warnings])
 
 
 def compare(old: Report, new: Report) -> Comparison:
@@ -89,7 +89,9 @@ def compare(old: Report, new: Report) -> Comparison:
     before, after = ({f.name: f for f in report.figures} for report in (old, new))
     names = [*before, *(name for name in after if name not in before)]
     changes = tuple(_change(name, before.get(name), after.get(name)) for name in names)
-    return Comparison(old.name, changes, tuple(differences(old.about, new.about)))
+    warnings = [f"not the same: {difference}" for difference in differences(old.about, new.about)]
+    warnings += [f"taken on a busy machine: {report.taken}" for report in (old, new) if report.busy]
+    return Comparison(old.name, changes, tuple(warnings))
 
 
 def _change(name: str, old: Figure | None, new: Figure | None) -> Change:

@@ -16,7 +16,7 @@ from typing import Final
 from bench.calibration import calibrate
 from bench.masters import DRIVERS, KINDS
 from bench.report import Report, quantile
-from bench.rig import Processors, Taken, available, bench, disturbed, one_round, pinned
+from bench.rig import Processors, Taken, available, bench, note_disturbance, one_round, pinned
 from dpstack.params import BusParams
 
 _BAUD: Final = 12_000_000
@@ -48,7 +48,7 @@ def run(argv: list[str]) -> Report:
             _add(report, kind, n, rounds, loops)
         for n in args.slaves:
             _compared(report, n, {kind: taken[kind, n] for kind in kinds if (kind, n) in taken})
-        report.notes += disturbed(t for rounds in taken.values() for t in rounds)
+        note_disturbance(report, (t for rounds in taken.values() for t in rounds))
         idle = BusParams.preset(_BAUD).t_id1
         report.notes.append(f"T_ID1 = {idle} bit times = {idle / 12:.1f} us is part of every turn-around")
     return report

@@ -18,7 +18,7 @@ from bench.machine import realtime
 from bench.masters import APPLICATIONS, DRIVERS, FIRST
 from bench.records import Record
 from bench.report import Report, quantile
-from bench.rig import Taken, available, bench, disturbed, pinned
+from bench.rig import Taken, available, bench, note_disturbance, pinned
 
 _GAP_NS: Final = 40_000_000
 _QUANTILES: Final = (("p50", 0.5), ("p99", 0.99), ("p99.9", 0.999), ("max", 1.0))
@@ -42,14 +42,16 @@ def run(argv: list[str]) -> Report:
         report.notes.append(f"real-time share: {rights['runtime_us']} of every {rights['period_us']} us")
         kinds = available(args.kinds, report.notes, max(args.cycles))
         cases = [(kind, cycle, app) for kind in kinds for cycle in args.cycles for app in args.apps]
-        taken: list[Taken] = []
+        alone: list[Taken] = []  # a burning program stands in its own bus process's way
         runs: dict[tuple[str, float, str], list[Lateness]] = {case: [] for case in cases}
         for _ in range(args.rounds):
             for (kind, cycle, app), rounds in runs.items():
                 with bench(kind, args.slaves, args.baud, where, app=app, cycle_ms=cycle) as running:
-                    taken.append(running.measure(args.seconds))
-                rounds.append(Lateness(taken[-1].records, cycle))
-        report.notes += disturbed(taken)
+                    taken = running.measure(args.seconds)
+                rounds.append(Lateness(taken.records, cycle))
+                if app != "burn":
+                    alone.append(taken)
+        note_disturbance(report, alone)
         for (kind, cycle, app), rounds in runs.items():
             _add(report, f"{kind}, {cycle:g} ms, {app}", rounds, kind)
         for kind in kinds:

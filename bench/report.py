@@ -56,6 +56,8 @@ class Report:
     about: dict[str, object] = field(default_factory=machine)
     taken: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
     load_at_end: float | None = None
+    #: other programs had the processors for a good part of the time: goals are not judged
+    busy: bool = False
 
     def add(
         self,
@@ -93,12 +95,13 @@ class Report:
                     "value": _rounded(f.value),
                     "unit": f.unit,
                     "goal": f.goal,
-                    "met": f.met,
+                    "met": None if self.busy else f.met,
                     "more": f.more,
                     "rounds": [_rounded(v) for v in f.rounds],
                 }
                 for f in self.figures
             },
+            "busy": self.busy,
             "notes": self.notes,
         }
 
@@ -119,7 +122,7 @@ class Report:
         for f in self.figures:
             spread = "" if f.spread is None else f"  +-{f.spread / 2:.0%}"
             bound = "" if f.goal is None else f"   goal {'at least' if f.more else 'at most'} {f.goal:g}: "
-            verdict = "" if f.goal is None else "met" if f.met else "MISSED"
+            verdict = "" if f.goal is None else "not judged" if self.busy else "met" if f.met else "MISSED"
             lines.append(f"  {f.name:<{width}}  {f.value:>10.2f} {f.unit}{spread}{bound}{verdict}")
         return "\n".join(lines + [f"  {note}" for note in self.notes])
 
@@ -134,6 +137,7 @@ def report_of(data: Mapping[str, object]) -> Report:
             about=about,
             taken=str(data["taken"]),
             load_at_end=cast("float | None", about.pop("load_at_end", None)),
+            busy=bool(data.get("busy", False)),
         )
         for name, each in cast(Mapping[str, Mapping[str, object]], data["figures"]).items():
             report.add(

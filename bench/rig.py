@@ -20,6 +20,7 @@ from typing import Any, Final, NamedTuple
 
 from bench.masters import CONFIG, DRIVERS, FIRST, IDENT, OCTETS
 from bench.records import Record
+from bench.report import Report
 from dpstack.api.config import make_config
 from dpstack.errors import ConfigError
 from dpstack.params import BusParams
@@ -33,6 +34,8 @@ _LEAST_ROUNDS: Final = 12
 _PATIENCE_NS: Final = 10_000_000_000
 #: more than this share of the time in run queues is worth a note
 _DISTURBED: Final = 0.02
+#: and with more than this no goal is judged
+_SPOILT: Final = 0.2
 
 
 class MasterFailedError(RuntimeError):
@@ -353,10 +356,11 @@ def _waited_of(pid: int) -> int:
     return waited
 
 
-def disturbed(taken: Iterable[Taken]) -> list[str]:
-    """A line for a report's notes when other programs had the processors too long."""
+def note_disturbance(report: Report, taken: Iterable[Taken], where: str = "") -> None:
+    """Say in ``report`` when other programs had the processors; for a good part of the time: goals are not judged."""
     shares = [t.waited for t in taken]
     share = median(shares) if shares else 0.0
-    if share < _DISTURBED:
-        return []
-    return [f"other programs had the processors {share:.0%} of the time (median): these figures are theirs too"]
+    if share >= _DISTURBED:
+        text = f"other programs had the processors {share:.0%} of the time (median): these figures are theirs too"
+        report.notes.append(f"{where}: {text}" if where else text)
+    report.busy |= share >= _SPOILT

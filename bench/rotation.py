@@ -19,7 +19,7 @@ from typing import Final
 from bench.masters import DRIVERS, KINDS
 from bench.records import middle, pty_share, rotations
 from bench.report import Report, quantile
-from bench.rig import Processors, Taken, available, bench, disturbed, one_round, pinned
+from bench.rig import Processors, Taken, available, bench, note_disturbance, one_round, pinned
 from dpstack.params import BusParams
 from dpstack.units import baud_text
 
@@ -85,7 +85,7 @@ def _at(report: Report, baud: int, args: argparse.Namespace, kinds: Sequence[str
             report.measured(f"{at}, {kind}: CPU time per exchange to pyprofibus's", ratios, "ratio", _GOAL_CPU)
     late = [t.written - t.due for runs in taken.values() for run in runs for t in run.records if t.written]
     report.add(f"{at}: the wire's own lateness p50", middle(late) / 1000, "us")
-    report.notes += [f"{at}: {note}" for note in disturbed(run for runs in taken.values() for run in runs)]
+    note_disturbance(report, (run for runs in taken.values() for run in runs), at)
     held = sum(run.held for kind in DRIVERS for run in taken.get(kind, []))
     asked = sum(len(run.records) for kind in DRIVERS for run in taken.get(kind, []))
     if held:

@@ -17,7 +17,7 @@ from typing import Final
 from bench.masters import DRIVERS
 from bench.records import Record, middle, rotations
 from bench.report import Report, quantile
-from bench.rig import Adapter, Taken, available, bench, disturbed, pinned
+from bench.rig import Adapter, Taken, available, bench, note_disturbance, pinned
 from dpstack.params import BusParams
 from dpstack.units import baud_text
 
@@ -53,7 +53,7 @@ def run(argv: list[str]) -> Report:
             parts = [_parts(t.records, baud) for t in taken]
             for n, name in enumerate(("wire", "adapter", "stack")):
                 report.measured(f"{title}: {name} per exchange", [part[n] / 1e6 for part in parts], "ms")
-        report.notes += disturbed(t for taken in runs.values() for t in taken)
+        note_disturbance(report, (t for taken in runs.values() for t in taken))
     return report
 
 

@@ -15,6 +15,7 @@ from bench.__main__ import BENCHMARKS, main
 from bench.compare import Verdict, compare, load_report, save
 from bench.plot import PlotError, plot
 from bench.report import Report, report_of
+from bench.rig import Taken, note_disturbance
 
 #: what every report says of the machine
 MACHINE = {
@@ -95,9 +96,26 @@ def test_compare_marks_what_is_beyond_the_noise_of_the_rounds() -> None:
 def test_figures_of_another_machine_or_benchmark_are_not_silently_compared() -> None:
     old, new = made(a=[1.0, 1.0]), made(a=[1.0, 1.0])
     new.about["processor"] = "another one"
-    assert len(compare(old, new).warnings) == 1
+    new.busy = True
+    different, busy = compare(old, new).warnings
+    assert different.startswith("not the same: processor")
+    assert busy == f"taken on a busy machine: {new.taken}"
     with pytest.raises(ValueError, match="one report is of gsd, the other of usb"):
         compare(old, Report("usb"))
+
+
+def test_on_a_busy_machine_no_goal_is_judged() -> None:
+    report = Report("gsd")
+    report.add("one", 1.5, "us", 2.0)
+    note_disturbance(report, [Taken(1.0, 1, 1, waited, [], 0, [], []) for waited in (0.0, 0.01, 0.6)])
+    assert (report.busy, report.notes) == (False, [])
+    note_disturbance(report, [Taken(1.0, 1, 1, waited, [], 0, [], []) for waited in (0.0, 0.3, 0.6)], "at 3 Mbit/s")
+    assert report.notes == [
+        "at 3 Mbit/s: other programs had the processors 30% of the time (median): these figures are theirs too"
+    ]
+    assert "goal at most 2: not judged" in report.as_text()
+    again = report_of(json.loads(report.as_json()))
+    assert again.busy
 
 
 def test_one_bad_round_of_many_is_no_noise() -> None:
