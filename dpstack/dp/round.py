@@ -84,9 +84,8 @@ class Round:
         """A hold begins; free running so does a new round, when the last one is through and the next one may."""
         if self._cadence.fixed:
             self._services = 1
-        elif not self.open and self._cadence.due(now):
-            if not self._everybody or self._cadence.due(now, self._turns.interval_all):
-                self._begin(now)
+        elif not self.open and self._cadence.due(now) and self._may_take_all(now):
+            self._begin(now)
 
     def next_request(self, now: int) -> Request | None:
         """The next request, in the round or between two fixed cycles."""
@@ -148,6 +147,9 @@ class Round:
     def _everybody(self) -> bool:
         """Nobody is left out: on the way down, and where an order waits for everybody."""
         return self._course.descending or self._controls.wants_all
+
+    def _may_take_all(self, now: int) -> bool:
+        return not self._everybody or self._cadence.due(now, self._turns.interval_all)
 
     def _before_data(self, now: int) -> Request | None:
         request = self._controls.before_data(self._course.mode, now)
