@@ -73,7 +73,7 @@ def test_without_rights_each_refusal_says_what_to_do() -> None:
 
 def test_a_priority_within_the_limit_is_taken() -> None:
     hard = resource.getrlimit(resource.RLIMIT_RTPRIO)[1]
-    most = 10 if realtime.is_privileged() or hard == resource.RLIM_INFINITY else min(10, hard)
+    most = 10 if hard == resource.RLIM_INFINITY else min(10, hard)  # nobody may go beyond the hard one
     found = ask(as_nobody=True, priority=most)
     assert found["fifo"] == bool(most)
     assert found["priority"] == most
@@ -115,6 +115,15 @@ def test_a_container_may_have_taken_roots_rights_away(monkeypatch: pytest.Monkey
         assert realtime.is_privileged() is privileged
     status.unlink()
     assert realtime.is_privileged() is (os.geteuid() == 0)
+
+
+@pytest.mark.parametrize(("limit", "taken"), [(10, 10), (99, PRIORITY), (None, PRIORITY)])
+def test_no_more_priority_than_the_limit_allows(monkeypatch: pytest.MonkeyPatch, limit: int | None, taken: int) -> None:
+    asked: list[int] = []
+    monkeypatch.setattr(realtime, "rights", lambda: Rights(False, limit, None))
+    monkeypatch.setattr(os, "sched_setscheduler", lambda _pid, _policy, param: asked.append(param.sched_priority))
+    assert realtime.set_priority() == ""
+    assert asked == [taken]
 
 
 def test_refusals_of_the_system_in_spite_of_the_limits(monkeypatch: pytest.MonkeyPatch) -> None:
