@@ -214,6 +214,9 @@ class PlainLoop:
             if callback is not None:
                 self._call(callback)
         for fd, event in self._wait():
+            if event & select.POLLNVAL:
+                self._drop_closed()
+                continue
             # A callback may take another descriptor away: look each one up.
             if event & ~select.POLLOUT and (callback := self._readers.get(fd)) is not None:
                 self._call(callback)
@@ -277,7 +280,11 @@ class PlainLoop:
             now = monotonic_ns()
         target = due - LEAD_NS if due - LEAD_NS > now and budget.may_spin(due) else due
         timeout = None if target >= NEVER - LEAD_NS else max(0, target - now) / NS_PER_S
-        readable, writable, _ = select.select(self._read_fds, self._write_fds, (), timeout)
+        try:
+            readable, writable, _ = select.select(self._read_fds, self._write_fds, (), timeout)
+        except OSError:
+            self._drop_closed()
+            return ()
         woke = monotonic_ns()
         budget.slept(woke - now, woke)
         return self._poll.poll(0) if writable else [(fd, select.POLLIN) for fd in readable]
@@ -294,6 +301,17 @@ class PlainLoop:
         else:
             with contextlib.suppress(KeyError):
                 self._poll.unregister(fd)
+
+    def _drop_closed(self) -> None:
+        """Somebody closed a descriptor that is still waited for: that must not stop the others."""
+        for fd in {*self._readers, *self._writers}:
+            try:
+                os.fstat(fd)
+            except OSError as exc:
+                self._readers.pop(fd, None)
+                self._writers.pop(fd, None)
+                self._register(fd)
+                self.report(f"descriptor {fd} was closed without being removed", exc)
 
     def _bell_fd(self) -> int:
         """What wakes it from another thread or a signal; the end to write to."""

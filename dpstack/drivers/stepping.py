@@ -155,7 +155,7 @@ class Stepping(ABC):
         if self.failed is not None:
             raise BusError("the driver was stopped by a defect") from self.failed
         if self._at is None:
-            raise UsageError("the driver is not open: await open() first")
+            raise UsageError("the driver is not open: open() comes first")
         self._machine.command(command, monotonic_ns())
         # as with a late timer: what arrived while the loop was held up counts before a deadline is judged
         self._step(self._drain())

@@ -9,13 +9,23 @@ from time import monotonic_ns
 import pytest
 from driver_rig import BACKOFF, REQUEST, TOKEN, Script
 from far_ends import TcpFarEnd
+from support_responder import Responder
 
+from dpstack.dp.commands import Mode, SetMode
+from dpstack.dp.events import SlaveState
+from dpstack.dp.master import Master
+from dpstack.dp.setup import SlaveSetup
 from dpstack.drivers.base import PortBack, PortLost
+from dpstack.drivers.budget import Budget
 from dpstack.drivers.echo import Echo
 from dpstack.drivers.expecting import Answers
+from dpstack.drivers.lateness import patience_of
 from dpstack.drivers.plain import PlainRuntime
 from dpstack.drivers.plain_loop import PlainLoop
 from dpstack.errors import PortError
+from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.commands import GoOnline
+from dpstack.params import BusParams
 from dpstack.ports import Port, memory_pair, open_port
 from dpstack.ports.pyserial import PySerialPort
 from dpstack.trace import Event, Notice
@@ -100,6 +110,33 @@ def test_a_driver_without_budget_waits_by_timer_and_is_never_early() -> None:
     run_until(loop, lambda: len(machine.did("wake")) == 30)
     assert all(now >= deadline for _, deadline, now in machine.did("wake"))
     assert driver._spin_ns == 0
+    driver.close()
+    loop.close()
+
+
+class Spent(Budget):
+    """Nothing is left to spin with, ever."""
+
+    def may_spin(self, now: int) -> bool:
+        return False
+
+
+@pytest.mark.parametrize("baud", [45_450, 500_000, 12_000_000])
+def test_at_every_rate_a_bus_goes_on_when_the_budget_is_used_up(baud: int) -> None:
+    loop = PlainLoop(budget=Spent())
+    port = open_port("pty", baud)
+    params = BusParams.preset(baud, address=2, gap=0)
+    master = Master(params, [SlaveSetup(address=3, name="s", ident=0x0696, config=b"\xf3\xf1")], watchdog_ms=1000)
+    station = ActiveStation(params, [master], patience=patience_of(port), now=monotonic_ns())
+    driver = PlainRuntime(loop, port, station, lambda _events: None, echo=Echo.OFF)
+    driver.open()
+    driver._waited(1, monotonic_ns())  # as after a spin that was the last
+    with Responder(driver.port_name, ["3:0696:f3f1:12:12"]):
+        driver.command(GoOnline())
+        driver.command(SetMode(Mode.OPERATE))
+        handler = master.handlers[3]
+        run_until(loop, lambda: handler.state is SlaveState.DATA_EXCHANGE and handler.exchanges >= 20)
+    assert driver.failed is None
     driver.close()
     loop.close()
 

@@ -322,6 +322,32 @@ def test_who_owes_rest_gets_it_whatever_is_due() -> None:
     assert budget.total >= 0.06 * 20 * NS_PER_MS
 
 
+@pytest.mark.parametrize("sleeps", [True, False])
+def test_a_descriptor_that_was_closed_is_told_and_waited_for_no_more(
+    loop: PlainLoop, failures: Failures, pair: tuple[socket.socket, socket.socket], sleeps: bool
+) -> None:
+    near, far = pair
+    got: list[bytes] = []
+
+    def readable() -> None:
+        got.append(near.recv(9))
+        loop.stop()
+
+    loop.call_soon(loop.stop)
+    run(loop)  # its own descriptors are there: the number that is closed here is not used again
+    closed, other = os.pipe()
+    loop.add_reader(closed, lambda: pytest.fail("it is closed"))
+    loop.add_reader(near.fileno(), readable)
+    os.close(closed)
+    os.close(other)
+    if not sleeps:
+        loop.call_soon(lambda: loop.call_soon(lambda: None))
+    loop.call_at(monotonic_ns() + NS_PER_MS, lambda: far.send(b"x"))
+    run(loop)
+    assert got == [b"x"]
+    assert [message for message, _ in failures] == [f"descriptor {closed} was closed without being removed"]
+
+
 def test_misuse_raises_at_once(loop: PlainLoop) -> None:
     raised: list[str] = []
 
