@@ -305,8 +305,12 @@ class Stepping(ABC):
         if attempts.is_news(str(refusal)):
             self._tell([self._notice(f"still without its port: {refusal}", Severity.WARNING)])
 
-    def _back(self) -> None:
-        """The lost port is open again."""
+    def _back(self, attempts: Attempts) -> None:
+        """The lost port is open again; closed at once where nobody wants it any more."""
+        if self._at is None:
+            self._port.close()
+        if attempts is not self._attempts:
+            return
         self._attempts = None
         self._tell([PortBack(t_ns=monotonic_ns(), port=self.port_name)])
         self._attach()

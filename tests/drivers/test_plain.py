@@ -221,6 +221,25 @@ def test_a_connection_that_comes_about_too_late_is_closed(
     line.far.shut()
 
 
+def test_opened_again_while_an_old_attempt_connects(monkeypatch: pytest.MonkeyPatch) -> None:
+    line = SlowLine(monkeypatch)
+    loop, events, machine = PlainLoop(), list[Event](), Script()
+    driver = PlainRuntime(loop, line.port, machine, events.extend, echo=Echo.OFF, backoff_ns=BACKOFF)
+    driver.open()
+    line.far.hang_up()
+    run_until(loop, lambda: driver._connecting is not None)
+    driver.close()
+    line.go.set()
+    driver.open()
+    turns = monotonic_ns() + 5 * NS_PER_MS
+    run_until(loop, lambda: monotonic_ns() > turns)  # the outcome of the old attempt comes now, and changes nothing
+    assert line.port.fd is not None
+    assert not any(isinstance(event, PortBack) for event in events)
+    driver.close()
+    loop.close()
+    line.far.shut()
+
+
 def test_notices_of_the_port_are_told_at_open() -> None:
     loop, events = PlainLoop(), list[Event]()
     near, _far = memory_pair(500_000)
