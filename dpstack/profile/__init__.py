@@ -3,17 +3,19 @@
 from dpstack.dp.device import Device, Leave
 from dpstack.dp.image import CyclicUnit
 from dpstack.errors import ConfigError
-from dpstack.profile import drivecom, profidrive
+from dpstack.profile import datamap, drivecom, profidrive
 from dpstack.profile.channel import CHANNEL_LEN, ChannelServer, ParameterChannel, ParamKey
 from dpstack.profile.core import OPS, DriveCore
 from dpstack.profile.device import DriveDevice
 from dpstack.profile.drive import DriveProfile, OptionSpec, RateSetting, TelegramFamily, TelegramSpec
 from dpstack.profile.jobs import Args, CommandError, Steps
+from dpstack.profile.lookup import Lookup
+from dpstack.profile.mapped import MAP_OPS, MappedCore
 from dpstack.profile.motion import settled
 from dpstack.profile.motor import Motor
 from dpstack.profile.params import ParamSpec, ParamTable
 from dpstack.profile.pkw import Order, Pkw, PkwClient, PkwDialect, PkwServer, Reply
-from dpstack.profile.pkw_access import ParamRef, PkwAccess
+from dpstack.profile.pkw_access import ParamRef, PkwAccess, PkwChannel
 from dpstack.profile.registry import broken, find, known, refresh
 from dpstack.profile.states import FAULTED, MOVING, ControlTable, Goal, State, StateRow, StateTable
 from dpstack.profile.status import DriveStatus
@@ -24,6 +26,7 @@ from dpstack.units import NEVER, NS_PER_MS, NS_PER_S, NS_PER_US, ns_to_s, s_to_n
 __all__ = [
     "CHANNEL_LEN",
     "FAULTED",
+    "MAP_OPS",
     "MOVING",
     "NEVER",
     "NS_PER_MS",
@@ -44,6 +47,8 @@ __all__ = [
     "DriveStatus",
     "Goal",
     "Leave",
+    "Lookup",
+    "MappedCore",
     "Motor",
     "OptionSpec",
     "Order",
@@ -55,6 +60,7 @@ __all__ = [
     "ParameterChannel",
     "Pkw",
     "PkwAccess",
+    "PkwChannel",
     "PkwClient",
     "PkwDialect",
     "PkwServer",
@@ -69,6 +75,7 @@ __all__ = [
     "TelegramSpec",
     "Word",
     "broken",
+    "datamap",
     "drivecom",
     "find",
     "known",

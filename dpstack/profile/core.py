@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Mapping
-from typing import Final
+from typing import Any, Final
 
 from dpstack.profile import motion
 from dpstack.profile.channel import CHANNEL_LEN, ParameterChannel, ParamKey
 from dpstack.profile.drive import TelegramSpec
 from dpstack.profile.jobs import Args, CommandError, ErrorKind, Job, Steps
+from dpstack.profile.lookup import Lookup
 from dpstack.profile.states import FAULTED, ControlTable, Goal, State
 from dpstack.profile.status import DriveStatus
 from dpstack.profile.words import SPEED, Scale
@@ -60,6 +61,8 @@ class DriveCore:
         #: after this time the inputs belong to the outputs sent now, in ns
         self.settle_ns = 3 * scan_ns + 20 * NS_PER_MS
         self.access: ParameterChannel | None = None
+        #: what is asked over ``access`` while it stands in the status word
+        self.lookups: tuple[Lookup[Any], ...] = ()
         self.now = 0
         #: inputs are of a drive in data exchange
         self.online = False
@@ -98,6 +101,8 @@ class DriveCore:
             self.words = self._unpack(inputs, self._offset)
             self.status_word = self.status_of(inputs[self._offset :])
             self.online = True
+            for lookup in self.lookups:
+                lookup.watch(self)
             self.received()
             self.update()
         access = self.access
@@ -121,6 +126,8 @@ class DriveCore:
             self._failed(job.token, "lost", _LOST)
         if self.access is not None:
             self.access.reset()
+        for lookup in self.lookups:
+            lookup.reset()
         self._inputs = b""
         self.set_goal(Goal.IDLE)
         self.state = State.OFFLINE

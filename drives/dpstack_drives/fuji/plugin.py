@@ -9,10 +9,10 @@ from dpstack.profile import (
     CHANNEL_LEN,
     FAULTED,
     NS_PER_MS,
-    NS_PER_S,
     CommandError,
     DriveCore,
     DriveProfile,
+    Lookup,
     ParamKey,
     ParamRef,
     PkwAccess,
@@ -42,8 +42,7 @@ class FujiCore(DriveCore):
         self, profile: DriveProfile, name: str, telegram: TelegramSpec, options: Mapping[str, bool | float | str]
     ) -> None:
         self._by_bit = options["reverse"] == "bit"
-        self._alarm: int | None = None
-        self._asked = False
+        self._alarm = Lookup(lambda: self.raw_state in FAULTED, self._ask)
         super().__init__(
             name,
             profile.name,
@@ -57,15 +56,7 @@ class FujiCore(DriveCore):
         )
         if telegram.channel:
             self.access = PkwAccess(t.PKW, self._resolve, lambda: self.now, self.settle_ns)
-
-    def received(self) -> None:
-        """With a parameter channel a trip is looked up in the malfunction history."""
-        if self.raw_state not in FAULTED:
-            self._alarm = None
-            self._asked = False
-        elif not self._asked and self.access is not None:
-            self._asked = True
-            self.spawn("alarm", self._ask())
+            self.lookups = (self._alarm,)
 
     def setpoint_word(self, fraction: float) -> int:
         """MRV."""
@@ -79,15 +70,15 @@ class FujiCore(DriveCore):
         """By name where there is a parameter channel; STW alone does not tell."""
         if self.raw_state not in FAULTED:
             return ()
-        if self._alarm is not None:
-            return (t.alarm_text(self._alarm),)
+        if (alarm := self._alarm.value) is not None:
+            return (t.alarm_text(alarm),)
         if self.access is not None:
             return ("not yet named",)
         return ("without a name: PPO3 and PPO4 do not carry it, the keypad shows it",)
 
     def fault_named(self) -> bool:
         """Nothing more is to be learned."""
-        return self._alarm is not None or self.access is None
+        return self._alarm.value is not None or self.access is None
 
     def obstacle(self) -> str | None:
         """STW bit 9, then the state that a CTW which is not obeyed leaves behind."""
@@ -115,14 +106,12 @@ class FujiCore(DriveCore):
     def _remote(self) -> bool:
         return bool(self.status_word & _REMOTE)
 
-    def _ask(self) -> Steps[dict[str, object]]:
+    def _ask(self, deadline: int) -> Steps[int]:
         assert self.access is not None
-        outcome = yield from self.access.read(ParamKey(t.PNU_ALARMS, index=1), self.now + NS_PER_S)
+        outcome = yield from self.access.read(ParamKey(t.PNU_ALARMS, index=1), deadline)
         raw = outcome["raw"]
         assert isinstance(raw, int)
-        self._alarm = raw
-        self.update()
-        return outcome
+        return raw
 
     def _resolve(self, key: ParamKey) -> ParamRef:
         name, index = key.name, key.place
