@@ -101,9 +101,9 @@ class DriveCore:
             self.words = self._unpack(inputs, self._offset)
             self.status_word = self.status_of(inputs[self._offset :])
             self.online = True
+            self.received()
             for lookup in self.lookups:
                 lookup.watch(self)
-            self.received()
             self.update()
         access = self.access
         if access is not None and access.busy and self.online:

@@ -45,6 +45,8 @@ class LsDevice(DriveDevice):
     VENDOR only; the lost command (PRT-12, PRT-13) is judged whatever ended data exchange.
     """
 
+    address_parameter = "COM-07"
+
     def __init__(
         self,
         profile: DriveProfile,
@@ -111,8 +113,7 @@ class LsDevice(DriveDevice):
 
     def installed(self, address: int, baud: int | None) -> None:
         """COM-07 and COM-12; a search for the rate leaves that at 255, invalid."""
-        if address >= 1:
-            self.store.write(settings.spec("COM-07"), address, ram_only=True)
+        super().installed(address, baud)
         index = next((index for index, rate in t.BAUD_INDEX.items() if rate == baud), t.INVALID_BAUD)
         self.store.write(settings.spec("COM-12"), index, ram_only=True)
 
