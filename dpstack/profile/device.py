@@ -122,6 +122,11 @@ class DriveDevice(Device):
         self._outputs = None
         self.master_lost(reason, now)
 
+    @property
+    def seen_until(self) -> int | None:
+        """Up to when it has caught up with the bus's clock; None before it was ever looked at."""
+        return None if self._next is None else self._next - self.scan_ns
+
     def advance(self, now: int) -> None:
         """Catch up with the bus's clock: every scan up to ``now``. For whoever looks at the drive between exchanges."""
         scan_ns = self.scan_ns

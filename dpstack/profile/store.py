@@ -77,6 +77,12 @@ class ParamStore:
             for stores in (self._ram, self._eeprom):
                 stores[spec.name] = [spec.to_raw(value)] * len(stores[spec.name])
 
+    def initialise(self) -> None:
+        """All factory values, in RAM and EEPROM."""
+        for spec in self.table:
+            if not spec.text:
+                self.write(spec, spec.to_raw(spec.factory))
+
     def inherit(self, before: ParamStore) -> None:
         """Switched on again: EEPROM and RAM are what the EEPROM of ``before`` holds, and so is the count of writes."""
         self._eeprom = {name: list(values) for name, values in before._eeprom.items()}
