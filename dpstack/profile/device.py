@@ -79,6 +79,12 @@ class DriveDevice(Device):
         """The station address that it has by its own setting from the next power-on; None: the one it has."""
         return int(self.store.value(self.address_parameter)) if self.address_parameter else None
 
+    def address_set(self, address: int, fixed: bool, rem_slave_data: bytes) -> bool:
+        """Set_Slave_Add, of a drive that has the service: kept as its address parameter."""
+        if self.address_parameter:
+            self.store.install(self.address_parameter, address)
+        return bool(self.address_parameter)
+
     # -- Device ---------------------------------------------------------------------------------------------------
 
     def check_cfg(self, config: bytes) -> str | None:

@@ -10,7 +10,9 @@ from typing import Any
 
 import pytest
 from drive_bench import MS, DeviceBench, PluginBench, S, as_mapping
+from slave_kit import SLAVE, Bench
 
+from dpstack.dp.slaveapp import SlaveApp
 from dpstack.errors import ConfigError
 from dpstack.profile import Leave
 from dpstack_drives.demag import DRIVE
@@ -366,6 +368,38 @@ def test_d15_lost_master_is_f2062() -> None:
     bench.device.enter(b"\x71", bench.now)
     bench.send("60 00 00 00")
     assert bench.send("60 00 00 00") == "62 08 20 62"
+
+
+def test_d19_set_slave_add_is_kept_as_391() -> None:
+    device = DRIVE.device("PPO1")
+    app = SlaveApp(device, address=SLAVE)
+    bench = Bench(device, app)
+    bench.ask(55, bytes.fromhex("07 06 96 00"))
+    again = DRIVE.device("PPO1")
+    again.inherit(device)
+    assert again.own_address == 7
+
+
+def test_d22_each_further_sync_passes_the_outputs_on() -> None:
+    """By the standard; the manual has only UNSYNC do that."""
+    device = DRIVE.device("PPO3", {"412": 1})
+    app = SlaveApp(device, address=SLAVE)
+    bench = Bench(device, app)
+    bench.prm(bytes.fromhex("B0 01 01 0B 06 96 01") + bytes(16))  # lock, sync, freeze
+    bench.cfg(bytes.fromhex("71"))
+
+    def after(outputs: str) -> str:
+        bench.dx(bytes.fromhex(outputs))
+        bench.now += 100 * MS
+        return bench.dx(bytes.fromhex(outputs)).data.hex(" ")
+
+    assert after("00 06 00 00") == "02 21 00 00"
+    bench.control(bytes.fromhex("20 00"))  # SYNC
+    assert after("00 07 00 00") == "02 21 00 00"
+    bench.control(bytes.fromhex("20 00"))  # a further one
+    assert after("00 00 00 00") == "02 23 00 00"
+    bench.control(bytes.fromhex("10 00"))  # UNSYNC ends the mode
+    assert after("00 00 00 00") == "02 40 00 00"
 
 
 def test_d17_the_plugin_waits_for_two_scans_before_it_believes() -> None:

@@ -186,6 +186,33 @@ def test_k2_odd_lengths(telegram: str, out: str) -> None:
     assert bench.out() == out
 
 
+@pytest.mark.parametrize(("cycle", "early", "late"), [(25, 90, 100), (100, 310, 330)])
+def test_k9_the_plugin_reckons_with_pd_in_cycle(cycle: int, early: int, late: int) -> None:
+    """Inputs are read every PD_In_Cycle: a standstill shown before three of them may be an old one."""
+    bench = plugin("00 00 00 00", pd_in_cycle_ms=cycle)
+    token = bench.order("coast")
+    bench.run(early // 2)
+    assert bench.result(token) is None
+    bench.run((late - early) // 2)
+    result = bench.result(token)
+    assert result is not None
+    assert result["ok"]
+
+
+@pytest.mark.parametrize(
+    ("number", "value", "request_octets"),
+    [
+        (0x5F27, 1, "72 00 5F 27 00 00 00 01"),  # Fb39, activation
+        (0x5F28, 4, "72 00 5F 28 00 00 00 04"),  # Fb40, what keeps it alive
+        (0x2009, 50, "72 01 20 09 00 00 00 32"),  # sy.09
+    ],
+)
+def test_k10_the_plugin_sets_the_watchdog(number: int, value: int, request_octets: str) -> None:
+    bench = PluginBench(DRIVE.core("hoist", "PCH+4/4", BITS), "00 " * 12)
+    bench.order("write", number=number, value=value)
+    assert bench.out()[:23] == request_octets
+
+
 def test_unknown_orders_name_those_of_this_drive() -> None:
     bench = plugin()
     assert "read, write, read_map, write_map, inputs, output" in str(bench.result(bench.order("dance")))

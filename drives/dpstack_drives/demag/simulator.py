@@ -54,6 +54,7 @@ class DemagDevice(DriveDevice):
     """
 
     address_parameter = "node_id"
+    set_slave_add = True
 
     def __init__(
         self,
