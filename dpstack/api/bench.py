@@ -27,8 +27,7 @@ def device_of(slave: SlaveConfig) -> Device:
     A mirror has the lengths, limits and services of the GSD file, where there is one.
     """
     if slave.profile is not None:
-        known = slave.profile.device_options
-        device = slave.profile.device(slave.telegram, {k: v for k, v in slave.options.items() if k in known})
+        device = slave.profile.device(slave.telegram, {**slave.profile.shared(slave.options), **slave.simulated})
         if slave.ident is not None:
             device.ident = slave.ident
         device.name = slave.name

@@ -372,3 +372,41 @@ def test_f15_the_plugin_says_that_the_inverter_has_no_power() -> None:
     result = as_mapping(bench.result(token))
     assert result["error"] == "fault"
     assert "the inverter has no power" in str(result["text"])
+
+
+# -- a name that was asked for while the bus was lost ------------------------------------------------------------------
+
+
+def test_f9_an_alarm_whose_name_was_lost_is_asked_again() -> None:
+    bench = plugin("PPO1", ZERO + "02 78 00 00")
+    bench.run(2)
+    assert bench.out().startswith("63 B3 01 00")
+    bench.core.lost(bench.now)
+    assert bench.see(ZERO + "02 78 00 01", 3).startswith("63 B3 01 00")
+    bench.see("43 B3 01 00 00 00 75 11 02 78 00 01", 2)
+    assert bench.core.status().faults == ("Er5 field bus communications error",)
+    bench.core.lost(bench.now)  # it may be another one when the drive returns
+    bench.see(ZERO + "02 78 00 00")
+    assert bench.core.status().faults == ("not yet named",)
+
+
+def test_f9_an_answer_does_not_name_the_next_alarm() -> None:
+    """Acknowledged and tripped again while the question was under way."""
+    bench = plugin("PPO1", ZERO + "02 78 00 00")
+    bench.run(2)
+    bench.see(ZERO + "02 40 00 00")
+    bench.see(ZERO + "02 78 00 00")
+    bench.see("43 B3 01 00 00 00 75 11 02 78 00 00", 2)
+    assert bench.core.status().faults == ("not yet named",)
+    bench.see(ZERO + "02 78 00 00", 2)
+    assert bench.out().startswith("63 B3 01 00")
+    bench.see("43 B3 01 00 00 00 23 01 02 78 00 00", 2)
+    assert bench.core.status().faults == ("OC1 overcurrent during acceleration",)
+
+
+def test_f9_a_question_without_an_answer_is_asked_again() -> None:
+    bench = plugin("PPO1", ZERO + "02 78 00 00")
+    bench.run(700)
+    assert bench.core.status().faults == ("not yet named",)
+    bench.see(ZERO + "02 78 00 01", 60)
+    assert bench.out().startswith("63 B3 01 00")

@@ -83,6 +83,16 @@ def test_k8_a_fault_and_its_edge() -> None:
     assert result["ok"]
 
 
+def test_k8_a_fault_whose_number_was_lost_is_asked_again() -> None:
+    bench = plugin("00 " * 8 + "00 08 00 00", "PCH+4/4")
+    assert bench.out()[:23] == "71 01 22 00 00 00 00 00"
+    bench.core.lost(bench.now)
+    bench.see("00 " * 8 + "00 08 00 01", 2)
+    assert bench.out()[:23] == "71 01 22 00 00 00 00 00"
+    bench.see("41 01 22 00 00 00 00 1F 00 08 00 01", 2)
+    assert bench.core.status().faults == ("inverter state ru.00 = 31",)
+
+
 def test_without_a_channel_the_fault_has_no_name() -> None:
     bench = plugin("00 08 00 00")
     assert bench.core.status().faults == ("without a name: only the parameter channel (PCH+...) tells ru.00",)
