@@ -54,7 +54,8 @@ class LsCore(MappedCore[ParaMap]):
 
     Options: ``profile`` (COM-11: ``profidrive`` or ``ls``); ``speed_unit`` (COM-14: ``percent`` of dr-20 or ``rpm``);
     ``reference_hz`` (dr-20) and ``reference_rpm``: what 100 % is; ``para_status``, ``para_control``: the addresses that
-    COM-31.. and COM-51.. have; ``swap`` (COM-68).
+    COM-31.. and COM-51.. have; ``swap`` (COM-68); ``trip_word``: 000F holds the ``number`` of the trip, as in the
+    simulated drive, or bits of the inverter's manual (``raw``).
 
     Orders of its own: those of a :class:`MappedCore`.
 
@@ -74,6 +75,7 @@ class LsCore(MappedCore[ParaMap]):
         except ConfigError as error:
             raise ConfigError(f"{where}: {error}") from None
         self._io = self._profile == t.IO
+        self._trip_number = options["trip_word"] == "number"
         self._at = 0 if self._io else t.PARA_AT
         self._rooms = tuple(min(max(n // 2 - self._at, 0), telegrams.MOST) for n in (telegram.inputs, telegram.outputs))
         try:
@@ -212,6 +214,8 @@ class LsCore(MappedCore[ParaMap]):
         if self.access is not None:
             return ("not yet named",)
         word = self._mapped(t.TRIP)
+        if word and self._trip_number:
+            return (t.trip_text(word),)
         shown = f" (000F is {word:04X})" if word is not None else ""
         return (f"without a name{shown}: {self.telegram.name} has no parameter channel, the keypad shows it",)
 
