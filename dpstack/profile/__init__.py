@@ -3,7 +3,7 @@
 from dpstack.dp.device import Device, Leave
 from dpstack.dp.image import CyclicUnit
 from dpstack.errors import ConfigError
-from dpstack.profile import datamap, drivecom, profidrive
+from dpstack.profile import datamap, drivecom, profidrive, standard
 from dpstack.profile.channel import CHANNEL_LEN, ChannelServer, ParameterChannel, ParamKey
 from dpstack.profile.core import OPS, DriveCore
 from dpstack.profile.device import DriveDevice
@@ -20,7 +20,7 @@ from dpstack.profile.registry import broken, find, known, refresh
 from dpstack.profile.states import FAULTED, MOVING, ControlTable, Goal, State, StateRow, StateTable
 from dpstack.profile.status import DriveStatus
 from dpstack.profile.store import ParamStore
-from dpstack.profile.words import SPEED, Scale, Word, signed16
+from dpstack.profile.words import N4, SPEED, Scale, Word, signed16
 from dpstack.units import NEVER, NS_PER_MS, NS_PER_S, NS_PER_US, ns_to_s, s_to_ns
 
 __all__ = [
@@ -28,6 +28,7 @@ __all__ = [
     "FAULTED",
     "MAP_OPS",
     "MOVING",
+    "N4",
     "NEVER",
     "NS_PER_MS",
     "NS_PER_S",
@@ -85,4 +86,5 @@ __all__ = [
     "s_to_ns",
     "settled",
     "signed16",
+    "standard",
 ]
