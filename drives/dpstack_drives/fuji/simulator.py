@@ -36,8 +36,8 @@ _COMMAND: Final = struct.Struct(">HH")
 class FujiDevice(DriveDevice):
     """Options: ``load``, ``switches``, ``supply``; function codes by name.
 
-    ``y98`` is 3 here (0 at the factory), ``o30`` follows the telegram. With ``supply`` = ``24v`` the option has its
-    own: ``power-off`` takes that, ``release off`` the inverter's power.
+    ``y98`` is 3 here (0 at the factory), ``o30`` follows the telegram. ``release off`` takes the inverter's power
+    and leaves the option on the bus; with ``supply`` = ``24v`` ``power-off`` takes the option's only.
 
     The PPO type is the drive's own setting at power-on: another configuration is refused. Readings: a communications
     error is the end of data exchange by the watchdog only; b4 = 0 takes the frequency to 0 at once; without the
@@ -121,12 +121,6 @@ class FujiDevice(DriveDevice):
     def own_address(self) -> int | None:
         """SW1 and SW2, o31 where they are 00 (F11)."""
         return self.option.own_address
-
-    def release(self, on: bool) -> None:
-        """The inverter's power, where the option has its own. Raises ValueError."""
-        if not self._own_supply:
-            raise ValueError("the inverter feeds its option: switch it off, or give the option supply = '24v'")
-        super().release(on)
 
     def advance(self, now: int) -> None:
         """Er4 where the option was off for about a second under a live inverter (F15)."""
