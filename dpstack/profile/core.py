@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Mapping
-from typing import Any, Final
+from typing import Final
 
-from dpstack.profile import motion
+from dpstack.profile import lookup, motion
 from dpstack.profile.channel import CHANNEL_LEN, ParameterChannel, ParamKey
 from dpstack.profile.drive import TelegramSpec
 from dpstack.profile.jobs import Args, CommandError, ErrorKind, Job, Steps
-from dpstack.profile.lookup import Lookup
 from dpstack.profile.states import FAULTED, ControlTable, Goal, State
 from dpstack.profile.status import DriveStatus
 from dpstack.profile.words import SPEED, Scale
@@ -62,7 +61,7 @@ class DriveCore:
         self.settle_ns = 3 * scan_ns + 20 * NS_PER_MS
         self.access: ParameterChannel | None = None
         #: what is asked over ``access`` while it stands in the status word
-        self.lookups: tuple[Lookup[Any], ...] = ()
+        self.lookups: lookup.Lookups = ()
         self.now = 0
         #: inputs are of a drive in data exchange
         self.online = False
@@ -102,8 +101,7 @@ class DriveCore:
             self.status_word = self.status_of(inputs[self._offset :])
             self.online = True
             self.received()
-            for lookup in self.lookups:
-                lookup.watch(self)
+            lookup.watch(self)
             self.update()
         access = self.access
         if access is not None and access.busy and self.online:
@@ -126,8 +124,7 @@ class DriveCore:
             self._failed(job.token, "lost", _LOST)
         if self.access is not None:
             self.access.reset()
-        for lookup in self.lookups:
-            lookup.reset()
+        lookup.reset(self)
         self._inputs = b""
         self.set_goal(Goal.IDLE)
         self.state = State.OFFLINE

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from dpstack.profile.jobs import CommandError, Steps
 from dpstack.units import NS_PER_S
@@ -55,3 +55,19 @@ class Lookup(Generic[T]):
             self.value = value
             core.update()
         return {}
+
+
+#: all that one drive is asked
+Lookups = tuple[Lookup[Any], ...]
+
+
+def watch(core: DriveCore) -> None:
+    """Inputs have come: what is to be asked now."""
+    for one in core.lookups:
+        one.watch(core)
+
+
+def reset(core: DriveCore) -> None:
+    """The drive left data exchange."""
+    for one in core.lookups:
+        one.reset()
