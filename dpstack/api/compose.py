@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 from dpstack.api.bench import VirtualBench
 from dpstack.api.config import Config, rate_findings
+from dpstack.api.planning import adapter_notes, other_masters, refuse_misfit, with_t_tr
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.api.streams import Rounds
 from dpstack.dp.class2 import Class2
 from dpstack.dp.master import Master
-from dpstack.dp.plan import Case, Plan, make_plan, t_tr_preset
+from dpstack.dp.plan import Case, Plan, make_plan
 from dpstack.dp.reading import reading_only
 from dpstack.dp.scanner import Scanner
-from dpstack.dp.setup import SlaveSetup
 from dpstack.drivers.aio import AsyncioRuntime, OnFailure, patience_of
 from dpstack.drivers.base import OnEvents, Runtime
 from dpstack.drivers.echo import Echo
@@ -38,7 +37,10 @@ _DIAGNOSIS_PERIOD: Final = 500 * NS_PER_MS
 
 
 def plan_bus(config: Config, baud: int | None = None) -> Plan:
-    """The plan of ``config`` at ``baud`` (default: its own rate). Raises ConfigError."""
+    """The plan of ``config`` at ``baud`` (default: its own rate). Raises ConfigError.
+
+    What keeps the bus from being opened is told there, and stands in the plan as a finding.
+    """
     rate = config.baud if baud is None else baud
     setups = config.setups(rate)
     params = with_t_tr(config, config.params(rate), setups)
@@ -49,10 +51,14 @@ def plan_bus(config: Config, baud: int | None = None) -> Plan:
         patience = patience_for(config, port)
         pty, slack_ns = port.delivery is Delivery.HOST, patience.known_ns
         beside = Neighbours(params, patience).advice()
+        if port.delivery is Delivery.ADAPTER:
+            notes += adapter_notes(config, params, setups)
     findings = rate_findings(config, rate)
     return make_plan(
         params,
         setups,
+        others=other_masters(config, rate),
+        cycle_ns=config.bus.cycle_ns,
         pty=pty,
         host_slack_ns=slack_ns,
         data_control_ns=config.bus.data_control_time_ms * NS_PER_MS if config.bus.auto_clear else 0,
@@ -60,13 +66,6 @@ def plan_bus(config: Config, baud: int | None = None) -> Plan:
         notes=notes,
         beside=beside,
     )
-
-
-def with_t_tr(config: Config, params: BusParams, setups: Sequence[SlaveSetup]) -> BusParams:
-    """``params`` with T_TR enough for the longest normal round, unless the configuration fixes it."""
-    if config.bus.t_tr is not None:
-        return params
-    return params.replace(t_tr=t_tr_preset(params, setups))
 
 
 def port_of(config: Config, baud: int, name: str | None = None) -> Port:
@@ -114,6 +113,7 @@ def compose(
     """
     plan = plan_bus(config)
     params = plan.params
+    refuse_misfit(config, plan, config.setups())
     virtual = world is not None or config.virtual
     port = None if virtual else port_of(config, params.baud)
     patience = EXACT if port is None else patience_for(config, port)
@@ -126,11 +126,15 @@ def compose(
         auto_clear=config.bus.auto_clear,
         data_control_ns=config.bus.data_control_time_ms * NS_PER_MS,
         read_only=read_only,
+        cycle_ns=config.bus.cycle_ns,
+        cycle_freeze=config.bus.cycle_freeze,
+        cycle_sync=config.bus.cycle_sync,
     )
     watcher = _watcher(config, params, patience) if read_only and watched else None
     users: list[LinkUser] = [master] if watcher is None else [master, watcher]
     users.append(Class2(params.address, master))
-    station = ActiveStation(params, users, patience=patience, guard=reading_only if read_only else None)
+    guard = reading_only if read_only else None
+    station = ActiveStation(params, users, patience=patience, guard=guard, budget=master.budget)
     if port is not None:
         # a pty is given what a stalled computer needs, and a user's own figure stands
         tune = port.delivery is Delivery.ADAPTER and config.bus.host_slack_ms is None
@@ -187,5 +191,4 @@ __all__ = [
     "patience_for",
     "plan_bus",
     "port_of",
-    "with_t_tr",
 ]
