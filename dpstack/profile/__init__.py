@@ -9,6 +9,7 @@ from dpstack.profile.core import OPS, DriveCore
 from dpstack.profile.device import DriveDevice
 from dpstack.profile.drive import DriveProfile, OptionSpec, RateSetting, TelegramFamily, TelegramSpec
 from dpstack.profile.jobs import Args, CommandError, Steps
+from dpstack.profile.listing import ListedParam, listing
 from dpstack.profile.motion import settled
 from dpstack.profile.motor import Motor
 from dpstack.profile.params import ParamSpec, ParamTable
@@ -44,6 +45,7 @@ __all__ = [
     "DriveStatus",
     "Goal",
     "Leave",
+    "ListedParam",
     "Motor",
     "OptionSpec",
     "Order",
@@ -72,6 +74,7 @@ __all__ = [
     "drivecom",
     "find",
     "known",
+    "listing",
     "ns_to_s",
     "profidrive",
     "refresh",

@@ -14,6 +14,7 @@ from dpstack.profile import motion
 from dpstack.profile.channel import CHANNEL_LEN, ParameterChannel, ParamKey
 from dpstack.profile.drive import TelegramSpec
 from dpstack.profile.jobs import Args, CommandError, ErrorKind, Job, Steps
+from dpstack.profile.listing import ListedParam
 from dpstack.profile.states import FAULTED, ControlTable, Goal, State
 from dpstack.profile.status import DriveStatus
 from dpstack.profile.words import SPEED, Scale
@@ -283,6 +284,10 @@ class DriveCore:
 
     def warnings(self) -> tuple[str, ...]:
         """The present warnings by name."""
+        return ()
+
+    def parameters(self) -> tuple[ListedParam, ...]:
+        """The drive's parameters in the order of its table: what a dump reads (see ``listing``)."""
         return ()
 
     def obstacle(self) -> str | None:

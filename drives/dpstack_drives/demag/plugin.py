@@ -13,12 +13,14 @@ from dpstack.profile import (
     CommandError,
     DriveCore,
     DriveProfile,
+    ListedParam,
     ParamKey,
     ParamRef,
     PkwAccess,
     Steps,
     TelegramSpec,
     drivecom,
+    listing,
     settled,
 )
 from dpstack_drives.demag import table as t
@@ -118,6 +120,10 @@ class DemagCore(DriveCore):
         if not self.status_word & _WARNING:
             return ()
         return t.warning_names(self._warning_word)
+
+    def parameters(self) -> tuple[ListedParam, ...]:
+        """Of the data sets 1 to 4 each."""
+        return listing(t.PARAMETERS, data_sets=range(1, t.SETS + 1))
 
     def obstacle(self) -> str | None:
         """Bit 9 tells whether the bus controls the drive at all."""

@@ -13,12 +13,14 @@ from dpstack.profile import (
     CommandError,
     DriveCore,
     DriveProfile,
+    ListedParam,
     ParamKey,
     ParamRef,
     PkwAccess,
     State,
     Steps,
     TelegramSpec,
+    listing,
     settled,
 )
 from dpstack_drives.fuji import table as t
@@ -88,6 +90,10 @@ class FujiCore(DriveCore):
     def fault_named(self) -> bool:
         """Nothing more is to be learned."""
         return self._alarm is not None or self.access is None
+
+    def parameters(self) -> tuple[ListedParam, ...]:
+        """Of the malfunction history the elements that hold an alarm."""
+        return listing(t.PARAMETERS, elements={t.PNU_ALARMS: t.ALARM_INDEXES})
 
     def obstacle(self) -> str | None:
         """STW bit 9, then the state that a CTW which is not obeyed leaves behind."""

@@ -16,6 +16,7 @@ from dpstack.profile import (
     DriveCore,
     DriveProfile,
     Goal,
+    ListedParam,
     Scale,
     State,
     StateRow,
@@ -23,6 +24,7 @@ from dpstack.profile import (
     Steps,
     TelegramSpec,
     Word,
+    listing,
 )
 from dpstack_drives.keb import mapping, pdmap
 from dpstack_drives.keb import table as t
@@ -149,6 +151,10 @@ class KebCore(DriveCore):
         elif not self._asked and self.access is not None:
             self._asked = True
             self.spawn("ru.00", self._ask())
+
+    def parameters(self) -> tuple[ListedParam, ...]:
+        """By name, so far as the index of its group is in the manual."""
+        return listing(t.PARAMETERS, data_sets=range(t.SETS), why_not=t.why_not_read)
 
     def faults(self) -> tuple[str, ...]:
         """What ru.00 says; its texts are in the application manual."""

@@ -18,6 +18,7 @@ from dpstack.profile import (
     DriveCore,
     DriveProfile,
     Goal,
+    ListedParam,
     ParamKey,
     ParamRef,
     PkwAccess,
@@ -247,6 +248,10 @@ class LsCore(DriveCore):
         if not self._warned():
             return ()
         return ("warning" if self._warning is None else f"warning word {self._warning:04X}",)
+
+    def parameters(self) -> tuple[ListedParam, ...]:
+        """Codes and PNUs."""
+        return references.LISTED
 
     def obstacle(self) -> str | None:
         """Somebody else has the control."""
