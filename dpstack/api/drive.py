@@ -312,8 +312,8 @@ class Drive:
                 return ParameterError(self.name, number if isinstance(number, int) else -1, text)
             case "usage":
                 return UsageError(text)
-            case "lost":
-                return DriveError(self.name, text)
+            case "lost" if not self._over and not self.slave.ready_now:
+                return DriveError(self.name, f"{text}: {self._why_silent()}")
         return DriveError(self.name, text)
 
 

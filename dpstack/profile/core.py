@@ -340,6 +340,7 @@ class DriveCore:
                     known = ", ".join((*OPS, *self.own_ops))
                     raise CommandError("usage", f"{self.drive} has no order {op!r}; it has {known}")
                 steps = own
+        args.timeout_ns(0)  # every order may come with one
         args.done()
         return Job(op, token, steps, motion=False)
 

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from dpstack.api.control.failures import drive_error
 from dpstack.api.control.places import SUFFIX, clean, directory, names_of, socket_path
 from dpstack.errors import BusError, PortError, UsageError
 
@@ -29,12 +30,19 @@ class ControlClient:
         return self
 
     def __exit__(self, *_exc: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Hang up; who waits for an answer in another thread is told that there is none."""
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
 
     def call(self, command: str, *args: str) -> Any:
         """The result of ``command``.
 
-        Raises UsageError where the request is wrong, BusError where it failed, PortError when nobody answers.
+        Raises UsageError where the request is wrong, DriveError (or one of its kinds) or BusError where it failed,
+        PortError when nobody answers.
         """
         return list(self._answers(command, args))[-1].get("result")
 
@@ -52,7 +60,7 @@ class ControlClient:
                 answer = self._line()
                 if answer.get("ok") is False:
                     text = str(answer.get("error", "refused"))
-                    raise UsageError(text) if answer.get("usage") else BusError(text)
+                    raise UsageError(text) if answer.get("usage") else drive_error(answer, text) or BusError(text)
                 yield answer
                 if "ok" in answer:
                     return
@@ -84,6 +92,16 @@ def connect(port: str, timeout: float | None = TIMEOUT_S) -> ControlClient:
 
     Raises PortError when there is none; the line names the programs there are.
     """
+    client = reach(port, timeout)
+    if client is not None:
+        return client
+    others = [f"{one['kind']} on {one['port']}" for one in running()]
+    there = "there is: " + ", ".join(others) if others else "no run, sim or segment of yours is running"
+    raise PortError(f"nobody answers for {port}; {there}")
+
+
+def reach(port: str, timeout: float | None = TIMEOUT_S) -> ControlClient | None:
+    """As :func:`connect`; None where there is no such program. Raises PortError where it cannot be reached."""
     for name in names_of(port):
         try:
             return ControlClient(port, _open(socket_path(name), timeout))
@@ -91,9 +109,7 @@ def connect(port: str, timeout: float | None = TIMEOUT_S) -> ControlClient:
             continue
         except OSError as exc:
             raise PortError(f"{port}: its program cannot be reached ({exc.strerror or exc})") from None
-    others = [f"{one['kind']} on {one['port']}" for one in running()]
-    there = "there is: " + ", ".join(others) if others else "no run, sim or segment of yours is running"
-    raise PortError(f"nobody answers for {port}; {there}")
+    return None
 
 
 def running() -> list[dict[str, Any]]:

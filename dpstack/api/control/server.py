@@ -8,10 +8,11 @@ import inspect
 import json
 import os
 import socket
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import AsyncGenerator, Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple, Never
 
+from dpstack.api.control.failures import told
 from dpstack.api.control.places import answers, locked, names_of, socket_path
 from dpstack.api.control.specs import Spec, find
 from dpstack.errors import DpError, PortBusyError, PortError, UsageError
@@ -25,6 +26,12 @@ _MOST_CLIENTS: Final = 16
 #: A client that leaves so many octets unread is dropped, or fewer for so long.
 _UNREAD: Final = 1 << 18
 _PATIENCE_S: Final = 5.0
+
+
+class Result(NamedTuple):
+    """The last thing that a command which goes on yields, where it has a result beside its items."""
+
+    value: object
 
 
 class _GoneError(Exception):
@@ -171,10 +178,7 @@ class ControlServer:
             spec, args = self._understand(line)
             result = self._handlers[spec.name](args)
             if inspect.isasyncgen(result):
-                async with contextlib.aclosing(result) as items:
-                    async for item in items:
-                        await self._send(writer, {"item": item})
-                result = None
+                result = await self._go_on(result, writer)
             elif inspect.isawaitable(result):
                 result = await result
             answer: dict[str, object] = {"ok": True, "result": result}
@@ -183,10 +187,19 @@ class ControlServer:
         except (UsageError, ValueError) as error:
             answer = {**_error(str(error)), "usage": True}
         except DpError as error:
-            answer = _error(str(error))
+            answer = {**_error(str(error)), **told(error)}
         except Exception as error:  # a defect of the command is the client's to read, not the bus's to die of
             answer = _error(f"failed by a defect, please report it: {type(error).__name__}: {error}")
         await self._send(writer, answer)
+
+    async def _go_on(self, items: AsyncGenerator[object, Never], writer: asyncio.StreamWriter) -> object:
+        """Send the items; the result, where there is one. Who hangs up ends them."""
+        async with contextlib.aclosing(items):
+            async for item in items:
+                if isinstance(item, Result):
+                    return item.value
+                await self._send(writer, {"item": item})
+        return None
 
     def _understand(self, line: bytes) -> tuple[Spec, list[str]]:
         """Raises UsageError."""
