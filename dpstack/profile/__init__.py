@@ -6,6 +6,7 @@ from dpstack.errors import ConfigError
 from dpstack.profile import drivecom, profidrive
 from dpstack.profile.channel import CHANNEL_LEN, ChannelServer, ParameterChannel, ParamKey
 from dpstack.profile.core import OPS, DriveCore
+from dpstack.profile.declared import Declaration, DeclaredCore
 from dpstack.profile.device import DriveDevice
 from dpstack.profile.drive import DriveProfile, OptionSpec, RateSetting, TelegramFamily, TelegramSpec
 from dpstack.profile.jobs import Args, CommandError, Steps
@@ -15,6 +16,7 @@ from dpstack.profile.motor import Motor
 from dpstack.profile.params import ParamSpec, ParamTable
 from dpstack.profile.pkw import Order, Pkw, PkwClient, PkwDialect, PkwServer, Reply
 from dpstack.profile.pkw_access import ParamRef, PkwAccess
+from dpstack.profile.plain import PLAIN_PKW, plain_resolver, plain_server
 from dpstack.profile.registry import broken, find, known, refresh
 from dpstack.profile.states import FAULTED, MOVING, ControlTable, Goal, State, StateRow, StateTable
 from dpstack.profile.status import DriveStatus
@@ -31,6 +33,7 @@ __all__ = [
     "NS_PER_S",
     "NS_PER_US",
     "OPS",
+    "PLAIN_PKW",
     "SPEED",
     "Args",
     "ChannelServer",
@@ -38,6 +41,8 @@ __all__ = [
     "ConfigError",
     "ControlTable",
     "CyclicUnit",
+    "Declaration",
+    "DeclaredCore",
     "Device",
     "DriveCore",
     "DriveDevice",
@@ -76,6 +81,8 @@ __all__ = [
     "known",
     "listing",
     "ns_to_s",
+    "plain_resolver",
+    "plain_server",
     "profidrive",
     "refresh",
     "s_to_ns",
