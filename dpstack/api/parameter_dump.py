@@ -207,7 +207,7 @@ def _saved(one: ListedParam, told: ParameterValue | None = None, why: str | None
         data_set=one.data_set,
         index=one.index,
         value=None if told is None else told.value,
-        unit=one.unit if told is None else told.unit,
+        unit="" if told is None else told.unit,
         read_only=one.read_only,
         unreadable=(why or one.why_not or "it was not read") if told is None else None,
     )

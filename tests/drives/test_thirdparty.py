@@ -13,7 +13,7 @@ from drive_bench import DeviceBench, PluginBench
 import dpstack
 from dpstack import profile
 from dpstack.dp.events import FaultKind
-from dpstack.profile import DriveProfile
+from dpstack.profile import DriveDevice, DriveProfile
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "thirdparty_drive"
 RAW = {"name": "raw", "address": 9, "ident": 0x1234, "config": "20 10"}
@@ -40,6 +40,17 @@ def acme(installed: Path) -> DriveProfile:
     return profile.find("acme-a300")
 
 
+def simulated(bus: dpstack.Bus) -> DriveDevice:
+    assert bus.bench is not None
+    device = bus.bench.device(7)
+    assert isinstance(device, DriveDevice)
+    return device
+
+
+def powered(device: DriveDevice) -> bool:
+    return device.motor.on
+
+
 async def whole_day(plant: Path) -> list[str]:
     """Everything a user does with a drive."""
     told = []
@@ -64,10 +75,7 @@ async def whole_day(plant: Path) -> list[str]:
         told.append(str([await belt.read("starts"), await belt.read(3)]))
         listed = await belt.dump()
         told.append(" ".join(one.name for one in listed.parameters))
-        assert bus.bench is not None
-        device = bus.bench.device(7)
-        assert isinstance(device, profile.DriveDevice)
-        device.trip("E07")
+        simulated(bus).trip("E07")
         await bus.until(lambda: not belt.status.running, 1)
         told.append(str(belt.status.fault))
         await belt.acknowledge()
@@ -135,10 +143,8 @@ async def defect(plant: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(AcmeCore, "received", defective)
         raw.outputs = b"\x5a"
         running = bus.stats.rotations
-        assert bus.bench is not None
-        device = bus.bench.device(7)
-        assert isinstance(device, profile.DriveDevice)
-        assert device.motor.on
+        device = simulated(bus)
+        assert powered(device)
         device.set_load(1.0)  # the current changes: new inputs
         await bus.until(lambda: belt.slave.fault is not None, 1)
         fault = belt.slave.fault
@@ -147,7 +153,7 @@ async def defect(plant: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         assert "ZeroDivisionError: of the plugin's" in fault.text
         await bus.rotated(running + 20, 1)
         assert belt.slave.outputs == bytes(12)
-        assert not device.motor.on  # the safe control word has arrived
+        assert not powered(device)  # the safe control word has arrived
         assert raw.inputs == b"\x5a"
         assert raw.fault is None
         with pytest.raises(dpstack.UsageError, match="belt is faulted: its plugin failed"):

@@ -96,7 +96,7 @@ async def find_drive(port: str, name: str) -> RemoteDrive | None:
 
     Raises UsageError where it is no run or has no such drive, PortError where it cannot be reached.
     """
-    client = await asyncio.to_thread(reach, port)
+    client = reach(port)  # at once: there is a socket or there is none
     if client is None:
         return None
     try:
