@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from dpstack.api.control.failures import drive_error
 from dpstack.api.control.places import SUFFIX, clean, directory, names_of, socket_path
-from dpstack.errors import BusError, PortError, UsageError
+from dpstack.errors import BusError, DpError, PortError, UsageError
 
 #: No answer for so long: the program hangs.
 TIMEOUT_S: Final = 10.0
@@ -64,11 +64,11 @@ class ControlClient:
                 yield answer
                 if "ok" in answer:
                     return
+        except DpError:  # of which some are built-in errors, too
+            raise
         except TimeoutError:
             raise PortError(f"{self.port}: the program does not answer; is it stopped or busy?") from None
         except OSError as exc:
-            if isinstance(exc, PortError):
-                raise
             raise PortError(f"{self.port}: the program ended ({exc.strerror or exc})") from None
 
     def _line(self) -> Mapping[str, Any]:

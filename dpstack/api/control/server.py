@@ -220,7 +220,8 @@ class ControlServer:
         if writer.transport.get_write_buffer_size() > _UNREAD:
             raise _GoneError
         try:
-            await asyncio.wait_for(writer.drain(), self.patience_s)
+            async with asyncio.timeout(self.patience_s):  # wait_for loses a cancellation on 3.11: the end would hang
+                await writer.drain()
         except (OSError, TimeoutError):
             raise _GoneError from None
 

@@ -4,12 +4,21 @@ from __future__ import annotations
 
 from typing import Final
 
-from dpstack.profile import CommandError, ParamKey, ParamRef, listing
+from dpstack.profile import CommandError, ParamKey, ParamRef, ParamSpec, listing
 from dpstack_drives.ls import table as t
 
 
+def _why_not(spec: ParamSpec) -> str | None:
+    """A dump leaves alone what is not to be used beside a drive profile; only telegrams with one have a channel."""
+    if (spec.number << 8 | spec.index) not in t.ADVISED_AGAINST:
+        return None
+    return "the manual advises against it beside a drive profile (5.1, 5.3); read it by itself where you must"
+
+
 #: codes and PNUs, arrays element by element
-LISTED: Final = listing(t.PARAMETERS, elements={number: range(size) for number, size in t.ARRAYS.items()})
+LISTED: Final = listing(
+    t.PARAMETERS, elements={number: range(size) for number, size in t.ARRAYS.items()}, why_not=_why_not
+)
 
 
 def resolve(key: ParamKey, drive: str) -> tuple[ParamRef, int | None]:
