@@ -353,6 +353,15 @@ def test_alone_on_a_port_until_ctrl_c(plant: Path, start: Starter, capsys: Out) 
     assert told[0].startswith("fan: running at 0.0%")
     assert "fan: stopping by its ramp; a second Ctrl-C ends at once" in told
     assert told[-1] == "fan: ready_to_switch_on at 0.0% (0.0 Hz), set point 20.0%"
+    # a run at the same end; `dpstack ctl` still finds the sim, which was there first
+    run = start("run", str(plant), "--json")
+    run.wait_for_slaves(3)
+    (status,) = (json.loads(line) for line in drive(capsys, str(plant), "fan", "status", "--json")[0])
+    assert status["through"] == "run"
+    assert status["status"]["state"] == "fault"  # Er5: its watchdog ended the data exchange with the first master (F8)
+    assert main(["ctl", port]) == 0
+    assert capsys.readouterr().out.startswith("sim on ")
+    assert run.end(signal.SIGTERM) == 0
     assert sim.end(signal.SIGTERM) == 0
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from dpstack.api.control.failures import drive_error
-from dpstack.api.control.places import SUFFIX, clean, directory, names_of, socket_path
+from dpstack.api.control.places import SUFFIX, clean, directory, names_of, own_name, socket_path
 from dpstack.errors import BusError, DpError, PortError, UsageError
 
 #: No answer for so long: the program hangs.
@@ -100,9 +100,12 @@ def connect(port: str, timeout: float | None = TIMEOUT_S) -> ControlClient:
     raise PortError(f"nobody answers for {port}; {there}")
 
 
-def reach(port: str, timeout: float | None = TIMEOUT_S) -> ControlClient | None:
-    """As :func:`connect`; None where there is no such program. Raises PortError where it cannot be reached."""
-    for name in names_of(port):
+def reach(port: str, timeout: float | None = TIMEOUT_S, *, kind: str | None = None) -> ControlClient | None:
+    """As :func:`connect`, ``kind``: a run only; None where there is no such program.
+
+    Raises PortError where it cannot be reached.
+    """
+    for name in (own_name(kind, name) if kind is not None else name for name in names_of(port)):
         try:
             return ControlClient(port, _open(socket_path(name), timeout))
         except (FileNotFoundError, ConnectionRefusedError):

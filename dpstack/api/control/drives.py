@@ -96,14 +96,11 @@ async def find_drive(port: str, name: str) -> RemoteDrive | None:
 
     Raises UsageError where it has no such drive, BusError, PortError where it cannot be reached.
     """
-    client = reach(port)  # at once: there is a socket or there is none
+    client = reach(port, kind="run")  # at once: there is a socket or there is none
     if client is None:
         return None
     try:
         told = await asyncio.to_thread(client.call, "help")
-        if told["kind"] != "run":  # a sim behind a pty that it made is known by the same path
-            client.close()
-            return None
         drive = RemoteDrive(client, name, int(told["pid"]))
         await drive.meet()
     except BaseException:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Final, NamedTuple, Never
 
 from dpstack.api.control.failures import told
-from dpstack.api.control.places import answers, locked, names_of, socket_path
+from dpstack.api.control.places import OWN_NAMES, answers, locked, names_of, own_name, socket_path
 from dpstack.api.control.specs import Spec, find
 from dpstack.errors import DpError, PortBusyError, PortError, UsageError
 
@@ -58,6 +58,8 @@ class ControlServer:
         self.kind = kind
         self.port = port
         self._also = also
+        #: why `dpstack ctl` does not find it by its port, where another program has that name
+        self.unheard: str | None = None
         #: a client that reads nothing for so long is dropped
         self.patience_s = _PATIENCE_S
         self._specs = tuple(specs)
@@ -103,7 +105,8 @@ class ControlServer:
 
     def _take_names(self) -> socket.socket:
         """Bind under the first name; the others are links to it."""
-        first, *others = (socket_path(name) for name in names_of(self.port))
+        plain = [socket_path(name) for name in names_of(self.port)]
+        first, *others = self._own(self.port) or plain
         listening = socket.socket(socket.AF_UNIX)
         try:
             with locked():
@@ -114,6 +117,8 @@ class ControlServer:
                 os.chmod(first, 0o600)
                 listening.listen(_MOST_CLIENTS)
                 self._point(others)
+                if first not in plain:
+                    self._share(plain)
         except BaseException:
             listening.close()
             raise
@@ -123,8 +128,13 @@ class ControlServer:
     def _link(self, port: str) -> None:
         """Be found by the names of ``port`` too. Raises PortError, PortBusyError."""
         paths = [path for path in map(socket_path, names_of(port)) if path not in self._paths]
+        own = [path for path in self._own(port) if path not in self._paths]
         try:
             with locked():
+                if own and not any(map(answers, own)):
+                    for path in own:
+                        self._clear(path)
+                    self._point(own)
                 for path in paths:
                     self._clear(path)
                 self._point(paths)
@@ -132,6 +142,19 @@ class ControlServer:
             raise
         except OSError as exc:
             raise PortError(f"not to be found by {port} ({exc.strerror or exc})") from None
+
+    def _own(self, port: str) -> list[Path]:
+        """Where a run is found as such: a sim behind the pty that it made has the plain name of the same path."""
+        return [socket_path(own_name(self.kind, name)) for name in names_of(port)] if self.kind in OWN_NAMES else []
+
+    def _share(self, paths: Iterable[Path]) -> None:
+        """Be found by the plain names too, unless another program is."""
+        try:
+            for path in paths:
+                self._clear(path)
+            self._point(paths)
+        except PortBusyError as busy:
+            self.unheard = str(busy)
 
     def _point(self, paths: Iterable[Path]) -> None:
         for path in paths:
