@@ -12,6 +12,7 @@ from drive_bench import DeviceBench, PluginBench
 
 import dpstack
 from dpstack import profile
+from dpstack.cli.main import main
 from dpstack.dp.events import FaultKind
 from dpstack.profile import DriveDevice, DriveProfile
 
@@ -163,6 +164,26 @@ async def defect(plant: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_defect_of_its_plugin_is_its_own(installed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     dpstack.run_virtual(defect(installed, monkeypatch))
+
+
+def test_a_defect_while_it_is_driven_by_hand(
+    installed: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], runtime_directory: str
+) -> None:
+    """`dpstack drive` ends with the reason, and leaves the bus in order."""
+    from acme_drive.plugin import AcmeCore
+
+    def defective(self: profile.DriveCore) -> None:
+        if self.words[1] > 0x0400:  # 10 %
+            raise ZeroDivisionError("of the plugin's")
+
+    monkeypatch.setenv("XDG_RUNTIME_DIR", f"{runtime_directory}/nobody")
+    monkeypatch.setattr("asyncio.run", dpstack.run_virtual)
+    monkeypatch.setattr(AcmeCore, "received", defective)
+    assert main(["drive", str(installed), "belt", "start", "speed", "0.5"]) == 1
+    printed = capsys.readouterr()
+    assert printed.out.splitlines()[1] == "belt: running at 0.0% (0.0 Hz), set point 50.0%"
+    assert "its plugin failed (ZeroDivisionError: of the plugin's): outputs are at their safe values" in printed.err
+    assert "stopping by its ramp" not in printed.out  # nobody is left who could
 
 
 def test_it_needs_the_profile_only() -> None:
