@@ -112,7 +112,7 @@ class FujiCore(MappedCore[PcdMap]):
 
     def parameters(self) -> tuple[ListedParam, ...]:
         """Of the malfunction history the elements that hold an alarm."""
-        return listing(t.PARAMETERS, elements={t.PNU_ALARMS: t.ALARM_INDEXES})
+        return listing(t.PARAMETERS, elements={**t.ARRAYS, t.PNU_ALARMS: t.ALARM_INDEXES})
 
     def obstacle(self) -> str | None:
         """STW bit 9, then the state that a CTW which is not obeyed leaves behind."""
