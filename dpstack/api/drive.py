@@ -6,8 +6,11 @@ import asyncio
 import contextlib
 import itertools
 from collections.abc import AsyncIterator, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from dpstack.api.parameter_dump import Comparison, OnParameter, ParameterValue, compare, dump
+from dpstack.api.parameter_list import ParameterList
 from dpstack.api.slave import Slave
 from dpstack.api.streams import Latest
 from dpstack.dp.commands import DriveCommand, Mode
@@ -21,7 +24,7 @@ from dpstack.errors import (
     ParameterError,
     UsageError,
 )
-from dpstack.profile import DriveCore, DriveStatus
+from dpstack.profile import DriveCore, DriveStatus, ListedParam
 
 if TYPE_CHECKING:
     from dpstack.api.bus import Bus
@@ -52,6 +55,16 @@ class Drive:
     def name(self) -> str:
         """The name in the configuration."""
         return self.slave.name
+
+    @property
+    def kind(self) -> str:
+        """The name of its plugin, for instance ``fuji-frenic``."""
+        return self._core.drive
+
+    @property
+    def address(self) -> int:
+        """The station address of its slave."""
+        return self.slave.address
 
     @property
     def status(self) -> DriveStatus:
@@ -117,8 +130,48 @@ class Drive:
         self, number: int | str, *, data_set: int | None = None, index: int | None = None, timeout: float = 5.0
     ) -> float | int:
         """A parameter by number or name, decoded and scaled. Raises ParameterError with the drive's reason."""
-        result = await self._order("read", timeout, number=number, data_set=data_set, index=index)
-        return _number(result["value"])
+        return (await self.parameter(number, data_set=data_set, index=index, timeout=timeout)).value
+
+    async def parameter(
+        self, number: int | str, *, data_set: int | None = None, index: int | None = None, timeout: float = 5.0
+    ) -> ParameterValue:
+        """As :meth:`read`, with name, unit and the integer on the wire."""
+        return _value(await self._order("read", timeout, number=number, data_set=data_set, index=index))
+
+    @property
+    def parameters(self) -> tuple[ListedParam, ...]:
+        """The parameters that the plugin declares, as :meth:`dump` reads them.
+
+        Raises UsageError where the telegram has no parameter channel.
+        """
+        if self._core.access is None:
+            raise UsageError(f"drive {self.name}: {self._core.telegram.name} of {self.kind} has no parameter channel")
+        return self._core.parameters()
+
+    async def dump(
+        self,
+        path: str | Path | None = None,
+        *,
+        data_set: int | None = None,
+        on_parameter: OnParameter | None = None,
+    ) -> ParameterList:
+        """All declared parameters, one by one, into a file where ``path`` is given, whole or not at all.
+
+        What cannot be read is in it with the reason. Cut short, what was read is kept in ``path`` + ``.part``.
+        Raises UsageError, DriveError.
+        """
+        return await dump(self, path, data_set=data_set, on_parameter=on_parameter)
+
+    async def compare(
+        self,
+        saved: ParameterList | str | Path,
+        *,
+        data_set: int | None = None,
+        read_only: bool = False,
+        on_parameter: OnParameter | None = None,
+    ) -> Comparison:
+        """Where the drive differs from a list or a file. Raises ConfigError for a file of another type of drive."""
+        return await compare(self, saved, data_set=data_set, read_only=read_only, on_parameter=on_parameter)
 
     async def write(
         self,
@@ -129,9 +182,16 @@ class Drive:
         index: int | None = None,
         ram: bool = False,
         timeout: float = 5.0,
-    ) -> None:
-        """Write a parameter in its own unit; ``ram`` does not store it (EEPROMs wear out). Raises ParameterError."""
-        await self._order("write", timeout, number=number, value=value, data_set=data_set, index=index, ram=ram or None)
+    ) -> ParameterValue:
+        """Write a parameter in its own unit; ``ram`` does not store it (EEPROMs wear out). Raises ParameterError.
+
+        What the drive confirmed is returned.
+        """
+        return _value(
+            await self._order(
+                "write", timeout, number=number, value=value, data_set=data_set, index=index, ram=ram or None
+            )
+        )
 
     async def read_map(self, timeout: float = 10.0) -> dict[str, object]:
         """The process data map as the drive has it. Raises UsageError where a drive has none to be read."""
@@ -252,8 +312,8 @@ class Drive:
                 return ParameterError(self.name, number if isinstance(number, int) else -1, text)
             case "usage":
                 return UsageError(text)
-            case "lost":
-                return DriveError(self.name, text)
+            case "lost" if not self._over and not self.slave.ready_now:
+                return DriveError(self.name, f"{text}: {self._why_silent()}")
         return DriveError(self.name, text)
 
 
@@ -263,7 +323,15 @@ def _members(value: object) -> dict[str, object]:
     raise TypeError(f"a process data map is {value!r}")
 
 
-def _number(value: object) -> float | int:
-    if isinstance(value, (int, float)):
-        return value
-    raise TypeError(f"a parameter's value is {value!r}")
+def _value(result: Mapping[str, object]) -> ParameterValue:
+    value, raw, number, name, data_set = (result.get(key) for key in ("value", "raw", "number", "name", "data_set"))
+    if not (isinstance(value, (int, float)) and isinstance(raw, int) and isinstance(number, int)):
+        raise TypeError(f"a parameter is {result!r}")
+    return ParameterValue(
+        number,
+        None if name is None else str(name),
+        value,
+        raw,
+        str(result.get("unit", "")),
+        data_set if isinstance(data_set, int) else None,
+    )

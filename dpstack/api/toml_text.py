@@ -6,5 +6,5 @@ import json
 
 
 def quoted(text: str) -> str:
-    """A TOML string: JSON's escapes are TOML's too."""
-    return json.dumps(text, ensure_ascii=False)
+    """A TOML string: JSON's escapes are TOML's too, but DEL is a character that TOML does not take as it is."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

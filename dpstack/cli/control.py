@@ -17,8 +17,9 @@ async def reachable(server: ControlServer, *, quiet: bool = False) -> AsyncItera
     async with AsyncExitStack() as stack:
         try:
             await stack.enter_async_context(server)
+            why = server.unheard
         except PortError as error:
             why = str(error)
-            if not quiet:
-                warn(why)
+        if why is not None and not quiet:
+            warn(why)
         yield why

@@ -19,7 +19,21 @@ from dpstack.cli import streams
 from dpstack.errors import ConfigError, DpError, UsageError
 
 #: modules of this package, imported when the program runs: an early Ctrl-C is no traceback
-_COMMANDS = ("demo", "run", "sim", "segment", "ctl", "scan", "address", "plan", "baud", "ports", "doctor", "gsd")
+_COMMANDS = (
+    "demo",
+    "run",
+    "sim",
+    "segment",
+    "ctl",
+    "drive",
+    "scan",
+    "address",
+    "plan",
+    "baud",
+    "ports",
+    "doctor",
+    "gsd",
+)
 _INTERRUPTED = 130
 #: set to anything: errors are shown with where they come from
 _DEBUG = "DPSTACK_DEBUG"

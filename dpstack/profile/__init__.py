@@ -6,9 +6,11 @@ from dpstack.errors import ConfigError
 from dpstack.profile import datamap, drivecom, profidrive, standard
 from dpstack.profile.channel import CHANNEL_LEN, ChannelServer, ParameterChannel, ParamKey
 from dpstack.profile.core import OPS, DriveCore
+from dpstack.profile.declared import Declaration, DeclaredCore
 from dpstack.profile.device import DriveDevice
 from dpstack.profile.drive import DriveProfile, OptionSpec, RateSetting, TelegramFamily, TelegramSpec
 from dpstack.profile.jobs import Args, CommandError, Steps
+from dpstack.profile.listing import ListedParam, listing
 from dpstack.profile.lookup import Lookup
 from dpstack.profile.mapped import MAP_OPS, MappedCore
 from dpstack.profile.motion import settled
@@ -16,6 +18,7 @@ from dpstack.profile.motor import Motor
 from dpstack.profile.params import ParamSpec, ParamTable
 from dpstack.profile.pkw import Order, Pkw, PkwClient, PkwDialect, PkwServer, Reply
 from dpstack.profile.pkw_access import ParamRef, PkwAccess, PkwChannel
+from dpstack.profile.plain import PLAIN_PKW, plain_resolver, plain_server
 from dpstack.profile.registry import broken, find, known, refresh
 from dpstack.profile.states import FAULTED, MOVING, ControlTable, Goal, State, StateRow, StateTable
 from dpstack.profile.status import DriveStatus
@@ -34,6 +37,7 @@ __all__ = [
     "NS_PER_S",
     "NS_PER_US",
     "OPS",
+    "PLAIN_PKW",
     "SPEED",
     "Args",
     "ChannelServer",
@@ -41,6 +45,8 @@ __all__ = [
     "ConfigError",
     "ControlTable",
     "CyclicUnit",
+    "Declaration",
+    "DeclaredCore",
     "Device",
     "DriveCore",
     "DriveDevice",
@@ -48,6 +54,7 @@ __all__ = [
     "DriveStatus",
     "Goal",
     "Leave",
+    "ListedParam",
     "Lookup",
     "MappedCore",
     "Motor",
@@ -80,7 +87,10 @@ __all__ = [
     "drivecom",
     "find",
     "known",
+    "listing",
     "ns_to_s",
+    "plain_resolver",
+    "plain_server",
     "profidrive",
     "refresh",
     "s_to_ns",

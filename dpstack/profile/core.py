@@ -14,6 +14,7 @@ from dpstack.profile import lookup, motion
 from dpstack.profile.channel import CHANNEL_LEN, ParameterChannel, ParamKey
 from dpstack.profile.drive import TelegramSpec
 from dpstack.profile.jobs import Args, CommandError, ErrorKind, Job, Steps
+from dpstack.profile.listing import ListedParam
 from dpstack.profile.states import FAULTED, ControlTable, Goal, State
 from dpstack.profile.status import DriveStatus
 from dpstack.profile.words import SPEED, Scale
@@ -289,6 +290,10 @@ class DriveCore:
         """The present warnings by name."""
         return ()
 
+    def parameters(self) -> tuple[ListedParam, ...]:
+        """The drive's parameters in the order of its table: what a dump reads (see ``listing``)."""
+        return ()
+
     def obstacle(self) -> str | None:
         """What, by the status word, keeps the drive from running, with what to do about it; or None."""
         return None
@@ -339,6 +344,7 @@ class DriveCore:
                     known = ", ".join((*OPS, *self.own_ops))
                     raise CommandError("usage", f"{self.drive} has no order {op!r}; it has {known}")
                 steps = own
+        args.timeout_ns(0)  # every order may come with one
         args.done()
         return Job(op, token, steps, motion=False)
 

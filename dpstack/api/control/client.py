@@ -9,8 +9,9 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from dpstack.api.control.places import SUFFIX, clean, directory, names_of, socket_path
-from dpstack.errors import BusError, PortError, UsageError
+from dpstack.api.control.failures import drive_error
+from dpstack.api.control.places import SUFFIX, clean, directory, names_of, own_name, socket_path
+from dpstack.errors import BusError, DpError, PortError, UsageError
 
 #: No answer for so long: the program hangs.
 TIMEOUT_S: Final = 10.0
@@ -29,12 +30,19 @@ class ControlClient:
         return self
 
     def __exit__(self, *_exc: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Hang up; who waits for an answer in another thread is told that there is none."""
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
 
     def call(self, command: str, *args: str) -> Any:
         """The result of ``command``.
 
-        Raises UsageError where the request is wrong, BusError where it failed, PortError when nobody answers.
+        Raises UsageError where the request is wrong, DriveError (or one of its kinds) or BusError where it failed,
+        PortError when nobody answers.
         """
         return list(self._answers(command, args))[-1].get("result")
 
@@ -52,15 +60,15 @@ class ControlClient:
                 answer = self._line()
                 if answer.get("ok") is False:
                     text = str(answer.get("error", "refused"))
-                    raise UsageError(text) if answer.get("usage") else BusError(text)
+                    raise UsageError(text) if answer.get("usage") else drive_error(answer, text) or BusError(text)
                 yield answer
                 if "ok" in answer:
                     return
+        except DpError:  # of which some are built-in errors, too
+            raise
         except TimeoutError:
             raise PortError(f"{self.port}: the program does not answer; is it stopped or busy?") from None
         except OSError as exc:
-            if isinstance(exc, PortError):
-                raise
             raise PortError(f"{self.port}: the program ended ({exc.strerror or exc})") from None
 
     def _line(self) -> Mapping[str, Any]:
@@ -84,16 +92,27 @@ def connect(port: str, timeout: float | None = TIMEOUT_S) -> ControlClient:
 
     Raises PortError when there is none; the line names the programs there are.
     """
-    for name in names_of(port):
+    client = reach(port, timeout)
+    if client is not None:
+        return client
+    others = [f"{one['kind']} on {one['port']}" for one in running()]
+    there = "there is: " + ", ".join(others) if others else "no run, sim or segment of yours is running"
+    raise PortError(f"nobody answers for {port}; {there}")
+
+
+def reach(port: str, timeout: float | None = TIMEOUT_S, *, kind: str | None = None) -> ControlClient | None:
+    """As :func:`connect`, ``kind``: a run only; None where there is no such program.
+
+    Raises PortError where it cannot be reached.
+    """
+    for name in (own_name(kind, name) if kind is not None else name for name in names_of(port)):
         try:
             return ControlClient(port, _open(socket_path(name), timeout))
         except (FileNotFoundError, ConnectionRefusedError):
             continue
         except OSError as exc:
             raise PortError(f"{port}: its program cannot be reached ({exc.strerror or exc})") from None
-    others = [f"{one['kind']} on {one['port']}" for one in running()]
-    there = "there is: " + ", ".join(others) if others else "no run, sim or segment of yours is running"
-    raise PortError(f"nobody answers for {port}; {there}")
+    return None
 
 
 def running() -> list[dict[str, Any]]:

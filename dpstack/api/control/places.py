@@ -14,6 +14,8 @@ from typing import Final
 from dpstack.ports.runtime_dir import own_directory, runtime_path
 
 SUFFIX: Final = ".sock"
+#: kinds of programs that are found as such, whoever else is at the same port
+OWN_NAMES: Final = frozenset({"run"})
 
 
 def directory() -> Path:
@@ -26,6 +28,11 @@ def names_of(port: str) -> tuple[str, ...]:
     if "://" in port or ("/" not in port and not os.path.exists(port)):
         return (port,)  # a URL, "virtual", COM3
     return tuple(dict.fromkeys((os.path.abspath(port), os.path.realpath(port))))
+
+
+def own_name(kind: str, name: str) -> str:
+    """What a program of :data:`OWN_NAMES` is found by besides the name of its port."""
+    return f"{kind} {name}"
 
 
 def socket_path(name: str) -> Path:

@@ -8,11 +8,12 @@ import inspect
 import json
 import os
 import socket
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import AsyncGenerator, Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple, Never
 
-from dpstack.api.control.places import answers, locked, names_of, socket_path
+from dpstack.api.control.failures import told
+from dpstack.api.control.places import OWN_NAMES, answers, locked, names_of, own_name, socket_path
 from dpstack.api.control.specs import Spec, find
 from dpstack.errors import DpError, PortBusyError, PortError, UsageError
 
@@ -25,6 +26,12 @@ _MOST_CLIENTS: Final = 16
 #: A client that leaves so many octets unread is dropped, or fewer for so long.
 _UNREAD: Final = 1 << 18
 _PATIENCE_S: Final = 5.0
+
+
+class Result(NamedTuple):
+    """The last thing that a command which goes on yields, where it has a result beside its items."""
+
+    value: object
 
 
 class _GoneError(Exception):
@@ -51,6 +58,8 @@ class ControlServer:
         self.kind = kind
         self.port = port
         self._also = also
+        #: why `dpstack ctl` does not find it by its port, where another program has that name
+        self.unheard: str | None = None
         #: a client that reads nothing for so long is dropped
         self.patience_s = _PATIENCE_S
         self._specs = tuple(specs)
@@ -96,7 +105,8 @@ class ControlServer:
 
     def _take_names(self) -> socket.socket:
         """Bind under the first name; the others are links to it."""
-        first, *others = (socket_path(name) for name in names_of(self.port))
+        plain = [socket_path(name) for name in names_of(self.port)]
+        first, *others = self._own(self.port) or plain
         listening = socket.socket(socket.AF_UNIX)
         try:
             with locked():
@@ -107,6 +117,8 @@ class ControlServer:
                 os.chmod(first, 0o600)
                 listening.listen(_MOST_CLIENTS)
                 self._point(others)
+                if first not in plain:
+                    self._share(plain)
         except BaseException:
             listening.close()
             raise
@@ -116,8 +128,13 @@ class ControlServer:
     def _link(self, port: str) -> None:
         """Be found by the names of ``port`` too. Raises PortError, PortBusyError."""
         paths = [path for path in map(socket_path, names_of(port)) if path not in self._paths]
+        own = [path for path in self._own(port) if path not in self._paths]
         try:
             with locked():
+                if own and not any(map(answers, own)):
+                    for path in own:
+                        self._clear(path)
+                    self._point(own)
                 for path in paths:
                     self._clear(path)
                 self._point(paths)
@@ -125,6 +142,19 @@ class ControlServer:
             raise
         except OSError as exc:
             raise PortError(f"not to be found by {port} ({exc.strerror or exc})") from None
+
+    def _own(self, port: str) -> list[Path]:
+        """Where a run is found as such: a sim behind the pty that it made has the plain name of the same path."""
+        return [socket_path(own_name(self.kind, name)) for name in names_of(port)] if self.kind in OWN_NAMES else []
+
+    def _share(self, paths: Iterable[Path]) -> None:
+        """Be found by the plain names too, unless another program is."""
+        try:
+            for path in paths:
+                self._clear(path)
+            self._point(paths)
+        except PortBusyError as busy:
+            self.unheard = str(busy)
 
     def _point(self, paths: Iterable[Path]) -> None:
         for path in paths:
@@ -171,10 +201,7 @@ class ControlServer:
             spec, args = self._understand(line)
             result = self._handlers[spec.name](args)
             if inspect.isasyncgen(result):
-                async with contextlib.aclosing(result) as items:
-                    async for item in items:
-                        await self._send(writer, {"item": item})
-                result = None
+                result = await self._go_on(result, writer)
             elif inspect.isawaitable(result):
                 result = await result
             answer: dict[str, object] = {"ok": True, "result": result}
@@ -183,10 +210,19 @@ class ControlServer:
         except (UsageError, ValueError) as error:
             answer = {**_error(str(error)), "usage": True}
         except DpError as error:
-            answer = _error(str(error))
+            answer = {**_error(str(error)), **told(error)}
         except Exception as error:  # a defect of the command is the client's to read, not the bus's to die of
             answer = _error(f"failed by a defect, please report it: {type(error).__name__}: {error}")
         await self._send(writer, answer)
+
+    async def _go_on(self, items: AsyncGenerator[object, Never], writer: asyncio.StreamWriter) -> object:
+        """Send the items; the result, where there is one. Who hangs up ends them."""
+        async with contextlib.aclosing(items):
+            async for item in items:
+                if isinstance(item, Result):
+                    return item.value
+                await self._send(writer, {"item": item})
+        return None
 
     def _understand(self, line: bytes) -> tuple[Spec, list[str]]:
         """Raises UsageError."""
@@ -207,7 +243,8 @@ class ControlServer:
         if writer.transport.get_write_buffer_size() > _UNREAD:
             raise _GoneError
         try:
-            await asyncio.wait_for(writer.drain(), self.patience_s)
+            async with asyncio.timeout(self.patience_s):  # wait_for loses a cancellation on 3.11: the end would hang
+                await writer.drain()
         except (OSError, TimeoutError):
             raise _GoneError from None
 

@@ -58,6 +58,7 @@ RUN: Final = (
     Spec("set", "SLAVE.FIELD=VALUE...", "named outputs, and no other bits", "8.limit=on 8.level=1200"),
     Spec("operate", "", "outputs go out", ""),
     Spec("clear", "", "inputs are read, outputs are zero", ""),
+    Spec("drive", "NAME ORDER [ARG]...", "tells a drive what to do, as `dpstack drive` does", "hoist speed 0.5"),
     Spec("stats", "", "counters and rotation times up to now", ""),
 )
 

@@ -14,6 +14,7 @@ from dpstack.profile import (
     CommandError,
     ConfigError,
     DriveProfile,
+    ListedParam,
     Lookup,
     MappedCore,
     ParamKey,
@@ -23,6 +24,7 @@ from dpstack.profile import (
     TelegramSpec,
     datamap,
     drivecom,
+    listing,
     settled,
 )
 from dpstack_drives.demag import outpzd
@@ -155,6 +157,10 @@ class DemagCore(MappedCore[OutMap]):
         if not self.status_word & _WARNING:
             return ()
         return t.warning_names(self._warning_word or 0)
+
+    def parameters(self) -> tuple[ListedParam, ...]:
+        """Of the data sets 1 to 4 each."""
+        return listing(t.PARAMETERS, data_sets=range(1, t.SETS + 1))
 
     def obstacle(self) -> str | None:
         """Bit 9 tells whether the bus controls the drive at all."""

@@ -14,6 +14,7 @@ from dpstack.profile import (
     CommandError,
     ConfigError,
     DriveProfile,
+    ListedParam,
     Lookup,
     MappedCore,
     ParamKey,
@@ -23,6 +24,7 @@ from dpstack.profile import (
     Steps,
     TelegramSpec,
     datamap,
+    listing,
     settled,
 )
 from dpstack_drives.fuji import pcd
@@ -107,6 +109,10 @@ class FujiCore(MappedCore[PcdMap]):
     def fault_named(self) -> bool:
         """Nothing more is to be learned."""
         return self._alarm.value is not None or self.access is None
+
+    def parameters(self) -> tuple[ListedParam, ...]:
+        """Of the malfunction history the elements that hold an alarm."""
+        return listing(t.PARAMETERS, elements={**t.ARRAYS, t.PNU_ALARMS: t.ALARM_INDEXES})
 
     def obstacle(self) -> str | None:
         """STW bit 9, then the state that a CTW which is not obeyed leaves behind."""

@@ -15,9 +15,11 @@ from dpstack.profile import (
     ConfigError,
     DriveProfile,
     Goal,
+    ListedParam,
     MappedCore,
     Steps,
     TelegramSpec,
+    listing,
     settled,
 )
 from dpstack_drives.imo import pzd
@@ -190,6 +192,10 @@ class ImoCore(MappedCore[PzdMap]):
         if op == "quick_stop":
             return "imo-hd2 has no quick stop ramp: its emergency stop (6) coasts; use stop() or coast()"
         return None
+
+    def parameters(self) -> tuple[ListedParam, ...]:
+        """What the card's manual tells of."""
+        return listing(t.PARAMETERS, known=lambda spec: not spec.made_up)
 
     def obstacle(self) -> str | None:
         """SW bits 13-14, then the voltage."""

@@ -12,6 +12,7 @@ from dpstack.profile import (
     ControlTable,
     DriveProfile,
     Goal,
+    ListedParam,
     Lookup,
     MappedCore,
     Scale,
@@ -21,6 +22,7 @@ from dpstack.profile import (
     Steps,
     TelegramSpec,
     Word,
+    listing,
 )
 from dpstack_drives.keb import mapping, pdmap
 from dpstack_drives.keb import table as t
@@ -138,6 +140,10 @@ class KebCore(MappedCore[PdMap]):
         if at is None or not self._rpm_per_count:
             return None, None, None
         return self.scale.decode(self.words[at // 2]), None, None
+
+    def parameters(self) -> tuple[ListedParam, ...]:
+        """By name, so far as the index of its group is in the manual."""
+        return listing(t.PARAMETERS, data_sets=range(t.SETS), why_not=t.why_not_read)
 
     def faults(self) -> tuple[str, ...]:
         """What ru.00 says; its texts are in the application manual."""

@@ -67,6 +67,13 @@ def _index(name: str, groups: dict[str, int]) -> int | None:
     return None if group is None else group << 8 | int(match[2])
 
 
+def why_not_read(spec: ParamSpec) -> str | None:
+    """Why a parameter of the table cannot be read by its name; None where it can."""
+    if index_of(spec.name) is not None:
+        return None
+    return "the address of its group is not in the manual: read it by its index (0x2000 + the address)"
+
+
 def looks_like_name(name: str) -> bool:
     """A group and a number, known or not."""
     return _NAME.fullmatch(name.strip()) is not None

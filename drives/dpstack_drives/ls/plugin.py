@@ -15,6 +15,7 @@ from dpstack.profile import (
     ConfigError,
     DriveProfile,
     Goal,
+    ListedParam,
     Lookup,
     MappedCore,
     ParamKey,
@@ -229,6 +230,10 @@ class LsCore(MappedCore[ParaMap]):
             return ()
         word = self._warning.value
         return ("warning" if word is None else f"warning word {word:04X}",)
+
+    def parameters(self) -> tuple[ListedParam, ...]:
+        """Codes and PNUs."""
+        return references.LISTED
 
     def obstacle(self) -> str | None:
         """Somebody else has the control."""

@@ -2,8 +2,23 @@
 
 from __future__ import annotations
 
-from dpstack.profile import CommandError, ParamKey, ParamRef
+from typing import Final
+
+from dpstack.profile import CommandError, ParamKey, ParamRef, ParamSpec, listing
 from dpstack_drives.ls import table as t
+
+
+def _why_not(spec: ParamSpec) -> str | None:
+    """A dump leaves alone what is not to be used beside a drive profile; only telegrams with one have a channel."""
+    if (spec.number << 8 | spec.index) not in t.ADVISED_AGAINST:
+        return None
+    return "the manual advises against it beside a drive profile (5.1, 5.3); read it by itself where you must"
+
+
+#: codes and PNUs, arrays element by element
+LISTED: Final = listing(
+    t.PARAMETERS, elements={number: range(size) for number, size in t.ARRAYS.items()}, why_not=_why_not
+)
 
 
 def resolve(key: ParamKey, drive: str) -> tuple[ParamRef, int | None]:
@@ -17,11 +32,14 @@ def resolve(key: ParamKey, drive: str) -> tuple[ParamRef, int | None]:
     where = t.address(name) if isinstance(name, str) else None
     if where is None:
         spec = t.PARAMETERS.named(name) if isinstance(name, str) else t.PARAMETERS.get(name)
-        if spec is not None:
+        if spec is not None and not spec.index:
             return _pnu(spec.number, index), None
-        if isinstance(name, str):
+        if spec is not None:  # an address without 0x, as the manual's tables have it
+            where = spec.number << 8 | spec.index
+        elif isinstance(name, str):
             raise CommandError("usage", f"{name!r} is neither a code such as dr-03 nor a known name nor an address")
-        where = name
+        else:
+            where = name
     if not 0 < where <= 0xFFFF:
         raise CommandError("usage", f"parameter {where}: addresses are 1..65535")
     if index is not None:

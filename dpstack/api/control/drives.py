@@ -1,0 +1,109 @@
+"""A drive of another program: the ``run`` that holds the port is asked over its control socket."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator
+from typing import Any, Final
+
+from dpstack.api.bus import Bus
+from dpstack.api.control.client import ControlClient, reach
+from dpstack.api.control.server import Result
+from dpstack.api.drive_words import carry_out
+from dpstack.api.parameter_dump import ParameterValue
+from dpstack.api.parts import SEARCHING
+from dpstack.errors import BusError, UsageError
+from dpstack.profile import ListedParam
+
+#: how often the client of an order is told that it goes on, in s: without its answer it would take us for dead
+_SIGN_OF_LIFE_S: Final = 0.5
+
+
+async def drive_order(bus: Bus, args: list[str]) -> AsyncIterator[object]:
+    """``NAME ORDER [ARG]...`` at the drive of a run. A client that hangs up ends the order: nothing starts then."""
+    if bus.searching:
+        raise BusError(f"{SEARCHING}: the drives are known once it is found")
+    if bus.config.bus.read_only:
+        raise BusError("this run is read only: it gives no drive an order; end it and run without read_only")
+    name, word, *rest = args
+    drive = bus.drive(int(name) if name.isdecimal() else name)
+    order = asyncio.ensure_future(carry_out(drive, word, rest))
+    try:
+        while not (await asyncio.wait({order}, timeout=_SIGN_OF_LIFE_S))[0]:
+            yield {"status": drive.status.as_dict()}
+        yield Result(order.result())
+    finally:
+        order.cancel()
+        with contextlib.suppress(asyncio.CancelledError, Exception):
+            await order
+
+
+class RemoteDrive:
+    """A drive of the ``run`` on a port. Made by :func:`find_drive`."""
+
+    def __init__(self, client: ControlClient, name: str, pid: int) -> None:
+        self.name = name
+        #: of the run
+        self.pid = pid
+        self.kind = ""
+        self.address = 0
+        self._client = client
+        self._parameters: tuple[ListedParam, ...] | None = None
+
+    @property
+    def parameters(self) -> tuple[ListedParam, ...]:
+        """As told by the run. Raises UsageError before :meth:`learn`."""
+        if self._parameters is None:
+            raise UsageError(f"drive {self.name}: ask the run for its parameters first")
+        return self._parameters
+
+    async def meet(self) -> None:
+        """Who it is. Raises UsageError where the run has no such drive, BusError where it cannot tell now."""
+        told = await self.order("status")
+        self.kind, self.address = str(told["type"]), int(told["address"])
+
+    async def learn(self) -> None:
+        """Ask for its parameters."""
+        told = await self.order("parameters")
+        self._parameters = tuple(ListedParam(**one) for one in told["parameters"])
+
+    async def order(self, word: str, *args: str) -> dict[str, Any]:
+        """As :func:`~dpstack.api.drive_words.carry_out`, over there. Cancelled, the connection is gone."""
+        try:
+            answer = await asyncio.to_thread(self._client.call, "drive", self.name, word, *args)
+        except asyncio.CancelledError:
+            self.close()
+            raise
+        return dict(answer)
+
+    async def parameter(
+        self, number: int | str, *, data_set: int | None = None, index: int | None = None, timeout: float = 5.0
+    ) -> ParameterValue:
+        """One parameter."""
+        places = {"data_set": data_set, "index": index, "timeout": timeout}
+        given = [f"{key}={value}" for key, value in places.items() if value is not None]
+        told = await self.order("read", str(number), *given)
+        return ParameterValue(**told["parameter"])
+
+    def close(self) -> None:
+        """Hang up; an order that is under way ends."""
+        self._client.close()
+
+
+async def find_drive(port: str, name: str) -> RemoteDrive | None:
+    """The drive called ``name`` of the run on ``port``; None where no run answers for the port.
+
+    Raises UsageError where it has no such drive, BusError, PortError where it cannot be reached.
+    """
+    client = reach(port, kind="run")  # at once: there is a socket or there is none
+    if client is None:
+        return None
+    try:
+        told = await asyncio.to_thread(client.call, "help")
+        drive = RemoteDrive(client, name, int(told["pid"]))
+        await drive.meet()
+    except BaseException:
+        client.close()
+        raise
+    return drive

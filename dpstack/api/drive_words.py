@@ -1,0 +1,148 @@
+"""What a drive is told from outside, in words: each with its arguments as texts, answered by plain JSON data."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Callable, Coroutine, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Final
+
+from dpstack.api.control.specs import Spec
+from dpstack.api.drive import Drive
+from dpstack.errors import UsageError
+
+START: Final = "start"
+#: after these the motor is off
+HALTS: Final = frozenset({"stop", "quick_stop", "coast"})
+#: they set something that lasts as long as a master keeps it
+LASTING: Final = frozenset({START, "speed", "frequency"})
+
+WORDS: Final = (
+    Spec("status", "", "what the drive tells at this moment", ""),
+    Spec("start", "", "walks its state machine until it runs, or says what is in the way", ""),
+    Spec("stop", "", "ramp down, then off", ""),
+    Spec("quick_stop", "", "stop by the quick stop ramp", ""),
+    Spec("coast", "", "power off at once, the motor runs out", ""),
+    Spec("reached", "", "wait until the set point is reached", ""),
+    Spec("acknowledge", "", "acknowledge a fault until it is gone", ""),
+    Spec("speed", "V", "the set point as a part of the reference: 0.5 or 50%", "0.5"),
+    Spec("frequency", "V", "the set point in Hz", "25"),
+    Spec("read", "P", "a parameter by number or name, in its unit", "480"),
+    Spec("write", "P V", "writes a parameter in its unit", "480 20.5"),
+    Spec("parameters", "", "the parameters that its plugin declares", ""),
+)
+_MOTIONS: Final[Mapping[str, Callable[..., Coroutine[object, object, None]]]] = {
+    START: Drive.start,
+    "stop": Drive.stop,
+    "quick_stop": Drive.quick_stop,
+    "coast": Drive.coast,
+    "reached": Drive.reached,
+    "acknowledge": Drive.acknowledge,
+}
+#: which words an option is for
+OPTIONS: Final[Mapping[str, frozenset[str]]] = {
+    "data_set": frozenset({"read", "write"}),
+    "index": frozenset({"read", "write"}),
+    "ram": frozenset({"write"}),
+    "timeout": frozenset({*_MOTIONS, "read", "write"}),
+}
+
+
+@dataclass(slots=True)
+class _Options:
+    data_set: int | None = None
+    index: int | None = None
+    ram: bool = False
+    timeout: float | None = None
+
+
+async def carry_out(drive: Drive, word: str, args: Sequence[str]) -> dict[str, object]:
+    """One of :data:`WORDS` with its arguments; among them ``data_set=3``, ``index=1``, ``ram=true``, ``timeout=20``.
+
+    Raises UsageError, and what the drive raises.
+    """
+    spec = find_word(word)
+    plain = [text for text in args if text.partition("=")[0] not in OPTIONS]
+    options = _options(word, [text for text in args if text not in plain])
+    if len(plain) != len(spec.usage.split()):
+        raise UsageError(wrong_arguments(spec))
+    told: dict[str, object] = {"order": word, "drive": drive.name, "address": drive.address, "type": drive.kind}
+    seconds = 5.0 if options.timeout is None else options.timeout
+    places = {"data_set": options.data_set, "index": options.index}
+    match word:
+        case "read":
+            found = await drive.parameter(number_of(plain[0]), **places, timeout=seconds)
+            return {**told, "parameter": asdict(found)}
+        case "write":
+            value = _value(plain[1])
+            found = await drive.write(number_of(plain[0]), value, **places, ram=options.ram, timeout=seconds)
+            return {**told, "parameter": asdict(found)}
+        case "parameters":
+            return {**told, "parameters": [asdict(one) for one in drive.parameters]}
+        case "speed" | "frequency":
+            await drive.order(word, value=_value(plain[0]))
+        case "status":
+            pass
+        case _:
+            motion = _MOTIONS[word]
+            await (motion(drive) if options.timeout is None else motion(drive, options.timeout))
+    return {**told, "status": drive.status.as_dict()}
+
+
+def find_word(word: str, known: Sequence[Spec] = WORDS) -> Spec:
+    """The word. Raises UsageError with the nearest, or with those there are."""
+    names = [spec.name for spec in known]
+    if word in names:
+        return known[names.index(word)]
+    near = difflib.get_close_matches(word.lower().replace("-", "_"), names, n=1)
+    hint = f"did you mean {near[0]}?" if near else f"it knows {', '.join(names)}"
+    raise UsageError(f"a drive does not know {word!r}; {hint}")
+
+
+def wrong_arguments(spec: Spec) -> str:
+    """What a word takes, for people."""
+    return f"{spec.name} takes {spec.usage or 'nothing'}, for instance: {f'{spec.name} {spec.example}'.rstrip()}"
+
+
+def number_of(text: str) -> int | str:
+    """A parameter as typed: a number in decimal digits, else a name (0x... is one of those that plugins know)."""
+    return int(text) if text.isdecimal() else text
+
+
+def _options(word: str, given: Sequence[str]) -> _Options:
+    options = _Options()
+    for text in given:
+        name, _, value = text.partition("=")
+        if word not in OPTIONS[name]:
+            raise UsageError(f"{word} has no {name}; it is for {', '.join(sorted(OPTIONS[name]))}")
+        try:
+            if name == "ram":
+                options.ram = {"true": True, "false": False}[value.lower()]
+            elif name == "timeout":
+                options.timeout = _seconds(value)
+            elif name == "index":
+                options.index = int(value)
+            else:
+                options.data_set = int(value)
+        except (ValueError, KeyError):
+            example = "true" if name == "ram" else "1"
+            raise UsageError(f"{name}={value}: write for instance {name}={example}") from None
+    return options
+
+
+def _seconds(text: str) -> float:
+    seconds = float(text)
+    if not 0 <= seconds < math.inf:
+        raise ValueError(text)
+    return seconds
+
+
+def _value(text: str) -> float:
+    """A number as typed: 20.5, 0x1F, 50%."""
+    try:
+        if text.lower().startswith("0x"):
+            return int(text, 16)
+        return float(text[:-1]) / 100 if text.endswith("%") else float(text)
+    except ValueError:
+        raise UsageError(f"{text!r} is no number; write for instance 20.5") from None

@@ -1,0 +1,135 @@
+"""A master for one drive of a configuration: the others are left alone; on leaving, the drive is stopped in order."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any, Final
+
+from dpstack.api.bus import OnEvent
+from dpstack.api.config import Config
+from dpstack.api.drive import Drive
+from dpstack.api.drive_words import carry_out
+from dpstack.api.opening import open_bus
+from dpstack.api.parameter_dump import ParameterValue
+from dpstack.errors import DpError, DriveFault, SlaveFault
+from dpstack.profile import MOVING, ListedParam, State
+from dpstack.sim.world import World
+
+#: a slave that searches for the baud rate takes its time
+_READY_S: Final = 10.0
+_TOLD_S: Final = 2.0
+#: until its status belongs to what this master commands, and a fault has its name
+_SETTLE_S: Final = 0.25
+
+
+class OneDrive:
+    """The first slave of ``config`` under a master of its own (``async with``), told what to do in words.
+
+    On leaving, however that comes: its ramp, then the bus's end (safe values, Clear, out of the ring). ``on_stopping``
+    is called where there is something to stop.
+    """
+
+    def __init__(
+        self, config: Config, *, on_event: OnEvent, on_stopping: Callable[[], None], world: World | None = None
+    ) -> None:
+        self._bus = open_bus(config, on_event=on_event, world=world)
+        self._slave = config.slaves[0]
+        self._on_stopping = on_stopping
+        #: why it did not stop by its ramp
+        self.unstopped: DpError | None = None
+
+    async def __aenter__(self) -> OneDrive:
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            await self._stop()
+        finally:
+            await self._bus.close()
+
+    async def come_up(self) -> None:
+        """Into the ring, in data exchange, its first status. Raises PortError, BusError, SlaveFault, SlaveTimeout."""
+        bus = self._bus
+        await bus.open()
+        await bus.operate()
+        await bus.slave(self._slave.address).ready(_READY_S)
+        with contextlib.suppress(TimeoutError):
+            await bus.until(lambda: self.drive.status.state is not State.OFFLINE, _TOLD_S)
+        await asyncio.sleep(_SETTLE_S)
+
+    async def held(self, seconds: float | None) -> None:
+        """Until the time in seconds is over.
+
+        Raises DriveFault when a drive that runs now stops by itself, SlaveFault when it is lost.
+        """
+        running = self.drive.status.running
+        with contextlib.suppress(TimeoutError):
+            await self._bus.until(lambda: self._is_over(running), seconds)
+
+    # -- the drive -----------------------------------------------------------------------------------------------
+
+    @property
+    def drive(self) -> Drive:
+        """The drive. Raises UsageError while the baud rate is searched."""
+        return self._bus.drive(self._slave.address)
+
+    @property
+    def name(self) -> str:
+        """In the configuration."""
+        return self._slave.name
+
+    @property
+    def kind(self) -> str:
+        """Its plugin."""
+        return self.drive.kind
+
+    @property
+    def address(self) -> int:
+        """Of the slave."""
+        return self._slave.address
+
+    @property
+    def parameters(self) -> tuple[ListedParam, ...]:
+        """As its plugin declares them."""
+        return self.drive.parameters
+
+    async def parameter(
+        self, number: int | str, *, data_set: int | None = None, index: int | None = None, timeout: float = 5.0
+    ) -> ParameterValue:
+        """One of them."""
+        return await self.drive.parameter(number, data_set=data_set, index=index, timeout=timeout)
+
+    async def order(self, word: str, *args: str) -> dict[str, Any]:
+        """One word, see :func:`~dpstack.api.drive_words.carry_out`."""
+        return await carry_out(self.drive, word, args)
+
+    # -- inside --------------------------------------------------------------------------------------------------
+
+    def _is_over(self, running: bool) -> bool:
+        drive = self.drive
+        slave = drive.slave
+        if slave.fault is not None or not slave.ready_now:
+            why = slave.fault.text if slave.fault is not None else f"it is in {slave.state.value}"
+            raise SlaveFault(slave.address, f"drive {self.name}: slave {slave.address} is lost: {why}")
+        status = drive.status
+        if running and not status.running:
+            why = f"fault {status.fault}" if status.fault else f"it reports {status.state}"
+            raise DriveFault(self.name, f"drive {self.name} stopped by itself: {why}")
+        return False
+
+    async def _stop(self) -> None:
+        """By its ramp, where it still can."""
+        if self._bus.searching or not self._bus.is_open:
+            return
+        drive = self.drive
+        if drive.slave.fault is None and drive.slave.ready_now and drive.status.state in MOVING:
+            self._on_stopping()
+            try:
+                await drive.stop()
+            except DpError as error:
+                self.unstopped = error

@@ -1,0 +1,239 @@
+"""Reading all parameters of a drive one by one, into a file and against a file; the cyclic data go on meanwhile."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Final, Protocol
+
+from dpstack.api.parameter_list import FileToBe, ParameterList, Place, SavedParam
+from dpstack.errors import ConfigError, DriveError, DriveTimeout, ParameterError, UsageError
+from dpstack.profile import ListedParam
+
+#: so many in a row that are not answered: the others will not be either
+_SILENT: Final = 3
+
+#: called after each parameter: how many are read, of how many, the last one
+OnParameter = Callable[[int, int, SavedParam], None]
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterValue:
+    """One parameter as the drive tells it: ``value`` in ``unit``, ``raw`` the integer on the wire."""
+
+    number: int
+    name: str | None
+    value: float | int
+    raw: int
+    unit: str = ""
+    data_set: int | None = None
+
+
+class Readable(Protocol):
+    """A drive whose parameters can be read: of this bus, or of another program's."""
+
+    @property
+    def name(self) -> str:
+        """In the configuration."""
+
+    @property
+    def kind(self) -> str:
+        """The name of its plugin, e.g. ``fuji-frenic``."""
+
+    @property
+    def address(self) -> int:
+        """Its station address."""
+
+    @property
+    def parameters(self) -> tuple[ListedParam, ...]:
+        """All that is to be read. Raises UsageError where the telegram has no parameter channel."""
+
+    async def parameter(
+        self, number: int | str, *, data_set: int | None = None, index: int | None = None, timeout: float = 5.0
+    ) -> ParameterValue:
+        """One of them. Raises ParameterError, DriveTimeout, DriveError."""
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """A parameter whose value is not what the file says: ``found`` has the drive's, or why it cannot be read now."""
+
+    saved: SavedParam
+    found: SavedParam
+
+    @property
+    def text(self) -> str:
+        """One line for people: both values with their units."""
+        now = self.found.text if self.found.unreadable is None else f"cannot be read: {self.found.unreadable}"
+        return f"{self.saved.label} ({self.saved.title}): file {self.saved.text}, drive {now}"
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """What a compare found. ``same``: how many are equal; ``skipped``: what was not compared, and why."""
+
+    differences: tuple[Difference, ...]
+    same: int
+    skipped: tuple[tuple[SavedParam, str], ...]
+
+
+async def dump(
+    drive: Readable,
+    path: str | Path | None = None,
+    *,
+    data_set: int | None = None,
+    on_parameter: OnParameter | None = None,
+) -> ParameterList:
+    """Read the drive's parameters one by one, ``data_set`` None: of all data sets.
+
+    With ``path`` into that file, whole or not at all; cut short (cancelled, the drive lost) what was read is kept in
+    a file of that name with ``.part`` behind it. Raises UsageError, DriveError.
+    """
+    wanted = _chosen(drive, data_set)
+    found: list[SavedParam] = []
+    if path is None:
+        await _read_all(drive, wanted, found, on_parameter)
+        return _list_of(drive, found, complete=True)
+    with FileToBe(path) as file:
+        try:
+            await _read_all(drive, wanted, found, on_parameter)
+        except BaseException:
+            if found:
+                file.keep(_list_of(drive, found, complete=False))
+            raise
+        whole = _list_of(drive, found, complete=True)
+        file.keep(whole)
+        return whole
+
+
+async def compare(
+    drive: Readable,
+    saved: ParameterList | str | Path,
+    *,
+    data_set: int | None = None,
+    read_only: bool = False,
+    on_parameter: OnParameter | None = None,
+) -> Comparison:
+    """Read the drive's parameters that are in ``saved`` (a list, or a file) and tell where they differ.
+
+    What is read only is what the drive measures or is, and is compared with ``read_only`` alone. Raises ConfigError
+    for a file of another type of drive, UsageError, DriveError.
+    """
+    listed = saved if isinstance(saved, ParameterList) else ParameterList.load(saved)
+    where = "the list" if isinstance(saved, ParameterList) else str(saved)
+    if listed.drive != drive.kind:
+        raise ConfigError(
+            f"{where} holds the parameters of a {listed.drive} ({listed.name}), {drive.name} is a {drive.kind}: "
+            f"take a file of such a drive"
+        )
+    there = {_place(one): one for one in _chosen(drive, data_set)}
+    wanted: list[SavedParam] = []
+    skipped: list[tuple[SavedParam, str]] = []
+    for one in listed.parameters:
+        if data_set is not None and one.data_set not in (None, data_set):
+            continue
+        why = _why_skipped(one, there, read_only)
+        if why is None:
+            wanted.append(one)
+        else:
+            skipped.append((one, why))
+    in_file = {one.place for one in listed.parameters}
+    skipped += [(_saved(one), "it is not in the file") for place, one in there.items() if place not in in_file]
+    found: list[SavedParam] = []
+    await _read_all(drive, [there[one.place] for one in wanted], found, on_parameter)
+    pairs = [Difference(old, new) for old, new in zip(wanted, found, strict=True)]
+    differences = tuple(pair for pair in pairs if not _equal(pair.saved, pair.found))
+    return Comparison(differences, len(pairs) - len(differences), tuple(skipped))
+
+
+def _chosen(drive: Readable, data_set: int | None) -> list[ListedParam]:
+    """What is to be read. Raises UsageError for a data set that the drive does not have."""
+    listed = drive.parameters
+    sets = sorted({one.data_set for one in listed if one.data_set is not None})
+    if data_set is not None and data_set not in sets:
+        there = f"{sets[0]}..{sets[-1]}" if sets else "none"
+        raise UsageError(f"drive {drive.name}: a {drive.kind} has no data set {data_set}; it has {there}")
+    if not listed:
+        raise UsageError(f"drive {drive.name}: the plugin {drive.kind} declares no parameters; read them by number")
+    return [one for one in listed if data_set is None or one.data_set in (None, data_set)]
+
+
+def _why_skipped(one: SavedParam, there: dict[Place, ListedParam], read_only: bool) -> str | None:
+    if one.unreadable is not None:
+        return f"it could not be read when the file was made: {one.unreadable}"
+    if one.place not in there:
+        return "the plugin does not know it"
+    if one.read_only and not read_only:
+        return "it is read only"
+    return None
+
+
+async def _read_all(
+    drive: Readable, wanted: Sequence[ListedParam], found: list[SavedParam], on_parameter: OnParameter | None
+) -> None:
+    """Fill ``found``, one after the other. What the drive refuses goes in with its reason; a lost drive raises."""
+    silent = 0
+    for number, one in enumerate(wanted, 1):
+        try:
+            found.append(_saved(one, await _read(drive, one)))
+            silent = 0
+        except ParameterError as error:
+            found.append(_saved(one, why=_reason(drive, error)))
+            silent = 0
+        except DriveTimeout as error:
+            silent += 1
+            if silent == _SILENT:
+                raise
+            found.append(_saved(one, why=_reason(drive, error)))
+        if on_parameter is not None:
+            on_parameter(number, len(wanted), found[-1])
+
+
+async def _read(drive: Readable, one: ListedParam) -> ParameterValue | None:
+    if one.why_not is not None:
+        return None
+    return await drive.parameter(one.name, data_set=one.data_set, index=one.index)
+
+
+def _saved(one: ListedParam, told: ParameterValue | None = None, why: str | None = None) -> SavedParam:
+    return SavedParam(
+        name=one.name,
+        number=one.number,
+        title=one.title,
+        subindex=one.subindex,
+        data_set=one.data_set,
+        index=one.index,
+        value=None if told is None else told.value,
+        unit="" if told is None else told.unit,
+        read_only=one.read_only,
+        unreadable=(why or one.why_not or "it was not read") if told is None else None,
+    )
+
+
+def _place(one: ListedParam) -> Place:
+    return one.name.lower(), one.data_set, one.index
+
+
+def _reason(drive: Readable, error: DriveError) -> str:
+    return str(error).removeprefix(f"drive {drive.name}: ")
+
+
+def _equal(old: SavedParam, new: SavedParam) -> bool:
+    """Equal to the last digit of the wire: a file keeps every digit of a value, people may write fewer."""
+    if old.value is None or new.value is None or old.unit != new.unit:
+        return False
+    return math.isclose(old.value, new.value, rel_tol=1e-9)
+
+
+def _list_of(drive: Readable, found: Sequence[SavedParam], *, complete: bool) -> ParameterList:
+    return ParameterList(
+        drive=drive.kind,
+        name=drive.name,
+        address=drive.address,
+        time=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        parameters=tuple(found),
+        complete=complete,
+    )

@@ -1,0 +1,186 @@
+"""The orders of ``dpstack drive``, carried out one after the other, and what is told of them."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from collections.abc import AsyncIterator, Mapping, Sequence
+from contextlib import asynccontextmanager
+from typing import Any, Final, NamedTuple, Protocol
+
+from rich.console import Console
+from rich.progress import Progress
+
+from dpstack.api.control.specs import Spec
+from dpstack.api.parameter_dump import OnParameter, Readable, compare, dump
+from dpstack.api.parameter_list import SavedParam, label, value_text
+from dpstack.cli import output
+from dpstack.cli.streams import warn
+
+DUMP_AND_COMPARE: Final = (
+    Spec("dump", "FILE", "all declared parameters into a file", "hoist.toml"),
+    Spec("compare", "FILE", "where the drive differs from such a file", "hoist.toml"),
+)
+
+
+class Order(NamedTuple):
+    """One word, its arguments, its options."""
+
+    word: str
+    args: tuple[str, ...]
+    options: Mapping[str, object]
+
+
+class Target(Readable, Protocol):
+    """A drive, wherever it is."""
+
+    async def order(self, word: str, *args: str) -> dict[str, Any]:
+        """As :func:`~dpstack.api.drive_words.carry_out`."""
+
+
+class Orders:
+    """What ``drive`` is told; ``through``: by a run or by a master of our own. ``code`` is the exit code so far."""
+
+    def __init__(self, drive: Target, orders: Sequence[Order], *, through: str, json: bool) -> None:
+        self._drive = drive
+        self._orders = orders
+        self._through = through
+        self._json = json
+        self.code = 0
+        #: the order under way
+        self.at: Order | None = None
+
+    async def carry_out(self) -> None:
+        """All of them. Raises what the first one raises that fails."""
+        for order in self._orders:
+            self.at = order
+            match order.word:
+                case "dump":
+                    await self._dump(order)
+                case "compare":
+                    await self._compare(order)
+                case _:
+                    given = [f"{key}={str(value).lower()}" for key, value in order.options.items()]
+                    self._tell(order, await self._drive.order(order.word, *order.args, *given))
+
+    def _tell(self, order: Order, told: Mapping[str, Any]) -> None:
+        if self._json:
+            output.json_line({**told, "through": self._through})
+        elif order.word == "status":
+            show_status(told)
+        elif "parameter" in told:
+            found = told["parameter"]
+            name = found["name"]
+            more = f" ({name})" if name is not None and name.lower() != order.args[0].lower() else ""
+            place = label(order.args[0] + more, found["data_set"], None)
+            output.line(f"{self._drive.name}: {place} = {value_text(found['value'], found['unit'])}")
+        else:
+            output.line(f"{self._drive.name}: {status_text(told['status'])}")
+
+    async def _dump(self, order: Order) -> None:
+        (path,) = order.args
+        async with self._progress(f"{path}.part") as progress:
+            found = await dump(self._drive, path, data_set=_data_set(order), on_parameter=progress)
+        unreadable = found.unreadable
+        if self._json:
+            self._json_line(
+                "dump", path, parameters=len(found.parameters), unreadable=[_plain(one) for one in unreadable]
+            )
+            return
+        read = len(found.parameters) - len(unreadable)
+        output.line(f"{self._drive.name}: {read} parameters are in {path}")
+        for one in unreadable:
+            output.line(f"not read: {one.label} ({one.title}): {one.unreadable}")
+
+    async def _compare(self, order: Order) -> None:
+        (path,) = order.args
+        everything = bool(order.options.get("all"))
+        async with self._progress(None) as progress:
+            found = await compare(
+                self._drive, path, data_set=_data_set(order), read_only=everything, on_parameter=progress
+            )
+        self.code = self.code or int(bool(found.differences))
+        if self._json:
+            differences = [{"file": _plain(one.saved), "drive": _plain(one.found)} for one in found.differences]
+            skipped = [{**_where(one), "reason": why} for one, why in found.skipped]
+            self._json_line("compare", path, same=found.same, differences=differences, skipped=skipped)
+            return
+        for difference in found.differences:
+            output.line(difference.text, "yellow")
+        reasons = [why for _, why in found.skipped]
+        for why in dict.fromkeys(reasons):
+            output.line(f"not compared: {_names([one for one, other in found.skipped if other == why])}: {why}")
+        output.line(f"{self._drive.name}: {found.same} parameters are as in {path}, {len(found.differences)} differ")
+
+    def _json_line(self, word: str, path: str, **more: object) -> None:
+        drive = self._drive
+        head = {"order": word, "drive": drive.name, "address": drive.address, "type": drive.kind, "file": path}
+        output.json_line({**head, **more, "through": self._through})
+
+    @asynccontextmanager
+    async def _progress(self, part: str | None) -> AsyncIterator[OnParameter]:
+        """Shows on a terminal how far it is; cut short, says where what was read is."""
+        read = 0
+        shown = Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty())
+        task = shown.add_task(f"parameters of {self._drive.name}", total=None)
+
+        def on_parameter(number: int, count: int, _one: SavedParam) -> None:
+            nonlocal read
+            read = number
+            shown.update(task, total=count, completed=number)
+
+        try:
+            with shown:
+                yield on_parameter
+        except BaseException:
+            if part is not None and read:
+                warn(f"cut short: the {read} parameters read so far are in {part}")
+            raise
+
+
+def show_status(told: Mapping[str, Any]) -> None:
+    """Everything that a drive tells, for people."""
+    status = told["status"]
+    rows: list[tuple[str, object]] = [
+        ("state", status["state"]),
+        ("reached", "yes" if status["reached"] else "no"),
+        ("set point", f"{status['setpoint']:.2%}"),
+    ]
+    if status["speed"] is not None:
+        rows.append(("speed", f"{status['speed']:.2%} ({status['frequency_hz']:.2f} Hz)"))
+    rows += [
+        (name, f"{status[name]:.2%} of the rated one") for name in ("current", "torque") if status[name] is not None
+    ]
+    rows += [
+        ("the bus has the control", "yes" if status["remote"] else "no"),
+        ("faults", ", ".join(status["faults"]) or "none"),
+        ("warnings", ", ".join(status["warnings"]) or "none"),
+        ("status bits", ", ".join(status["bits"]) or "none"),
+        ("words", " ".join(status["words"])),
+    ]
+    output.table(f"{told['drive']}: {told['type']} at address {told['address']}", ("what", "value"), rows)
+
+
+def status_text(status: Mapping[str, Any]) -> str:
+    """One line: state, speed, set point, what is wrong."""
+    speed = "" if status["speed"] is None else f" at {status['speed']:.1%} ({status['frequency_hz']:.1f} Hz)"
+    wrong = [f"fault {name}" for name in status["faults"]] + [f"warning {name}" for name in status["warnings"]]
+    return ", ".join([f"{status['state']}{speed}", f"set point {status['setpoint']:.1%}", *wrong])
+
+
+def _names(params: Sequence[SavedParam]) -> str:
+    shown = ", ".join(one.label for one in params[:3])
+    return shown if len(params) <= 3 else f"{shown} and {len(params) - 3} more"
+
+
+def _plain(one: SavedParam) -> dict[str, object]:
+    return {key: value for key, value in dataclasses.asdict(one).items() if value is not None and value is not False}
+
+
+def _where(one: SavedParam) -> dict[str, object]:
+    return {key: value for key, value in _plain(one).items() if key in ("name", "number", "data_set", "index")}
+
+
+def _data_set(order: Order) -> int | None:
+    data_set = order.options.get("data_set")
+    return data_set if isinstance(data_set, int) else None

@@ -1,0 +1,126 @@
+"""A plugin as a declaration: words, scales, states, safe outputs, texts and parameters; nothing to be programmed.
+
+What a drive needs beyond that (an obstacle to name, a direction bit) is a subclass of :class:`DeclaredCore` with the
+hooks of :class:`~dpstack.profile.core.DriveCore`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+from dpstack.profile.channel import CHANNEL_LEN
+from dpstack.profile.core import DriveCore
+from dpstack.profile.drive import DriveProfile, TelegramSpec
+from dpstack.profile.listing import ListedParam, listing
+from dpstack.profile.params import ParamTable
+from dpstack.profile.pkw import PkwDialect
+from dpstack.profile.pkw_access import PkwAccess, Resolver
+from dpstack.profile.plain import PLAIN_PKW, plain_resolver
+from dpstack.profile.states import FAULTED, ControlTable
+from dpstack.profile.words import SPEED, Scale
+
+#: 0x4000 = 100 % of the rated one
+_CURRENT: Final = Scale("current")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Declaration:
+    """What a drive is, as data.
+
+    ``inputs``: what the words of the process data are, in order: ``status`` first, then ``speed``, ``current``,
+    ``torque``, ``fault`` (a number), ``warning`` (bits), or a name of its own; a telegram has as many of them as it
+    has words. Control word and set point lead the outputs. ``safe``: the control word of the safe outputs, the set
+    point is 0 then. ``scan_ns``: how long the drive takes to notice outputs. ``scale`` of speed and set point, in
+    parts of the reference; ``current_scale`` of current and torque, in parts of the rated ones. ``faults``: texts by
+    number; ``warnings``: texts by bit. Raises ValueError.
+    """
+
+    table: ControlTable
+    safe: int
+    scan_ns: int
+    inputs: tuple[str, ...] = ("status", "speed")
+    scale: Scale = SPEED
+    current_scale: Scale = _CURRENT
+    faults: Mapping[int, str] = field(default_factory=dict)
+    warnings: Mapping[int, str] = field(default_factory=dict)
+    parameters: ParamTable | None = None
+    dialect: PkwDialect = PLAIN_PKW
+    resolver: Callable[[ParamTable, str], Resolver] = plain_resolver
+
+    def __post_init__(self) -> None:
+        if self.inputs[:1] != ("status",) or len(set(self.inputs)) != len(self.inputs):
+            raise ValueError(f"inputs must begin with 'status' and name each word once, not {self.inputs}")
+
+    def core(
+        self, profile: DriveProfile, name: str, telegram: TelegramSpec, options: Mapping[str, bool | float | str]
+    ) -> DeclaredCore:
+        """A ``core_factory`` for the profile of a drive that needs nothing else."""
+        return DeclaredCore(self, profile, name, telegram, options)
+
+
+class DeclaredCore(DriveCore):
+    """The master's end of a declared drive. Its option ``reference_hz``, where declared, goes before the profile's."""
+
+    def __init__(
+        self,
+        declared: Declaration,
+        profile: DriveProfile,
+        name: str,
+        telegram: TelegramSpec,
+        options: Mapping[str, bool | float | str],
+    ) -> None:
+        self.declared = declared
+        self.scale = declared.scale
+        self._places = {field: place for place, field in enumerate(declared.inputs[: telegram.inputs // 2])}
+        lead = bytes(CHANNEL_LEN) if telegram.channel else b""
+        super().__init__(
+            name,
+            profile.name,
+            telegram,
+            declared.table,
+            scan_ns=declared.scan_ns,
+            reference_hz=float(options.get("reference_hz", profile.reference_hz)),
+            safe_outputs=lead + declared.safe.to_bytes(2, "big") + bytes(telegram.outputs - 2),
+        )
+        if telegram.channel and declared.parameters is not None:
+            resolve = declared.resolver(declared.parameters, profile.name)
+            self.access = PkwAccess(declared.dialect, resolve, lambda: self.now, self.settle_ns)
+
+    def word(self, name: str) -> int | None:
+        """The word of the process data that is declared as ``name``; None where the telegram does not reach it."""
+        place = self._places.get(name)
+        return None if place is None else self.words[place]
+
+    def measured(self) -> tuple[float | None, float | None, float | None]:
+        """Speed, current and torque as far as they are declared."""
+        scale = self.declared.current_scale
+        current, torque = (_decoded(scale, self.word(name)) for name in ("current", "torque"))
+        return _decoded(self.scale, self.word("speed")), current, torque
+
+    def faults(self) -> tuple[str, ...]:
+        """The fault by its text, by its number where there is none."""
+        if self.raw_state not in FAULTED:
+            return ()
+        number = self.word("fault")
+        if number is None:
+            return (f"without a name: {self.telegram.name} does not carry it",)
+        return (self.declared.faults.get(number, f"number {number}") if number else "not yet named",)
+
+    def fault_named(self) -> bool:
+        """Its number has come, or never will."""
+        return self.word("fault") != 0
+
+    def warnings(self) -> tuple[str, ...]:
+        """By the bits of the warning word."""
+        word = self.word("warning") or 0
+        return tuple(self.declared.warnings.get(bit, f"bit {bit}") for bit in range(16) if word >> bit & 1)
+
+    def parameters(self) -> tuple[ListedParam, ...]:
+        """All of the table."""
+        return () if self.declared.parameters is None else listing(self.declared.parameters)
+
+
+def _decoded(scale: Scale, word: int | None) -> float | None:
+    return None if word is None else scale.decode(word)

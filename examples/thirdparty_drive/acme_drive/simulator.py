@@ -1,0 +1,95 @@
+"""The simulated drive: what the demo, tests and people without hardware run against."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from acme_drive import table as t
+from dpstack.profile import (
+    DriveDevice,
+    DriveProfile,
+    Motor,
+    ParamSpec,
+    ParamStore,
+    State,
+    TelegramSpec,
+    plain_server,
+)
+
+
+class AcmeDevice(DriveDevice):
+    """Options: ``load``, and the parameters by name or number."""
+
+    def __init__(
+        self,
+        profile: DriveProfile,
+        telegram: TelegramSpec,
+        options: Mapping[str, bool | float | str],
+        presets: Mapping[str, object],
+    ) -> None:
+        super().__init__(profile, telegram, Motor(load=float(options["load"])))
+        self.store = ParamStore(t.PARAMETERS, presets, where=f"simulated {profile.name}")
+        self.channel = plain_server(self.store, live=self._live, locked=self._locked)
+        self.state = State.NOT_READY
+        self.fault = 0
+        self.starts = 0
+
+    @property
+    def scan_ns(self) -> int:
+        """Of the table."""
+        return t.DECLARED.scan_ns
+
+    def fault_code(self, code: str) -> int:
+        """``E07`` or ``7``. Raises ValueError."""
+        for number, text in t.FAULTS.items():
+            if code.upper() in (str(number), text.split()[0]):
+                return number
+        raise ValueError(f"{code!r} is no fault; known: {', '.join(t.FAULTS.values())}")
+
+    def inherit(self, before: DriveDevice) -> None:
+        """The parameters outlive its power-off."""
+        if isinstance(before, AcmeDevice):
+            self.store.inherit(before.store)
+
+    def scan(self, words: tuple[int, ...] | None, now: int) -> tuple[int, ...]:
+        """Every 10 ms: obey the control word, move the motor, report."""
+        control, setpoint = (0, 0) if words is None else words
+        remote = self.store.value("source") == 1
+        trip = self.take_trip()
+        if trip is not None:
+            self.state, self.fault = State.FAULT, trip
+        self._obey(control if remote else 0)
+        motor = self.motor
+        motor.switch(self.state is State.RUNNING)
+        motor.accel = 1 / max(self.store.value("acceleration"), 0.01)
+        stop = "quick_stop" if control & t.CONTROL.mask("quick_stop") else "deceleration"
+        motor.decel = 1 / max(self.store.value(stop), 0.01)
+        scale = t.DECLARED.scale
+        motor.setpoint = scale.decode(setpoint) if control & t.CONTROL.mask("run") else 0.0
+        names = {State.READY: ("ready",), State.RUNNING: ("ready", "running"), State.FAULT: ("fault",)}
+        near = self.state is State.RUNNING and abs(motor.frequency - motor.setpoint) < 0.005
+        told = (*names.get(self.state, ()), *(["remote"] if remote else []), *(["reached"] if near else []))
+        current = t.DECLARED.current_scale.encode(motor.current)
+        return t.STATUS.mask(*told), scale.encode(motor.frequency), current, self.fault
+
+    def _obey(self, control: int) -> None:
+        power, run = control & t.CONTROL.mask("power"), control & t.CONTROL.mask("run")
+        match self.state:
+            case State.FAULT:
+                if control & t.CONTROL.mask("reset"):
+                    self.state, self.fault = State.NOT_READY, 0
+            case _ if not power:
+                self.state = State.NOT_READY
+            case State.NOT_READY:
+                self.state = State.READY
+            case State.READY if run:
+                self.state = State.RUNNING
+                self.starts += 1
+            case State.RUNNING if not run and not self.motor.frequency:
+                self.state = State.READY
+
+    def _live(self, spec: ParamSpec) -> int | None:
+        return self.starts if spec.name == "starts" else None
+
+    def _locked(self, spec: ParamSpec) -> bool:
+        return spec.number == t.SOURCE and self.state is State.RUNNING

@@ -1,0 +1,390 @@
+"""``dpstack drive``: every form, alone in the foreground and through a run; what it says and how it ends."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import signal
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from programs import PLANT, Starter
+
+import dpstack
+from dpstack.api.bus import Bus
+from dpstack.api.control import drives
+from dpstack.api.control.client import connect
+from dpstack.api.control.drives import find_drive
+from dpstack.api.control.programs import control_run
+from dpstack.api.parameter_dump import dump
+from dpstack.api.parameter_list import ParameterList
+from dpstack.cli.main import main
+from dpstack.errors import BusError, DriveFault, DriveTimeout, ParameterError, UsageError
+from dpstack.profile import DriveDevice
+
+Out = pytest.CaptureFixture[str]
+#: the hoist is as delivered: 412 is 44, and nobody may change it
+ALL = """
+[bus]
+port = "virtual"
+baud = 1500000
+
+[[slave]]
+name = "demag"
+address = 3
+drive = "demag-dedrive"
+options = { set_412 = true }
+
+[[slave]]
+name = "fuji"
+address = 4
+drive = "fuji-frenic"
+
+[[slave]]
+name = "imo"
+address = 5
+drive = "imo-hd2"
+options = { set_map = true, map_outputs = "set_frequency", map_inputs = "frequency fault_code" }
+
+[[slave]]
+name = "keb"
+address = 6
+drive = "keb-f5"
+
+[[slave]]
+name = "ls"
+address = 7
+drive = "ls-s100"
+"""
+
+
+@pytest.fixture(autouse=True)
+def alone(monkeypatch: pytest.MonkeyPatch, runtime_directory: str) -> Iterator[None]:
+    """No run of another test is on "virtual"."""
+    with tempfile.TemporaryDirectory(prefix="d", dir=runtime_directory) as path:
+        monkeypatch.setenv("XDG_RUNTIME_DIR", path)
+        yield
+
+
+@pytest.fixture
+def fast(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The foreground in virtual time."""
+    monkeypatch.setattr("asyncio.run", dpstack.run_virtual)
+
+
+@pytest.fixture
+def plant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "plant.toml"
+    path.write_text(PLANT.format(port="virtual"), encoding="utf-8")
+    return path
+
+
+def drive(capsys: Out, *args: str, code: int = 0) -> tuple[list[str], list[str]]:
+    """Lines on standard output and standard error."""
+    assert main(["drive", *args]) == code, capsys.readouterr()
+    printed = capsys.readouterr()
+    told = [line for line in printed.err.splitlines() if "its ident number is" not in line]
+    return printed.out.splitlines(), told
+
+
+# -- in the foreground --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("fast")
+@pytest.mark.parametrize("name", ["demag", "fuji", "imo", "keb", "ls"])
+def test_every_word_for_every_drive(name: str, tmp_path: Path, capsys: Out) -> None:
+    """One command line, five drives: only the name changes."""
+    path = tmp_path / "all.toml"
+    path.write_text(ALL, encoding="utf-8")
+    file = str(tmp_path / "it.toml")
+    words = f"status start speed 0.5 reached frequency 20 reached stop dump {file} compare {file} start quick_stop"
+    words = words if name not in ("imo",) else words.replace(" quick_stop", " coast")
+    # at a low rate there is less to compute; the IMO's card hears one rate only
+    baud = "1500000" if name == "imo" else "93750"
+    out, err = drive(capsys, str(path), name, *words.split(), "acknowledge", "--json", "--baud", baud)
+    assert [line for line in err if not line.startswith(f"dpstack: drive {name}: ")] == []  # what plugins advise
+    told = [json.loads(line) for line in out]
+    assert [one["order"] for one in told] == [word for word in (*words.split(), "acknowledge") if word.isidentifier()]
+    assert {one["drive"] for one in told} == {name}
+    assert {one["through"] for one in told} == {"master"}
+    assert told[1]["status"]["running"]
+    assert told[3]["status"]["speed"] == pytest.approx(0.5, abs=0.02)
+    assert told[5]["status"]["frequency_hz"] == pytest.approx(20, abs=1)
+    assert not told[6]["status"]["running"]
+    assert told[7]["parameters"] == told[8]["same"] + len(told[8]["skipped"]) > 10
+    assert told[8]["differences"] == []
+
+
+@pytest.mark.usefixtures("fast")
+def test_parameters_for_people(plant: Path, capsys: Out) -> None:
+    hoist = (str(plant), "hoist")
+    out, _ = drive(capsys, *hoist, "read", "480", "read", "fixed_frequency_1", "--data-set", "3")
+    assert out == [
+        "hoist: 480 (fixed_frequency_1), data set 3 = 5.0 Hz",
+        "hoist: fixed_frequency_1, data set 3 = 5.0 Hz",
+    ]
+    drive(capsys, *hoist, "dump", "h.toml", "--data-set", "3")
+    out, _ = drive(capsys, *hoist, "write", "480", "-300", "compare", "h.toml", "--data-set", "3", code=1)
+    assert out[:2] == [
+        "hoist: 480 (fixed_frequency_1), data set 3 = -300.0 Hz",
+        "fixed_frequency_1, data set 3 (Fixed frequency 1): file 5.0 Hz, drive -300.0 Hz",
+    ]
+    assert out[-1] == "hoist: 17 parameters are as in h.toml, 1 differ"
+    assert any(line.startswith("not compared: internal_reference_frequency, ") for line in out)
+    out, _ = drive(capsys, *hoist, "compare", "h.toml", "--all", "--json")
+    (told,) = map(json.loads, out)
+    assert (told["same"], told["file"]) == (24, "h.toml")
+    _, err = drive(capsys, str(plant), "fan", "compare", "h.toml", code=2)
+    assert err[0].startswith("dpstack: drive fan: PPO3 of fuji-frenic has no parameter channel") or "demag" in err[0]
+
+
+@pytest.mark.usefixtures("fast")
+@pytest.mark.parametrize(
+    ("words", "code", "says"),
+    [
+        ("nobody status", 2, "no drive 'nobody' in this configuration; there are: hoist (3), fan (4)"),
+        ("raw start", 2, "slave 9 (raw) is no drive; give it `drive = ...` in its table"),
+        ("hoist strat", 2, "a drive does not know 'strat'; did you mean start?"),
+        ("hoist quick-stop", 2, "did you mean quick_stop?"),
+        ("hoist dance", 2, "it knows status, start, stop, quick_stop"),
+        ("hoist speed", 2, "speed takes V, for instance: speed 0.5"),
+        ("hoist dump", 2, "dump takes FILE, for instance: dump hoist.toml"),
+        ("hoist start --ram", 2, "--ram is for write: leave it out"),
+        ("hoist status --data-set 1", 2, "--data-set is for compare, dump, read, write: leave it out"),
+        ("hoist speed fast", 2, "'fast' is no number; write for instance 20.5"),
+        ("fan speed 9", 2, "drive fan: speed 9 is outside -2..1.9999"),
+        ("fan reached", 2, "the drive is not running (it reports ready_to_switch_on): start it first"),
+        ("fan read F26", 2, "PPO3 of fuji-frenic has no parameter channel"),
+        ("fan dump f.toml", 2, "PPO3 of fuji-frenic has no parameter channel"),
+        ("hoist read 5000", 2, "parameter numbers are 1..999"),
+        ("hoist read 999", 1, "parameter 999: error 0, inadmissible parameter number"),
+        ("hoist compare none.toml", 2, "none.toml: No such file or directory; make the file by"),
+        ("hoist dump no/where.toml", 2, "no/where.toml: cannot be written (No such file or directory)"),
+        ("hoist start", 1, "412 is 44: control not by the bus; write 412 = 1 in the active data set (1)"),
+    ],
+)
+def test_what_cannot_be_done_is_one_line(words: str, code: int, says: str, plant: Path, capsys: Out) -> None:
+    out, err = drive(capsys, str(plant), *words.split(), code=code)
+    assert out == []
+    assert len(err) == 1
+    assert says in err[0]
+
+
+@pytest.mark.usefixtures("fast")
+def test_a_set_point_alone_moves_nothing(plant: Path, capsys: Out) -> None:
+    out, err = drive(capsys, str(plant), "4", "frequency", "12", "--seconds", "1")
+    assert out == [
+        "fan: ready_to_switch_on at 0.0% (0.0 Hz), set point 20.0%",
+        "master in the foreground until Ctrl-C, which ends",
+    ]
+    assert err == ["dpstack: fan does not run: `start` starts it, for instance: fan start speed 0.5"]
+
+
+@pytest.mark.usefixtures("fast")
+def test_the_end_of_the_time_stops_it_by_its_ramp(plant: Path, capsys: Out, monkeypatch: pytest.MonkeyPatch) -> None:
+    speeds: list[float] = []
+    close = Bus.close
+
+    async def closing(bus: Bus) -> None:
+        speeds.append(bus.drive("fan").status.speed or 0.0)
+        await close(bus)
+
+    monkeypatch.setattr(Bus, "close", closing)
+    out, err = drive(capsys, str(plant), "fan", "start", "speed", "50%", "reached", "--seconds", "1")
+    assert err == []
+    assert "fan: stopping by its ramp; a second Ctrl-C ends at once" in out
+    assert out[-1] == "fan: ready_to_switch_on at 0.0% (0.0 Hz), set point 50.0%"
+    assert speeds == [0.0]  # before the bus put out safe values
+
+
+@pytest.mark.usefixtures("fast")
+def test_a_drive_that_trips_ends_it(plant: Path, capsys: Out, monkeypatch: pytest.MonkeyPatch) -> None:
+    operate = Bus.operate
+
+    async def trip(bus: Bus) -> None:
+        await bus.until(lambda: bus.drive("fan").status.running)
+        assert bus.bench is not None
+        device = bus.bench.device(4)
+        assert isinstance(device, DriveDevice)
+        device.trip("OL1")
+
+    async def operating(bus: Bus) -> None:
+        await operate(bus)
+        tripping.append(asyncio.ensure_future(trip(bus)))
+
+    tripping: list[asyncio.Task[None]] = []
+    monkeypatch.setattr(Bus, "operate", operating)
+    out, err = drive(capsys, str(plant), "fan", "start", code=1)
+    assert out[-1].startswith("fan: fault at ")
+    assert err[-1] == (
+        "dpstack: drive fan stopped by itself: fault without a name: PPO3 and PPO4 do not carry it, the keypad shows it"
+    )
+
+
+@pytest.mark.usefixtures("fast")
+def test_a_read_only_configuration_gives_no_orders(plant: Path, capsys: Out) -> None:
+    plant.write_text(plant.read_text().replace("[bus]", "[bus]\nread_only = true"), encoding="utf-8")
+    assert "no drive can be given an order" in drive(capsys, str(plant), "fan", "status", code=2)[1][0]
+
+
+# -- through a run ------------------------------------------------------------------------------------------------
+
+
+async def through(plant: Path, bus: Bus) -> None:
+    found = await find_drive("virtual", "hoist")
+    assert found is not None
+    assert (found.kind, found.address) == ("demag-dedrive", 3)
+    with pytest.raises(DriveFault, match="412 is 44"):
+        await found.order("start")
+    with pytest.raises(ParameterError, match="error 0, inadmissible") as refused:
+        await found.parameter(999)
+    assert (refused.value.drive, refused.value.number) == ("hoist", 0)
+    with pytest.raises(UsageError, match="parameter numbers are"):
+        await found.order("read", "5000")
+    for args, says in (
+        (("read", "480", "data_set=x"), "data_set=x: write for instance data_set=1"),
+        (("read", "480", "ram=true"), "read has no ram; it is for write"),
+        (("write", "480", "5", "ram=maybe"), "ram=maybe: write for instance ram=true"),
+        (("start", "timeout=nan"), "timeout=nan: write for instance timeout=1"),
+        (("status", "now"), "status takes nothing, for instance: status"),
+    ):
+        with pytest.raises(UsageError, match=says):
+            await found.order(*args)
+    told = await found.order("write", "480", "0x7", "data_set=2", "ram=true", "timeout=3")
+    assert told["parameter"]["value"] == 7
+    await found.order("write", "412", "1")
+    await found.learn()
+    listed = await dump(found, plant.with_name("remote.toml"), data_set=2)
+    assert listed == ParameterList.load(plant.with_name("remote.toml"))
+    assert [one.value for one in listed.parameters if one.number == 480] == [7.0]
+    # it starts, and goes on when the connection is gone
+    await found.order("start")
+    found.close()
+    assert bus.drive("hoist").status.running
+    with connect("virtual") as client:  # as `dpstack ctl` does
+        assert client.call("drive", "hoist", "status")["status"]["running"]
+
+
+async def test_a_run_carries_the_orders_out(plant: Path) -> None:
+    async with dpstack.open_bus(plant) as bus, control_run(bus, "virtual"):
+        await bus.operate()
+        await bus.ready()
+        work = asyncio.ensure_future(asyncio.to_thread(asyncio.run, through(plant, bus)))
+        await work
+        with pytest.raises(UsageError, match="no drive 'valve' on this bus; there are: hoist, fan"):
+            await find_drive("virtual", "valve")
+    assert await find_drive("virtual", "hoist") is None
+
+
+async def test_who_hangs_up_ends_the_order(plant: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A start that waits for the bus to operate must not come true when nobody waits for it any more."""
+    monkeypatch.setattr(drives, "_SIGN_OF_LIFE_S", 0.02)
+    async with dpstack.open_bus(plant) as bus, control_run(bus, "virtual"):
+        await bus.ready()  # in Clear
+        found = await find_drive("virtual", "fan")
+        assert found is not None
+        order = asyncio.ensure_future(found.order("start", "timeout=60"))
+        await asyncio.sleep(0.1)
+        assert not order.done()
+        order.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await order
+        await asyncio.sleep(0.1)
+        await bus.operate()
+        await bus.until(lambda: bus.drive("fan").status.state == "ready_to_switch_on", 5)
+        await bus.rotated(bus.stats.rotations + 100, 5)
+        assert not bus.drive("fan").status.running
+
+
+async def test_a_run_that_can_give_no_orders_says_so(plant: Path) -> None:
+    config = dpstack.load_config(plant)
+    async with dpstack.open_bus(config, read_only=True) as bus, control_run(bus, "virtual"):
+        with pytest.raises(BusError, match="this run is read only"):
+            await find_drive("virtual", "fan")
+
+
+async def test_a_drive_that_is_not_there_is_told_with_its_reason(plant: Path) -> None:
+    async with dpstack.open_bus(plant) as bus, control_run(bus, "virtual"):
+        await bus.operate()
+        await bus.ready()
+        assert bus.bench is not None
+        bus.bench.power(4, False)
+        await bus.until(lambda: not bus.slave(4).ready_now, 5)
+        found = await find_drive("virtual", "fan")
+        assert found is not None
+        with pytest.raises(
+            (DriveTimeout, dpstack.DriveError), match="slave 4 is not in data exchange: stopped answering"
+        ):
+            await found.order("start", "timeout=0.2")
+        found.close()
+
+
+# -- programs -----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Starter]:
+    folder = tmp_path / "output"
+    folder.mkdir()
+    starter = Starter(folder)
+    yield starter
+    starter.close()
+
+
+def port_of(program: Any) -> str:
+    program.wait_for('"port"')
+    return str(program.lines[0]["port"])
+
+
+def test_alone_on_a_port_until_ctrl_c(plant: Path, start: Starter, capsys: Out) -> None:
+    sim = start("sim", str(plant), "--port", "pty", "--json")
+    port = port_of(sim)
+    plant.write_text(PLANT.format(port=port), encoding="utf-8")
+    hand = start("drive", str(plant), "fan", "start", "speed", "0.2", "reached")
+    hand.wait_for("master in the foreground until Ctrl-C, which stops the drive by its ramp and ends")
+    _, err = drive(capsys, str(plant), "fan", "status", code=1)
+    assert f"pid {hand.process.pid}" in err[0]
+    assert hand.end(signal.SIGINT) == 0
+    told = [line for line in hand.out.splitlines() if line.startswith("fan: ")]
+    assert told[0].startswith("fan: running at 0.0%")
+    assert "fan: stopping by its ramp; a second Ctrl-C ends at once" in told
+    assert told[-1] == "fan: ready_to_switch_on at 0.0% (0.0 Hz), set point 20.0%"
+    # a run at the same end; `dpstack ctl` still finds the sim, which was there first
+    run = start("run", str(plant), "--json")
+    run.wait_for_slaves(3)
+    (status,) = (json.loads(line) for line in drive(capsys, str(plant), "fan", "status", "--json")[0])
+    assert status["through"] == "run"
+    assert status["status"]["state"] == "fault"  # Er5: its watchdog ended the data exchange with the first master (F8)
+    assert main(["ctl", port]) == 0
+    assert capsys.readouterr().out.startswith("sim on ")
+    assert run.end(signal.SIGTERM) == 0
+    assert sim.end(signal.SIGTERM) == 0
+
+
+def test_through_a_run_on_a_segment(plant: Path, tmp_path: Path, start: Starter, capsys: Out) -> None:
+    bus = tmp_path / "bus"
+    start("segment", "--stations", "2", "--dir", str(bus)).wait_for(str(bus / "1"))
+    start("sim", str(plant), "--port", str(bus / "0")).wait_for("raw")
+    plant.write_text(PLANT.format(port=bus / "1"), encoding="utf-8")
+    run = start("run", str(plant), "--json")
+    run.wait_for_slaves(3)
+    out, err = drive(capsys, str(plant), "fan", "start", "speed", "0.3", "reached")
+    assert err == []
+    assert out[-1] == (
+        f"it keeps running under the run on {bus / '1'} (pid {run.process.pid}): "
+        f"`dpstack drive {plant} fan stop` stops it, and so does the end of that run"
+    )
+    (told,) = (json.loads(line) for line in drive(capsys, str(plant), "fan", "status", "--json")[0])
+    assert (told["through"], told["status"]["running"]) == ("run", True)
+    assert told["status"]["speed"] == pytest.approx(0.3, abs=0.02)
+    other = tmp_path / "other.toml"
+    other.write_text(plant.read_text().replace("address = 4", "address = 5"), encoding="utf-8")
+    _, err = drive(capsys, str(other), "fan", "stop", code=2)
+    assert "but a fuji-frenic at 4 for the run on" in err[0]
+    out, _ = drive(capsys, str(plant), "fan", "stop", "status")
+    assert out[0].startswith("fan: ready_to_switch_on at 0.0%")
+    assert run.end(signal.SIGTERM) == 0
