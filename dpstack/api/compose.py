@@ -10,7 +10,7 @@ from dpstack.api.config import Config, rate_findings
 from dpstack.api.planning import adapter_notes, other_masters, refuse_misfit, with_t_tr
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.api.streams import Rounds
-from dpstack.dp.class2 import Class2
+from dpstack.dp.acyclic import Acyclic
 from dpstack.dp.master import Master
 from dpstack.dp.plan import Case, Plan, make_plan
 from dpstack.dp.reading import reading_only
@@ -132,7 +132,7 @@ def compose(
     )
     watcher = _watcher(config, params, patience) if read_only and watched else None
     users: list[LinkUser] = [master] if watcher is None else [master, watcher]
-    users.append(Class2(params.address, master))
+    users.append(Acyclic(params.address, master))
     guard = reading_only if read_only else None
     station = ActiveStation(params, users, patience=patience, guard=guard, budget=master.budget)
     if port is not None:
