@@ -48,7 +48,7 @@ class Master:
     ``absent_share``: while any slave is in data exchange, silent polls of absent ones take at most 1/absent_share of
     the bus time; 0 = no limit. ``auto_clear``: to Clear when a slave had no good data exchange for
     ``data_control_ns``. ``read_only``: it stays in Stop, where nothing is sent to slaves. ``on_round(now)`` is
-    called at the end of every round with data exchange.
+    called at the end of every round with data exchange, ``on_begin()`` at the beginning of every round.
     """
 
     def __init__(
@@ -70,6 +70,7 @@ class Master:
         self.rotation = Histogram()
         self.rounds = 0
         self.on_round = on_round
+        self.on_begin: Callable[[], None] | None = None
         self.controls = Controls(params, self.handlers, self._emit)
         self._events: list[Event] = []
         self._turns = Turns(absent_share)
@@ -105,6 +106,11 @@ class Master:
     def images(self) -> dict[int, SlaveImage]:
         """The process image of each slave by address."""
         return {address: handler.image for address, handler in self.handlers.items()}
+
+    @property
+    def rotation_count(self) -> int:
+        """Rotations up to now."""
+        return self.rotation.count
 
     def command(self, command: object, now: int) -> bool:
         """Take the orders of :mod:`dpstack.dp.commands`. Misuse raises before anything is changed."""
@@ -249,6 +255,8 @@ class Master:
             self._begin_round(now)
 
     def _begin_round(self, now: int) -> None:
+        if self.on_begin is not None:
+            self.on_begin()
         turns = self._turns
         turns.begin_round(self.handlers)
         self.controls.begin_round()
