@@ -11,7 +11,7 @@ import pytest
 from aio_rig import BACKOFF, REQUEST, TOKEN, Rig, Script
 from far_ends import PtyFarEnd, until
 
-from dpstack.drivers import aio
+from dpstack.drivers import stepping
 from dpstack.drivers.aio import AsyncioRuntime, patience_of
 from dpstack.drivers.base import PortBack, PortLost
 from dpstack.drivers.echo import Echo
@@ -136,7 +136,7 @@ async def test_endless_near_deadlines_leave_the_loop_its_turns() -> None:
         rig.driver.command(2_000)
         before = len(rig.machine.did("wake"))
         await asyncio.sleep(0.005)
-        assert len(rig.machine.did("wake")) > before + aio._BURST
+        assert len(rig.machine.did("wake")) > before + stepping._BURST
         rig.machine.on_wake = lambda _now: None
 
 
