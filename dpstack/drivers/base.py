@@ -43,7 +43,9 @@ class PortBack(Event):
 class Runtime(Protocol):
     """A running driver. Constructed with its machine, its line and an :data:`OnEvents`."""
 
-    lateness: Lateness
+    @property
+    def lateness(self) -> Lateness:
+        """How late answers arrive."""
 
     @property
     def port_name(self) -> str:

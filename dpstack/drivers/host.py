@@ -11,6 +11,7 @@ from typing import Final
 from dpstack.dp.class2 import ServiceDone
 from dpstack.dp.commands import AddSlave, SendControl
 from dpstack.dp.events import ControlFailed, ControlSent, DriveEvent, PictureTaken
+from dpstack.dp.image import SlaveImage
 from dpstack.dp.scanner import Scanner
 from dpstack.dp.survey import SurveyResult
 from dpstack.drivers import plugins
@@ -145,19 +146,16 @@ class Host:
 
     def _serve(self) -> None:
         """One order a turn of the loop: whatever the application does, the bus comes in between."""
-        if not self._questions or self._over:
-            return
         question = self._questions.popleft()
         answer = Answer(question.number)
+        order = None
         try:
             order = order_of(question.order)
             answer.value = self._carry_out(order)
         except Exception as error:
             answer.error = error_pair(error)
-        if self._over:
-            return
         self._outbox.send(Message(answer=answer))
-        if isinstance(answer.value, Counters) and isinstance(order, CloseBus):
+        if isinstance(order, CloseBus):
             self._stop()
         elif self._questions:
             self._loop.call_soon(self._serve)
@@ -194,7 +192,7 @@ class Host:
                 self._tell([])
         return None
 
-    def _handler_image(self, address: int):  # type: ignore
+    def _handler_image(self, address: int) -> SlaveImage:
         handler = self._master.handlers.get(address)
         if handler is None:
             raise UsageError(f"no slave with address {address} in the bus process")

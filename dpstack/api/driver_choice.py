@@ -1,0 +1,45 @@
+"""Which driver keeps a bus going: what is asked for, or for "auto" what was measured to be better (docs/drivers.md)."""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import Final
+
+from dpstack.api.config import Config
+from dpstack.errors import ConfigError
+from dpstack.ports import Delivery, Port
+
+ASYNCIO: Final = "asyncio"
+PROCESS: Final = "process"
+VIRTUAL: Final = "virtual"
+
+
+def driver_for(config: Config, port: Port | None) -> str:
+    """ASYNCIO or PROCESS for ``port``; VIRTUAL where there is none: simulated slaves, a given world.
+
+    Raises ConfigError where "process" is wanted and cannot be.
+    """
+    wanted = config.bus.driver
+    if port is None:
+        if wanted == PROCESS:
+            raise _refusal(config, "a simulated bus lives in the program's own process", "leave driver out")
+        return VIRTUAL
+    if wanted == PROCESS:
+        if sys.platform != "linux":
+            raise _refusal(config, f"the bus process needs Linux, this is {sys.platform}", 'take driver = "asyncio"')
+        if config.port.startswith("rfc2217://"):
+            raise _refusal(config, "an rfc2217:// port needs asyncio", 'take driver = "asyncio"')
+        return PROCESS
+    return PROCESS if wanted == "auto" and _worth_it(port) else ASYNCIO
+
+
+def _worth_it(port: Port) -> bool:
+    """A real line, a second processor, and the right to go before everybody else."""
+    if sys.platform != "linux" or port.delivery is not Delivery.ADAPTER or port.fd_kind != "tty":
+        return False
+    return len(os.sched_getaffinity(0)) > 1 and may_have_priority()
+
+
+def _refusal(config: Config, why: str, what: str) -> ConfigError:
+    return config.source.error(("bus", "driver"), f'[bus]: driver = "process": {why}', what)
