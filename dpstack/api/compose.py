@@ -2,39 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 from dpstack.api.bench import VirtualBench
 from dpstack.api.config import Config, rate_findings
+from dpstack.api.drive import DriveSeen
+from dpstack.api.driver_choice import PROCESS, driver_for
+from dpstack.api.remote import attach_remote, core_of, known_places, plugin_of
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.api.streams import Rounds
-from dpstack.dp.class2 import Class2
 from dpstack.dp.master import Master
 from dpstack.dp.plan import Case, Plan, make_plan, t_tr_preset
-from dpstack.dp.reading import reading_only
-from dpstack.dp.scanner import Scanner
 from dpstack.dp.setup import SlaveSetup
+from dpstack.dp.survey import SurveyOrder, SurveyResult
+from dpstack.drivers import seen
 from dpstack.drivers.aio import AsyncioRuntime, OnFailure, patience_of
 from dpstack.drivers.base import OnEvents, Runtime
 from dpstack.drivers.echo import Echo
+from dpstack.drivers.stack import StackSpec, build_stack
 from dpstack.drivers.virtual import VirtualRuntime
 from dpstack.fdl.active import ActiveStation
-from dpstack.fdl.livelist import LiveList, live_allowance
-from dpstack.fdl.user import LinkUser
+from dpstack.fdl.commands import AttachUser, DetachUser
 from dpstack.params import BusParams
 from dpstack.phy.neighbours import Neighbours
 from dpstack.phy.patience import EXACT, Patience, slack
 from dpstack.ports import Delivery, Port, open_port
 from dpstack.profile import DriveCore
 from dpstack.sim.world import World
-from dpstack.units import NS_PER_MS, NS_PER_S
+from dpstack.units import NS_PER_MS
 
 ECHO: Final = {None: Echo.AUTO, True: Echo.ON, False: Echo.OFF}
-#: a read-only bus asks the whole live list and the diagnosis of each slave anew so often
-_LIST_PERIOD: Final = 10 * NS_PER_S
-_DIAGNOSIS_PERIOD: Final = 500 * NS_PER_MS
 
 
 def plan_bus(config: Config, baud: int | None = None) -> Plan:

@@ -26,7 +26,7 @@ from dpstack.units import BAUD_RATES, baud_text
 VIRTUAL: Final = "virtual"
 #: the baud rate is found by listening (see :mod:`dpstack.api.baud`); echo is recognised
 AUTO: Final = "auto"
-_DRIVERS: Final = ("auto", "asyncio")
+_DRIVERS: Final = ("auto", "asyncio", "process")
 _BUS_KEYS: Final = (
     "port",
     "baud",
@@ -252,10 +252,8 @@ def _read_bus(table: Table) -> BusConfig:
     table.check_keys(_BUS_KEYS)
     table.refuse_later(_BUS_LATER)
     driver = table.text("driver") or "auto"
-    if driver == "process":
-        table.fail("driver", 'driver "process" is not supported yet by this version', 'use "auto" or "asyncio"')
     if driver not in _DRIVERS:
-        table.fail("driver", f"unknown driver {driver!r}", 'it must be "auto" or "asyncio"')
+        table.fail("driver", f"unknown driver {driver!r}", 'it must be "auto", "asyncio" or "process"')
     return BusConfig(
         port=table.text("port"),
         baud=_baud(table),

@@ -7,6 +7,7 @@ import sys
 from typing import Final
 
 from dpstack.api.config import Config
+from dpstack.drivers.realtime import rights
 from dpstack.errors import ConfigError
 from dpstack.ports import Delivery, Port
 
@@ -28,17 +29,21 @@ def driver_for(config: Config, port: Port | None) -> str:
     if wanted == PROCESS:
         if sys.platform != "linux":
             raise _refusal(config, f"the bus process needs Linux, this is {sys.platform}", 'take driver = "asyncio"')
-        if config.port.startswith("rfc2217://"):
-            raise _refusal(config, "an rfc2217:// port needs asyncio", 'take driver = "asyncio"')
+        if _needs_asyncio(port):
+            raise _refusal(config, f"the port {config.port} is of a kind that needs asyncio", 'take driver = "asyncio"')
         return PROCESS
     return PROCESS if wanted == "auto" and _worth_it(port) else ASYNCIO
 
 
 def _worth_it(port: Port) -> bool:
     """A real line, a second processor, and the right to go before everybody else."""
-    if sys.platform != "linux" or port.delivery is not Delivery.ADAPTER or port.fd_kind != "tty":
+    if sys.platform != "linux" or port.delivery is not Delivery.ADAPTER or _needs_asyncio(port):
         return False
-    return len(os.sched_getaffinity(0)) > 1 and may_have_priority()
+    return len(os.sched_getaffinity(0)) > 1 and not rights().no_priority()
+
+
+def _needs_asyncio(port: Port) -> bool:
+    return type(port).open_now is Port.open_now
 
 
 def _refusal(config: Config, why: str, what: str) -> ConfigError:

@@ -30,8 +30,8 @@ def plugin_of(slave: SlaveConfig) -> PluginRef | None:
     place = registry.places().get(slave.profile.name)
     if place is None:
         raise ConfigError(
-            f"slave {slave.address} ({slave.name}): its drive plugin {slave.profile.name!r} is an object of this program, "
-            f"and the bus process is handed names only; give it an entry point of the group {registry.GROUP}, "
+            f"slave {slave.address} ({slave.name}): its drive plugin {slave.profile.name!r} is an object of this "
+            f"program, and the bus process is handed names only; give it an entry point of the group {registry.GROUP}, "
             'or take driver = "asyncio"'
         )
     return PluginRef(place=place, name=slave.name, telegram=slave.telegram, options=dict(slave.options))

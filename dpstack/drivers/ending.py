@@ -26,9 +26,7 @@ _LAST_OCTETS: Final = 13
 class Ending:
     """Begun once; ``finished`` is called with the reason when it is through, or took too long."""
 
-    def __init__(
-        self, loop: PlainLoop, runtime: PlainRuntime, stack: Stack, finished: Callable[[str], None]
-    ) -> None:
+    def __init__(self, loop: PlainLoop, runtime: PlainRuntime, stack: Stack, finished: Callable[[str], None]) -> None:
         self._loop = loop
         self._runtime = runtime
         self._stack = stack

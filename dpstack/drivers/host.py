@@ -294,7 +294,9 @@ class Host:
             events: list[Event] = []
             if self._dropped:
                 text = f"the application did not read for a while: {self._dropped} events were dropped"
-                events.append(Notice(t_ns=monotonic_ns(), source="bus process", message=text, severity=Severity.WARNING))
+                events.append(
+                    Notice(t_ns=monotonic_ns(), source="bus process", message=text, severity=Severity.WARNING)
+                )
                 self._dropped = 0
             self._behind = False
             self._tell(events)
@@ -330,5 +332,3 @@ class Host:
             self._loop.remove_reader(self._sock.fileno())
             self._outbox.close()
             self._loop.stop()
-
-

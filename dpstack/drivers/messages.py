@@ -54,7 +54,7 @@ _LENGTH: Final = 4
 Named = tuple[str, object]
 
 
-# --- orders of the parent that no machine knows -------------------------------------------------------------------------
+# --- orders of the parent that no machine knows ----------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -133,7 +133,7 @@ ORDERS: Final[dict[str, type]] = {
 }  # fmt: skip
 
 
-# --- what the bus process tells -----------------------------------------------------------------------------------------
+# --- what the bus process tells --------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,7 +230,7 @@ class Message:
     question: Question | None = None
 
 
-# --- the codec ----------------------------------------------------------------------------------------------------------
+# --- the codec -------------------------------------------------------------------------------------------------------
 
 
 def _plain(value: object) -> object:

@@ -255,5 +255,3 @@ def checked_arguments(args: Mapping[str, object]) -> dict[str, object]:
         key: value if isinstance(value, plain) or (isinstance(value, float) and value - value == 0) else repr(value)
         for key, value in args.items()
     }
-
-

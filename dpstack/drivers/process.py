@@ -218,8 +218,13 @@ class ProcessRuntime:
     # --- what else the bus process does -------------------------------------------------------------------------------
 
     def attach_plugin(self, address: int, plugin: PluginRef) -> None:
-        """Put a drive plugin onto a process image over there. Raises ConfigError when it cannot be imported."""
-        self._ask(AttachPlugin(address, plugin))
+        """Put a drive plugin onto a process image over there. Raises ConfigError when it cannot be imported.
+
+        The plugins that the bus process is started with stand there already.
+        """
+        if self._sock is not None:
+            self._ask(AttachPlugin(address, plugin))
+        self.mirror.master.handlers[address].image.unit = plugin
 
     def unit_status(self, address: int) -> object | None:
         """What the cyclic unit of a slave tells, as plain data; None when nobody can be asked any more."""
@@ -360,9 +365,7 @@ class ProcessRuntime:
                 self._on_events([self.mirror.worded(event_of(event)) for event in news.events])
         except Exception as error:
             if self._loop is not None:
-                self._loop.call_exception_handler(
-                    {"message": "the handler of bus events raised", "exception": error}
-                )
+                self._loop.call_exception_handler({"message": "the handler of bus events raised", "exception": error})
 
     # --- the end ------------------------------------------------------------------------------------------------------
 
