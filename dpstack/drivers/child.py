@@ -17,6 +17,7 @@ from typing import Final
 from dpstack.drivers.host import Host
 from dpstack.drivers.messages import Answer, Frames, Message, SetUp, error_pair, framed, order_of
 from dpstack.drivers.plain_loop import PlainLoop
+from dpstack.drivers.realtime import become_real_time
 from dpstack.drivers.shared_image import SharedImage
 from dpstack.errors import BusError
 
@@ -45,7 +46,7 @@ def main(arguments: list[str]) -> int:
         if setup is None:
             return 1
         host = Host(loop, sock, image, setup)
-        host.open()
+        host.open(become_real_time())
     except Exception as error:
         with contextlib.suppress(OSError):
             sock.sendall(framed(Message(answer=Answer(0, error=error_pair(error)))))

@@ -62,6 +62,10 @@ def _owed(event: Event) -> bool:
     return isinstance(event, (ServiceDone, ControlSent, ControlFailed, PictureTaken))
 
 
+def _notice(text: str) -> Notice:
+    return Notice(t_ns=monotonic_ns(), source="bus process", message=text, severity=Severity.WARNING)
+
+
 class Host:
     """Everything of one bus in ``loop``. ``sock`` leads to the application, ``image`` is shared with it.
 
@@ -97,7 +101,6 @@ class Host:
         self._watched = False
         self._round_told = True
         self._dropped = 0
-        self._behind = False  # state was not told because nobody reads
         self._over = False
         # what was told last
         self._bus: BusNow | None = None
@@ -105,13 +108,15 @@ class Host:
         self._watcher: WatcherNow | None = None
         self._told_surveys: set[int] = set()
 
-    def open(self) -> None:
-        """Open the port, say hello, listen to the application. Raises PortError, ConfigError."""
+    def open(self, notices: list[str]) -> None:
+        """Open the port, say hello, listen to the application. Raises PortError, ConfigError.
+
+        ``notices``: what this process was not permitted, for people.
+        """
         self._master.on_round = self._on_round
         self._master.on_begin = self._take_outputs
         self.runtime.open()
-        self._publish()
-        self._tell([])
+        self._tell([_notice(text) for text in notices])
         self._outbox.send(Message(answer=Answer(0, value=Hello(self.runtime.port_name, self.runtime.paced))))
         self._sock.setblocking(False)
         self._loop.add_reader(self._sock.fileno(), self._on_readable)
@@ -240,7 +245,6 @@ class Host:
         if self._outbox.full:
             kept = [event for event in events if _owed(event)]
             self._dropped += len(events) - len(kept)
-            self._behind = True
             if not kept:
                 return
             events = kept
@@ -291,15 +295,9 @@ class Host:
         if self._over:
             return
         if not self._outbox.full:
-            events: list[Event] = []
-            if self._dropped:
-                text = f"the application did not read for a while: {self._dropped} events were dropped"
-                events.append(
-                    Notice(t_ns=monotonic_ns(), source="bus process", message=text, severity=Severity.WARNING)
-                )
-                self._dropped = 0
-            self._behind = False
-            self._tell(events)
+            missed, self._dropped = self._dropped, 0
+            text = f"the application did not read for a while: {missed} events were dropped"
+            self._tell([_notice(text)] if missed else [])
         self._loop.call_at(monotonic_ns() + _RHYTHM, self._on_rhythm)
 
     def _counters(self) -> Counters:

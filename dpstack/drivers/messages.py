@@ -181,7 +181,7 @@ class Counters:
 
 @dataclass(frozen=True, slots=True)
 class Hello:
-    """The port is open. ``realtime``: what was asked of the system, for people."""
+    """The port is open."""
 
     port_name: str
     paced: bool
