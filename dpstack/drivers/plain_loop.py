@@ -81,8 +81,8 @@ class PlainLoop:
     """
 
     def __init__(self, *, report: Report | None = None, budget: Budget | None = None) -> None:
-        self.report = report or _print
-        self.budget = budget or Budget()
+        self.report = _print if report is None else report
+        self.budget = Budget() if budget is None else budget
         #: when something is expected to arrive (ns), NEVER for nobody knows
         self.expected_at = NEVER
         #: called before it sleeps: with the time, and when something is due or expected next (ns)

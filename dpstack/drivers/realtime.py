@@ -64,7 +64,7 @@ def limit(name: str) -> int | None:
 def is_privileged() -> bool:
     """Whether this process may beyond its limits: root may, unless a container took it away."""
     try:
-        (line,) = (line for line in _STATUS.read_text("ascii").splitlines() if line.startswith("CapEff:"))
+        (line,) = (line for line in _STATUS.read_text("utf-8").splitlines() if line.startswith("CapEff:"))
         capabilities = int(line.split()[1], 16)
     except (OSError, ValueError):
         return hasattr(os, "geteuid") and os.geteuid() == 0
