@@ -1,8 +1,8 @@
 """The process driver: the bus runs in a process of its own, and the application's is told.
 
-An order waits for its answer, for :data:`dpstack.drivers.link.ANSWER_S` at most: misuse raises at once in the caller and what an order
-changes is seen when it returns, as with every other driver. It takes the bus process a turn of its loop. Nothing else
-waits: process image and outputs stand in shared memory, states come with the events.
+An order waits for its answer, for :data:`dpstack.drivers.link.ANSWER_S` at most: misuse raises at once in the caller,
+and what an order changes is seen when it returns, as with every other driver. It takes the bus process a turn of its
+loop. Nothing else waits: process image and outputs stand in shared memory, states come with the events.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ from dpstack.errors import BusError, DpError, UsageError
 from dpstack.stats import Histogram
 from dpstack.units import NS_PER_MS
 
-#: counters asked for so shortly before are still those of this moment
-_FRESH_NS: Final = 10 * NS_PER_MS
+#: counters asked for so shortly before are still those of this moment, unless a later picture was seen
+_FRESH_NS: Final = NS_PER_MS
 _EMPTY: Final = Picture(0, 0, {})
 _numbers = itertools.count(1)
 
@@ -197,9 +197,10 @@ class ProcessRuntime:
         return self._picture
 
     def counters(self) -> Counters:
-        """What was counted: asked for anew, but at most every 10 ms; the last ones when the bus is over."""
+        """What was counted, never less than a picture has told; the last ones when the bus is over."""
         now = monotonic_ns()
-        if self._link.is_open and now - self._counted_ns >= _FRESH_NS:
+        fresh = now - self._counted_ns < _FRESH_NS and self._counters.rotation.count >= self._picture.rotations
+        if self._link.is_open and not fresh:
             with contextlib.suppress(BusError):
                 self._counters = typed(self._link.ask(AskCounters()), Counters)
                 self._counted_ns = now
