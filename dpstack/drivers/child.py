@@ -14,6 +14,7 @@ import socket
 import sys
 from typing import Final
 
+from dpstack.drivers.collecting import Collector
 from dpstack.drivers.host import Host
 from dpstack.drivers.messages import Answer, Frames, Message, SetUp, error_pair, framed, order_of
 from dpstack.drivers.plain_loop import PlainLoop
@@ -52,6 +53,9 @@ def main(arguments: list[str]) -> int:
             sock.sendall(framed(Message(answer=Answer(0, error=error_pair(error)))))
         return 1
     hosts.append(host)
+    collector = Collector()
+    collector.begin()
+    loop.on_idle = collector.idle
     loop.run()
     loop.close()
     return 0
