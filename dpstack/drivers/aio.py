@@ -38,6 +38,9 @@ class AsyncioRuntime(Stepping):
             await asyncio.wait([task])
         self._end(was_open)
 
+    def _written(self, octets: bytes, end: int) -> None:
+        """Nothing: the loop has other work than waiting for the answer."""
+
     def _waited(self, spun_ns: int, now: int) -> None:
         """Nothing: an ordinary process may spin as it likes."""
 

@@ -18,8 +18,6 @@ SPIN_AT_ONCE_NS: Final = 100 * NS_PER_US
 #: Spinning may take 27 % for good and 30 ms more at once: in any second no more than 30 %.
 _NS_PER_SPUN_NS: Final = 100 / 27
 _CREDIT_NS: Final = int(30 * NS_PER_MS * _NS_PER_SPUN_NS)
-#: Waiting for an answer leaves this much to waiting for deadlines, which a late timer costs more.
-_RESERVE_NS: Final = _CREDIT_NS // 2
 #: At least 8 % of the time is rest: what sleeps for 1 ns may be awake for this much.
 _NS_PER_SLEPT_NS: Final = 12.5
 #: A sleep this short was none: the call itself takes as long.
@@ -34,27 +32,23 @@ class Budget:
     ``rests``: whether rest is owed; None: under a real-time scheduler, as found out by :meth:`begin`.
     """
 
-    __slots__ = ("_paid_until", "_rests", "_spun_until", "_streak", "_wanted_rests")
+    __slots__ = ("_paid_until", "_spun_until", "_streak", "_wanted_rests", "rests")
 
     def __init__(self, *, rests: bool | None = None) -> None:
         self._wanted_rests = rests
-        self._rests = bool(rests)
+        self.rests = bool(rests)
         self._spun_until = 0  # when what was spun is paid off
         self._streak = 0  # spun since something was done
         self._paid_until = 0  # up to when enough was slept
 
     def begin(self, now: int) -> None:
         """The loop begins to run."""
-        self._rests = is_real_time() if self._wanted_rests is None else self._wanted_rests
+        self.rests = is_real_time() if self._wanted_rests is None else self._wanted_rests
         self._paid_until = now
 
     def may_spin(self, now: int) -> bool:
-        """Whether waiting for a deadline may be spun."""
+        """Whether there is anything left to spin with."""
         return self._spun_until - now < _CREDIT_NS
-
-    def may_look(self, now: int) -> bool:
-        """Whether waiting for an answer may be spun."""
-        return self._spun_until - now < _RESERVE_NS
 
     def left_ns(self) -> int:
         """How long a spin may be that begins now; 0: sleep first."""
@@ -73,7 +67,7 @@ class Budget:
 
     def owed_ns(self, now: int) -> int:
         """How long it must sleep now, whatever is due; 0: it need not."""
-        if not self._rests:
+        if not self.rests:
             return 0
         owed = int((now - self._paid_until) / _NS_PER_SLEPT_NS)
         return owed if owed >= _NAP_NS else 0

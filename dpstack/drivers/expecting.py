@@ -1,4 +1,7 @@
-"""When an answer is to be expected: requests that begin alike were answered after so long."""
+"""When an answer is to be expected: requests that begin alike were answered after so long.
+
+Between a request and its answer there is time for what can wait, but not for more than that.
+"""
 
 from __future__ import annotations
 

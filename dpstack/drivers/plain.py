@@ -1,7 +1,7 @@
 """The plain driver: one machine on one port in a loop of its own, without asyncio; the bus process runs on it.
 
 It is :class:`~dpstack.drivers.stepping.Stepping` as the asyncio driver is, and differs in how it waits: a deadline
-costs no system call, and the time around a deadline or an expected answer is looked at, not slept.
+costs no system call, and its last microseconds are looked at, not slept, within a budget.
 """
 
 from __future__ import annotations
@@ -77,11 +77,9 @@ class PlainRuntime(Stepping):
         self._end(was_open)
 
     # --- waiting ---
-    def _put(self, octets: bytes, now: int) -> int:
-        end = super()._put(octets, now)
+    def _written(self, octets: bytes, end: int) -> None:
         self._loop.expected_at = self._answers.sent(octets, end, self._heard_at)
         self._heard_at = 0
-        return end
 
     def _waited(self, spun_ns: int, now: int) -> None:
         self._budget.spun(spun_ns, now)

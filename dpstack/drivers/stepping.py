@@ -108,6 +108,10 @@ class Stepping(ABC):
         """A defect that nobody was told of: say it as the loop says such things."""
 
     @abstractmethod
+    def _written(self, octets: bytes, end: int) -> None:
+        """A telegram went out; its last bit leaves at ``end`` (ns)."""
+
+    @abstractmethod
     def _waited(self, spun_ns: int, now: int) -> None:
         """So long was spun within a step that is over."""
 
@@ -214,6 +218,7 @@ class Stepping(ABC):
         if not self._port.write(octets):
             self._dropped()
         end = self.lateness.sent_at = monotonic_ns() + self._wire_ns[len(octets)]
+        self._written(octets, end)
         return end
 
     def _arm(self, deadline: int) -> None:
