@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from dpstack.api.slave_config import SlaveConfig
+from dpstack.dp.commands import RemoveSlave
 from dpstack.drivers.plugins import PluginRef
 from dpstack.errors import ConfigError
 from dpstack.profile import DriveCore, DriveStatus, registry
@@ -72,10 +73,14 @@ class RemoteCore:
 def attach_remote(runtime: ProcessRuntime, slave: SlaveConfig) -> RemoteCore | None:
     """Put the drive plugin of ``slave`` onto its process image in the bus process; None where it has none.
 
-    Those that it was started with stand there already. Raises ConfigError.
+    Those that it was started with stand there already. Raises ConfigError; the slave is given up again then.
     """
-    core, plugin = core_of(slave), plugin_of(slave)
-    if core is None or plugin is None:
-        return None
-    runtime.attach_plugin(slave.address, plugin)
+    try:
+        core, plugin = core_of(slave), plugin_of(slave)
+        if core is None or plugin is None:
+            return None
+        runtime.attach_plugin(slave.address, plugin)
+    except ConfigError:
+        runtime.command(RemoveSlave(slave.address))
+        raise
     return RemoteCore(runtime, slave.address, core)

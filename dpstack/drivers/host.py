@@ -53,6 +53,8 @@ from dpstack.units import NS_PER_MS
 #: what changes without an event, and what was held back for an application that did not read, is told so often
 _RHYTHM: Final = 100 * NS_PER_MS
 _CHUNK: Final = 65_536
+#: no more is read while so many orders wait
+_WAITING: Final = 32
 
 
 def _owed(event: Event) -> bool:
@@ -91,7 +93,7 @@ class Host:
             loop,
             port,
             self._station,
-            self._on_events,
+            self.on_events,
             echo=setup.echo,
             on_failure=self._on_failure,
             tune=self._station.set_patience if setup.tune else None,
@@ -146,7 +148,9 @@ class Host:
             self._loop.remove_reader(self._sock.fileno())
             self.end(str(error))
             return
-        if idle:
+        if len(self._questions) >= _WAITING:
+            self._loop.remove_reader(self._sock.fileno())
+        if idle and self._questions:
             self._serve()
 
     def _serve(self) -> None:
@@ -164,6 +168,8 @@ class Host:
             self._stop()
         elif self._questions:
             self._loop.call_soon(self._serve)
+        else:
+            self._loop.add_reader(self._sock.fileno(), self._on_readable)
 
     def _carry_out(self, order: object) -> object:
         match order:
@@ -234,7 +240,8 @@ class Host:
 
     # --- what is told ---
 
-    def _on_events(self, events: list[Event]) -> None:
+    def on_events(self, events: list[Event]) -> None:
+        """From machines and driver."""
         for event in events:
             self._ending.on_event(event)
         self._tell(events)
