@@ -60,7 +60,7 @@ class AsyncioRuntime(Stepping):
                 self._fail(exc)
                 return
         self._reopening = None
-        self._back()
+        self._back(attempts)
 
     def _report(self, message: str, error: Exception) -> None:
         if self._loop is not None:

@@ -1,9 +1,9 @@
 """How much a driver with real-time priority may take of its processor.
 
-Under SCHED_FIFO nobody else runs while it does. The kernel stops (or, since 6.12, outbids) a real-time process that
-leaves less than 5 % of a second (``sched_rt_runtime_us`` 950000 of 1000000): measured 52 ms every second for one that
-always spins, which loses slaves. So what is merely waiting for something is bounded here, and who never waits is
-made to rest.
+Under SCHED_FIFO nobody else runs while it does. The kernel holds up a real-time process that leaves less than 5 % of a
+second (``sched_rt_runtime_us`` 950000 of 1000000): measured 51 to 53 ms in every second of a loop that never waits,
+which loses slaves; with the rest taken here, none. So what is merely waiting for something is bounded, and who never
+waits is made to rest a little and often.
 """
 
 from __future__ import annotations

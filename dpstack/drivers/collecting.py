@@ -1,8 +1,8 @@
 """Garbage collection out of the cycle: off, and done by hand where nothing is due for longer than it takes.
 
-Nearly all a stack makes is freed when it is used up; what refers to itself is left to the collector. Measured on a
-virtual machine: a young collection takes 5 us and more with what survived, a full one some ms unless what there is at
-the start is frozen.
+Nearly all a stack makes is freed when it is used up (4000 exchanges leave some hundred objects more than before); what
+refers to itself is left to the collector. Measured on a virtual machine: a full collection takes 30 ms, with all frozen
+that there is at the start 0.3 us; a young one of 2000 objects that refer to themselves 0.1 ms.
 """
 
 from __future__ import annotations
@@ -14,19 +14,22 @@ from typing import Final
 from dpstack.units import NS_PER_US
 
 #: A young collection is due after so many more objects than went.
-_YOUNG: Final = 2_000
+_YOUNG: Final = 700
 #: The next older generation is due after so many collections of one.
 _EVERY: Final = 10
 #: It is done whatever is due when that is exceeded by this factor, so that memory does not grow for ever.
-_FORCED: Final = 20
+_FORCED: Final = 10
 #: The measured time counts so often: collections differ.
 _MARGIN: Final = 2
-_LEAST_NS: Final = 20 * NS_PER_US
+_LEAST_NS: Final = 40 * NS_PER_US
 _OLDEST: Final = 2
 
 
 class Collector:
-    """Collects when told that there is time. ``done``: collections by generation; ``forced``: those at a bad time."""
+    """Collects when told that there is time: ``loop.on_idle = collector.idle``.
+
+    ``done``: collections by generation; ``forced``: those at a bad time.
+    """
 
     def __init__(self) -> None:
         self.done = [0, 0, 0]

@@ -59,10 +59,14 @@ class PlainRuntime(Stepping):
         self._early_ns = 0  # the loop looks at what is near by itself
         self._answers = Answers()
         self._retry: Alarm | None = None
+        self._connecting: threading.Thread | None = None
 
     def open(self) -> None:
         """Open the port and begin. Raises PortError; ConfigError when the port knows none of the machine's rates."""
         self._may_open()
+        if self._connecting is not None:  # of before the last close: it has a limit of some seconds
+            self._connecting.join()
+            self._connecting = None
         self._port.open_now()
         self._begin(self._loop, self._loop.alarm(self._timer_due))
 
@@ -99,7 +103,8 @@ class PlainRuntime(Stepping):
         self._retry = None
         if self._port.connects:
             name = f"connecting {self.port_name}"
-            threading.Thread(target=self._attempt_aside, args=(attempts,), name=name, daemon=True).start()
+            self._connecting = threading.Thread(target=self._attempt_aside, args=(attempts,), name=name, daemon=True)
+            self._connecting.start()
         else:
             self._outcome(attempts, self._try())
 
@@ -119,11 +124,10 @@ class PlainRuntime(Stepping):
         return None
 
     def _outcome(self, attempts: Attempts, error: Exception | None) -> None:
-        if attempts is not self._attempts:
-            if self._at is None:  # closed meanwhile
-                self._port.close()
-        elif error is None:
-            self._back()
+        if error is None:
+            self._back(attempts)
+        elif attempts is not self._attempts:
+            return
         elif isinstance(error, PortError):
             self._refused(attempts, error)
             self._begin_reopening(attempts)

@@ -155,7 +155,7 @@ class Stepping(ABC):
         if self.failed is not None:
             raise BusError("the driver was stopped by a defect") from self.failed
         if self._at is None:
-            raise UsageError("the driver is not open: await open() first")
+            raise UsageError("the driver is not open: open() comes first")
         self._machine.command(command, monotonic_ns())
         # as with a late timer: what arrived while the loop was held up counts before a deadline is judged
         self._step(self._drain())
@@ -305,8 +305,12 @@ class Stepping(ABC):
         if attempts.is_news(str(refusal)):
             self._tell([self._notice(f"still without its port: {refusal}", Severity.WARNING)])
 
-    def _back(self) -> None:
-        """The lost port is open again."""
+    def _back(self, attempts: Attempts) -> None:
+        """The lost port is open again; closed at once where nobody wants it any more."""
+        if self._at is None:
+            self._port.close()
+        if attempts is not self._attempts:
+            return
         self._attempts = None
         self._tell([PortBack(t_ns=monotonic_ns(), port=self.port_name)])
         self._attach()

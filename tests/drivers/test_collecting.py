@@ -80,7 +80,7 @@ def test_without_any_time_memory_does_not_grow_for_ever(collector: Collector) ->
 def test_older_generations_have_their_turns(collector: Collector) -> None:
     kept = [Knot() for _ in range(10)]
     for _ in range(125):
-        knots(2_500)
+        knots(800)
         collector.idle(monotonic_ns(), NEVER)
     assert collector.done[0] > 100
     assert collector.done[1] >= 10

@@ -9,13 +9,23 @@ from time import monotonic_ns
 import pytest
 from driver_rig import BACKOFF, REQUEST, TOKEN, Script
 from far_ends import TcpFarEnd
+from support_responder import Responder
 
+from dpstack.dp.commands import Mode, SetMode
+from dpstack.dp.events import SlaveState
+from dpstack.dp.master import Master
+from dpstack.dp.setup import SlaveSetup
 from dpstack.drivers.base import PortBack, PortLost
+from dpstack.drivers.budget import Budget
 from dpstack.drivers.echo import Echo
 from dpstack.drivers.expecting import Answers
+from dpstack.drivers.lateness import patience_of
 from dpstack.drivers.plain import PlainRuntime
 from dpstack.drivers.plain_loop import PlainLoop
 from dpstack.errors import PortError
+from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.commands import GoOnline
+from dpstack.params import BusParams
 from dpstack.ports import Port, memory_pair, open_port
 from dpstack.ports.pyserial import PySerialPort
 from dpstack.trace import Event, Notice
@@ -104,6 +114,33 @@ def test_a_driver_without_budget_waits_by_timer_and_is_never_early() -> None:
     loop.close()
 
 
+class Spent(Budget):
+    """Nothing is left to spin with, ever."""
+
+    def may_spin(self, now: int) -> bool:
+        return False
+
+
+@pytest.mark.parametrize("baud", [45_450, 500_000, 12_000_000])
+def test_at_every_rate_a_bus_goes_on_when_the_budget_is_used_up(baud: int) -> None:
+    loop = PlainLoop(budget=Spent())
+    port = open_port("pty", baud)
+    params = BusParams.preset(baud, address=2, gap=0)
+    master = Master(params, [SlaveSetup(address=3, name="s", ident=0x0696, config=b"\xf3\xf1")], watchdog_ms=1000)
+    station = ActiveStation(params, [master], patience=patience_of(port), now=monotonic_ns())
+    driver = PlainRuntime(loop, port, station, lambda _events: None, echo=Echo.OFF)
+    driver.open()
+    driver._waited(1, monotonic_ns())  # as after a spin that was the last
+    with Responder(driver.port_name, ["3:0696:f3f1:12:12"]):
+        driver.command(GoOnline())
+        driver.command(SetMode(Mode.OPERATE))
+        handler = master.handlers[3]
+        run_until(loop, lambda: handler.state is SlaveState.DATA_EXCHANGE and handler.exchanges >= 20)
+    assert driver.failed is None
+    driver.close()
+    loop.close()
+
+
 @pytest.mark.parametrize("port", [open_port("rfc2217://127.0.0.1:7000", 500_000), PySerialPort("COM3", 500_000)])
 def test_a_port_that_needs_asyncio_is_refused(port: Port) -> None:
     driver = PlainRuntime(PlainLoop(), port, Script(), lambda _events: None)
@@ -181,6 +218,25 @@ def test_a_connection_that_comes_about_too_late_is_closed(
         loop.close()
     assert line.port.fd is None
     assert not any(isinstance(event, PortBack) for event in events)
+    line.far.shut()
+
+
+def test_opened_again_while_an_old_attempt_connects(monkeypatch: pytest.MonkeyPatch) -> None:
+    line = SlowLine(monkeypatch)
+    loop, events, machine = PlainLoop(), list[Event](), Script()
+    driver = PlainRuntime(loop, line.port, machine, events.extend, echo=Echo.OFF, backoff_ns=BACKOFF)
+    driver.open()
+    line.far.hang_up()
+    run_until(loop, lambda: driver._connecting is not None)
+    driver.close()
+    line.go.set()
+    driver.open()
+    turns = monotonic_ns() + 5 * NS_PER_MS
+    run_until(loop, lambda: monotonic_ns() > turns)  # the outcome of the old attempt comes now, and changes nothing
+    assert line.port.fd is not None
+    assert not any(isinstance(event, PortBack) for event in events)
+    driver.close()
+    loop.close()
     line.far.shut()
 
 

@@ -303,6 +303,23 @@ async def test_a_machine_that_fails_over_the_loss_is_a_defect(monkeypatch: pytes
         await until(lambda: bool(rig.failures), "the failure")
 
 
+async def test_a_driver_that_was_stopped_while_its_port_is_away_does_not_take_it_back() -> None:
+    async with Rig() as rig:
+
+        def defect(_now: int) -> None:
+            raise ZeroDivisionError("a defect")
+
+        rig.port.unplug()
+        await until(lambda: bool(rig.events), "the loss")
+        rig.machine.on_wake = defect
+        rig.driver.command(1)
+        await until(lambda: bool(rig.failures), "the failure")
+        rig.port.plug()
+        await asyncio.sleep(0.01)
+        assert not rig.port._is_open
+        assert not any(isinstance(event, PortBack) for event in rig.events)
+
+
 async def test_a_port_class_that_fails_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     async with Rig() as rig:
 
