@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from dpstack.api.baud import BaudReport, find_baud
     from dpstack.api.bus import Bus
     from dpstack.api.config import Config, load_config
+    from dpstack.api.cycles import Cycle
     from dpstack.api.drive import Drive
     from dpstack.api.events import Event, Mode, SlaveState
     from dpstack.api.opening import open_bus
@@ -63,6 +64,7 @@ __all__ = [
     "BusError",
     "Config",
     "ConfigError",
+    "Cycle",
     "DpError",
     "DpSlave",
     "Drive",
@@ -113,6 +115,7 @@ _WHERE: Final = {
     "open_bus": "api.opening",
     "Config": "api.config",
     "load_config": "api.config",
+    "Cycle": "api.cycles",
     "Drive": "api.drive",
     "Event": "api.events",
     "Mode": "api.events",

@@ -68,3 +68,8 @@ def baud_text(baud: int) -> str:
     if baud >= 1_000_000:
         return f"{baud / 1_000_000:g} Mbit/s"
     return f"{baud / 1_000:g} kbit/s"
+
+
+def ms_text(ns: int) -> str:
+    """A time as people write it, in ms: ``0.0817 ms``, ``4.92 ms``, ``650 ms``."""
+    return f"{ns / NS_PER_MS:.3g} ms" if ns < 100 * NS_PER_MS else f"{ns / NS_PER_MS:.0f} ms"

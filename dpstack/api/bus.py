@@ -5,13 +5,14 @@ from __future__ import annotations
 import asyncio
 import functools
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from types import TracebackType
 from typing import Final
 
 from dpstack.api.class2 import Class2
 from dpstack.api.compose import compose
 from dpstack.api.config import Config, slave_config
+from dpstack.api.cycles import Cycle, Cycles
 from dpstack.api.drive import Drive
 from dpstack.api.ending import OrderedEnd
 from dpstack.api.groups import Group, GroupOrders, Groups
@@ -25,7 +26,6 @@ from dpstack.api.streams import EventStream, Waiters
 from dpstack.dp.class2 import ServiceDone
 from dpstack.dp.commands import AddSlave, Mode, RemoveSlave, SetMode
 from dpstack.dp.events import ControlSent, DriveEvent
-from dpstack.dp.plan import Case
 from dpstack.dp.scanner import Found
 from dpstack.errors import BusError, ConfigError, DpError, UsageError
 from dpstack.fdl.commands import GoOnline
@@ -75,6 +75,7 @@ class Bus(Composed):
         self._streams: list[EventStream] = []
         self._waiters = Waiters()
         self._groups = GroupOrders(self)
+        self._cycles = Cycles(self)
         #: the services of a class 2 master: diagnosis, configuration, inputs and outputs of any slave, its address
         self.class2 = Class2(self)
         self._slaves: dict[int, Slave] = {}
@@ -156,11 +157,6 @@ class Bus(Composed):
         """True between a successful opening and the end."""
         return self._open and self._ending is None
 
-    @property
-    def mode(self) -> Mode:
-        """The mode of the master."""
-        return self.master.mode
-
     async def operate(self) -> None:
         """Outputs go out from the next rotation on; with ``auto_clear`` once all slaves are in data exchange."""
         self.command(SetMode(Mode.OPERATE))
@@ -229,7 +225,7 @@ class Bus(Composed):
         config = table if isinstance(table, SlaveConfig) else slave_config(table)
         if any(slave.name == config.name for slave in self._slaves.values()):
             raise ConfigError(f"there is a slave called {config.name!r} already: give the new one another name")
-        self.command(AddSlave(config.setup(self.params.baud)))
+        self.command(AddSlave(self.fitting(config)))
         if self.bench is not None:
             self.bench.add(config)
         return self._register(config)
@@ -297,6 +293,14 @@ class Bus(Composed):
             stream.end()
         return stream
 
+    def cycles(self) -> AsyncIterator[Cycle]:
+        """One :class:`~dpstack.api.cycles.Cycle` for each round of data exchange, with or without a fixed cycle.
+
+        Latest wins, ``cycle.skipped`` says how many were missed. Outputs set in the body before the next cycle begins
+        go out in that one, all together. Ends with the bus.
+        """
+        return self._cycles.read()
+
     @property
     def stats(self) -> BusStats:
         """Counters and rotation times up to now."""
@@ -311,11 +315,6 @@ class Bus(Composed):
     def seconds_in_ring(self) -> float:
         """Bus time since this master was given, or claimed, its first token in seconds; 0 before that."""
         return ns_to_s(self.runtime.now() - self._joined_ns) if self._joined_ns else 0.0
-
-    @property
-    def rotation_limit_s(self) -> float:
-        """The longest rotation of the plan in seconds."""
-        return ns_to_s(self.plan.rotation_ns(Case.LONGEST))
 
     async def until(self, condition: Callable[[], bool], timeout: float | None = None) -> None:
         """Wait until ``condition()``, judged after every event; what it raises is raised here. Raises TimeoutError."""
@@ -376,6 +375,7 @@ class Bus(Composed):
         for drive in self._drives.values():
             drive.end(self._over)
         self._groups.end(self._over)
+        self._cycles.end()
         self.class2.end(self._over)
         for stream in self._streams:
             stream.end()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Final
@@ -11,12 +11,12 @@ from dpstack.api.bench import VirtualBench
 from dpstack.api.config import Config, rate_findings
 from dpstack.api.drive import DriveSeen
 from dpstack.api.driver_choice import PROCESS, driver_for
+from dpstack.api.planning import adapter_notes, other_masters, refuse_misfit, with_t_tr
 from dpstack.api.remote import attach_remote, core_of, known_places, plugin_of
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.api.streams import Rounds
 from dpstack.dp.master import Master
-from dpstack.dp.plan import Case, Plan, make_plan, t_tr_preset
-from dpstack.dp.setup import SlaveSetup
+from dpstack.dp.plan import Case, Plan, make_plan
 from dpstack.dp.survey import SurveyOrder, SurveyResult
 from dpstack.drivers import seen
 from dpstack.drivers.aio import AsyncioRuntime, OnFailure, patience_of
@@ -26,7 +26,6 @@ from dpstack.drivers.stack import StackSpec, build_stack
 from dpstack.drivers.virtual import VirtualRuntime
 from dpstack.fdl.active import ActiveStation
 from dpstack.fdl.commands import AttachUser, DetachUser
-from dpstack.params import BusParams
 from dpstack.phy.neighbours import Neighbours
 from dpstack.phy.patience import EXACT, Patience, slack
 from dpstack.ports import Delivery, Port, open_port
@@ -38,7 +37,10 @@ ECHO: Final = {None: Echo.AUTO, True: Echo.ON, False: Echo.OFF}
 
 
 def plan_bus(config: Config, baud: int | None = None) -> Plan:
-    """The plan of ``config`` at ``baud`` (default: its own rate). Raises ConfigError."""
+    """The plan of ``config`` at ``baud`` (default: its own rate). Raises ConfigError.
+
+    What keeps the bus from being opened is told there, and stands in the plan as a finding.
+    """
     rate = config.baud if baud is None else baud
     setups = config.setups(rate)
     params = with_t_tr(config, config.params(rate), setups)
@@ -49,10 +51,14 @@ def plan_bus(config: Config, baud: int | None = None) -> Plan:
         patience = patience_for(config, port)
         pty, slack_ns = port.delivery is Delivery.HOST, patience.known_ns
         beside = Neighbours(params, patience).advice()
+        if port.delivery is Delivery.ADAPTER:
+            notes += adapter_notes(config, params, setups)
     findings = rate_findings(config, rate)
     return make_plan(
         params,
         setups,
+        others=other_masters(config, rate),
+        cycle_ns=config.bus.cycle_ns,
         pty=pty,
         host_slack_ns=slack_ns,
         data_control_ns=config.bus.data_control_time_ms * NS_PER_MS if config.bus.auto_clear else 0,
@@ -60,13 +66,6 @@ def plan_bus(config: Config, baud: int | None = None) -> Plan:
         notes=notes,
         beside=beside,
     )
-
-
-def with_t_tr(config: Config, params: BusParams, setups: Sequence[SlaveSetup]) -> BusParams:
-    """``params`` with T_TR enough for the longest normal round, unless the configuration fixes it."""
-    if config.bus.t_tr is not None:
-        return params
-    return params.replace(t_tr=t_tr_preset(params, setups))
 
 
 def port_of(config: Config, baud: int, name: str | None = None) -> Port:
@@ -122,6 +121,7 @@ def compose(
     and is watched unless told otherwise. Raises ConfigError, PortError.
     """
     plan = plan_bus(config)
+    refuse_misfit(config, plan, config.setups())
     virtual = world is not None or config.virtual
     port = None if virtual else port_of(config, plan.params.baud)
     patience = EXACT if port is None else patience_for(config, port)
@@ -134,6 +134,9 @@ def compose(
         data_control_ns=config.bus.data_control_time_ms * NS_PER_MS,
         read_only=config.bus.read_only,
         watched=watched,
+        cycle_ns=config.bus.cycle_ns,
+        cycle_freeze=config.bus.cycle_freeze,
+        cycle_sync=config.bus.cycle_sync,
     )
     driver = driver_for(config, port)
     # a pty is given what a stalled computer needs, and a user's own figure stands
@@ -252,5 +255,4 @@ __all__ = [
     "patience_for",
     "plan_bus",
     "port_of",
-    "with_t_tr",
 ]

@@ -15,66 +15,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Literal
 
+from dpstack.api.bus_config import AUTO, VIRTUAL, BusConfig, read_bus
 from dpstack.api.slave_config import SlaveConfig, read_slave
 from dpstack.api.tables import Source, Table
 from dpstack.api.toml_lines import line_numbers
 from dpstack.dp.setup import SlaveSetup
 from dpstack.errors import ConfigError, ParamError
-from dpstack.params import MAX_STATION, MAX_T_SL, BusParams
-from dpstack.units import BAUD_RATES, baud_text
+from dpstack.params import BusParams
+from dpstack.units import baud_text
 
-VIRTUAL: Final = "virtual"
-#: the baud rate is found by listening (see :mod:`dpstack.api.baud`); echo is recognised
-AUTO: Final = "auto"
-_DRIVERS: Final = ("auto", "asyncio", "process")
-_BUS_KEYS: Final = (
-    "port",
-    "baud",
-    "address",
-    "cycle_ms",
-    "driver",
-    "t_sl",
-    "max_retry",
-    "gap",
-    "hsa",
-    "t_tr",
-    "host_slack_ms",
-    "extra_idle_bits",
-    "echo",
-    "event_char",
-    "rs485",
-    "auto_clear",
-    "data_control_time_ms",
-    "read_only",
-)
-#: keys whose function comes later, with the values that ask for nothing
-_BUS_LATER: Final[dict[str, tuple[object, ...]]] = {
-    "cycle_ms": (),
-}
 _TOML_PLACE: Final = re.compile(r"^(.*?)\s*\(at (?:line (\d+), column (\d+)|end of document)\)$", re.DOTALL)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BusConfig:
-    """The [bus] table. ``port`` and ``baud`` may be missing until they are needed. Times in bit times unless named."""
-
-    port: str | None = None
-    baud: int | Literal["auto"] | None = None
-    address: int = 2
-    driver: str = "auto"
-    t_sl: int | None = None
-    t_tr: int | None = None
-    max_retry: int | None = None
-    gap: int | None = None
-    hsa: int = 126
-    host_slack_ms: float | None = None
-    extra_idle_bits: int = 0
-    auto_clear: bool = False
-    data_control_time_ms: int = 1000
-    read_only: bool = False
-    echo: bool | None = None  # None: found out at start
-    event_char: bool = False
-    rs485: bool = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,7 +42,7 @@ class Config:
             return self
         wanted = dataclasses.asdict(self.bus) | given
         table = {key: value for key, value in wanted.items() if value is not None}
-        bus = _read_bus(Table(Source("argument"), ("bus",), table, "[bus]"))
+        bus = read_bus(Table(Source("argument"), ("bus",), table, "[bus]"))
         return _checked(dataclasses.replace(self, bus=bus))
 
     def with_outputs(self, outputs: Mapping[int, bytes]) -> Config:
@@ -203,7 +153,7 @@ def parse_config(text: str, name: str = "config") -> Config:
             raise source.error((key,), f"unknown table or key {key!r}", "a configuration has [bus] and [[slave]]")
     if "bus" not in top:
         raise source.error((), "no [bus] table", "add [bus] with port and baud")
-    bus = _read_bus(Table(source, ("bus",), data["bus"], "[bus]"))
+    bus = read_bus(Table(source, ("bus",), data["bus"], "[bus]"))
     entries = data.get("slave", [])
     if not isinstance(entries, list):
         raise source.error(("slave",), "[slave] must be [[slave]]", "write two brackets: there may be several slaves")
@@ -225,7 +175,7 @@ def make_config(
     """A configuration from a program: ``slaves`` with the keys of [[slave]], ``bus`` with further keys of [bus]."""
     source = Source(where)
     table: dict[str, object] = {"port": port, "baud": baud, "address": address, **(bus or {})}
-    read = _read_bus(Table(source, ("bus",), {k: v for k, v in table.items() if v is not None}, "bus"))
+    read = read_bus(Table(source, ("bus",), {k: v for k, v in table.items() if v is not None}, "bus"))
     entries = tuple(s if isinstance(s, SlaveConfig) else slave_config(s, n, where=where) for n, s in enumerate(slaves))
     return _checked(Config(bus=read, slaves=entries, source=source))
 
@@ -246,60 +196,6 @@ def _not_toml(error: tomllib.TOMLDecodeError, text: str, name: str) -> ConfigErr
             line, column = int(match[2]), f" at column {match[3]}"
     what = " ".join(what.split())
     return ConfigError(f"{name}:{line}: not valid TOML{column}: {what}; correct that line")
-
-
-def _read_bus(table: Table) -> BusConfig:
-    table.check_keys(_BUS_KEYS)
-    table.refuse_later(_BUS_LATER)
-    driver = table.text("driver") or "auto"
-    if driver not in _DRIVERS:
-        table.fail("driver", f"unknown driver {driver!r}", 'it must be "auto", "asyncio" or "process"')
-    return BusConfig(
-        port=table.text("port"),
-        baud=_baud(table),
-        address=_or(table.integer("address", 0, MAX_STATION), 2),
-        driver=driver,
-        t_sl=table.integer("t_sl", 37, MAX_T_SL),
-        t_tr=table.integer("t_tr", 256, 16_777_960),
-        max_retry=table.integer("max_retry", 0, 15),
-        gap=table.integer("gap", 0, 100, "0 switches the GAP off"),
-        hsa=_or(table.integer("hsa", 1, 126), 126),
-        host_slack_ms=table.number("host_slack_ms", 0, 10_000),
-        extra_idle_bits=_or(table.integer("extra_idle_bits", 0, 100_000), 0),
-        auto_clear=table.flag("auto_clear", False),
-        data_control_time_ms=_or(table.integer("data_control_time_ms", 10, 655_350), 1000),
-        read_only=table.flag("read_only", False),
-        echo=_echo(table),
-        event_char=table.flag("event_char", False),
-        rs485=table.flag("rs485", True),
-    )
-
-
-def _echo(table: Table) -> bool | None:
-    echo = table.raw("echo")
-    if echo is None or echo == AUTO:
-        return None
-    if not isinstance(echo, bool):
-        table.fail("echo", f"echo = {echo!r}", 'it must be "auto", true or false')
-    return echo
-
-
-def _baud(table: Table) -> int | Literal["auto"] | None:
-    if table.raw("baud") == AUTO:
-        return AUTO
-    baud = table.integer("baud")
-    if baud is not None and baud not in BAUD_RATES:
-        near = min(BAUD_RATES, key=lambda rate: abs(rate - baud))
-        table.fail("baud", f"{baud} is no PROFIBUS rate", f"nearest is {near}; known: {_rates()}")
-    return baud
-
-
-def _rates() -> str:
-    return ", ".join(map(str, BAUD_RATES))
-
-
-def _or(value: int | None, default: int) -> int:
-    return default if value is None else value
 
 
 def _checked(config: Config) -> Config:
@@ -356,3 +252,16 @@ def _rate_finding(slave: SlaveConfig, baud: int) -> str:
             f"drive and tell it by the option {option}, or take another rate"
         )
     return f"{profile.name if profile else 'by its GSD file it'} does not know {baud_text(baud)}; take another rate"
+
+
+__all__ = [
+    "AUTO",
+    "VIRTUAL",
+    "BusConfig",
+    "Config",
+    "load_config",
+    "make_config",
+    "parse_config",
+    "rate_findings",
+    "slave_config",
+]

@@ -7,6 +7,7 @@ from dpstack.dp.events import (
     AutoCleared,
     ControlFailed,
     ControlSent,
+    CyclesMissed,
     DriveEvent,
     Fault,
     FaultKind,
@@ -23,14 +24,17 @@ from dpstack.dp.events import (
 )
 from dpstack.dp.scanner import Found, ScanDone, SlaveView, StationSeen
 from dpstack.drivers.base import PortBack, PortLost
-from dpstack.fdl.events import AddressCollision, MasterSeen, RingJoined, RingLeft, StationFound, TokenLost
+from dpstack.fdl.events import AddressCollision, DoesNotFit, MasterSeen, RingJoined, RingLeft, StationFound, TokenLost
 from dpstack.trace import Event, Notice, Severity
+from dpstack.units import NS_PER_US
 
 __all__ = [
     "AddressCollision",
     "AutoCleared",
     "ControlFailed",
     "ControlSent",
+    "CyclesMissed",
+    "DoesNotFit",
     "DriveEvent",
     "Event",
     "Fault",
@@ -73,7 +77,7 @@ def severity_of(event: Event) -> Severity:
             return severity
         case SlaveFaulted() | AddressCollision() | PortLost() | AutoCleared():
             return Severity.ERROR
-        case SlaveRemark() | TokenLost() | OperateWaits():
+        case SlaveRemark() | TokenLost() | OperateWaits() | CyclesMissed() | DoesNotFit():
             return Severity.WARNING
         case DriveEvent(payload={"type": "failed"}):
             return Severity.ERROR
@@ -106,6 +110,10 @@ def event_json(event: Event, t: float) -> dict[str, object] | None:
             return {"event": name, **line, "slaves": list(slaves), "text": event.text}
         case ControlSent() | ControlFailed() | PictureTaken():
             return None
+        case CyclesMissed(number=number, count=count, missed=missed, late_ns=late_ns):
+            late_us = round(late_ns / NS_PER_US)
+            told = {"number": number, "count": count, "missed": missed, "late_us": late_us, "text": event.text}
+            return {"event": "cycles_missed", **line, **told}
         case MasterStopped():
             return {"event": "stopped", **line}
         case StationSeen(found=found, present=present):

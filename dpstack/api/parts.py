@@ -9,13 +9,18 @@ from dpstack.api.baud import need_wire, rate_of
 from dpstack.api.bench import VirtualBench
 from dpstack.api.compose import Parts
 from dpstack.api.config import AUTO, Config
+from dpstack.api.planning import refuse_misfit
+from dpstack.api.slave_config import SlaveConfig
 from dpstack.api.streams import Rounds
-from dpstack.dp.plan import Plan
+from dpstack.dp.commands import Mode
+from dpstack.dp.plan import Case, Plan
+from dpstack.dp.setup import SlaveSetup
 from dpstack.drivers.base import Runtime
 from dpstack.drivers.seen import MasterSeen, StationSeen, WatcherSeen
 from dpstack.errors import UsageError
 from dpstack.params import BusParams
 from dpstack.sim.world import World
+from dpstack.units import ns_to_s
 
 SEARCHING: Final = "searching for the baud rate"
 
@@ -72,6 +77,23 @@ class Composed:
     def params(self) -> BusParams:
         """The bus parameters."""
         return self.parts.plan.params
+
+    def fitting(self, slave: SlaveConfig) -> SlaveSetup:
+        """``slave`` for the master, beside all others. Raises ConfigError where the cycle has no room for it."""
+        setup = slave.setup(self.params.baud)
+        others = [h.setup for address, h in self.master.handlers.items() if address != slave.address]
+        refuse_misfit(self.config, self.plan, [*others, setup])
+        return setup
+
+    @property
+    def rotation_limit_s(self) -> float:
+        """The longest rotation of the plan in seconds."""
+        return ns_to_s(self.plan.rotation_ns(Case.LONGEST))
+
+    @property
+    def mode(self) -> Mode:
+        """The mode of the master."""
+        return self.master.mode
 
     @property
     def station(self) -> StationSeen:

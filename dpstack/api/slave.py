@@ -270,7 +270,7 @@ class Slave:
             known = ", ".join(sorted(Changes.__annotations__))
             raise UsageError(f"{unknown[0]!r} cannot be changed; these can: {known}")
         config = refitted(dataclasses.replace(self.config, **changes))
-        self._bus.command(ReparameteriseSlave(config.setup(self._bus.params.baud)))
+        self._bus.command(ReparameteriseSlave(self._bus.fitting(config)))
         self.config = config
         self._handler = self._bus.master.handlers[self.address]
         if not self.deactivated:

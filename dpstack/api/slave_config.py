@@ -11,6 +11,7 @@ from dpstack.api.field_config import read_fields
 from dpstack.api.slave_basis import Basis, basis_of
 from dpstack.api.tables import Table
 from dpstack.dp.diag_texts import DiagTexts
+from dpstack.dp.diagnosis import FIXED_LEN, MAX_LEN
 from dpstack.dp.fields import FieldMap
 from dpstack.dp.setup import DPV1_STATUS_LEN, INTERVAL_UNIT, MAX_WATCHDOG_MS, SlaveSetup
 from dpstack.dp.slave_description import SlaveDescription
@@ -19,6 +20,7 @@ from dpstack.gsd.identifiers import io_lengths
 from dpstack.gsd.model import Device
 from dpstack.params import MAX_STATION
 from dpstack.profile import DriveProfile
+from dpstack.units import ms_text
 
 _KEYS: Final = (
     "name",
@@ -92,6 +94,8 @@ class SlaveConfig:
     #: MaxTsdr in bit times by rate, and the rates it knows, where manual or GSD file say so
     max_tsdr: Mapping[int, int] = field(default_factory=dict)
     baud_rates: frozenset[int] = frozenset()
+    #: Max_Diag_Data_Len of its GSD file
+    max_diag_len: int | None = None
     notes: tuple[str, ...] = ()
 
     @property
@@ -122,6 +126,7 @@ class SlaveConfig:
             every=self.every,
             min_slave_interval_ns=self.min_slave_interval_ns,
             max_tsdr=self.max_tsdr.get(baud),
+            max_diag_len=self.max_diag_len,
             on_loss=profile.on_loss if profile else "",
             sync=self.sync,
             freeze=self.freeze,
@@ -183,7 +188,9 @@ def _build(table: Table, address: int, basis: Basis) -> SlaveConfig:
     input_fields, output_fields = read_fields(table, *io_lengths(basis.config))
     name = table.text("name") or f"slave{address}"
     profile = basis.profile
-    notes = [f"slave {address} ({name}): {note}" for note in (ident_note, *basis.notes) if note]
+    interval_ns = basis.interval_ns if interval is None else interval * INTERVAL_UNIT
+    remarks = (ident_note, _hurried(basis, interval_ns), *basis.notes)
+    notes = [f"slave {address} ({name}): {note}" for note in remarks if note]
     if profile is not None and profile.telegram(basis.telegram).made_up:
         notes.append(
             f"slave {address} ({name}): the identifier octets {basis.config.hex(' ').upper()} of {profile.name} are in "
@@ -206,7 +213,8 @@ def _build(table: Table, address: int, basis: Basis) -> SlaveConfig:
         groups=table.integers("groups", 1, 8),
         every=1 if every is None else every,
         safe=basis.safe if safe is None else safe,
-        min_slave_interval_ns=basis.interval_ns if interval is None else interval * INTERVAL_UNIT,
+        min_slave_interval_ns=interval_ns,
+        max_diag_len=_max_diag_len(device),
         fail_safe=_fail_safe(table, basis),
         fail_safe_told=dpv1 and basis.fail_safe,
         sync=_mode(table, "sync", None if device is None else device.sync, "Sync_Mode_supp"),
@@ -217,6 +225,23 @@ def _build(table: Table, address: int, basis: Basis) -> SlaveConfig:
         output_fields=output_fields,
         notes=tuple(notes),
     )
+
+
+def _hurried(basis: Basis, interval_ns: int) -> str:
+    """A remark on a Min_Slave_Interval below what the slave is known to need."""
+    if interval_ns >= basis.interval_ns:
+        return ""
+    known = "its GSD file" if basis.device is not None or basis.profile is None else basis.profile.name
+    return (
+        f"min_slave_interval = {interval_ns // INTERVAL_UNIT} ({ms_text(interval_ns)}) is shorter than the "
+        f"{ms_text(basis.interval_ns)} of {known} (Min_Slave_Intervall): it may not follow; leave it out"
+    )
+
+
+def _max_diag_len(device: Device | None) -> int | None:
+    if device is None or device.max_diag_data_len is None:
+        return None
+    return min(max(FIXED_LEN, device.max_diag_data_len), MAX_LEN)
 
 
 def _mode(table: Table, key: str, supported: bool | None, keyword: str) -> bool:

@@ -7,9 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from dpstack.dp.cycle import CycleBook
 from dpstack.dp.fields import as_json
 from dpstack.fdl.user import LinkStats, StationStats
-from dpstack.units import NS_PER_MS
+from dpstack.units import NS_PER_MS, NS_PER_US
 
 if TYPE_CHECKING:
     from dpstack.api.bus import Bus
@@ -81,6 +82,11 @@ class BusStats:
     late: int
     bad: dict[str, int]
     link: LinkStats
+    #: the books over the fixed cycles; None free running
+    cycles: CycleBook | None
+    #: requests that did not fit between two cycles: waits, and what was sent all the same
+    held_back: int
+    forced: int
     #: how late answers are delivered, as ``rotation_us``: host, adapter and T_SDR; None where nothing was measured
     host_us: dict[str, int] | None
     #: how long a station that matters is waited for beyond its slot time, in ms
@@ -106,6 +112,22 @@ class BusStats:
         """Requests given up."""
         return sum(station.timeouts for station in self.stations.values())
 
+    def _cycle_dict(self) -> dict[str, object]:
+        """A fixed cycle's keys of the summary."""
+        book = self.cycles
+        if book is None:
+            return {}
+        return {
+            "cycle_us": book.cycle_ns / NS_PER_US,
+            "cycles": book.begun,
+            "late_us": book.late.summary_us(),
+            "missed": book.missed,
+            "left_out": book.left_out,
+            "missed_by": {reason.value: count for reason, count in book.reasons.items()},
+            "held_back": self.held_back,
+            "forced": self.forced,
+        }
+
     def summary(self) -> dict[str, object]:
         """The summary line of ``run --json``, without ``event`` and ``t``."""
         return {
@@ -114,6 +136,7 @@ class BusStats:
             "rotations": self.rotations,
             "rotation_us": self.rotation_us,
             "token_us": self.token_us,
+            **self._cycle_dict(),
             "tokens": self.tokens,
             "tokens_lost": self.tokens_lost,
             "telegrams": self.telegrams,
@@ -144,6 +167,9 @@ def collect(bus: Bus) -> BusStats:
         rotations=bus.master.rotation.count,
         rotation_us=bus.master.rotation.summary_us(),
         token_us=bus.station.token_rotation.summary_us(),
+        cycles=copy.deepcopy(bus.master.cycles) if bus.master.cycles.cycle_ns else None,
+        held_back=bus.master.budget.held_back,
+        forced=bus.master.budget.forced,
         slaves={
             slave.address: SlaveStats(
                 address=slave.address,

@@ -133,7 +133,7 @@ class Table:
     def integers(self, key: str, low: int, high: int) -> tuple[int, ...]:
         """A list of integers within limits, each once."""
         value = self._data.get(key, [])
-        if not isinstance(value, list) or any(isinstance(v, bool) or not isinstance(v, int) for v in value):
+        if not isinstance(value, (list, tuple)) or any(isinstance(v, bool) or not isinstance(v, int) for v in value):
             self._wrong(key, "a list of integers, for instance [1, 2]")
         for member in value:
             if not low <= member <= high:

@@ -3,11 +3,23 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
+from typing import Final
 
 from dpstack.api.compose import Case, Plan, plan_bus
 from dpstack.api.config import Config, load_config
+from dpstack.api.planning import Verdict, cycle_rates
 from dpstack.cli import options, output
-from dpstack.units import BAUD_RATES, baud_text
+from dpstack.units import BAUD_RATES, NS_PER_MS, baud_text
+
+#: the slowest baud rate for each verdict on the cycle
+Needs = Mapping[Verdict, int | None]
+_HOW: Final = {
+    Verdict.POSSIBLE: "possible",
+    Verdict.TYPICAL: "typically kept",
+    Verdict.UNDISTURBED: "kept while nothing is repeated",
+    Verdict.ALWAYS: "always kept",
+}
 
 
 def add_to(commands: options.Commands) -> None:
@@ -16,10 +28,13 @@ def add_to(commands: options.Commands) -> None:
         commands,
         "plan",
         "bus parameters, rotation times, watchdogs, and what does not fit together",
-        "dpstack plan plant.toml --baud all",
+        "dpstack plan plant.toml --baud all --cycle-ms 4",
     )
     parser.add_argument("config", metavar="CONFIG", help="configuration file")
     parser.add_argument("--baud", metavar="B|all", type=_baud_or_all, help="another rate, or all of them")
+    parser.add_argument(
+        "--cycle-ms", metavar="X", type=options.milliseconds, help="judge this cycle, and tell which rate it needs"
+    )
     options.add_json(parser)
     parser.set_defaults(execute=execute)
 
@@ -30,16 +45,18 @@ def _baud_or_all(text: str) -> int | str:
 
 def execute(args: argparse.Namespace) -> int:
     """Print one plan, or one for each rate; 1 when something is out of bounds at the bus's own rate."""
-    config = load_config(args.config)
+    config = load_config(args.config).with_bus(cycle_ms=args.cycle_ms)
+    needs = cycle_rates(config, config.bus.cycle_ns) if config.bus.cycle_ns else {}
     rates = list(BAUD_RATES) if args.baud == "all" else [args.baud or config.baud]
     plans = [plan_bus(config, rate) for rate in rates]
     if args.json:
-        dicts = [plan.as_dict() for plan in plans]
+        dicts = [_with_rates(plan.as_dict(), needs) for plan in plans]
         output.json_line(dicts if args.baud == "all" else dicts[0])
     elif len(plans) > 1:
         _show_rates(config, plans)
+        _show_needs(needs)
     else:
-        _show(plans[0])
+        _show(plans[0], needs)
     judged = [plan for plan in plans if len(plans) == 1 or plan.params.baud == config.bus.baud]
     return 1 if any(plan.findings for plan in judged) else 0
 
@@ -50,7 +67,15 @@ def us(plan: Plan, case: Case) -> str:
     return f"{ns / 1_000_000:.3f} ms"
 
 
-def _show(plan: Plan) -> None:
+def _with_rates(data: dict[str, object], needs: Needs) -> dict[str, object]:
+    """The plan with the slowest rate for each verdict on the cycle, null where there is none."""
+    cycle = data.get("cycle")
+    if isinstance(cycle, dict):
+        cycle["slowest_baud"] = {verdict.value: baud for verdict, baud in needs.items()}
+    return data
+
+
+def _show(plan: Plan, needs: Needs) -> None:
     p = plan.params
     parameters = [
         ("T_SL", p.t_sl),
@@ -67,6 +92,12 @@ def _show(plan: Plan) -> None:
     output.table(f"Bus parameters at {baud_text(p.baud)}, master {p.address}", ("parameter", "bit times", "us"), rows)
     gap = f"every {p.gap} T_TR" if p.gap else "off"
     output.line(f"GAP {gap}, HSA {p.hsa}, {p.max_retry} retries, watchdog {plan.watchdog_ms} ms where none is given")
+    others = plan.figures.others.count
+    if others:
+        output.line(
+            f"{others} other master{'s' * (others > 1)}: a T_TR of {plan.figures.t_tr_needed} or more on all of them, "
+            f"then each sees this rotation"
+        )
     cases = ((Case.SHORTEST, "shortest"), (Case.TYPICAL, "typical"), (Case.LONGEST, "longest"))
     output.table(
         "Bus rotation time",
@@ -88,6 +119,12 @@ def _show(plan: Plan) -> None:
             for s in plan.slaves
         ],
     )
+    if plan.cycle is not None:
+        output.line(
+            f"cycle of {plan.cycle.cycle_ns / NS_PER_MS:g} ms: {plan.cycle.verdict.text}; "
+            f"the typical rotation takes {plan.cycle.load:.0%} of it"
+        )
+        _show_needs(needs)
     for note in (*plan.notes, *([plan.beside] if plan.beside else [])):
         output.line(f"note: {note}", "dim")
     for finding in plan.findings:
@@ -103,13 +140,26 @@ def _show_rates(config: Config, plans: list[Plan]) -> None:
             us(plan, Case.SHORTEST),
             us(plan, Case.TYPICAL),
             us(plan, Case.LONGEST),
+            *([plan.cycle.verdict.value] if plan.cycle else []),
             f"{plan.watchdog_ms} ms",
             len(plan.findings) or "none",
         )
         for plan in plans
     ]
     title = f"Bus rotation time of {len(config.slaves)} slaves"
-    output.table(title, ("rate", "shortest", "typical", "longest", "watchdog", "findings"), rows)
+    cycle = [f"cycle {config.bus.cycle_ms:g} ms"] if config.bus.cycle_ms else []
+    output.table(title, ("rate", "shortest", "typical", "longest", *cycle, "watchdog", "findings"), rows)
     for plan in plans:
         for finding in plan.findings:
             output.line(f"{baud_text(plan.params.baud)}: {finding}")
+
+
+def _show_needs(needs: Needs) -> None:
+    """Which baud rate the cycle needs."""
+    if needs:
+        told = (f"{_HOW[verdict]} {_from(baud)}" for verdict, baud in needs.items())
+        output.line(f"this cycle is {', '.join(told)}")
+
+
+def _from(baud: int | None) -> str:
+    return "at no rate" if baud is None else f"from {baud_text(baud)} on"

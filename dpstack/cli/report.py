@@ -10,7 +10,7 @@ from dpstack.api.events import DriveEvent, Event, MasterStopped, Severity, Slave
 from dpstack.api.parts import SEARCHING
 from dpstack.api.statistics import BusStats, SlaveStats
 from dpstack.cli import output
-from dpstack.units import baud_text, ns_to_s
+from dpstack.units import baud_text, ms_text, ns_to_s
 
 _STYLES = {Severity.INFO: "", Severity.WARNING: "yellow", Severity.ERROR: "red"}
 
@@ -70,6 +70,7 @@ class Reporter:
         for name, us in (("bus rotation time", stats.rotation_us), ("token rotation", stats.token_us)):
             if us["max"]:
                 output.line(f"{name} in us: " + ", ".join(f"{key} {value}" for key, value in us.items()))
+        _cycles(stats)
         if stats.host_us is not None:
             late = stats.host_us
             output.line(
@@ -78,6 +79,19 @@ class Reporter:
             )
         if not stats.paced:
             output.line("no wire gave the octets their time here: the times are this computer's, not a bus's")
+
+
+def _cycles(stats: BusStats) -> None:
+    book = stats.cycles
+    if book is None:
+        return
+    late = ", ".join(f"{key} {value}" for key, value in book.late.summary_us().items())
+    output.line(f"{book.begun} cycles of {ms_text(book.cycle_ns)}, late in us: {late}")
+    if book.missed:
+        why = ", ".join(f"{count} {reason.text}" for reason, count in book.reasons.items())
+        output.line(f"{book.missed} deadline misses ({book.left_out} cycles left out): {why}", "yellow")
+    else:
+        output.line("no deadline was missed")
 
 
 def _process_data(slaves: Iterable[SlaveStats]) -> None:

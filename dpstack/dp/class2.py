@@ -189,12 +189,13 @@ class Class2:
         if entry.step is None:
             entry.step = next(entry.steps)
         self._asked = entry
-        entry.asked = True
         request = entry.step.request
         return request if request.patient else request._replace(patient=request.da in self._known)
 
     def started(self, request: Request, at: int) -> None:
-        """Nothing to note."""
+        """It was given time."""
+        if self._asked is not None:
+            self._asked.asked = True
 
     def result(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
         """The end of a request: on with its service, or its end."""
@@ -206,7 +207,7 @@ class Class2:
             self._share(request, outcome, now)
         elif outcome is Failure.NO_ANSWER:
             self._known.discard(request.da)
-        if outcome is not Failure.ABANDONED:  # else it is asked again
+        if outcome not in (Failure.ABANDONED, Failure.HELD_BACK):  # else it is asked again
             try:
                 entry.step = entry.steps.send(outcome)
                 entry.due = now + entry.step.pause_ns

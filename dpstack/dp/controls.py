@@ -13,6 +13,7 @@ from typing import Final
 
 from dpstack.dp.commands import Mode, SendControl
 from dpstack.dp.control_order import Order, check_order
+from dpstack.dp.cyclic_control import CyclicControl
 from dpstack.dp.events import ControlFailed, ControlSent, PictureTaken, SlaveRemark, SlaveState
 from dpstack.dp.pdu import GlobalControl
 from dpstack.dp.slave_handler import SlaveHandler
@@ -36,15 +37,25 @@ Handlers = Mapping[int, SlaveHandler]
 class Controls:
     """What the master owes its slaves in Global_Control. ``urgent``: so many telegrams are due at once.
 
-    ``synced`` and ``frozen``: addresses of the slaves that are held by our order.
+    ``synced`` and ``frozen``: addresses of the slaves that are held by our order. ``cycle_freeze`` and ``cycle_sync``:
+    groups that every cycle begins with a FREEZE of, and ends with a SYNC of.
     """
 
     __slots__ = (
-        "_due", "_emit", "_handlers", "_length_ns", "_orders", "_period", "_release", "_restore", "frozen", "synced",
-        "urgent",
+        "_due", "_emit", "_handlers", "_length_ns", "_orders", "_period", "_release", "_restore", "cycle_freeze",
+        "cycle_sync", "frozen", "synced", "urgent",
     )  # fmt: skip
 
-    def __init__(self, params: BusParams, handlers: Handlers, emit: Callable[[Event], None]) -> None:
+    def __init__(
+        self,
+        params: BusParams,
+        handlers: Handlers,
+        emit: Callable[[Event], None],
+        cycle_freeze: tuple[int, ...] = (),
+        cycle_sync: tuple[int, ...] = (),
+    ) -> None:
+        self.cycle_freeze = CyclicControl(cycle_freeze, freeze=True)
+        self.cycle_sync = CyclicControl(cycle_sync, freeze=False)
         self.urgent = 0
         self.synced: set[int] = set()
         self.frozen: set[int] = set()
@@ -66,6 +77,8 @@ class Controls:
     def order(self, command: SendControl, mode: Mode) -> None:
         """Take an order; they are carried out one after the other. Raises UsageError where it cannot be."""
         check_order(command, self._handlers.values(), mode)
+        self.cycle_sync.refuse(command)
+        self.cycle_freeze.refuse(command)
         self._orders.append(Order(command))
 
     @property
@@ -133,7 +146,8 @@ class Controls:
                 f"came back into data exchange while its group is in {' and '.join(held)}, and was put back alone: its "
                 f"data are those of the group from the next {' and '.join(held)} on"
             )
-            self._emit(SlaveRemark(t_ns=now, address=setup.address, name=setup.name, message=message))
+            if not (self.cycle_sync.concerns(setup) or self.cycle_freeze.concerns(setup)):
+                self._emit(SlaveRemark(t_ns=now, address=setup.address, name=setup.name, message=message))
             if sync:
                 self.synced.add(setup.address)
             if freeze:
@@ -141,9 +155,16 @@ class Controls:
             return self._request(GlobalControl(clear=mode is Mode.CLEAR, sync=sync, freeze=freeze), da=setup.address)
         return None
 
-    def after_data(self, mode: Mode, now: int, *, exchanging: bool) -> Request | None:
-        """The next Global_Control of this round, after everybody's data; None when there is no more."""
-        if self.urgent or self._release or (now >= self._due and exchanging):
+    def cyclic(self, control: CyclicControl) -> Request:
+        """The telegram that a cycle begins or ends with (in Operate only: outputs that become safe wait for none)."""
+        return self._request(control.control(), tag=control)
+
+    def after_data(self, mode: Mode, now: int, *, repeat: bool) -> Request | None:
+        """The next Global_Control of this round, after everybody's data; None when there is no more.
+
+        ``repeat``: the mode is repeated here, when that is due.
+        """
+        if self.urgent or self._release or (repeat and now >= self._due):
             free = self._release > 0
             self._due = now + self._period
             self.urgent = max(0, self.urgent - 1)
@@ -167,14 +188,30 @@ class Controls:
                 self._emit(PictureTaken(t_ns=now, token=order.command.token, inputs=inputs))
         return None
 
-    def _request(self, control: GlobalControl, *, da: int = BROADCAST, tag: object = None) -> Request:
-        return Request(da, Req.SDN_HIGH, control.build(), SAP_GLOBAL_CONTROL, SSAP_MS0, tag=tag)
+    def _request(
+        self, control: GlobalControl, *, da: int = BROADCAST, tag: object = None, cyclic: bool = True
+    ) -> Request:
+        return Request(da, Req.SDN_HIGH, control.build(), SAP_GLOBAL_CONTROL, SSAP_MS0, tag=tag, cyclic=cyclic)
 
     def started(self, request: Request, at: int) -> None:
         """A Global_Control goes out, its first bit at ``at``."""
         order = request.tag
         if isinstance(order, Order) and self._orders and self._orders[0] is order:
             self._sent(order, at + self._length_ns)
+        elif isinstance(order, CyclicControl):
+            held = self.frozen if order.freeze else self.synced
+            held |= {h.setup.address for h in self._handlers.values() if order.reaches(h)}
+
+    def repetition(self, mode: Mode, now: int) -> Request | None:
+        """Between two fixed cycles: the mode once more when that is due."""
+        if now < self._due:
+            return None
+        self._due = now + self._period
+        return self._request(GlobalControl(clear=mode is Mode.CLEAR), tag=self, cyclic=False)
+
+    def held_back(self, until: int) -> None:
+        """The repetition did not fit in before ``until``."""
+        self._due = until
 
     def abandoned(self, request: Request) -> None:
         """A Global_Control could not be sent: the mode, and the end of SYNC, are told again. (Orders still stand.)"""

@@ -8,6 +8,7 @@ from enum import Enum
 from dpstack.dp.commands import Mode
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.trace import Event
+from dpstack.units import ms_text
 
 
 class SlaveState(Enum):
@@ -154,6 +155,28 @@ class AutoCleared(Event):
     def text(self) -> str:
         """Which, why, and what brings it back."""
         return f"master: auto_clear: outputs become safe: {'; '.join(self.reasons)}; operate() again when it is back"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CyclesMissed(Event):
+    """``count`` fixed cycles did not begin when they were due; ``missed`` with those before. Once a second at most.
+
+    ``number``, ``late_ns`` and ``reason`` are those of the worst one (of one left out: how late it was then).
+    """
+
+    count: int
+    missed: int
+    number: int
+    late_ns: int
+    reason: str
+
+    @property
+    def text(self) -> str:
+        """How many, how late, why."""
+        late = f"{ms_text(self.late_ns)} late: {self.reason}"
+        if self.count == 1:
+            return f"deadline miss {self.missed}: cycle {self.number} was {late}"
+        return f"deadline misses {self.missed - self.count + 1} to {self.missed}: cycle {self.number} was {late}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -38,7 +38,7 @@ class SlaveImage:
     ``inputs`` are the last valid ones (zeros before the first exchange), ``input_time`` when they came, in ns.
     """
 
-    __slots__ = ("_outputs", "input_len", "input_time", "inputs", "output_len", "unit", "valid")
+    __slots__ = ("_outputs", "input_len", "input_time", "inputs", "latched", "output_len", "unit", "valid")
 
     def __init__(self, input_len: int, output_len: int, outputs: bytes) -> None:
         self.input_len = input_len
@@ -49,10 +49,16 @@ class SlaveImage:
         self.valid = False
         self.unit: CyclicUnit | None = None
         self._outputs = outputs
+        #: the outputs as they were when the round began: those of all slaves are taken over at one moment
+        self.latched = outputs
+
+    def latch(self) -> None:
+        """A round begins."""
+        self.latched = self._outputs
 
     @property
     def outputs(self) -> bytes:
-        """The outputs of the next Data_Exchange in Operate."""
+        """The outputs of the next round in Operate."""
         return self._outputs
 
     @outputs.setter

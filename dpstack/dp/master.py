@@ -1,16 +1,14 @@
-"""The class 1 master: modes, the round over the slaves, and the ordered end.
+"""The class 1 master: modes and the ordered end.
 
-A user of the active station's link layer. One round in each token hold where T_TH allows: Data_Exchange with every
-slave that is in it, from the process image; then Global_Control when due (:mod:`dpstack.dp.controls`); then services
-(bring-up, diagnosis; :mod:`dpstack.dp.turns`): one a round while any slave is in data exchange, so that a bring-up
-never breaks the others' rhythm, else one for each slave. The order is that of the Siemens S120 and Heidenhain manuals
-(protocol facts, B6).
+A user of the active station's link layer. When a round over the slaves begins is :mod:`dpstack.dp.cadence` (free
+running, or a fixed cycle), what it consists of :mod:`dpstack.dp.round`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
+from dpstack.dp.cadence import Cadence
 from dpstack.dp.commands import (
     ActivateSlave,
     AddSlave,
@@ -24,16 +22,19 @@ from dpstack.dp.commands import (
     Shutdown,
 )
 from dpstack.dp.controls import Controls
+from dpstack.dp.cycle import CycleBook, CycleData
 from dpstack.dp.data_control import DATA_CONTROL_TIME, DataControl, missing_reasons
 from dpstack.dp.events import AutoCleared, MasterStopped, ModeChanged, OperateWaits, SlaveState
 from dpstack.dp.farewell import SAFE_HOLD, Farewells
 from dpstack.dp.image import SlaveImage
 from dpstack.dp.roster import Roster
+from dpstack.dp.round import Course, Round
 from dpstack.dp.setup import SlaveSetup
 from dpstack.dp.slave_handler import SlaveHandler
 from dpstack.dp.token_age import TokenAge
 from dpstack.dp.turns import Turns
 from dpstack.errors import BusError, UsageError
+from dpstack.fdl.budget import Budget
 from dpstack.fdl.telegram import SAP_GLOBAL_CONTROL, Telegram
 from dpstack.fdl.user import Failure, Request
 from dpstack.machine import LineDown, LineUp
@@ -48,7 +49,11 @@ class Master:
     ``absent_share``: while any slave is in data exchange, silent polls of absent ones take at most 1/absent_share of
     the bus time; 0 = no limit. ``auto_clear``: to Clear when a slave had no good data exchange for
     ``data_control_ns``. ``read_only``: it stays in Stop, where nothing is sent to slaves. ``on_round(now)`` is
-    called at the end of every round with data exchange, ``on_begin()`` at the beginning of every round.
+    called at the end of every round with data exchange, after :attr:`cycle` was published,
+    ``on_begin()`` before a round may begin: what it puts into the process image goes out in that one.
+
+    ``cycle_ns``: the rounds begin on a grid of this length, best effort (0: free running); then give :attr:`budget` to
+    the station. ``cycle_freeze``, ``cycle_sync``: groups that every cycle sends FREEZE and SYNC to. Raises ConfigError.
     """
 
     def __init__(
@@ -61,19 +66,24 @@ class Master:
         auto_clear: bool = False,
         data_control_ns: int = DATA_CONTROL_TIME,
         read_only: bool = False,
+        cycle_ns: int = 0,
+        cycle_freeze: tuple[int, ...] = (),
+        cycle_sync: tuple[int, ...] = (),
         on_round: Callable[[int], None] | None = None,
     ) -> None:
         self.params = params
-        self.mode = Mode.STOP if read_only else Mode.CLEAR
+        self._course = Course(Mode.STOP if read_only else Mode.CLEAR, Mode.CLEAR)
         self.read_only = read_only
         self.handlers: dict[int, SlaveHandler] = {}
         self.rotation = Histogram()
         self.rounds = 0
         self.on_round = on_round
         self.on_begin: Callable[[], None] | None = None
-        self.controls = Controls(params, self.handlers, self._emit)
+        #: the last round with data exchange, while ``on_round`` is set
+        self.cycle: CycleData | None = None
+        self.controls = Controls(params, self.handlers, self._emit, cycle_freeze, cycle_sync)
         self._events: list[Event] = []
-        self._turns = Turns(absent_share)
+        self._turns = Turns(absent_share, params)
         self._farewells = Farewells()
         self._roster = Roster(
             params,
@@ -82,25 +92,37 @@ class Master:
             turns=self._turns,
             farewells=self._farewells,
             controls=self.controls,
-            sending=lambda: self.mode > Mode.STOP,
+            sending=lambda: self._course.mode > Mode.STOP,
             emit=self._emit,
+            check=self._check,
         )
         self._control = DataControl(auto_clear=auto_clear, time_ns=data_control_ns)
         self._token = TokenAge(params)
-        # the round
-        self._open = False
-        self._cursor = 0
-        self._service_left = 0
-        self._mark = False
-        self._round_at = 0
-        self._not_before = 0
-        # where the modes lead (above self.mode: Operate waits for slaves), and until when safe values stand
-        self._target = Mode.CLEAR
-        self._safe_until = 0
+        self._cadence = Cadence(cycle_ns, self._emit)
+        self._round = Round(
+            self._course, self.handlers, self._turns, self.controls, self._farewells, self._cadence, self._round_ended
+        )
+        self._round_at = 0  # first bit of the last round's first Data_Exchange
+        self._safe_until = 0  # so long safe values stand on the way down
         for setup in slaves:
             self._roster.add(setup)
 
     # --- what the application sees ------------------------------------------------------------------------------
+
+    @property
+    def mode(self) -> Mode:
+        """The mode it is in."""
+        return self._course.mode
+
+    @property
+    def cycles(self) -> CycleBook:
+        """The books over the fixed cycles."""
+        return self._cadence.book
+
+    @property
+    def budget(self) -> Budget:
+        """What keeps everything else out of the cycles: for the station (``ActiveStation(budget=...)``)."""
+        return self._cadence.budget
 
     @property
     def images(self) -> dict[int, SlaveImage]:
@@ -123,7 +145,7 @@ class Master:
                 self._roster.command(command, now)
             case SendControl():
                 self._writable("no Global_Control can be sent")
-                if not self._token.known or self._target < self.mode:
+                if not self._token.known or self._course.target < self.mode:
                     why = "goes to a lower mode" if self._token.known else "holds no token"
                     raise BusError(f"SYNC and FREEZE cannot be sent: this station {why}; try again when that is over")
                 self.controls.order(command, self.mode)
@@ -144,6 +166,11 @@ class Master:
         events, self._events = self._events, []
         return events
 
+    def _check(self, setup: SlaveSetup) -> None:
+        self._cadence.check(setup)
+        self.controls.cycle_freeze.check(setup)
+        self.controls.cycle_sync.check(setup)
+
     def _emit(self, event: Event) -> None:
         self._events.append(event)
 
@@ -154,16 +181,16 @@ class Master:
     # --- modes and the ordered end ------------------------------------------------------------------------------
 
     def _set_mode(self, mode: Mode, now: int) -> None:
-        if self._target is Mode.OFFLINE:
+        if self._course.target is Mode.OFFLINE:
             raise UsageError("the master is being stopped: open the bus anew")
         self._writable("its master stays in Stop")
         if mode is Mode.OFFLINE:
             raise UsageError("a master goes offline by Shutdown, so that outputs become safe first")
-        if mode is not self._target:
+        if mode is not self._course.target:
             self._head_for(mode, now)
 
     def _shutdown(self, now: int) -> None:
-        if self._target is not Mode.OFFLINE:
+        if self._course.target is not Mode.OFFLINE:
             self._head_for(Mode.OFFLINE, now)
             if self._token.known and self.mode is not Mode.OFFLINE:
                 self._token.ending(now)
@@ -172,18 +199,18 @@ class Master:
         """Up at once, or when auto-clear lets it. Down from Operate over safe values and Clear, and further down when
         everybody had that.
         """
-        if self.mode is self._target is Mode.OPERATE:
+        if self.mode is self._course.target is Mode.OPERATE:
             for handler in self.handlers.values():
                 handler.unit.lost(now)
             self.controls.let_go(f"the master goes to {target.name.capitalize()}", now)
-        self._target = target
+        self._course.target = target
         if target >= self.mode:
             if target > self.mode:
                 self._go_up(now)
         elif self.mode is Mode.STOP or not self._token.known:
             self._reach(target, now)
         else:
-            self._open = False  # a whole round follows
+            self._round.cut(now)  # a whole round follows
             if self.mode is Mode.OPERATE:
                 if self._clear_is_safe():
                     self._reach(Mode.CLEAR, now)
@@ -196,9 +223,9 @@ class Master:
 
     def _go_up(self, now: int) -> None:
         """Operate with auto-clear waits in Clear for everybody (section J)."""
-        missing = self._control.missing(self.handlers.values()) if self._target is Mode.OPERATE else []
+        missing = self._control.missing(self.handlers.values()) if self._course.target is Mode.OPERATE else []
         if not missing:
-            self._reach(self._target, now)
+            self._reach(self._course.target, now)
             return
         if self.mode < Mode.CLEAR:
             self._reach(Mode.CLEAR, now)
@@ -216,16 +243,16 @@ class Master:
             if now >= self._safe_until:
                 self._reach(Mode.CLEAR, now)
         elif not (self.controls.urgent or self._farewells):
-            self._reach(self._target, now)
+            self._reach(self._course.target, now)
 
     def _reach(self, mode: Mode, now: int) -> None:
-        self.mode = mode
+        self._course.mode = mode
         self.controls.change_of_mode()
         self._events.append(ModeChanged(t_ns=now, mode=mode))
         if mode is Mode.OPERATE:
             self._control.began(now)
         if mode <= Mode.STOP:
-            self._open = False
+            self._round.cut(now)
             self._round_at = 0
             self._farewells.clear()
             self.controls.let_go(f"the master is in {mode.name.capitalize()}", now)
@@ -237,90 +264,48 @@ class Master:
 
     def _watch_data(self, now: int) -> None:
         """Auto-clear: down when somebody had no exchange for too long, up when Operate waits and all are there."""
-        if self.mode is self._target is Mode.OPERATE:
+        if self.mode is self._course.target is Mode.OPERATE:
             late = self._control.late(self.handlers.values(), now)
             if late:
                 who = tuple(h.setup.address for h in late)
                 self._emit(AutoCleared(t_ns=now, slaves=who, reasons=self._control.late_reasons(late)))
                 self._head_for(Mode.CLEAR, now)
-        elif self._target > self.mode and not self._control.missing(self.handlers.values()):
-            self._reach(self._target, now)
+        elif self._course.target > self.mode and not self._control.missing(self.handlers.values()):
+            self._reach(self._course.target, now)
 
     # --- link user ----------------------------------------------------------------------------------------------
 
     def token_received(self, now: int) -> None:
-        """A hold begins; so does a new round when the last one is through and the next one may."""
+        """A hold begins, and with it perhaps a new round."""
         self._token.received(now)
-        if not self._open and now >= self._not_before and self.mode > Mode.STOP:
-            self._begin_round(now)
-
-    def _begin_round(self, now: int) -> None:
-        if self.on_begin is not None:
-            self.on_begin()
-        turns = self._turns
-        turns.begin_round(self.handlers)
-        self.controls.begin_round()
-        self._open = True
-        self._cursor = 0
-        self._mark = bool(turns.exchanging)
-        self._farewells.begin_round()
-        self._service_left = 1 if turns.exchanging else turns.waiting
-        if self._target is Mode.OFFLINE:
-            self._service_left = 0
-        if not self._mark:
-            self._round_at = 0
-        self._not_before = now + turns.interval
+        if self._course.mode > Mode.STOP:
+            if self.on_begin is not None:
+                self.on_begin()
+            self._round.token(now)
 
     def next_request(self, now: int, high_only: bool) -> Request | None:
         """Everything a master sends to its slaves is high priority, so ``high_only`` changes nothing."""
-        if not self._open:
-            return None
-        if not self._cursor and (request := self.controls.before_data(self.mode, now)) is not None:
-            return request
-        exchanging = self._turns.exchanging
-        while self._cursor < len(exchanging):
-            handler = exchanging[self._cursor]
-            self._cursor += 1
-            if handler.state is not SlaveState.DATA_EXCHANGE:
-                continue
-            if self.rounds % handler.setup.every and self._target is self.mode and not self.controls.wants_all:
-                continue  # on the way down nobody is left out
-            return handler.data_request(self._outputs(handler, now))
-        clear = self.mode is Mode.CLEAR
-        if self._farewells and (request := self._farewells.request(now, clear=clear)) is not None:
-            return request
-        if (request := self.controls.after_data(self.mode, now, exchanging=bool(exchanging))) is not None:
-            return request
-        while self._service_left:
-            self._service_left -= 1
-            chosen = self._turns.next(now, self._farewells.awaits)
-            if chosen is not None:
-                return chosen.service_request(now)
-        self._end_round(now)
-        return None
+        return self._round.next_request(now) if self._course.mode > Mode.STOP else None
 
-    def _outputs(self, handler: SlaveHandler, now: int) -> bytes:
-        if self.mode is Mode.OPERATE:
-            return handler.unit.outputs(now) if self._target is Mode.OPERATE else handler.setup.safe_outputs
-        # Clear: a Fail_Safe slave gets an empty frame, the others zeros (section J, Siemens CP5613)
-        return b"" if handler.setup.fail_safe else bytes(handler.image.output_len)
-
-    def _end_round(self, now: int) -> None:
-        self._open = False
+    def _round_ended(self, now: int) -> None:
         self.rounds += 1
-        if self._turns.exchanging and self.on_round is not None:
+        if not self._turns.exchanging:
+            self._round_at = 0
+        elif self.on_round is not None:
+            self.cycle = self._round.data or self.cycle
             self.on_round(now)
         if self._control.enabled:
             self._watch_data(now)
-        if self._target < self.mode:
+        if self._course.descending:
             self._descend(now)
 
     def started(self, request: Request, at: int) -> None:
         """The rotation is taken from first bit to first bit of a round's first Data_Exchange."""
         self._token.sent_at = at
+        self._round.started(request, at)
         if request.dsap is None:
-            if self._mark:
-                self._mark = False
+            if self._round.first_data:
+                self._round.first_data = False
                 if self._round_at:
                     self.rotation.add(at - self._round_at)
                 self._round_at = at
@@ -330,6 +315,9 @@ class Master:
     def result(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
         """Hand the end of a request to the handling of its slave."""
         handler = request.tag
+        if outcome is Failure.HELD_BACK:
+            self._round.held_back(request)
+            return
         if outcome is Failure.ABANDONED and request.dsap == SAP_GLOBAL_CONTROL:
             self.controls.abandoned(request)
         if not isinstance(handler, SlaveHandler) or self.handlers.get(handler.setup.address) is not handler:
@@ -353,12 +341,12 @@ class Master:
 
     def _line_lost(self, reason: str, now: int) -> None:
         self._token.lost()
-        self._open = False
+        self._round.cut(now)
+        self._cadence.forget()
         self._round_at = 0
-        self._not_before = 0
         self._farewells.clear()
         self.controls.fail_all(reason, now)
         for handler in self.handlers.values():
             handler.line_lost(reason, now)
-        if self._target < self.mode:
-            self._reach(self._target, now)
+        if self._course.target < self.mode:
+            self._reach(self._course.target, now)

@@ -21,6 +21,8 @@ Change = AddSlave | RemoveSlave | DeactivateSlave | ActivateSlave | Reparameteri
 class Roster:
     """Who is handled, in ``handlers`` by address. ``sending``: whether anything may be sent to slaves now.
 
+    ``check`` raises ConfigError for a slave that does not go with the cycle.
+
     Every change is checked as a whole before anything happens.
     """
 
@@ -35,6 +37,7 @@ class Roster:
         controls: Controls,
         sending: Callable[[], bool],
         emit: Callable[[Event], None],
+        check: Callable[[SlaveSetup], None],
     ) -> None:
         self._params = params
         self._handlers = handlers
@@ -44,6 +47,7 @@ class Roster:
         self._controls = controls
         self._sending = sending
         self._emit = emit
+        self._check = check
 
     def find(self, address: int) -> SlaveHandler:
         """The handling of the slave at ``address``. Raises UsageError naming those there are."""
@@ -84,6 +88,7 @@ class Roster:
         self._turns.changed()
 
     def _make(self, setup: SlaveSetup, before: SlaveHandler | None = None) -> SlaveHandler:
+        self._check(setup)
         return SlaveHandler(
             setup,
             own=self._params.address,

@@ -190,7 +190,7 @@ class Scanner:
         if question is None:
             self.live.result(request, outcome, now)
             self._take_live(now)
-        elif outcome in (Failure.ABANDONED, Failure.REFUSED):
+        elif outcome in (Failure.ABANDONED, Failure.REFUSED, Failure.HELD_BACK):
             self._questions.appendleft(question)
         elif isinstance(outcome, Telegram) and positive(question.sap, outcome):
             self._answered(question, outcome.data, now)

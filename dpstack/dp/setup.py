@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 from dpstack.dp.diag_texts import DiagTexts
+from dpstack.dp.diagnosis import FIXED_LEN, MAX_LEN
 from dpstack.dp.pdu import MAX_USER_PRM
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
@@ -51,6 +52,7 @@ class SlaveSetup:
     ``initial`` the first ones (default ``safe``). ``groups`` are group numbers 1..8. ``every``: every n-th round.
     ``wd_base_1ms``: a DP-V1 slave with a watchdog base of 1 ms; its user parameters begin with DPV1_Status_1..3.
     ``fail_safe``: it gets empty frames in Clear; ``fail_safe_told``: DPV1_Status_1 says to a DP-V1 slave whether.
+    ``max_diag_len``: octets of its longest diagnosis, 6..244, None: not known.
     ``ignore_auto_clear``: the master stays in Operate without it. ``texts``: what its GSD file says to a diagnosis.
 
     Raises :class:`~dpstack.errors.ConfigError`.
@@ -73,6 +75,7 @@ class SlaveSetup:
     every: int = 1
     min_slave_interval_ns: int = 0
     max_tsdr: int | None = None
+    max_diag_len: int | None = None
     wd_base_1ms: bool = False
     ignore_auto_clear: bool = False
     texts: DiagTexts | None = field(default=None, compare=False, repr=False)
@@ -101,6 +104,8 @@ class SlaveSetup:
             raise ConfigError(f"{where}: groups are numbered 1..8")
         if self.every < 1:
             raise ConfigError(f"{where}: every must be 1 or more")
+        if self.max_diag_len is not None and not FIXED_LEN <= self.max_diag_len <= MAX_LEN:
+            raise ConfigError(f"{where}: max_diag_len {self.max_diag_len} is outside {FIXED_LEN}..{MAX_LEN}")
         inputs, outputs = io_lengths(self.config)
         if inputs > MAX_DATA or outputs > MAX_DATA:
             raise ConfigError(f"{where}: {inputs} input and {outputs} output octets; {MAX_DATA} each are possible")

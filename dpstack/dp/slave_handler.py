@@ -83,7 +83,8 @@ class SlaveHandler:
         self._silent = 0
         self._busy = 0
         self._odd = OddAnswers()
-        self._restart = True
+        #: the next service takes it up afresh (FCB)
+        self.restart = True
         self._prm_rounds = 0
         self._unacked = ""
         self._cfg_sent = False
@@ -120,7 +121,8 @@ class SlaveHandler:
         """Data_Exchange with ``outputs``; the same object as long as they stay the same."""
         request = self._request
         if request is None or request.data != outputs:
-            request = self._request = Request(self.setup.address, Req.SRD_HIGH, outputs, patient=True, tag=self)
+            address = self.setup.address
+            request = self._request = Request(address, Req.SRD_HIGH, outputs, patient=True, tag=self, cyclic=True)
         return request
 
     def data_result(self, outcome: Telegram | Failure, now: int) -> None:
@@ -181,7 +183,7 @@ class SlaveHandler:
     def service_request(self, now: int) -> Request:
         """The next step of the bring-up, or the diagnosis while in data exchange."""
         if self.state is SlaveState.FAULT:
-            self._restart = True
+            self.restart = True
             self._step(Ev.RETRY, now)
         state = self.state
         if self._ask_cfg:
@@ -195,17 +197,9 @@ class SlaveHandler:
         return self._service(SAP_SLAVE_DIAG, b"")
 
     def _service(self, sap: int, data: bytes) -> Request:
-        restart, self._restart = self._restart, False
-        return Request(
-            self.setup.address,
-            Req.SRD_HIGH,
-            data,
-            sap,
-            SSAP_MS0,
-            patient=self.state is not SlaveState.OFFLINE,
-            restart=restart,
-            tag=self,
-        )
+        restart, self.restart = self.restart, False
+        address, patient = self.setup.address, self.state is not SlaveState.OFFLINE
+        return Request(address, Req.SRD_HIGH, data, sap, SSAP_MS0, patient=patient, restart=restart, tag=self)
 
     def set_prm(self) -> bytes:
         """The octets of Set_Prm for this slave."""
@@ -364,7 +358,7 @@ class SlaveHandler:
             self._pacing.refused(now)
             self._prm_rounds = 0
         elif state in (SlaveState.OFFLINE, SlaveState.DEACTIVATED):
-            self._restart = True
+            self.restart = True
             self.owned = self._left = self._ask_cfg = False
             self._silent = 0
             self._pacing.absent(now)
@@ -376,7 +370,7 @@ class SlaveHandler:
         """Inputs are void, what the plugin had pending ends; the next bring-up starts afresh."""
         self.image.valid = False
         self.diag_due = False
-        self._restart = True
+        self.restart = True
         self._pacing.left(now, now - self._since, silent=silent)
         self.unit.lost(now)
 

@@ -6,7 +6,9 @@ from collections import deque
 from collections.abc import Callable, Mapping
 
 from dpstack.dp.events import SlaveState
+from dpstack.dp.rate_turns import RateTurns
 from dpstack.dp.slave_handler import SlaveHandler
+from dpstack.params import BusParams
 
 #: states in which a slave is left alone or not there: its Min_Slave_Interval holds nobody up
 _AWAY = (SlaveState.OFFLINE, SlaveState.FAULT, SlaveState.DEACTIVATED)
@@ -15,21 +17,36 @@ _AWAY = (SlaveState.OFFLINE, SlaveState.FAULT, SlaveState.DEACTIVATED)
 class Turns:
     """The slaves of a master in order. ``exchanging``: those in data exchange, by address.
 
-    ``interval``: the longest Min_Slave_Interval of those that are spoken with, in ns: the shortest time between the
-    beginnings of two rounds (section J). ``absent_share``: while any slave is in data exchange, silent polls of absent
-    ones take at most 1/absent_share of the bus time; 0 = no limit.
+    ``interval``: the shortest time in ns between the beginnings of two rounds, by the Min_Slave_Interval of those that
+    are spoken with (section J); ``interval_all``: the same beside a round that leaves nobody out. ``absent_share``:
+    while any slave is in data exchange, silent polls of absent ones take at most 1/absent_share of the bus time; 0 = no
+    limit.
     """
 
-    __slots__ = ("_absent_share", "_fresh", "_poll_from", "_services", "_stale", "exchanging", "interval")
+    __slots__ = (
+        "_absent_share",
+        "_fresh",
+        "_held",
+        "_poll_from",
+        "_services",
+        "_stale",
+        "exchanging",
+        "interval",
+        "interval_all",
+        "rates",
+    )
 
-    def __init__(self, absent_share: int) -> None:
+    def __init__(self, absent_share: int, params: BusParams) -> None:
+        self.rates = RateTurns(params)
         self.exchanging: list[SlaveHandler] = []
-        self.interval = 0
+        self.interval = self.interval_all = 0
         self._absent_share = absent_share
         self._services: deque[SlaveHandler] = deque()
         self._stale = True
         self._fresh = False
         self._poll_from = 0
+        #: whose service does not fit before the next cycle: what is left of this one only gets shorter
+        self._held: set[SlaveHandler] = set()
 
     @property
     def waiting(self) -> int:
@@ -48,10 +65,13 @@ class Turns:
 
     def begin_round(self, handlers: Mapping[int, SlaveHandler]) -> None:
         """Sort anew where something changed. Who has a diagnosis waiting comes first: a DH is answered at once (B6)."""
+        if self._held:
+            self._held.clear()
         if not self._stale:
             return
         self._stale = False
         by_address = [handlers[address] for address in sorted(handlers)]
+        self.rates.arrange([h.setup for h in by_address])
         self.exchanging = [h for h in by_address if h.state is SlaveState.DATA_EXCHANGE]
         wanting = [h for h in by_address if h.state is not SlaveState.DATA_EXCHANGE or h.diag_due]
         wanted = set(wanting)
@@ -60,7 +80,25 @@ class Turns:
         new = [h for h in wanting if h not in known]
         urgent = [h for h in new if h.diag_due]
         self._services = deque(urgent + kept + [h for h in new if not h.diag_due])
-        self.interval = max((h.setup.min_slave_interval_ns for h in by_address if h.state not in _AWAY), default=0)
+        spoken_with = [h.setup for h in by_address if h.state not in _AWAY]
+        self.interval = self.rates.interval_ns(spoken_with)
+        self.interval_all = max((s.min_slave_interval_ns for s in spoken_with), default=0)
+        for handler in wanting:
+            if handler.state is not SlaveState.DATA_EXCHANGE:
+                self.rates.away(handler.setup.address)
+
+    def due(self, number: int) -> list[SlaveHandler]:
+        """Who has a turn in cycle ``number``, of those in data exchange."""
+        if not self.rates.uneven:
+            return self.exchanging
+        return [h for h in self.exchanging if self.rates.due(h.setup.address, number)]
+
+    def held_back(self, handler: SlaveHandler) -> None:
+        """Its service does not fit before the next cycle: it is the first one after that."""
+        self._held.add(handler)
+        if handler in self._services:
+            self._services.remove(handler)
+            self._services.appendleft(handler)
 
     def next(self, now: int, blocked: Callable[[int], bool]) -> SlaveHandler | None:
         """The next slave that wants a service and whose address is not ``blocked``.
@@ -87,7 +125,7 @@ class Turns:
         """Absent ones within their share of the bus; nobody before the one removed at its address is unlocked."""
         if not handler.wants_service(now) or (handler.state is SlaveState.OFFLINE and now < self._poll_from):
             return False
-        return not blocked(handler.setup.address)
+        return handler not in self._held and not blocked(handler.setup.address)
 
     def polled(self, handler: SlaveHandler, took_ns: int, now: int) -> None:
         """A service to ``handler`` took so long: an absent one's is charged to the share of all absent ones."""

@@ -42,7 +42,7 @@ class UnitHost:
         image = self._image
         unit = image.unit
         if unit is None:
-            return image.outputs
+            return image.latched
         if self.fault is None:
             try:
                 image.outputs = unit.cyclic(image.inputs if image.valid else b"", now)

@@ -5,11 +5,13 @@ from __future__ import annotations
 import dataclasses
 import socket
 from collections import deque
+from functools import partial
 from time import monotonic_ns
 from typing import Final
 
 from dpstack.dp.class2 import ServiceDone
 from dpstack.dp.commands import AddSlave, SendControl
+from dpstack.dp.cycle import CycleData
 from dpstack.dp.events import ControlFailed, ControlSent, DriveEvent, PictureTaken
 from dpstack.dp.image import SlaveImage
 from dpstack.dp.scanner import Scanner
@@ -24,6 +26,7 @@ from dpstack.drivers.messages import (
     BusNow,
     CloseBus,
     Counters,
+    CyclesNow,
     EndSurvey,
     Frames,
     Hello,
@@ -101,7 +104,6 @@ class Host:
         self._ending = Ending(loop, self.runtime, stack, self._finish)
         self._surveys: dict[int, Scanner] = {}
         self._watched = False
-        self._round_told = True
         self._dropped = 0
         self._over = False
         # what was told last
@@ -213,9 +215,8 @@ class Host:
 
     def _on_round(self, _now: int) -> None:
         self._publish()
-        if self._watched and self._round_told:
-            self._round_told = False
-            self._loop.call_soon(self._tell_round)
+        if self._watched:  # after the round's last telegram, not before it
+            self._loop.call_soon(partial(self._tell_round, self._master.cycle))
 
     def _publish(self) -> None:
         handlers = self._master.handlers
@@ -293,10 +294,9 @@ class Host:
                 self._told_surveys.add(number)
                 news.surveys[number] = result
 
-    def _tell_round(self) -> None:
-        self._round_told = True
+    def _tell_round(self, cycle: CycleData | None) -> None:
         if not self._outbox.full and not self._over:
-            self._outbox.send(Message(news=News(round_over=True)))
+            self._outbox.send(Message(news=News(round_over=True, cycle=cycle)))
 
     def _on_rhythm(self) -> None:
         if self._over:
@@ -314,6 +314,7 @@ class Host:
             token_rotation=station.token_rotation.data(),
             lateness=self.runtime.lateness.histogram.data(),
             link=station.stats,
+            cycles=CyclesNow.of(self._master.cycles, self._master.budget.held_back, self._master.budget.forced),
             decoder=dataclasses.replace(station.decoder_stats),
             damage=self.runtime.damage(),
         )

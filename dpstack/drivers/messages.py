@@ -28,6 +28,7 @@ from dpstack.dp.commands import (
     SetMode,
     Shutdown,
 )
+from dpstack.dp.cycle import CycleBook, CycleData, MissReason
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.events import Fault, SlaveState
 from dpstack.dp.scanner import Found
@@ -41,7 +42,7 @@ from dpstack.fdl.decoder import DecoderStats
 from dpstack.fdl.user import LinkStats
 from dpstack.gsd.diag_texts import DiagTexts
 from dpstack.phy.patience import Patience
-from dpstack.stats import HistogramData
+from dpstack.stats import Histogram, HistogramData
 from dpstack.trace import Event
 
 T = TypeVar("T")
@@ -168,6 +169,40 @@ class WatcherNow:
 
 
 @dataclass(frozen=True, slots=True)
+class CyclesNow:
+    """The books over fixed cycles (:class:`dpstack.dp.cycle.CycleBook`), and what did not fit between them."""
+
+    cycle_ns: int = 0
+    begun: int = 0
+    begun_late: int = 0
+    left_out: int = 0
+    late: HistogramData = field(default_factory=HistogramData)
+    reasons: dict[MissReason, int] = field(default_factory=dict)
+    held_back: int = 0
+    forced: int = 0
+
+    @classmethod
+    def of(cls, book: CycleBook, held_back: int, forced: int) -> CyclesNow:
+        """The books as plain data."""
+        return cls(
+            book.cycle_ns,
+            book.begun,
+            book.begun_late,
+            book.left_out,
+            book.late.data(),
+            dict(book.reasons),
+            held_back,
+            forced,
+        )
+
+    def book(self) -> CycleBook:
+        """The books again."""
+        return CycleBook(
+            self.cycle_ns, self.begun, self.begun_late, self.left_out, Histogram.of(self.late), dict(self.reasons)
+        )
+
+
+@dataclass(frozen=True, slots=True)
 class Counters:
     """Everything that is counted, as one picture."""
 
@@ -176,6 +211,7 @@ class Counters:
     lateness: HistogramData = field(default_factory=HistogramData)
     link: LinkStats = field(default_factory=LinkStats)
     decoder: DecoderStats = field(default_factory=DecoderStats)
+    cycles: CyclesNow = field(default_factory=CyclesNow)
     damage: dict[str, int] = field(default_factory=dict)
 
 
@@ -191,7 +227,8 @@ class Hello:
 class News:
     """State and events in order: the state is that after the events. What did not change is left out.
 
-    ``round_over``: a round ended. ``over``: nothing more will come, for this reason; ``defect``: one of ours.
+    ``round_over``: a round ended, ``cycle`` is what it brought (told while somebody watches). ``over``: nothing more
+    will come, for this reason; ``defect``: one of ours.
     """
 
     bus: BusNow | None = None
@@ -200,6 +237,7 @@ class News:
     surveys: dict[int, SurveyResult] = field(default_factory=dict)
     events: list[Named] = field(default_factory=list)
     round_over: bool = False
+    cycle: CycleData | None = None
     over: str | None = None
     defect: bool = False
 

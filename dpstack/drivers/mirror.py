@@ -12,12 +12,13 @@ from collections.abc import Callable, Mapping
 from typing import Protocol
 
 from dpstack.dp.commands import Mode
+from dpstack.dp.cycle import CycleBook, CycleData
 from dpstack.dp.diag_texts import block_texts
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.events import Fault, SlaveDiagnosis, SlaveState
 from dpstack.dp.scanner import Found
 from dpstack.dp.setup import SlaveSetup
-from dpstack.drivers.messages import BusNow, Counters, News, SlaveNow, WatcherNow
+from dpstack.drivers.messages import BusNow, Counters, CyclesNow, News, SlaveNow, WatcherNow
 from dpstack.drivers.shared_image import Picture
 from dpstack.fdl.decoder import DecoderStats
 from dpstack.fdl.user import LinkStats
@@ -129,8 +130,20 @@ class MasterMirror:
         self.handlers = {setup.address: SlaveMirror(setup, source) for setup in slaves}
         self.synced: frozenset[int] = frozenset()
         self.frozen: frozenset[int] = frozenset()
+        #: the last round with data exchange, while ``on_round`` is set
+        self.cycle: CycleData | None = None
         self._source = source
         self._on_round: Callable[[int], None] | None = None
+
+    @property
+    def cycles(self) -> CycleBook:
+        """The books over fixed cycles, up to now."""
+        return self._source.counters().cycles.book()
+
+    @property
+    def budget(self) -> CyclesNow:
+        """What did not fit between fixed cycles, up to now."""
+        return self._source.counters().cycles
 
     @property
     def controls(self) -> MasterMirror:
@@ -221,6 +234,8 @@ class Mirror:
             slave = self.master.handlers.get(address)
             if slave is not None:
                 slave.take(now)
+        if news.cycle is not None:
+            self.master.cycle = news.cycle
         if news.watcher is not None and self.watcher is not None:
             self.watcher.take(news.watcher)
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection, Mapping
 from typing import Protocol
 
 from dpstack.dp.commands import Mode
+from dpstack.dp.cycle import CycleBook, CycleData
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.events import Fault, SlaveState
 from dpstack.dp.scanner import Found
@@ -93,6 +94,18 @@ class ControlsSeen(Protocol):
         """Addresses."""
 
 
+class BudgetSeen(Protocol):
+    """See :class:`dpstack.fdl.budget.Budget`."""
+
+    @property
+    def held_back(self) -> int:
+        """Waits."""
+
+    @property
+    def forced(self) -> int:
+        """Sent without fitting in."""
+
+
 class MasterSeen(Protocol):
     """See :class:`dpstack.dp.master.Master`."""
 
@@ -111,6 +124,18 @@ class MasterSeen(Protocol):
     @property
     def controls(self) -> ControlsSeen:
         """SYNC and FREEZE."""
+
+    @property
+    def cycle(self) -> CycleData | None:
+        """The last round with data exchange, while somebody watches."""
+
+    @property
+    def cycles(self) -> CycleBook:
+        """The books over fixed cycles."""
+
+    @property
+    def budget(self) -> BudgetSeen:
+        """What did not fit between them."""
 
     @property
     def rotation(self) -> Histogram:

@@ -34,6 +34,9 @@ class StackSpec:
     data_control_ns: int
     read_only: bool
     watched: bool
+    cycle_ns: int = 0
+    cycle_freeze: tuple[int, ...] = ()
+    cycle_sync: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,12 +59,16 @@ def build_stack(spec: StackSpec) -> Stack:
         auto_clear=spec.auto_clear,
         data_control_ns=spec.data_control_ns,
         read_only=spec.read_only,
+        cycle_ns=spec.cycle_ns,
+        cycle_freeze=spec.cycle_freeze,
+        cycle_sync=spec.cycle_sync,
     )
     watcher = _watcher(spec) if spec.read_only and spec.watched else None
     users: list[LinkUser] = [master] if watcher is None else [master, watcher]
     users.append(Class2(params.address, master))
     guard = reading_only if spec.read_only else None
-    return Stack(master, ActiveStation(params, users, patience=patience, guard=guard), watcher)
+    station = ActiveStation(params, users, patience=patience, guard=guard, budget=master.budget)
+    return Stack(master, station, watcher)
 
 
 def _watcher(spec: StackSpec) -> Scanner:

@@ -12,6 +12,7 @@ from typing import Final
 from dpstack.errors import UsageError
 from dpstack.fdl import active_exchange, active_hold, active_idle, active_passing
 from dpstack.fdl.active_link import NONE, Link, Rows, classify
+from dpstack.fdl.budget import Budget
 from dpstack.fdl.codec import encode
 from dpstack.fdl.commands import AttachUser, DetachUser, GoOffline, GoOnline
 from dpstack.fdl.decoder import Decoder, DecoderStats
@@ -50,9 +51,9 @@ _COMMANDS: Final[dict[type, Input]] = {
 class ActiveStation:
     """An active station (BusStation) and its ``users``, asked in their order. Offline until :class:`GoOnline`.
 
-    ``patience`` is what the port may be late; what ``guard`` refuses no user can send; ``wire``, when set, is told
-    every telegram heard and sent. Commands that are not its own go to the users; :class:`UsageError` when none takes
-    it.
+    ``patience`` is what the port may be late; what ``guard`` refuses no user can send; ``budget`` keeps everything but
+    the cycle itself out of a fixed cycle; ``wire``, when set, is told every telegram heard and sent. Commands that are
+    not its own go to the users; :class:`UsageError` when none takes it.
     """
 
     __slots__ = ("_decoder", "_guard", "_link", "_longest_ns", "_partial", "_sending", "wire")
@@ -64,10 +65,13 @@ class ActiveStation:
         *,
         patience: Patience = EXACT,
         guard: Guard | None = None,
+        budget: Budget | None = None,
         now: int = 0,
     ) -> None:
         self._guard = guard
         self._link = Link(params, [self._guarded(user) for user in users], patience, ROWS, now)
+        if budget is not None:
+            self._link.budget = budget
         self._decoder = Decoder(stall_ns=self._link.line.t_stall_ns + patience.stall_ns)
         self._decoder.on_bad = self._bad
         self._link.announced.received = self._decoder.stats

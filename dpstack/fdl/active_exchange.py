@@ -21,6 +21,7 @@ from dpstack.fdl.states import Input, State
 from dpstack.fdl.telegram import SHORT_ACK, Kind, Req, Resp, Telegram
 from dpstack.fdl.user import Failure, LinkUser, Request
 from dpstack.trace import Notice, Severity
+from dpstack.units import chars_to_ns
 
 
 class _Service(NamedTuple):
@@ -45,10 +46,38 @@ _SERVICES: Final[dict[Req, _Service]] = {
     )
     for f in Req
 }
+#: octets around the data unit of SD2, those of SD1, and those of two SAPs
+_FRAME: Final = 9
+_SD1: Final = 6
+_SAPS: Final = 2
 #: so many slot times with the port's patience an answer may come late
 _OWED_SLOTS: Final = 4
 #: responses that say no or plainly yes
 _WITHOUT_DATA: Final = frozenset({int(Resp.OK), int(Resp.UE), int(Resp.RR), int(Resp.RS), int(Resp.NR)})
+
+
+def ends_at(link: Link, request: Request, now: int) -> int:
+    """When ``request``, asked for now, and the idle time after it are over at the latest, in ns: every attempt in vain
+    but the last one, whose answer begins at the end of its slot time and has all the octets it may have.
+    """
+    service = _SERVICES[request.function]
+    line, baud = link.line, link.params.baud
+    begins = max(now, line.idle_since + link.after_ns)
+    octets = len(request.data) + (_SAPS if request.dsap is not None else 0)
+    sending = chars_to_ns(octets + _FRAME if octets else _SD1, baud) + link.patience.sending_ns
+    if not service.answered:
+        return begins + sending + line.t_id2_ns
+    tries = link.max_retry if request.retry else 0
+    if service.counted and (request.restart or not link.fcb.operational[request.da]):
+        tries = 0
+    slot = (link.slot_known_ns if waits_long(link, request) else link.slot_unknown_ns) + request.extra_ns
+    answer = chars_to_ns(request.answer + _SAPS + _FRAME, baud)
+    return begins + (tries + 1) * (sending + slot) + answer + line.t_id1_ns
+
+
+def waits_long(link: Link, request: Request) -> bool:
+    """Whether the answer to ``request`` will be given the slack of a station whose silence would be news."""
+    return request.patient or request.da in link.slow or link.knows(request.da)
 
 
 def start(link: Link, user: LinkUser, request: Request) -> None:

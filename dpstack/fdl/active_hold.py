@@ -8,9 +8,12 @@ from dpstack.fdl import active_exchange as exchange
 from dpstack.fdl import active_passing as passing
 from dpstack.fdl.active_link import NONE, Link, classify
 from dpstack.fdl.codec import encode_sd1
-from dpstack.fdl.events import RingJoined, StationFound
+from dpstack.fdl.describe import request_name
+from dpstack.fdl.events import DoesNotFit, RingJoined, StationFound
 from dpstack.fdl.states import Input, State
 from dpstack.fdl.telegram import FC_REQUEST, Kind, Req, StationType, Telegram
+from dpstack.fdl.user import Failure, Request
+from dpstack.units import NEVER
 
 _STATUS_FC: Final = FC_REQUEST | Req.FDL_STATUS
 #: after so many holds without time for a GAP poll that was due, low-priority service stands back once
@@ -29,6 +32,7 @@ def begin(link: Link, _: Telegram, now: int) -> None:
     else:
         link.until = now + link.t_tr_ns
     link.fresh = True
+    link.budget.alone = link.ring.ns == link.ts
     link.gap_turn = link.gap.skipped >= _GAP_PATIENCE
     link.stats.tokens += 1
     if not link.in_ring:
@@ -51,18 +55,52 @@ def _joined(link: Link, now: int) -> None:
 def check(link: Link, _: Telegram, now: int) -> None:
     """What comes next: high priority once even when T_TH is over, everything while time is left, GAP, token."""
     if not link.leaving:
+        budget = link.budget
         over = now >= link.until
         if not over or link.fresh:
             high_only = over or link.gap_turn
             for user in link.users:
                 request = user.next_request(now, high_only)
                 if request is not None:
+                    if not (request.cyclic or budget.next_at == NEVER or _admitted(link, request, now)):
+                        user.result(request, Failure.HELD_BACK, now)
+                        continue
                     link.fresh = False
                     exchange.start(link, user, request)
                     return
         if link.gap.enabled and _poll(link, now):
             return
+        keep_ns = link.keep_alone_ns if budget.alone else link.keep_ns
+        if 0 < budget.next_at - now <= keep_ns and (not over or link.fresh):
+            link.enter(State.USE_TOKEN)  # the next cycle begins with this token: silent until then
+            link.deadline = budget.next_at
+            return
     passing.start(link, now)
+
+
+def resume(link: Link, _: Telegram, now: int) -> None:
+    """The cycle for which the token was kept is due."""
+    link.enter(State.CHECK_ACCESS_TIME)
+    link.row[Input.CHECK](link, NONE, now)
+
+
+def _admitted(link: Link, request: Request, now: int) -> bool:
+    """Whether a request that is no part of the cycle may be sent now; what never fits in is told, once for each."""
+    budget = link.budget
+    until = exchange.ends_at(link, request, now)
+    if not budget.admits((request.function, request.da, request.dsap), until):
+        return False
+    if until > budget.next_at:
+        name = request_name(request)
+        budget.overdrawn = f"{name} to station {request.da}"
+        if request.dsap not in link.told_forced:
+            link.told_forced.add(request.dsap)
+            patience = link.patience
+            slack_ns = patience.known_ns if exchange.waits_long(link, request) else patience.unknown_ns
+            link.events.append(
+                DoesNotFit(t_ns=now, service=name, address=request.da, takes_ns=until - now, slack_ns=slack_ns)
+            )
+    return True
 
 
 def _poll(link: Link, now: int) -> bool:
@@ -76,6 +114,10 @@ def _poll(link: Link, now: int) -> bool:
         return False
     if not link.knows(address) and not gap.allowance.allows(now):
         return False
+    if link.budget.next_at != NEVER:
+        poll = Request(address, Req.FDL_STATUS, retry=False, answer=0)
+        if not _admitted(link, poll, now):
+            return False
     link.polling = address
     link.fresh = False
     link.enter(State.USE_TOKEN)

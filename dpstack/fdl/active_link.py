@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import Final
 
 from dpstack.fdl.announced import Announced, News
+from dpstack.fdl.budget import Budget
 from dpstack.fdl.codec import encode_token
 from dpstack.fdl.events import MasterSeen, RingLeft
 from dpstack.fdl.fcb import FrameCount
@@ -28,6 +29,9 @@ from dpstack.units import BITS_PER_CHAR, NEVER
 _SLACK_IN_T_TO: Final = 2
 #: repetitions of a token get this share of the slack that the first pass gets (but what is there for unknown ones)
 _AGAIN: Final = 4
+#: beside other masters a token is kept for a cycle that is due within this share of T_SL
+_KEPT: Final = 4
+TOKEN_OCTETS: Final = 3
 #: stands for "no telegram"; told by identity
 NONE: Final = Telegram(Kind.SC, -1, -1)
 #: stands for "no request"; told by identity
@@ -68,6 +72,7 @@ class Link:
         "asked",
         "attempt",
         "back_off_until",
+        "budget",
         "busy_until",
         "candidate",
         "claim_from",
@@ -90,6 +95,8 @@ class Link:
         "gate_ns",
         "in_ring",
         "in_vain",
+        "keep_alone_ns",
+        "keep_ns",
         "last_pass",
         "last_rotation",
         "leaving",
@@ -119,6 +126,7 @@ class Link:
         "taken_at",
         "token_at",
         "token_rotation",
+        "told_forced",
         "told_le3",
         "tries_left",
         "ts",
@@ -178,6 +186,8 @@ class Link:
         self.token_at = -1  # last receipt of the token, -1 when out of the ring
         self.until = 0  # end of T_TH
         self.fresh = False  # nothing was sent in this hold yet
+        self.budget = Budget()
+        self.told_forced: set[int | None] = set()  # services (SAPs) of which was told that they fit into no gap
         self.gap_turn = False  # low priority stands back for the GAP in this hold
         self.attempt = 0  # of passing the token
         self.last_rotation = 0
@@ -215,6 +225,11 @@ class Link:
         self.t_to_ns = line.t_to_ns + _SLACK_IN_T_TO * patience.known_ns
         self.t_tr_ns = params.ns(params.t_tr)
         self.max_retry = params.max_retry
+        # A fixed cycle that is due so soon begins with this token. With others in the ring a silence that is far from
+        # their T_SL; alone any start is caught between two tokens to ourselves, far from anybody's T_TO (600 bits).
+        self.keep_ns = line.t_sl_ns // _KEPT
+        token_ns = params.ns(TOKEN_OCTETS * BITS_PER_CHAR)
+        self.keep_alone_ns = line.t_sl_ns + 2 * (token_ns + line.t_id1_ns + patience.sending_ns)
         # half a bit of tolerance: telegram and pause are rounded to ns apart from each other
         self.early_ns = params.ns(params.min_tsdr) - params.ns(1) // 2
         self.gap.limit(patience, self.slot_unknown_ns, now)

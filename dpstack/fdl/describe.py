@@ -32,6 +32,7 @@ from dpstack.fdl.telegram import (
     StationType,
     Telegram,
 )
+from dpstack.fdl.user import Request
 from dpstack.params import BROADCAST
 from dpstack.trace import WireEntry
 from dpstack.units import NS_PER_US, ns_to_bits
@@ -103,6 +104,11 @@ def service(telegram: Telegram) -> str:
     if telegram.dsap is None and telegram.ssap is None and not telegram.data:
         return "acknowledgement"
     return _by_saps(telegram.ssap, telegram.dsap)
+
+
+def request_name(request: Request) -> str:
+    """The name of the service that a request not yet sent belongs to."""
+    return _BY_FUNCTION.get(request.function) or _by_saps(request.dsap, request.ssap)
 
 
 def _by_saps(slave: int | None, master: int | None) -> str:

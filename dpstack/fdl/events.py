@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from dpstack.fdl.budget import PATIENCE
 from dpstack.fdl.telegram import StationType
 from dpstack.trace import Event, Notice, Severity
+from dpstack.units import ms_text
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,3 +101,27 @@ def le3_notice(source: str, sender: int, now: int) -> Notice:
         "they are taken as empty"
     )
     return Notice(t_ns=now, source=source, message=message, severity=Severity.WARNING)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DoesNotFit(Event):
+    """What fits between no two cycles was sent all the same, after its wait; told once for each service.
+
+    ``takes_ns``: the longest it can take; ``slack_ns``: what the port's slack is in each of its slot times.
+    """
+
+    service: str
+    address: int
+    takes_ns: int
+    slack_ns: int
+
+    @property
+    def text(self) -> str:
+        """What, how long, and what to do."""
+        slack = f", {ms_text(self.slack_ns)} for a late port in each attempt" if self.slack_ns else ""
+        less = "a longer cycle_ms or a smaller host_slack_ms" if self.slack_ns else "a longer cycle_ms"
+        return (
+            f"{self.service} to station {self.address} fits between no two cycles: it can take "
+            f"{ms_text(self.takes_ns)} (silence and repetitions{slack}); such requests go out in every "
+            f"{PATIENCE}th cycle at most, and the next one may begin late; {less} makes room"
+        )

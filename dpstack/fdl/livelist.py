@@ -129,7 +129,7 @@ class LiveList:
             return None
         self._turn = False
         self._waiting = self._queue.popleft()
-        return Request(address, Req.FDL_STATUS, patient=known, retry=known, extra_ns=self._extra_ns)
+        return Request(address, Req.FDL_STATUS, patient=known, retry=known, extra_ns=self._extra_ns, answer=0)
 
     def started(self, request: Request, at: int) -> None:
         """What a silent poll takes counts from here."""
@@ -139,7 +139,7 @@ class LiveList:
         """The answer says the type; silence is believed in the end."""
         address = request.da
         self._waiting = -1
-        if outcome in (Failure.ABANDONED, Failure.REFUSED):
+        if outcome in (Failure.ABANDONED, Failure.REFUSED, Failure.HELD_BACK):
             self._queue.appendleft(address)
         elif isinstance(outcome, Telegram):
             self.unreadable.discard(address)

@@ -115,6 +115,8 @@ def _rows() -> list[Row]:
             (_S.AWAIT_DATA_RESPONSE, _S.AWAIT_STATUS_RESPONSE, _S.CHECK_ACCESS_TIME),
             "wait for the answer; after an SDN go on with T_ID2", "spec p12"),
         Row(_S.USE_TOKEN, _I.RESPONSE, "exchange.late", (_S.USE_TOKEN,), "a late answer: count it", "rule"),
+        Row(_S.USE_TOKEN, _I.TIMEOUT, "hold.resume", (_S.CHECK_ACCESS_TIME,),
+            "the fixed cycle for which the token was kept is due", "rule"),
         Row(_S.USE_TOKEN, _I.GO_OFFLINE, "hold.leave_now", (_S.PASS_TOKEN, _S.OFFLINE),
             "abandon what was not started, pass the token on", "rule"),
         # --- Await_Data_Response ---
@@ -126,7 +128,8 @@ def _rows() -> list[Row]:
             "wait for the answer to the repetition", "spec p14"),
         # --- Check_Access_Time: never rests, what comes next is decided at once ---
         Row(_S.CHECK_ACCESS_TIME, _I.CHECK, "hold.check", (_S.USE_TOKEN, _S.PASS_TOKEN, _S.OFFLINE),
-            "high priority once even when late, low while time is left, then the GAP, then the token", "spec p11, p12"),
+            "high priority once even when late, low while time is left, then the GAP, then the token; kept for a fixed "
+            "cycle that is due at once", "spec p11, p12; rule"),
         # --- Pass_Token, Check_Token_Pass ---
         Row(_S.PASS_TOKEN, _I.SENT, "passing.sent", (_S.CHECK_TOKEN_PASS, _S.USE_TOKEN, _S.OFFLINE),
             "watch NS; a lone master holds the token again", "Felser, state machine; lone master"),

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import NamedTuple, Protocol
 
-from dpstack.fdl.telegram import Req, Resp, Telegram
+from dpstack.fdl.telegram import MAX_DATA, Req, Resp, Telegram
 from dpstack.trace import Event
 
 
@@ -28,6 +28,8 @@ class Request(NamedTuple):
     ``function`` says the priority too (SRD_HIGH, SRD_LOW ...). ``patient`` asks for the slack of a station whose
     silence has consequences; ``extra_ns`` is waited in addition. ``retry`` False makes it one attempt;
     ``restart`` takes the station up afresh (FCV 0, FCB 1) whatever was known of it. ``tag`` is the user's own.
+    ``answer``: so many octets of data its answer has at most, as far as is known. ``cyclic``: it is part of a fixed
+    cycle itself and never held back.
     """
 
     da: int
@@ -40,6 +42,8 @@ class Request(NamedTuple):
     restart: bool = False
     tag: object = None
     extra_ns: int = 0
+    answer: int = MAX_DATA
+    cyclic: bool = False
 
     @property
     def expect(self) -> Expect:
@@ -71,6 +75,7 @@ class Failure(Enum):
     WRONG = "wrong answer"  # a telegram that does not answer this request: other SAPs, another station
     ABANDONED = "abandoned"  # the station left the ring or went offline meanwhile
     REFUSED = "refused by this station's guard"  # never sent: this station may not (dpstack.fdl.guard)
+    HELD_BACK = "held back"  # not sent now: it might run into the next cycle (dpstack.fdl.budget); ask again
 
 
 class LinkUser(Protocol):

@@ -6,7 +6,7 @@ import asyncio
 from pathlib import Path
 
 import pytest
-from api_kit import FAN
+from api_kit import FAN, RAW
 from far_ends import until
 from process_kit import DRIVERS, LAMPS, LAMPS_SPEC, SPEC, VALVES, Driver, bus_on, octet_slaves
 
@@ -142,6 +142,30 @@ async def test_groups(driver: Driver) -> None:
                 assert await group.read() == {"valves": b"\x01\x02", "lamps": b"\x03"}
                 assert bus.slave("lamps").frozen
             assert not bus.slave("valves").synced
+
+
+async def test_cycles(driver: Driver) -> None:
+    with octet_slaves(SPEC, LAMPS_SPEC) as (path, _there):
+        async with bus_on(path, driver, VALVES, LAMPS, cycle_ms=100.0, host_slack_ms=1.0) as bus:
+            await bus.ready(20)
+            await bus.operate()
+            numbers, skipped = [], 0
+            async for cycle in bus.cycles():
+                numbers.append(cycle.number)
+                skipped += cycle.skipped
+                if cycle.inputs["lamps"] == b"\x05":
+                    assert cycle["valves"] == {"level": 5}  # outputs of one cycle, inputs of one cycle
+                    break
+                bus.slave("valves")["target"] = 5
+                bus.slave("lamps").outputs = b"\x05"
+            assert numbers == sorted(set(numbers))
+            book = bus.stats.cycles
+            assert book is not None
+            assert book.cycle_ns == 100_000_000
+            assert book.begun >= len(numbers) + skipped
+            assert book.late.count == book.begun
+            with pytest.raises(ConfigError, match="cycle"):
+                await bus.add_slave(RAW | {"min_slave_interval": 5000})
 
 
 async def test_class_2_and_scan(driver: Driver) -> None:

@@ -201,19 +201,37 @@ BAD: list[tuple[str, str]] = [
     (BUS + 'echo = "on"\n', "plant.toml:4: [bus]: echo = 'on'; it must be \"auto\", true or false"),
     (BUS + "rs485 = 1\n", "plant.toml:4: [bus]: rs485 = 1 is an integer; it must be true or false"),
     (BUS + 'driver = "fast"\n', 'plant.toml:4: [bus]: unknown driver \'fast\'; it must be "auto", "asyncio" or'),
+    (BUS + "cycle_ms = 0\n", "plant.toml:4: [bus]: cycle_ms = 0 is no time; give milliseconds, or leave it out"),
+    (BUS + "cycle_ms = 1e-7\n", "plant.toml:4: [bus]: cycle_ms = 1e-07 is no time; give milliseconds, or leave it"),
+    (BUS + "cycle_ms = -4.0\n", "plant.toml:4: [bus]: cycle_ms = -4 is outside 0..60000; correct it or leave it out"),
+    (BUS + "cycle_ms = inf\n", "plant.toml:4: [bus]: cycle_ms = inf is outside 0..60000; correct it or leave it out"),
+    (BUS + "cycle_ms = true\n", "plant.toml:4: [bus]: cycle_ms = True is true/false; it must be a number"),
+    (BUS + "other_masters = -1\n", "plant.toml:4: [bus]: other_masters = -1 is outside 0..125; how many there are"),
+    (BUS + "other_masters = [2.5, -1]\n", "plant.toml:4: [bus]: other_masters holds -1; give the bus rotation time"),
+    (BUS + "other_masters = [true]\n", "plant.toml:4: [bus]: other_masters holds True; give the bus rotation time"),
+    (BUS + 'other_masters = "two"\n', "plant.toml:4: [bus]: other_masters = 'two' is a text; it must be an integer"),
     (BUS + "host_slack_ms = nan\n", "plant.toml:4: [bus]: host_slack_ms = nan is outside 0..10000; correct it"),
     (BUS.replace('"/dev/ttyX"', '""'), "plant.toml:2: [bus]: port is empty; give it a value or leave it out"),
     (BUS.replace('"/dev/ttyX"', "7"), "plant.toml:2: [bus]: port = 7 is an integer; it must be a text in quotes"),
 ]
 # known keys of functions that this version does not have
 LATER: list[tuple[str, str]] = [
-    (BUS + "cycle_ms = 4.0\n", "plant.toml:4: [bus]: cycle_ms is not supported yet by this version; leave it out"),
     (BUS + "data_control_time_ms = 5\n", "plant.toml:4: [bus]: data_control_time_ms"),
     (BUS + RAW + 'gsd = "x.gsd"\n', "plant.toml:8: [[slave]] raw: config beside gsd; leave config out, or gsd"),
     (BUS + RAW + "modules = []\n", "plant.toml:9: [[slave]] raw: modules without gsd; name the GSD file, or leave"),
     (BUS + RAW + "parameters = {}\n", "plant.toml:9: [[slave]] raw: parameters without gsd; name the GSD file, or"),
     (BUS + RAW + "dpv1 = true\n", "plant.toml:9: [[slave]] raw: dpv1 is not supported yet by this version; leave it"),
 ]
+
+
+def test_the_cycle_and_the_other_masters() -> None:
+    free = parse(BUS).bus
+    assert (free.cycle_ms, free.cycle_ns, free.other_masters) == (None, 0, 0)
+    fixed = parse(BUS + "cycle_ms = 2.5\nother_masters = 2\n").bus
+    assert (fixed.cycle_ms, fixed.cycle_ns, fixed.other_masters) == (2.5, 2_500_000, 2)
+    config = parse(BUS + "cycle_ms = 4\nother_masters = [2.5, 4]\n")
+    assert (config.bus.cycle_ns, config.bus.other_masters) == (4_000_000, (2.5, 4.0))
+    assert config.with_bus(address=5).bus.other_masters == (2.5, 4.0)
 
 
 def test_a_byte_order_mark_is_no_error(tmp_path: Path) -> None:

@@ -56,6 +56,18 @@ def lines(out: str) -> list[dict[str, Any]]:
 # --- run ------------------------------------------------------------------------------------------------------------
 
 
+def test_run_with_a_fixed_cycle_says_how_it_was_kept(plant: str, tmp_path: Path, capsys: Out) -> None:
+    config = tmp_path / "cycle.toml"
+    config.write_text(PLANT.replace("gap = 0", "gap = 0\ncycle_ms = 10"), encoding="utf-8")
+    assert call("run", str(config), "--rotations", "20") == 0
+    out = capsys.readouterr().out
+    assert " cycles of 10 ms, late in us: min 0, p50 0, p99 0, p999 0, max 0\nno deadline was missed\n" in out
+    config.write_text(PLANT.replace("gap = 0", "gap = 0\ncycle_ms = 3"), encoding="utf-8")
+    call("run", str(config), "--rotations", "20", "--json")
+    summary = lines(capsys.readouterr().out)[-1]
+    assert (summary["cycle_us"], summary["missed"]) == (3000, sum(summary["missed_by"].values()))
+
+
 def test_run_json_is_the_documented_one(plant: str, capsys: Out) -> None:
     assert call("run", plant, "--rotations", "50", "--json", "--outputs", "9=5A") == 0
     printed = capsys.readouterr()

@@ -1,0 +1,118 @@
+"""The cycles of a bus as an application sees them: one picture of all inputs at a time, the latest wins."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from dpstack.dp.cycle import CycleData
+from dpstack.dp.fields import FieldMap, Value
+from dpstack.errors import UsageError
+from dpstack.units import NS_PER_MS
+
+if TYPE_CHECKING:
+    from dpstack.api.bus import Bus
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cycle:
+    """One round of data exchange. Made by the bus, see ``Bus.cycles``.
+
+    ``number`` counts fixed cycles by their due times (those left out count too), free running the rounds. ``t_ns`` is
+    the machine's time of its first bit, ``late_ns`` how much later that was than due (0 free running). ``inputs`` are
+    the octets of every slave in data exchange by name, all as they stood at the end of this round, never some of this
+    and some of the next; ``fresh`` names the slaves that answered in it. ``skipped``: rounds since the one read before
+    that this reader was too slow for. ``missed``: deadline misses since the start of the bus.
+    """
+
+    number: int
+    t_ns: int
+    late_ns: int
+    inputs: Mapping[str, bytes]
+    fresh: frozenset[str]
+    missed: int
+    skipped: int = 0
+    _fields: Mapping[str, FieldMap] = field(default_factory=dict, repr=False, compare=False)
+
+    @property
+    def late_ms(self) -> float:
+        """How late it began."""
+        return self.late_ns / NS_PER_MS
+
+    def values(self, name: str) -> dict[str, Value]:
+        """The named inputs of one slave. Raises UsageError where it was not in data exchange."""
+        octets = self.inputs.get(name)
+        if octets is None:
+            known = ", ".join(self.inputs) or "none"
+            raise UsageError(f"no slave {name!r} was in data exchange in cycle {self.number}; there were: {known}")
+        return self._fields[name].values(octets)
+
+    def __getitem__(self, name: str) -> dict[str, Value]:
+        return self.values(name)
+
+
+class Cycles:
+    """Whoever reads the cycles of one bus."""
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+        self._readers: list[_Reader] = []
+        self._over = False
+
+    def end(self) -> None:
+        """There will be no more."""
+        self._over = True
+        for reader in self._readers:
+            reader.more.set()
+
+    async def read(self) -> AsyncIterator[Cycle]:
+        """Each new one; a slow reader gets the latest."""
+        reader = _Reader(self._bus)
+        self._readers.append(reader)
+        self._bus.rounds.watch(reader.on_round)
+        try:
+            while not self._over:
+                if reader.data is None:
+                    reader.more.clear()
+                    await reader.more.wait()
+                else:
+                    yield reader.take()
+        finally:
+            self._readers.remove(reader)
+            self._bus.rounds.unwatch(reader.on_round)
+
+
+class _Reader:
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+        self.more = asyncio.Event()
+        self.data: CycleData | None = None
+        self._skipped = 0
+        self._last: CycleData | None = bus.master.cycle
+
+    def on_round(self) -> None:
+        data = self._bus.master.cycle
+        if data is self._last:
+            return  # a round in which nobody had a turn
+        self._skipped += self.data is not None
+        self.data = self._last = data
+        self.more.set()
+
+    def take(self) -> Cycle:
+        data, self.data = self.data, None
+        assert data is not None
+        skipped, self._skipped = self._skipped, 0
+        slaves = {slave.address: slave for slave in self._bus.slaves}
+        here = [slaves[address] for address in data.inputs if address in slaves]
+        return Cycle(
+            number=data.number,
+            t_ns=data.t_ns,
+            late_ns=data.late_ns,
+            inputs={slave.name: data.inputs[slave.address] for slave in here},
+            fresh=frozenset(slave.name for slave in here if slave.address in data.fresh),
+            missed=data.missed,
+            skipped=skipped,
+            _fields={slave.name: slave.config.input_fields for slave in here},
+        )

@@ -1,0 +1,88 @@
+"""Rate groups: in which cycles a slave of ``every`` n has its turn, so that all cycles take about the same time.
+
+A slave is exchanged data with in the cycles whose number leaves its offset when divided by its ``every``. The plan
+and the master take the offsets from here, so that what is planned is what runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from math import lcm
+from typing import Final, NamedTuple
+
+#: slaves whose ``every`` have a common multiple up to this are set against each other (all of 1..10 have 2520)
+HYPERPERIOD: Final = 2520
+
+
+class Share(NamedTuple):
+    """What one slave takes of each cycle it is in: ``duration_ns`` (any unit, the same for all) every n-th cycle."""
+
+    address: int
+    every: int
+    duration_ns: int
+
+
+def offsets(shares: Iterable[Share], kept: Mapping[int, int] | None = None) -> dict[int, int]:
+    """The offset (0..every - 1) of each slave by address: the same input gives the same output, in any order.
+
+    The longest first, each into the cycles of which the fullest is emptiest. ``kept`` are offsets that stay as they
+    are (slaves on the bus, when another one is added); those that do not fit their ``every`` are chosen anew.
+    """
+    slaves = sorted(shares, key=lambda s: (-s.duration_ns, s.every, s.address))
+    before = {s.address: o for s in slaves if (o := (kept or {}).get(s.address, -1)) in range(s.every)}
+    found: dict[int, int] = {}
+    for period, members in _families(slaves):
+        load = [0] * period
+        for slave in sorted(members, key=lambda s: s.address not in before):
+            every = slave.every
+            offset = before[slave.address] if slave.address in before else _emptiest(load, every)
+            found[slave.address] = offset
+            load[offset::every] = [taken + slave.duration_ns for taken in load[offset::every]]
+    return found
+
+
+def fullest(shares: Iterable[Share], chosen: Mapping[int, int]) -> frozenset[int]:
+    """The addresses that are exchanged data with in the fullest cycle, with the offsets ``chosen``.
+
+    Families of slaves that were not set against each other are taken to have their fullest cycles together.
+    """
+    addresses: set[int] = set()
+    for period, members in _families(sorted(shares)):
+        load = [0] * period
+        for slave in members:
+            part = slice(chosen[slave.address], None, slave.every)
+            load[part] = [taken + slave.duration_ns for taken in load[part]]
+        cycle = load.index(max(load))
+        addresses.update(s.address for s in members if cycle % s.every == chosen[s.address])
+    return frozenset(addresses)
+
+
+def round_interval_ns(slaves: Iterable[tuple[int, int]]) -> int:
+    """The shortest time between the beginnings of two rounds in ns; ``slaves``: ``every`` and Min_Slave_Interval in ns.
+
+    A slave of every n-th round allows rounds n times as often as its interval says. A round that leaves nobody out
+    (the last ones, an order to all) needs the longest interval as it is: give ``every`` 1 then.
+    """
+    return max((-(-interval // every) for every, interval in slaves), default=0)
+
+
+def _emptiest(load: list[int], every: int) -> int:
+    """The first offset whose fullest cycle is emptiest; among equals the one with the least in all its cycles."""
+    return min(range(every), key=lambda offset: (max(part := load[offset::every]), sum(part)))
+
+
+def _families(slaves: Iterable[Share]) -> list[tuple[int, list[Share]]]:
+    """The slaves in families with a hyperperiod up to the limit (or one ``every``), the smallest ``every`` first."""
+    members = list(slaves)
+    periods: list[int] = []
+    family: dict[int, int] = {}
+    for every in sorted({s.every for s in members}):
+        for number, period in enumerate(periods):
+            if lcm(period, every) <= max(HYPERPERIOD, period):
+                periods[number] = lcm(period, every)
+                family[every] = number
+                break
+        else:
+            family[every] = len(periods)
+            periods.append(every)
+    return [(period, [s for s in members if family[s.every] == n]) for n, period in enumerate(periods)]

@@ -1,0 +1,179 @@
+"""The cycles of a bus as a program reads them: whole, the latest, and what it sets goes out in the next."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+from typing import Any
+
+import pytest
+from api_kit import RAW, bus_of, virtual
+
+import dpstack
+from dpstack.api.config import parse_config
+
+A: dict[str, object] = {
+    "name": "a", "address": 5, "ident": 0x1234, "config": "23 13", "inputs": {"limit": "bool@0.3", "level": "i16@2"},
+}  # fmt: skip
+B: dict[str, object] = {**A, "name": "b", "address": 6}
+MS = 1_000_000
+
+
+def word(n: int) -> bytes:
+    return bytes([n]) * 4
+
+
+def test_one_cycle_for_each_round_and_outputs_come_back_in_the_one_after_next() -> None:
+    """The slaves mirror: set in the body of cycle n, on the wire in n + 1, which gives them back."""
+
+    async def program() -> None:
+        async with bus_of(A, B, cycle_ms=4) as bus:
+            await bus.operate()
+            await bus.ready()
+            cycles: list[dpstack.Cycle] = []
+            async for cycle in bus.cycles():
+                assert cycle.skipped == 0
+                cycles.append(cycle)
+                n = len(cycles)
+                bus.slave("a").outputs = bus.slave("b").outputs = word(n)
+                if n == 20:
+                    break
+            for n, cycle in enumerate(cycles[5:], 5):
+                assert cycle.inputs == {"a": word(n), "b": word(n)}
+                assert cycle.fresh == {"a", "b"}
+                assert cycle["b"] == {"limit": bool(n & 8), "level": n * 0x0101}
+            assert {b.number - a.number for a, b in itertools.pairwise(cycles)} == {1}
+            assert {b.t_ns - a.t_ns for a, b in itertools.pairwise(cycles[2:])} == {4 * MS}
+            assert {(cycle.late_ns, cycle.late_ms, cycle.missed) for cycle in cycles} == {(0, 0.0, 0)}
+            with pytest.raises(
+                dpstack.UsageError, match=r"no slave 'c' was in data exchange in cycle \d+; there were: a, b"
+            ):
+                cycle.values("c")
+
+    virtual(program())
+
+
+def test_a_slow_reader_gets_the_latest_and_how_many_it_missed() -> None:
+    async def program() -> None:
+        async with bus_of(A, cycle_ms=4) as bus:
+            await bus.operate()
+            await bus.ready()
+            got: list[dpstack.Cycle] = []
+            async for cycle in bus.cycles():
+                got.append(cycle)
+                await asyncio.sleep(0.0201)  # five cycles and a little
+                if len(got) == 6:
+                    break
+            assert {cycle.skipped for cycle in got[1:]} <= {4, 5}
+            for before, after in itertools.pairwise(got):
+                assert after.number - before.number == after.skipped + 1
+            assert bus.stats.summary()["missed"] == 0  # the bus did not wait for it
+
+    virtual(program())
+
+
+def test_several_readers_and_one_that_leaves() -> None:
+    async def program() -> None:
+        async with bus_of(A, cycle_ms=4) as bus:
+            await bus.ready()
+
+            async def read(count: int) -> list[int]:
+                numbers = []
+                async for cycle in bus.cycles():
+                    numbers.append(cycle.number)
+                    if len(numbers) == count:
+                        break
+                return numbers
+
+            few, many = await asyncio.gather(read(3), read(10))
+            assert few == many[:3] == list(range(few[0], few[0] + 3))
+            assert bus.master.on_round is None  # nobody reads any more: nothing is made
+
+    virtual(program())
+
+
+def test_the_stream_ends_with_the_bus() -> None:
+    async def program() -> None:
+        async with bus_of(A, cycle_ms=4) as bus:
+            await bus.ready()
+
+            async def read() -> int:
+                return len([cycle async for cycle in bus.cycles()])
+
+            reading = asyncio.ensure_future(read())
+            await asyncio.sleep(0.1)
+            await bus.stop()
+            await asyncio.sleep(0.1)
+            assert not reading.done()  # there may be more, after operate()
+        assert 20 <= await reading <= 30
+        assert [cycle async for cycle in bus.cycles()] == []
+
+    virtual(program())
+
+
+def test_free_running_rounds_are_cycles_too() -> None:
+    async def program() -> None:
+        async with bus_of(A, gap=0) as bus:
+            await bus.operate()
+            await bus.ready()
+            got = []
+            async for cycle in bus.cycles():
+                got.append(cycle)
+                if len(got) == 10:
+                    break
+            assert {b.number - a.number for a, b in itertools.pairwise(got)} == {1}
+            assert {cycle.late_ns for cycle in got} == {0}
+            summary = bus.stats.summary()
+            assert "cycle_us" not in summary
+            assert bus.stats.cycles is None
+
+    virtual(program())
+
+
+def test_a_slave_added_and_removed_between_two_cycles() -> None:
+    async def program() -> None:
+        async with bus_of(A, cycle_ms=8) as bus:
+            await bus.ready()
+            stream = bus.cycles()
+            assert set((await anext(stream)).inputs) == {"a"}
+            await bus.add_slave(B)
+            await bus.ready()
+            await asyncio.sleep(0.02)
+            assert set((await anext(stream)).inputs) == {"a", "b"}
+            await anext(stream)
+            await asyncio.sleep(0.01)
+            await bus.remove("b")  # with a cycle waiting to be read that had it
+            assert set((await anext(stream)).inputs) == {"a"}
+
+    virtual(program())
+
+
+def test_the_summary_says_how_it_went() -> None:
+    async def program() -> None:
+        async with bus_of(A, cycle_ms=2.5) as bus:
+            await bus.operate()
+            await bus.ready()
+            await asyncio.sleep(1)
+            summary: Any = bus.stats.summary()
+            assert summary["cycle_us"] == 2500
+            assert 395 <= summary["cycles"] <= 405
+            assert summary["late_us"] == dict.fromkeys(("min", "p50", "p99", "p999", "max"), 0)
+            assert (summary["missed"], summary["left_out"], summary["missed_by"]) == (0, 0, {})
+            assert summary["rotation_us"]["p50"] == 2500
+            before = bus.stats.cycles
+            assert before is not None
+            begun = before.begun
+            await asyncio.sleep(0.1)
+            assert before.begun == begun  # a picture does not change
+
+    virtual(program())
+
+
+def test_groups_of_a_cycle_are_checked_with_the_configuration() -> None:
+    text = '[bus]\nport = "virtual"\nbaud = 500000\ncycle_freeze = [9]\n'
+    with pytest.raises(dpstack.ConfigError, match=r"c.toml:4: \[bus\]: cycle_freeze holds 9, outside 1..8"):
+        parse_config(text, "c.toml")
+    with pytest.raises(dpstack.ConfigError, match=r"slave 9 \(raw\) is in a group of cycle_sync and not parameterised"):
+        bus_of({**RAW, "groups": [2]}, cycle_sync=[2])
+    made = parse_config(text.replace("[9]", "[1, 2]") + "cycle_sync = [3]\n", "c.toml").with_bus(address=4)
+    assert (made.bus.cycle_freeze, made.bus.cycle_sync) == ((1, 2), (3,))

@@ -1,0 +1,194 @@
+"""The plan of a configuration: cycle, other masters, GSD facts, and what is refused before the bus is opened."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+import pytest
+from api_kit import HOIST, RAW, bus_of, virtual
+
+import dpstack
+from dpstack.api.compose import plan_bus
+from dpstack.api.config import Config, parse_config
+from dpstack.api.planning import Verdict, cycle_rates
+from dpstack.dp.master import Master
+from dpstack.dp.plan import Case
+from dpstack.errors import ConfigError
+from dpstack.stats import Histogram
+from dpstack.units import NS_PER_MS
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+BUS = '[bus]\nport = "virtual"\nbaud = 500000\n'
+SLAVE = '[[slave]]\nname = "raw"\naddress = 9\nident = 0x1234\nconfig = "20 10"\n'
+
+
+def config(bus: str = "", slave: str = "", *, port: str = "virtual") -> Config:
+    return parse_config(BUS.replace("virtual", port) + bus + SLAVE + slave, "plant.toml")
+
+
+def refused(found: Config) -> str:
+    with pytest.raises(ConfigError) as caught:
+        dpstack.open_bus(found)
+    return str(caught.value)
+
+
+# --- refused before anything is opened, with file and line -----------------------------------------------------------
+
+
+def test_a_cycle_shorter_than_possible() -> None:
+    # SD2 with one octet each way, T_SDR 11, T_ID1 37; token 33 and T_ID1: 338 bit times
+    found = config("cycle_ms = 0.5\n")
+    assert refused(found) == (
+        "plant.toml:4: [bus]: cycle_ms = 0.5 is shorter than possible: the shortest rotation with 1 slave takes "
+        "0.676 ms at 500 kbit/s; take cycle_ms = 0.676 or more, or a faster rate (1.5 Mbit/s would do)"
+    )
+    assert refused(config("cycle_ms = 0.01\n")).endswith("take cycle_ms = 0.676 or more, or a faster rate")
+    (finding, *_) = plan_bus(found).findings
+    assert finding.startswith("cycle_ms = 0.5 is shorter than possible: ")
+
+
+def test_an_interval_and_a_watchdog_that_do_not_fit_name_the_slave() -> None:
+    assert refused(config("cycle_ms = 4\n", "min_slave_interval = 100\n")) == (
+        "plant.toml:5: slave 9 (raw): its Min_Slave_Interval of 10 ms is longer than cycle_ms = 4; "
+        "give it every = 3, or take cycle_ms = 10"
+    )
+    assert refused(config("cycle_ms = 4\n", "every = 10\nwatchdog_ms = 30\n")) == (
+        "plant.toml:5: slave 9 (raw): its watchdog of 30 ms is shorter than cycle_ms = 4 x every = 10 (40 ms): "
+        "it would always trip; take watchdog_ms = 120 or more"
+    )
+
+
+def test_what_has_no_room_is_refused_while_the_bus_runs() -> None:
+    async def program() -> None:
+        long = {"name": "long", "address": 10, "ident": 1, "config": "FF FF"}
+        async with bus_of(RAW, cycle_ms=1.0) as bus:
+            with pytest.raises(
+                ConfigError, match="cycle_ms = 1 is shorter than possible: the shortest rotation with 2 "
+            ):
+                await bus.add_slave(long)
+            with pytest.raises(
+                ConfigError, match="cycle_ms = 1 is shorter than possible: the shortest rotation with 1 "
+            ):
+                await bus.slave("raw").reparameterise(config=bytes.fromhex("FF FF"))
+            assert [slave.name for slave in bus.slaves] == ["raw"]
+            await bus.ready()
+
+    virtual(program())
+
+
+def test_what_a_usb_adapter_does_to_a_cycle() -> None:
+    notes = plan_bus(config("cycle_ms = 2\n", port="/dev/ttyUSB7")).notes
+    assert (
+        "over a USB adapter with a latency timer of 1 ms an exchange takes 2 ms or so at any rate, a round of 1 slave "
+        "3 ms: longer than cycle_ms = 2; a UART of the computer's own has no such delay" in notes
+    )
+    for bus, port in (("cycle_ms = 3\n", "/dev/ttyUSB7"), ("", "/dev/ttyUSB7"), ("cycle_ms = 2\n", "virtual")):
+        assert not any("USB adapter" in note for note in plan_bus(config(bus, port=port)).notes)
+
+
+# --- other masters ---------------------------------------------------------------------------------------------------
+
+
+def test_other_masters_in_the_plan() -> None:
+    alone = plan_bus(config())
+    alike = plan_bus(config("other_masters = 2\n"))
+    assert alike.rotations[Case.TYPICAL].bits == 3 * alone.rotations[Case.TYPICAL].bits
+    listed = plan_bus(config("other_masters = [4.0, 1.5]\n"))
+    assert listed.rotations[Case.SHORTEST].bits == alone.rotations[Case.SHORTEST].bits + 2000 + 750
+    # what they need in bit times they need at another rate too
+    faster = plan_bus(config("other_masters = [4.0, 1.5]\n"), 1_500_000)
+    assert faster.rotations[Case.SHORTEST].others == 2750
+    assert listed.as_dict()["masters"] == {"others": 2, "t_tr_needed": listed.figures.t_tr_needed}
+
+
+def test_a_t_tr_that_is_too_small_for_all_masters() -> None:
+    needed = plan_bus(config("other_masters = [4.0]\n")).figures.t_tr_needed
+    assert plan_bus(config(f"other_masters = [4.0]\nt_tr = {needed}\n")).findings == ()
+    (finding,) = plan_bus(config(f"other_masters = [4.0]\nt_tr = {needed - 1}\n")).findings
+    assert finding.startswith(f"t_tr = {needed - 1} is too small: the longest normal round takes ")
+    assert "with 1 other master, and T_TH = T_TR - T_RR" in finding
+    assert finding.endswith(f"leave t_tr out, or set it to {needed} or more on all masters")
+
+
+def test_the_preset_of_t_tr_has_room_for_all_masters() -> None:
+    found = config("other_masters = [300.0, 200.0]\n")
+    plan = plan_bus(found)
+    assert plan.params.t_tr == plan.figures.t_tr_needed > 2 * 150_000 + 100_000
+    assert plan.findings == ()
+
+
+# --- what a GSD file says --------------------------------------------------------------------------------------------
+
+
+def test_an_interval_shorter_than_the_slave_needs_is_told() -> None:
+    text = BUS + '[[slave]]\nname = "hoist"\naddress = 3\ndrive = "demag-dedrive"\nmin_slave_interval = 0\n'
+    assert plan_bus(parse_config(text)).notes == (
+        "slave 3 (hoist): min_slave_interval = 0 (0 ms) is shorter than the 0.1 ms of demag-dedrive "
+        "(Min_Slave_Intervall): it may not follow; leave it out",
+    )
+    assert plan_bus(parse_config(text.replace("= 0\n", "= 1\n"))).notes == ()
+
+
+def test_facts_of_the_gsd_file(tmp_path: Path) -> None:
+    gsd = tmp_path / "io.gsd"
+    gsd.write_text(
+        '#Profibus_DP\nGSD_Revision = 1\nIdent_Number = 0x1234\nModel_Name = "IO"\nVendor_Name = "X"\n'
+        "500_supp = 1\nMaxTsdr_500 = 100\nMin_Slave_Intervall = 20\nMax_Diag_Data_Len = 8\n"
+        'Modular_Station = 0\nModule = "all" 0x10, 0x20\nEndModule\n',
+        encoding="utf-8",
+    )
+    slave = f'[[slave]]\nname = "io"\naddress = 8\ngsd = "{gsd}"\n'
+    plan = plan_bus(parse_config(BUS + slave))
+    (planned,) = plan.slaves
+    assert (planned.setup.max_diag_len, planned.setup.min_slave_interval_ns) == (8, 2 * NS_PER_MS)
+    # the same slave without the file: its diagnosis may have 244 octets
+    raw = plan_bus(parse_config(BUS + SLAVE))
+    assert raw.rotations[Case.LONGEST].work - plan.rotations[Case.LONGEST].work == (244 - 8) * 11
+    hurried = plan_bus(parse_config(BUS + slave + "min_slave_interval = 5\n"))
+    assert any("min_slave_interval = 5 (0.5 ms) is shorter than the 2 ms of its GSD file" in n for n in hurried.notes)
+
+
+# --- the rate a cycle needs ------------------------------------------------------------------------------------------
+
+
+def test_rates_that_a_slave_does_not_know_do_not_count() -> None:
+    """The Demag does not know 31.25 kbit/s; raw slaves know all."""
+    drive = parse_config(BUS + '[[slave]]\nname = "hoist"\naddress = 3\ndrive = "demag-dedrive"\ntelegram = "PPO3"\n')
+    raw = parse_config(BUS + '[[slave]]\nname = "hoist"\naddress = 3\nident = 1\nconfig = "71"\n')
+    cycle = 20 * NS_PER_MS
+    assert cycle_rates(raw, cycle)[Verdict.POSSIBLE] == 31_250
+    assert cycle_rates(drive, cycle)[Verdict.POSSIBLE] == 45_450
+    fixed = parse_config(BUS + "t_sl = 100\n" + SLAVE)  # impossible where max T_SDR is longer
+    assert cycle_rates(fixed, NS_PER_MS)[Verdict.POSSIBLE] is None
+    assert cycle_rates(fixed, 5 * NS_PER_MS)[Verdict.POSSIBLE] == 93_750
+
+
+# --- the manual's 1 to 2 ms ------------------------------------------------------------------------------------------
+
+
+def test_the_manuals_rotation_in_virtual_time() -> None:
+    async def program() -> None:
+        async with dpstack.open_bus(EXAMPLES / "two_milliseconds.toml") as bus:
+            await bus.operate()
+            await bus.ready()
+            assert isinstance(bus.master, Master)
+            bus.master.rotation = Histogram()
+            await asyncio.sleep(0.5)
+            seen = bus.master.rotation
+            assert seen.count > 200
+            assert abs(seen.min_ns - bus.plan.rotation_ns(Case.SHORTEST)) <= bus.params.ns(11)
+            assert 1_000_000 < seen.min_ns < seen.quantile_ns(0.99) < 2_000_000
+            assert [slave.state for slave in bus.slaves] == [dpstack.SlaveState.DATA_EXCHANGE] * 5
+            assert bus.stats.bad == {}
+
+    virtual(program())
+
+
+def test_a_hoist_on_a_bus_with_a_cycle_is_planned_like_any_other() -> None:
+    async def program() -> None:
+        async with bus_of(HOIST, cycle_ms=20.0) as bus:
+            assert bus.plan.cycle is not None
+            assert bus.plan.cycle.verdict is Verdict.UNDISTURBED
+
+    virtual(program())

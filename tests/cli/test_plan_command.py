@@ -1,0 +1,99 @@
+"""``dpstack plan`` with a cycle and with other masters."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dpstack.cli.main import main
+
+ROOT = Path(__file__).resolve().parents[2]
+FIVE = str(ROOT / "examples" / "two_milliseconds.toml")
+Out = pytest.CaptureFixture[str]
+
+
+def planned(capsys: Out, *args: str) -> tuple[int, Any]:
+    code = main(["plan", FIVE, *args, "--json"])
+    return code, json.loads(capsys.readouterr().out)
+
+
+def test_the_rate_that_a_cycle_needs(capsys: Out) -> None:
+    code, plan = planned(capsys, "--cycle-ms", "4")
+    assert code == 0
+    assert plan["cycle"] == {
+        "cycle_ms": 4.0,
+        "verdict": "undisturbed",
+        "load_percent": 39.2,
+        "slowest_baud": {"possible": 500_000, "typical": 1_500_000, "undisturbed": 1_500_000, "always": None},
+    }
+    assert any("misses are to be expected for several repeated requests" in note for note in plan["notes"])
+
+
+def test_each_rate_is_judged(capsys: Out) -> None:
+    code, plans = planned(capsys, "--cycle-ms", "2", "--baud", "all")
+    assert code == 1  # at the bus's own rate it is too tight
+    verdicts = {plan["baud"]: plan["cycle"]["verdict"] for plan in plans}
+    assert len(verdicts) == 11
+    assert set(list(verdicts.values())[:7]) == {"impossible"}
+    assert list(verdicts.values())[7:] == ["typical", "typical", "undisturbed", "undisturbed"]
+    impossible = [plan for plan in plans if plan["cycle"]["verdict"] == "impossible"]
+    assert all(any("is shorter than possible" in f for f in plan["findings"]) for plan in impossible)
+
+
+def test_without_a_cycle_nothing_is_said_of_one(capsys: Out) -> None:
+    code, plan = planned(capsys)
+    assert code == 0
+    assert "cycle" not in plan
+    assert plan["masters"] == {"others": 0, "t_tr_needed": plan["masters"]["t_tr_needed"]}
+
+
+def test_for_people(capsys: Out) -> None:
+    assert main(["plan", FIVE, "--cycle-ms", "2"]) == 1
+    out = capsys.readouterr().out.splitlines()
+    assert "cycle of 2 ms: tight, missed now and then; the typical rotation takes 78% of it" in out
+    assert (
+        "this cycle is possible from 1.5 Mbit/s on, typically kept from 1.5 Mbit/s on, "
+        "kept while nothing is repeated from 6 Mbit/s on, always kept at no rate" in out
+    )
+    assert out[-1].startswith("finding: cycle_ms = 2 is enough for the typical rotation (1.57 ms at 1.5 Mbit/s) only")
+    assert main(["plan", FIVE, "--cycle-ms", "2", "--baud", "all"]) == 1
+    table = capsys.readouterr().out.splitlines()
+    assert table[1].split("  ")[0] == "rate"
+    assert "cycle 2 ms" in table[1]
+    assert [line.split()[8] for line in table[2:13]] == 7 * ["impossible"] + 2 * ["typical"] + 2 * ["undisturbed"]
+
+
+def test_other_masters_for_people(capsys: Out, tmp_path: Path) -> None:
+    path = tmp_path / "two.toml"
+    text = Path(FIVE).read_text(encoding="utf-8")
+    path.write_text(text.replace("baud = 1500000\n", "baud = 1500000\nother_masters = 1\n"), encoding="utf-8")
+    assert main(["plan", str(path)]) == 0
+    out = capsys.readouterr().out
+    # the longest normal round, by hand: data at max T_SDR 150, a diagnosis of 244 octets, Global_Control and T_ID2, a
+    # silent GAP poll; both masters' with their tokens, and one more
+    hold = 5 * (143 + 150 + 143 + 37) + (121 + 150 + 255 * 11 + 37) + (143 + 150) + 366
+    needed = 2 * (hold + 70) + hold
+    assert f"1 other master: a T_TR of {needed} or more on all of them, then each sees this rotation" in out
+
+
+@pytest.mark.parametrize("value", ["0", "-1", "nan", "fast"])
+def test_no_cycle_at_all(value: str, capsys: Out) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main(["plan", FIVE, f"--cycle-ms={value}"])
+    assert f"argument --cycle-ms: '{value}' is no number of milliseconds above 0" in capsys.readouterr().err
+
+
+def test_a_run_with_an_impossible_cycle_does_not_begin(capsys: Out, tmp_path: Path) -> None:
+    path = tmp_path / "fast.toml"
+    text = Path(FIVE).read_text(encoding="utf-8")
+    path.write_text(text.replace("baud = 1500000\n", "baud = 1500000\ncycle_ms = 1\n"), encoding="utf-8")
+    assert main(["run", str(path), "--seconds", "1"]) == 2
+    err = capsys.readouterr().err
+    assert err.startswith(f"dpstack: {path}:9: [bus]: cycle_ms = 1 is shorter than possible: ")
+    assert err.endswith(
+        "take cycle_ms = 1.16 or more, a larger every for slaves that need not be in each cycle, "
+        "or a faster rate (3 Mbit/s would do)\n"
+    )

@@ -1,0 +1,94 @@
+"""A simulated bus with a fixed cycle, and when its cycles really began: read off the wire, octet by octet."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from bus_kit import IDENT, PPO1, mirror
+from support import MS, S
+
+from dpstack.dp.commands import Mode, SetMode
+from dpstack.dp.events import SlaveState
+from dpstack.dp.master import Master
+from dpstack.dp.setup import SlaveSetup
+from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.commands import GoOnline
+from dpstack.fdl.user import LinkUser
+from dpstack.params import BusParams
+from dpstack.phy.patience import EXACT, Patience
+from dpstack.sim.world import World
+from dpstack.trace import Event, WireEntry
+
+
+def slave(address: int, **changes: Any) -> SlaveSetup:
+    """How the master parameterises a mirror slave with twelve octets each way."""
+    values: dict[str, Any] = {"address": address, "name": f"s{address}", "ident": IDENT, "config": PPO1}
+    return SlaveSetup(**(values | changes))
+
+
+@dataclass
+class CycleBus:
+    """A master with ``setups`` in Operate in ``world``; ``silent`` addresses have no slave. Everything is kept."""
+
+    world: World
+    params: BusParams
+    setups: Sequence[SlaveSetup]
+    cycle_ns: int
+    silent: Sequence[int] = ()
+    more: Sequence[LinkUser] = ()
+    options: Mapping[str, Any] = field(default_factory=dict)
+    patience: Patience = EXACT
+    events: list[Event] = field(default_factory=list)
+    wire: list[WireEntry] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.slaves = {s.address: mirror(s.address, self.params) for s in self.setups if s.address not in self.silent}
+        for station in self.slaves.values():
+            self.world.add(station)
+        watchdog_ms = max(200, 5 * self.cycle_ns // MS)
+        self.master = Master(
+            self.params, self.setups, **{"cycle_ns": self.cycle_ns, "watchdog_ms": watchdog_ms, **self.options}
+        )
+        users = [self.master, *self.more]
+        self.station = ActiveStation(
+            self.params, users, patience=self.patience, budget=self.master.budget, now=self.world.now
+        )
+        self.station.wire = self.wire.append
+        self.world.add(self.station, on_events=self.events.extend)
+        self.world.command(self.station, GoOnline())
+        self.world.command(self.station, SetMode(Mode.OPERATE))
+
+    def until_exchanging(self, within_ns: int = 5 * S) -> None:
+        """Run until all slaves that are there are in data exchange."""
+        end = self.world.now + within_ns
+        handlers = self.master.handlers
+        while not all(handlers[a].state is SlaveState.DATA_EXCHANGE for a in self.slaves):
+            assert self.world.now < end, {a: h.state.value for a, h in handlers.items()}
+            self.world.run_for(MS)
+
+    def quiet(self) -> None:
+        """What was kept so far is forgotten; books too."""
+        self.wire.clear()
+        self.events.clear()
+
+    def data(self, address: int) -> list[WireEntry]:
+        """Data_Exchange requests to ``address``, repetitions left out: SD2, LE 15, no SAPs, FC 5D or 7D."""
+        mine = [e for e in self.wire if len(e.octets) > 6 and e.octets[4] & 0x7F == address]
+        mine = [e for e in mine if e.octets[0] == 0x68 and e.octets[5] & 0x7F == self.params.address]
+        first = [e for n, e in enumerate(mine) if not n or e.octets != mine[n - 1].octets]
+        return [e for e in first if e.octets[1] == 15 and e.octets[4:6] == bytes((address, self.params.address))]
+
+    def exchanges(self, address: int) -> list[int]:
+        """When they began."""
+        return [e.start_ns for e in self.data(address)]
+
+    def requests(self, dsap: int) -> list[WireEntry]:
+        """The requests of this master to the SAP."""
+        ts = self.params.address
+        return [
+            e
+            for e in self.wire
+            if len(e.octets) > 8 and e.octets[0] == 0x68 and e.octets[5] == ts | 0x80 and e.octets[7] == dsap
+        ]

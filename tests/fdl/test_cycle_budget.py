@@ -1,0 +1,133 @@
+"""What may be started before the next cycle: the book of waits, and the longest course of a request to the bit."""
+
+from __future__ import annotations
+
+import itertools
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from ring_bus import ListUser
+
+from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.active_exchange import ends_at
+from dpstack.fdl.budget import PATIENCE, Budget
+from dpstack.fdl.telegram import Req
+from dpstack.fdl.user import Request
+from dpstack.params import BusParams
+from dpstack.phy.patience import Patience
+from dpstack.units import NEVER
+
+A = (12, 3, 60)
+B = (12, 4, 60)
+
+
+def test_without_a_cycle_everything_fits() -> None:
+    assert Budget().admits(A, NEVER - 1)
+
+
+def test_what_ends_before_the_next_cycle_fits_to_the_nanosecond() -> None:
+    budget = Budget()
+    budget.begin(1000)
+    assert budget.admits(A, 1000)
+    assert not budget.admits(A, 1001)
+    assert (budget.held_back, budget.forced) == (1, 0)
+
+
+def test_what_never_fits_goes_out_in_every_eighth_cycle() -> None:
+    budget = Budget()
+    sent = []
+    for cycle in range(1, 41):
+        budget.begin(cycle * 1000)
+        for _ in range(3):  # asked in several token holds
+            if budget.admits(A, cycle * 1000 + 1):
+                sent.append(cycle)
+                break
+    assert sent == [9, 18, 27, 36]  # waits eight cycles, then begins to wait anew
+    assert budget.forced == 4
+    assert budget.held_back == 36  # once in each cycle
+
+
+def test_who_waits_longest_is_first_and_one_in_eight_cycles_is_put_at_risk() -> None:
+    budget = Budget()
+    sent = []
+    for cycle in range(1, 31):
+        budget.begin(cycle * 1000)
+        wanted = [A, B] if cycle > 1 else [B]
+        sent += [(cycle, key) for key in wanted if budget.admits(key, cycle * 1000 + 1)]
+    assert sent == [(9, B), (17, A), (25, B)]
+
+
+def test_a_wait_that_was_given_up_does_not_count() -> None:
+    budget = Budget()
+    for cycle in range(1, 30):
+        budget.begin(cycle * 1000)
+        if cycle % 7:  # nobody asks in every seventh
+            assert not budget.admits(A, cycle * 1000 + 1)
+
+
+@given(st.lists(st.lists(st.tuples(st.integers(0, 5), st.booleans()), max_size=6), min_size=1, max_size=120))
+def test_nobody_starves_and_the_risk_is_bounded(cycles: list[list[tuple[int, bool]]]) -> None:
+    """Whoever asks in every cycle waits eight of them for each that waits before it, at most; one in eight is late."""
+    budget = Budget()
+    since: dict[int, int] = {}
+    forced: list[int] = []
+    for number, asked in enumerate(cycles, 1):
+        budget.begin(number * 1000)
+        who = dict(asked)
+        since = {address: first for address, first in since.items() if address in who}
+        for address, fits in who.items():
+            until = number * 1000 + (0 if fits else 1)
+            waited = number - since.setdefault(address, number)
+            assert waited <= (PATIENCE + 1) * 7
+            if budget.admits((12, address, 60), until):
+                del since[address]
+                if not fits:
+                    forced.append(number)
+            else:
+                assert not fits
+    assert all(later - earlier >= PATIENCE for earlier, later in itertools.pairwise(forced))
+    assert budget.forced == len(forced)
+
+
+# 500 kbit/s: a bit is 2000 ns; T_SL 200, T_ID1 37, T_ID2 100, one repetition
+@pytest.mark.parametrize(
+    ("request_", "known", "bits"),
+    [
+        # SD1 (66) and T_SL twice, an answer of 255 octets (2805), T_ID1
+        (Request(5, Req.SRD_HIGH, patient=True), True, 2 * (66 + 200) + 2805 + 37),
+        # the first request to a station is not repeated; Slave_Diag: 11 octets (121), answered with 6 + 32 - 6
+        (Request(5, Req.SRD_HIGH, b"", 60, 62, answer=32), False, 121 + 200 + (32 + 11) * 11 + 37),
+        # Set_Prm: 11 + 10 octets; SC is counted as the longest answer without data
+        (Request(5, Req.SRD_HIGH, bytes(10), 61, 62, answer=0), True, 2 * (231 + 200) + 121 + 37),
+        # taken up afresh: one attempt
+        (Request(5, Req.SRD_HIGH, bytes(10), 61, 62, restart=True, answer=0), True, 231 + 200 + 121 + 37),
+        # FDL status: nobody repeats it here
+        (Request(5, Req.FDL_STATUS, retry=False, answer=0), False, 66 + 200 + 121 + 37),
+        # Global_Control: 13 octets and T_ID2
+        (Request(127, Req.SDN_HIGH, b"\x00\x00", 58, 62), False, 143 + 100),
+    ],
+    ids=["data", "diagnosis", "parameters", "restart", "status", "control"],
+)
+def test_the_longest_course_of_a_request(request_: Request, known: bool, bits: int) -> None:
+    station = ActiveStation(BusParams.preset(500_000, address=2), [ListUser()])
+    link = station._link
+    if known:
+        link.fcb.answered(5)
+    now = 10_000_000
+    assert ends_at(link, request_, now) == now + bits * 2_000
+    link.line.idle_since = now  # the line fell silent only now: T_ID1 comes first
+    assert ends_at(link, request_, now) == now + (37 + bits) * 2_000
+
+
+def test_the_ports_slack_is_in_every_attempt() -> None:
+    patience = Patience(known_ns=50_000_000, unknown_ns=2_000_000, sending_ns=1_000_000)
+    station = ActiveStation(BusParams.preset(500_000, address=2), [ListUser()], patience=patience)
+    poll = Request(5, Req.FDL_STATUS, retry=False, answer=0)
+    wire = (66 + 200 + 11 + 121 + 37) * 2_000  # octets are seen at their end: one more
+    now = 10_000_000
+    assert ends_at(station._link, poll, now) == now + wire + 1_000_000 + 2_000_000
+    twice = (2 * (66 + 200 + 11) + 2805 + 37) * 2_000
+    station._link.fcb.answered(5)
+    data = Request(5, Req.SRD_HIGH, patient=True)
+    assert ends_at(station._link, data, now) == now + twice + 2 * (1_000_000 + 50_000_000)

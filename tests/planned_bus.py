@@ -1,0 +1,98 @@
+"""A bus as it was planned, in virtual time: what its undisturbed rounds take on the wire, told by the octets alone."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from itertools import pairwise
+
+from support import S, WorldFactory
+
+from dpstack.dp.commands import Mode, SetMode
+from dpstack.dp.events import SlaveState
+from dpstack.dp.master import Master
+from dpstack.dp.mirror import MirrorDevice
+from dpstack.dp.plan import Case, rotation
+from dpstack.dp.setup import SlaveSetup
+from dpstack.dp.slaveapp import make_slave
+from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.commands import GoOnline
+from dpstack.params import BusParams
+from dpstack.trace import WireEntry
+
+MASTER = 2
+FIRST = 3
+IDENT = 0x1234
+
+
+def identifiers(inputs: int, outputs: int) -> bytes:
+    """Identifier octets for so many octets each way, in modules of 16 at most; an empty slot for none."""
+    octets = bytearray()
+    for left, kind in ((inputs, 0x10), (outputs, 0x20)):
+        while left:
+            octets.append(kind | (min(left, 16) - 1))
+            left -= min(left, 16)
+    return bytes(octets or b"\x00")
+
+
+def setups(configs: Sequence[bytes], min_tsdr: int = 11, max_tsdr: int | None = None) -> list[SlaveSetup]:
+    """Slaves from address 3 on."""
+    return [
+        SlaveSetup(address=FIRST + n, name=f"s{n}", ident=IDENT, config=config, min_tsdr=min_tsdr, max_tsdr=max_tsdr)
+        for n, config in enumerate(configs)
+    ]
+
+
+def kind(entry: WireEntry) -> str:
+    """What stands on the wire."""
+    octets = entry.octets
+    if octets[0] == 0xDC:
+        return "token"
+    if octets[0] == 0x10 and octets[3] == 0x49:
+        return "gap poll"
+    mine = entry.sender == str(MASTER)
+    if octets[0] == 0x68 and octets[4] & 0x7F == 127:
+        return "global control"
+    if octets[0] == 0x68 and octets[4] & 0x80:
+        return "service"
+    return "request" if mine else "answer"
+
+
+def first_request(entry: WireEntry) -> bool:
+    """Data_Exchange with the first slave, SD1 or SD2."""
+    at = 1 if entry.octets[0] == 0x10 else 4
+    return kind(entry) == "request" and entry.octets[at] == FIRST
+
+
+def undisturbed(
+    world: WorldFactory,
+    params: BusParams,
+    slaves: Sequence[SlaveSetup],
+    *,
+    t_sdr: int | None = None,
+    gap_polls: int = 0,
+    rounds: int = 12,
+) -> list[int]:
+    """What those of so many rounds take in ns that hold nothing but data, the token and ``gap_polls`` in vain."""
+    w = world()
+    for setup in slaves:
+        w.add(make_slave(setup.address, MirrorDevice(IDENT, setup.config), params, t_sdr=t_sdr))
+    master = Master(params, slaves, watchdog_ms=650_000)
+    station = ActiveStation(params, [master], now=w.now)
+    w.add(station)
+    w.command(station, GoOnline())
+    w.command(station, SetMode(Mode.OPERATE))
+    turn = params.ns(rotation(params, slaves, Case.TYPICAL).bits)
+    while not all(h.state is SlaveState.DATA_EXCHANGE for h in master.handlers.values()):
+        assert w.now < 3000 * S, "not all slaves in data exchange"
+        w.run_for(5 * turn)
+    entries: list[WireEntry] = []
+    w.log.listener = entries.append
+    w.run_for((rounds + 1) * turn)
+    starts = [n for n, entry in enumerate(entries) if first_request(entry)]
+    wanted = Counter({"request": len(slaves), "answer": len(slaves), "token": 1, "gap poll": gap_polls})
+    return [
+        entries[after].start_ns - entries[before].start_ns
+        for before, after in pairwise(starts)
+        if Counter(kind(entry) for entry in entries[before:after]) == +wanted
+    ]

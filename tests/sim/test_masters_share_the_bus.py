@@ -1,0 +1,126 @@
+"""Several masters with the T_TR that the plan names: each gets its whole round in each hold, and sees that rotation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import pytest
+from planned_bus import IDENT, identifiers
+from support import S, WorldFactory
+
+from dpstack.dp.commands import Mode, SetMode
+from dpstack.dp.events import SlaveState
+from dpstack.dp.master import Master
+from dpstack.dp.mirror import MirrorDevice
+from dpstack.dp.plan import Case, OtherMasters, rotation, t_tr_needed
+from dpstack.dp.setup import SlaveSetup
+from dpstack.dp.slaveapp import make_slave
+from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.commands import GoOnline
+from dpstack.params import BusParams
+from dpstack.stats import Histogram
+from dpstack.units import ns_to_bits
+
+BAUD = 500_000
+
+
+def slaves_of(counts: list[int]) -> list[list[SlaveSetup]]:
+    """The slaves of each master, from address 20 on, with 12 octets each way."""
+    found, address = [], 20
+    for count in counts:
+        numbers = range(address, address + count)
+        found.append([SlaveSetup(address=n, name=f"s{n}", ident=IDENT, config=identifiers(12, 12)) for n in numbers])
+        address += count
+    return found
+
+
+@dataclass
+class Seen:
+    """What one master saw in a second: rounds, token holds, rotations in bit times."""
+
+    rounds: int
+    holds: int
+    shortest: int
+    longest: int
+
+
+def run(world: WorldFactory, counts: list[int], t_tr: int, t_sdr: int) -> list[Seen]:
+    """So many masters, with so many slaves each, for a second of undisturbed data exchange."""
+    w = world()
+    masters: list[tuple[Master, ActiveStation]] = []
+    for number, slaves in enumerate(slaves_of(counts)):
+        params = BusParams.preset(BAUD, address=2 + number, gap=10, hsa=2 + len(counts), t_tr=t_tr)
+        for setup in slaves:
+            w.add(make_slave(setup.address, MirrorDevice(IDENT, setup.config), params, t_sdr=t_sdr))
+        master = Master(params, slaves, watchdog_ms=650_000)
+        station = ActiveStation(params, [master], now=w.now)
+        w.add(station)
+        w.command(station, GoOnline())
+        w.command(station, SetMode(Mode.OPERATE))
+        masters.append((master, station))
+    w.run_for(3 * S)
+    assert all(h.state is SlaveState.DATA_EXCHANGE for m, _ in masters for h in m.handlers.values())
+    before = [(master.rounds, station.stats.tokens) for master, station in masters]
+    for master, _ in masters:
+        master.rotation = Histogram()
+    w.run_for(S)
+    return [
+        Seen(
+            master.rounds - rounds,
+            station.stats.tokens - holds,
+            ns_to_bits(master.rotation.min_ns, BAUD),
+            ns_to_bits(master.rotation.max_ns, BAUD),
+        )
+        for (master, station), (rounds, holds) in zip(masters, before, strict=True)
+    ]
+
+
+def others_of(counts: list[int], number: int, case: Case) -> OtherMasters:
+    """What the other masters of one need, as each one's own plan says."""
+    params = BusParams.preset(BAUD)
+    rounds = [rotation(params, slaves, case).bits for slaves in slaves_of(counts)]
+    return OtherMasters(rounds=(*rounds[:number], *rounds[number + 1 :]))
+
+
+@pytest.mark.parametrize("counts", [[10], [10, 10], [20, 5, 5]])
+def test_t_tr_that_every_master_needs(counts: list[int], world: WorldFactory) -> None:
+    params = BusParams.preset(BAUD)
+    needed = {
+        t_tr_needed(params, slaves, others_of(counts, number, Case.NORMAL))
+        for number, slaves in enumerate(slaves_of(counts))
+    }
+    (t_tr,) = needed  # the same one for all of them
+    # every slave as slow as it may be
+    for seen in run(world, counts, t_tr, params.max_tsdr):
+        assert abs(seen.holds - seen.rounds) <= 1
+    # and in one go when they are quick, too
+    for number, seen in enumerate(run(world, counts, t_tr, 11)):
+        slaves = slaves_of(counts)[number]
+        shortest = rotation(params, slaves, Case.SHORTEST, others_of(counts, number, Case.SHORTEST)).bits
+        longest = rotation(params, slaves, Case.NORMAL, others_of(counts, number, Case.NORMAL)).bits
+        telegrams = 2 * sum(counts) + len(counts)
+        assert abs(seen.shortest - shortest) <= telegrams
+        assert seen.longest <= longest
+
+
+def test_with_less_a_round_goes_over_several_holds(world: WorldFactory) -> None:
+    """T_TR for the sum of the rounds alone: after a full rotation there is no time left for a hold."""
+    counts = [20, 5, 5]
+    params = BusParams.preset(BAUD)
+    slaves = slaves_of(counts)[0]
+    t_tr = rotation(params, slaves, Case.SHORTEST, others_of(counts, 0, Case.SHORTEST)).bits
+    first, second, third = run(world, counts, t_tr, 11)
+    assert first.holds > 1.5 * first.rounds
+    assert min(second.rounds, third.rounds) > 1.2 * first.rounds
+    assert first.longest > 1.3 * t_tr
+
+
+def test_masters_alike_need_no_list() -> None:
+    params = BusParams.preset(BAUD)
+    slaves = slaves_of([7])[0]
+    alone = rotation(params, slaves, Case.NORMAL).bits
+    alike, listed = OtherMasters(alike=2), OtherMasters(rounds=(alone, alone))
+    assert t_tr_needed(params, slaves, alike) == t_tr_needed(params, slaves, listed)
+    for case in Case:
+        assert rotation(params, slaves, case, alike).bits == 3 * rotation(params, slaves, case).bits
+    assert (alike.count, listed.count) == (2, 2)
