@@ -29,6 +29,8 @@ def driver_for(config: Config, port: Port | None) -> str:
     if wanted == PROCESS:
         if sys.platform != "linux":
             raise _refusal(config, f"the bus process needs Linux, this is {sys.platform}", 'take driver = "asyncio"')
+        if _frozen():
+            raise _refusal(config, "this program is one file without a Python beside it", 'take driver = "asyncio"')
         if _needs_asyncio(port):
             raise _refusal(config, f"the port {config.port} is of a kind that needs asyncio", 'take driver = "asyncio"')
         return PROCESS
@@ -37,9 +39,14 @@ def driver_for(config: Config, port: Port | None) -> str:
 
 def _worth_it(port: Port) -> bool:
     """A real line, a second processor, and the right to go before everybody else."""
-    if sys.platform != "linux" or port.delivery is not Delivery.ADAPTER or _needs_asyncio(port):
+    if sys.platform != "linux" or port.delivery is not Delivery.ADAPTER or _needs_asyncio(port) or _frozen():
         return False
     return len(os.sched_getaffinity(0)) > 1 and not rights().no_priority()
+
+
+def _frozen() -> bool:
+    """The program was packed: starting its executable again starts the program, not an interpreter."""
+    return not sys.executable or bool(getattr(sys, "frozen", False))
 
 
 def _needs_asyncio(port: Port) -> bool:

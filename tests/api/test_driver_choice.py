@@ -70,6 +70,11 @@ def test_what_a_process_cannot_do_is_refused_with_what_to_do(rights: pytest.Monk
         dpstack.open_bus(file)
     with pytest.raises(ConfigError, match=r"unknown driver 'thread'; it must be "):
         config("thread")
+    rights.setattr(sys, "frozen", True, raising=False)
+    assert driver_for(config("auto"), uart()) == "asyncio"
+    with pytest.raises(ConfigError, match=wanted + "this program is one file without a Python beside it"):
+        driver_for(config("process"), uart())
+    rights.delattr(sys, "frozen")
     rights.setattr(sys, "platform", "win32")
     with pytest.raises(ConfigError, match=wanted + "the bus process needs Linux, this is win32"):
         driver_for(config("process"), uart())
