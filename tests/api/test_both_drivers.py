@@ -146,14 +146,14 @@ async def test_groups(driver: Driver) -> None:
 
 async def test_cycles(driver: Driver) -> None:
     with octet_slaves(SPEC, LAMPS_SPEC) as (path, _there):
-        async with bus_on(path, driver, VALVES, LAMPS, cycle_ms=100.0, host_slack_ms=1.0) as bus:
+        async with bus_on(path, driver, VALVES, LAMPS, cycle_ms=150.0) as bus:
             await bus.ready(20)
             await bus.operate()
             numbers, skipped = [], 0
             async for cycle in bus.cycles():
                 numbers.append(cycle.number)
                 skipped += cycle.skipped
-                if cycle.inputs["lamps"] == b"\x05":
+                if cycle.inputs.get("lamps") == b"\x05":
                     assert cycle["valves"] == {"level": 5}  # outputs of one cycle, inputs of one cycle
                     break
                 bus.slave("valves")["target"] = 5
@@ -161,7 +161,7 @@ async def test_cycles(driver: Driver) -> None:
             assert numbers == sorted(set(numbers))
             book = bus.stats.cycles
             assert book is not None
-            assert book.cycle_ns == 100_000_000
+            assert book.cycle_ns == 150_000_000
             assert book.begun >= len(numbers) + skipped
             assert book.late.count == book.begun
             with pytest.raises(ConfigError, match="cycle"):
@@ -170,7 +170,8 @@ async def test_cycles(driver: Driver) -> None:
 
 async def test_class_2_and_scan(driver: Driver) -> None:
     with octet_slaves(SPEC, "7:0696:f3f1:12:12,owner=1") as (path, _there):
-        async with bus_on(path, driver, VALVES) as bus:
+        # of a busy computer nobody is given less than a slave in data exchange
+        async with bus_on(path, driver, VALVES, host_slack_ms=50) as bus:
             await bus.ready()
             assert (await bus.class2.config(4)).octets == b"\x21\x11"
             assert (await bus.class2.diagnosis(7)).master == 1
@@ -213,9 +214,10 @@ async def test_a_drive(driver: Driver, tmp_path: Path) -> None:
                 assert bus.slave("fan").outputs != bytes(12)
                 with pytest.raises(UsageError, match="drive plugin makes the outputs"):
                     bus.slave("fan").outputs = bytes(12)
+                fan.speed = 1.0
                 simulation.power(4, False)
                 with pytest.raises((DriveError, DriveFault)):
-                    await fan.reached(20, tolerance=0.0)
+                    await fan.reached(20)
             assert fan.status.state == dpstack.profile.State.OFFLINE
 
 
