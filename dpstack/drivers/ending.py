@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from time import monotonic_ns
-from typing import Final
 
 from dpstack.dp.commands import Shutdown
 from dpstack.dp.events import MasterStopped
+from dpstack.drivers.base import END_LIMIT, last_bits_ns
 from dpstack.drivers.plain import PlainRuntime
 from dpstack.drivers.plain_loop import PlainLoop
 from dpstack.drivers.stack import Stack
@@ -15,12 +15,6 @@ from dpstack.errors import DpError
 from dpstack.fdl.commands import GoOffline
 from dpstack.fdl.events import RingLeft
 from dpstack.trace import Event
-from dpstack.units import BITS_PER_CHAR, NS_PER_S
-
-#: nobody waits longer than this (plus ten rotations) for a bus that can no longer do it
-_LIMIT: Final = 2 * NS_PER_S
-#: Global_Control, the longest telegram of the end
-_LAST_OCTETS: Final = 13
 
 
 class Ending:
@@ -40,7 +34,7 @@ class Ending:
         if self._why is not None:
             return
         self._why = why
-        limit = _LIMIT + 10 * self._stack.master.rotation.max_ns
+        limit = 2 * END_LIMIT + 10 * self._stack.master.rotation.max_ns
         self._loop.call_at(monotonic_ns() + limit, self._finish)
         self._order(Shutdown())
 
@@ -64,9 +58,7 @@ class Ending:
             self._last_bits(monotonic_ns())
 
     def _last_bits(self, at: int) -> None:
-        """Events tell of transmissions whose last bit lies ahead: let it leave before the port is closed."""
-        params = self._stack.station.params
-        last = params.ns(_LAST_OCTETS * BITS_PER_CHAR + params.t_id2)
+        last = last_bits_ns(self._stack.station.params)
         self._loop.call_at(max(at, monotonic_ns()) + last, self._finish)
 
     def _order(self, command: object) -> None:

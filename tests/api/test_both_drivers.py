@@ -60,8 +60,9 @@ async def test_process_data_events_and_the_end(driver: Driver) -> None:
             assert valves.watchdog_ms == there_watchdog(valves)
             assert bus.station.in_ring
             assert bus.station.las == {2}
-        assert there.slaves[4].outputs in (b"\xa5\x5a", bytes(2))  # safe values, then Clear's zeros
-        assert there.slaves[4].control == b"\x02\x00"  # Clear_Data to all
+        # safe values, then Clear's zeros; Clear_Data to all
+        await until(lambda: there.slaves[4].outputs in (b"\xa5\x5a", bytes(2)), "safe values")
+        await until(lambda: there.slaves[4].control == b"\x02\x00", "Clear")
         assert not bus.slave(4).inputs_valid
         assert bus.stats.rotations >= stats.rotations
     assert told.count("data_exchange") == 2

@@ -122,8 +122,8 @@ async def test_the_bus_process_is_told_to_end() -> None:
             os.kill(process_of(bus), signal.SIGTERM)
             with pytest.raises(BusError, match=r"has ended: it was told to end \(SIGTERM\); outputs were set to their"):
                 await bus.rotated(None, 20)
-            assert there.slaves[4].outputs in AFTER
-            assert there.slaves[4].control == b"\x02\x00"
+            await until(lambda: there.slaves[4].outputs in AFTER, "safe values")
+            await until(lambda: there.slaves[4].control == b"\x02\x00", "Clear")
 
 
 @pytest.mark.parametrize("then", ["await asyncio.sleep(60)", "import time; time.sleep(60)"])
