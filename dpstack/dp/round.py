@@ -84,7 +84,7 @@ class Round:
         """A hold begins; free running so does a new round, when the last one is through and the next one may."""
         if self._cadence.fixed:
             self._services = 1
-        elif not self.open and self._cadence.due(now, self._turns.interval_all if self._everybody else 0):
+        elif not self.open and self._cadence.due(now) and self._may_take_all(now):
             self._begin(now)
 
     def next_request(self, now: int) -> Request | None:
@@ -148,6 +148,9 @@ class Round:
         """Nobody is left out: on the way down, and where an order waits for everybody."""
         return self._course.descending or self._controls.wants_all
 
+    def _may_take_all(self, now: int) -> bool:
+        return not self._everybody or self._cadence.due(now, self._turns.interval_all)
+
     def _before_data(self, now: int) -> Request | None:
         request = self._controls.before_data(self._course.mode, now)
         if request is None and self._freeze:
@@ -193,7 +196,8 @@ class Round:
         return None
 
     def _between(self, now: int) -> Request | None:
-        """What waits for a time between two cycles."""
+        """What waits for a time between two cycles; what a cycle brought up does not wait for the next one."""
+        self._turns.sort(self._handlers)
         request = self._controls.repetition(self._course.mode, now)
         if request is None and (request := self._service(now)) is not None and isinstance(request.tag, SlaveHandler):
             longest = request.tag.setup.max_diag_len

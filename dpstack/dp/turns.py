@@ -64,9 +64,14 @@ class Turns:
             self._services.remove(handler)
 
     def begin_round(self, handlers: Mapping[int, SlaveHandler]) -> None:
-        """Sort anew where something changed. Who has a diagnosis waiting comes first: a DH is answered at once (B6)."""
+        """A round follows."""
         if self._held:
             self._held.clear()
+        if self._stale:
+            self.sort(handlers)
+
+    def sort(self, handlers: Mapping[int, SlaveHandler]) -> None:
+        """Sort anew where something changed. Who has a diagnosis waiting comes first: a DH is answered at once (B6)."""
         if not self._stale:
             return
         self._stale = False

@@ -73,6 +73,8 @@ class ProcessRuntime:
         self._last_news: News | None = None  # that it is over
         self._picture = _EMPTY
         self._outputs: dict[int, bytes] = {}
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._publishing: asyncio.Handle | None = None
         self._counters = Counters()
         self._counted_ns = -_FRESH_NS
         self._surveys: dict[int, SurveyResult] = {}
@@ -103,6 +105,7 @@ class ProcessRuntime:
         """Start the bus process, which opens the port. Raises PortError and ConfigError as it does, and BusError."""
         if self._link.pid is not None:
             raise UsageError("the driver is open already")
+        self._loop = asyncio.get_running_loop()
         memory = make_memory()
         try:
             self._image = SharedImage(memory)
@@ -120,7 +123,7 @@ class ProcessRuntime:
         try:
             if link.is_open:
                 with contextlib.suppress(DpError):
-                    self._counters = typed(link.ask(CloseBus()), Counters)
+                    self._counters = typed(self._ask(CloseBus()), Counters)
                 link.hang_up(UsageError("the bus is closed"))
                 await link.ended()
         finally:
@@ -140,7 +143,7 @@ class ProcessRuntime:
             case AddSlave(setup) if setup.address not in handlers:
                 handlers[setup.address] = SlaveMirror(setup, self)
                 try:
-                    self._link.ask(command)
+                    self._ask(command)
                 except BaseException:
                     del handlers[setup.address]
                     raise
@@ -148,23 +151,23 @@ class ProcessRuntime:
                 before = handlers[setup.address]
                 after = handlers[setup.address] = SlaveMirror(setup, self, before)
                 try:
-                    self._link.ask(command)
+                    self._ask(command)
                 except BaseException:
                     handlers[setup.address] = before
                     raise
                 if after.image is not before.image:
                     self.put_outputs(setup.address, None)
             case RemoveSlave(address):
-                self._link.ask(command)
+                self._ask(command)
                 self.put_outputs(address, None)
                 handlers.pop(address, None)
             case EndSurvey(number):
                 self._surveys.pop(number, None)
-                self._link.ask(command)
+                self._ask(command)
             case DriveCommand(args=args):
-                self._link.ask(dataclasses.replace(command, args=checked_arguments(args)))
+                self._ask(dataclasses.replace(command, args=checked_arguments(args)))
             case _:
-                self._link.ask(command)
+                self._ask(command)
 
     # --- what else the bus process does -------------------------------------------------------------------------------
 
@@ -174,14 +177,14 @@ class ProcessRuntime:
         The plugins that the bus process is started with stand there already.
         """
         if self._link.is_open:
-            self._link.ask(AttachPlugin(address, plugin))
+            self._ask(AttachPlugin(address, plugin))
         self.mirror.master.handlers[address].image.unit = plugin
 
     def unit_status(self, address: int) -> object | None:
         """What the cyclic unit of a slave tells, as plain data; None when nobody can be asked any more."""
         if not self._link.is_open:
             return None
-        return self._link.ask(AskUnit(address))
+        return self._ask(AskUnit(address))
 
     def survey_result(self, number: int) -> SurveyResult | None:
         """What came of the live list with ``number``; None until it is complete."""
@@ -202,7 +205,7 @@ class ProcessRuntime:
         fresh = now - self._counted_ns < _FRESH_NS and self._counters.rotation.count >= self._picture.rotations
         if self._link.is_open and not fresh:
             with contextlib.suppress(BusError):
-                self._counters = typed(self._link.ask(AskCounters()), Counters)
+                self._counters = typed(self._ask(AskCounters()), Counters)
                 self._counted_ns = now
         return self._counters
 
@@ -212,13 +215,25 @@ class ProcessRuntime:
             self._outputs.pop(address, None)
         else:
             self._outputs[address] = octets
-        if self._image is not None:
-            self._image.outputs.write(output_octets(self._outputs))
+        if self._publishing is None and self._loop is not None and not self._loop.is_closed():
+            self._publishing = self._loop.call_soon(self._publish)
+
+    def _publish(self) -> None:
+        """What was set in one go, or before an order, goes out in one: a round never has the half of it."""
+        if self._publishing is not None:
+            self._publishing.cancel()
+            self._publishing = None
+            if self._image is not None:
+                self._image.outputs.write(output_octets(self._outputs))
+
+    def _ask(self, order: object) -> object:
+        self._publish()
+        return self._link.ask(order)
 
     def watch_rounds(self, on: bool) -> None:
         """Have the ends of rounds told, or no longer."""
         if self._link.is_open:
-            self._link.ask(WatchRounds(on))
+            self._ask(WatchRounds(on))
 
     # --- from the bus process ---------------------------------------------------------------------------------------
 

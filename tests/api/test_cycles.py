@@ -7,10 +7,13 @@ import itertools
 from typing import Any
 
 import pytest
-from api_kit import RAW, bus_of, virtual
+from api_kit import FAN, HOIST, RAW, bus_of, slave_in, virtual
+from support import WorldFactory
 
 import dpstack
 from dpstack.api.config import parse_config
+from dpstack.dp.mirror import MirrorDevice
+from dpstack.sim.world import World
 
 A: dict[str, object] = {
     "name": "a", "address": 5, "ident": 0x1234, "config": "23 13", "inputs": {"limit": "bool@0.3", "level": "i16@2"},
@@ -177,3 +180,57 @@ def test_groups_of_a_cycle_are_checked_with_the_configuration() -> None:
         bus_of({**RAW, "groups": [2]}, cycle_sync=[2])
     made = parse_config(text.replace("[9]", "[1, 2]") + "cycle_sync = [3]\n", "c.toml").with_bus(address=4)
     assert (made.bus.cycle_freeze, made.bus.cycle_sync) == ((1, 2), (3,))
+
+
+def test_drives_a_scan_and_class_2_beside_a_cycle() -> None:
+    """A motor is started and its parameter read, everybody is asked who he is; no cycle begins late."""
+
+    async def program() -> None:
+        bus = dpstack.open_bus(port="virtual", baud=1_500_000, slaves=[HOIST, FAN, A], cycle_ms=5)
+        async with bus:
+            await bus.operate()
+            await bus.ready()
+            fan = bus.drive("fan")
+            await fan.start(timeout=5)
+            fan.speed = 0.5
+            found, number, _ = await asyncio.gather(bus.scan(configs=True), bus.drive("hoist").read(412), fan.reached())
+            assert {station.address for station in found} == {3, 4, 5}
+            assert number == 44
+            assert (await bus.class2.diagnosis(4)).master == 2
+            stats = bus.stats
+            assert stats.cycles is not None
+            assert (stats.cycles.missed, stats.cycles.late.max_ns) == (0, 0)
+            await fan.stop()
+
+    virtual(program())
+
+
+class Ailing(MirrorDevice):
+    """Its diagnosis says something while ``said`` is not empty."""
+
+    said = b""
+
+    def ext_diag(self) -> bytes:
+        return self.said
+
+
+def test_a_diagnosis_is_fetched_in_the_gap_after_it_was_announced(world: WorldFactory) -> None:
+    """A high-priority answer (DH), Slave_Diag before the next cycle, which begins in time."""
+
+    async def program(w: World) -> None:
+        device = Ailing(0x1234, bytes.fromhex("23 13"))
+        slave_in(w, device, 5)
+        async with bus_of(A, world=w, cycle_ms=8) as bus:
+            await bus.operate()
+            await bus.ready()
+            stream = bus.cycles()
+            await anext(stream)
+            device.said = b"\x04\x11\x22\x33"
+            before = await anext(stream)
+            await asyncio.sleep(0.006)
+            diagnosis = bus.slave("a").diagnosis
+            assert diagnosis is not None
+            assert diagnosis.ext == b"\x04\x11\x22\x33"
+            assert (await anext(stream)).t_ns - before.t_ns == 8 * MS
+
+    virtual(program(world()))
