@@ -10,6 +10,7 @@ from dpstack.api.compose import Case, Plan, plan_bus
 from dpstack.api.config import Config, load_config
 from dpstack.api.planning import Verdict, cycle_rates
 from dpstack.cli import options, output
+from dpstack.errors import ConfigError
 from dpstack.units import BAUD_RATES, NS_PER_MS, baud_text
 
 #: the slowest baud rate for each verdict on the cycle
@@ -47,18 +48,41 @@ def execute(args: argparse.Namespace) -> int:
     """Print one plan, or one for each rate; 1 when something is out of bounds at the bus's own rate."""
     config = load_config(args.config).with_bus(cycle_ms=args.cycle_ms)
     needs = cycle_rates(config, config.bus.cycle_ns) if config.bus.cycle_ns else {}
-    rates = list(BAUD_RATES) if args.baud == "all" else [args.baud or config.baud]
-    plans = [plan_bus(config, rate) for rate in rates]
+    if args.baud == "all":
+        return _all_rates(config, needs, json=args.json)
+    plan = plan_bus(config, args.baud or config.baud)
     if args.json:
-        dicts = [_with_rates(plan.as_dict(), needs) for plan in plans]
-        output.json_line(dicts if args.baud == "all" else dicts[0])
-    elif len(plans) > 1:
-        _show_rates(config, plans)
-        _show_needs(needs)
+        output.json_line(_with_rates(plan.as_dict(), needs))
     else:
-        _show(plans[0], needs)
-    judged = [plan for plan in plans if len(plans) == 1 or plan.params.baud == config.bus.baud]
-    return 1 if any(plan.findings for plan in judged) else 0
+        _show(plan, needs)
+    return 1 if plan.findings else 0
+
+
+def _all_rates(config: Config, needs: Needs, *, json: bool) -> int:
+    """One plan for each rate; why there is none where the parameters given are impossible at a rate."""
+    plans: list[Plan] = []
+    without: dict[int, ConfigError] = {}
+    for rate in BAUD_RATES:
+        try:
+            plans.append(plan_bus(config, rate))
+        except ConfigError as error:
+            without[rate] = error
+    own = config.bus.baud if plans else BAUD_RATES[0]
+    if isinstance(own, int) and own in without:
+        raise without[own]
+    if json:
+        dicts = {plan.params.baud: _with_rates(plan.as_dict(), needs) for plan in plans}
+        dicts |= {
+            rate: {"baud": rate, "rotation_us": None, "parameters": None, "slaves": [], "findings": [str(why)]}
+            for rate, why in without.items()
+        }
+        output.json_line([dicts[rate] for rate in BAUD_RATES])
+    else:
+        _show_rates(config, plans)
+        for rate, why in without.items():
+            output.line(f"{baud_text(rate)}: no plan: {why}")
+        _show_needs(needs)
+    return 1 if any(plan.findings for plan in plans if plan.params.baud == config.bus.baud) else 0
 
 
 def us(plan: Plan, case: Case) -> str:

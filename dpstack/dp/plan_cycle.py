@@ -189,8 +189,7 @@ def _missed(figures: Figures, verdict: Verdict) -> str:
 
 def _overrun(figures: Figures) -> str:
     """What happens where the typical rotation takes longer than the cycle: with or without its GAP poll."""
-    typical, cycle = figures.rotations[Case.TYPICAL], figures.cycle_ns
-    data = figures.params.ns(typical.work - typical.beside)
+    data, cycle = figures.data_ns(Case.TYPICAL), figures.cycle_ns
     if data <= cycle:
         return f"no GAP poll fits beside the data ({ms_text(data)}), and each makes a cycle late"
     return f"the data alone take {ms_text(data)}: cycles begin late and {1 - cycle / data:.0%} are left out"
@@ -198,14 +197,15 @@ def _overrun(figures: Figures) -> str:
 
 def _costs(figures: Figures) -> list[str]:
     """What does not fit into a cycle, and how many cycles each costs."""
-    params, cycle, normal = figures.params, figures.cycle_ns, figures.rotations[Case.NORMAL]
-    slow = params.ns(normal.work - normal.beside)
-    spare = cycle - (figures.work_ns(Case.TYPICAL) if slow > cycle else slow)
+    params, cycle = figures.params, figures.cycle_ns
+    slow, usual = figures.data_ns(Case.NORMAL), figures.data_ns(Case.TYPICAL)
+    spare = cycle - (usual if slow > cycle else slow)
     vain = max((vain_bits(params, request_octets(s)) for s in figures.setups), default=0)
     pieces = (
         ("repeated request", params.ns(vain) + figures.host_slack_ns),
         ("diagnosis", params.ns(longest_diagnosis(params, figures.setups))),
         ("acyclic service", params.ns(acyclic_bits(params))),
+        ("GAP poll", params.ns(gap_poll_bits(params))),
     )
     told = [f"rounds in which all slaves need their max T_SDR ({ms_text(slow)})"] if slow > cycle else []
     for name, takes in pieces:

@@ -177,6 +177,10 @@ class Figures:
         """The same without waiting for Min_Slave_Interval."""
         return self.params.ns(self.rotations[case].work)
 
+    def data_ns(self, case: Case) -> int:
+        """The same without what comes beside the data."""
+        return self.params.ns(self.rotations[case].work - self.rotations[case].beside)
+
     @property
     def spacing_ns(self) -> int:
         """The longest time from round to round: with a fixed cycle whole cycles."""

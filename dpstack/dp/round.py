@@ -73,6 +73,7 @@ class Round:
         self._due: list[SlaveHandler] = []
         self._cursor = 0
         self._services = 0
+        self._operating = False  # it began in Operate
         self._unsent = False  # no request of it went out yet
         self._freeze = self._sync = False  # still to be sent in it
         #: with a fixed cycle, by address of slaves that have a Min_Slave_Interval: no exchange before this time
@@ -132,9 +133,11 @@ class Round:
         self._cursor = 0
         self._unsent = True
         self.first_data = bool(self._due)
-        operating = course.mode is course.target is Mode.OPERATE and bool(self._due)
-        self._freeze = operating and bool(self._controls.cycle_freeze)
-        self._sync = operating and bool(self._controls.cycle_sync)
+        # a mode reached in the middle of a round lets outputs out with the next one, everybody's at once
+        self._operating = course.mode is Mode.OPERATE
+        held = self._operating and course.target is Mode.OPERATE and bool(self._due)
+        self._freeze = held and bool(self._controls.cycle_freeze)
+        self._sync = held and bool(self._controls.cycle_sync)
         self._farewells.begin_round()
         if self._cadence.fixed:
             self._services = 1
@@ -182,7 +185,7 @@ class Round:
 
     def _outputs(self, handler: SlaveHandler, now: int) -> bytes:
         course = self._course
-        if course.mode is _OPERATE:
+        if self._operating and course.mode is _OPERATE:
             return handler.unit.outputs(now) if course.target is _OPERATE else handler.setup.safe_outputs
         # Clear: a Fail_Safe slave gets an empty frame, the others zeros (section J, Siemens CP5613)
         return b"" if handler.setup.fail_safe else bytes(handler.image.output_len)

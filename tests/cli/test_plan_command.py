@@ -50,6 +50,24 @@ def test_without_a_cycle_nothing_is_said_of_one(capsys: Out) -> None:
     assert plan["masters"] == {"others": 0, "t_tr_needed": plan["masters"]["t_tr_needed"]}
 
 
+def test_parameters_that_are_impossible_at_another_rate(capsys: Out, tmp_path: Path) -> None:
+    """T_SL must be max T_SDR + 15 at least: 300 is enough up to 3 Mbit/s, but not at 45.45 kbit/s."""
+    path = tmp_path / "slow.toml"
+    text = Path(FIVE).read_text(encoding="utf-8")
+    path.write_text(text.replace("baud = 1500000\n", "baud = 1500000\nt_sl = 300\n"), encoding="utf-8")
+    assert main(["plan", str(path), "--baud", "all", "--json"]) == 0
+    plans = json.loads(capsys.readouterr().out)
+    without = [plan for plan in plans if plan["rotation_us"] is None]
+    assert [plan["baud"] for plan in plans][::5] == [9600, 187_500, 12_000_000]
+    assert [plan["baud"] for plan in without] == [45_450, 6_000_000, 12_000_000]
+    assert "t_sl = 300 is less than max_tsdr + 15 = 815" in without[2]["findings"][0]
+    assert main(["plan", str(path), "--baud", "all"]) == 0
+    assert "12 Mbit/s: no plan: " in capsys.readouterr().out
+    path.write_text(text.replace("baud = 1500000\n", "baud = 12000000\nt_sl = 300\n"), encoding="utf-8")
+    assert main(["plan", str(path), "--baud", "all"]) == 2
+    assert f"{path}:9: [bus]: bus parameters at 12 Mbit/s: t_sl = 300 is less than" in capsys.readouterr().err
+
+
 def test_for_people(capsys: Out) -> None:
     assert main(["plan", FIVE, "--cycle-ms", "2"]) == 1
     out = capsys.readouterr().out.splitlines()

@@ -141,6 +141,23 @@ def test_outputs_set_in_the_middle_of_a_round_wait_for_the_next(world: WorldFact
     assert all(five == six for five, six in pairs)
 
 
+@pytest.mark.parametrize("cycle_ns", [0, 4 * MS])
+def test_operate_in_the_middle_of_a_round_lets_all_outputs_out_at_once(world: WorldFactory, cycle_ns: int) -> None:
+    bus = running(world, cycle_ns=cycle_ns)
+    for image in bus.master.images.values():
+        image.outputs = bytes([7]) * 12
+    for offset in range(0, 4 * MS, 170_011):
+        bus.world.command(bus.station, SetMode(Mode.CLEAR))
+        bus.world.run_for(20 * MS)
+        bus.quiet()
+        bus.world.run_for(4 * MS + offset)
+        bus.world.command(bus.station, SetMode(Mode.OPERATE))
+        bus.world.run_for(20 * MS)
+        first = bus.exchanges(5)[0]
+        sent = {a: [e.octets[7] for e in bus.data(a) if e.start_ns >= first] for a in (5, 6)}
+        assert set(zip(sent[5], sent[6], strict=False)) == {(0, 0), (7, 7)}
+
+
 def test_outputs_set_just_before_the_start_go_out_in_it(world: WorldFactory) -> None:
     bus = running(world)
     bus.world.run_for(8 * MS)

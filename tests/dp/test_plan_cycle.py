@@ -213,6 +213,14 @@ def test_the_rate_a_cycle_needs() -> None:
     assert set(slowest_rates(at_rates, 1).values()) == {None}
 
 
+def test_a_long_slot_time_makes_gap_polls_long() -> None:
+    """As beside masters on adapters: 66 + 10 115 bit times at 500 kbit/s are 20.4 ms."""
+    params = BusParams.preset(500_000, t_sl=10_115)
+    for slaves in ([], FIVE):
+        (finding,) = make_plan(params, slaves, cycle_ns=49 * NS_PER_MS // 2).findings[:1] or ("",)
+        assert ("each GAP poll that takes long (up to 20.4 ms: 1 cycle)" in finding) is bool(slaves)
+
+
 @pytest.mark.parametrize("number", [0, 1])
 def test_buses_with_hardly_anything_on_them(number: int) -> None:
     few = plan(1000, FIVE[:number])
