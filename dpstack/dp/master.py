@@ -49,7 +49,8 @@ class Master:
     ``absent_share``: while any slave is in data exchange, silent polls of absent ones take at most 1/absent_share of
     the bus time; 0 = no limit. ``auto_clear``: to Clear when a slave had no good data exchange for
     ``data_control_ns``. ``read_only``: it stays in Stop, where nothing is sent to slaves. ``on_round(now)`` is
-    called at the end of every round with data exchange, after :attr:`cycle` was published.
+    called at the end of every round with data exchange, after :attr:`cycle` was published,
+    ``on_begin()`` before a round may begin: what it puts into the process image goes out in that one.
 
     ``cycle_ns``: the rounds begin on a grid of this length, best effort (0: free running); then give :attr:`budget` to
     the station. ``cycle_freeze``, ``cycle_sync``: groups that every cycle sends FREEZE and SYNC to. Raises ConfigError.
@@ -77,6 +78,7 @@ class Master:
         self.rotation = Histogram()
         self.rounds = 0
         self.on_round = on_round
+        self.on_begin: Callable[[], None] | None = None
         #: the last round with data exchange, while ``on_round`` is set
         self.cycle: CycleData | None = None
         self.controls = Controls(params, self.handlers, self._emit, cycle_freeze, cycle_sync)
@@ -126,6 +128,11 @@ class Master:
     def images(self) -> dict[int, SlaveImage]:
         """The process image of each slave by address."""
         return {address: handler.image for address, handler in self.handlers.items()}
+
+    @property
+    def rotation_count(self) -> int:
+        """Rotations up to now."""
+        return self.rotation.count
 
     def command(self, command: object, now: int) -> bool:
         """Take the orders of :mod:`dpstack.dp.commands`. Misuse raises before anything is changed."""
@@ -272,6 +279,8 @@ class Master:
         """A hold begins, and with it perhaps a new round."""
         self._token.received(now)
         if self._course.mode > Mode.STOP:
+            if self.on_begin is not None:
+                self.on_begin()
             self._round.token(now)
 
     def next_request(self, now: int, high_only: bool) -> Request | None:
