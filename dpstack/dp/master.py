@@ -10,6 +10,7 @@ never breaks the others' rhythm, else one for each slave. The order is that of t
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from typing import Final
 
 from dpstack.dp.commands import (
     ActivateSlave,
@@ -40,6 +41,11 @@ from dpstack.machine import LineDown, LineUp
 from dpstack.params import BusParams
 from dpstack.stats import Histogram
 from dpstack.trace import Event
+
+# asked in every exchange: an enum's member costs ten times a name of the module
+_DATA_EXCHANGE: Final = SlaveState.DATA_EXCHANGE
+_OPERATE: Final = Mode.OPERATE
+_ABANDONED: Final = Failure.ABANDONED
 
 
 class Master:
@@ -273,7 +279,7 @@ class Master:
         while self._cursor < len(exchanging):
             handler = exchanging[self._cursor]
             self._cursor += 1
-            if handler.state is not SlaveState.DATA_EXCHANGE:
+            if handler.state is not _DATA_EXCHANGE:
                 continue
             if self.rounds % handler.setup.every and self._target is self.mode and not self.controls.wants_all:
                 continue  # on the way down nobody is left out
@@ -292,8 +298,8 @@ class Master:
         return None
 
     def _outputs(self, handler: SlaveHandler, now: int) -> bytes:
-        if self.mode is Mode.OPERATE:
-            return handler.unit.outputs(now) if self._target is Mode.OPERATE else handler.setup.safe_outputs
+        if self.mode is _OPERATE:
+            return handler.unit.outputs(now) if self._target is _OPERATE else handler.setup.safe_outputs
         # Clear: a Fail_Safe slave gets an empty frame, the others zeros (section J, Siemens CP5613)
         return b"" if handler.setup.fail_safe else bytes(handler.image.output_len)
 
@@ -322,7 +328,7 @@ class Master:
     def result(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
         """Hand the end of a request to the handling of its slave."""
         handler = request.tag
-        if outcome is Failure.ABANDONED and request.dsap == SAP_GLOBAL_CONTROL:
+        if outcome is _ABANDONED and request.dsap == SAP_GLOBAL_CONTROL:
             self.controls.abandoned(request)
         if not isinstance(handler, SlaveHandler) or self.handlers.get(handler.setup.address) is not handler:
             return  # of nobody, or of a slave that was removed meanwhile
