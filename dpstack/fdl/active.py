@@ -60,7 +60,7 @@ class ActiveStation:
     it.
     """
 
-    __slots__ = ("_decoder", "_guard", "_link", "_longest_ns", "_partial", "_sending", "wire")
+    __slots__ = ("_decoder", "_guard", "_link", "_longest_ns", "_partial", "_sending", "address", "baud", "wire")
 
     def __init__(
         self,
@@ -71,6 +71,10 @@ class ActiveStation:
         guard: Guard | None = None,
         now: int = 0,
     ) -> None:
+        #: TS
+        self.address: Final = params.address
+        #: the rate of its receiver
+        self.baud: Final = params.baud
         self._guard = guard
         self._link = Link(params, [self._guarded(user) for user in users], patience, ROWS, now)
         self._decoder = Decoder(stall_ns=self._link.line.t_stall_ns + patience.stall_ns)
@@ -82,16 +86,6 @@ class ActiveStation:
         self.wire: Callable[[WireEntry], None] | None = None
 
     # --- what others may know -----------------------------------------------------------------------------------
-    @property
-    def address(self) -> int:
-        """TS."""
-        return self._link.ts
-
-    @property
-    def baud(self) -> int:
-        """The rate of its receiver."""
-        return self._link.params.baud
-
     @property
     def hears_all(self) -> bool:
         """A ring member has to hear every token."""

@@ -247,12 +247,11 @@ def _content(kind: Kind, body: bytes | bytearray) -> Telegram | Flaw:
         if sa == BROADCAST:
             return Flaw.BAD_ADDRESS
         return _NEW(Telegram, (kind, da, sa, fc, None, None, bytes(body[3:]), None, None))
-    if da & sa & 0x80:
+    if da & sa & 0x80 and len(body) > 4 and body[3] <= _VALUE and body[4] <= _VALUE:
         # both SAPs, one octet each: what DP services look like
-        if len(body) > 4 and body[3] <= _VALUE and body[4] <= _VALUE:
-            if sa == 0xFF:
-                return Flaw.BAD_ADDRESS
-            return _NEW(Telegram, (kind, da & 0x7F, sa & 0x7F, fc, body[3], body[4], bytes(body[5:]), None, None))
+        if sa == 0xFF:
+            return Flaw.BAD_ADDRESS
+        return _NEW(Telegram, (kind, da & 0x7F, sa & 0x7F, fc, body[3], body[4], bytes(body[5:]), None, None))
     return _extended(kind, body)
 
 

@@ -8,6 +8,7 @@ a sender that is cut off.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from random import Random
 from typing import Any, Final, Protocol
 
@@ -30,6 +31,9 @@ TIMERS: Final = 2 << 60
 EDGES: Final = 3 << 60
 
 _LENGTHS: Final = 256
+#: The same octets come again and again: a telegram is decoded once for all of them.
+_decode: Final = lru_cache(1_024)(decode)
+_NEW: Final = tuple.__new__  # NamedTuple's own constructor costs twice as much
 
 
 class Transmission:
@@ -65,7 +69,7 @@ class Transmission:
         self.baud = baud
         self.start_ns = start_ns
         self.end_ns = self.heard_ns = end_ns
-        self.telegram: Telegram | None = decode(octets)
+        self.telegram: Telegram | None = _decode(octets)
         self.flips: dict[int, int] = {}
         self.notes: list[str] = []
         self.forced = node is None
@@ -283,7 +287,8 @@ class Medium:
             if not tx.whole:
                 tx.heard_ns = self._octet_ns
             self._watcher.heard(tx)
-        self._log.add(WireEntry(tx.start_ns, tx.end_ns, tx.octets, tx.sender, "; ".join(tx.notes) if tx.notes else ""))
+        notes = "; ".join(tx.notes) if tx.notes else ""
+        self._log.add(_NEW(WireEntry, (tx.start_ns, tx.end_ns, tx.octets, tx.sender, notes)))
 
     def _hand_telegram(self, tx: Transmission) -> None:
         telegram = tx.telegram
