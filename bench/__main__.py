@@ -8,8 +8,11 @@ import sys
 
 #: name -> (module with ``run(argv) -> Report``, what it measures)
 BENCHMARKS = {
+    "codec": ("bench.codec", "encoding and decoding of telegrams, beside pyprofibus and construct"),
     "cycle": ("bench.cycle", "turn-around and CPU time per exchange over a pty at 12 Mbit/s parameters"),
     "gsd": ("bench.gsd", "reading a made-up set of 689 GSD files, and the largest ones"),
+    "scale": ("bench.scale", "what one exchange costs the master, from 1 to 100 slaves"),
+    "virtual": ("bench.virtual", "simulated seconds of the bus per second of CPU time"),
 }
 
 

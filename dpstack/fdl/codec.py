@@ -31,7 +31,10 @@ _SD2: Final = int(Kind.SD2)
 _SD3: Final = int(Kind.SD3)
 _SD4: Final = int(Kind.SD4)
 _SC: Final = int(Kind.SC)
+# an enum's member costs ten times a name of the module
+_KIND_SD1: Final = Kind.SD1
 _KIND_SD2: Final = Kind.SD2
+_KIND_SD4: Final = Kind.SD4
 
 #: what stands behind the checked octets, made once; what stands before the data is kept too (:func:`_head`)
 _TAILS: Final = tuple(bytes((check, ED)) for check in range(256))
@@ -312,17 +315,17 @@ def _parse_sd1(octets: bytes | bytearray, at: int, end: int) -> Telegram | Flaw 
         return Flaw.BAD_FCS
     if fc > 0x7F and fc & 0xCF != 0xC0:
         return Flaw.BAD_FC
-    return _NEW(Telegram, (Kind.SD1, da, sa, fc, None, None, b"", None, None))
+    return _NEW(Telegram, (_KIND_SD1, da, sa, fc, None, None, b"", None, None))
 
 
 def _parse_token(octets: bytes | bytearray, at: int, end: int) -> Telegram | Flaw | None:
     # nothing protects a token but its addresses: both 0..126, no extension bit
-    for address in octets[at + 1 : min(at + 3, end)]:
-        if address > UNADDRESSED:
-            return Flaw.BAD_ADDRESS
-    if end - at < 3:
+    have = end - at
+    if (have > 1 and octets[at + 1] > UNADDRESSED) or (have > 2 and octets[at + 2] > UNADDRESSED):
+        return Flaw.BAD_ADDRESS
+    if have < 3:
         return None
-    return _NEW(Telegram, (Kind.SD4, octets[at + 1], octets[at + 2], -1, None, None, b"", None, None))
+    return _NEW(Telegram, (_KIND_SD4, octets[at + 1], octets[at + 2], -1, None, None, b"", None, None))
 
 
 def _parse_sd3(octets: bytes | bytearray, at: int, end: int) -> Telegram | Flaw | None:
