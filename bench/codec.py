@@ -1,8 +1,8 @@
 """Encoding and decoding of single telegrams, beside pyprofibus (where it is installed) and construct.
 
-Encoding is from fields to octets, decoding from octets to fields with everything checked; data and FCB are other ones in
-every call, as on a bus. Every program first has to make the same octets, and to find the same data in them. Times are
-CPU time, the best round; dpstack keeps the heads of telegrams it has made before, as in a running master.
+Encoding is from fields to octets, decoding from octets to fields with everything checked; data and FCB are other ones
+in every call, as on a bus. Every program first has to make the same octets, and to find the same data in them. Times
+are CPU time, the best round; dpstack keeps the heads of telegrams it has made before, as in a running master.
 """
 
 from __future__ import annotations
