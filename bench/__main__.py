@@ -1,37 +1,110 @@
-"""``python -m bench [NAME] [--json]``."""
+"""``python -m bench [NAME] [--json]``, ``python -m bench compare NAME [FILE] [FILE]``."""
 
 from __future__ import annotations
 
 import argparse
 import importlib
 import sys
+from pathlib import Path
+from typing import Final
+
+from bench.compare import compare, load_reference, load_report, reference_of, save
+from bench.plot import PlotError, plot
+from bench.report import Report
 
 #: name -> (module with ``run(argv) -> Report``, what it measures)
 BENCHMARKS = {
     "codec": ("bench.codec", "encoding and decoding of telegrams, beside pyprofibus and construct"),
-    "cycle": ("bench.cycle", "turn-around and CPU time per exchange over a pty at 12 Mbit/s parameters"),
+    "cycle": ("bench.cycle", "turn-around, CPU time and whole exchanges over a pty at 12 Mbit/s parameters"),
     "gsd": ("bench.gsd", "reading a made-up set of 689 GSD files, and the largest ones"),
+    "jitter": ("bench.jitter", "how late the rounds of a fixed cycle begin, beside an idle, blocking, busy program"),
+    "rotation": ("bench.rotation", "bus rotation time on a paced bus beside the time on the wire; CPU time there"),
     "scale": ("bench.scale", "what one exchange costs the master, from 1 to 100 slaves"),
+    "startup": ("bench.startup", "time until 32 slaves are in data exchange"),
+    "usb": ("bench.usb", "the rotation behind a USB adapter's habits: wire, adapter and stack apart"),
     "virtual": ("bench.virtual", "simulated seconds of the bus per second of CPU time"),
 }
 
+_EPILOG: Final = """\
+python -m bench rotation --json > now.json     one object with machine, versions and figures
+python -m bench rotation --save                becomes the stored reference, bench/reference/rotation.json
+python -m bench compare rotation               runs it and compares it with the stored reference
+python -m bench compare rotation now.json      compares a file with the stored reference
+python -m bench compare rotation a.json b.json compares two files, the older first
+"""
 
-def main() -> int:
-    """Run one benchmark, or list them."""
-    parser = argparse.ArgumentParser(prog="python -m bench", description="dpstack benchmarks (in a checkout)")
-    parser.add_argument("name", nargs="?", help="which one; without it they are listed")
+
+def main(argv: list[str] | None = None) -> int:
+    """Run one benchmark, compare two reports, or list what there is.
+
+    1: something became worse, or nothing was measured; 2: wrong use.
+    """
+    words = sys.argv[1:] if argv is None else argv
+    parser = argparse.ArgumentParser(
+        prog="python -m bench",
+        description="dpstack benchmarks (in a checkout); what else is given goes to the benchmark",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,  # what is not known here is the benchmark's
+        add_help=len(words) < 2 or words[0].startswith("-"),  # behind a name: the benchmark's own
+    )
+    parser.add_argument("name", nargs="?", help="which one, or compare; without it they are listed")
     parser.add_argument("--json", action="store_true", help="one JSON object instead of lines")
-    args, rest = parser.parse_known_args()
+    parser.add_argument("--save", nargs="?", type=Path, const=Path(), metavar="FILE", help="store as the reference")
+    parser.add_argument("--compare", nargs="?", type=Path, const=Path(), metavar="FILE", help="with the reference")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="a picture, .svg or .png (needs matplotlib)")
+    args, rest = parser.parse_known_args(words)
     if args.name is None:
         for name, (_, what) in BENCHMARKS.items():
             print(f"{name:<10} {what}")
         return 0
-    if args.name not in BENCHMARKS:
-        print(f"bench: no benchmark {args.name!r}; there are: {', '.join(BENCHMARKS)}", file=sys.stderr)
+    try:
+        if args.name == "compare":
+            return _compare(rest, as_json=args.json)
+        report = run(args.name, rest)
+        print(report.as_json() if args.json else report.as_text())
+        if args.save is not None:
+            save(report, reference_of(args.name) if args.save == Path() else args.save)
+        if args.plot is not None:
+            plot(report, args.plot)
+        if args.compare is not None:
+            old = load_reference(args.name) if args.compare == Path() else load_report(args.compare)
+            return _told(old, report, as_json=args.json)
+    except (ValueError, PlotError) as error:
+        print(f"bench: {error}", file=sys.stderr)
         return 2
-    report = importlib.import_module(BENCHMARKS[args.name][0]).run(rest)
-    print(report.as_json() if args.json else report.as_text())
+    except RuntimeError as error:
+        print(f"bench: {error}", file=sys.stderr)
+        return 1
     return 0
+
+
+def run(name: str, argv: list[str]) -> Report:
+    """The report of one benchmark with its own options. Raises ValueError for one that does not exist."""
+    if name not in BENCHMARKS:
+        raise ValueError(f"no benchmark {name!r}; there are: {', '.join(BENCHMARKS)}")
+    report: Report = importlib.import_module(BENCHMARKS[name][0]).run(argv)
+    return report.finished()
+
+
+def _compare(argv: list[str], *, as_json: bool) -> int:
+    parser = argparse.ArgumentParser(prog="python -m bench compare", epilog="1: something became worse beyond noise")
+    parser.add_argument("name")
+    parser.add_argument("file", nargs="*", type=Path, help="none: run it now; one: that one; two: older and newer")
+    args = parser.parse_args(argv)
+    if len(args.file) > 2:
+        raise ValueError("compare takes at most two files")
+    if args.name not in BENCHMARKS:
+        raise ValueError(f"no benchmark {args.name!r}; there are: {', '.join(BENCHMARKS)}")
+    old = load_report(args.file[0]) if len(args.file) == 2 else load_reference(args.name)
+    new = load_report(args.file[-1]) if args.file else run(args.name, [])
+    return _told(old, new, as_json=as_json)
+
+
+def _told(old: Report, new: Report, *, as_json: bool) -> int:
+    result = compare(old, new)
+    print(result.as_json() if as_json else result.as_text())
+    return 1 if result.worse else 0
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 Encoding is from fields to octets, decoding from octets to fields with everything checked; data and FCB are other ones
 in every call, as on a bus. Every program first has to make the same octets, and to find the same data in them. Times
-are CPU time, the best round; dpstack keeps the heads of telegrams it has made before, as in a running master.
+are CPU time; dpstack keeps the heads of telegrams it has made before, as in a running master.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import construct as c
 from bench.report import Report
 from dpstack.fdl.codec import decode, encode, encode_token, request_octets
 from dpstack.fdl.telegram import SHORT_ACK, Kind
+from dpstack.units import NS_PER_US
 
 Call = Callable[[], object]
 #: encoding (None: that is never sent) and decoding of one telegram
@@ -171,28 +172,28 @@ def run(argv: Sequence[str]) -> Report:
     """The benchmark with its own options."""
     parser = argparse.ArgumentParser(prog="python -m bench codec")
     parser.add_argument("--loops", type=int, default=1_000, help="calls a round")
-    parser.add_argument("--rounds", type=int, default=15, help="interleaved; the best of each is reported")
+    parser.add_argument("--rounds", type=int, default=15, help="interleaved")
     args = parser.parse_args(argv)
     found, notes = subjects()
     report = Report("codec", notes=notes)
     rounds = [[_time(subject.calls, args.loops) for subject in found] for _ in range(args.rounds)]
-    best = [min(times) for times in zip(*rounds, strict=True)]
-    own = {(s.title, s.does): ns for s, ns in zip(found, best, strict=True) if s.who == "dpstack"}
-    for subject, ns in zip(found, best, strict=True):
+    times = dict(zip(found, zip(*rounds, strict=True), strict=True))
+    own = {(s.title, s.does): each for s, each in times.items() if s.who == "dpstack"}
+    for subject, each in times.items():
         name = f"{subject.title}: {subject.does}, {subject.who}"
-        report.add(name, ns / 1000, "us")
+        report.measured(name, each, "us")
         mine = own.get((subject.title, subject.does))
         if subject.who != "dpstack" and mine is not None:
-            report.add(f"{name} to dpstack", ns / mine, "")
+            report.measured(f"{name} to dpstack", [a / b for a, b in zip(each, mine, strict=True)], "")
     report.notes.append("dpstack never sends SD3; pyprofibus and construct do not judge addresses and FC")
     return report
 
 
 def _time(calls: Sequence[Call], loops: int) -> float:
-    """CPU time of one call in ns."""
+    """CPU time of one call in us."""
     turns = max(1, loops // len(calls))
     begin = time.process_time_ns()
     for _ in range(turns):
         for call in calls:
             call()
-    return (time.process_time_ns() - begin) / (turns * len(calls))
+    return max(1, time.process_time_ns() - begin) / NS_PER_US / (turns * len(calls))

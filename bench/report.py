@@ -1,89 +1,160 @@
-"""What every benchmark prints: the machine, the versions, figures with their unit, goals as ratios of one run."""
+"""What every benchmark hands back: figures with their unit, the rounds they come from, goals as ratios of one run."""
 
 from __future__ import annotations
 
 import json
-import os
-import platform
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib import metadata
-from pathlib import Path
+from datetime import UTC, datetime
+from statistics import median
+from typing import cast
+
+from bench.machine import load, machine
 
 
 @dataclass
 class Figure:
-    """One figure; ``goal`` is an upper bound where the project has set one."""
+    """One figure; ``goal`` is a bound where the project has set one: an upper, where ``more`` is better a lower one.
+
+    ``rounds`` are the values of the single rounds that ``value`` sums up, empty where there was one only.
+    """
 
     name: str
     value: float
     unit: str
     goal: float | None = None
+    more: bool = False
+    rounds: tuple[float, ...] = ()
 
     @property
     def met(self) -> bool | None:
         """Whether the goal is met; None without a goal."""
-        return None if self.goal is None else self.value <= self.goal
+        if self.goal is None:
+            return None
+        return self.value >= self.goal if self.more else self.value <= self.goal
+
+    @property
+    def spread(self) -> float | None:
+        """How far the rounds lie apart, as a share of their median: between the quartiles, of few rounds all of them.
+
+        None with less than two rounds: then nothing is known.
+        """
+        middle = abs(median(self.rounds)) if len(self.rounds) > 1 else 0.0
+        if not middle:
+            return None
+        low, high = (0.25, 0.75) if len(self.rounds) >= 8 else (0.0, 1.0)
+        return (quantile(self.rounds, high) - quantile(self.rounds, low)) / middle
 
 
 @dataclass
 class Report:
-    """All figures of one benchmark."""
+    """All figures of one benchmark. ``about`` is the machine as it was at the start."""
 
     name: str
     figures: list[Figure] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    about: dict[str, object] = field(default_factory=machine)
+    taken: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
+    load_at_end: float | None = None
+    #: other programs had the processors for a good part of the time: goals are not judged
+    busy: bool = False
 
-    def add(self, name: str, value: float, unit: str, goal: float | None = None) -> None:
-        """One more figure."""
-        self.figures.append(Figure(name, value, unit, goal))
+    def add(
+        self,
+        name: str,
+        value: float,
+        unit: str,
+        goal: float | None = None,
+        *,
+        more: bool = False,
+        rounds: Sequence[float] = (),
+    ) -> None:
+        """One more figure; ``more``: more of it is better."""
+        self.figures.append(Figure(name, value, unit, goal, more, tuple(rounds)))
+
+    def measured(
+        self, name: str, rounds: Sequence[float], unit: str, goal: float | None = None, *, more: bool = False
+    ) -> None:
+        """One more figure, the median of ``rounds``; nothing where there are none."""
+        if rounds:
+            self.add(name, median(rounds), unit, goal, more=more, rounds=rounds)
+
+    def finished(self) -> Report:
+        """This report, with the load average at the end in it."""
+        self.load_at_end = load()
+        return self
+
+    def as_dict(self) -> dict[str, object]:
+        """Plain JSON data: machine, versions, figures and notes."""
+        return {
+            "benchmark": self.name,
+            "taken": self.taken,
+            "machine": self.about | {"load_at_end": self.load_at_end},
+            "figures": {
+                f.name: {
+                    "value": _rounded(f.value),
+                    "unit": f.unit,
+                    "goal": f.goal,
+                    "met": None if self.busy else f.met,
+                    "more": f.more,
+                    "rounds": [_rounded(v) for v in f.rounds],
+                }
+                for f in self.figures
+            },
+            "busy": self.busy,
+            "notes": self.notes,
+        }
 
     def as_json(self) -> str:
-        """One object with machine, versions, figures and notes."""
-        return json.dumps(
-            {
-                "benchmark": self.name,
-                "machine": machine(),
-                "figures": {f.name: {"value": round(f.value, 3), "unit": f.unit, "goal": f.goal} for f in self.figures},
-                "notes": self.notes,
-            }
-        )
+        """:meth:`as_dict` as one line."""
+        return json.dumps(self.as_dict())
 
     def as_text(self) -> str:
         """Lines for people."""
-        about = machine()
-        lines = [f"{self.name}: Python {about['python']}, {about['processors']} processors, {about['processor']}"]
+        about = self.about
+        realtime = cast(Mapping[str, object], about.get("realtime", {}))
+        lines = [
+            f"{self.name}: Python {about.get('python')}, {about.get('processors')} x {about.get('processor')}",
+            f"  {about.get('system')}, governor {about.get('governor')}, load {about.get('load')} at the start, "
+            f"{self.load_at_end} at the end, real-time priority {realtime.get('priority') or 'not permitted'}",
+        ]
         width = max((len(f.name) for f in self.figures), default=0)
         for f in self.figures:
-            goal = "" if f.goal is None else f"   goal {f.goal:g}: {'met' if f.met else 'MISSED'}"
-            lines.append(f"  {f.name:<{width}}  {f.value:>10.2f} {f.unit}{goal}")
+            spread = "" if f.spread is None else f"  +-{f.spread / 2:.0%}"
+            bound = "" if f.goal is None else f"   goal {'at least' if f.more else 'at most'} {f.goal:g}: "
+            verdict = "" if f.goal is None else "not judged" if self.busy else "met" if f.met else "MISSED"
+            lines.append(f"  {f.name:<{width}}  {f.value:>10.2f} {f.unit}{spread}{bound}{verdict}")
         return "\n".join(lines + [f"  {note}" for note in self.notes])
 
 
-def machine() -> dict[str, object]:
-    """Machine and versions, so that figures of different runs are not compared by mistake."""
-    versions = {}
-    for name in ("dpstack", "pyserial", "pyserial-asyncio", "construct"):
-        try:
-            versions[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            versions[name] = "not installed"
-    return {
-        "python": platform.python_version(),
-        "system": f"{platform.system()} {platform.release()}",
-        "processor": _processor(),
-        "processors": os.cpu_count(),
-        "versions": versions,
-    }
+def report_of(data: Mapping[str, object]) -> Report:
+    """A report from what :meth:`Report.as_dict` gave. Raises ValueError for anything else."""
+    try:
+        about = dict(cast(Mapping[str, object], data["machine"]))
+        report = Report(
+            str(data["benchmark"]),
+            notes=list(cast(list[str], data["notes"])),
+            about=about,
+            taken=str(data["taken"]),
+            load_at_end=cast("float | None", about.pop("load_at_end", None)),
+            busy=bool(data.get("busy", False)),
+        )
+        for name, each in cast(Mapping[str, Mapping[str, object]], data["figures"]).items():
+            report.add(
+                name,
+                cast(float, each["value"]),
+                cast(str, each["unit"]),
+                cast("float | None", each["goal"]),
+                more=bool(each["more"]),
+                rounds=cast(list[float], each["rounds"]),
+            )
+    except (KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f"no report of a benchmark: {error!r}") from None
+    return report
 
 
-def _processor() -> str:
-    info = Path("/proc/cpuinfo")
-    if info.exists():
-        for line in info.read_text().splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    return platform.processor() or "unknown"
+def _rounded(value: float) -> float:
+    return float(f"{value:.6g}")
 
 
 def quantile(values: Sequence[float], q: float) -> float:

@@ -33,6 +33,7 @@ from dpstack.fdl.commands import GoOnline
 from dpstack.params import BusParams
 from dpstack.ports.pty import PtyPort
 from dpstack.trace import Event
+from dpstack.units import NS_PER_US
 
 _RESPONDER: Final = Path(__file__).resolve().parent.parent / "tests" / "support_responder.py"
 _PTY_BAUD: Final = 12_000_000
@@ -92,7 +93,7 @@ def run(argv: Sequence[str]) -> Report:
     parser = argparse.ArgumentParser(prog="python -m bench scale")
     parser.add_argument("--slaves", type=int, nargs="*", default=[1, 3, 10, 32, 100])
     parser.add_argument("--exchanges", type=int, default=3_000, help="a round on the medium that costs nothing")
-    parser.add_argument("--rounds", type=int, default=11, help="interleaved; the best of each is reported")
+    parser.add_argument("--rounds", type=int, default=11, help="interleaved")
     parser.add_argument("--seconds", type=float, default=1.0, help="a round over the pty; 0: without a pty")
     parser.add_argument("--pty-rounds", type=int, default=3)
     args = parser.parse_args(argv)
@@ -115,13 +116,14 @@ def run(argv: Sequence[str]) -> Report:
     else:
         report.notes.append("without a pty")
     loop = median(loops)
-    report.add("calibration loop", loop / 1000, "us")
+    report.measured("calibration loop", [ns / NS_PER_US for ns in loops], "us")
     for medium, times in (("no medium", null), ("pty", pty)):
-        best = {n: min(each) for n, each in times.items() if each}
-        for n, ns in best.items():
+        for n, each in times.items():
             name = f"{medium}, {n} slave{'s' if n > 1 else ''}: CPU time"
-            report.add(f"{name} per exchange", ns / loop, "loops")
+            report.measured(f"{name} per exchange", [ns / loop for ns in each], "loops")
             if n > 1:
-                report.add(f"{name} per exchange to one slave's", ns / best[1], "", _GOAL)
-                report.add(f"{name} of one slave more", (n * ns - best[1]) / (n - 1) / loop, "loops")
+                pairs = list(zip(each, times[1], strict=True))
+                report.measured(f"{name} per exchange to one slave's", [ns / one for ns, one in pairs], "", _GOAL)
+                more = [(n * ns - one) / (n - 1) / loop for ns, one in pairs]
+                report.measured(f"{name} of one slave more", more, "loops")
     return report

@@ -71,7 +71,6 @@ def test_virtual_measures_drives_and_mirrors_under_the_referee() -> None:
         "1 mirror: CPU per exchange, both ends and the wire",
         "2 mirrors: simulated seconds per second of CPU",
         "2 mirrors: CPU per exchange, both ends and the wire",
-        "CPU per simulated second, 2 demag-dedrive, PPO1",
         "CPU per exchange, 2 mirrors to 1",
     }
     assert values["1 mirror: simulated seconds per second of CPU"] > 0

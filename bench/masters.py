@@ -1,0 +1,248 @@
+"""The programs that are measured, each as a process of its own: ``python -m bench.masters KIND PORT ...``.
+
+``asyncio`` and ``process`` are dpstack as a user has it, ``bare`` a loop that writes a request and reads an answer and
+knows no protocol, ``pyprofibus`` the other Python stack. All exchange 12 octets each way with slaves from address 3 on.
+One JSON line says when all are in data exchange; the end of standard input ends it in order.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import json
+import os
+import select
+import sys
+import threading
+import time
+import tty
+from time import monotonic_ns
+from typing import Any, Final
+
+FIRST: Final = 3
+IDENT: Final = 0x0696
+CONFIG: Final = bytes((0xF3, 0x71))
+OCTETS: Final = 12
+DRIVERS: Final = ("asyncio", "process")
+KINDS: Final = (*DRIVERS, "bare", "pyprofibus")
+#: what else the program does that the master serves
+APPLICATIONS: Final = ("idle", "block", "burn")
+_OWN: Final = 2
+#: with a master that has not brought all its slaves up
+_PATIENCE_NS: Final = 60_000_000_000
+_BLOCK_S: Final = 0.05
+_BLOCK_EVERY_S: Final = 0.5
+
+
+class Ended(threading.Event):
+    """Set when the one who started this process has had enough."""
+
+    def watch(self) -> None:
+        """Read standard input to its end, in a thread."""
+        threading.Thread(target=self._wait, daemon=True).start()
+
+    def _wait(self) -> None:
+        with contextlib.suppress(OSError, ValueError):
+            while os.read(sys.stdin.fileno(), 100):
+                pass
+        self.set()
+
+
+def told(**facts: object) -> None:
+    """One JSON line."""
+    print(json.dumps(facts), flush=True)
+
+
+# --- dpstack ---
+
+
+async def dpstack_master(args: argparse.Namespace, ended: Ended) -> None:
+    """A bus as the README shows it."""
+    from dpstack import open_bus
+
+    imported = monotonic_ns()
+    tables = [
+        {"name": f"s{n}", "address": FIRST + n, "ident": IDENT, "config": CONFIG.hex(" ")} for n in range(args.slaves)
+    ]
+    keys: dict[str, Any] = {"driver": args.kind}
+    if args.gap is not None:
+        keys["gap"] = args.gap
+    if args.cycle_ms:
+        keys["cycle_ms"] = args.cycle_ms
+    events: list[tuple[str, int, str]] = []
+    bus = open_bus(
+        port=args.port,
+        baud=args.baud,
+        address=_OWN,
+        slaves=tables,
+        on_event=lambda event: events.append((type(event).__name__, event.t_ns, event.text)),
+        **keys,
+    )
+    opening = monotonic_ns()
+    async with bus:
+        opened = monotonic_ns()
+        await bus.operate()
+        await bus.ready(timeout=_PATIENCE_NS / 1e9)
+        told(ready=monotonic_ns(), imported=imported, opening=opening, opened=opened, events=events)
+        events.clear()
+        await application(args.app, ended)
+        lost = [slave.name for slave in bus.slaves if slave.state.value != "data_exchange"]
+    if lost:
+        told(lost=lost, events=events[-5:])
+
+
+async def application(kind: str, ended: Ended) -> None:
+    """What the rest of the program does, until the end."""
+    if kind == "burn":
+        threading.Thread(target=_burn, args=(ended,), daemon=True).start()
+    turn = 0
+    while not ended.is_set():
+        await asyncio.sleep(0.05)
+        turn += 1
+        if kind == "block" and turn % round(_BLOCK_EVERY_S / 0.05) == 0:
+            time.sleep(_BLOCK_S)  # noqa: ASYNC251 - an application that blocks is what is measured
+
+
+def _burn(ended: Ended) -> None:
+    number = 1
+    while not ended.is_set():
+        number = number * 1_103_515_245 % 2_147_483_647
+
+
+# --- octets only ---
+
+
+def sd2(to: int, fc: int, data: bytes, saps: bytes = b"") -> bytes:
+    """An SD2 telegram of station 2; ``saps``: DSAP, SSAP."""
+    mark = 0x80 if saps else 0
+    body = bytes((to | mark, _OWN | mark, fc)) + saps + data
+    return bytes((0x68, len(body), len(body), 0x68)) + body + bytes((sum(body) & 0xFF, 0x16))
+
+
+def bare_master(args: argparse.Namespace, ended: Ended) -> None:
+    """Write a request, read its answer; on a paced wire the idle times of the rules and the token, nothing else."""
+    fd = os.open(args.port, os.O_RDWR | os.O_NOCTTY)
+    tty.setraw(fd)
+    bit = 1e9 / args.baud
+    idle = round(args.t_id1 * bit) if args.t_id1 else 0
+    token = bytes((0xDC, _OWN, _OWN))
+    token_ns = round(33 * bit) + idle if idle else 0
+    addresses = [FIRST + n for n in range(args.slaves)]
+    prm = bytes((0x80, 1, 1, 11)) + IDENT.to_bytes(2, "big") + bytes(1)
+    for address in addresses:
+        bare_exchange(fd, sd2(address, 0x6D, prm, bytes((61, 62))), 1)
+        bare_exchange(fd, sd2(address, 0x5D, CONFIG, bytes((62, 62))), 1)
+        bare_exchange(fd, sd2(address, 0x7D, bytes(OCTETS)), 9 + OCTETS)
+    rounds = [[sd2(address, fc, bytes(OCTETS)) for address in addresses] for fc in (0x5D, 0x7D)]
+    told(ready=monotonic_ns())
+    write, read, clock = os.write, os.read, monotonic_ns
+    turn = 0
+    while not ended.is_set():
+        for request in rounds[turn]:
+            write(fd, request)
+            got = len(read(fd, 100))
+            while got < 9 + OCTETS:
+                got += len(read(fd, 100))
+            if idle:
+                until = clock() + idle
+                while clock() < until:
+                    pass
+        if idle:
+            write(fd, token)
+            until = clock() + token_ns
+            while clock() < until:
+                pass
+        turn ^= 1
+
+
+def bare_exchange(fd: int, request: bytes, octets: int) -> None:
+    """One request and its answer of so many octets. Raises RuntimeError when it is another one."""
+    os.write(fd, request)
+    got = b""
+    while len(got) < octets and select.select((fd,), (), (), 5)[0]:
+        got += os.read(fd, 100)
+        if len(got) >= 6 and got[0] != 0x68:  # RS, which is shorter than what was asked for
+            break
+    if len(got) != octets:
+        raise RuntimeError(f"the wire's slaves refuse: {got.hex(' ') or 'no answer'} to {request.hex(' ')}")
+    time.sleep(0.005)
+
+
+# --- pyprofibus ---
+
+
+def pyprofibus_master(args: argparse.Namespace, ended: Ended) -> None:
+    """Its class 1 master on its serial PHY, run as its documentation shows."""
+    from types import SimpleNamespace
+
+    from pyprofibus.dp import DpCfgDataElement
+    from pyprofibus.dp_master import DPM1, DpSlaveDesc
+    from pyprofibus.phy_serial import CpPhySerial
+
+    with contextlib.redirect_stdout(sys.stderr):
+        phy = CpPhySerial(port=args.port)
+        phy.setConfig(baudrate=args.baud)
+        master = DPM1(phy=phy, masterAddr=_OWN)
+        gsd = SimpleNamespace(getIdentNumber=lambda: IDENT)
+        for n in range(args.slaves):
+            # its words are the slave's: input is what the slave takes in
+            conf = SimpleNamespace(
+                gsd=gsd, addr=FIRST + n, name=f"s{n}", index=n, inputSize=OCTETS, outputSize=OCTETS, diagPeriod=0
+            )
+            slave = DpSlaveDesc(conf)
+            slave.setCfgDataElements([DpCfgDataElement(octet) for octet in CONFIG])
+            slave.setWatchdog(1000)
+            master.addSlave(slave)
+        master.initialize()
+        slaves = master.getSlaveList()
+        output = bytes(OCTETS)
+        for slave in slaves:
+            slave.setMasterOutData(output)
+        give_up = monotonic_ns() + _PATIENCE_NS
+        while not all(slave.isConnected() for slave in slaves):
+            served = master.run()
+            if served is not None:
+                served.setMasterOutData(output)
+            if monotonic_ns() > give_up or ended.is_set():
+                raise RuntimeError(f"not all slaves came up within {_PATIENCE_NS // 1_000_000_000} s")
+    told(ready=monotonic_ns())
+    with contextlib.redirect_stdout(sys.stderr):
+        while not ended.is_set():
+            served = master.run()
+            if served is not None:
+                served.getMasterInData()
+                served.setMasterOutData(output)
+        master.destroy()
+
+
+def main() -> int:
+    """The script."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("kind", choices=KINDS)
+    parser.add_argument("port")
+    parser.add_argument("--baud", type=int, required=True)
+    parser.add_argument("--slaves", type=int, default=1)
+    parser.add_argument("--gap", type=int)
+    parser.add_argument("--cycle-ms", type=float)
+    parser.add_argument("--t-id1", type=int, default=0, help="of the bare loop, in bit times; 0: without any pause")
+    parser.add_argument("--app", choices=APPLICATIONS, default="idle")
+    args = parser.parse_args()
+    ended = Ended()
+    ended.watch()
+    try:
+        match args.kind:
+            case "bare":
+                bare_master(args, ended)
+            case "pyprofibus":
+                pyprofibus_master(args, ended)
+            case _:
+                asyncio.run(dpstack_master(args, ended))
+    except Exception as error:
+        told(error=f"{type(error).__name__}: {error}")
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,366 @@
+"""A wire and a master on it, as processes of their own on processors of their own, and what the two have to tell."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from statistics import median
+from typing import Any, Final, NamedTuple
+
+from bench.masters import CONFIG, DRIVERS, FIRST, IDENT, OCTETS
+from bench.records import Record
+from bench.report import Report
+from dpstack.api.config import make_config
+from dpstack.errors import ConfigError
+from dpstack.params import BusParams
+
+_ROOT: Final = Path(__file__).resolve().parent.parent
+_PROBE: Final = Path(__file__).resolve().parent / "probe"
+_START_S: Final = 90.0
+_SETTLE_S: Final = 0.2
+#: a measurement has so many rounds at least, unless that takes longer than this
+_LEAST_ROUNDS: Final = 12
+_PATIENCE_NS: Final = 10_000_000_000
+#: more than this share of the time in run queues is worth a note
+_DISTURBED: Final = 0.02
+#: and with more than this no goal is judged
+_SPOILT: Final = 0.2
+
+
+class MasterFailedError(RuntimeError):
+    """A master did not bring its slaves up, or ended before it was told to; the text says which one and why."""
+
+
+class NotAvailableError(Exception):
+    """What was to be measured is not there; the text says what and why."""
+
+
+@dataclass(frozen=True, slots=True)
+class Taken:
+    """What a measurement of ``seconds`` gave. CPU times in ns; ``turns`` in ns, without and with the token between."""
+
+    seconds: float
+    exchanges: int
+    cpu: int
+    waited: float  # share of the time in which either end could have run, and another program had its processor
+    records: list[Record]
+    held: int
+    turns: list[int]
+    token_turns: list[int]
+
+
+class Processors(NamedTuple):
+    """Where the ends run; None: wherever the system puts them."""
+
+    master: int | None
+    wire: int | None
+
+    @property
+    def text(self) -> str:
+        """For a report's notes."""
+        if self.master is None:
+            return "processors not pinned"
+        if self.wire is None:
+            return f"everything on processor {self.master}: there is no other"
+        return f"master on processor {self.master}, wire on processor {self.wire}"
+
+
+@contextlib.contextmanager
+def pinned() -> Iterator[Processors]:
+    """The first for the master, and for the calibration loops of this process; the next one for the wire."""
+    if not hasattr(os, "sched_setaffinity"):
+        yield Processors(None, None)
+        return
+    before = os.sched_getaffinity(0)
+    mine, *others = sorted(before)
+    os.sched_setaffinity(0, {mine})
+    try:
+        yield Processors(mine, others[0] if others else None)
+    finally:
+        os.sched_setaffinity(0, before)
+
+
+@dataclass(frozen=True, slots=True)
+class Adapter:
+    """A USB adapter's habits: its frames in us, its latency timer in ms."""
+
+    frame_us: int = 1000
+    latency_ms: int = 16
+
+
+class Process:
+    """A process of ours with lines of JSON on its output and orders on its input."""
+
+    def __init__(self, words: Sequence[str], processor: int | None, env: dict[str, str] | None = None) -> None:
+        self.began = time.monotonic_ns()
+        self._process = subprocess.Popen(
+            words,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+            cwd=_ROOT,
+            env=env,
+        )
+        if processor is not None:
+            os.sched_setaffinity(self._process.pid, {processor})
+
+    @property
+    def pid(self) -> int:
+        """Its number."""
+        return self._process.pid
+
+    def order(self, text: str) -> None:
+        """One line to it."""
+        assert self._process.stdin is not None
+        with contextlib.suppress(BrokenPipeError):
+            self._process.stdin.write(text + "\n")
+            self._process.stdin.flush()
+
+    def line(self, timeout: float = _START_S) -> str:
+        """The next line from it, empty at its end; it is killed when none comes in time."""
+        assert self._process.stdout is not None
+        killer = threading.Timer(timeout, self._process.kill)
+        killer.daemon = True
+        killer.start()
+        try:
+            return self._process.stdout.readline()
+        finally:
+            killer.cancel()
+
+    def end(self, timeout: float = 10.0) -> list[dict[str, object]]:
+        """Close its input and wait for its end, or kill it; what it still had to tell, nothing when repeated."""
+        stdin, self._process.stdin = self._process.stdin, None
+        if stdin is None:
+            return []
+        with contextlib.suppress(BrokenPipeError):
+            stdin.close()
+        try:
+            out, _ = self._process.communicate(timeout=timeout)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            out, _ = self._process.communicate()
+        return [json.loads(line) for line in out.splitlines() if line.startswith("{")]
+
+
+class Bench:
+    """One master on one wire, both running, all slaves in data exchange. ``facts`` is what the master told then."""
+
+    def __init__(self, wire: Process, master: Process, slaves: int, facts: dict[str, object], folder: Path) -> None:
+        self.facts = facts
+        self._least = _LEAST_ROUNDS * slaves
+        self.began = master.began
+        self._wire = wire
+        self._master = master
+        self._folder = folder
+
+    def measure(self, seconds: float) -> Taken:
+        """Leave both alone for a moment, then look on for ``seconds``, longer while there is too little."""
+        time.sleep(min(_SETTLE_S, seconds))
+        self._ask("begin")
+        since, cpu, waited = time.monotonic_ns(), self._sum(_cpu_of), self._waited()
+        time.sleep(seconds)
+        give_up = time.monotonic_ns() + _PATIENCE_NS
+        while int(self._ask("count")) < self._least and time.monotonic_ns() < give_up:
+            time.sleep(seconds)
+        cpu, until = self._sum(_cpu_of) - cpu, time.monotonic_ns()
+        waited = self._waited() - waited
+        data = self._data()
+        turns, token_turns = self._turns(since, until)
+        records = [Record(*record) for record in data["records"]]
+        took = until - since
+        return Taken(took / 1e9, data["exchanges"], cpu, waited / took, records, data["held"], turns, token_turns)
+
+    def opened_at(self) -> int:
+        """When the master's port was opened, in ns; only with a probe."""
+        found = [path.read_bytes()[8:16] for path in self._folder.iterdir() if path.name.isdigit()]
+        if not found:
+            raise RuntimeError("the probe saw nobody open the port")
+        return min(int.from_bytes(octets, sys.byteorder) for octets in found)
+
+    def first_at(self) -> int:
+        """When the first octets came to a free wire, in ns."""
+        return int(self._data()["first_at"])
+
+    def _data(self) -> dict[str, Any]:
+        path = self._folder / "taken.json"
+        self._ask(f"end {path}")
+        data: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        return data
+
+    def _ask(self, order: str) -> str:
+        self._wire.order(order)
+        answer = self._wire.line(30.0)
+        if not answer:
+            raise RuntimeError("the wire ended before it was told to")
+        return answer
+
+    def _sum(self, of: Callable[[int], int]) -> int:
+        return sum(of(pid) for pid in _family(self._master.pid))
+
+    def _waited(self) -> int:
+        return self._sum(_waited_of) + _waited_of(self._wire.pid)
+
+    def _turns(self, since: int, until: int) -> tuple[list[int], list[int]]:
+        turns: list[int] = []
+        token_turns: list[int] = []
+        for path in self._folder.iterdir():
+            if path.name.isdigit():
+                pairs = memoryview(path.read_bytes()).cast("Q")
+                for place in range(2, min(len(pairs), 2 + 2 * pairs[0]), 2):
+                    if since <= pairs[place] < until:
+                        value = pairs[place + 1]
+                        (token_turns if value & 1 else turns).append(value >> 1)
+        return turns, token_turns
+
+
+@contextlib.contextmanager
+def bench(
+    kind: str,
+    slaves: int,
+    baud: int,
+    where: Processors,
+    *,
+    paced: bool = True,
+    adapter: Adapter | None = None,
+    probe: bool = False,
+    app: str = "idle",
+    gap: int | None = None,
+    cycle_ms: float | None = None,
+    ident: int = IDENT,
+) -> Iterator[Bench]:
+    """Start a wire and a master of ``kind`` on it. Raises NotAvailableError when there is none of that kind,
+    MasterFailedError when it does not get its slaves into data exchange.
+
+    ``paced``: the wire takes its time; ``adapter``: there is one between; ``probe``: turn-arounds are noted;
+    ``ident``: what the slaves are, of which the masters believe IDENT.
+    """
+    refused = unavailable(kind, cycle_ms)
+    if refused:
+        raise NotAvailableError(refused)
+    params = BusParams.preset(baud)
+    wire_words = [sys.executable, str(_ROOT / "bench" / "wire.py"), "--baud", str(baud)]
+    wire_words += [f"{FIRST + n}:{ident:04x}:{CONFIG.hex()}:{OCTETS}:{OCTETS}" for n in range(slaves)]
+    if paced:
+        wire_words += ["--paced", "--min-tsdr", str(params.min_tsdr), "--slice-bits", str(params.t_sl // 4)]
+        wire_words += ["--t-id1", str(params.t_id1), "--t-id2", str(params.t_id2), "--t-sl", str(params.t_sl)]
+    if adapter is not None:
+        wire_words += ["--frame-us", str(adapter.frame_us), "--latency-ms", str(adapter.latency_ms)]
+    with contextlib.ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="dpstack-bench-")))
+        wire = Process(wire_words, where.wire)
+        stack.callback(wire.end, 2.0)
+        port = str(json.loads(wire.line() or "{}").get("port", ""))
+        if not port:
+            raise RuntimeError("the wire did not start")
+        words = [sys.executable, "-m", "bench.masters", kind, port, "--baud", str(baud), "--slaves", str(slaves)]
+        words += ["--app", app]
+        if gap is not None:
+            words += ["--gap", str(gap)]
+        if cycle_ms is not None:
+            words += ["--cycle-ms", str(cycle_ms)]
+        if kind == "bare" and paced:
+            words += ["--t-id1", str(params.t_id1)]
+        master = Process(words, where.master, _probed(port, folder) if probe else None)
+        told: list[dict[str, object]] = []
+        stack.callback(lambda: told.extend(master.end()))
+        facts = json.loads(master.line() or "{}")
+        if "ready" not in facts:
+            raise MasterFailedError(f"{kind}, {slaves} slaves: {facts.get('error', 'the master ended without a word')}")
+        yield Bench(wire, master, slaves, facts, folder)
+        told += master.end()
+        if told:
+            raise MasterFailedError(f"{kind}, {slaves} slaves: {told[0]}")
+
+
+def _probed(port: str, folder: Path) -> dict[str, str]:
+    return {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(filter(None, (str(_PROBE), os.environ.get("PYTHONPATH")))),
+        "BENCH_LINE": port,
+        "BENCH_PROBE": str(folder),
+    }
+
+
+@cache
+def unavailable(kind: str, cycle_ms: float | None = None) -> str:
+    """Why a master of ``kind`` cannot be measured here; empty when it can."""
+    if kind == "pyprofibus":
+        found = importlib.util.find_spec("pyprofibus") is not None
+        return "" if found else "pyprofibus is not installed: python -m pip install -e '.[bench]'"
+    if kind in DRIVERS:
+        keys: dict[str, object] = {"driver": kind} | ({} if cycle_ms is None else {"cycle_ms": cycle_ms})
+        try:
+            make_config("/dev/null", 12_000_000, 2, (), bus=keys)
+        except ConfigError as error:
+            return f"{kind} is not available: {error}".replace("\n", " ")
+    return ""
+
+
+def available(kinds: Sequence[str], notes: list[str], cycle_ms: float | None = None) -> list[str]:
+    """Those of ``kinds`` that can be measured; why the others cannot goes to ``notes``."""
+    notes.extend(filter(None, (unavailable(kind, cycle_ms) for kind in kinds)))
+    return [kind for kind in kinds if not unavailable(kind, cycle_ms)]
+
+
+def one_round(
+    taken: dict[tuple[str, int], list[Taken]], measure: Callable[[str, int], Taken], notes: list[str]
+) -> None:
+    """Measure every (kind, slaves) of ``taken`` once more.
+
+    What others than our own drivers cannot do is their affair: it goes to ``notes`` and out of ``taken``. Raises
+    MasterFailedError for our own.
+    """
+    for kind, slaves in list(taken):
+        try:
+            taken[kind, slaves].append(measure(kind, slaves))
+        except MasterFailedError as error:
+            if kind in DRIVERS:
+                raise
+            notes.append(f"left out: {error}")
+            del taken[kind, slaves]
+
+
+def _family(pid: int) -> list[int]:
+    """The process, its children, theirs."""
+    family = [pid]
+    for task in Path(f"/proc/{pid}/task").glob("*/children"):
+        with contextlib.suppress(OSError):
+            for child in task.read_text().split():
+                family += _family(int(child))
+    return family
+
+
+def _cpu_of(pid: int) -> int:
+    """Processor time of another process in ns (the clock of a process, clock_getcpuclockid(3))."""
+    return time.clock_gettime_ns((~pid << 3) | 2)
+
+
+def _waited_of(pid: int) -> int:
+    """How long threads of a process have stood in a run queue, in ns (the second figure of schedstat)."""
+    waited = 0
+    for path in Path(f"/proc/{pid}/task").glob("*/schedstat"):
+        with contextlib.suppress(OSError, IndexError):
+            waited += int(path.read_text().split()[1])
+    return waited
+
+
+def note_disturbance(report: Report, taken: Iterable[Taken], where: str = "") -> None:
+    """Say in ``report`` when other programs had the processors; for a good part of the time: goals are not judged."""
+    shares = [t.waited for t in taken]
+    share = median(shares) if shares else 0.0
+    if share >= _DISTURBED:
+        text = f"other programs had the processors {share:.0%} of the time (median): these figures are theirs too"
+        report.notes.append(f"{where}: {text}" if where else text)
+    report.busy |= share >= _SPOILT

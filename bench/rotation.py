@@ -1,0 +1,110 @@
+"""The bus rotation time on a wire that takes its time, beside the time on the wire by the rules; CPU time there.
+
+Efficiency is the time on the wire of what was sent in a rotation (11 bits an octet, min T_SDR before each answer, T_ID1
+before each telegram) divided by the rotation as the wire saw it: first Data_Exchange of a round to that of the next.
+Ten slaves with 12 octets each way, as a drive with PPO1; the GAP is off, rotations with a service are left out.
+
+The pty's own share is what a bare loop on the same wire needs from an answer's last octet to its next request, without
+T_ID1: two ways over the pty and the waking of a process, which no stack can avoid here and no real UART has. The
+efficiency without it is given beside the efficiency as measured; the wire's own lateness is in both.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from statistics import median
+from typing import Final
+
+from bench.masters import DRIVERS, KINDS
+from bench.records import middle, pty_share, rotations
+from bench.report import Report, quantile
+from bench.rig import Processors, Taken, available, bench, note_disturbance, one_round, pinned
+from dpstack.params import BusParams
+from dpstack.units import baud_text
+
+_BAUDS: Final = (187_500, 500_000, 1_500_000, 3_000_000)
+#: efficiency with ten slaves and the process driver
+_GOALS: Final = {187_500: 0.97, 500_000: 0.95, 1_500_000: 0.88, 3_000_000: 0.75}
+_GOAL_SLAVES: Final = 10
+#: CPU time per exchange to pyprofibus's, at this rate
+_GOAL_CPU: Final = 1 / 3
+_CPU_BAUD: Final = 500_000
+
+
+def run(argv: list[str]) -> Report:
+    """The benchmark with its own options."""
+    parser = argparse.ArgumentParser(prog="python -m bench rotation")
+    parser.add_argument("--bauds", type=int, nargs="*", default=_BAUDS)
+    parser.add_argument("--slaves", type=int, default=_GOAL_SLAVES)
+    parser.add_argument("--seconds", type=float, default=1.0, help="of one measurement, four rotations at least")
+    parser.add_argument("--rounds", type=int, default=9, help="of all kinds in turn; medians are reported")
+    parser.add_argument("--kinds", nargs="*", choices=KINDS, default=KINDS)
+    args = parser.parse_args(argv)
+    report = Report("rotation")
+    with pinned() as where:
+        report.notes.append(where.text)
+        kinds = available(args.kinds, report.notes)
+        for baud in args.bauds:
+            _at(report, baud, args, kinds, where)
+    return report
+
+
+def _at(report: Report, baud: int, args: argparse.Namespace, kinds: Sequence[str], where: Processors) -> None:
+    params = BusParams.preset(baud)
+    ruled = args.slaves * (2 * 21 * 11 + params.min_tsdr + params.t_id1) + 33 + params.t_id1
+    seconds = max(args.seconds, 6 * params.ns(ruled) / 1e9)
+    wanted = [kind for kind in kinds if kind != "pyprofibus" or baud == _CPU_BAUD]
+    cases: dict[tuple[str, int], list[Taken]] = {(kind, args.slaves): [] for kind in wanted}
+
+    def measure(kind: str, slaves: int) -> Taken:
+        with bench(kind, slaves, baud, where, gap=0) as running:
+            return running.measure(seconds)
+
+    for _ in range(args.rounds):
+        one_round(cases, measure, report.notes)
+    taken = {kind: runs for (kind, _), runs in cases.items()}
+    at = baud_text(baud)
+    report.add(f"{at}: rotation by the rules", params.ns(ruled) / 1000, "us")
+    share = 0.0
+    if "bare" in taken:
+        shares = [pty_share(t.records, baud) for t in taken["bare"]]
+        share = median(shares)
+        report.measured(f"{at}: the pty's own share per exchange", [s / 1000 for s in shares], "us")
+    for kind, runs in taken.items():
+        title = f"{at}, {kind}"
+        if kind != "pyprofibus":
+            _efficiency(report, title, kind, baud, args.slaves, runs, share)
+        report.measured(f"{title}: CPU time per exchange", [t.cpu / max(t.exchanges, 1) / 1000 for t in runs], "us")
+    for kind in DRIVERS:
+        if kind in taken and "pyprofibus" in taken:
+            ratios = [
+                (ours.cpu / max(ours.exchanges, 1)) / (theirs.cpu / max(theirs.exchanges, 1))
+                for ours, theirs in zip(taken[kind], taken["pyprofibus"], strict=True)
+            ]
+            report.measured(f"{at}, {kind}: CPU time per exchange to pyprofibus's", ratios, "ratio", _GOAL_CPU)
+    late = [t.written - t.due for runs in taken.values() for run in runs for t in run.records if t.written]
+    report.add(f"{at}: the wire's own lateness p50", middle(late) / 1000, "us")
+    note_disturbance(report, (run for runs in taken.values() for run in runs), at)
+    held = sum(run.held for kind in DRIVERS for run in taken.get(kind, []))
+    asked = sum(len(run.records) for kind in DRIVERS for run in taken.get(kind, []))
+    if held:
+        report.notes.append(
+            f"{at}: {held} of {asked} telegrams came before their idle time was over and were held back"
+        )
+
+
+def _efficiency(
+    report: Report, title: str, kind: str, baud: int, slaves: int, runs: Sequence[Taken], share: float
+) -> None:
+    measured = [rotations(t.records, baud) for t in runs]
+    measured = [rounds for rounds in measured if rounds]
+    goal = _GOALS.get(baud) if kind == "process" and slaves == _GOAL_SLAVES else None
+    for q in (0.5, 0.99):
+        values = [quantile([r.took for r in rounds], q) / 1000 for rounds in measured]
+        report.measured(f"{title}: rotation p{q * 100:.0f}", values, "us")
+    values = [middle([r.wire / r.took for r in rounds]) for rounds in measured]
+    report.measured(f"{title}: efficiency p50", values, "ratio", goal, more=True)
+    if share and kind in DRIVERS:
+        values = [middle([r.wire / max(r.took - r.exchanges * share, r.wire) for r in rounds]) for rounds in measured]
+        report.measured(f"{title}: efficiency p50 without the pty's share", values, "ratio", goal, more=True)

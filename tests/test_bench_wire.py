@@ -1,0 +1,250 @@
+"""The wire that rotations are judged on: literal octets against times counted by hand; the benchmarks run on it."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator
+
+import pytest
+
+from bench import cycle, jitter, rotation, startup, usb
+from bench.jitter import Lateness
+from bench.records import Record, pty_share, rotations
+from bench.report import Report
+from bench.rig import MasterFailedError, Taken, bench, one_round, pinned, unavailable
+from bench.wire import Wire
+
+MS = 1_000_000
+#: at 500 kbit/s a bit takes 2 us, an octet 22 us
+OCTET = 22_000
+#: Set_Prm and Chk_Cfg of slave 3 from station 2, Data_Exchange with 12 octets, the token
+PRM = bytes.fromhex("68 0c 0c 68 83 82 6d 3d 3e 80 01 01 0b 06 96 00".replace(" ", ""))
+CFG = bytes.fromhex("68 07 07 68 83 82 5d 3e 3e f3 71".replace(" ", ""))
+EXCHANGE = bytes.fromhex("68 0f 0f 68 03 02 7d 00 01 02 03 04 05 06 07 08 09 0a 0b".replace(" ", ""))
+TOKEN = bytes.fromhex("dc0202")
+
+
+def whole(telegram: bytes) -> bytes:
+    """With check sum and end."""
+    return telegram + bytes((sum(telegram[4:]) & 0xFF, 0x16))
+
+
+def wire(**options: int) -> Wire:
+    """One slave at 500 kbit/s in data exchange; nothing of its bring-up is left."""
+    usual = {"baud": 500_000, "min_tsdr": 11, "t_id1": 37, "t_id2": 100, "t_sl": 200, "slice_bits": 50}
+    adapter = {"frame_us": 0, "latency_ms": 16, "packet": 62}
+    made = Wire(["3:0696:f371:12:12"], argparse.Namespace(**usual, **adapter | options))
+    made.take(whole(PRM), 1 * MS)
+    made.take(whole(CFG), 5 * MS)
+    made.records.clear()
+    made.pieces.clear()
+    return made
+
+
+def test_an_exchange_takes_what_its_octets_take() -> None:
+    line = wire()
+    line.take(whole(EXCHANGE), 100 * MS)
+    (record,) = line.records
+    read, begin, end, answer_end, due, _written, first, to, octets, answer_octets = record
+    assert (read, begin) == (100 * MS, 100 * MS)
+    assert end == 100 * MS + 21 * OCTET
+    assert answer_end == due == end + 11 * 2_000 + 21 * OCTET
+    assert (first, to, octets, answer_octets) == (0x68, 3, 21, 21)
+    assert line.held == 0
+
+
+def test_an_answer_comes_in_slices_each_when_its_last_bit_is_there() -> None:
+    line = wire()
+    line.take(whole(EXCHANGE), 100 * MS)
+    starts = 100 * MS + 21 * OCTET + 22_000
+    assert [(at - starts, len(octets)) for at, octets in line.pieces] == [
+        (4 * OCTET, 4),
+        (8 * OCTET, 4),
+        (12 * OCTET, 4),
+        (16 * OCTET, 4),
+        (20 * OCTET, 4),
+        (21 * OCTET, 1),
+    ]
+    mirrored = b"".join(octets for _, octets in line.pieces)
+    assert mirrored == whole(bytes.fromhex("680f0f68020308000102030405060708090a0b"))
+
+
+def test_what_comes_before_its_idle_time_is_over_waits_for_it_and_is_counted() -> None:
+    line = wire()
+    line.take(TOKEN, 100 * MS)
+    line.take(whole(EXCHANGE), 100 * MS + 10_000)
+    token, exchange = line.records
+    assert token[2] == 100 * MS + 3 * OCTET
+    assert exchange[1] == token[2] + 37 * 2_000  # T_ID1
+    assert line.held == 1
+
+
+def test_a_broadcast_is_followed_by_t_id2_and_silence_by_the_slot_time() -> None:
+    control = whole(bytes.fromhex("68 07 07 68 ff 82 46 3a 3e 00 00".replace(" ", "")))
+    status = bytes.fromhex("100902494516")[:4]
+    status += bytes((sum(status[1:]) & 0xFF, 0x16))
+    for request, octets, idle in ((control, 13, 100), (status, 6, 200)):
+        line = wire()
+        line.take(request, 100 * MS)
+        line.take(TOKEN, 100 * MS)
+        assert line.records[1][1] == 100 * MS + octets * OCTET + idle * 2_000
+        assert line.pieces == []
+
+
+def test_behind_an_adapter_everything_waits_for_frames_and_the_timer() -> None:
+    line = wire(frame_us=1000, latency_ms=16)
+    line.take(whole(EXCHANGE), 100 * MS + 1)
+    (record,) = line.records
+    assert record[1] == 101 * MS  # the next frame
+    ((at, octets),) = line.pieces
+    assert len(octets) == 21
+    assert at % MS == 0
+    assert at >= record[3]
+    # at least one octet is there when the timer runs out: never later than its period and a frame behind the answer
+    assert at <= record[3] + 17 * MS
+
+
+def test_a_full_packet_waits_for_no_timer() -> None:
+    line = wire(frame_us=1000, latency_ms=255, packet=21)
+    line.take(whole(EXCHANGE), 100 * MS)
+    ((at, _octets),) = line.pieces
+    assert at == 101 * MS  # 946 us on the wire
+
+
+def recorded() -> Iterator[Record]:
+    """Three rounds over slaves 3 and 4 and the token at 500 kbit/s, each exchange 60 us later than by the rules."""
+    at = 0
+    for _ in range(3):
+        for to in (3, 4):
+            end = at + 21 * OCTET + 22_000 + 21 * OCTET
+            yield Record(at, at, at + 21 * OCTET, end, end, end + 5_000, 0x68, to, 21, 21)
+            at = end + 37 * 2_000 + 60_000
+        yield Record(at, at, at + 3 * OCTET, 0, 0, 0, 0xDC, -1, 3, 0)
+        at += 3 * OCTET + 37 * 2_000
+
+
+def test_a_rotation_is_judged_by_what_was_sent_in_it() -> None:
+    ruled = 2 * (21 + 21) * OCTET + 2 * (11 + 37) * 2_000 + 3 * OCTET + 37 * 2_000
+    assert [(r.wire, r.took, r.exchanges) for r in rotations(list(recorded()), 500_000)] == [
+        (ruled, ruled + 120_000, 2),
+        (ruled, ruled + 120_000, 2),
+    ]
+    assert pty_share(list(recorded()), 500_000) == 55_000  # the wire's own lateness is not the pty's
+
+
+def begins(*times_ms: float) -> list[Record]:
+    """First exchanges of rounds at these times."""
+    return [Record(round(t * MS), 0, 0, 0, 0, 0, 0x68, 3, 21, 21) for t in times_ms]
+
+
+def test_a_late_round_does_not_make_the_next_ones_late() -> None:
+    late = Lateness(begins(0, 10, 20.5, 30, 40.1), 10)
+    assert [round(ns / MS, 3) for ns in late.late] == [0, 0, 0.5, 0, 0.1]
+    assert late.missed == 0
+
+
+def test_rounds_that_a_stall_has_swallowed_are_missed_and_a_long_pause_is_a_gap() -> None:
+    late = Lateness(begins(0, 10, 64, 70, 80), 10)
+    assert late.missed == 4
+    assert late.gaps == 1
+    assert late.quantile_us(1.0) == pytest.approx(4_000)
+
+
+def test_a_round_more_than_a_cycle_late_keeps_its_place() -> None:
+    late = Lateness(begins(0, 10, 31, 32, 40, 50), 10)
+    assert [round(ns / MS, 3) for ns in late.late] == [0, 0, 11, 2, 0, 0]
+    assert late.missed == 0
+
+
+def test_the_first_round_may_be_a_late_one() -> None:
+    late = Lateness(begins(3, 10, 20, 30), 10)
+    assert [round(ns / MS, 3) for ns in late.late] == [3, 0, 0, 0]
+
+
+def words(line: str) -> list[str]:
+    """As a shell would split it."""
+    return line.split()
+
+
+def titles(report: Report) -> set[str]:
+    """Names of its figures; every one has a value, and the whole can be told."""
+    assert json.loads(report.finished().as_json())["benchmark"] == report.name
+    assert report.as_text()
+    return {figure.name for figure in report.figures}
+
+
+def test_cycle_runs() -> None:
+    names = titles(cycle.run(words("--slaves 2 --rounds 1 --seconds 0.05 --kinds asyncio bare")))
+    assert names >= {
+        "calibration loop",
+        "asyncio, 2 slaves: turn-around p50",
+        "asyncio, 2 slaves: turn-around p99",
+        "asyncio, 2 slaves: with the token to itself between p50",
+        "asyncio, 2 slaves: CPU time per exchange",
+        "bare, 2 slaves: exchanges per second",
+        "asyncio, 2 slaves: exchanges per second to a bare loop's",
+    }
+
+
+def test_rotation_runs() -> None:
+    report = rotation.run(words("--bauds 3000000 --slaves 2 --rounds 1 --seconds 0.05 --kinds asyncio bare"))
+    assert titles(report) >= {
+        "3 Mbit/s: rotation by the rules",
+        "3 Mbit/s: the pty's own share per exchange",
+        "3 Mbit/s: the wire's own lateness p50",
+        "3 Mbit/s, asyncio: rotation p50",
+        "3 Mbit/s, asyncio: efficiency p50",
+        "3 Mbit/s, asyncio: efficiency p50 without the pty's share",
+        "3 Mbit/s, asyncio: CPU time per exchange",
+    }
+    (ruled,) = [f.value for f in report.figures if f.name.endswith("by the rules")]
+    assert ruled == pytest.approx((2 * (42 * 11 + 11 + 46) + 33 + 46) / 3, abs=0.01)
+
+
+def test_usb_runs() -> None:
+    names = titles(usb.run(words("--bauds 1500000 --slaves 2 --timers 1 --rounds 1 --seconds 0.05 --kinds asyncio")))
+    assert names >= {
+        "1.5 Mbit/s, timer 1 ms, asyncio: rotation p50",
+        "1.5 Mbit/s, timer 1 ms, asyncio: wire per exchange",
+        "1.5 Mbit/s, timer 1 ms, asyncio: adapter per exchange",
+        "1.5 Mbit/s, timer 1 ms, asyncio: stack per exchange",
+    }
+
+
+def test_startup_runs() -> None:
+    report = startup.run(words("--slaves 2 --rounds 1 --kinds asyncio"))
+    names = ("program", "opening", "listening", "claim", "bring-up", "all")
+    assert titles(report) == {f"asyncio, 2 slaves: {name}" for name in names}
+    *parts, whole_time = (f.value for f in report.figures)
+    assert sum(parts) == pytest.approx(whole_time)
+
+
+def test_jitter_runs_or_says_why_not() -> None:
+    report = jitter.run(words("--cycles 10 --apps idle --rounds 1 --seconds 0.1 --kinds asyncio"))
+    refused = unavailable("asyncio", 10.0)
+    assert not refused or refused in report.notes
+    figures = ("lateness p50", "lateness p99", "lateness p99.9", "lateness max", "missed rounds", "gaps a second")
+    assert titles(report) == (set() if refused else {f"asyncio, 10 ms, idle: {figure}" for figure in figures})
+
+
+def test_what_another_stack_cannot_do_is_left_out_and_what_ours_cannot_is_not() -> None:
+    def fails(kind: str, slaves: int) -> Taken:
+        raise MasterFailedError(f"{kind}, {slaves} slaves: why")
+
+    notes: list[str] = []
+    taken: dict[tuple[str, int], list[Taken]] = {("pyprofibus", 64): []}
+    one_round(taken, fails, notes)
+    assert taken == {}
+    assert notes == ["left out: pyprofibus, 64 slaves: why"]
+    with pytest.raises(MasterFailedError):
+        one_round({("asyncio", 1): []}, fails, notes)
+
+
+def test_a_master_that_fails_is_told_with_its_reason() -> None:
+    with (
+        pinned() as where,
+        pytest.raises(MasterFailedError, match=r"bare, 1 slaves: RuntimeError: the wire's slaves refuse"),
+        bench("bare", 1, 500_000, where, ident=0x1234),
+    ):
+        pytest.fail("slaves of another ident number never come up")
