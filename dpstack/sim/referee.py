@@ -16,8 +16,8 @@ from dpstack.fdl.describe import render
 from dpstack.fdl.telegram import FC_FUNCTION, FC_REQUEST, Kind, Req, Telegram
 from dpstack.params import BROADCAST, T_SYN, BusParams
 from dpstack.sim import uart
-from dpstack.sim.medium import Transmission
 from dpstack.sim.token_watch import Finding, Rule, TokenWatch
+from dpstack.sim.transmission import Transmission
 from dpstack.trace import WireEntry, WireLog
 from dpstack.units import bits_to_ns, ns_to_bits
 
