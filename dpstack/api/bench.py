@@ -27,8 +27,7 @@ def device_of(slave: SlaveConfig) -> Device:
     A mirror has the lengths, limits and services of the GSD file, where there is one.
     """
     if slave.profile is not None:
-        known = slave.profile.device_options
-        device = slave.profile.device(slave.telegram, {k: v for k, v in slave.options.items() if k in known})
+        device = slave.profile.device(slave.telegram, {**slave.profile.shared(slave.options), **slave.simulated})
         if slave.ident is not None:
             device.ident = slave.ident
         device.name = slave.name
@@ -59,7 +58,9 @@ def set_rate(slave: SlaveConfig) -> int | None:
 class Unit:
     """One simulated slave as it stands: station, application and device, made anew by :meth:`renew`.
 
-    A drive keeps what it has stored in its EEPROM. ``searching``: it finds the baud rate by itself, among those that
+    A drive keeps what it has stored in its EEPROM, and stands at the address that this gives.
+
+    ``searching``: it finds the baud rate by itself, among those that
     the device knows. One that cannot stays at the rate it is set to, whatever the bus has.
     """
 
@@ -68,6 +69,7 @@ class Unit:
     ) -> None:
         self.config = config
         self.powered = True
+        self._address = config.address
         self._patience = patience
         self._searching = searching
         self.device: Device = device_of(config)
@@ -78,6 +80,8 @@ class Unit:
         before, self.device = self.device, device_of(self.config)
         if isinstance(before, DriveDevice) and isinstance(self.device, DriveDevice):
             self.device.inherit(before)
+            own = self.device.own_address
+            self._address = self._address if own is None else own
         self._stand(params)
 
     def _stand(self, params: BusParams) -> None:
@@ -85,9 +89,9 @@ class Unit:
         if own is not None and own != params.baud:
             params = BusParams.preset(own)
         if isinstance(self.device, DriveDevice):
-            self.device.installed(self.config.address, None if self._searching else params.baud)
-        self.app = SlaveApp(self.device, address=self.config.address)
-        self.station = PassiveStation(self.config.address, self.app, params, patience=self._patience)
+            self.device.installed(self._address, None if self._searching else params.baud)
+        self.app = SlaveApp(self.device, address=self._address)
+        self.station = PassiveStation(self._address, self.app, params, patience=self._patience)
         #: what is on a simulated bus: the station, or the search around it
         self.on_bus: BusStation = self.station
         if self._searching and own is None:

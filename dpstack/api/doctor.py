@@ -10,6 +10,7 @@ from enum import Enum
 from pathlib import Path
 from typing import Final
 
+from dpstack.drivers.realtime import SET_UP, Rights, is_privileged, limit
 from dpstack.errors import PortBusyError, PortError
 from dpstack.params import MAX_T_SL, BusParams
 from dpstack.phy.neighbours import Neighbours
@@ -23,9 +24,6 @@ __all__ = ["AdapterInfo", "Check", "Computer", "Level", "examine", "list_adapter
 
 #: rates at which buses with several masters are seen
 _USUAL_RATES: Final = (187_500, 500_000)
-_SET_UP: Final = "run tools/setup_adapter.sh once (it asks for root), then log in again"
-#: what a process driver wants to lock: the interpreter with its modules
-_MEMLOCK: Final = 64 << 20
 
 
 class Level(Enum):
@@ -50,14 +48,6 @@ class Check:
         return {"topic": self.topic, "level": self.level.value, "text": self.text, "todo": self.todo}
 
 
-def _limit(name: str) -> int | None:
-    """A soft limit of this process, None for none."""
-    import resource
-
-    soft, _hard = resource.getrlimit(getattr(resource, name))
-    return None if soft == resource.RLIM_INFINITY else soft
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Computer:
     """What the checks look at; tests put another one in its place."""
@@ -65,8 +55,8 @@ class Computer:
     platform: str = sys.platform
     adapters: Callable[[], list[AdapterInfo]] = list_adapters
     probe: Callable[[str], Abilities] = probe
-    limit: Callable[[str], int | None] = _limit
-    is_root: bool = field(default_factory=lambda: hasattr(os, "geteuid") and os.geteuid() == 0)
+    limit: Callable[[str], int | None] = limit
+    is_root: bool = field(default_factory=is_privileged)
     access: Callable[[str, int], bool] = os.access
     sysfs: Path = SYSFS
     proc: Path = PROC
@@ -94,17 +84,14 @@ def _real_time(here: Computer) -> list[Check]:
     if here.is_root:
         return [Check("real time", Level.OK, "root may use real-time priorities and lock memory")]
     checks = []
-    priority = here.limit("RLIMIT_RTPRIO")
-    if priority == 0:
-        text = "no real-time priority is allowed (RLIMIT_RTPRIO 0): a busy computer holds the bus up"
-        checks.append(Check("real time", Level.FINDING, text, _SET_UP))
+    rights = Rights(here.is_root, here.limit("RLIMIT_RTPRIO"), here.limit("RLIMIT_MEMLOCK"))
+    if rights.no_priority():
+        checks.append(Check("real time", Level.FINDING, rights.no_priority(), SET_UP))
     else:
-        most = "any" if priority is None else f"up to {priority}"
+        most = "any" if rights.priority is None else f"up to {rights.priority}"
         checks.append(Check("real time", Level.OK, f"real-time priorities are allowed ({most})"))
-    memory = here.limit("RLIMIT_MEMLOCK")
-    if memory is not None and memory < _MEMLOCK:
-        text = f"only {memory >> 10} KiB may be locked in memory (RLIMIT_MEMLOCK): swapping holds the bus up"
-        checks.append(Check("real time", Level.FINDING, text, _SET_UP))
+    if rights.no_memory():
+        checks.append(Check("real time", Level.FINDING, rights.no_memory(), SET_UP))
     else:
         checks.append(Check("real time", Level.OK, "memory may be locked"))
     return checks
@@ -172,7 +159,7 @@ def _latency(path: str, here: Computer) -> list[Check]:
     if here.access(str(adapter.latency_file), os.W_OK):
         return [Check(path, Level.OK, f"its latency timer is {ms} ms; dpstack sets it to 1 ms while it runs")]
     text = f"its latency timer is {ms} ms and may not be changed: an exchange may take that much longer"
-    return [Check(path, Level.FINDING, text, _SET_UP)]
+    return [Check(path, Level.FINDING, text, SET_UP)]
 
 
 def _rates(path: str, can: Abilities) -> list[Check]:

@@ -32,6 +32,7 @@ class Basis:
     profile: DriveProfile | None = None
     telegram: str | None = None
     options: Mapping[str, object] = field(default_factory=dict)
+    simulated: Mapping[str, object] = field(default_factory=dict)
     max_tsdr: Mapping[int, int] = field(default_factory=dict)
     baud_rates: frozenset[int] = frozenset()
     device: Device | None = None
@@ -51,7 +52,7 @@ def basis_of(table: Table) -> Basis:
         _leave_out(table, "config", "beside gsd", "leave config out, or gsd")
     if drive is not None:
         return _drive(table, drive, gsd)
-    for key in ("telegram", "reference_hz", "reference_rpm", "options"):
+    for key in ("telegram", "reference_hz", "reference_rpm", "options", "simulated"):
         _leave_out(table, key, "without drive", f"add drive, or leave {key} out")
     return _raw(table) if gsd is None else _gsd(table, gsd)
 
@@ -93,8 +94,7 @@ def _drive(table: Table, name: str, gsd: str | None) -> Basis:
         telegram = _telegram_for(table, profile, telegram, found)
         profile = _as_its_gsd_says(profile, telegram, found)
         telegram = profile.telegram(telegram.name)
-    inside = table.table("options")
-    options = {} if inside is None else {key: inside.raw(key) for key in inside}
+    options, simulated = _inside(table, "options"), _inside(table, "simulated")
     references: dict[str, object] = {}
     for key in ("reference_hz", "reference_rpm"):
         value = table.number(key, 0.001, 1_000_000)
@@ -105,6 +105,10 @@ def _drive(table: Table, name: str, gsd: str | None) -> Basis:
         core = profile.core(table.text("name") or name, telegram.name, options)
     except ConfigError as error:
         raise _split(table, next(iter(references), "options"), error) from None
+    try:
+        profile.device(telegram.name, {**profile.shared(options), **simulated})
+    except ConfigError as error:
+        raise _split(table, "simulated", error) from None
     return Basis(
         ident=profile.ident if found is None else found.device.ident,
         config=telegram.config,
@@ -117,10 +121,17 @@ def _drive(table: Table, name: str, gsd: str | None) -> Basis:
         profile=profile,
         telegram=telegram.name,
         options=options,
+        simulated=simulated,
         device=None if found is None else found.device,
         texts=None if found is None else found.configuration.texts(),
         notes=() if found is None else found.notes,
     )
+
+
+def _inside(table: Table, key: str) -> dict[str, object]:
+    """A table within the table, empty where it is left out."""
+    inside = table.table(key)
+    return {} if inside is None else {name: inside.raw(name) for name in inside}
 
 
 def _telegram_for(table: Table, profile: DriveProfile, default: TelegramSpec, found: GsdSlave) -> TelegramSpec:

@@ -46,6 +46,7 @@ _KEYS: Final = (
     "reference_hz",
     "reference_rpm",
     "options",
+    "simulated",
     "inputs",
     "outputs",
 )
@@ -67,6 +68,8 @@ class SlaveConfig:
     profile: DriveProfile | None = None
     telegram: str | None = None
     options: Mapping[str, object] = field(default_factory=dict)
+    #: what only its simulated drive has: options and parameters by name
+    simulated: Mapping[str, object] = field(default_factory=dict)
     watchdog_ms: int | None = None
     groups: tuple[int, ...] = ()
     every: int = 1
@@ -198,6 +201,7 @@ def _build(table: Table, address: int, basis: Basis) -> SlaveConfig:
         profile=profile,
         telegram=basis.telegram,
         options=basis.options,
+        simulated=basis.simulated,
         max_tsdr=basis.max_tsdr,
         baud_rates=basis.baud_rates,
         texts=basis.texts,

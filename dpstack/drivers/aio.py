@@ -1,369 +1,67 @@
-"""The asyncio driver: one machine on one port, inside the application's event loop.
-
-The way from an answer to the next request is: the loop calls the port's reader, which reads and calls
-:meth:`AsyncioRuntime._step`; that pumps the machine, spins to the end of the idle time when it is near, and writes.
-Everything that can wait (events, arming the timer) comes after the write.
-"""
+"""The asyncio driver: one machine on one port, inside the application's event loop."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
-from time import monotonic_ns
-from typing import Final
 
-from dpstack.drivers.base import OnEvents, PortBack, PortLost
-from dpstack.drivers.echo import Echo, EchoFilter
-from dpstack.drivers.lateness import Lateness, Tune
-from dpstack.drivers.rate import NoRateError, follow, wire_times
-from dpstack.drivers.timers import Timer, make_timer
-from dpstack.errors import BusError, DpError, PortError, UsageError
-from dpstack.machine import LineDown, LineUp, Machine, pump
-from dpstack.phy.patience import ADAPTER, HOST, Patience
-from dpstack.ports import Delivery, Port
-from dpstack.trace import Event, Notice, Severity
-from dpstack.units import NEVER, NS_PER_MS, NS_PER_S, NS_PER_US
+from dpstack.drivers.base import OnFailure
+from dpstack.drivers.lateness import patience_of
+from dpstack.drivers.reopening import Attempts
+from dpstack.drivers.stepping import SPIN_NS, Stepping
+from dpstack.drivers.timers import make_timer
+from dpstack.errors import PortError
+from dpstack.units import NS_PER_S
 
-#: Told when the machine raised: a defect of ours, the driver has stopped.
-OnFailure = Callable[[Exception], None]
-
-#: Waits shorter than this are spun: a timer would be later (measured 40 us).
-SPIN_NS: Final = 20 * NS_PER_US
-#: A deadline missed by more than this is judged only after the port was read again.
-_LATE_NS: Final = 30 * NS_PER_US
-#: Steps without giving the loop a turn; a lone master's token at 12 Mbit/s is due every few microseconds.
-_BURST: Final = 8
-
-#: Pauses between the attempts to open a lost port: the first, and the longest after doubling.
-BACKOFF_NS: Final = (100 * NS_PER_MS, 2_000 * NS_PER_MS)
-
-_LONGEST: Final = 256
+__all__ = ["SPIN_NS", "AsyncioRuntime", "OnFailure", "patience_of"]
 
 
-def _filter(echo: Echo) -> EchoFilter | None:
-    return None if echo is Echo.OFF else EchoFilter(echo)
+class AsyncioRuntime(Stepping):
+    """:class:`Stepping` in the running asyncio loop; implements :class:`dpstack.drivers.base.Runtime`."""
 
-
-def patience_of(port: Port) -> Patience:
-    """The patience a port's kind needs until it was measured."""
-    return ADAPTER if port.delivery is Delivery.ADAPTER else HOST
-
-
-class AsyncioRuntime:
-    """Keeps ``machine`` running on ``port``; implements :class:`dpstack.drivers.base.Runtime`.
-
-    Events of the machine and of the driver go to ``on_events``. The port follows the rate that the machine wants. A
-    port that vanishes is an event and is opened again with back-off. When the machine raises, which it never should,
-    the driver stops, tells ``on_failure`` (without one: the loop's exception handler) and keeps the exception in
-    ``failed``. ``echo``: whether the line returns what is sent.
-    """
-
-    def __init__(
-        self,
-        port: Port,
-        machine: Machine,
-        on_events: OnEvents,
-        *,
-        echo: Echo = Echo.AUTO,
-        on_failure: OnFailure | None = None,
-        tune: Tune | None = None,
-        spin_ns: int = SPIN_NS,
-        backoff_ns: tuple[int, int] = BACKOFF_NS,
-    ) -> None:
-        self.failed: Exception | None = None
-        #: how late answers arrive; with ``tune`` the machine's patience follows from it
-        self.lateness = Lateness(tune)
-        self._port = port
-        self._machine = machine
-        self._on_events = on_events
-        self._on_failure = on_failure
-        self._spin_ns = spin_ns
-        self._backoff_ns = backoff_ns
-        self._echo_wanted = echo
-        self._echo = _filter(echo)
-        self._loop: asyncio.AbstractEventLoop | None = None  # set while running
-        self._timer: Timer | None = None
-        self._armed = NEVER  # the deadline the timer waits for: never later than _deadline
-        self._deadline = NEVER
-        self._is_down = False  # lost, and not open again yet
-        self._tolerated: set[str] = set()  # what the port cannot do: told once, however often it is opened
-        self._reopening: asyncio.Task[None] | None = None
-        self._again: asyncio.Handle | None = None
-        self._wire_ns = wire_times(port)
-        self._transmit = self._put  # bound once
-
-    @property
-    def port_name(self) -> str:
-        """What the port is called (a pty made here: the path of its other end, once it is open)."""
-        return self._port.name
-
-    @property
-    def paced(self) -> bool:
-        """True where octets take their time on a wire."""
-        return self._port.paced
-
-    def damage(self) -> dict[str, int]:
-        """Octets that arrived damaged, by cause, as far as the port can tell."""
-        return self._port.damage()
-
-    @property
-    def echo(self) -> Echo:
-        """Whether the line returns what is sent, as far as is known."""
-        return Echo.OFF if self._echo is None else self._echo.state
+    _loop: asyncio.AbstractEventLoop | None = None  # of the last open
+    _reopening: asyncio.Task[None] | None = None
 
     async def open(self) -> None:
         """Open the port and begin. Raises PortError; ConfigError when the port knows none of the machine's rates."""
-        if self._loop is not None:
-            raise UsageError("the driver is open already")
-        if self.failed is not None:
-            raise BusError("the driver was stopped by a defect, make a new one") from self.failed
+        self._may_open()
         await self._port.open()
-        try:
-            if self._machine.baud != self._port.baud:
-                self._port.set_baud(self._port.baud)  # one that cannot change its rate says so
-                follow(self._port, self._machine)
-                self._wire_ns = wire_times(self._port)
-        except DpError:
-            self._port.close()
-            raise
-        self._loop = asyncio.get_running_loop()
-        self._timer = make_timer(self._loop, self._timer_due)
-        self._attach()
-        self._step(b"")
+        self._loop = loop = asyncio.get_running_loop()
+        self._begin(loop, make_timer(loop, self._timer_due))
 
     async def close(self) -> None:
         """Stop and release the port; what the machine still had to tell is told. May be called again."""
-        was_open = self._loop is not None
+        was_open = self._at is not None
         self._halt()
         task, self._reopening = self._reopening, None
         if task is not None:
             task.cancel()
             await asyncio.wait([task])
-        self._port.close()
-        if was_open and self.failed is None:
-            self._tell(self._machine.take_events())
+        self._end(was_open)
 
-    def command(self, command: object) -> None:
-        """Hand an order to the machine and let it act at once. What it raises is the caller's."""
-        if self.failed is not None:
-            raise BusError("the driver was stopped by a defect") from self.failed
-        if self._loop is None:
-            raise UsageError("the driver is not open: await open() first")
-        self._machine.command(command, monotonic_ns())
-        # as with a late timer: what arrived while the loop was held up counts before a deadline is judged
-        self._step(self._drain())
+    def _written(self, octets: bytes, end: int) -> None:
+        """Nothing: the loop has other work than waiting for the answer."""
 
-    def now(self) -> int:
-        """CLOCK_MONOTONIC in ns."""
-        return monotonic_ns()
+    def _waited(self, spun_ns: int, now: int) -> None:
+        """Nothing: an ordinary process may spin as it likes."""
 
-    # --- the lean path ------------------------------------------------------------------------------------------------
-
-    def _step(self, chunk: bytes) -> None:
-        """Pump until nothing is due within the spin time, then tell events and arm the timer."""
-        machine, transmit, spin_ns = self._machine, self._transmit, self._spin_ns
-        steps = _BURST
-        heard, sent_at = len(chunk), 0
-        try:
-            arrived = now = monotonic_ns()
-            if heard:
-                sent_at, self.lateness.sent_at = self.lateness.sent_at, 0
-            while True:
-                deadline = pump(machine, chunk, now, transmit)
-                now = monotonic_ns()
-                if deadline - now > spin_ns:
-                    break
-                steps -= 1
-                if not steps:
-                    self._let_loop_turn()
-                    break
-                while now < deadline:
-                    now = monotonic_ns()
-                chunk = self._drain() if now - deadline > _LATE_NS else b""
-            if machine.baud != self._port.baud and not self._is_down:
-                follow(self._port, machine)
-                self._wire_ns = wire_times(self._port)
-                deadline = machine.wake_at()
-            self._deadline = deadline
-            if sent_at:
-                self.lateness.heard(sent_at, self._wire_ns[min(heard, _LONGEST - 1)], arrived)
-            events = machine.take_events()
-        except NoRateError as exc:
-            self._lost(str(exc))
-            return
-        except Exception as exc:
-            self._fail(exc)
-            return
-        if deadline < self._armed:
-            self._arm(deadline)
-        if events:
-            self._tell(events)
-
-    def _put(self, octets: bytes, now: int) -> int:
-        """Transmit: the return value is when the last bit leaves, as well as can be known."""
-        if self._echo is not None:
-            self._echo.sent(octets)
-        if not self._port.write(octets):
-            self._dropped()
-        end = self.lateness.sent_at = monotonic_ns() + self._wire_ns[len(octets)]
-        return end
-
-    def _arm(self, deadline: int) -> None:
-        """Wait for ``deadline``; a later one is looked at when this one is reached, which saves most of the arming."""
-        if self._timer is not None:
-            self._armed = deadline
-            # A timer is late by more than the spin time: the rest is spun.
-            self._timer.set(deadline - self._spin_ns)
-
-    def _timer_due(self) -> None:
-        self._armed = NEVER  # before the step: whatever it leads to may arm afresh
-        deadline = self._deadline
-        now = monotonic_ns()
-        if deadline - now > self._spin_ns:
-            if deadline != NEVER:
-                self._arm(deadline)
-            return
-        while now < deadline:
-            now = monotonic_ns()
-        # It may fire late, or the loop was held up: what arrived meanwhile counts before the deadline is judged.
-        chunk = self._drain()
-        if self._echo is not None:
-            chunk = self._echo.release() + chunk
-        self._step(chunk)
-
-    def _drain(self) -> bytes:
-        octets = self._port.read_now()
-        return octets if self._echo is None else self._stripped(self._echo, octets)
-
-    def _let_loop_turn(self) -> None:
-        if self._loop is not None and self._again is None:
-            self._again = self._loop.call_soon(self._go_on)
-
-    def _go_on(self) -> None:
-        self._again = None
-        self._step(self._drain())
-
-    # --- echo ---------------------------------------------------------------------------------------------------------
-
-    def _attach(self) -> None:
-        """Take what the port delivers, through the echo filter unless there is no echo."""
-        if self._loop is None:
-            return
-        self._echo = _filter(self._echo_wanted)
-        self._port.attach(self._loop, self._step if self._echo is None else self._filtered, self._lost)
-        news = [text for text in self._port.notices if text not in self._tolerated]
-        self._tolerated.update(news)
-        self._tell([self._notice(text) for text in news])
-
-    def _filtered(self, chunk: bytes) -> None:
-        echo = self._echo
-        if echo is None or self._loop is None:
-            return
-        self._step(self._stripped(echo, chunk))
-
-    def _stripped(self, echo: EchoFilter, chunk: bytes) -> bytes:
-        """``chunk`` without echo; what the line turns out to be takes effect here, whoever has read the port."""
-        before = echo.state
-        rest = echo.strip(chunk)
-        if echo.state is not before:
-            if echo.state is Echo.ON:
-                self._tell([self._notice("the line echoes what is sent: the echo is removed")])
-            else:
-                self._echo = None
-                if self._loop is not None:
-                    self._port.attach(self._loop, self._step, self._lost)
-        return rest
-
-    # --- loss, defects, events ----------------------------------------------------------------------------------------
-
-    def _lost(self, reason: str) -> None:
-        """The port vanished: an event, and a task that opens it again."""
-        if self._loop is None:
-            return
-        self._port.close()
-        self._is_down = True
-        self._tell([PortLost(t_ns=monotonic_ns(), port=self.port_name, reason=reason)])
-        self._order(LineDown(reason))
+    def _begin_reopening(self, attempts: Attempts) -> None:
         if self._loop is not None:
-            self._reopening = self._loop.create_task(self._reopen())
+            self._reopening = self._loop.create_task(self._reopen(attempts))
 
-    async def _reopen(self) -> None:
-        pause, longest = self._backoff_ns
-        told = ""
+    async def _reopen(self, attempts: Attempts) -> None:
         while True:
-            await asyncio.sleep(pause / NS_PER_S)
+            await asyncio.sleep(attempts.pause_ns() / NS_PER_S)
             try:
                 await self._port.open()
                 break
             except PortError as exc:
-                if str(exc) != told:
-                    told = str(exc)
-                    self._tell([self._notice(f"still without its port: {told}", Severity.WARNING)])
+                self._refused(attempts, exc)
             except Exception as exc:
                 self._fail(exc)
                 return
-            pause = min(2 * pause, longest)
         self._reopening = None
-        self._is_down = False
-        self._tell([PortBack(t_ns=monotonic_ns(), port=self.port_name)])
-        self._attach()
-        self._order(LineUp())
+        self._back(attempts)
 
-    def _order(self, command: object) -> None:
-        """An order of the driver's own."""
-        if self._loop is None:
-            return
-        try:
-            self._machine.command(command, monotonic_ns())
-        except Exception as exc:
-            self._fail(exc)
-            return
-        self._step(b"")
-
-    def _dropped(self) -> None:
-        """A telegram was not sent: told at the first, the tenth, the hundredth ..."""
-        count = self._port.dropped
-        if self._loop is not None and self._reopening is None and str(count).strip("0") == "1":
-            text = f"{count} telegrams dropped: the line takes no more, is anybody reading at the other end?"
-            self._loop.call_soon(self._tell, [self._notice(text, Severity.WARNING)])
-
-    def _notice(self, text: str, severity: Severity = Severity.INFO) -> Event:
-        return Notice(t_ns=monotonic_ns(), source=self.port_name, message=text, severity=severity)
-
-    def _tell(self, events: list[Event]) -> None:
-        """Hand over events; an owner whose handler raises is told by the loop, and the bus goes on."""
-        if not events:
-            return
-        try:
-            self._on_events(events)
-        except Exception as exc:
-            asyncio.get_running_loop().call_exception_handler(
-                {"message": "the handler of bus events raised", "exception": exc}
-            )
-
-    def _fail(self, exc: Exception) -> None:
-        """The machine raised: stop, tell the owner."""
-        if self._loop is None:
-            raise exc
-        loop = self._loop
-        self.failed = exc
-        self._halt()
-        self._port.close()
-        text = f"stopped by a defect, please report it: {type(exc).__name__}: {exc}"
-        self._tell([self._notice(text, Severity.ERROR)])
-        if self._on_failure is not None:
-            self._on_failure(exc)
-        else:
-            loop.call_exception_handler({"message": f"{self.port_name}: {text}", "exception": exc})
-
-    def _halt(self) -> None:
-        """No more steps."""
-        self._loop = None
-        self._armed = self._deadline = NEVER
-        self._port.detach()
-        if self._again is not None:
-            self._again.cancel()
-            self._again = None
-        if self._timer is not None:
-            self._timer.close()
-            self._timer = None
+    def _report(self, message: str, error: Exception) -> None:
+        if self._loop is not None:
+            self._loop.call_exception_handler({"message": message, "exception": error})

@@ -11,6 +11,8 @@ from dpstack.trace import Event
 
 #: Takes what a machine told, in order; called from the loop, never from another thread.
 OnEvents = Callable[[list[Event]], None]
+#: Told when the machine raised: a defect of ours, the driver has stopped.
+OnFailure = Callable[[Exception], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
-from dpstack.phy.patience import Patience, measured
+from dpstack.phy.patience import ADAPTER, HOST, Patience, measured
+from dpstack.ports import Delivery, Port
 from dpstack.stats import Histogram
 
 #: Takes the patience that was derived, and the time in ns.
@@ -13,6 +14,11 @@ Tune = Callable[[Patience, int], None]
 #: p99.9 of fewer answers says nothing; then the patience is derived anew from time to time.
 FIRST: Final = 1_000
 _EVERY: Final = 10_000
+
+
+def patience_of(port: Port) -> Patience:
+    """The patience a port's kind needs until it was measured."""
+    return ADAPTER if port.delivery is Delivery.ADAPTER else HOST
 
 
 class Lateness:

@@ -13,10 +13,21 @@ from __future__ import annotations
 import sys
 
 from dpstack.errors import PortError
-from dpstack.ports.base import Delivery, OnData, OnLost, Port
+from dpstack.ports.base import Delivery, Loop, OnData, OnLost, Pending, Port
 from dpstack.ports.memory import MemoryPort, memory_pair
 
-__all__ = ["Delivery", "MemoryPort", "OnData", "OnLost", "Port", "PortError", "memory_pair", "open_port"]
+__all__ = [
+    "Delivery",
+    "Loop",
+    "MemoryPort",
+    "OnData",
+    "OnLost",
+    "Pending",
+    "Port",
+    "PortError",
+    "memory_pair",
+    "open_port",
+]
 
 
 def open_port(

@@ -1,16 +1,18 @@
 """What every port offers: octets in and out of one line. No protocol and no clock; waiting is the driver's.
 
-A port is made (cheap, touches nothing), opened, attached to an event loop, and closed; it may be opened again after
-a close or a loss. Reading and writing never block: a telegram that the line does not take at once is dropped and
-counted, because on a bus a stale telegram is worse than a lost one (the link layer repeats).
+A port is made (cheap, touches nothing), opened, attached to an event loop (asyncio's, or the plain one of the bus
+process), and closed; it may be opened again after a close or a loss. Reading and writing never block: a telegram that
+the line does not take at once is dropped and counted, because on a bus a stale telegram is worse than a lost one (the
+link layer repeats).
 """
 
 from __future__ import annotations
 
-import asyncio
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from enum import Enum
+from functools import partial
+from typing import Protocol
 
 from dpstack.errors import BaudError, PortError
 
@@ -27,6 +29,32 @@ class Delivery(Enum):
     ADAPTER = "adapter"  # a UART or a USB adapter
 
 
+class Pending(Protocol):
+    """A call that was asked for."""
+
+    def cancel(self) -> object:
+        """Do not call."""
+
+
+class Loop(Protocol):
+    """What a port needs of the loop it hands over in; asyncio's loops have it."""
+
+    def add_reader(self, fd: int, callback: Callable[[], object], /) -> object:
+        """Call back whenever ``fd`` is readable."""
+
+    def remove_reader(self, fd: int, /) -> object:
+        """No longer."""
+
+    def call_soon(self, callback: Callable[[], object], /) -> Pending:
+        """Call once, at the loop's next turn."""
+
+    def call_soon_threadsafe(self, callback: Callable[[], object], /) -> object:
+        """The same from another thread. Raises RuntimeError when the loop is closed."""
+
+    def is_closed(self) -> bool:
+        """Whether it will never run again."""
+
+
 class Port(ABC):
     """One line. ``name`` is what people call it, ``baud`` the rate in bit/s it is opened at.
 
@@ -35,6 +63,8 @@ class Port(ABC):
     """
 
     delivery: Delivery = Delivery.HOST
+    #: opening it may take seconds
+    connects = False
 
     def __init__(self, name: str, baud: int, *, paced: bool) -> None:
         self.name = name
@@ -42,13 +72,17 @@ class Port(ABC):
         self.paced = paced
         self.notices: list[str] = []
         self.dropped = 0
-        self._loop: asyncio.AbstractEventLoop | None = None
+        self._loop: Loop | None = None
         self._on_data: OnData | None = None
         self._on_lost: OnLost | None = None
 
-    @abstractmethod
     async def open(self) -> None:
         """Open the line, empty of old octets. Raises PortError with one line that says what to do."""
+        self.open_now()
+
+    def open_now(self) -> None:
+        """As :meth:`open`, for drivers without asyncio. A kind of port that needs asyncio refuses with PortError."""
+        raise PortError(f'{self.name}: a port of this kind works with the asyncio driver only: set driver = "asyncio"')
 
     @abstractmethod
     def read_now(self) -> bytes:
@@ -63,11 +97,11 @@ class Port(ABC):
         """Detach and release the line. May be called at any time and again."""
 
     @abstractmethod
-    def _start(self, loop: asyncio.AbstractEventLoop) -> None:
+    def _start(self, loop: Loop) -> None:
         """Begin to hand over."""
 
     @abstractmethod
-    def _stop(self, loop: asyncio.AbstractEventLoop) -> None:
+    def _stop(self, loop: Loop) -> None:
         """No longer hand over."""
 
     @property
@@ -90,7 +124,7 @@ class Port(ABC):
         """
         raise BaudError(f"{self.name}: a port of this kind keeps the rate it was opened with; give the rate")
 
-    def attach(self, loop: asyncio.AbstractEventLoop, on_data: OnData, on_lost: OnLost) -> None:
+    def attach(self, loop: Loop, on_data: OnData, on_lost: OnLost) -> None:
         """Hand over what arrives from now on, from within ``loop``."""
         self.detach()
         self._on_data, self._on_lost = on_data, on_lost
@@ -114,7 +148,7 @@ class Port(ABC):
     def _lose_soon(self, reason: str) -> None:
         """As :meth:`_lose`, from within a call of the driver."""
         if self._loop is not None:
-            self._loop.call_soon(self._lose, reason)
+            self._loop.call_soon(partial(self._lose, reason))
 
 
 def host_and_port(name: str, scheme: str) -> tuple[str, int]:

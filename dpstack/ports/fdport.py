@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import asyncio
 import os
 from collections.abc import Callable
 from functools import partial
 from typing import Final
 
-from dpstack.ports.base import Port
+from dpstack.ports.base import Loop, Port
 
 #: One read takes at most this much; a telegram has up to 255 octets. Small enough for Python's own allocator.
 CHUNK: Final = 470
@@ -82,11 +81,11 @@ class FdPort(Port):
     def _close_fd(self, fd: int) -> None:
         os.close(fd)
 
-    def _start(self, loop: asyncio.AbstractEventLoop) -> None:
+    def _start(self, loop: Loop) -> None:
         if self._fd >= 0:
             loop.add_reader(self._fd, self._readable)
 
-    def _stop(self, loop: asyncio.AbstractEventLoop) -> None:
+    def _stop(self, loop: Loop) -> None:
         if self._fd >= 0:
             loop.remove_reader(self._fd)
 

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import asyncio
-
 from dpstack.errors import PortError
-from dpstack.ports.base import Port
+from dpstack.ports.base import Loop, Pending, Port
 
 #: As much as a pty holds before it takes no more.
 CAPACITY = 22_000
@@ -19,10 +17,10 @@ class MemoryPort(Port):
         self._peer: MemoryPort | None = None
         self._inbox = bytearray()
         self._is_open = False
-        self._handle: asyncio.Handle | None = None
+        self._handle: Pending | None = None
         self._unplugged = ""
 
-    async def open(self) -> None:
+    def open_now(self) -> None:
         """Open, empty. Raises PortError while unplugged."""
         if self._unplugged:
             raise PortError(f"{self.name}: {self._unplugged}")
@@ -88,11 +86,11 @@ class MemoryPort(Port):
         if self._inbox and self._on_data is not None:
             self._on_data(self.read_now())
 
-    def _start(self, loop: asyncio.AbstractEventLoop) -> None:
+    def _start(self, loop: Loop) -> None:
         if self._inbox:
             self._handle = loop.call_soon(self._hand_over)
 
-    def _stop(self, loop: asyncio.AbstractEventLoop) -> None:
+    def _stop(self, loop: Loop) -> None:
         if self._handle is not None:
             self._handle.cancel()
             self._handle = None

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import asyncio
 import os
 import select
 
 from dpstack.errors import BaudError
+from dpstack.ports.base import Loop
 from dpstack.ports.fdport import FdPort
 from dpstack.ports.ptymaster import PtyMaster
 
@@ -27,7 +27,7 @@ class PtyPort(FdPort):
         #: set while nobody is at the other end: an edge-triggered epoll, since a deserted master is always 'ready'
         self._watch: select.epoll | None = None
 
-    async def open(self) -> None:
+    def open_now(self) -> None:
         """Make the pair. Raises PortError."""
         self.close()
         self._master = PtyMaster()
@@ -67,7 +67,7 @@ class PtyPort(FdPort):
         self._master = None
         os.close(fd)
 
-    def _start(self, loop: asyncio.AbstractEventLoop) -> None:
+    def _start(self, loop: Loop) -> None:
         if self._master is None:
             return
         if self._master.deserted():
@@ -75,7 +75,7 @@ class PtyPort(FdPort):
         else:
             loop.add_reader(self._fd, self._readable)
 
-    def _stop(self, loop: asyncio.AbstractEventLoop) -> None:
+    def _stop(self, loop: Loop) -> None:
         self._end_watch(loop)
         if self._fd >= 0:
             loop.remove_reader(self._fd)
@@ -87,14 +87,14 @@ class PtyPort(FdPort):
         self._master.forget()
         self._begin_watch(self._loop)
 
-    def _begin_watch(self, loop: asyncio.AbstractEventLoop) -> None:
+    def _begin_watch(self, loop: Loop) -> None:
         watch = select.epoll()
         watch.register(self._fd, select.EPOLLIN | select.EPOLLET)
         watch.poll(0)  # takes the hang-up that is already known
         self._watch = watch
         loop.add_reader(watch.fileno(), self._stirred)
 
-    def _end_watch(self, loop: asyncio.AbstractEventLoop) -> None:
+    def _end_watch(self, loop: Loop) -> None:
         watch, self._watch = self._watch, None
         if watch is not None:
             loop.remove_reader(watch.fileno())

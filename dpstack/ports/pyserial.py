@@ -16,7 +16,7 @@ import serial
 import serial_asyncio
 
 from dpstack.errors import BaudError, PortBusyError, PortError
-from dpstack.ports.base import Delivery, Port
+from dpstack.ports.base import Delivery, Loop, Port
 from dpstack.units import baud_text
 
 if sys.platform == "win32":
@@ -132,13 +132,13 @@ class PySerialPort(Port):
                 ) from None
             raise PortError(f"{self.name}: {text}; check the name and that you may use it") from None
 
-    def _start(self, loop: asyncio.AbstractEventLoop) -> None:
+    def _start(self, loop: Loop) -> None:
         if self._transport is not None:
             self._transport.resume_reading()
         elif self._serial is not None:
             self._transport = serial_asyncio.SerialTransport(loop, _Protocol(self), self._serial)
 
-    def _stop(self, loop: asyncio.AbstractEventLoop) -> None:
+    def _stop(self, loop: Loop) -> None:
         if self._transport is not None:
             self._transport.pause_reading()
 

@@ -16,7 +16,7 @@ from typing import Any, Final
 import serial
 
 from dpstack.errors import BaudError, PortError
-from dpstack.ports.base import Delivery, Port, host_and_port
+from dpstack.ports.base import Delivery, Loop, Port, host_and_port
 from dpstack.units import baud_text
 
 _READ_S: Final = 0.2  # how long the reader takes to notice that it shall end
@@ -120,10 +120,10 @@ class Rfc2217Port(Port):
     def _fail(self) -> None:
         self._lose(self._failure)
 
-    def _start(self, loop: asyncio.AbstractEventLoop) -> None:
+    def _start(self, loop: Loop) -> None:
         loop.call_soon(self._fail if self._failure else self._hand_over)
 
-    def _stop(self, loop: asyncio.AbstractEventLoop) -> None:
+    def _stop(self, loop: Loop) -> None:
         """Nothing is registered: the reader thread finds no loop."""
 
 

@@ -20,6 +20,8 @@ _CONNECT_S = 5.0
 class SocketPort(FdPort):
     """A TCP connection that carries the octets of a line. Its rate is set at the far end, not from here."""
 
+    connects = True
+
     def __init__(self, name: str, baud: int, *, paced: bool = False) -> None:
         super().__init__(name, baud, paced=paced)
         self._address = host_and_port(name, "socket")
@@ -33,15 +35,37 @@ class SocketPort(FdPort):
             async with asyncio.timeout(_CONNECT_S):
                 connected = await _connect(host, port)
         except TimeoutError:
-            raise PortError(f"{self.name}: no answer within {_CONNECT_S:g} s; is the server switched on?") from None
+            raise self._silent() from None
         except OSError as exc:
-            raise PortError(
-                f"{self.name}: cannot connect ({reason_of(exc)}); is the server running and the port number right?"
-            ) from None
+            raise self._refused(exc) from None
+        self._take(connected)
+
+    def open_now(self) -> None:
+        """Connect, which may take some seconds. Raises PortError."""
+        self.close()
+        try:
+            connected = socket.create_connection(self._address, _CONNECT_S)
+        except TimeoutError:
+            raise self._silent() from None
+        except OSError as exc:
+            raise self._refused(exc) from None
+        connected.setblocking(False)
+        connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._take(connected)
+
+    def _take(self, connected: socket.socket) -> None:
         self._socket = connected
         self._fd = connected.fileno()
         self._read, self._send = connected.recv, connected.send
         self.notices = [f"the far end must be set to {self.baud} bit/s 8E1 itself"]
+
+    def _silent(self) -> PortError:
+        return PortError(f"{self.name}: no answer within {_CONNECT_S:g} s; is the server switched on?")
+
+    def _refused(self, exc: OSError) -> PortError:
+        return PortError(
+            f"{self.name}: cannot connect ({reason_of(exc)}); is the server running and the port number right?"
+        )
 
     def _close_fd(self, fd: int) -> None:
         if self._socket is not None:

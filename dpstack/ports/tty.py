@@ -55,12 +55,8 @@ class TtyPort(FdPort):
         self._counted: Counter[str] = Counter()  # by the driver, up to the last close
         self._tuning: Tuning | None = None
 
-    async def open(self) -> None:
-        """Open, lock, set and flush. Raises PortError, PortBusyError, BaudError."""
-        self.open_now()
-
     def open_now(self) -> None:
-        """As :meth:`open`, for callers without a loop."""
+        """Open, lock, set and flush. Raises PortError, PortBusyError, BaudError."""
         self.close()
         self.notices = []
         fd = self._open_file()

@@ -3,28 +3,32 @@
 from dpstack.dp.device import Device, Leave
 from dpstack.dp.image import CyclicUnit
 from dpstack.errors import ConfigError
-from dpstack.profile import drivecom, profidrive
+from dpstack.profile import datamap, drivecom, profidrive, standard
 from dpstack.profile.channel import CHANNEL_LEN, ChannelServer, ParameterChannel, ParamKey
 from dpstack.profile.core import OPS, DriveCore
 from dpstack.profile.device import DriveDevice
 from dpstack.profile.drive import DriveProfile, OptionSpec, RateSetting, TelegramFamily, TelegramSpec
 from dpstack.profile.jobs import Args, CommandError, Steps
+from dpstack.profile.lookup import Lookup
+from dpstack.profile.mapped import MAP_OPS, MappedCore
 from dpstack.profile.motion import settled
 from dpstack.profile.motor import Motor
 from dpstack.profile.params import ParamSpec, ParamTable
 from dpstack.profile.pkw import Order, Pkw, PkwClient, PkwDialect, PkwServer, Reply
-from dpstack.profile.pkw_access import ParamRef, PkwAccess
+from dpstack.profile.pkw_access import ParamRef, PkwAccess, PkwChannel
 from dpstack.profile.registry import broken, find, known, refresh
 from dpstack.profile.states import FAULTED, MOVING, ControlTable, Goal, State, StateRow, StateTable
 from dpstack.profile.status import DriveStatus
 from dpstack.profile.store import ParamStore
-from dpstack.profile.words import SPEED, Scale, Word, signed16
+from dpstack.profile.words import N4, SPEED, Scale, Word, signed16
 from dpstack.units import NEVER, NS_PER_MS, NS_PER_S, NS_PER_US, ns_to_s, s_to_ns
 
 __all__ = [
     "CHANNEL_LEN",
     "FAULTED",
+    "MAP_OPS",
     "MOVING",
+    "N4",
     "NEVER",
     "NS_PER_MS",
     "NS_PER_S",
@@ -44,6 +48,8 @@ __all__ = [
     "DriveStatus",
     "Goal",
     "Leave",
+    "Lookup",
+    "MappedCore",
     "Motor",
     "OptionSpec",
     "Order",
@@ -55,6 +61,7 @@ __all__ = [
     "ParameterChannel",
     "Pkw",
     "PkwAccess",
+    "PkwChannel",
     "PkwClient",
     "PkwDialect",
     "PkwServer",
@@ -69,6 +76,7 @@ __all__ = [
     "TelegramSpec",
     "Word",
     "broken",
+    "datamap",
     "drivecom",
     "find",
     "known",
@@ -78,4 +86,5 @@ __all__ = [
     "s_to_ns",
     "settled",
     "signed16",
+    "standard",
 ]

@@ -10,7 +10,7 @@ import struct
 from collections.abc import Callable, Mapping
 from typing import Final
 
-from dpstack.profile import motion
+from dpstack.profile import lookup, motion
 from dpstack.profile.channel import CHANNEL_LEN, ParameterChannel, ParamKey
 from dpstack.profile.drive import TelegramSpec
 from dpstack.profile.jobs import Args, CommandError, ErrorKind, Job, Steps
@@ -60,6 +60,8 @@ class DriveCore:
         #: after this time the inputs belong to the outputs sent now, in ns
         self.settle_ns = 3 * scan_ns + 20 * NS_PER_MS
         self.access: ParameterChannel | None = None
+        #: what is asked over ``access`` while it stands in the status word
+        self.lookups: lookup.Lookups = ()
         self.now = 0
         #: inputs are of a drive in data exchange
         self.online = False
@@ -99,6 +101,7 @@ class DriveCore:
             self.status_word = self.status_of(inputs[self._offset :])
             self.online = True
             self.received()
+            lookup.watch(self)
             self.update()
         access = self.access
         if access is not None and access.busy and self.online:
@@ -121,6 +124,7 @@ class DriveCore:
             self._failed(job.token, "lost", _LOST)
         if self.access is not None:
             self.access.reset()
+        lookup.reset(self)
         self._inputs = b""
         self.set_goal(Goal.IDLE)
         self.state = State.OFFLINE

@@ -13,6 +13,7 @@ from dpstack.dp.device import Device, Leave
 from dpstack.profile.channel import CHANNEL_LEN, ChannelServer
 from dpstack.profile.drive import DriveProfile, TelegramSpec
 from dpstack.profile.motor import Motor
+from dpstack.profile.store import ParamStore
 
 #: scans that are caught up one by one; of a longer silence the first part is skipped
 _MOST_SCANS = 20_000
@@ -24,8 +25,11 @@ class DriveDevice(Device):
     ``telegram`` is the one in use, at first the drive's own.
 
     Faults and conditions from outside: :meth:`trip`, :meth:`warn`, :meth:`set_load`, :meth:`release`; they take
-    effect at the next scan.
+    effect at the next scan. ``address_parameter``: the one in ``store`` that holds the station address.
     """
+
+    address_parameter: str = ""
+    store: ParamStore
 
     def __init__(self, profile: DriveProfile, telegram: TelegramSpec, motor: Motor) -> None:
         self.profile = profile
@@ -67,6 +71,19 @@ class DriveDevice(Device):
 
     def installed(self, address: int, baud: int | None) -> None:
         """Where it stands: its address and the baud rate in bit/s, None while it is not known."""
+        if self.address_parameter:
+            self.store.install(self.address_parameter, address)
+
+    @property
+    def own_address(self) -> int | None:
+        """The station address that it has by its own setting from the next power-on; None: the one it has."""
+        return int(self.store.value(self.address_parameter)) if self.address_parameter else None
+
+    def address_set(self, address: int, fixed: bool, rem_slave_data: bytes) -> bool:
+        """Set_Slave_Add, of a drive that has the service: kept as its address parameter."""
+        if self.address_parameter:
+            self.store.install(self.address_parameter, address)
+        return bool(self.address_parameter)
 
     # -- Device ---------------------------------------------------------------------------------------------------
 
@@ -110,6 +127,11 @@ class DriveDevice(Device):
         self.advance(now)
         self._outputs = None
         self.master_lost(reason, now)
+
+    @property
+    def seen_until(self) -> int | None:
+        """Up to when it has caught up with the bus's clock; None before it was ever looked at."""
+        return None if self._next is None else self._next - self.scan_ns
 
     def advance(self, now: int) -> None:
         """Catch up with the bus's clock: every scan up to ``now``. For whoever looks at the drive between exchanges."""

@@ -191,6 +191,10 @@ class DriveProfile:
         checked, extra = self._options(self.device_options, options or {}, f"simulated {self.name}")
         return self.device_factory(self, self.telegram(telegram), checked, extra)
 
+    def shared(self, options: Mapping[str, object]) -> dict[str, object]:
+        """Of the core's options those that its simulated drive has, too."""
+        return {name: value for name, value in options.items() if name in self.device_options}
+
     def _options(
         self, specs: Mapping[str, OptionSpec], given: Mapping[str, object], where: str
     ) -> tuple[dict[str, bool | float | str], dict[str, object]]:

@@ -24,13 +24,14 @@ class Motor:
 
     ``inertia``: seconds from standstill to rated speed at rated torque. ``slip`` at rated torque. ``limit``: torque
     limit. ``magnetising``: current at no load. ``load``: torque against the motion at any speed. ``accel``,
-    ``decel``: ramps in per unit per second.
+    ``decel``: ramps in per unit per second. ``braking``: the DC brake is on.
     """
 
     __slots__ = (
         "_at",
         "_decay",
         "accel",
+        "braking",
         "decel",
         "frequency",
         "inertia",
@@ -64,6 +65,7 @@ class Motor:
         self.accel = accel
         self.decel = decel
         self.on = False
+        self.braking = False
         self.setpoint = 0.0
         self.speed = 0.0
         self.frequency = 0.0
@@ -79,11 +81,19 @@ class Motor:
 
     def switch(self, on: bool) -> None:
         """Power stage on or off (coasting). Switched on, the frequency starts at 0 or, by the limit, near the speed."""
-        if on != self.on:
+        if on != self.on or self.braking:
             self.on = on
+            self.braking = False
             self.frequency = 0.0
             self.torque = 0.0
             self.limited = False
+
+    def brake(self) -> None:
+        """DC brake: a standing field holds the shaft back until :meth:`switch`, with ``limit`` at most."""
+        if not self.braking:
+            self.switch(True)
+            self.braking = True
+            self.frequency = 0.0
 
     def advance(self, now: int) -> None:
         """Integrate up to ``now`` in whole steps."""
@@ -95,7 +105,7 @@ class Motor:
         if steps <= 0:
             return
         self._at = at + steps * STEP_NS
-        step = self._driven if self.on else self._coasting
+        step = self._braked if self.braking else self._driven if self.on else self._coasting
         while steps:
             steps -= 1
             if step():
@@ -121,6 +131,20 @@ class Motor:
         ahead = frequency + min(max(wanted - frequency, -most), most)
         # one step never carries the ramp through zero: the other ramp takes over there
         return 0.0 if ahead * frequency < 0 else ahead
+
+    def _braked(self) -> bool:
+        """One step of the DC brake. True at rest."""
+        speed = self.speed
+        self.limited = abs(speed) > self.slip * self.limit
+        if self.limited:
+            slower = speed - (math.copysign(self.limit, speed) + self._load(speed)) / self.inertia * _STEP_S
+            self.speed = 0.0 if slower * speed < 0 else slower
+        else:
+            rest = -self.slip * self._load(speed)
+            slower = rest + (speed - rest) * self._decay
+            self.speed = 0.0 if abs(slower) < 1e-4 or slower * speed < 0 else slower
+        self.torque = min(max(-self.speed / self.slip, -self.limit), self.limit)
+        return not self.speed
 
     def _coasting(self) -> bool:
         speed = self.speed

@@ -29,31 +29,25 @@ class ParamRef(NamedTuple):
 Resolver = Callable[[ParamKey], ParamRef]
 
 
-class PkwAccess:
-    """A :class:`~dpstack.profile.channel.ParameterChannel` by PKW. ``clock`` tells the time of the current cycle in ns.
+class PkwChannel:
+    """A :class:`~dpstack.profile.channel.ParameterChannel` by PKW without its orders.
 
-    ``settle_ns``: after this time the drive's reply belongs to what is sent now. ``written`` is told after a write.
+    ``clock`` tells the time of the current cycle in ns; ``settle_ns``: after this time the drive's reply belongs to
+    what is sent now. ``named``: what to call a reply to another order.
     """
 
-    __slots__ = ("_client", "_clock", "_dialect", "_resolve", "_written")
+    __slots__ = ("_client", "_clock", "_named")
 
     def __init__(
-        self,
-        dialect: PkwDialect,
-        resolve: Resolver,
-        clock: Callable[[], int],
-        settle_ns: int,
-        written: Callable[[ParamRef], None] | None = None,
+        self, dialect: PkwDialect, clock: Callable[[], int], settle_ns: int, named: Callable[[Pkw], str]
     ) -> None:
-        self._written = written
-        self._dialect = dialect
-        self._clock = clock
-        self._resolve = resolve
         self._client = PkwClient(dialect, settle_ns)
+        self._clock = clock
+        self._named = named
 
     @property
     def octets(self) -> bytes:
-        """PKE, IND, PWE as they go out now."""
+        """The eight octets as they go out now."""
         return self._client.octets
 
     @property
@@ -68,6 +62,43 @@ class PkwAccess:
     def reset(self) -> None:
         """Both ends start at 0 again."""
         self._client.reset()
+
+    def replied(self, order: Pkw, label: str, deadline: int) -> Steps[Pkw]:
+        """The reply to an order, right or wrong. Raises CommandError of kind timeout."""
+        exchange = self._client.submit(order)
+        try:
+            while exchange.reply is None:
+                if self._clock() >= deadline:
+                    stray = exchange.stray
+                    text = (
+                        "the drive did not answer in its parameter channel in time"
+                        if stray is None
+                        else f"the drive answered for {self._named(stray)} instead"
+                    )
+                    raise CommandError("timeout", f"{label}: {text}")
+                yield
+        finally:
+            self._client.cancel(exchange, self._clock())
+        return exchange.reply
+
+
+class PkwAccess(PkwChannel):
+    """Parameters by PKW. ``written`` is told after a write."""
+
+    __slots__ = ("_dialect", "_resolve", "_written")
+
+    def __init__(
+        self,
+        dialect: PkwDialect,
+        resolve: Resolver,
+        clock: Callable[[], int],
+        settle_ns: int,
+        written: Callable[[ParamRef], None] | None = None,
+    ) -> None:
+        super().__init__(dialect, clock, settle_ns, _named)
+        self._written = written
+        self._dialect = dialect
+        self._resolve = resolve
 
     def read(self, key: ParamKey, deadline: int) -> Steps[dict[str, object]]:
         """Read one parameter."""
@@ -105,15 +136,7 @@ class PkwAccess:
     def _exchange(self, order: Pkw, ref: ParamRef, deadline: int) -> Steps[Pkw]:
         if order.id not in self._dialect.answers:
             raise CommandError("usage", f"{ref.label}: the drive has no order {order.id} in its parameter channel")
-        exchange = self._client.submit(order)
-        try:
-            while exchange.reply is None:
-                if self._clock() >= deadline:
-                    raise CommandError("timeout", f"{ref.label}: {_silence(exchange.stray)}")
-                yield
-        finally:
-            self._client.cancel(exchange, self._clock())
-        reply = exchange.reply
+        reply = yield from self.replied(order, ref.label, deadline)
         if reply.id == Reply.ERROR:
             number = reply.pwe & 0xFFFF
             text = self._dialect.error_text(number)
@@ -150,7 +173,5 @@ def _raw(ref: ParamRef, value: float, long: bool) -> int:
     return int(value) & (1 << bits) - 1
 
 
-def _silence(stray: Pkw | None) -> str:
-    if stray is None:
-        return "the drive did not answer in its parameter channel in time"
-    return f"the drive answered for parameter {stray.pnu} index {stray.ind} (reply {stray.id}) instead"
+def _named(reply: Pkw) -> str:
+    return f"parameter {reply.pnu} index {reply.ind} (reply {reply.id})"

@@ -70,6 +70,19 @@ class ParamStore:
                 values[place] = raw
             self.eeprom_writes += not ram_only
 
+    def install(self, name: str, value: float) -> None:
+        """What whoever set the drive up has stored: RAM and EEPROM, not counted; out of the limits nothing."""
+        spec = self.table.named(name)
+        if spec is not None and spec.low <= value <= spec.high:
+            for stores in (self._ram, self._eeprom):
+                stores[spec.name] = [spec.to_raw(value)] * len(stores[spec.name])
+
+    def initialise(self) -> None:
+        """All factory values, in RAM and EEPROM."""
+        for spec in self.table:
+            if not spec.text:
+                self.write(spec, spec.to_raw(spec.factory))
+
     def inherit(self, before: ParamStore) -> None:
         """Switched on again: EEPROM and RAM are what the EEPROM of ``before`` holds, and so is the count of writes."""
         self._eeprom = {name: list(values) for name, values in before._eeprom.items()}

@@ -38,7 +38,7 @@ class Word:
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """A signed 16-bit field where ``full`` stands for ``span`` of ``unit`` (default: 0x4000 = 1.0 of the reference).
+    """A signed field of ``bits`` where ``full`` is ``span`` of ``unit`` (default: 0x4000 = 1.0 of the reference).
 
     The range is what the octets can hold: -200 % .. +199.99 % for N2.
     """
@@ -47,28 +47,34 @@ class Scale:
     full: int = 0x4000
     span: float = 1.0
     unit: str = ""
+    bits: int = 16
 
     def encode(self, value: float) -> int:
-        """``value`` as the 16-bit word, two's complement. Raises ValueError with the possible range."""
-        raw = round(value / self.span * self.full) if math.isfinite(value) else 0x8000
-        if not -0x8000 <= raw <= 0x7FFF:
+        """``value`` as the unsigned integer, two's complement. Raises ValueError with the possible range."""
+        half = 1 << self.bits - 1
+        raw = round(value / self.span * self.full) if math.isfinite(value) else half
+        if not -half <= raw < half:
             low, high = self.limits
             unit = f" {self.unit}" if self.unit else ""
             raise ValueError(f"{self.name} {value:g}{unit} is outside {low:g}..{high:.5g}{unit}")
-        return raw & 0xFFFF
+        return raw & (half << 1) - 1
 
     def decode(self, word: int) -> float:
-        """The value of a 16-bit word."""
-        return ((word ^ 0x8000) - 0x8000) * self.span / self.full
+        """The value of an unsigned integer of ``bits``."""
+        half = 1 << self.bits - 1
+        return ((word ^ half) - half) * self.span / self.full
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Lowest and highest value the word can hold."""
-        return -0x8000 * self.span / self.full, 0x7FFF * self.span / self.full
+        """Lowest and highest value it can hold."""
+        half = 1 << self.bits - 1
+        return -half * self.span / self.full, (half - 1) * self.span / self.full
 
 
 #: PROFIdrive's N2: 0x4000 = 100 % of the reference.
 SPEED: Final = Scale("speed")
+#: PROFIdrive's N4: 0x4000_0000 = 100 %
+N4: Final = Scale("speed", full=0x4000_0000, bits=32)
 
 
 def signed16(word: int) -> int:

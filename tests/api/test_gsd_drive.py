@@ -106,3 +106,54 @@ async def runs(slave: SlaveConfig) -> float | None:
 
 def test_the_drive_runs_with_it_and_so_does_the_simulated_one(folder: Path) -> None:
     assert dpstack.run_virtual(runs(fan(folder, 'telegram = "PPO3"\n'))) == pytest.approx(0.5, abs=0.01)
+
+
+#: of nobody: identifier octets and ident number that no plugin has
+HD2 = """#Profibus_DP
+GSD_Revision = 3
+Vendor_Name = "made up"
+Model_Name = "HD2"
+Ident_Number = 0x0C2D
+1.5M_supp = 1
+MaxTsdr_1.5M = 150
+Modular_Station = 0
+Module = "one frame" 0xF3,0xFB
+EndModule
+"""
+
+
+@pytest.mark.parametrize(
+    ("table", "text", "config"),
+    [
+        ({"drive": "ls-s100", "gsd": "ls-s100", "modules": ["PPO2"]}, "", "f375"),
+        ({"drive": "ls-s100", "gsd": "ls-s100", "modules": ["Standard telegram 1"]}, "", "f1"),
+        (
+            {"drive": "keb-f5", "gsd": "keb-f5", "modules": ["Parameter channel", "Outputs 4 byte", "Inputs 4 byte"]},
+            "",
+            "b7a393",
+        ),
+        ({"drive": "imo-hd2", "gsd": "hd2.gsd", "options": {"set_map": True}}, HD2, "f3fb"),
+    ],
+    ids=lambda value: str(value)[:40],
+)
+def test_other_drives_run_as_their_files_say(
+    tmp_path: Path, table: dict[str, object], text: str, config: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Identifier octets and ident number of the file at both ends: data exchange, and the drive runs."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "hd2.gsd").write_text(text, encoding="utf-8")
+    slave = {"name": "it", "address": 5, **table}
+
+    async def main() -> None:
+        async with dpstack.open_bus(port="virtual", baud=1_500_000, slaves=[slave]) as bus:
+            await bus.operate()
+            it = bus.drive("it")
+            it.speed = 0.25
+            await it.start()
+            await it.reached()
+            assert it.status.speed == pytest.approx(0.25, abs=0.01)
+
+    found = slave_config(slave)
+    assert found.config.hex() == config
+    assert not any("made up" in note for note in found.notes)
+    dpstack.run_virtual(main())

@@ -193,5 +193,5 @@ def test_the_files_of_bundled_drives_by_name(capsys: pytest.CaptureFixture[str],
     assert main(["gsd", "copy", "fuji-frenic", str(target)]) == 2
     assert capsys.readouterr().err == (
         f"dpstack: {target}: File exists; give the name of a new file\n"
-        "dpstack: no GSD file was written for 'fuji-frenic'; there is one for demag-dedrive, keb-f5\n"
+        "dpstack: no GSD file was written for 'fuji-frenic'; there is one for demag-dedrive, keb-f5, ls-s100\n"
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from aio_rig import REQUEST, Rig
+from driver_rig import REQUEST, Rig
 
 from dpstack.drivers.lateness import FIRST, Lateness
 from dpstack.phy.patience import Patience, measured
@@ -50,6 +50,7 @@ def test_without_anybody_to_tell_it_only_counts() -> None:
     assert lateness.histogram.max_ns == 4
 
 
+@pytest.mark.usefixtures("each_driver")
 async def test_the_driver_counts_first_answers_only() -> None:
     async with Rig() as rig:
         histogram = rig.driver.lateness.histogram
@@ -67,6 +68,7 @@ async def test_the_driver_counts_first_answers_only() -> None:
         assert 0 <= histogram.min_ns <= histogram.max_ns < 10_000_000_000
 
 
+@pytest.mark.usefixtures("each_driver")
 async def test_the_derived_patience_reaches_the_machine() -> None:
     told: list[Patience] = []
     async with Rig(tune=lambda patience, _now: told.append(patience)) as rig:

@@ -79,7 +79,7 @@ def test_actual_value() -> None:
         ("coast", "00 00", ["02 40 00 00"], "switch_on_inhibited"),
     ],
 )
-def test_ways_to_stop(op: str, control: str, answers: list[str], state: str) -> None:
+def test_d8_ways_to_stop(op: str, control: str, answers: list[str], state: str) -> None:
     bench = running()
     token = bench.order(op)
     assert bench.out() == control + " 00 00"
@@ -131,7 +131,7 @@ def test_reached_of_a_drive_that_does_not_run() -> None:
     assert "start it first" in str(result["text"])
 
 
-def test_a_trip_drops_the_goal_and_is_named_through_the_selector() -> None:
+def test_d13_d15_a_trip_drops_the_goal_and_is_named_through_the_selector() -> None:
     bench = running()
     # fault: bits 12-14 ask for the fault word, the goal is gone
     assert bench.see("02 08 00 00") == "60 00 00 00"
@@ -148,7 +148,7 @@ def test_a_trip_drops_the_goal_and_is_named_through_the_selector() -> None:
     assert "acknowledge" in str(result["text"])
 
 
-def test_acknowledge_is_repeated_edges_of_bit_7() -> None:
+def test_d9_acknowledge_is_repeated_edges_of_bit_7() -> None:
     bench = ppo3("62 08 20 62")
     token = bench.order("acknowledge")
     words: list[str] = []
@@ -162,7 +162,7 @@ def test_acknowledge_is_repeated_edges_of_bit_7() -> None:
     assert bench.out() == "00 00 00 00"
 
 
-def test_a_fault_that_stays_is_an_error_that_says_why() -> None:
+def test_d9_a_fault_that_stays_is_an_error_that_says_why() -> None:
     bench = ppo3("62 08 20 62")
     token = bench.order("acknowledge", timeout_s=1)
     bench.run(800)
@@ -171,7 +171,7 @@ def test_a_fault_that_stays_is_an_error_that_says_why() -> None:
     assert "15 s" in text
 
 
-def test_a_warning_is_fetched_and_the_frequency_kept() -> None:
+def test_d13_d21_a_warning_is_fetched_and_the_frequency_kept() -> None:
     bench = running()
     bench.see("06 27 20 00")
     assert bench.see("86 A7 20 00") == "50 0F 00 00"
@@ -194,7 +194,7 @@ def test_d18_ppo3_start_without_remote_says_412() -> None:
     assert bench.out() == "00 00 00 00"
 
 
-def test_ppo1_start_reads_412_and_tells() -> None:
+def test_d18_ppo1_start_reads_412_and_tells() -> None:
     bench = ppo1(NO_PKW + "00 23 00 00")
     token = bench.order("start")
     bench.run(60)
@@ -290,7 +290,7 @@ def test_a_reply_that_does_not_fit_the_order() -> None:
     assert "reply 2 does not answer order 2" in str(as_mapping(bench.result(token))["text"])
 
 
-def test_a_second_request_waits_and_a_silent_drive_times_out() -> None:
+def test_d4_d17_a_second_request_waits_and_a_silent_drive_times_out() -> None:
     bench = ppo1()
     first = bench.order("read", number=400, timeout_s=0.1)
     second = bench.order("read", number=414)
@@ -311,7 +311,7 @@ def test_an_answer_for_another_number_is_named() -> None:
     assert "answered for parameter 401" in str(as_mapping(bench.result(token))["text"])
 
 
-def test_an_unknown_parameter_is_read_raw_and_its_type_found_before_a_write() -> None:
+def test_d20_an_unknown_parameter_is_read_raw_and_its_type_found_before_a_write() -> None:
     bench = ppo1()
     token = bench.order("write", number=700, value=-2)
     bench.run()
@@ -355,7 +355,7 @@ def test_ppo3_has_no_parameters() -> None:
     assert "no parameter channel" in str(as_mapping(bench.result(bench.order("read", number=400)))["text"])
 
 
-def test_eeprom_writes_in_a_loop_are_told() -> None:
+def test_d5_eeprom_writes_in_a_loop_are_told() -> None:
     bench = ppo1()
     for _ in range(10):
         bench.order("write", number=414, value=1)
@@ -444,7 +444,7 @@ def test_status_events_only_on_changes() -> None:
     assert as_mapping(bench.events[0])["reached"] is True
 
 
-def test_wide_telegrams_carry_everything() -> None:
+def test_d2_d13_d15_wide_telegrams_carry_everything() -> None:
     bench = PluginBench(DRIVE.core("hoist", "PPO4"), "86 A7 20 00 11 47 0C CC 08 00 00 00")
     status = bench.core.status()
     assert status.speed == 0.5

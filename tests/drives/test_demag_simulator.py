@@ -61,7 +61,7 @@ def test_d7_power_up_and_every_state_word_by_word() -> None:
     assert bench.send("00 0F 00 00") == "06 27 00 00"  # the short cut
 
 
-def test_transition_5_ramps_down_and_can_be_taken_back() -> None:
+def test_d8_transition_5_ramps_down_and_can_be_taken_back() -> None:
     bench = ppo3()
     running(bench)
     bench.send("00 0F 20 00", 1000)
@@ -75,7 +75,7 @@ def test_transition_5_ramps_down_and_can_be_taken_back() -> None:
 
 
 @pytest.mark.parametrize(("how", "word"), [(0, "02 23 00 00"), (1, "02 27 00 00")])
-def test_transition_5_by_392(how: int, word: str) -> None:
+def test_d8_transition_5_by_392(how: int, word: str) -> None:
     bench = ppo3(**{"392": how, "632": 0.5})
     running(bench)
     bench.send("00 0F 20 00", 1000)
@@ -85,7 +85,7 @@ def test_transition_5_by_392(how: int, word: str) -> None:
         bench.until("00 07 20 00", "02 23 00 00", 400)
 
 
-def test_quick_stop_11_and_12() -> None:
+def test_d8_quick_stop_11_and_12() -> None:
     bench = ppo3(**{"424": 50, "638": 0.2})
     running(bench)
     bench.send("00 0F 20 00", 1000)
@@ -277,7 +277,7 @@ def test_d18_data_sets() -> None:
     assert pkw(bench, "10 F9 00 00 00 00 00 00") == "10 F9 00 00 00 00 00 03"
 
 
-def test_actual_parameters() -> None:
+def test_d20_actual_parameters() -> None:
     bench = ppo1()
     bench.device.warn(0x0881)
     assert pkw(bench, "11 0E 00 00 00 00 00 00") == "11 0E 00 00 00 00 08 81"
@@ -286,14 +286,14 @@ def test_actual_parameters() -> None:
     assert bench.send("11 1A 00 00 00 00 00 00 00 00 E0 00")[:23] == "21 1A 00 00 FF FF F6 3C"  # -25.00 Hz
 
 
-def test_mode_2_remote_contacts() -> None:
+def test_d7_mode_2_remote_contacts() -> None:
     bench = ppo3(**{"412": 2})
     assert bench.send("00 00 20 00") == "02 23 00 00"
     assert bench.send("00 03 20 00", 1500) == "06 27 20 00"
     bench.until("00 01 20 00", "02 23 00 00", 2000)
 
 
-def test_ppo2_reports_everything() -> None:
+def test_d2_d13_ppo2_reports_everything() -> None:
     bench = DeviceBench(drive(), "F3 75")
     rest = " 00 00 00 00 00 00 00 00"
     assert bench.send(ZERO + "00 00 00 00" + rest) == ZERO + "02 40 00 00 00 00 00 00 00 00 00 00"
@@ -313,7 +313,7 @@ def test_d12_additional_reference_in_ppo4() -> None:
     ("reason", "word"),
     [(Leave.WATCHDOG, "02 08 00 00"), (Leave.UNLOCK, "02 40 00 00"), (Leave.NEW_PARAMETERS, "02 40 00 00")],
 )
-def test_master_lost_while_running(reason: Leave, word: str) -> None:
+def test_d15_master_lost_while_running(reason: Leave, word: str) -> None:
     bench = ppo3()
     running(bench)
     bench.send("00 0F 20 00", 1000)

@@ -351,7 +351,7 @@ def test_f6_orders_and_replies(order: str, reply: str) -> None:
     assert pkw(sim1(), order) == reply
 
 
-def test_f6_f7_malfunction_history() -> None:
+def test_f6_f7_f9_malfunction_history() -> None:
     bench = sim1()
     bench.device.trip("OC1")
     bench.send(ZERO + "04 00 00 00")
@@ -451,7 +451,7 @@ def test_a_drive_that_stays_in_s1_is_told_with_what_to_look_at() -> None:
         assert part in str(result["text"])
 
 
-def test_alarm_is_named_through_the_parameter_channel() -> None:
+def test_f9_alarm_is_named_through_the_parameter_channel() -> None:
     bench = PluginBench(DRIVE.core("fan", "PPO1"), ZERO + "02 31 00 00")
     bench.see(ZERO + "02 78 00 00", 2)
     assert bench.out().startswith("63 B3 01 00")

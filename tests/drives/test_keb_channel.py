@@ -45,7 +45,7 @@ def ask(bench: DeviceBench, request: str) -> str:
 # -- the plugin --------------------------------------------------------------------------------------------------------
 
 
-def test_k3_the_plugin_writes_with_four_octets_and_k4_judges_handshake_and_result_only() -> None:
+def test_k3_k4_the_plugin_writes_with_four_octets_and_judges_handshake_and_result_only() -> None:
     bench = plugin()
     token = bench.order("write", number="oP.3", value=20)
     assert bench.out()[:23] == WRITE_20_HZ

@@ -17,6 +17,7 @@ from dpstack_drives.demag import DRIVE as DEMAG
 from dpstack_drives.keb import DRIVE
 from dpstack_drives.keb import table as t
 from dpstack_drives.keb.simulator import KebDevice
+from dpstack_drives.ls import DRIVE as LS
 
 
 def test_k2_gsd_facts() -> None:
@@ -147,6 +148,24 @@ def test_k8_the_recipe_is_shown() -> None:
 def test_k10_what_happens_when_the_master_stops() -> None:
     assert "Pn.06" in DRIVE.on_loss
     assert "Pn.05" in DRIVE.on_loss
+
+
+def test_our_gsd_file_of_the_ls_s100_tells_what_is_made_up() -> None:
+    """Its manual has ident number, rates and the number of modules; the rest stands for the simulated drive."""
+    octets = (resources.files("dpstack_drives.ls") / "ls-s100.gsd").read_bytes()
+    assert b"is not the vendor's file" in octets
+    assert b"made up" in octets
+    file = load_gsd(octets, "ls-s100.gsd")
+    assert (file.diagnostics, check(file)) == ((), ())
+    device = file.device
+    assert (device.ident, LS.gsd) == (0x0A6C, "dpstack_drives.ls:ls-s100.gsd")
+    assert tuple(speed.baud for speed in device.speeds) == LS.baud_rates
+    assert (device.max_module, device.max_input_len, device.max_output_len, device.max_data_len) == (2, 28, 28, 56)
+    fixed = [module.config for module in device.modules[:7]]
+    assert fixed == [LS.telegram(name).config for name in ("PPO1", "PPO2", "PPO3", "PPO4", "PPO5", "PPO6", "ST1")]
+    vendor = b"".join(module.config for module in device.modules[7:])
+    assert vendor.hex() == "6061626364656667" + "5051525354555657"
+    assert device.prm.consts == () or b"".join(const.octets for const in device.prm.consts) == LS.user_prm
 
 
 @pytest.mark.parametrize(("drive", "modules"), [(DRIVE, 17), (DEMAG, 4)])

@@ -149,6 +149,32 @@ def test_k7_the_requests_of_write_map() -> None:
     assert "the map has 8 octets of inputs, PCH+4/4 has 4" in bench.notices()[1]
 
 
+def test_k11_k12_block_2_by_the_users_indexes_and_an_enable_that_falls_back() -> None:
+    """12 octets of inputs: block 2's record has no length; its enable is not confirmed."""
+    options = {"block2_inputs": "5FE0 5FE1", "block2_outputs": "5FE2 5FE3"}
+    bench = PluginBench(DRIVE.core("hoist", "PCH+4/4", options), ZERO + " 00 00 00 00")
+    token = bench.order("write_map", inputs=TEST_INPUTS, outputs=TEST_OUTPUTS)
+    seen: list[str] = []
+    while bench.result(token) is None:
+        out = bench.run()
+        request = bytes([out[0] & 3]) + out[1:8]
+        if not seen or seen[-1] != request.hex(" ").upper():
+            seen.append(request.hex(" ").upper())
+        falls_back = out[0] & 1 and out[2:4].hex() == "5fe1"
+        data = "00000000" if falls_back else "000000ff" if out[0] & 1 else out[4:8].hex()
+        bench.inputs = bytes([out[0] & 0x43]) + out[1:4] + bytes.fromhex(data) + bytes(4)
+    assert seen[0] == "02 01 60 00 00 00 00 0C"  # 12 octets
+    assert "02 02 5F E0 00 00 22 00" in seen
+    assert "02 06 5F E0 00 00 22 27" in seen
+    assert "02 07 5F E0 00 00 00 01" in seen
+    assert "02 02 5F E2 00 00 23 0A" in seen
+    assert not any(request.startswith("02 01 5F E0") for request in seen)
+    assert seen[-2:] == ["02 00 5F E1 00 00 00 FF", "01 00 5F E1 00 00 00 00"]
+    result = bench.result(token)
+    assert result is not None
+    assert "does not confirm the enable of inputs, block 2 (5FE1h is 00h)" in str(result["text"])
+
+
 @pytest.mark.parametrize(
     ("maps", "says"),
     [

@@ -83,6 +83,16 @@ def test_k8_a_fault_and_its_edge() -> None:
     assert result["ok"]
 
 
+def test_k8_a_fault_whose_number_was_lost_is_asked_again() -> None:
+    bench = plugin("00 " * 8 + "00 08 00 00", "PCH+4/4")
+    assert bench.out()[:23] == "71 01 22 00 00 00 00 00"
+    bench.core.lost(bench.now)
+    bench.see("00 " * 8 + "00 08 00 01", 2)
+    assert bench.out()[:23] == "71 01 22 00 00 00 00 00"
+    bench.see("41 01 22 00 00 00 00 1F 00 08 00 01", 2)
+    assert bench.core.status().faults == ("inverter state ru.00 = 31",)
+
+
 def test_without_a_channel_the_fault_has_no_name() -> None:
     bench = plugin("00 08 00 00")
     assert bench.core.status().faults == ("without a name: only the parameter channel (PCH+...) tells ru.00",)
@@ -184,6 +194,33 @@ def test_k2_odd_lengths(telegram: str, out: str) -> None:
     bench.order("speed", value=0.25)
     bench.order("start")
     assert bench.out() == out
+
+
+@pytest.mark.parametrize(("cycle", "early", "late"), [(25, 90, 100), (100, 310, 330)])
+def test_k9_the_plugin_reckons_with_pd_in_cycle(cycle: int, early: int, late: int) -> None:
+    """Inputs are read every PD_In_Cycle: a standstill shown before three of them may be an old one."""
+    bench = plugin("00 00 00 00", pd_in_cycle_ms=cycle)
+    token = bench.order("coast")
+    bench.run(early // 2)
+    assert bench.result(token) is None
+    bench.run((late - early) // 2)
+    result = bench.result(token)
+    assert result is not None
+    assert result["ok"]
+
+
+@pytest.mark.parametrize(
+    ("number", "value", "request_octets"),
+    [
+        (0x5F27, 1, "72 00 5F 27 00 00 00 01"),  # Fb39, activation
+        (0x5F28, 4, "72 00 5F 28 00 00 00 04"),  # Fb40, what keeps it alive
+        (0x2009, 50, "72 01 20 09 00 00 00 32"),  # sy.09
+    ],
+)
+def test_k10_the_plugin_sets_the_watchdog(number: int, value: int, request_octets: str) -> None:
+    bench = PluginBench(DRIVE.core("hoist", "PCH+4/4", BITS), "00 " * 12)
+    bench.order("write", number=number, value=value)
+    assert bench.out()[:23] == request_octets
 
 
 def test_unknown_orders_name_those_of_this_drive() -> None:

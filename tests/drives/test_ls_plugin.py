@@ -333,6 +333,24 @@ def test_l9_faults_and_warnings_by_name() -> None:
     assert "PPO3 has no parameter channel" in str(plugin("02 7C 00 00").core.status().fault)
 
 
+def test_l4_bits_by_name() -> None:
+    bench = plugin("66 80 00 00", "PPO3", profile="ls")
+    assert bench.core.status().bits == ("dc_brake", "jog", "brake_open", "run_granted", "ramp_granted")
+
+
+@pytest.mark.parametrize(
+    ("option", "text"),
+    [
+        ("number", "11 overcurrent"),
+        ("raw", "without a name (000F is 000B): VENDOR 2/3 has no parameter channel, the keypad shows it"),
+    ],
+)
+def test_l7_l9_a_trip_in_the_vendor_telegram(option: str, text: str) -> None:
+    """000A, 000E, 000F: the number of the simulated drive has a name, bits of the inverter's manual have not."""
+    bench = plugin("00 00 00 09 00 0B", "VENDOR 2/3", trip_word=option)
+    assert bench.core.status().faults == (text,)
+
+
 def test_l9_what_was_asked_is_asked_again_after_the_drive_was_away() -> None:
     bench = plugin(ZERO + "02 7C 00 00", "PPO1")
     assert bench.out().startswith("63 B3 00 00")

@@ -157,6 +157,53 @@ def test_l4_fault_and_reset_by_the_edge_of_bit_3() -> None:
     assert bench.send("60 08 17 70") == "60 09 00 00"  # no edge
 
 
+def test_l4_dc_brake_by_ad_08() -> None:
+    """Ramp down to Ad-17, then bit 7 for Ad-15; neither forward nor reverse meanwhile."""
+    bench = sim(profile="ls", codes={"Ad-08": 1, "Ad-15": 0.5, "Ad-17": 6})
+    bench.until("60 02 17 70", "68 42 17 70", 3000)
+    bench.until("60 01 17 70", "61 80 00 00", 1000)
+    began = bench.now
+    assert not bench.device.motor.frequency
+    seen = bench.until("60 01 17 70", "60 01 00 00", 1000)
+    assert seen == ["61 80 00 00", "60 01 00 00"]
+    assert 490 <= (bench.now - began) / MS <= 510
+    bench.until("60 02 17 70", "68 42 17 70", 3000)
+    bench.send("60 01 17 70", 950)
+    bench.until("60 02 17 70", "68 42 17 70", 3000)  # a run command ends it
+
+
+def test_l3_bit_3_stops_by_the_dc_brake() -> None:
+    bench = running(sim(codes={"Ad-08": 1, "Ad-15": 0.5}))
+    start = bench.now
+    bench.until("04 77 40 00", "02 33 00 00", 1500)
+    assert bench.device.motor.braking
+    assert 880 < (bench.now - start) / MS < 950  # 60 to 5 Hz in 0.92 s
+    bench.send("04 77 40 00", 600)
+    assert bench.send("04 77 40 00") == "02 33 00 00"
+
+
+def test_l4_jog_by_the_terminals() -> None:
+    """Bit 9, at dr-11, while there is no command."""
+    bench = sim(profile="ls", codes={"dr-11": 6})
+    device = bench.device
+    assert isinstance(device, LsDevice)
+    device.jog(-1)
+    bench.until("60 00 17 70", "62 04 02 58", 1000)
+    device.jog(1)
+    bench.until("60 00 17 70", "62 02 02 58", 1000)
+    bench.until("60 02 17 70", "68 42 17 70", 3000)  # a command goes before it
+    device.jog(0)
+    bench.until("60 01 17 70", "60 01 00 00", 3000)
+
+
+def test_l4_brake_open_where_a_relay_is_brake_control() -> None:
+    bench = sim(profile="ls", codes={"OU-31": 35, "Ad-44": 30})
+    seen = bench.until("60 02 17 70", "6C 42 17 70", 3000)  # bit 10
+    assert {inputs[:5] for inputs in seen[1:-1]} == {"68 12", "6C 12", "6C 42"}
+    assert all((int(inputs[6:].replace(" ", ""), 16) >= 3000) is (inputs[:2] == "6C") for inputs in seen)
+    assert bench.send("60 10 17 70") == "60 01 00 00"
+
+
 # -- vendor telegram, maps -----------------------------------------------------------------------------------------
 
 

@@ -10,22 +10,30 @@ from dpstack.profile import (
     FAULTED,
     NS_PER_MS,
     NS_PER_S,
+    Args,
     CommandError,
-    DriveCore,
+    ConfigError,
     DriveProfile,
+    Lookup,
+    MappedCore,
     ParamKey,
     ParamRef,
     PkwAccess,
     Steps,
     TelegramSpec,
+    datamap,
     drivecom,
     settled,
 )
+from dpstack_drives.demag import outpzd
 from dpstack_drives.demag import table as t
+from dpstack_drives.demag.outpzd import OutMap
+from dpstack_drives.demag.trace import Trace
 
 _SELECTOR: Final = 12
 _REMOTE: Final = drivecom.STATUS.mask("remote")
 _WARNING: Final = drivecom.STATUS.mask("warning")
+_TOGGLE: Final = drivecom.STATUS.mask("toggle")
 #: a standing warning is read again after this time
 _WARNING_AGE: Final = NS_PER_S
 #: numbers of EEPROM writes of one parameter at which the user is told
@@ -33,12 +41,18 @@ _TELL_WRITES: Final = frozenset({10, 100, 1000, 10_000, 100_000})
 _NO_RELEASE: Final = "no hardware release: switch on S1 and one of S2 and S3"
 
 
-class DemagCore(DriveCore):
+class DemagCore(MappedCore[OutMap]):
     """PZD2 reports the frequency; in PPO1 and PPO3 bits 12-14 fetch warning and fault words through it when needed.
 
-    Options: ``reference_hz`` (390, or 375 where 390 is 0) and ``set_412``: start() may set 412 = 1 in RAM itself.
+    Options: ``reference_hz`` (390, or 375 where 390 is 0), ``set_412``: start() may set 412 = 1 in RAM itself;
+    ``map_outputs``: what PZD3 to PZD6 of PPO2 and PPO4 mean (:mod:`~dpstack_drives.demag.outpzd`), and
+    ``scaling_current``.
+
+    Orders of its own: ``output`` of a :class:`MappedCore` (``number`` pzd3 to pzd6) and ``trace``: the data as the
+    drive shows them in 281 and 284, the words of this cycle.
     """
 
+    own_ops = ("output", "trace")
     lock_hint = f" before it is {t.FAULT_LOCK_S} s old, nor while its cause lasts"
 
     def __init__(
@@ -48,10 +62,15 @@ class DemagCore(DriveCore):
         self._actual = 0
         self._current: int | None = None
         self._active: int | None = None
-        self._warning_word = 0
+        self._warning_word: int | None = None
         self._warning_at = 0
         self._fault_word = 0
         self._writes: Counter[str] = Counter()
+        self._toggles = False
+        self._toggle_time = Lookup(lambda: self._toggles, self._ask_toggle_time)
+        self.inputs_map = None
+        self.outputs_map: OutMap = _map(name, profile, telegram, options)
+        self.values = {}
         super().__init__(
             name,
             profile.name,
@@ -65,10 +84,27 @@ class DemagCore(DriveCore):
         self._wide = telegram.inputs == 12
         if telegram.channel:
             self.access = PkwAccess(t.PKW, self._resolve, lambda: self.now, self.settle_ns, self._written)
+            self.lookups = (self._toggle_time,)
+        self._trace = Trace(channel=telegram.channel)
+
+    def cyclic(self, inputs: bytes, now: int) -> bytes:
+        """The parameter channel is kept for the trace while it is used."""
+        channel = self.access
+        if channel is not None and channel.busy and len(inputs) == self.telegram.input_octets:
+            self._trace.watch("in", inputs)
+            self._trace.watch("out", channel.octets)
+        return super().cyclic(inputs, now)
+
+    def encode(self, control: int, setpoint: int) -> bytes:
+        """PZD1 and PZD2, and what was given for PZD3 to PZD6."""
+        if not self._wide:
+            return self._pack(control, setpoint)
+        return self._pack(control, setpoint, *datamap.pack(self.outputs_map.fields, self.values, outpzd.COUNT))
 
     def received(self) -> None:
         """Take the actual value for what ZSW bits 12-14 say it is (11.2.3), or all of them (11.2.4)."""
         words = self.words
+        self._toggles |= bool(words[0] & _TOGGLE)
         if self._wide:
             _, self._actual, self._current, self._active, self._warning_word, self._fault_word = words
             return
@@ -86,15 +122,16 @@ class DemagCore(DriveCore):
             return
         self._fault_word = 0
         if not status & _WARNING:
-            self._warning_word = self._selector = 0
-        elif not self._warning_word or self.now >= self._warning_at + _WARNING_AGE:
+            self._warning_word = None
+            self._selector = 0
+        elif self._warning_word is None or self.now >= self._warning_at + _WARNING_AGE:
             self._selector = t.SELECT_WARNING
         else:
             self._selector = 0
 
     def control_bits(self) -> int:
-        """What PZD2 is to report."""
-        return self._selector << _SELECTOR
+        """What PZD2 is to report, and the toggle bit as the drive sent it (D10), never inverted."""
+        return self._selector << _SELECTOR | (self.status_word & _TOGGLE if self.online else 0)
 
     def measured(self) -> tuple[float | None, float | None, float | None]:
         """Frequency of the reference; currents in PPO2 and PPO4."""
@@ -117,7 +154,7 @@ class DemagCore(DriveCore):
         """By name."""
         if not self.status_word & _WARNING:
             return ()
-        return t.warning_names(self._warning_word)
+        return t.warning_names(self._warning_word or 0)
 
     def obstacle(self) -> str | None:
         """Bit 9 tells whether the bus controls the drive at all."""
@@ -162,6 +199,41 @@ class DemagCore(DriveCore):
         assert isinstance(value, int)
         return value
 
+    def lost(self, now: int) -> None:
+        """The toggle bit begins anew; what was given for PZD3 to PZD6 does not come back by itself."""
+        self._toggles = False
+        self.values.clear()
+        super().lost(now)
+
+    def _ask_toggle_time(self, deadline: int) -> Steps[int]:
+        """881 must leave time for two of the drive's scans and two rotations (D10)."""
+        began = self.now
+        yield
+        yield
+        rotations = self.now - began
+        limit = yield from self._read(881, None, deadline)
+        needed = 2 * t.scan_ms(self.telegram) + -(-rotations // NS_PER_MS)
+        if limit < needed:
+            self.notice(
+                f"881 (toggle bit time) is {limit} ms, two scans of the drive and two rotations take {needed} ms: "
+                f"it will miss answers that came in time; write 881 = {needed} or more"
+            )
+        return limit
+
+    def order(self, op: str, args: Args) -> Steps[dict[str, object]] | None:
+        """See the class."""
+        return self._show() if op == "trace" else super().order(op, args)
+
+    def _show(self) -> Steps[dict[str, object]]:
+        yield from ()
+        if not self.online:
+            raise CommandError("lost", "the drive is not in data exchange")
+        return {"value": self._trace.lines(self._outputs, self._inputs)}
+
+    def parse_map(self, text: str | None, *, outputs: bool) -> OutMap:
+        """What PZD3 to PZD6 mean is set in the drive, and told to the plugin by its option."""
+        return self.outputs_map
+
     def _written(self, ref: ParamRef) -> None:
         """About a million EEPROM writes are possible (11.1.4): tell the user who spends them in a loop."""
         if ref.ind < t.RAM_ONLY:
@@ -191,3 +263,15 @@ class DemagCore(DriveCore):
             raise CommandError("usage", f"{label} exists once, not in data sets")
         ind = (data_set or 0) + (t.RAM_ONLY if ram else 0)
         return ParamRef(number, ind, array, spec, label, (data_set or 0) if array else None)
+
+
+def _map(name: str, profile: DriveProfile, telegram: TelegramSpec, options: Mapping[str, bool | float | str]) -> OutMap:
+    """The option. Raises ConfigError."""
+    where = f"drive {name} ({profile.name})"
+    text = str(options["map_outputs"])
+    if text.strip() and telegram.outputs != 12:
+        raise ConfigError(f"{where}: map_outputs: {telegram.name} has no PZD3 to PZD6; take PPO2 or PPO4")
+    try:
+        return outpzd.parse(text, float(options["reference_hz"]), float(options["scaling_current"]))
+    except ValueError as error:
+        raise ConfigError(f"{where}: map_outputs: {error}") from None

@@ -29,6 +29,16 @@ DRIVE: Final = DriveProfile(
         "reference_hz": OptionSpec(
             default=50.0, low=1, high=1000, text="what 100 % is: 390, or 375 where 390 is 0 (factory 50 Hz)"
         ),
+        "map_outputs": OptionSpec(
+            default="",
+            text="PZD3 to PZD6 of PPO2 and PPO4: reference (PZD3), bool, percent, current, torque, frequency, -",
+        ),
+        "scaling_current": OptionSpec(
+            default=0.0,
+            low=0,
+            high=10_000,
+            text="the drive's scaling current in A, for current, torque; 0: not known",
+        ),
         "set_412": OptionSpec(default=False, text="start() may set 412 = 1 (control by the bus) itself, in RAM"),
     },
     device_options={
@@ -36,6 +46,11 @@ DRIVE: Final = DriveProfile(
         "f_min": OptionSpec(default=0.0, low=0, high=1000, text="lowest line set point in Hz with 434 = 2 (made up)"),
         "acceleration": OptionSpec(default=50.0, low=0.01, high=9999.99, text="ramp up in Hz/s (made up)"),
         "deceleration": OptionSpec(default=50.0, low=0.01, high=9999.99, text="ramp down in Hz/s (made up)"),
+        "application": OptionSpec(
+            default="vf",
+            choices=("vf", "speed", "torque"),
+            text="kind of configuration: only with vf 392 can be 1 (DC brake), with torque it is 0 at the factory",
+        ),
         "load": OptionSpec(default=0.2, low=0, high=2, text="load torque of the rated one"),
     },
     notes=(

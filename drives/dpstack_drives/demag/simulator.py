@@ -9,6 +9,7 @@ from dpstack.profile import (
     NS_PER_MS,
     NS_PER_S,
     SPEED,
+    ConfigError,
     DriveDevice,
     DriveProfile,
     Leave,
@@ -22,12 +23,16 @@ from dpstack.profile import (
     TelegramSpec,
     drivecom,
 )
+from dpstack_drives.demag import outpzd, toggle
 from dpstack_drives.demag import table as t
 
 _WORDS: Final = frozenset({Order.WRITE_WORD, Order.WRITE_ARRAY_WORD})
 _LONGS: Final = frozenset({Order.WRITE_LONG, Order.WRITE_ARRAY_LONG})
 _ARRAYS: Final = frozenset({Order.READ_ARRAY, Order.WRITE_ARRAY_WORD, Order.WRITE_ARRAY_LONG})
 _STATE_MACHINE, _REMOTE_CONTACTS = 1, 2
+#: of 392
+_DC_BRAKE: Final = 1
+_QUICK_STOP: Final = 0x0002
 _POWERED: Final = frozenset({State.RUNNING, State.QUICK_STOP})
 
 
@@ -42,9 +47,14 @@ class _RefusedError(Exception):
 class DemagDevice(DriveDevice):
     """Options: ``f_max``, ``f_min``, ``acceleration``, ``deceleration`` (Hz, Hz/s), ``load``; parameters by number.
 
+    ``application``: of the configurations that 392 depends on (``vf``, ``speed``, ``torque``).
+
     Readings: modes of 412 other than 1 and 2 leave the drive off (its contacts are not wired for a start); entering
     mode 1 begins in switch-on inhibit; F2062 comes only when the bus has the power stage on.
     """
+
+    address_parameter = "node_id"
+    set_slave_add = True
 
     def __init__(
         self,
@@ -54,7 +64,12 @@ class DemagDevice(DriveDevice):
         presets: Mapping[str, object],
     ) -> None:
         super().__init__(profile, telegram, Motor(load=float(options["load"])))
-        self.store = ParamStore(t.PARAMETERS, presets, sets=t.SETS, where=f"simulated {profile.name}")
+        where = f"simulated {profile.name}"
+        self._vf = options["application"] == "vf"
+        factory = {"392": 0} if options["application"] == "torque" else {}
+        self.store = ParamStore(t.PARAMETERS, {**factory, **presets}, sets=t.SETS, where=where)
+        if not self._vf and self.store.value("state_transition_5") == _DC_BRAKE:
+            raise ConfigError(f"{where}: 392 = 1 (DC brake) needs application = 'vf'")
         self.channel = PkwServer(t.PKW, self._order)
         self.machine = drivecom.DrivecomMachine()
         self.f_max = float(options["f_max"])
@@ -63,8 +78,10 @@ class DemagDevice(DriveDevice):
         self.deceleration = float(options["deceleration"])
         #: the fault word; 0 without a fault
         self.fault = 0
-        self._fault_at = 0
+        self._locked_until = 0
         self._mode = -1
+        self.toggle = toggle.Toggle()
+        self._words: tuple[int, ...] | None = None
         self._still_since: int | None = None
         self._braking_until: int | None = None
         self._sign = 1  # of the last line set point that was not 0
@@ -95,6 +112,16 @@ class DemagDevice(DriveDevice):
             raise ValueError(f"{code!r} is no fault number such as {known}")
         return number
 
+    def source(self, number: int) -> bool | float:
+        """What one of the sources 750 to 761 gives to the drive's functions now (11.2.5).
+
+        Raises ValueError where there is none: without PPO2 or PPO4 there are no sources.
+        """
+        words = self._words
+        if self.telegram.outputs != 12:
+            raise ValueError(f"source {number}: there are sources in PPO2 and PPO4 only")
+        return outpzd.source(number, words or (0,) * 6, self._reference(self.active_set))
+
     def inherit(self, before: DriveDevice) -> None:
         """The parameters."""
         if isinstance(before, DemagDevice):
@@ -113,6 +140,7 @@ class DemagDevice(DriveDevice):
 
     def scan(self, words: tuple[int, ...] | None, now: int) -> tuple[int, ...]:
         """Commands, set points, motor; then status and actual values."""
+        self._words = words
         control, line = (words[0], words[1]) if words is not None else (0, 0)
         active = self.active_set
         mode = int(self.store.value("local_remote", active))
@@ -125,14 +153,32 @@ class DemagDevice(DriveDevice):
             if machine.state is not State.FAULT:
                 machine.enter(State.SWITCH_ON_INHIBITED if mode == _STATE_MACHINE else State.READY)
         released = self.released and mode in (_STATE_MACHINE, _REMOTE_CONTACTS)
+        obeyed = self._answered(control, mode, now)
         if mode == _STATE_MACHINE:
-            self._obey(control, now)
+            self._obey(obeyed, now)
         else:
-            self._contacts(control if released else 0, now)
+            self._contacts(obeyed if released else 0, now)
         if machine.state is not State.FAULT:
             self.fault = 0
         self._drive(SPEED.decode(line), SPEED.decode(words[2]) if words and len(words) == 6 else 0.0, active, now)
         return self._report(control, released, active)
+
+    def _answered(self, control: int, mode: int, now: int) -> int:
+        """The control word, or what stands for it while the toggle bit is not answered (8)."""
+        reaction = int(self.store.value("toggle_bit_reaction"))
+        late = self.toggle.step(
+            control,
+            now,
+            reaction=reaction,
+            limit_ms=self.store.value("toggle_bit_time"),
+            locked=self.machine.state is State.FAULT or now < self._locked_until,
+        )
+        if late and reaction == toggle.FAULT:
+            self._fail(t.FAULT_TOGGLE, now)
+        if self.toggle.answered:
+            return control
+        acknowledge = control & drivecom.CONTROL.mask("reset_fault")
+        return acknowledge | (_QUICK_STOP if reaction == toggle.QUICK_STOP and mode == _STATE_MACHINE else 0)
 
     def _obey(self, control: int, now: int) -> None:
         machine = self.machine
@@ -141,22 +187,25 @@ class DemagDevice(DriveDevice):
             if machine.state in _POWERED:
                 machine.enter(State.READY)
             return
-        if self._braking_until is not None and machine.state is State.RUNNING:
-            if now < self._braking_until:
-                return  # no new control word until 632's time is over
-            self._braking_until = None
-            machine.enter(State.READY)
+        if self._braking:
+            if now >= (self._braking_until or 0):
+                machine.enter(State.READY)  # no new control word is accepted before (11.2.1.2.1)
             return
         self._braking_until = None
         how = int(self.store.value("state_transition_5"))
         machine.step(
             control,
             stops_at_once=how == 0,
-            ack_allowed=now >= self._fault_at + t.FAULT_LOCK_S * NS_PER_S,
+            ack_allowed=now >= self._locked_until,
             still=self._still(now),
         )
-        if machine.stopping and how == 1:
+        if machine.stopping and how == _DC_BRAKE:
             self._braking_until = now + round(self.store.value("braking_time") * NS_PER_S)
+
+    @property
+    def _braking(self) -> bool:
+        """The DC brake of transition 5 is on."""
+        return self._braking_until is not None and self.machine.state is State.RUNNING
 
     def _contacts(self, control: int, now: int) -> None:
         """Mode 2: S1 releases, S2 and S3 start (clockwise, anticlockwise); in other modes nothing is wired."""
@@ -176,25 +225,29 @@ class DemagDevice(DriveDevice):
     def _drive(self, line: float, additional: float, active: int, now: int) -> None:
         machine, motor = self.machine, self.motor
         rated = self.store.value("rated_frequency", active)
-        reference = self.store.value("profibus_reference", active) or rated
+        reference = self._reference(active)
         self._bus_hz = line * reference
         self._ramp_hz = self._combined(self._bus_hz, int(self.store.value("ramp_set_point", active)))
         wanted = min(max(self._ramp_hz + additional * reference, -self.f_max), self.f_max)
         self._wanted_hz = wanted
         quick = machine.state is State.QUICK_STOP
-        powered = machine.state in _POWERED and self._braking_until is None
-        motor.switch(powered)
+        powered = machine.state in _POWERED and not self._braking
+        if self._braking:
+            motor.brake()
+        else:
+            motor.switch(powered)
         emergency = "emergency_stop_clockwise" if motor.frequency >= 0 else "emergency_stop_anticlockwise"
         motor.accel = self.acceleration / rated
         motor.decel = (self.store.value(emergency) if quick else self.deceleration) / rated
         motor.setpoint = 0.0 if quick or machine.stopping or not powered else wanted / rated
-        if self._braking_until is not None and motor.speed:
-            # DC brake: the shaft comes to rest, how fast is ours to choose
-            motor.speed *= 0.8
         if not powered or abs(motor.frequency) * rated > self.store.value("switch_off_threshold") / 100 * self.f_max:
             self._still_since = None
         elif self._still_since is None:
             self._still_since = now
+
+    def _reference(self, active: int) -> float:
+        """What 100 % is in Hz: 390, or 375 where that is 0."""
+        return self.store.value("profibus_reference", active) or self.store.value("rated_frequency", active)
 
     def _combined(self, line: float, how: int) -> float:
         """434: 1 internal (0 here), 2 line, limited to fmin, 3 their sum."""
@@ -214,7 +267,7 @@ class DemagDevice(DriveDevice):
     def _fail(self, code: int, now: int) -> None:
         if self.machine.state is not State.FAULT:
             self.fault = code
-            self._fault_at = now
+            self._locked_until = now + t.FAULT_LOCK_S * NS_PER_S
             self.machine.enter(State.FAULT)
 
     # -- inputs ---------------------------------------------------------------------------------------------------
@@ -222,14 +275,15 @@ class DemagDevice(DriveDevice):
     def _report(self, control: int, remote: bool, active: int) -> tuple[int, ...]:
         motor = self.motor
         rated = self.store.value("rated_frequency", active)
-        reference = self.store.value("profibus_reference", active) or rated
+        reference = self._reference(active)
         status = drivecom.SHOWN[self.machine.state]
         off = abs(motor.frequency * rated - self._wanted_hz)
         if motor.on and not motor.limited and off <= self.store.value("max_control_deviation") / 100 * rated:
             status |= 0x0400
         status |= 0x0200 if remote else 0
         status |= 0x0800 if motor.limited else 0
-        status |= 0x0080 if self.warning_mask else 0
+        status |= 0x0080 if self.warning_mask or not self.toggle.answered else 0
+        status |= toggle.BIT if self.toggle.bit else 0
         status |= 0x8000 if self.warning_mask & t.TRIPS_SOON else 0
         frequency = _word(motor.frequency * rated / reference)
         current, active_current = _word(motor.current), _word(motor.torque if motor.on else 0.0)
@@ -275,9 +329,11 @@ class DemagDevice(DriveDevice):
             raw = spec.from_pwe(order.pwe)
             if not spec.low <= spec.to_value(raw) <= spec.high:
                 raise _RefusedError(2)
+            if spec.number == 392 and raw == _DC_BRAKE and not self._vf:
+                raise _RefusedError(2)  # a reading: the value is not offered there
             self.store.write(spec, raw, data_set, ram_only=order.ind >= t.RAM_ONLY)
-            if spec.name == "node_id":
-                self.machine.power_up()  # a write resets the drive (6)
+            if spec.name == self.address_parameter:
+                self._reset()
         elif spec.text:
             raise _RefusedError(101)
         elif spec.per_set and data_set == 0 and self.store.unequal(spec):
@@ -288,6 +344,14 @@ class DemagDevice(DriveDevice):
         plain = Reply.LONG if spec.long else Reply.WORD
         in_set = Reply.ARRAY_LONG if spec.long else Reply.ARRAY_WORD
         return in_set if array else plain, spec.pwe(raw)
+
+    def _reset(self) -> None:
+        """391 was written (6): as after power-on. Reading: the module stays where it is until the next power-on."""
+        self.store.power_up()
+        self.machine.power_up()
+        self.motor.switch(False)
+        self.toggle = toggle.Toggle()
+        self._mode = -1
 
     def _live(self, number: int) -> float | None:
         """Actual values."""

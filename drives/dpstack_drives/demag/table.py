@@ -270,6 +270,7 @@ FAULTS: Final = {
     0x2100: "fieldbus toggle bit OFF",
 }
 FAULT_MASTER_LOST: Final = 0x2062
+FAULT_TOGGLE: Final = 0x2100
 
 
 def fault_name(code: int) -> str:

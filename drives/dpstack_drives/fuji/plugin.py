@@ -8,20 +8,26 @@ from typing import Final
 from dpstack.profile import (
     CHANNEL_LEN,
     FAULTED,
+    MAP_OPS,
     NS_PER_MS,
-    NS_PER_S,
+    Args,
     CommandError,
-    DriveCore,
+    ConfigError,
     DriveProfile,
+    Lookup,
+    MappedCore,
     ParamKey,
     ParamRef,
     PkwAccess,
     State,
     Steps,
     TelegramSpec,
+    datamap,
     settled,
 )
+from dpstack_drives.fuji import pcd
 from dpstack_drives.fuji import table as t
+from dpstack_drives.fuji.pcd import PcdMap
 
 _REMOTE: Final = t.STATUS.mask("remote")
 _REVERSE: Final = t.CONTROL.mask("reverse")
@@ -29,21 +35,31 @@ _REVERSE: Final = t.CONTROL.mask("reverse")
 _SAFE: Final = bytes.fromhex("047E")
 #: how long the drive may take to react is not in the manual; waits reckon with this
 _SCAN_NS: Final = 20 * NS_PER_MS
+#: PCD1 stands behind STW and MAV
+_PCD_AT: Final = 2
 
 
-class FujiCore(DriveCore):
+class FujiCore(MappedCore[PcdMap]):
     """MRV and MAV in parts of F03.
 
-    Options: ``reference_hz`` (F03) and ``reverse``: a negative speed goes out as a negative MRV (``sign``) or by bit
-    11 of CTW (``bit``).
+    Options: ``reference_hz`` (F03); ``reverse``: a negative speed goes out as a negative MRV (``sign``) or by bit 11
+    of CTW (``bit``); ``map_inputs`` and ``map_outputs``: the assignments that the drive has
+    (:mod:`~dpstack_drives.fuji.pcd`).
+
+    Orders of its own: those of a :class:`MappedCore`, in PPO2 and PPO4.
     """
+
+    channel_hint = ": take PPO2"
 
     def __init__(
         self, profile: DriveProfile, name: str, telegram: TelegramSpec, options: Mapping[str, bool | float | str]
     ) -> None:
         self._by_bit = options["reverse"] == "bit"
-        self._alarm: int | None = None
-        self._asked = False
+        self._alarm = Lookup(lambda: self.raw_state in FAULTED, self._ask)
+        self.values = {}
+        self.inputs_at = _PCD_AT
+        self.inputs_map: PcdMap = _map(name, profile, telegram, options, "map_inputs")
+        self.outputs_map: PcdMap = _map(name, profile, telegram, options, "map_outputs")
         super().__init__(
             name,
             profile.name,
@@ -57,15 +73,18 @@ class FujiCore(DriveCore):
         )
         if telegram.channel:
             self.access = PkwAccess(t.PKW, self._resolve, lambda: self.now, self.settle_ns)
+            self.lookups = (self._alarm,)
 
-    def received(self) -> None:
-        """With a parameter channel a trip is looked up in the malfunction history."""
-        if self.raw_state not in FAULTED:
-            self._alarm = None
-            self._asked = False
-        elif not self._asked and self.access is not None:
-            self._asked = True
-            self.spawn("alarm", self._ask())
+    def encode(self, control: int, setpoint: int) -> bytes:
+        """CTW, MRV, and what was given for PCD1 to PCD4."""
+        if not self._rest:
+            return self._pack(control, setpoint)
+        return self._pack(control, setpoint, *datamap.pack(self.outputs_map.fields, self.values, pcd.COUNT))
+
+    def lost(self, now: int) -> None:
+        """A command given for S06 is not sent again by itself."""
+        self.values.pop(t.S06, None)
+        super().lost(now)
 
     def setpoint_word(self, fraction: float) -> int:
         """MRV."""
@@ -79,18 +98,20 @@ class FujiCore(DriveCore):
         """By name where there is a parameter channel; STW alone does not tell."""
         if self.raw_state not in FAULTED:
             return ()
-        if self._alarm is not None:
-            return (t.alarm_text(self._alarm),)
+        if (alarm := self._alarm.value) is not None:
+            return (t.alarm_text(alarm),)
         if self.access is not None:
             return ("not yet named",)
         return ("without a name: PPO3 and PPO4 do not carry it, the keypad shows it",)
 
     def fault_named(self) -> bool:
         """Nothing more is to be learned."""
-        return self._alarm is not None or self.access is None
+        return self._alarm.value is not None or self.access is None
 
     def obstacle(self) -> str | None:
         """STW bit 9, then the state that a CTW which is not obeyed leaves behind."""
+        if not self.status_word:
+            return "STW is 0000: only the option is on the bus (its own 24 V), the inverter has no power"
         if not self.status_word & _REMOTE:
             return "STW bit 9 is 0: neither run nor frequency command comes from the bus; set y98 to 3"
         if self.raw_state is State.SWITCH_ON_INHIBITED:
@@ -107,22 +128,51 @@ class FujiCore(DriveCore):
         if self._remote():
             return
         why = self.obstacle() or ""
-        if self.access is not None:
+        if self.access is not None and self.status_word:
             outcome = yield from self.access.read(ParamKey("y98"), deadline)
             why = f"y98 is {outcome['value']}: {why}"
         raise CommandError("fault", why)
 
+    # -- PCD1 to PCD4 ---------------------------------------------------------------------------------------------
+
+    def order(self, op: str, args: Args) -> Steps[dict[str, object]] | None:
+        """See the class."""
+        if op in MAP_OPS and not self._rest:
+            raise CommandError("usage", f"{op}: {self.telegram.name} has no PCD1 to PCD4: take PPO2 or PPO4")
+        return super().order(op, args)
+
+    def parse_map(self, text: str | None, *, outputs: bool) -> PcdMap:
+        """Function codes."""
+        if text is not None:
+            return pcd.parse(text, outputs=outputs)
+        return self.outputs_map if outputs else self.inputs_map
+
+    def read_map(self, deadline: int) -> Steps[dict[str, object]]:
+        """PNU 915 and 916."""
+        assert self.access is not None
+        return pcd.read(self.access, deadline)
+
+    def write_map(self, inputs: PcdMap, outputs: PcdMap, deadline: int) -> Steps[dict[str, object]]:
+        """Acts after power-on, and is to be told to the plugin by its options then."""
+        assert self.access is not None
+        outcome = yield from pcd.write(self.access, inputs, outputs, deadline)
+        self.notice("the assignments of PCD1 to PCD4 act after the next power-on of the drive")
+        return outcome
+
+    def called(self, name: str | int) -> str | int:
+        """A function code in any writing."""
+        found = t.address(name) if isinstance(name, str) else None
+        return name if found is None else found[0] - t.GROUP_OFFSET << 8 | found[1]
+
     def _remote(self) -> bool:
         return bool(self.status_word & _REMOTE)
 
-    def _ask(self) -> Steps[dict[str, object]]:
+    def _ask(self, deadline: int) -> Steps[int]:
         assert self.access is not None
-        outcome = yield from self.access.read(ParamKey(t.PNU_ALARMS, index=1), self.now + NS_PER_S)
+        outcome = yield from self.access.read(ParamKey(t.PNU_ALARMS, index=1), deadline)
         raw = outcome["raw"]
         assert isinstance(raw, int)
-        self._alarm = raw
-        self.update()
-        return outcome
+        return raw
 
     def _resolve(self, key: ParamKey) -> ParamRef:
         name, index = key.name, key.place
@@ -144,3 +194,20 @@ class FujiCore(DriveCore):
         array = number in t.ARRAYS or (spec is None and index is not None)
         label = f"PNU {number}" + (f"[{index}]" if index is not None else "")
         return ParamRef(number, (1 if array else 0) if index is None else index, array, spec, label)
+
+
+def _map(
+    name: str,
+    profile: DriveProfile,
+    telegram: TelegramSpec,
+    options: Mapping[str, bool | float | str],
+    option: str,
+) -> PcdMap:
+    """Of the option. Raises ConfigError."""
+    where, text = f"drive {name} ({profile.name}): {option}", str(options[option])
+    if text.strip() and telegram.outputs != 12:
+        raise ConfigError(f"{where}: {telegram.name} has no PCD1 to PCD4; take PPO2 or PPO4")
+    try:
+        return pcd.parse(text, outputs=option == "map_outputs")
+    except ValueError as error:
+        raise ConfigError(f"{where}: {error}") from None

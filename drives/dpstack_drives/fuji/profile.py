@@ -7,7 +7,7 @@ from typing import Final
 from dpstack.profile import DriveProfile, OptionSpec
 from dpstack_drives.fuji import table as t
 from dpstack_drives.fuji.plugin import FujiCore
-from dpstack_drives.fuji.simulator import FujiDevice
+from dpstack_drives.fuji.simulator import OWN_SUPPLY, FujiDevice
 
 DRIVE: Final = DriveProfile(
     name="fuji-frenic",
@@ -29,8 +29,18 @@ DRIVE: Final = DriveProfile(
         "reverse": OptionSpec(
             default="sign", choices=("sign", "bit"), text="reverse by a negative MRV or by bit 11 of CTW"
         ),
+        "map_inputs": OptionSpec(default="", text="what o48 to o51 of PPO2 and PPO4 are, e.g. 'M16 F26'"),
+        "map_outputs": OptionSpec(default="", text="what o40 to o43 of PPO2 and PPO4 are, e.g. 'S06 - F07'"),
     },
-    device_options={"load": OptionSpec(default=0.2, low=0, high=2, text="load torque of the rated one")},
+    device_options={
+        "load": OptionSpec(default=0.2, low=0, high=2, text="load torque of the rated one"),
+        "switches": OptionSpec(
+            default=-1.0, low=-1, high=99, text="SW1 and SW2, 00: o31 is the address; -1: as its address asks for"
+        ),
+        "supply": OptionSpec(
+            default="inverter", choices=("inverter", OWN_SUPPLY), text="what feeds the option: the inverter or 24 V"
+        ),
+    },
     notes=(
         "the manual has no GSD file: ident number and identifier octets are made up, use the user's",
         "y98 is 0 at the factory (the simulated drive: 3): only 3 lets the bus run it",

@@ -10,21 +10,22 @@ from dpstack.profile import (
     NS_PER_MS,
     NS_PER_S,
     SPEED,
+    ConfigError,
     DriveDevice,
     DriveProfile,
     Leave,
     Motor,
-    Order,
     ParamStore,
-    Pkw,
     PkwServer,
-    Reply,
     State,
     TelegramSpec,
     profidrive,
 )
 from dpstack_drives.fuji import table as t
+from dpstack_drives.fuji.option import OptionCard
 
+#: the option has a 24 V supply of its own
+OWN_SUPPLY: Final = "24v"
 _POWERED: Final = frozenset({State.RUNNING, State.STOPPING, State.QUICK_STOP})
 #: reference reached within this part of F03 (a reading)
 _NEAR: Final = 0.005
@@ -33,10 +34,14 @@ _COMMAND: Final = struct.Struct(">HH")
 
 
 class FujiDevice(DriveDevice):
-    """Options: ``load``; function codes by name. ``y98`` is 3 here (0 at the factory), ``o30`` follows the telegram.
+    """Options: ``load``, ``switches``, ``supply``; function codes by name.
+
+    ``y98`` is 3 here (0 at the factory), ``o30`` follows the telegram. ``release off`` takes the inverter's power
+    and leaves the option on the bus; with ``supply`` = ``24v`` ``power-off`` takes the option's only.
 
     The PPO type is the drive's own setting at power-on: another configuration is refused. Readings: a communications
-    error is the end of data exchange by the watchdog only; b4 = 0 takes the frequency to 0 at once.
+    error is the end of data exchange by the watchdog only; b4 = 0 takes the frequency to 0 at once; without the
+    inverter all words are 0; with o31 beyond 125 it trips Er5 and stays at the address it has.
     """
 
     def __init__(
@@ -51,7 +56,18 @@ class FujiDevice(DriveDevice):
         self.store = ParamStore(t.PARAMETERS, given, where=where)
         self.own = profile.telegram(t.telegram_of(int(self.store.value("o30"))))
         super().__init__(profile, self.own, Motor(load=float(options["load"])))
-        self.channel = PkwServer(t.PKW, self._order)
+        self._own_supply = options["supply"] == OWN_SUPPLY
+        if float(options["switches"]) != int(float(options["switches"])):
+            raise ConfigError(f"{where}: switches must be a whole number, -1 or 00..99")
+        self.option = OptionCard(
+            self.store,
+            int(float(options["switches"])),
+            self._live,
+            self._initialise,
+            lambda: self.motor.on,
+            lambda: self.released,
+        )
+        self.channel = PkwServer(t.PKW, self.option.order)
         self.machine = profidrive.ProfidriveMachine()
         #: alarm codes (M16 to M19), latest first
         self.alarms: list[int] = []
@@ -61,6 +77,7 @@ class FujiDevice(DriveDevice):
         self._received = False
         self._loss: tuple[int, bool, bool] | None = None  # when, forgotten when data return, by ramp
         self._forced = False  # decelerates to a stop, then trips
+        self._off_since: int | None = None  # the option lost its own supply under a live inverter
 
     @property
     def scan_ns(self) -> int:
@@ -89,6 +106,28 @@ class FujiDevice(DriveDevice):
             self.own = self.profile.telegram(t.telegram_of(int(self.store.value("o30"))))
             self.telegram = self.own
             self.configs = tuple(dict.fromkeys((self.own.config, *self.configs)))
+            self.option.switches, self.option.address = before.option.switches, before.option.address
+            self.option.power_on()
+            self._off_since = before.seen_until if self._own_supply and before.released else None
+            self.released = before.released
+            if self.own_address is None:
+                self._fail(t.ER5)
+
+    def installed(self, address: int, baud: int | None) -> None:
+        """Switches, o31 and PNU 963."""
+        self.option.installed(address, baud)
+
+    @property
+    def own_address(self) -> int | None:
+        """SW1 and SW2, o31 where they are 00 (F11)."""
+        return self.option.own_address
+
+    def advance(self, now: int) -> None:
+        """Er4 where the option was off for about a second under a live inverter (F15)."""
+        since, self._off_since = self._off_since, None
+        if since is not None and now - since >= round(t.OPTION_OFF_S * NS_PER_S):
+            self._fail(t.ER4)
+        super().advance(now)
 
     def exchange(self, outputs: bytes, now: int) -> bytes:
         """A frame with bit 10 stands until the next one, even when it was there for less than a scan (a reading)."""
@@ -119,6 +158,8 @@ class FujiDevice(DriveDevice):
 
     def scan(self, words: tuple[int, ...] | None, now: int) -> tuple[int, ...]:
         """Obey CTW where y98 allows it, move the motor, report."""
+        if not self.released:
+            return self._unpowered()
         source = int(self.store.value("y98"))
         machine, motor = self.machine, self.motor
         trip = self.take_trip()
@@ -137,8 +178,18 @@ class FujiDevice(DriveDevice):
             reference = -reference
         self._drive(reference)
         self._status = self._word(source, reference)
-        extra = (0,) * (self.telegram.inputs // 2 - 2)
+        if words is not None:
+            self.option.take(words[2:])
+        extra = self.option.show()[: self.telegram.inputs // 2 - 2]
         return (self._status, SPEED.encode(min(max(motor.frequency, -2.0), 0x7FFF / 0x4000)), *extra)
+
+    def _unpowered(self) -> tuple[int, ...]:
+        """Only the option is on the bus."""
+        self.motor.switch(False)
+        self.machine = profidrive.ProfidriveMachine()
+        self._control = self._mrv = self._status = 0
+        self._loss, self._forced = None, False
+        return (0,) * (self.telegram.inputs // 2)
 
     def _judge_loss(self, data: bool, now: int) -> None:
         loss = self._loss
@@ -194,40 +245,24 @@ class FujiDevice(DriveDevice):
             self.machine.state = State.FAULT
             self._forced = False
 
-    # -- parameter channel ----------------------------------------------------------------------------------------
+    def _initialise(self) -> None:
+        """970 or H03: factory values."""
+        self.store.initialise()
 
-    def _order(self, order: Pkw) -> tuple[int, int]:
-        array = order.pnu in t.ARRAYS
-        spec = t.PARAMETERS.get(order.pnu, order.ind) or (t.PARAMETERS.get(order.pnu) if array else None)
-        if order.id not in t.PKW.answers or spec is None:
-            return Reply.ERROR, 0
-        if order.id == Order.ELEMENTS:
-            return (Reply.ELEMENTS, 32) if array else (Reply.ERROR, 4)
-        if not array and order.id in (Order.READ_ARRAY, Order.WRITE_ARRAY_WORD):
-            return Reply.ERROR, 4
-        reply = Reply.ARRAY_WORD if array else Reply.WORD
-        if order.id in (Order.READ, Order.READ_ARRAY):
-            if array and (order.id == Order.READ or not 1 <= order.ind <= 32):
-                return Reply.ERROR, 3
-            live = self._live(order)
-            return reply, self.store.raw(spec) if live is None else live
-        if spec.read_only or (not self.store.value("access_permission") and spec.number != t.PNU_ACCESS):
-            return Reply.ERROR, 1
-        raw = spec.from_pwe(order.pwe)
-        if not spec.low <= spec.to_value(raw) <= spec.high:
-            return Reply.ERROR, 2
-        self.store.write(spec, raw)
-        return reply, spec.pwe(raw)
-
-    def _live(self, order: Pkw) -> int | None:
-        match order.pnu:
+    def _live(self, where: int) -> int | None:
+        """By PNU << 8 | index; function codes by their PNU and number."""
+        match where >> 8:
             case t.PNU_ALARMS:
-                place = t.ALARM_INDEXES.index(order.ind) if order.ind in t.ALARM_INDEXES else len(self.alarms)
-                code = self.alarms[place] if place < len(self.alarms) else 0
+                code = self._alarm(t.ALARM_INDEXES.index(where & 0xFF)) if where & 0xFF in t.ALARM_INDEXES else 0
                 return next((alarm.malfunction for alarm in t.ALARMS if alarm.code == code), 0)
             case t.PNU_CTW:
                 return self._control
             case t.PNU_STW:
                 return self._status
+            case 0x103 if 16 <= where & 0xFF <= 19:
+                return self._alarm((where & 0xFF) - 16)
             case _:
                 return None
+
+    def _alarm(self, place: int) -> int:
+        return self.alarms[place] if place < len(self.alarms) else 0

@@ -1,4 +1,4 @@
-"""What plugin and simulated drive share. Rows F1 to F14 of the project's check list as far as they are covered.
+"""What plugin and simulated drive share. Rows F1 to F15 of the project's check list.
 
 Source: Fuji, PROFIBUS DP Interface Option OPC-E1-PDP, instruction manual; numbers in the comments are its sections.
 The manual has no GSD file: ident number and identifier octets are made up until the user's GSD overrides them.
@@ -89,7 +89,7 @@ GROUPS: Final = {
     "X": 0x11,
     "Z": 0x12,
 }
-_GROUP_OFFSET: Final = 0x100
+GROUP_OFFSET: Final = 0x100
 _CODE: Final = re.compile(r"([A-Za-z])(\d{1,3})")
 
 
@@ -100,7 +100,13 @@ def address(code: str) -> tuple[int, int] | None:
         return None
     group = next((number for name, number in GROUPS.items() if name.lower() == match[1].lower()), None)
     number = int(match[2])
-    return None if group is None or number > 0xFF else (group + _GROUP_OFFSET, number)
+    return None if group is None or number > 0xFF else (group + GROUP_OFFSET, number)
+
+
+def code_of(assignment: int) -> str:
+    """``F26`` of 041A; the hex digits where there is no such group."""
+    group = next((name for name, number in GROUPS.items() if number == assignment >> 8), None)
+    return f"{assignment:04X}" if group is None else f"{group}{assignment & 0xFF:02}"
 
 
 class Alarm(NamedTuple):
@@ -150,7 +156,7 @@ ALARMS: Final = (
     Alarm(0x7520, 53, "ErP", "RS-485 communications error of the option"),
     Alarm(0x5220, 54, "ErH", "LSI error of the power board"),
 )
-ER5: Final = 35
+ER4, ER5 = 34, 35
 
 
 def alarm_text(malfunction: int) -> str:
@@ -158,9 +164,25 @@ def alarm_text(malfunction: int) -> str:
     return " or ".join(alarm.text for alarm in ALARMS if alarm.malfunction == malfunction) or f"{malfunction:04X}"
 
 
-#: PNUs of arrays (table 8.11)
-ARRAYS: Final = frozenset({947})
-PNU_ACCESS, PNU_ALARMS, PNU_PROFILE, PNU_CTW, PNU_STW = 927, 947, 965, 967, 968
+#: PNUs (table 8.11)
+PNU_PCD_WRITE, PNU_PCD_READ, PNU_ADDRESS, PNU_ACCESS, PNU_ALARMS, PNU_BAUD = 915, 916, 918, 927, 947, 963
+PNU_PROFILE, PNU_CTW, PNU_STW, PNU_INITIALISE = 965, 967, 968, 970
+#: indexes of the arrays
+ARRAYS: Final = {PNU_PCD_WRITE: range(1, 5), PNU_PCD_READ: range(1, 5), PNU_ALARMS: range(1, 33)}
+#: function codes that hold the same as an array, index 1 first
+SAME: Final = {PNU_PCD_WRITE: 40, PNU_PCD_READ: 48}
+#: PNU 963 and its rates
+BAUD_INDEX: Final = {baud: index for index, baud in enumerate(BAUD_RATES, 1)}
+#: assignments of function codes that can only be read here, and of S06, whose bits 0 and 1 are ignored (8.2 (4))
+READ_ONLY_HERE: Final = frozenset({0x0201, 0x0205})
+S06: Final = 0x0206
+S06_IGNORED: Final = 0x0003
+#: addresses up to 125; 126 and more are a data setting error (2.3)
+MOST_ADDRESS: Final = 125
+#: at both switches; 00: o31
+MOST_SWITCHES: Final = 99
+#: the inverter misses its option after about this time (4.4), in s
+OPTION_OFF_S: Final = 1.0
 #: indexes of PNU 947 that hold an alarm, latest first; the others are 0
 ALARM_INDEXES: Final = (1, 9, 17, 25)
 
@@ -174,26 +196,35 @@ class _Code(NamedTuple):
     high: float
     factory: float
     made_up: bool = False
+    read_only: bool = False
 
 
 # Formats of the function codes are in MEH448, which we do not have: decimals of F03, F07, F08, E31, H56 are made up.
 _CODES: Final = (
+    _Code("S01", "Frequency reference, per unit", 0, "", -32_768, 32_767, 0, True, True),
+    _Code("S05", "Frequency reference", 2, "Hz", 0, 655.35, 0, True, True),
+    _Code("S06", "Operation command", 0, "", 0, 0xFFFF, 0, True),
+    *(_Code(f"M{16 + n}", f"Alarm code, {n} before the latest", 0, "", 0, 254, 0, False, True) for n in range(4)),
     _Code("F03", "Maximum frequency", 1, "Hz", 25, 400, 60, True),
     _Code("F07", "Acceleration time", 1, "s", 0, 3600, 1, True),
     _Code("F08", "Deceleration time", 1, "s", 0, 3600, 1, True),
     _Code("F26", "Motor sound", 0, "", 0, 15, 2, True),
     _Code("E31", "Frequency detection level, 0: never", 1, "Hz", 0, 400, 0, True),
+    _Code("H03", "Data initialisation", 0, "", 0, 1, 0, True),
     _Code("H56", "Deceleration time for a forced stop", 1, "s", 0, 3600, 0.5, True),
     _Code("o27", "Reaction to a communications error", 0, "", 0, 15, 0),
     _Code("o28", "Timer for communications errors", 1, "s", 0, 60, 0),
     _Code("o30", "PPO type", 0, "", 0, 255, 0),
     _Code("o31", "Station address", 0, "", 0, 255, 0),
+    *(_Code(f"o{40 + n}", f"Write assignment of PCD{n + 1}", 0, "", 0, 0xFFFF, 0) for n in range(4)),
+    *(_Code(f"o{48 + n}", f"Read assignment of PCD{n + 1}", 0, "", 0, 0xFFFF, 0) for n in range(4)),
+    _Code("W90", "Software version of the option", 0, "", 0, 9999, 123, True, True),
     _Code("y98", "Run and frequency command source", 0, "", 0, 3, 0),
 )
 
 
 def _specs() -> Iterator[ParamSpec]:
-    for code, title, decimals, unit, low, high, factory, made_up in _CODES:
+    for code, title, decimals, unit, low, high, factory, made_up, read_only in _CODES:
         found = address(code)
         assert found is not None
         yield ParamSpec(
@@ -207,7 +238,13 @@ def _specs() -> Iterator[ParamSpec]:
             high=high,
             factory=factory,
             made_up=made_up,
+            read_only=read_only,
         )
+    yield ParamSpec(number=PNU_PCD_WRITE, name="pcd_write", title="Write assignments of PCD1 to PCD4")
+    yield ParamSpec(number=PNU_PCD_READ, name="pcd_read", title="Read assignments of PCD1 to PCD4")
+    yield ParamSpec(number=PNU_ADDRESS, name="node_address", title="Node address", high=MOST_ADDRESS, read_only=True)
+    yield ParamSpec(number=PNU_BAUD, name="baud_rate", title="Baud rate by its index", high=10, read_only=True)
+    yield ParamSpec(number=PNU_INITIALISE, name="initialise", title="Initialise the inverter, 1 to 0", high=1)
     yield ParamSpec(number=PNU_ACCESS, name="access_permission", title="Write access over PCV", high=1, factory=1)
     yield ParamSpec(number=PNU_ALARMS, name="malfunctions", title="Malfunction history", read_only=True)
     yield ParamSpec(number=PNU_PROFILE, name="profile_version", title="PROFIdrive version", factory=2, read_only=True)
@@ -216,3 +253,8 @@ def _specs() -> Iterator[ParamSpec]:
 
 
 PARAMETERS: Final = ParamTable(_specs())
+
+
+def spec_at(assignment: int) -> ParamSpec | None:
+    """What is known of the function code with this assignment."""
+    return PARAMETERS.get((assignment >> 8) + GROUP_OFFSET, assignment & 0xFF)

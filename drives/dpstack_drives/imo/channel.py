@@ -12,7 +12,7 @@ from collections.abc import Callable
 from enum import IntEnum
 from typing import Final
 
-from dpstack.profile import CommandError, ParamKey, ParamSpec, Pkw, PkwClient, PkwDialect, Steps
+from dpstack.profile import CommandError, ParamKey, ParamSpec, Pkw, PkwChannel, PkwDialect, Steps
 from dpstack_drives.imo import table as t
 
 _LAYOUT: Final = struct.Struct(">HHI")
@@ -72,42 +72,23 @@ _EEPROM: Final = (
 )
 
 
-class ImoAccess:
+class ImoAccess(PkwChannel):
     """The master's end, a :class:`~dpstack.profile.ParameterChannel`. ``notice`` takes a line for the user.
 
     ``settle_ns``: after this time the drive's response belongs to what is sent now.
     """
 
-    __slots__ = ("_client", "_clock", "_notice", "_told")
+    __slots__ = ("_notice", "_told")
 
     def __init__(self, clock: Callable[[], int], settle_ns: int, notice: Callable[[str], None]) -> None:
-        self._client = PkwClient(PKW, settle_ns)
-        self._clock = clock
+        super().__init__(PKW, clock, settle_ns, lambda reply: f"{t.name_of(reply.pnu)} (response {reply.id})")
         self._notice = notice
         self._told = False
 
     @property
-    def octets(self) -> bytes:
-        """PKW1 to PKW4 as they go out now."""
-        return self._client.octets
-
-    @property
     def writing(self) -> bool:
         """The request needs CW bit 8."""
-        return self._client.octets[1] == Request.WORD
-
-    @property
-    def busy(self) -> bool:
-        """A request waits or runs, or the last one is not yet released."""
-        return self._client.busy
-
-    def step(self, inputs: bytes, now: int) -> None:
-        """One cycle of the handshake."""
-        self._client.step(inputs, now)
-
-    def reset(self) -> None:
-        """Both ends start at 0 again."""
-        self._client.reset()
+        return self.octets[1] == Request.WORD
 
     def read(self, key: ParamKey, deadline: int) -> Steps[dict[str, object]]:
         """Read one parameter."""
@@ -139,15 +120,7 @@ class ImoAccess:
 
     def _exchange(self, request: ImoPkw, deadline: int) -> Steps[Pkw]:
         label = _label(request.pnu)
-        exchange = self._client.submit(request)
-        try:
-            while exchange.reply is None:
-                if self._clock() >= deadline:
-                    raise CommandError("timeout", f"{label}: {_silence(exchange.stray)}")
-                yield
-        finally:
-            self._client.cancel(exchange, self._clock())
-        reply = exchange.reply
+        reply = yield from self.replied(request, label, deadline)
         if reply.id == Response.ERROR:
             number = reply.pwe >> 16
             raise CommandError("parameter", f"{label}: error {number}, {PKW.error_text(number)}", number)
@@ -207,9 +180,3 @@ def _outcome(number: int, reply: Pkw) -> dict[str, object]:
         "unit": spec.unit if spec else "",
         "data_set": None,
     }
-
-
-def _silence(stray: Pkw | None) -> str:
-    if stray is None:
-        return "the drive did not answer in its parameter channel in time"
-    return f"the drive answered for {t.name_of(stray.pnu)} (response {stray.id}) instead"

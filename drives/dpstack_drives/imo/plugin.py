@@ -7,14 +7,15 @@ from typing import Final
 
 from dpstack.profile import (
     FAULTED,
+    MAP_OPS,
     NS_PER_MS,
     NS_PER_S,
     Args,
     CommandError,
     ConfigError,
-    DriveCore,
     DriveProfile,
     Goal,
+    MappedCore,
     Steps,
     TelegramSpec,
     settled,
@@ -30,7 +31,7 @@ _SAFE: Final = bytes(8) + t.Command.STOP.to_bytes(2, "big") + bytes(2 * t.PZDS)
 _SCAN_NS: Final = 20 * NS_PER_MS
 #: two rotations for each of 22 parameters, at 9.6 kbit/s with other slaves
 _LEARN_NS: Final = 60 * NS_PER_S
-_MAP_TIMEOUT_S: Final = 10.0
+_TIMEOUT_S: Final = 10.0
 _INCHES: Final = {"forward": t.Command.INCH_FORWARD, "reverse": t.Command.INCH_REVERSE, "stop": t.Command.INCH_STOP}
 _SOURCES: Final = {
     t.Source.KEYPAD: "its keypad",
@@ -39,20 +40,19 @@ _SOURCES: Final = {
 }
 
 
-class ImoCore(DriveCore):
+class ImoCore(MappedCore[PzdMap]):
     """Speed by the frequency in whichever PZD carries it; the drive is asked for its maps when data exchange begins.
 
     Options: ``reference_hz`` (what 100 % is), ``max_hz`` (the inverter's maximum frequency; 0: ``reference_hz``),
     ``reference_rpm`` and ``rated_current`` (0: not known), ``motor`` 1 or 2, ``heartbeat`` (CW bit 15 set, its echo
-    watched), ``map_inputs`` and ``map_outputs``: the maps that :meth:`order` ``write_map`` writes, and ``start()`` with
-    ``set_map``; ``fault_names`` (``4=OC1 ...``), ``baud_index``.
+    watched), ``map_inputs`` and ``map_outputs``: the maps that ``write_map`` writes where none is given, and
+    ``start()`` with ``set_map``; ``fault_names`` (``4=OC1 ...``), ``baud_index``.
 
-    Orders of its own: ``read_map``, ``write_map`` (``inputs``, ``outputs``), ``inputs`` (all mapped values),
-    ``output`` (``number`` a name of the map, ``value`` in its unit), ``inch`` (``direction`` forward, reverse or stop),
+    Orders of its own: those of a :class:`MappedCore`, ``inch`` (``direction`` forward, reverse or stop),
     ``pre_excite``, ``control`` (``number`` a name of CW bits 11 to 14, ``value`` 0 or 1).
     """
 
-    own_ops = ("read_map", "write_map", "inputs", "output", "inch", "pre_excite", "control")
+    own_ops = (*MAP_OPS, "inch", "pre_excite", "control")
     start_hint = "; does the inverter take run command and frequency from the communication card?"
 
     def __init__(
@@ -61,11 +61,11 @@ class ImoCore(DriveCore):
         try:
             t.check_rate(float(options["baud_index"]))
             self._fault_names = t.faults(str(options["fault_names"]))
-            self._wanted_inputs = PzdMap.parse(str(options["map_inputs"]), pzd.FROM_DRIVE)
-            self._wanted_outputs = PzdMap.parse(str(options["map_outputs"]), pzd.TO_DRIVE)
+            self._functions = pzd.to_drive(float(options["max_hz"] or options["reference_hz"]))
+            self._wanted_inputs = PzdMap.parse(str(options["map_inputs"]), pzd.FROM_DRIVE, outputs=False)
+            self._wanted_outputs = PzdMap.parse(str(options["map_outputs"]), self._functions, outputs=True)
         except ValueError as error:
             raise ConfigError(f"drive {name} ({profile.name}): {error}") from None
-        self._max_hz = float(options["max_hz"] or options["reference_hz"])
         self._reference_rpm = float(options["reference_rpm"])
         self._rated_current = float(options["rated_current"])
         self._set_map = bool(options["set_map"])
@@ -74,7 +74,8 @@ class ImoCore(DriveCore):
             *(["heartbeat"] if self._heartbeat else []), *(["motor_2"] if options["motor"] == "2" else [])
         )
         self._chosen = 0
-        self._values: dict[int, int] = {}
+        self.values = {}
+        self.inputs_at = 1  # behind SW
         self._learning = False
         self._online_at = 0
         #: as the drive has them; None until it has told
@@ -111,7 +112,7 @@ class ImoCore(DriveCore):
         self._learning = False
         self._online_at = 0
         self._chosen = 0
-        self._values.clear()
+        self.values.clear()
         super().lost(now)
 
     def set_goal(self, goal: Goal) -> None:
@@ -126,13 +127,13 @@ class ImoCore(DriveCore):
         if self._channel.writing:
             control |= t.ENABLE_WRITING
         outputs = self.outputs_map
-        words = (*self._rest, 0) if outputs is None else outputs.words({**self._values, pzd.SET_FREQUENCY: setpoint})
+        words = (*self._rest, 0) if outputs is None else outputs.words({**self.values, pzd.SET_FREQUENCY: setpoint})
         return self._pack(control, *words)
 
     def setpoint_word(self, fraction: float) -> int:
         """The set frequency in 0.01 Hz; the direction is in CW."""
         try:
-            return pzd.TO_DRIVE[pzd.SET_FREQUENCY].encode(abs(fraction) * self.reference_hz, self._max_hz)
+            return self._functions[pzd.SET_FREQUENCY].encode(abs(fraction) * self.reference_hz)
         except ValueError as error:
             raise ValueError(f"speed {fraction:g}: {error}") from None
 
@@ -209,9 +210,9 @@ class ImoCore(DriveCore):
         yield from settled(self, lambda: self.obstacle() is None, deadline)
         if (why := self.obstacle()) is not None:
             raise CommandError("fault", why)
-        yield from self._known(deadline)
+        yield from self.known(deadline)
         if self._frequency_at() is None and self._set_map:
-            yield from self._write(self._wanted_inputs, self._wanted_outputs, deadline)
+            yield from self.write_map(self._wanted_inputs, self._wanted_outputs, deadline)
         if self._frequency_at() is None:
             raise CommandError(
                 "fault",
@@ -231,7 +232,7 @@ class ImoCore(DriveCore):
             self._learning = False
         return {}
 
-    def _known(self, deadline: int) -> Steps[None]:
+    def known(self, deadline: int) -> Steps[None]:
         """Wait for the maps, ask again where that failed."""
         while self._learning:
             if self.now >= deadline:
@@ -243,7 +244,7 @@ class ImoCore(DriveCore):
     def _learn(self, deadline: int) -> Steps[None]:
         outputs = yield from self._ask(t.RECEIVED, deadline)
         inputs = yield from self._ask(t.TRANSMITTED, deadline)
-        self._take(PzdMap(inputs, pzd.FROM_DRIVE), PzdMap(outputs, pzd.TO_DRIVE))
+        self._take(PzdMap(inputs, pzd.FROM_DRIVE), PzdMap(outputs, self._functions))
 
     def _ask(self, numbers: tuple[int, ...], deadline: int) -> Steps[tuple[int, ...]]:
         found: tuple[int, ...] = ()
@@ -253,13 +254,13 @@ class ImoCore(DriveCore):
 
     def _take(self, inputs: PzdMap, outputs: PzdMap) -> None:
         self.inputs_map, self.outputs_map = inputs, outputs
-        self._values = {number: raw for number, raw in self._values.items() if number in outputs.numbers}
+        self.values = {number: raw for number, raw in self.values.items() if number in outputs.numbers}
         self._dirty = True
         self.update()
 
-    def _write(self, inputs: PzdMap, outputs: PzdMap, deadline: int) -> Steps[dict[str, object]]:
+    def write_map(self, inputs: PzdMap, outputs: PzdMap, deadline: int) -> Steps[dict[str, object]]:
         """What differs from the drive's own goes to RAM and EEPROM."""
-        yield from self._known(deadline)
+        yield from self.known(deadline)
         assert self.inputs_map is not None
         assert self.outputs_map is not None
         for wanted, had, numbers in (
@@ -272,34 +273,32 @@ class ImoCore(DriveCore):
         self._take(inputs, outputs)
         return {"value": {"inputs": str(inputs), "outputs": str(outputs)}}
 
-    def _read(self, deadline: int) -> Steps[dict[str, object]]:
+    def read_map(self, deadline: int) -> Steps[dict[str, object]]:
+        """P15.02 to P15.23."""
         if self._learning:
-            yield from self._known(deadline)
+            yield from self.known(deadline)
         else:
             yield from self._learn(deadline)
         return {"value": {"inputs": str(self.inputs_map), "outputs": str(self.outputs_map)}}
+
+    def parse_map(self, text: str | None, *, outputs: bool) -> PzdMap:
+        """Names of functions; what is not given is that of the options."""
+        if text is None:
+            return self._wanted_outputs if outputs else self._wanted_inputs
+        return PzdMap.parse(text, self._functions if outputs else pzd.FROM_DRIVE, outputs=outputs)
+
+    def written_by(self, key: int) -> str | None:
+        """The set frequency."""
+        return "speed and frequency" if key == pzd.SET_FREQUENCY else None
 
     # -- orders of its own ----------------------------------------------------------------------------------------
 
     def order(self, op: str, args: Args) -> Steps[dict[str, object]] | None:
         """See the class."""
-        deadline = self.now + args.timeout_ns(_MAP_TIMEOUT_S)
+        if op in MAP_OPS:
+            return super().order(op, args)
+        deadline = self.now + args.timeout_ns(_TIMEOUT_S)
         match op:
-            case "read_map":
-                return self._read(deadline)
-            case "write_map":
-                try:
-                    given = [
-                        wanted if (text := args.text(name)) is None else PzdMap.parse(text, wanted.functions)
-                        for name, wanted in (("inputs", self._wanted_inputs), ("outputs", self._wanted_outputs))
-                    ]
-                except ValueError as error:
-                    raise CommandError("usage", f"{op}: {error}") from None
-                return self._write(given[0], given[1], deadline)
-            case "inputs":
-                return self._inputs_values(deadline)
-            case "output":
-                return self._output(str(args.name_or_number("number")), args.number("value"), deadline)
             case "inch":
                 wanted = args.text("direction") or ""
                 if wanted not in _INCHES:
@@ -332,23 +331,3 @@ class ImoCore(DriveCore):
         self._chosen = self._chosen | mask if value else self._chosen & ~mask
         self.update()
         return {"value": int(value)}
-
-    def _inputs_values(self, deadline: int) -> Steps[dict[str, object]]:
-        yield from self._known(deadline)
-        assert self.inputs_map is not None
-        return {"value": self.inputs_map.decode(self.words[1:])}
-
-    def _output(self, name: str, value: float, deadline: int) -> Steps[dict[str, object]]:
-        yield from self._known(deadline)
-        assert self.outputs_map is not None
-        function = self.outputs_map.named(name)
-        if function is None:
-            raise CommandError("usage", f"output: {name!r} is not in the output map ({self.outputs_map or 'empty'})")
-        if function.number == pzd.SET_FREQUENCY:
-            raise CommandError("usage", "output: set_frequency is written by speed and frequency")
-        try:
-            self._values[function.number] = function.encode(value, self._max_hz)
-        except ValueError as error:
-            raise CommandError("usage", f"output: {error}") from None
-        self._dirty = True
-        return {"value": value}

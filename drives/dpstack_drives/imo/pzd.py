@@ -10,9 +10,10 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, replace
+from typing import ClassVar, Final
 
+from dpstack.profile import datamap
 from dpstack_drives.imo import table as t
 
 _ANY: Final = 0xFFFF
@@ -25,6 +26,8 @@ class Function:
     ``fmax``: the upper limit is the inverter's maximum frequency.
     """
 
+    octets: ClassVar[int] = 2
+
     number: int
     name: str
     unit: str
@@ -33,21 +36,25 @@ class Function:
     high: float
     fmax: bool = False
 
-    def encode(self, value: float, fmax: float) -> int:
+    @property
+    def key(self) -> int:
+        """The number."""
+        return self.number
+
+    def encode(self, value: float) -> int:
         """The 16-bit word. Raises ValueError with the range."""
-        high = fmax if self.fmax else self.high
         unit = f" {self.unit}" if self.unit else ""
-        if not (math.isfinite(value) and self.low <= value <= high):
+        if not (math.isfinite(value) and self.low <= value <= self.high):
             limit = " (the maximum frequency, option max_hz)" if self.fmax else ""
-            raise ValueError(f"{self.name} {value:g}{unit} is outside {self.low:g}..{high:g}{unit}{limit}")
+            raise ValueError(f"{self.name} {value:g}{unit} is outside {self.low:g}..{self.high:g}{unit}{limit}")
         raw = value * self.per_unit
         if self.per_unit == 1 and raw != int(raw):
             raise ValueError(f"{self.name} takes whole numbers, not {value:g}")
         return round(raw) & 0xFFFF
 
-    def decode(self, word: int) -> float | int:
+    def decode(self, raw: int) -> int | float:
         """The value of a 16-bit word."""
-        raw = (word ^ 0x8000) - 0x8000 if self.low < 0 else word
+        raw = (raw ^ 0x8000) - 0x8000 if self.low < 0 else raw
         return raw if self.per_unit == 1 else raw / self.per_unit
 
 
@@ -118,6 +125,11 @@ SET_FREQUENCY, FREQUENCY, CURRENT, TORQUE, RPM, FAULT_CODE = 1, 1, 5, 6, 8, 11
 _EMPTY: Final = "-"
 
 
+def to_drive(max_hz: float) -> Mapping[int, Function]:
+    """:data:`TO_DRIVE` of an inverter with this maximum frequency."""
+    return {n: replace(one, high=max_hz) if one.fmax else one for n, one in TO_DRIVE.items()}
+
+
 @dataclass(frozen=True, slots=True)
 class PzdMap:
     """The functions of PZD2 to PZD12 one way, 0 for an empty one. As text: their names in order, ``-`` for empty."""
@@ -126,14 +138,14 @@ class PzdMap:
     functions: Mapping[int, Function]
 
     @classmethod
-    def parse(cls, text: str, functions: Mapping[int, Function]) -> PzdMap:
+    def parse(cls, text: str, functions: Mapping[int, Function], *, outputs: bool) -> PzdMap:
         """From names or numbers in order; what is not given is empty. Raises ValueError."""
         words = text.replace(",", " ").split()
         if len(words) > t.PZDS:
             raise ValueError(f"{len(words)} process data, there are {t.PZDS} (PZD2 to PZD12)")
         numbers = [_number(word, functions) for word in words]
         for at, number in enumerate(numbers):
-            if number and functions is TO_DRIVE and number in numbers[:at]:
+            if number and outputs and number in numbers[:at]:
                 raise ValueError(f"{functions[number].name} twice: which one the drive takes is not in the manual")
         return cls(tuple(numbers) + (0,) * (t.PZDS - len(numbers)), functions)
 
@@ -147,19 +159,18 @@ class PzdMap:
         """Which word behind CW or SW (0 is PZD2) has the function; None where none has."""
         return self.numbers.index(number) if number in self.numbers else None
 
-    def named(self, name: str) -> Function | None:
-        """A function of the map by its name."""
-        wanted = name.strip().lower()
-        return next((one for n in self.numbers if n and (one := self.functions.get(n)) and one.name == wanted), None)
+    @property
+    def fields(self) -> tuple[Function | None, ...]:
+        """PZD2 to PZD12."""
+        return tuple(self.functions.get(number) for number in self.numbers)
 
-    def words(self, values: Mapping[int, int]) -> tuple[int, ...]:
+    def words(self, values: Mapping[int, int]) -> list[int]:
         """PZD2 to PZD12 of the words by function; 0 where there is none."""
-        return tuple(values.get(number, 0) if number else 0 for number in self.numbers)
+        return datamap.pack(self.fields, values, t.PZDS)
 
     def decode(self, words: Sequence[int]) -> dict[str, float | int]:
         """PZD2 to PZD12 as values by name."""
-        pairs = zip(self.numbers, words, strict=True)
-        return {one.name: one.decode(word) for n, word in pairs if (one := self.functions.get(n)) is not None}
+        return datamap.decoded(self.fields, words)
 
 
 def _number(word: str, functions: Mapping[int, Function]) -> int:

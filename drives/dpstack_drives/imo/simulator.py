@@ -56,6 +56,8 @@ class ImoDevice(DriveDevice):
     its mains: POFF.
     """
 
+    address_parameter = "P15.01"
+
     def __init__(
         self,
         profile: DriveProfile,

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from typing import Final
 
 from dpstack.profile import CommandError, Steps, TelegramSpec
-from dpstack_drives.keb import pdmap
 from dpstack_drives.keb import table as t
 from dpstack_drives.keb.channel import KebChannel, Target
 from dpstack_drives.keb.pdmap import BLOCK, PdMap
@@ -48,14 +47,11 @@ class MapAccess:
         return {"value": value}
 
     def write(self, inputs: PdMap, outputs: PdMap, deadline: int) -> Steps[dict[str, object]]:
-        """Check, write both records, enable them, and see whether the drive confirms the enable.
+        """Write both records (checked before), enable them, and see whether the drive confirms the enable.
 
         The enable is answered by an error that tells it acts after power-on; which one is not in the manual, so any
         that is not about the access itself is taken for it, and the enable read back decides.
         """
-        wrong = pdmap.check(inputs, outputs)
-        if wrong is not None:
-            raise CommandError("usage", f"write_map: {wrong}")
         maps = (inputs, outputs)
         places = [self._places(number, one) for number, one in enumerate(maps)]
         for one, blocks in zip(maps, places, strict=True):

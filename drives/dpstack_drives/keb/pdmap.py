@@ -5,12 +5,12 @@ Manual: Process Data Assignment, and Changing the PD-Assignment via the Paramete
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import zip_longest
 from typing import Final
 
+from dpstack.profile import datamap
 from dpstack_drives.keb import table as t
 
 #: octets of one of the two blocks
@@ -35,6 +35,28 @@ class Entry:
     def octets(self) -> int:
         """In the process data."""
         return 4 if self.long else 2
+
+    @property
+    def key(self) -> int:
+        """The index."""
+        return self.index
+
+    @property
+    def name(self) -> str:
+        """``sy.50 (2032h)`` where the group is known."""
+        return t.name_of(self.index)
+
+    def encode(self, value: float) -> int:
+        """An integer as it stands on the wire. Raises ValueError."""
+        bits = 8 * self.octets
+        if value != int(value) or not -(1 << bits - 1) <= value < 1 << bits:
+            raise ValueError(f"{self.name} takes {bits}-bit integers, not {value:g}")
+        return int(value)
+
+    def decode(self, raw: int) -> int:
+        """Signed, as no manual of ours has the types."""
+        half = 1 << 8 * self.octets - 1
+        return (raw ^ half) - half
 
     def __str__(self) -> str:
         return f"{self.index:04X}{':long' if self.long else ''}{f'@{self.sets}' if self.sets != 1 else ''}"
@@ -71,6 +93,11 @@ class PdMap:
 
     def __str__(self) -> str:
         return " ".join(map(str, self.entries))
+
+    @property
+    def fields(self) -> tuple[Entry, ...]:
+        """The values, as every map has them."""
+        return self.entries
 
     @property
     def octets(self) -> int:
@@ -113,14 +140,8 @@ class PdMap:
 
     def put(self, values: Mapping[int, int], octets: int) -> bytes:
         """Process data of ``octets`` length; what has no value is 0. Each value's low bits count."""
-        data = bytearray(octets)
-        for at, entry in self.places():
-            raw = values.get(entry.index, 0) & 0xFFFF_FFFF
-            if entry.long:
-                struct.pack_into(">I", data, at, raw)
-            else:
-                struct.pack_into(">H", data, at, raw & 0xFFFF)
-        return bytes(data)
+        words = datamap.pack(self.entries, values, octets // 2)
+        return b"".join(word.to_bytes(2, "big") for word in words).ljust(octets, b"\0")
 
 
 def check(inputs: PdMap, outputs: PdMap) -> str | None:

@@ -8,14 +8,12 @@ from typing import Final
 from dpstack.profile import (
     FAULTED,
     NS_PER_MS,
-    NS_PER_S,
-    Args,
-    CommandError,
     ConfigError,
     ControlTable,
-    DriveCore,
     DriveProfile,
     Goal,
+    Lookup,
+    MappedCore,
     Scale,
     State,
     StateRow,
@@ -37,10 +35,9 @@ _NEEDS: Final = {
     "coast": (("enable",), ("run",)),
     "acknowledge": (("reset",), ("fault",)),
 }
-_MAP_TIMEOUT_S: Final = 10.0
 
 
-class KebCore(DriveCore):
+class KebCore(MappedCore[PdMap]):
     """Bits of sy.50 and sy.51 and the unit of sy.52 are in no manual of ours: what an order needs is given by options.
 
     Options: ``control_bits`` (``enable``, ``run``, ``reset``, ``reverse``, ``quick_stop`` mean something here, other
@@ -50,12 +47,11 @@ class KebCore(DriveCore):
     that the drive has, as in :class:`~dpstack_drives.keb.pdmap.PdMap`; ``block2_inputs``, ``block2_outputs``: indexes
     of record and enable of block 2; ``pd_in_cycle_ms``.
 
-    Orders of its own: ``read_map``, ``write_map`` (``inputs``, ``outputs``), ``inputs`` (all mapped values) and
-    ``output`` (``number``, ``value``: a mapped output that no other order writes; without ``control_bits`` that is also
-    the control word, without ``rpm_per_count`` the set speed).
+    Orders of its own: those of a :class:`MappedCore`; values are integers as they stand on the wire. Without
+    ``control_bits`` an ``output`` is also the control word, without ``rpm_per_count`` the set speed.
     """
 
-    own_ops = ("read_map", "write_map", "inputs", "output")
+    channel_hint = ": take PCH+..."
     start_hint = f"; does it obey the control word? {t.RECIPE}"
 
     def __init__(
@@ -65,23 +61,24 @@ class KebCore(DriveCore):
         try:
             self._bits = t.bits(str(options["control_bits"]), t.CONTROL_BITS, "control_bits")
             status = t.bits(str(options["status_bits"]), t.STATUS_BITS, "status_bits")
-            self.inputs_map = _map(str(options["map_inputs"]), pdmap.DEFAULT_INPUTS, telegram.inputs, "map_inputs")
-            self.outputs_map = _map(str(options["map_outputs"]), pdmap.DEFAULT_OUTPUTS, telegram.outputs, "map_outputs")
+            inputs = _map(str(options["map_inputs"]), pdmap.DEFAULT_INPUTS, telegram.inputs, "map_inputs")
+            outputs = _map(str(options["map_outputs"]), pdmap.DEFAULT_OUTPUTS, telegram.outputs, "map_outputs")
             second = [t.record_and_enable(str(options[f"block2_{way}"])) for way in ("inputs", "outputs")]
-            if (wrong := pdmap.check(self.inputs_map, self.outputs_map)) is not None:
+            if (wrong := pdmap.check(inputs, outputs)) is not None:
                 raise ValueError(wrong)
             table = _table(self._bits, status)
         except ValueError as error:
             raise ConfigError(f"{where}: {error}") from None
+        self.inputs_map: PdMap = inputs
+        self.outputs_map: PdMap = outputs
         self._by_sign = options["direction"] == "sign"
         self._rpm_per_count = float(options["rpm_per_count"])
         reference = float(options["reference_rpm"])
         if self._rpm_per_count:
             self.scale = Scale("speed", full=1, span=self._rpm_per_count / reference)
         self._ours = str(options["status_bits"]).strip() == t.SIMULATED_BITS
-        self._values: dict[int, int] = {}
-        self._state_number: int | None = None
-        self._asked = False
+        self.values = {}
+        self._state_number = Lookup(lambda: self.raw_state in FAULTED, self._ask)
         super().__init__(
             name,
             profile.name,
@@ -93,6 +90,7 @@ class KebCore(DriveCore):
         )
         if telegram.channel:
             self.access = self._channel = KebChannel(lambda: self.now, self.settle_ns)
+            self.lookups = (self._state_number,)
             self._maps = mapping.MapAccess(self._channel, telegram, (second[0], second[1]), self.notice)
 
     # -- process data ---------------------------------------------------------------------------------------------
@@ -104,7 +102,7 @@ class KebCore(DriveCore):
 
     def encode(self, control: int, setpoint: int) -> bytes:
         """sy.50 and sy.52 where the map has them, what the user gave for the others."""
-        values = dict(self._values)
+        values = dict(self.values)
         if self._bits:
             values[t.CONTROL_WORD] = control
         if self._rpm_per_count:
@@ -113,7 +111,7 @@ class KebCore(DriveCore):
 
     def lost(self, now: int) -> None:
         """A control word given as it stands is not sent again by itself."""
-        self._values.pop(t.CONTROL_WORD, None)
+        self.values.pop(t.CONTROL_WORD, None)
         super().lost(now)
 
     def setpoint_word(self, fraction: float) -> int:
@@ -141,29 +139,20 @@ class KebCore(DriveCore):
             return None, None, None
         return self.scale.decode(self.words[at // 2]), None, None
 
-    def received(self) -> None:
-        """With a parameter channel a fault is looked up in ru.00."""
-        if self.raw_state not in FAULTED:
-            self._state_number = None
-            self._asked = False
-        elif not self._asked and self.access is not None:
-            self._asked = True
-            self.spawn("ru.00", self._ask())
-
     def faults(self) -> tuple[str, ...]:
         """What ru.00 says; its texts are in the application manual."""
         if self.raw_state not in FAULTED:
             return ()
-        if self._state_number is not None:
-            name = {number: text for text, number in t.TRIPS.items()}.get(self._state_number) if self._ours else None
-            return (f"inverter state ru.00 = {self._state_number}" + (f" {name}" if name else ""),)
+        if (state := self._state_number.value) is not None:
+            name = {number: text for text, number in t.TRIPS.items()}.get(state) if self._ours else None
+            return (f"inverter state ru.00 = {state}" + (f" {name}" if name else ""),)
         if self.access is not None:
             return ("not yet named",)
         return ("without a name: only the parameter channel (PCH+...) tells ru.00",)
 
     def fault_named(self) -> bool:
         """Nothing more is to be learned."""
-        return self._state_number is not None or self.access is None
+        return self._state_number.value is not None or self.access is None
 
     def cannot(self, op: str) -> str | None:
         """What the options and the map do not give."""
@@ -184,65 +173,38 @@ class KebCore(DriveCore):
                     )
         return None
 
-    def _ask(self) -> Steps[dict[str, object]]:
-        target = Target(t.INVERTER_STATE, 1, "ru.00")
-        self._state_number = yield from self._channel.get(target, self.now + NS_PER_S)
-        self.update()
-        return {}
+    def _ask(self, deadline: int) -> Steps[int]:
+        return self._channel.get(Target(t.INVERTER_STATE, 1, "ru.00"), deadline)
 
-    # -- orders of its own ----------------------------------------------------------------------------------------
+    # -- the process data maps ------------------------------------------------------------------------------------
 
-    def order(self, op: str, args: Args) -> Steps[dict[str, object]] | None:
-        """See the class."""
-        deadline = self.now + args.timeout_ns(_MAP_TIMEOUT_S)
-        match op:
-            case "inputs":
-                return self._inputs_values()
-            case "output":
-                return self._output(args.name_or_number("number"), args.number("value"))
-            case "read_map" | "write_map":
-                if self.access is None:
-                    raise CommandError("usage", f"{op}: {self.telegram.name} has no parameter channel: take PCH+...")
-                if op == "read_map":
-                    return self._maps.read(deadline)
-                try:
-                    inputs, outputs = (
-                        one if (text := args.text(name)) is None else PdMap.parse(text)
-                        for name, one in (("inputs", self.inputs_map), ("outputs", self.outputs_map))
-                    )
-                except ValueError as error:
-                    raise CommandError("usage", f"{op}: {error}") from None
-                return self._maps.write(inputs, outputs, deadline)
-            case _:
-                return None
+    def parse_map(self, text: str | None, *, outputs: bool) -> PdMap:
+        """As :class:`PdMap` is written."""
+        if text is not None:
+            return PdMap.parse(text)
+        return self.outputs_map if outputs else self.inputs_map
 
-    def _inputs_values(self) -> Steps[dict[str, object]]:
-        """Every mapped input by its name: signed integers as they stand."""
-        yield from ()
-        if not self.online:
-            raise CommandError("lost", "the drive is not in data exchange")
-        values: dict[str, object] = {}
-        for at, entry in self.inputs_map.places():
-            raw = self.words[at // 2] if not entry.long else self.words[at // 2] << 16 | self.words[at // 2 + 1]
-            half = 1 << 8 * entry.octets - 1
-            values[t.name_of(entry.index)] = (raw ^ half) - half
-        return {"value": values}
+    def check_maps(self, inputs: PdMap, outputs: PdMap) -> str | None:
+        """What the drive would not confirm (K7, K11)."""
+        return pdmap.check(inputs, outputs)
 
-    def _output(self, name: str | int, value: float) -> Steps[dict[str, object]]:
-        yield from ()
-        index = name if isinstance(name, int) else t.index_of(name)
-        entry = next((e for e in self.outputs_map.entries if e.index == index), None)
-        if entry is None:
-            raise CommandError("usage", f"output: {name!r} is not in the output map ({self.outputs_map})")
+    def read_map(self, deadline: int) -> Steps[dict[str, object]]:
+        """The records."""
+        return self._maps.read(deadline)
+
+    def write_map(self, inputs: PdMap, outputs: PdMap, deadline: int) -> Steps[dict[str, object]]:
+        """Records and enables; acts after power-on."""
+        return self._maps.write(inputs, outputs, deadline)
+
+    def called(self, name: str | int) -> str | int:
+        """``sy.50`` in any writing."""
+        found = t.index_of(name) if isinstance(name, str) else name
+        return name if found is None else found
+
+    def written_by(self, key: int) -> str | None:
+        """What start, stop and speed write."""
         ours = {t.CONTROL_WORD: bool(self._bits), t.SET_SPEED: bool(self._rpm_per_count)}
-        if ours.get(entry.index):
-            raise CommandError("usage", f"output: {t.name_of(entry.index)} is written by start, stop and speed")
-        bits = 8 * entry.octets
-        if value != int(value) or not -(1 << bits - 1) <= value < 1 << bits:
-            raise CommandError("usage", f"output: {t.name_of(entry.index)} takes {bits}-bit integers, not {value:g}")
-        self._values[entry.index] = int(value)
-        self._dirty = True
-        return {"value": int(value)}
+        return "start, stop and speed" if ours.get(key) else None
 
 
 def _map(text: str, default: PdMap, octets: int, what: str) -> PdMap:

@@ -44,6 +44,8 @@ class KebDevice(DriveDevice):
     exchange the last outputs stand until the watchdog acts.
     """
 
+    address_parameter = "sy.06"
+
     def __init__(
         self,
         profile: DriveProfile,

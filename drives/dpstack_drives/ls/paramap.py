@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from typing import Final
+from dataclasses import dataclass
+from typing import ClassVar, Final
 
 from dpstack.profile import ParameterChannel, ParamKey, Steps
 from dpstack_drives.ls import table as t
@@ -46,6 +47,48 @@ def check(entries: tuple[int, ...], most: int, what: str, *, written: bool) -> s
     return None
 
 
+@dataclass(frozen=True, slots=True)
+class ParaWord:
+    """One mapped word: the parameter at an address."""
+
+    octets: ClassVar[int] = 2
+    key: int
+
+    @property
+    def name(self) -> str:
+        """``dr-03``, or the address in hex."""
+        return t.code_of(self.key)
+
+    def encode(self, value: float) -> int:
+        """In its unit where that is known, else the integer on the wire. Raises ValueError."""
+        spec = t.spec_at(self.key)
+        if spec is not None:
+            return spec.to_raw(value)
+        if value != int(value) or not 0 <= value <= 0xFFFF:
+            raise ValueError(f"{self.name} takes the 16-bit integer on the wire, not {value:g}")
+        return int(value)
+
+    def decode(self, raw: int) -> int | float:
+        """In its unit where that is known."""
+        spec = t.spec_at(self.key)
+        return raw if spec is None else spec.to_value(raw)
+
+
+@dataclass(frozen=True, slots=True)
+class ParaMap:
+    """The addresses of one way, 0 for a word that carries nothing."""
+
+    entries: tuple[int, ...]
+
+    @property
+    def fields(self) -> tuple[ParaWord | None, ...]:
+        """The words."""
+        return tuple(ParaWord(entry) if entry else None for entry in self.entries)
+
+    def __str__(self) -> str:
+        return show(self.entries)
+
+
 _PLACES: Final = (("inputs", t.STATUS_COUNT, t.PARA_STATUS), ("outputs", t.CONTROL_COUNT, t.PARA_CONTROL))
 
 
@@ -62,10 +105,10 @@ def read(access: ParameterChannel, deadline: int) -> Steps[dict[str, object]]:
     return {"value": found}
 
 
-def write(access: ParameterChannel, status: tuple[int, ...], control: tuple[int, ...], deadline: int) -> Steps[None]:
+def write(access: ParameterChannel, status: ParaMap, control: ParaMap, deadline: int) -> Steps[None]:
     """Addresses and their numbers, then COM-94 = 1, which applies them (4.2.8)."""
-    for (_, count_at, first), entries in zip(_PLACES, (status, control), strict=True):
-        some = entries or (0,)  # the number is 1 at least
+    for (_, count_at, first), one in zip(_PLACES, (status, control), strict=True):
+        some = one.entries or (0,)  # the number is 1 at least
         for place, where in enumerate(some):
             yield from access.write(ParamKey(first + place), where, deadline)
         yield from access.write(ParamKey(count_at), len(some), deadline)

@@ -10,14 +10,13 @@ from dpstack.profile import (
     CHANNEL_LEN,
     FAULTED,
     NS_PER_MS,
-    NS_PER_S,
     SPEED,
-    Args,
     CommandError,
     ConfigError,
-    DriveCore,
     DriveProfile,
     Goal,
+    Lookup,
+    MappedCore,
     ParamKey,
     ParamRef,
     PkwAccess,
@@ -25,17 +24,18 @@ from dpstack.profile import (
     State,
     Steps,
     TelegramSpec,
+    datamap,
     settled,
 )
 from dpstack_drives.ls import paramap, references, telegrams
 from dpstack_drives.ls import table as t
+from dpstack_drives.ls.paramap import ParaMap
 
 #: OFF1 (ramp down) with bit 10 set: zeros would be ignored and leave the drive running
 _SAFE: Final = 0x047E
 #: of the reference: below it the output frequency counts as 0
 _STILL: Final = 0.005
 _SCAN_NS: Final = t.SCAN_MS * NS_PER_MS
-_MAP_TIMEOUT_S: Final = 10.0
 _SOURCE: Final = "set dr-06 (command source) to 4, field bus, and see that the keypad is not in local mode"
 
 
@@ -49,21 +49,21 @@ def profile_of(telegram: TelegramSpec, wanted: str) -> int:
     return t.LS_DRIVE if wanted == "ls" else t.PROFIDRIVE
 
 
-class LsCore(DriveCore):
+class LsCore(MappedCore[ParaMap]):
     """PROFIdrive or LS Drive profile in PPO1 to PPO6, PROFIdrive in ST1, the drive's own words in VENDOR n/m.
 
     Options: ``profile`` (COM-11: ``profidrive`` or ``ls``); ``speed_unit`` (COM-14: ``percent`` of dr-20 or ``rpm``);
     ``reference_hz`` (dr-20) and ``reference_rpm``: what 100 % is; ``para_status``, ``para_control``: the addresses that
-    COM-31.. and COM-51.. have; ``swap`` (COM-68).
+    COM-31.. and COM-51.. have; ``swap`` (COM-68); ``trip_word``: 000F holds the ``number`` of the trip, as in the
+    simulated drive, or bits of the inverter's manual (``raw``).
 
-    Orders of its own: ``inputs`` (all mapped values), ``output`` (``number``, ``value``), ``read_map`` and
-    ``write_map`` (``inputs``, ``outputs``).
+    Orders of its own: those of a :class:`MappedCore`.
 
     Readings: in VENDOR, 0006h and 000Eh have the bits of the LS Drive profile (they are in the inverter's manual); the
     frequencies of the LS Drive profile have no sign, the direction is in control and status word.
     """
 
-    own_ops = ("inputs", "output", "read_map", "write_map")
+    outputs_name = "para_control"
     start_hint = f"; {_SOURCE}"
 
     def __init__(
@@ -75,17 +75,18 @@ class LsCore(DriveCore):
         except ConfigError as error:
             raise ConfigError(f"{where}: {error}") from None
         self._io = self._profile == t.IO
+        self._trip_number = options["trip_word"] == "number"
         self._at = 0 if self._io else t.PARA_AT
         self._rooms = tuple(min(max(n // 2 - self._at, 0), telegrams.MOST) for n in (telegram.inputs, telegram.outputs))
         try:
-            self._status_map = self._map(str(options["para_status"]), paramap.DEFAULT_STATUS, written=False)
-            self._control_map = self._map(str(options["para_control"]), paramap.DEFAULT_CONTROL, written=True)
+            self.inputs_map: ParaMap = self._map(str(options["para_status"]), paramap.DEFAULT_STATUS, written=False)
+            self.outputs_map: ParaMap = self._map(str(options["para_control"]), paramap.DEFAULT_CONTROL, written=True)
         except ValueError as error:
             raise ConfigError(f"{where}: {error}") from None
-        self._values: dict[int, int] = {}
-        self._trips: tuple[int, ...] | None = None  # not asked yet, or no answer
-        self._warning: int | None = None
-        self._asked_trip = self._asked_warning = False
+        self.inputs_at = self._at
+        self.values = {}
+        self._trips = Lookup(lambda: self.raw_state in FAULTED, self._ask_trips)
+        self._warning = Lookup(self._warned, self._ask_warning)
         reference_hz = float(options["reference_hz"])
         if self._profile != t.PROFIDRIVE:
             self.scale = Scale("speed", full=1, span=0.01 / reference_hz)
@@ -109,21 +110,24 @@ class LsCore(DriveCore):
         self._unpack = struct.Struct(f"{order}{telegram.inputs // 2}H").unpack_from
         if telegram.channel:
             self.access = PkwAccess(t.PKW, self._resolve, lambda: self.now, self.settle_ns)
+            self.lookups = (self._trips, self._warning)
         self._advise_maps()
 
-    def _map(self, text: str, default: tuple[int, ...], *, written: bool) -> tuple[int, ...]:
+    def _map(self, text: str, default: tuple[int, ...], *, written: bool) -> ParaMap:
         """The map of the option, or as much of the drive's default as the telegram takes. Raises ValueError."""
         room = self._rooms[written]
         if not text.strip():
-            return default[:room]
-        given = paramap.parse(text)
-        wrong = paramap.check(given, room, "para_control" if written else "para_status", written=written)
-        if wrong is not None:
+            return ParaMap(default[:room])
+        given = ParaMap(paramap.parse(text))
+        if (wrong := self._wrong(given, "para_control" if written else "para_status", written=written)) is not None:
             raise ValueError(wrong)
         return given
 
+    def _wrong(self, given: ParaMap, what: str, *, written: bool) -> str | None:
+        return paramap.check(given.entries, self._rooms[written], what, written=written)
+
     def _advise_maps(self) -> None:
-        for where in sorted({*self._status_map, *self._control_map} & t.ADVISED_AGAINST):
+        for where in sorted({*self.inputs_map.entries, *self.outputs_map.entries} & t.ADVISED_AGAINST):
             self._advise(where)
 
     def _advise(self, where: int) -> None:
@@ -146,22 +150,19 @@ class LsCore(DriveCore):
         return word
 
     def _mapped(self, where: int) -> int | None:
-        if where not in self._status_map:
-            return None
-        return self.words[self._at + self._status_map.index(where)]
+        return datamap.raws(self.inputs_map.fields, self.words[self._at :]).get(where)
 
     def encode(self, control: int, setpoint: int) -> bytes:
         """The profile's two words and what the user gave for the mapped ones; VENDOR has only mapped ones."""
         control &= 0xFFFF  # bit 16 is our own
-        values = dict(self._values)
-        words = [0] * (self._words_out.size // 2)
+        mapped = self._words_out.size // 2 - self._at
         if self._io:
-            values |= {t.OPERATION: control, t.FREQUENCY: setpoint}
+            front: tuple[int, ...] = ()
+            values = {**self.values, t.OPERATION: control, t.FREQUENCY: setpoint}
         else:
-            words[:2] = control, setpoint
-        for place, where in enumerate(self._control_map, self._at):
-            words[place] = values.get(where, 0) if where else 0
-        return self._words_out.pack(*words)
+            front = (control, setpoint)
+            values = self.values
+        return self._words_out.pack(*front, *datamap.pack(self.outputs_map.fields, values, mapped))
 
     def control_bits(self) -> int:
         """The direction of the LS Drive profile's run command."""
@@ -173,7 +174,7 @@ class LsCore(DriveCore):
         """C000..4000 of dr-20, rpm, or 0.01 Hz without a sign."""
         if not abs(fraction) <= 1:
             raise ValueError(f"speed {fraction:g} is outside -1..1: 100 % is dr-20 (maximum frequency)")
-        if self._io and t.FREQUENCY not in self._control_map:
+        if self._io and t.FREQUENCY not in self.outputs_map.entries:
             raise ValueError("0005 (frequency command) is not in para_control (COM-51..)")
         if self._profile == t.PROFIDRIVE:
             return self.scale.encode(fraction)
@@ -193,35 +194,13 @@ class LsCore(DriveCore):
         """What the profile or the map does not have."""
         if op == "quick_stop" and self._profile != t.PROFIDRIVE:
             return "the LS control word has no quick stop: stop() ramps down, coast() takes the power off"
-        if self._io and t.OPERATION not in self._control_map:
+        if self._io and t.OPERATION not in self.outputs_map.entries:
             return f"{op}: 0006 (operation command) is not in para_control (COM-51..)"
-        if self._io and t.RUN_STATUS not in self._status_map:
+        if self._io and t.RUN_STATUS not in self.inputs_map.entries:
             return f"{op}: 000E (operating status) is not in para_status (COM-31..)"
         return None
 
     # -- faults and what keeps it from running --------------------------------------------------------------------
-
-    def received(self) -> None:
-        """With a parameter channel trips (PNU 947) and warnings (953) are looked up."""
-        faulted = self.raw_state in FAULTED
-        if not faulted:
-            self._trips = None
-            self._asked_trip = False
-        elif not self._asked_trip and self.access is not None:
-            self._asked_trip = True
-            self.spawn("trips", self._ask_trips())
-        if not self._warned():
-            self._warning = None
-            self._asked_warning = False
-        elif not self._asked_warning and self.access is not None:
-            self._asked_warning = True
-            self.spawn("warning", self._ask_warning())
-
-    def lost(self, now: int) -> None:
-        """What was asked will not be answered: ask again when it is back."""
-        self._trips = self._warning = None
-        self._asked_trip = self._asked_warning = False
-        super().lost(now)
 
     def _warned(self) -> bool:
         return self.online and self.table.status.told(self.status_word, "warning")
@@ -230,23 +209,26 @@ class LsCore(DriveCore):
         """The messages of the present situation by name."""
         if self.raw_state not in FAULTED:
             return ()
-        if self._trips is not None:
-            return tuple(map(t.trip_text, self._trips)) or ("without a name: PNU 947 holds none",)
+        if (trips := self._trips.value) is not None:
+            return tuple(map(t.trip_text, trips)) or ("without a name: PNU 947 holds none",)
         if self.access is not None:
             return ("not yet named",)
         word = self._mapped(t.TRIP)
+        if word and self._trip_number:
+            return (t.trip_text(word),)
         shown = f" (000F is {word:04X})" if word is not None else ""
         return (f"without a name{shown}: {self.telegram.name} has no parameter channel, the keypad shows it",)
 
     def fault_named(self) -> bool:
         """Nothing more is to be learned."""
-        return self._trips is not None or self.access is None
+        return self._trips.value is not None or self.access is None
 
     def warnings(self) -> tuple[str, ...]:
         """ZSW1 bit 7; its bits are in the inverter's manual."""
         if not self._warned():
             return ()
-        return ("warning" if self._warning is None else f"warning word {self._warning:04X}",)
+        word = self._warning.value
+        return ("warning" if word is None else f"warning word {word:04X}",)
 
     def obstacle(self) -> str | None:
         """Somebody else has the control."""
@@ -295,22 +277,18 @@ class LsCore(DriveCore):
             return None
         return outcome["value"]
 
-    def _ask_trips(self) -> Steps[dict[str, object]]:
+    def _ask_trips(self, deadline: int) -> Steps[tuple[int, ...]]:
         found: list[int] = []
         for index in range(t.MESSAGES):
-            number = yield from self._value(ParamKey(t.PNU_FAULTS, index=index), self.now + NS_PER_S)
+            number = yield from self._value(ParamKey(t.PNU_FAULTS, index=index), deadline)
             if not isinstance(number, int) or not number:
                 break
             found.append(number)
-        self._trips = tuple(found)
-        self.update()
-        return {}
+        return tuple(found)
 
-    def _ask_warning(self) -> Steps[dict[str, object]]:
-        word = yield from self._value(ParamKey(t.PNU_WARNING), self.now + NS_PER_S)
-        self._warning = word if isinstance(word, int) else None
-        self.update()
-        return {}
+    def _ask_warning(self, deadline: int) -> Steps[int | None]:
+        word = yield from self._value(ParamKey(t.PNU_WARNING), deadline)
+        return word if isinstance(word, int) else None
 
     # -- parameters -----------------------------------------------------------------------------------------------
 
@@ -320,74 +298,37 @@ class LsCore(DriveCore):
             self._advise(where)
         return ref
 
-    # -- orders of its own ----------------------------------------------------------------------------------------
+    # -- Para Status and Para Control -----------------------------------------------------------------------------
 
-    def order(self, op: str, args: Args) -> Steps[dict[str, object]] | None:
-        """See the class."""
-        deadline = self.now + args.timeout_ns(_MAP_TIMEOUT_S)
-        match op:
-            case "inputs":
-                return self._inputs_values()
-            case "output":
-                return self._output(args.name_or_number("number"), args.number("value"))
-            case "read_map" | "write_map":
-                if self.access is None:
-                    raise CommandError("usage", f"{op}: {self.telegram.name} has no parameter channel")
-                if op == "read_map":
-                    return paramap.read(self.access, deadline)
-                return self._write_map(args.text("inputs"), args.text("outputs"), deadline)
-            case _:
-                return None
+    def parse_map(self, text: str | None, *, outputs: bool) -> ParaMap:
+        """Addresses and codes."""
+        if text is not None:
+            return ParaMap(paramap.parse(text))
+        return self.outputs_map if outputs else self.inputs_map
 
-    def _inputs_values(self) -> Steps[dict[str, object]]:
-        """Every mapped word by its code, in its unit where that is known."""
-        yield from ()
-        if not self.online:
-            raise CommandError("lost", "the drive is not in data exchange")
-        values: dict[str, object] = {}
-        for place, where in enumerate(self._status_map, self._at):
-            if where:
-                spec, raw = t.spec_at(where), self.words[place]
-                values[t.code_of(where)] = raw if spec is None else spec.to_value(raw)
-        return {"value": values}
+    def check_maps(self, inputs: ParaMap, outputs: ParaMap) -> str | None:
+        """Room, doubled and read-only words."""
+        return self._wrong(inputs, "inputs", written=False) or self._wrong(outputs, "outputs", written=True)
 
-    def _output(self, name: str | int, value: float) -> Steps[dict[str, object]]:
-        yield from ()
-        where = name if isinstance(name, int) else t.address(name)
-        if where not in self._control_map or not where:
-            raise CommandError(
-                "usage", f"output: {name!r} is not in para_control ({paramap.show(self._control_map) or 'empty'})"
-            )
-        if self._io and where in (t.FREQUENCY, t.OPERATION):
-            raise CommandError("usage", f"output: {where:04X} is written by start, stop and speed")
-        spec = t.spec_at(where)
-        try:
-            raw = int(value) if spec is None else spec.to_raw(value)
-        except ValueError as error:
-            raise CommandError("usage", f"output: {error}") from None
-        if spec is None and not (value == raw and 0 <= raw <= 0xFFFF):
-            raise CommandError(
-                "usage", f"output: {t.code_of(where)} takes the 16-bit integer on the wire, not {value:g}"
-            )
-        self._values[where] = raw
-        self._dirty = True
-        return {"value": value}
-
-    def _write_map(self, inputs: str | None, outputs: str | None, deadline: int) -> Steps[dict[str, object]]:
+    def read_map(self, deadline: int) -> Steps[dict[str, object]]:
+        """COM-30 and COM-50 with what follows them."""
         assert self.access is not None
-        try:
-            status, control = (
-                old if text is None else paramap.parse(text)
-                for text, old in ((inputs, self._status_map), (outputs, self._control_map))
-            )
-        except ValueError as error:
-            raise CommandError("usage", f"write_map: {error}") from None
-        for written, entries in enumerate((status, control)):
-            what = "outputs" if written else "inputs"
-            if (wrong := paramap.check(entries, self._rooms[written], what, written=bool(written))) is not None:
-                raise CommandError("usage", f"write_map: {wrong}")
-        yield from paramap.write(self.access, status, control, deadline)
-        self._status_map, self._control_map = status, control
+        return paramap.read(self.access, deadline)
+
+    def write_map(self, inputs: ParaMap, outputs: ParaMap, deadline: int) -> Steps[dict[str, object]]:
+        """Acts at once (COM-94)."""
+        assert self.access is not None
+        yield from paramap.write(self.access, inputs, outputs, deadline)
+        self.inputs_map, self.outputs_map = inputs, outputs
         self._dirty = True
         self._advise_maps()
-        return {"value": {"inputs": paramap.show(status), "outputs": paramap.show(control)}}
+        return {"value": {"inputs": str(inputs), "outputs": str(outputs)}}
+
+    def called(self, name: str | int) -> str | int:
+        """An address in any writing."""
+        found = t.address(name) if isinstance(name, str) else name
+        return name if found is None else found
+
+    def written_by(self, key: int) -> str | None:
+        """In VENDOR the two words of the drive."""
+        return "start, stop and speed" if self._io and key in (t.FREQUENCY, t.OPERATION) else None

@@ -35,13 +35,22 @@ DRIVE: Final = DriveProfile(
     user_prm=bytes.fromhex("80 00 00"),
     baud_rates=t.BAUD_RATES,
     reference_hz=60.0,
+    gsd="dpstack_drives.ls:ls-s100.gsd",
     on_loss=(
         "by PRT-12 and PRT-13 of the inverter (as delivered it goes on with its last command); Clear does not stop "
         "PROFIdrive: zeros are ignored (STW1 bit 10), so the safe outputs ramp it down before"
     ),
     core_factory=LsCore,
     device_factory=LsDevice,
-    core_options=_COMMON,
+    core_options={
+        **_COMMON,
+        "trip_word": OptionSpec(
+            default="raw",
+            choices=("raw", "number"),
+            text="what 000F holds: bits (only shown), or the number of a trip",
+        ),
+    },
+    simulated_options={"trip_word": "number"},
     device_options={
         **_COMMON,
         "version": OptionSpec(default="3.00", choices=("3.00", "2.01"), text="of the module; 2.01 has only VENDOR"),

@@ -1,4 +1,4 @@
-"""The drive's side of the LS Drive profile (5.3, row L4).
+"""The drive's side of the LS Drive profile (5.3, row L4), and how it comes to rest (Ad-08).
 
 Readings, as the state diagram is not in the text: a run command stands until stop, emergency or the end of the run
 authority; emergency goes before stop, stop before a direction; both directions
@@ -7,8 +7,9 @@ at once change nothing; without run authority the drive stops.
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, NamedTuple
 
+from dpstack.profile import NS_PER_S, Motor, ParamStore
 from dpstack_drives.ls import table as t
 
 _STOP: Final = t.LS_CONTROL.mask("stop")
@@ -16,6 +17,10 @@ _FORWARD: Final = t.LS_CONTROL.mask("forward")
 _REVERSE: Final = t.LS_CONTROL.mask("reverse")
 _ACKNOWLEDGE: Final = t.LS_CONTROL.mask("acknowledge")
 _EMERGENCY: Final = t.LS_CONTROL.mask("emergency")
+#: of Ad-08
+_DC_BRAKE, _COAST = 1, 2
+#: of OU-31: relay 1 is the signal that opens the brake
+_BRAKE_CONTROL: Final = 35
 _RUN_AUTHORITY: Final = t.LS_CONTROL.mask("run_authority")
 
 
@@ -47,3 +52,74 @@ class LsMachine:
             self.direction = 1
         elif control & (_FORWARD | _REVERSE) == _REVERSE:
             self.direction = -1
+
+
+class Rest:
+    """Ad-08: 0 ramp, 1 ramp and DC brake from Ad-17 for Ad-15, 2 coast. All is the inverter manual's (a reading)."""
+
+    __slots__ = ("_store", "_until")
+
+    def __init__(self, store: ParamStore) -> None:
+        self._store = store
+        self._until: int | None = None
+
+    def step(self, motor: Motor, now: int, *, wanted: bool) -> bool:
+        """``wanted``: a running motor is to stop by Ad-08 -> the power stage stays on for it."""
+        how = int(self._store.value("Ad-08"))
+        if not wanted or not motor.on or how == _COAST:
+            self._until = None
+            return False
+        if how != _DC_BRAKE:
+            return bool(motor.frequency)
+        if self._until is None:
+            if abs(motor.frequency) * self._store.value("dr-20") > self._store.value("Ad-17"):
+                return True
+            self._until = now + round(self._store.value("Ad-15") * NS_PER_S)
+        if now < self._until:
+            motor.brake()
+            return True
+        self._until = None
+        return False
+
+
+class Shown(NamedTuple):
+    """What the status word of the LS Drive profile tells beside the motor: 5.3.2."""
+
+    direction: int
+    near: float
+    fault: bool
+    jog: bool
+    keypad: bool
+    run_granted: bool
+    ramp_granted: bool
+
+
+def status_word(motor: Motor, store: ParamStore, shown: Shown) -> int:
+    """The LS status word. Readings: the brake opens from Ad-44 on where OU-31 is 35; jog is the terminals'."""
+    direction = shown.direction
+    turning = motor.frequency or direction
+    gap = abs(motor.setpoint) - abs(motor.frequency)
+    moving = motor.on and not motor.braking and abs(gap) > shown.near
+    hertz = abs(motor.frequency) * store.value("dr-20")
+    told = {
+        "stopped": not motor.on,
+        "forward": motor.on and not motor.braking and turning > 0,
+        "reverse": motor.on and not motor.braking and turning < 0,
+        "fault": shown.fault,
+        "accelerating": moving and gap > 0,
+        "decelerating": moving and gap < 0,
+        "reached": motor.on
+        and bool(direction)
+        and not motor.limited
+        and abs(motor.frequency - motor.setpoint) <= shown.near,
+        "dc_brake": motor.braking,
+        "stopping": motor.on and not direction and not shown.jog,
+        "jog": shown.jog and motor.on,
+        "brake_open": motor.on and store.value("OU-31") == _BRAKE_CONTROL and hertz >= store.value("Ad-44"),
+        "forward_command": direction > 0,
+        "reverse_command": direction < 0,
+        "keypad": shown.keypad,
+        "run_granted": shown.run_granted,
+        "ramp_granted": shown.ramp_granted,
+    }
+    return t.LS_STATUS.mask(*(name for name, on in told.items() if on))

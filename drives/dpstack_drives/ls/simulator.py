@@ -8,7 +8,6 @@ from typing import Final
 
 from dpstack.profile import (
     NS_PER_MS,
-    NS_PER_S,
     SPEED,
     DriveDevice,
     DriveProfile,
@@ -23,13 +22,13 @@ from dpstack.profile import (
 )
 from dpstack_drives.ls import settings, telegrams
 from dpstack_drives.ls import table as t
+from dpstack_drives.ls.lostcommand import LostCommand
 from dpstack_drives.ls.module import Module
 from dpstack_drives.ls.plugin import profile_of
-from dpstack_drives.ls.runstate import LsMachine
+from dpstack_drives.ls.runstate import LsMachine, Rest, Shown, status_word
 from dpstack_drives.ls.settings import Settings
 
 _POWERED: Final = frozenset({State.RUNNING, State.STOPPING, State.QUICK_STOP})
-_COAST: Final = 2
 #: stop and emergency of the LS control word: a frame with them counts even when the next one follows within a scan
 _STOPS: Final = t.LS_CONTROL.mask("stop", "emergency")
 #: reference reached within this part of dr-20 (a reading)
@@ -42,8 +41,10 @@ class LsDevice(DriveDevice):
 
     Readings: a frame of PROFIdrive with bit 10 stands until the next one with it; OFF1 ramps by dr-04; what Para
     Control writes is not stored over power-off, and out of its limits it is ignored; 0005 and 0006 are obeyed in
-    VENDOR only; the lost command (PRT-12, PRT-13) is judged whatever ended data exchange.
+    VENDOR only; a jog runs at dr-11 while there is no run command.
     """
+
+    address_parameter = "COM-07"
 
     def __init__(
         self,
@@ -68,9 +69,9 @@ class LsDevice(DriveDevice):
         self._cyclic: dict[int, int] = {}
         self._hold = True
         self._received = False
-        self._lost_at: int | None = None
-        self._forced = False  # ramps down, then trips
-        self._instead: float | None = None  # frequency of a lost command
+        self._loss = LostCommand(self.store)
+        self._rest = Rest(self.store)
+        self._jog = 0
         super().__init__(profile, telegram, Motor(load=float(options["load"])))
         self.module = Module(self.store, self._live, self._changed, lambda: bool(self.motor.frequency))
         self.channel = PkwServer(t.PKW, self.module.order)
@@ -103,6 +104,10 @@ class LsDevice(DriveDevice):
                 return number
         raise ValueError(f"{code!r} is no trip; known: {', '.join(map(t.trip_text, t.TRIPS))}")
 
+    def jog(self, direction: int) -> None:
+        """Its terminals: 1 forward, -1 reverse, 0 off."""
+        self._jog = direction
+
     def inherit(self, before: DriveDevice) -> None:
         """The parameters; what waited for COM-94 counts from power-on."""
         if isinstance(before, LsDevice):
@@ -111,8 +116,7 @@ class LsDevice(DriveDevice):
 
     def installed(self, address: int, baud: int | None) -> None:
         """COM-07 and COM-12; a search for the rate leaves that at 255, invalid."""
-        if address >= 1:
-            self.store.write(settings.spec("COM-07"), address, ram_only=True)
+        super().installed(address, baud)
         index = next((index for index, rate in t.BAUD_INDEX.items() if rate == baud), t.INVALID_BAUD)
         self.store.write(settings.spec("COM-12"), index, ram_only=True)
 
@@ -135,7 +139,7 @@ class LsDevice(DriveDevice):
         if len(outputs) == self.telegram.output_octets:
             self._hold = False
             self._received = True
-            self._lost_at = self._instead = None
+            self._loss.returned()
             words = self._words(outputs[8 if self.telegram.channel else 0 :])
             if self.kind == t.PROFIDRIVE:
                 if words[0] & 0x0400:
@@ -152,8 +156,8 @@ class LsDevice(DriveDevice):
     def master_lost(self, reason: Leave, now: int) -> None:
         """Lost command (L11): PRT-12 and PRT-13; until then the last outputs stand."""
         self._hold = True
-        if self._received and int(self.store.value("PRT-12")):
-            self._lost_at = now + round(self.store.value("PRT-13") * NS_PER_S)
+        if self._received:
+            self._loss.begin(now)
         self._received = False
 
     def refresh(self, process: bytes | None, now: int) -> bytes:
@@ -177,15 +181,16 @@ class LsDevice(DriveDevice):
         else:
             words = (0,) * size
         self._last = words
-        self._judge_loss(now)
+        if self._loss.step(self.motor, now):
+            self._fail(t.LOST_COMMAND)
         trip = self.take_trip()
         if trip is not None:
             self._fail(trip)
         if self.kind == t.PROFIDRIVE:
-            self._run_profidrive(words)
+            self._run_profidrive(words, now)
             front = [self._status, self._speed_word()]
         else:
-            self._run_ls(*self._commands(words))
+            self._run_ls(*self._commands(words), now)
             front = [] if self.kind == t.IO else [self._status, self._hundredths()]
         room = self.telegram.inputs // 2 - len(front)
         mapped = [self._shown(where) for where in self._settings.status_map[:room]]
@@ -202,31 +207,12 @@ class LsDevice(DriveDevice):
         self.module.fault(number)
         self.machine.state = State.FAULT
         self.runner.fault = True
-        self._forced = False
-
-    def _judge_loss(self, now: int) -> None:
-        if self._lost_at is not None and now >= self._lost_at:
-            self._lost_at = None
-            match int(self.store.value("PRT-12")):
-                case 1:
-                    self._fail(t.LOST_COMMAND)
-                case 2:
-                    self._forced = self.motor.on
-                    if not self._forced:
-                        self._fail(t.LOST_COMMAND)
-                case 4:
-                    self._instead = self.motor.frequency
-                case 5:
-                    self._instead = self.store.value("PRT-14") / self.store.value("dr-20")
-                case _:  # 3: hold input, go on with the last outputs
-                    pass
-        if self._forced and not self.motor.frequency:
-            self._fail(t.LOST_COMMAND)
+        self._loss.forced = False
 
     def _bus_commands(self, source: str) -> bool:
         return self.store.value(source) == t.FIELD_BUS[source]
 
-    def _run_profidrive(self, words: tuple[int, ...]) -> None:
+    def _run_profidrive(self, words: tuple[int, ...], now: int) -> None:
         motor, machine, control = self.motor, self.machine, self._control
         still = not motor.frequency
         before = machine.state
@@ -242,9 +228,9 @@ class LsDevice(DriveDevice):
             reference = 0.0
         elif not control & 0x20:
             reference = motor.frequency
-        stopping = state is State.READY and motor.on and not still and self.store.value("Ad-08") != _COAST
-        motor.switch(state in _POWERED or stopping)
-        self._ramp(reference if state is State.RUNNING else 0.0, quick=state is State.QUICK_STOP)
+        jog = self._jog if state not in _POWERED and state is not State.FAULT else 0
+        self._power(state in _POWERED or bool(jog), now, stops=state is State.READY)
+        self._ramp(reference if state is State.RUNNING else self._jogged(jog), quick=state is State.QUICK_STOP)
         self._word = words[0]
         status = machine.SHOWN[state] & 0x49
         for bit, of in t.COPIES.items():
@@ -254,8 +240,17 @@ class LsDevice(DriveDevice):
             status |= 0x0100
         self._status = status
 
-    def _run_ls(self, control: int, hundredths: int) -> None:
-        motor, runner = self.motor, self.runner
+    def _power(self, on: bool, now: int, *, stops: bool) -> None:
+        """``stops``: without ``on`` it comes to rest by Ad-08."""
+        holds = self._rest.step(self.motor, now, wanted=stops and not on)
+        if not self.motor.braking or not holds:
+            self.motor.switch(on or holds)
+
+    def _jogged(self, direction: int) -> float:
+        return direction * self.store.value("dr-11") / self.store.value("dr-20")
+
+    def _run_ls(self, control: int, hundredths: int, now: int) -> None:
+        runner = self.runner
         stops, self._stops = self._stops, 0
         keypad = not self._bus_commands("dr-06")
         faulted = runner.fault
@@ -265,37 +260,27 @@ class LsDevice(DriveDevice):
         granted = bool(control & t.LS_CONTROL.mask("ramp_authority")) and self._bus_commands("dr-07")
         reference = min(hundredths / 100 / self.store.value("dr-20"), 1.0) if granted else 0.0
         direction = runner.direction
-        turning = motor.on and bool(motor.frequency)
-        stopping = turning and not direction and not runner.coast and self.store.value("Ad-08") != _COAST
-        motor.switch(bool(direction) or stopping)
-        self._ramp(direction * reference)
+        jog = 0 if direction or runner.coast else self._jog
+        self._power(bool(direction or jog), now, stops=not runner.coast)
+        self._ramp(direction * reference if direction else self._jogged(jog))
         self._word = control
         self._status = self._ls_status(control, direction)
 
     def _ls_status(self, control: int, direction: int) -> int:
-        motor, keypad = self.motor, not self._bus_commands("dr-06")
-        turning = motor.frequency or direction
-        gap = abs(motor.setpoint) - abs(motor.frequency)
-        moving = motor.on and abs(gap) > _NEAR
-        granted = {} if keypad else {"run_granted": control & 0x2000, "ramp_granted": control & 0x4000}
-        told: dict[str, object] = {
-            "stopped": not motor.on,
-            "forward": motor.on and turning > 0,
-            "reverse": motor.on and turning < 0,
-            "fault": self.runner.fault,
-            "accelerating": moving and gap > 0,
-            "decelerating": moving and gap < 0,
-            "reached": motor.on
-            and bool(direction)
-            and not motor.limited
-            and abs(motor.frequency - motor.setpoint) <= _NEAR,
-            "stopping": motor.on and not direction,
-            "forward_command": direction > 0,
-            "reverse_command": direction < 0,
-            "keypad": keypad,
-            **granted,
-        }
-        return t.LS_STATUS.mask(*(name for name, on in told.items() if on))
+        keypad = not self._bus_commands("dr-06")
+        return status_word(
+            self.motor,
+            self.store,
+            Shown(
+                direction=direction,
+                near=_NEAR,
+                fault=self.runner.fault,
+                jog=bool(self._jog) and not direction,
+                keypad=keypad,
+                run_granted=not keypad and bool(control & t.LS_CONTROL.mask("run_authority")),
+                ramp_granted=not keypad and bool(control & t.LS_CONTROL.mask("ramp_authority")),
+            ),
+        )
 
     def _run_status(self) -> int:
         """000E: the LS status word, whatever the profile is."""
@@ -308,9 +293,9 @@ class LsDevice(DriveDevice):
         motor = self.motor
         up, down = self.store.value("dr-03"), self._quick_stop_s if quick else self.store.value("dr-04")
         motor.accel, motor.decel = (1 / seconds if seconds else _AT_ONCE for seconds in (up, down))
-        if self._instead is not None and setpoint:
-            setpoint = self._instead
-        motor.setpoint = 0.0 if self._forced else min(max(setpoint, -1.0), 1.0)
+        if self._loss.instead is not None and setpoint:
+            setpoint = self._loss.instead
+        motor.setpoint = 0.0 if self._loss.forced else min(max(setpoint, -1.0), 1.0)
 
     def _acknowledged(self) -> None:
         self.module.acknowledged()

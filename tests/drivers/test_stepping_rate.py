@@ -6,14 +6,15 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from aio_rig import Rig, Script
+from driver_rig import Rig, Script, driver_on
 from far_ends import TcpFarEnd, until
 
-from dpstack.drivers.aio import AsyncioRuntime
 from dpstack.drivers.base import PortBack, PortLost
 from dpstack.errors import BaudError, ConfigError, PortError
 from dpstack.machine import LineDown, LineUp, RateRefused
 from dpstack.ports import open_port
+
+pytestmark = pytest.mark.usefixtures("each_driver")
 
 
 class Choosy(Script):
@@ -79,7 +80,7 @@ async def test_at_once_when_it_is_opened() -> None:
 async def test_a_refused_rate_is_told_and_the_next_one_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig()
     machine = Choosy(500_000)
-    rig.driver = AsyncioRuntime(rig.port, machine, rig.told, backoff_ns=(1, 1))
+    rig.driver = driver_on(rig.port, machine, rig.told, backoff_ns=(1, 1))
     taken = up_to(rig, 3_000_000, monkeypatch)
     async with rig:
         machine.rates = [12_000_000, 6_000_000, 3_000_000, 9_600]
@@ -94,7 +95,7 @@ async def test_a_refused_rate_is_told_and_the_next_one_taken(monkeypatch: pytest
 async def test_a_port_without_any_of_the_rates_cannot_be_opened(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig()
     machine = Choosy(12_000_000, 6_000_000)
-    rig.driver = AsyncioRuntime(rig.port, machine, rig.told)
+    rig.driver = driver_on(rig.port, machine, rig.told)
     up_to(rig, 500_000, monkeypatch)
     with pytest.raises(ConfigError, match="none of the rates is left"):
         await rig.driver.open()
@@ -104,7 +105,7 @@ async def test_a_port_without_any_of_the_rates_cannot_be_opened(monkeypatch: pyt
 async def test_a_port_that_loses_all_its_rates_is_lost_and_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig()
     machine = Choosy(500_000)
-    rig.driver = AsyncioRuntime(rig.port, machine, rig.told, backoff_ns=(1, 1))
+    rig.driver = driver_on(rig.port, machine, rig.told, backoff_ns=(1, 1))
     async with rig:
         up_to(rig, 500_000, monkeypatch)
         machine.baud = 12_000_000
@@ -121,7 +122,7 @@ async def test_a_port_that_loses_all_its_rates_is_lost_and_tried_again(monkeypat
 async def test_a_lost_port_comes_back_at_the_rate_it_could_do() -> None:
     rig = Rig()
     machine = Choosy(500_000)
-    rig.driver = AsyncioRuntime(rig.port, machine, rig.told, backoff_ns=(1, 1))
+    rig.driver = driver_on(rig.port, machine, rig.told, backoff_ns=(1, 1))
     async with rig:
         rig.port.unplug()
         await until(lambda: bool(rig.events), "the loss")
@@ -135,7 +136,7 @@ async def test_a_lost_port_comes_back_at_the_rate_it_could_do() -> None:
 async def test_a_port_whose_rate_cannot_be_changed_says_so() -> None:
     far = TcpFarEnd()
     machine = Script()
-    driver = AsyncioRuntime(open_port(far.path, 9_600), machine, lambda _: None)
+    driver = driver_on(open_port(far.path, 9_600), machine, lambda _: None)
     with pytest.raises(PortError, match="keeps the rate it was opened with; give the rate"):
         await driver.open()
     far.shut()

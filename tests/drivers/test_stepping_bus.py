@@ -1,4 +1,4 @@
-"""The whole stack in an asyncio loop on ptys, against slaves that know only octets: what happens, never when."""
+"""The whole stack under each real-time driver on ptys, slaves that know only octets: what happens, never when."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ import sys
 from pathlib import Path
 from time import monotonic_ns
 
+import pytest
+from driver_rig import driver_on
 from far_ends import open_slave, until
 
 from dpstack.dp.commands import Mode, SetMode, Shutdown
@@ -16,7 +18,7 @@ from dpstack.dp.events import MasterStopped, SlaveState
 from dpstack.dp.master import Master
 from dpstack.dp.setup import SlaveSetup
 from dpstack.dp.slaveapp import SlaveApp
-from dpstack.drivers.aio import AsyncioRuntime, patience_of
+from dpstack.drivers.lateness import patience_of
 from dpstack.drivers.segment import Segment
 from dpstack.fdl.active import ActiveStation
 from dpstack.fdl.commands import GoOnline
@@ -24,6 +26,8 @@ from dpstack.fdl.passive import PassiveStation
 from dpstack.params import BusParams
 from dpstack.ports import open_port
 from dpstack.trace import Event
+
+pytestmark = pytest.mark.usefixtures("each_driver")
 
 RESPONDER = str(Path(__file__).parents[1] / "support_responder.py")
 SPECS = ("3:0696:f3f1:12:12", "4:1234:2010:1:1,fixed=5a")
@@ -51,7 +55,7 @@ async def test_bring_up_exchange_restart_and_an_ordered_end(tmp_path: Path) -> N
         )
         station = ActiveStation(params, [master], patience=patience_of(port), now=monotonic_ns())
         events: list[Event] = []
-        driver = AsyncioRuntime(port, station, events.extend)
+        driver = driver_on(port, station, events.extend)
         await driver.open()
         driver.command(GoOnline())
         driver.command(SetMode(Mode.OPERATE))
@@ -82,7 +86,7 @@ async def test_a_slave_of_ours_on_a_pty_answers_a_master_of_literal_octets() -> 
     params = BusParams.preset(500_000, address=2)
     port = open_port("pty", 500_000)
     app = SlaveApp(FunctionDevice(0x1234, b"\x20\x10", lambda outputs, _elapsed: outputs), address=3)
-    driver = AsyncioRuntime(port, PassiveStation(3, app, params, patience=patience_of(port)), lambda _events: None)
+    driver = driver_on(port, PassiveStation(3, app, params, patience=patience_of(port)), lambda _events: None)
     await driver.open()
     for _ in range(2):  # and again for a master that comes later
         master = open_slave(port.name)

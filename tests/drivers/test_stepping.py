@@ -1,4 +1,4 @@
-"""The asyncio driver with a machine that does as it is told: steps, deadlines, loss, defects."""
+"""The real-time drivers with a machine that does as it is told: steps, deadlines, loss, defects."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from time import monotonic_ns
 from typing import Any
 
 import pytest
-from aio_rig import BACKOFF, REQUEST, TOKEN, Rig, Script
+from driver_rig import BACKOFF, REQUEST, TOKEN, Rig, Script, driver_on
 from far_ends import PtyFarEnd, until
 
-from dpstack.drivers import aio
-from dpstack.drivers.aio import AsyncioRuntime, patience_of
+from dpstack.drivers import stepping
 from dpstack.drivers.base import PortBack, PortLost
 from dpstack.drivers.echo import Echo
+from dpstack.drivers.lateness import patience_of
 from dpstack.errors import BusError, PortError, UsageError
 from dpstack.machine import LineDown, LineUp
 from dpstack.phy.patience import ADAPTER, HOST
@@ -22,6 +22,8 @@ from dpstack.ports import MemoryPort, open_port, timerfd
 from dpstack.ports.pty import PtyPort
 from dpstack.trace import Event, Notice
 from dpstack.units import NEVER, NS_PER_MS, chars_to_ns
+
+pytestmark = pytest.mark.usefixtures("each_driver")
 
 
 async def test_octets_go_to_the_machine_and_its_answer_to_the_line() -> None:
@@ -46,7 +48,7 @@ async def test_a_transmission_is_over_when_written_where_no_wire_gives_it_time()
 async def test_a_transmission_takes_its_time_on_a_wire() -> None:
     rig = Rig()
     rig.port.paced = True
-    rig.driver = AsyncioRuntime(rig.port, rig.machine, rig.told)
+    rig.driver = driver_on(rig.port, rig.machine, rig.told)
     async with rig:
         before = monotonic_ns()
         rig.driver.command(REQUEST)
@@ -136,7 +138,7 @@ async def test_endless_near_deadlines_leave_the_loop_its_turns() -> None:
         rig.driver.command(2_000)
         before = len(rig.machine.did("wake"))
         await asyncio.sleep(0.005)
-        assert len(rig.machine.did("wake")) > before + aio._BURST
+        assert len(rig.machine.did("wake")) > before + stepping._BURST
         rig.machine.on_wake = lambda _now: None
 
 
@@ -169,7 +171,7 @@ async def test_a_handler_that_raises_does_not_stop_the_bus() -> None:
     def broken(_events: list[Event]) -> None:
         raise ValueError("the application's own")
 
-    rig.driver = AsyncioRuntime(rig.port, rig.machine, broken, echo=Echo.OFF)
+    rig.driver = driver_on(rig.port, rig.machine, broken, echo=Echo.OFF)
     async with rig:
         rig.machine.events.append(Notice(t_ns=1, source="test", message="hello"))
         rig.driver.command(TOKEN)
@@ -301,13 +303,30 @@ async def test_a_machine_that_fails_over_the_loss_is_a_defect(monkeypatch: pytes
         await until(lambda: bool(rig.failures), "the failure")
 
 
+async def test_a_driver_that_was_stopped_while_its_port_is_away_does_not_take_it_back() -> None:
+    async with Rig() as rig:
+
+        def defect(_now: int) -> None:
+            raise ZeroDivisionError("a defect")
+
+        rig.port.unplug()
+        await until(lambda: bool(rig.events), "the loss")
+        rig.machine.on_wake = defect
+        rig.driver.command(1)
+        await until(lambda: bool(rig.failures), "the failure")
+        rig.port.plug()
+        await asyncio.sleep(0.01)
+        assert not rig.port._is_open
+        assert not any(isinstance(event, PortBack) for event in rig.events)
+
+
 async def test_a_port_class_that_fails_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     async with Rig() as rig:
 
-        async def broken(_self: MemoryPort) -> None:
+        def broken(_self: MemoryPort) -> None:
             raise ZeroDivisionError("in a port")
 
-        monkeypatch.setattr(MemoryPort, "open", broken)
+        monkeypatch.setattr(MemoryPort, "open_now", broken)
         rig.port.unplug()
         await until(lambda: bool(rig.failures), "the failure")
 
@@ -334,7 +353,7 @@ async def test_a_pty_that_vanishes_and_its_name_coming_back(tmp_path: Any) -> No
     far = PtyFarEnd()
     link.symlink_to(far.path)
     machine, events = Script(), list[Event]()
-    driver = AsyncioRuntime(open_port(str(link), 500_000), machine, events.extend, backoff_ns=BACKOFF)
+    driver = driver_on(open_port(str(link), 500_000), machine, events.extend, backoff_ns=BACKOFF)
     await driver.open()
     driver.command(TOKEN)
     assert await far.recv(3) == TOKEN
@@ -352,7 +371,7 @@ async def test_a_pty_that_vanishes_and_its_name_coming_back(tmp_path: Any) -> No
 
 
 async def test_a_pty_made_here_is_named_by_its_other_end() -> None:
-    driver = AsyncioRuntime(open_port("pty", 500_000), Script(), lambda _events: None)
+    driver = driver_on(open_port("pty", 500_000), Script(), lambda _events: None)
     assert driver.port_name == "pty"
     await driver.open()
     assert driver.port_name.startswith("/dev/pts/")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from aio_rig import Rig
+from driver_rig import Rig
 from far_ends import until
 from hypothesis import given
 from hypothesis import strategies as st
@@ -102,6 +102,7 @@ def test_a_damaged_echo_is_counted_and_passed_on(damaged: int) -> None:
     assert echo.strip(TOKEN + ANSWER) == ANSWER
 
 
+@pytest.mark.usefixtures("each_driver")
 async def test_an_echo_is_recognised_told_and_removed() -> None:
     async with Rig(echo=Echo.AUTO) as rig:
         for answer in (b"\xe5", REQUEST):
@@ -113,6 +114,7 @@ async def test_an_echo_is_recognised_told_and_removed() -> None:
         assert ["echo" in event.text for event in rig.events] == [True]
 
 
+@pytest.mark.usefixtures("each_driver")
 async def test_a_line_without_echo_is_recognised_too() -> None:
     async with Rig(echo=Echo.AUTO) as rig:
         for _ in range(5):
@@ -123,6 +125,7 @@ async def test_a_line_without_echo_is_recognised_too() -> None:
         assert rig.driver.echo is Echo.OFF
 
 
+@pytest.mark.usefixtures("each_driver")
 async def test_octets_held_for_an_echo_are_given_back_when_a_deadline_is_due() -> None:
     async with Rig(echo=Echo.AUTO) as rig:
         rig.driver.command(REQUEST)

@@ -1,4 +1,7 @@
-"""A machine that does as a test tells it, under the asyncio driver on a memory line."""
+"""A machine that does as a test tells it, under each real-time driver on a memory line.
+
+Tests are written for asyncio. The plain loop runs beside it, a slice of a millisecond at a time.
+"""
 
 from __future__ import annotations
 
@@ -8,14 +11,61 @@ from time import monotonic_ns
 from typing import Any
 
 from dpstack.drivers.aio import AsyncioRuntime
+from dpstack.drivers.base import OnEvents
 from dpstack.drivers.echo import Echo
-from dpstack.ports import memory_pair
+from dpstack.drivers.plain import PlainRuntime
+from dpstack.drivers.plain_loop import PlainLoop
+from dpstack.machine import Machine
+from dpstack.ports import Port, memory_pair
 from dpstack.trace import Event
 from dpstack.units import NEVER, NS_PER_MS
 
 TOKEN = bytes.fromhex("DC 02 02")
 REQUEST = bytes.fromhex("10 02 63 49 AE 16")
 BACKOFF = (NS_PER_MS, 4 * NS_PER_MS)
+
+#: The driver that is tested: "asyncio" or "plain"; see the fixture ``each_driver``.
+kind = "asyncio"
+_SLICE_NS = 300_000
+
+
+class PlainBeside:
+    """A plain driver whose loop runs in slices within the test's asyncio loop; looks like the asyncio driver."""
+
+    def __init__(self, port: Port, machine: Machine, on_events: OnEvents, **options: Any) -> None:
+        self.loop = PlainLoop(report=self._report)
+        self.plain = PlainRuntime(self.loop, port, machine, on_events, **options)
+        self._running: asyncio.Task[None] | None = None
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.plain, name)
+
+    async def open(self) -> None:
+        self.plain.open()
+        self._running = asyncio.create_task(self._run())
+
+    async def close(self) -> None:
+        self.plain.close()
+        if self._running is not None:
+            self._running.cancel()
+            await asyncio.wait([self._running])
+        if not self.loop.is_closed():
+            self.loop.close()
+
+    async def _run(self) -> None:
+        while True:
+            self.loop.call_at(monotonic_ns() + _SLICE_NS, self.loop.stop)
+            self.loop.run()
+            await asyncio.sleep(0)
+
+    @staticmethod
+    def _report(message: str, error: Exception) -> None:
+        asyncio.get_running_loop().call_exception_handler({"message": message, "exception": error})
+
+
+def driver_on(port: Port, machine: Machine, on_events: OnEvents, **options: Any) -> Any:
+    """The driver that is tested, on ``port``."""
+    return {"asyncio": AsyncioRuntime, "plain": PlainBeside}[kind](port, machine, on_events, **options)
 
 
 class Script:
@@ -78,7 +128,7 @@ class Rig:
         self.failures: list[Exception] = []
         chosen: dict[str, Any] = {"echo": Echo.OFF, "on_failure": self.failures.append, "backoff_ns": BACKOFF}
         chosen.update(options)
-        self.driver = AsyncioRuntime(self.port, self.machine, self.told, **chosen)
+        self.driver = driver_on(self.port, self.machine, self.told, **chosen)
 
     def told(self, events: list[Event]) -> None:
         assert events

@@ -1,0 +1,145 @@
+"""What a process asks of Linux to be punctual; each refusal is a notice that says what to do, never an error.
+
+What is permitted is judged here alone: the bus process asks for it, ``dpstack doctor`` looks beforehand.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import sys
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from dpstack.errors import ConfigError
+
+#: Of SCHED_FIFO: above every ordinary process, below 50, where Linux runs threaded interrupts: a UART's and a USB
+#: controller's deliver the octets that are waited for.
+PRIORITY: Final = 45
+#: What is to be locked at least: the interpreter with its modules.
+MEMORY: Final = 64 << 20
+#: What to do about missing rights.
+SET_UP: Final = "run tools/setup_adapter.sh once (it asks for root), then log in again"
+
+_CONTAINER: Final = "in a container: --cap-add SYS_NICE --cap-add IPC_LOCK"
+_CAP_IPC_LOCK: Final = 14  # linux/capability.h
+_CAP_SYS_NICE: Final = 23
+_MCL_CURRENT: Final = 1  # sys/mman.h
+_MCL_FUTURE: Final = 2
+_PR_SET_TIMERSLACK: Final = 29  # linux/prctl.h
+_STATUS: Final = Path("/proc/self/status")
+
+
+@dataclass(frozen=True, slots=True)
+class Rights:
+    """What a process may: ``priority``, ``memory`` (octets): its limits, None for none; ``privileged``: beyond them."""
+
+    privileged: bool
+    priority: int | None
+    memory: int | None
+
+    def no_priority(self) -> str:
+        """Why it may have no real-time priority, "" when it may."""
+        if self.privileged or self.priority != 0:
+            return ""
+        return "no real-time priority is allowed (RLIMIT_RTPRIO 0): a busy computer holds the bus up"
+
+    def no_memory(self) -> str:
+        """Why it may not lock enough memory, "" when it may."""
+        if self.privileged or self.memory is None or self.memory >= MEMORY:
+            return ""
+        return f"only {self.memory >> 10} KiB may be locked in memory (RLIMIT_MEMLOCK): swapping holds the bus up"
+
+
+def limit(name: str) -> int | None:
+    """A soft limit of this process by its name in ``resource``, None for none."""
+    import resource
+
+    soft, _hard = resource.getrlimit(getattr(resource, name))
+    return None if soft == resource.RLIM_INFINITY else soft
+
+
+def is_privileged() -> bool:
+    """Whether this process may beyond its limits: root may, unless a container took it away."""
+    try:
+        (line,) = (line for line in _STATUS.read_text("utf-8").splitlines() if line.startswith("CapEff:"))
+        capabilities = int(line.split()[1], 16)
+    except (OSError, ValueError):
+        return hasattr(os, "geteuid") and os.geteuid() == 0
+    return bool(capabilities >> _CAP_SYS_NICE & capabilities >> _CAP_IPC_LOCK & 1)
+
+
+def rights() -> Rights:
+    """Those of this process. Linux only."""
+    return Rights(is_privileged(), limit("RLIMIT_RTPRIO"), limit("RLIMIT_MEMLOCK"))
+
+
+def become_real_time(processors: Iterable[int] = ()) -> list[str]:
+    """All that a bus process asks for, ``processors`` only when given; the notices of what was refused."""
+    wanted = sorted(set(processors))
+    asked = [set_priority(), lock_memory(), exact_timers(), stay_on(wanted) if wanted else ""]
+    return [notice for notice in asked if notice]
+
+
+def set_priority(priority: int = PRIORITY) -> str:
+    """SCHED_FIFO at ``priority``, or at what the limit allows; not for what this process starts later."""
+    if sys.platform != "linux":
+        return "no real-time priority: that is asked for on Linux only"
+    mine = rights()
+    if mine.no_priority():
+        return f"{mine.no_priority()}; {SET_UP}; {_CONTAINER}"
+    if not mine.privileged and mine.priority is not None:
+        priority = min(priority, mine.priority)
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+    except OSError as exc:
+        return (
+            f"no real-time priority: SCHED_FIFO {priority} is refused ({exc.strerror}) although the limits allow it; "
+            f"{_CONTAINER}; where control groups have a real-time share, give this one some (cpu.rt_runtime_us)"
+        )
+    return ""
+
+
+def lock_memory() -> str:
+    """Keep all memory from being swapped out, of now and later."""
+    if sys.platform != "linux":
+        return "memory is not locked: that is asked for on Linux only"
+    mine = rights()
+    if mine.no_memory():
+        return f"{mine.no_memory()}; {SET_UP}; {_CONTAINER}"
+    # Under a limit later memory is left alone: beyond the limit the system would refuse to give it.
+    later = _MCL_FUTURE if mine.privileged or mine.memory is None else 0
+    lib = ctypes.CDLL(None, use_errno=True)
+    if lib.mlockall(_MCL_CURRENT | later):
+        reason = os.strerror(ctypes.get_errno())
+        return f"memory is not locked ({reason}): swapping holds the bus up; {SET_UP}; {_CONTAINER}"
+    return ""
+
+
+def exact_timers() -> str:
+    """Sleeps of this thread end when they should: 1 ns slack instead of 50 us, where it has no real-time priority."""
+    if sys.platform != "linux":
+        return "timers are as exact as the system makes them: asked for on Linux only"
+    lib = ctypes.CDLL(None, use_errno=True)
+    if lib.prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0):
+        return f"timers stay up to 50 us late (PR_SET_TIMERSLACK: {os.strerror(ctypes.get_errno())})"
+    return ""
+
+
+def stay_on(processors: Iterable[int]) -> str:
+    """Run on ``processors`` only. Raises ConfigError for numbers that this computer has not."""
+    wanted = set(processors)
+    if not hasattr(os, "sched_setaffinity"):
+        return "runs on any processor: which ones is asked for on Linux only"
+    absent = sorted(wanted - set(range(os.cpu_count() or 1)))
+    if absent or not wanted:
+        raise ConfigError(f"no processor {absent[0] if absent else 'given'}: they are 0 to {(os.cpu_count() or 1) - 1}")
+    try:
+        os.sched_setaffinity(0, wanted)
+    except OSError as exc:
+        allowed = ", ".join(map(str, sorted(os.sched_getaffinity(0))))
+        names = ", ".join(map(str, sorted(wanted)))
+        return f"runs on any processor: {names} refused ({exc.strerror}); it may be on {allowed} (cpuset, taskset)"
+    return ""

@@ -1,0 +1,115 @@
+"""OUT-PZD3 to OUT-PZD6 of PPO2 and PPO4 as sources 750 to 761 (row D14; manual, chapter 11.2.5).
+
+PZD3 is also the additional reference (row D12). The manual's list and example have PZD5 as long at 759: by its table
+it is 760, which is taken.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Final
+
+from dpstack.profile import Scale, signed16
+
+#: PZD3 is the first one
+FIRST: Final = 3
+COUNT: Final = 4
+#: meaning: first source number (of PZD3)
+SOURCES: Final = {"bool": 750, "percent": 754, "current": 754, "torque": 754, "frequency": 758}
+#: 11.2.4: PZD3 is added to the ramp output
+ADDITIONAL: Final = "reference"
+EMPTY: Final = "-"
+_KINDS: Final = (*SOURCES, ADDITIONAL, EMPTY)
+_TRUE: Final = 0xFFFF
+_PERCENT: Final = Scale("percent", full=100, span=1.0, unit="%")
+_PERCENT_LIMIT: Final = 300
+#: of the scaling current
+_AMPERE: Final = 0x2000
+
+
+@dataclass(frozen=True, slots=True)
+class OutPzd:
+    """One word: PZD ``key`` as ``kind``. ``reference_hz`` and ``scaling_current`` (A, 0: not known) scale it."""
+
+    octets: ClassVar[int] = 2
+    key: int
+    kind: str
+    reference_hz: float
+    scaling_current: float
+
+    @property
+    def name(self) -> str:
+        """``pzd3``."""
+        return f"pzd{self.key}"
+
+    def encode(self, value: float) -> int:
+        """The word. Raises ValueError with the range."""
+        what = f"{self.name} ({self.kind})"
+        match self.kind:
+            case "bool":
+                if value not in (0, 1):
+                    raise ValueError(f"{what} is 0 or 1, not {value:g}")
+                return _TRUE if value else 0
+            case "percent":
+                if not abs(value) <= _PERCENT_LIMIT:
+                    raise ValueError(f"{what} {value:g} % is outside -{_PERCENT_LIMIT}..{_PERCENT_LIMIT} %")
+                return _PERCENT.encode(value)
+            case "current" | "torque":
+                if not self.scaling_current:
+                    raise ValueError(f"{what} needs the option scaling_current: the drive's scaling current in A")
+                return Scale(what, _AMPERE, self.scaling_current, "A").encode(value)
+            case _:
+                return Scale(what, span=self.reference_hz, unit="Hz").encode(value)
+
+    def decode(self, raw: int) -> int | float:
+        """The value of a word, in its unit."""
+        match self.kind:
+            case "bool":
+                return int(raw == _TRUE)
+            case "percent":
+                return _PERCENT.decode(raw)
+            case "current" | "torque":
+                return signed16(raw) * self.scaling_current / _AMPERE
+            case _:
+                return Scale(self.name, span=self.reference_hz).decode(raw)
+
+
+@dataclass(frozen=True, slots=True)
+class OutMap:
+    """What PZD3 to PZD6 mean, one meaning each; as text their kinds in order, ``-`` for a word that is not used."""
+
+    fields: tuple[OutPzd | None, ...]
+
+    def __str__(self) -> str:
+        return " ".join(EMPTY if field is None else field.kind for field in self.fields)
+
+
+def parse(text: str, reference_hz: float, scaling_current: float) -> OutMap:
+    """``reference percent - frequency``; what is not given is not used. Raises ValueError."""
+    kinds = text.replace(",", " ").lower().split()
+    if len(kinds) > COUNT:
+        raise ValueError(f"{len(kinds)} words, there are {COUNT} (PZD3 to PZD6)")
+    fields: list[OutPzd | None] = []
+    for number, kind in enumerate(kinds, FIRST):
+        if kind not in _KINDS:
+            raise ValueError(f"{kind!r} is no meaning of PZD{number}; write {', '.join(_KINDS)}")
+        if kind == ADDITIONAL and number != FIRST:
+            raise ValueError(f"only PZD{FIRST} is the additional reference, not PZD{number}")
+        fields.append(None if kind == EMPTY else OutPzd(number, kind, reference_hz, scaling_current))
+    return OutMap((*fields, *(None,) * (COUNT - len(fields))))
+
+
+def source(number: int, words: tuple[int, ...], reference_hz: float) -> bool | float:
+    """A source as the drive's functions take it: Boolean, per cent (words), Hz (longs). Raises ValueError.
+
+    Readings: anything but 0 is TRUE; per cent beyond 300 are 300.
+    """
+    kind, at = divmod(number - SOURCES["bool"], COUNT)
+    if not 0 <= kind <= 2:
+        raise ValueError(f"source {number} is none of 750 to 761")
+    word = words[FIRST - 1 + at]
+    if kind == 0:
+        return bool(word)
+    if kind == 1:
+        return min(max(_PERCENT.decode(word), -_PERCENT_LIMIT), _PERCENT_LIMIT)
+    return Scale("frequency", span=reference_hz).decode(word)

@@ -1,0 +1,115 @@
+"""PCD1 to PCD4 of PPO2 and PPO4: function codes as cyclic words (row F5; manual, 8.2 (4) and 8.3 (4)).
+
+o40 to o43 (PNU 915) say what is written, o48 to o51 (PNU 916) what is read: group and number in four hex digits, F26 is
+041A. They act after power-on. Of doubled assignments of writes the lowest counts; S01 and S05 cannot be written.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import ClassVar, Final
+
+from dpstack.profile import CommandError, ParameterChannel, ParamKey, Steps
+from dpstack_drives.fuji import table as t
+
+COUNT: Final = 4
+EMPTY: Final = "-"
+_BARE: Final = re.compile(r"[0-9A-Fa-f]{4}")
+#: PNU of the assignments by direction
+_PNUS: Final = (("inputs", t.PNU_PCD_READ), ("outputs", t.PNU_PCD_WRITE))
+
+
+@dataclass(frozen=True, slots=True)
+class PcdWord:
+    """One word: the function code with this assignment (041A)."""
+
+    octets: ClassVar[int] = 2
+    key: int
+
+    @property
+    def name(self) -> str:
+        """``F26``."""
+        return t.code_of(self.key)
+
+    def encode(self, value: float) -> int:
+        """In its unit where the format is known, else the integer on the wire. Raises ValueError."""
+        if self.key == t.S06 and int(value) & t.S06_IGNORED:
+            raise ValueError("S06: bits 0 and 1 (run forward, reverse) are ignored here: start() and speed do that")
+        spec = t.spec_at(self.key)
+        if spec is not None:
+            return spec.to_raw(value) & 0xFFFF
+        if value != int(value) or not -0x8000 <= value <= 0xFFFF:
+            raise ValueError(f"{self.name}: its format is in no manual of ours, give the 16-bit integer on the wire")
+        return int(value) & 0xFFFF
+
+    def decode(self, raw: int) -> int | float:
+        """In its unit where the format is known."""
+        spec = t.spec_at(self.key)
+        return raw if spec is None else spec.to_value(raw)
+
+
+@dataclass(frozen=True, slots=True)
+class PcdMap:
+    """Assignments of PCD1 to PCD4, 0 for none; as text the function codes in order, ``-`` for none."""
+
+    entries: tuple[int, ...] = ()
+
+    @property
+    def fields(self) -> tuple[PcdWord | None, ...]:
+        """The words."""
+        return tuple(PcdWord(entry) if entry else None for entry in self.entries)
+
+    def __str__(self) -> str:
+        words = [t.code_of(entry) if entry else EMPTY for entry in self.entries]
+        while words and words[-1] == EMPTY:
+            words.pop()
+        return " ".join(words)
+
+
+def parse(text: str, *, outputs: bool) -> PcdMap:
+    """``F26 M16 - 0806``: function codes or their hex digits. Raises ValueError where the drive would ignore one."""
+    words = text.replace(",", " ").split()
+    if len(words) > COUNT:
+        raise ValueError(f"{len(words)} words, there are {COUNT} (PCD1 to PCD4)")
+    entries: list[int] = []
+    for word in words:
+        found = t.address(word)
+        if word == EMPTY:
+            entry = 0
+        elif found is not None:
+            entry = found[0] - t.GROUP_OFFSET << 8 | found[1]
+        elif _BARE.fullmatch(word):
+            entry = int(word, 16)
+        else:
+            raise ValueError(f"{word!r} is no function code; write F26, 041A (group and number in hex) or -")
+        if outputs and entry in t.READ_ONLY_HERE:
+            raise ValueError(f"{t.code_of(entry)} can only be read: its assignment would be ignored")
+        if outputs and entry and entry in entries:
+            raise ValueError(f"{t.code_of(entry)} twice: only the first one would count")
+        entries.append(entry)
+    return PcdMap((*entries, *(0,) * (COUNT - len(entries))))
+
+
+def read(access: ParameterChannel, deadline: int) -> Steps[dict[str, object]]:
+    """The assignments as they are stored; they act from power-on."""
+    value: dict[str, object] = {}
+    for name, pnu in _PNUS:
+        entries: tuple[int, ...] = ()
+        for index in range(1, COUNT + 1):
+            outcome = yield from access.read(ParamKey(pnu, index=index), deadline)
+            raw = outcome["raw"]
+            if not isinstance(raw, int):
+                raise CommandError("parameter", f"read_map: PNU {pnu}[{index}] holds no assignment")
+            entries += (raw,)
+        value[name] = str(PcdMap(entries))
+    return {"value": value}
+
+
+def write(access: ParameterChannel, inputs: PcdMap, outputs: PcdMap, deadline: int) -> Steps[dict[str, object]]:
+    """All eight assignments."""
+    for (_, pnu), one in zip(_PNUS, (inputs, outputs), strict=True):
+        entries = (*one.entries, *(0,) * (COUNT - len(one.entries)))
+        for index, entry in enumerate(entries, 1):
+            yield from access.write(ParamKey(pnu, index=index), entry, deadline)
+    return {"value": {"inputs": str(inputs), "outputs": str(outputs)}, "acts": "after power-on"}

@@ -1,0 +1,48 @@
+"""What the simulated drive does when its command is lost (row L11): PRT-12 how, PRT-13 when, PRT-14 a frequency.
+
+They stand in the inverter's manual, so this is a reading: 0 nothing, 1 coast, 2 ramp, both with the trip, 3 hold the
+input, 4 hold the output, 5 the preset frequency. It is judged whatever ended data exchange.
+"""
+
+from __future__ import annotations
+
+from dpstack.profile import NS_PER_S, Motor, ParamStore
+
+
+class LostCommand:
+    """``forced``: on the ramp to its trip. ``instead``: of the reference, in the place of the set point."""
+
+    __slots__ = ("_at", "_store", "forced", "instead")
+
+    def __init__(self, store: ParamStore) -> None:
+        self._store = store
+        self._at: int | None = None
+        self.forced = False
+        self.instead: float | None = None
+
+    def begin(self, now: int) -> None:
+        """Commands have ended."""
+        if int(self._store.value("PRT-12")):
+            self._at = now + round(self._store.value("PRT-13") * NS_PER_S)
+
+    def returned(self) -> None:
+        """They are there again."""
+        self._at = self.instead = None
+
+    def step(self, motor: Motor, now: int) -> bool:
+        """One scan -> True when it trips now."""
+        if self._at is not None and now >= self._at:
+            self._at = None
+            match int(self._store.value("PRT-12")):
+                case 1:
+                    return True
+                case 2:
+                    self.forced = motor.on
+                    return not self.forced
+                case 4:
+                    self.instead = motor.frequency
+                case 5:
+                    self.instead = self._store.value("PRT-14") / self._store.value("dr-20")
+                case _:  # 3: hold input, go on with the last outputs
+                    pass
+        return self.forced and not motor.frequency

@@ -1,0 +1,103 @@
+"""A real-time process leaves the kernel no reason to stop it: spinning and rest, counted on any course of waiting."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+from dpstack.drivers.budget import SPIN_AT_ONCE_NS, Budget, is_real_time
+from dpstack.units import NS_PER_MS, NS_PER_S
+
+
+def most_in_a_second(spins: list[tuple[int, int]]) -> int:
+    """The most that of any second was spun; ``spins`` are (begin, duration)."""
+    worst = within = first = 0
+    for begin, spun in spins:
+        within += spun
+        while spins[first][0] < begin + spun - NS_PER_S:
+            within -= spins[first][1]
+            first += 1
+        worst = max(worst, within)
+    return worst
+
+
+@pytest.mark.parametrize("pause_ns", [0, 20_000, 400_000])
+@pytest.mark.parametrize("wanted_ns", [7_000, 40_000, 300_000])
+def test_spinning_takes_no_more_than_its_share_of_any_second(wanted_ns: int, pause_ns: int) -> None:
+    budget, now = Budget(), 1_000 * NS_PER_S
+    spins: list[tuple[int, int]] = []
+    end = now + 1_300 * NS_PER_MS
+    while now < end:
+        spin = min(wanted_ns, budget.left_ns()) if budget.may_spin(now) else 0
+        now += spin
+        spins.append((now - spin, spin))
+        budget.spun(spin, now, in_vain=spin < wanted_ns)
+        now += pause_ns  # works
+        if not spin:
+            now += 60_000
+            budget.slept(60_000, now)
+    assert max(spin for _, spin in spins) <= SPIN_AT_ONCE_NS
+    worst = most_in_a_second(spins)
+    assert worst <= 0.3 * NS_PER_S + SPIN_AT_ONCE_NS
+    if wanted_ns > pause_ns:
+        assert worst > 0.25 * NS_PER_S  # and it is not refused for nothing
+
+
+def test_one_spin_is_bounded_until_something_is_done() -> None:
+    budget = Budget()
+    assert budget.left_ns() == SPIN_AT_ONCE_NS == 100_000
+    budget.spun(60_000, 60_000, in_vain=True)
+    assert budget.left_ns() == 40_000
+    budget.spun(60_000, 120_000, in_vain=True)
+    assert budget.left_ns() == 0
+    budget.slept(1_000, 121_000)  # the call alone
+    assert budget.left_ns() == 0
+    budget.slept(60_000, 181_000)
+    assert budget.left_ns() == SPIN_AT_ONCE_NS
+    budget.spun(60_000, 241_000, in_vain=True)
+    budget.spun(1_000, 242_000)  # something came
+    assert budget.left_ns() == SPIN_AT_ONCE_NS
+
+
+def test_what_was_used_up_comes_back() -> None:
+    budget, now = Budget(), 0
+    while budget.may_spin(now):
+        now += 50_000
+        budget.spun(50_000, now)
+    assert budget.may_spin(now + 200 * NS_PER_MS)
+
+
+def test_who_always_works_must_rest_a_twelfth_and_who_sleeps_owes_nothing() -> None:
+    budget, now, slept = Budget(rests=True), 5 * NS_PER_S, 0
+    budget.begin(now)
+    begin = now
+    while now < begin + NS_PER_S:
+        now += 50_000  # works
+        owed = budget.owed_ns(now)
+        if owed:
+            now += owed
+            slept += owed
+            budget.slept(owed, now)
+    assert 0.05 * NS_PER_S < 0.07 * NS_PER_S < slept < 0.09 * NS_PER_S
+    for _ in range(1_000):
+        now += 900_000
+        assert not budget.owed_ns(now)
+        now += 100_000
+        budget.slept(100_000, now)
+
+
+def test_sleep_is_not_saved_up() -> None:
+    budget, now = Budget(rests=True), NS_PER_S
+    budget.begin(now)
+    now += 60 * NS_PER_S
+    budget.slept(60 * NS_PER_S, now)
+    assert budget.owed_ns(now + 10 * NS_PER_MS) > 0
+
+
+def test_an_ordinary_process_owes_no_rest() -> None:
+    budget = Budget()
+    budget.begin(0)
+    if not is_real_time():
+        assert budget.owed_ns(60 * NS_PER_S) == 0
+    assert is_real_time() == (os.sched_getscheduler(0) in (os.SCHED_FIFO, os.SCHED_RR))

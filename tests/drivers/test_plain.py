@@ -1,0 +1,252 @@
+"""What is the plain driver's own: expected answers, the spin budget, ports that cannot, ports that connect slowly."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from time import monotonic_ns
+
+import pytest
+from driver_rig import BACKOFF, REQUEST, TOKEN, Script
+from far_ends import TcpFarEnd
+from support_responder import Responder
+
+from dpstack.dp.commands import Mode, SetMode
+from dpstack.dp.events import SlaveState
+from dpstack.dp.master import Master
+from dpstack.dp.setup import SlaveSetup
+from dpstack.drivers.base import PortBack, PortLost
+from dpstack.drivers.budget import Budget
+from dpstack.drivers.echo import Echo
+from dpstack.drivers.expecting import Answers
+from dpstack.drivers.lateness import patience_of
+from dpstack.drivers.plain import PlainRuntime
+from dpstack.drivers.plain_loop import PlainLoop
+from dpstack.errors import PortError
+from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.commands import GoOnline
+from dpstack.params import BusParams
+from dpstack.ports import Port, memory_pair, open_port
+from dpstack.ports.pyserial import PySerialPort
+from dpstack.trace import Event, Notice
+from dpstack.units import NEVER, NS_PER_MS, NS_PER_US
+
+OTHER = bytes.fromhex("10 03 02 49 4E 16")
+
+
+def run_until(loop: PlainLoop, condition: Callable[[], bool]) -> None:
+    """Looks after every millisecond; the limit is for hangs only."""
+    limit = monotonic_ns() + 10_000 * NS_PER_MS
+
+    def look() -> None:
+        if condition() or monotonic_ns() > limit:
+            loop.stop()
+        else:
+            loop.call_at(monotonic_ns() + NS_PER_MS, look)
+
+    loop.call_soon(look)
+    loop.run()
+    assert condition()
+
+
+def test_an_answer_is_expected_when_the_last_alike_came() -> None:
+    answers = Answers()
+    assert answers.sent(REQUEST, 1_000, 0) == NEVER
+    assert answers.sent(OTHER, 10_000, 5_000) == NEVER  # the first was answered after 4000
+    assert answers.sent(REQUEST, 20_000, 12_000) == 24_000  # the other one after 2000
+    assert answers.sent(OTHER, 40_000, 32_000) == 42_000  # after 12000 this time: an eighth of the way
+    assert answers.sent(REQUEST, 50_000, 42_000) == 55_000
+
+
+def test_who_does_not_answer_is_expected_no_more() -> None:
+    answers = Answers()
+    answers.sent(REQUEST, 1_000, 0)
+    answers.sent(REQUEST, 10_000, 5_000)
+    assert answers.sent(REQUEST, 20_000, 0) == NEVER
+
+
+def test_what_is_remembered_of_requests_is_bounded() -> None:
+    answers = Answers()
+    for number in range(5_000):
+        answers.sent(number.to_bytes(7, "big"), 10 * number, 10 * number - 5)
+    assert len(answers._delays) <= 1024
+
+
+def test_the_driver_tells_its_loop_when_an_answer_is_expected() -> None:
+    loop = PlainLoop()
+    near, far = memory_pair(500_000)
+    machine = Script()
+    driver = PlainRuntime(loop, near, machine, lambda _events: None, echo=Echo.OFF)
+    far.open_now()
+    driver.open()
+    driver.command(REQUEST)
+    assert loop.expected_at == NEVER
+    far.write(TOKEN)
+    run_until(loop, lambda: bool(machine.did("receive")))
+    ((_, first, _),) = machine.did("sent")
+    driver.command(REQUEST)
+    (_, (_, again, _)) = machine.did("sent")
+    ((_, _, heard),) = machine.did("receive")
+    assert loop.expected_at - again == heard - first
+    driver.close()
+    assert loop.expected_at == NEVER
+    loop.close()
+
+
+def test_a_driver_without_budget_waits_by_timer_and_is_never_early() -> None:
+    loop = PlainLoop()
+    near, _far = memory_pair(500_000)
+    machine = Script()
+
+    def again(now: int) -> None:
+        loop.budget.spun(1_000 * NS_PER_MS, now)  # nothing is left, and never will be
+        if len(machine.did("wake")) < 30:
+            machine.deadline = now + 10 * NS_PER_US
+
+    machine.on_wake = again
+    driver = PlainRuntime(loop, near, machine, lambda _events: None, echo=Echo.OFF)
+    driver.open()
+    driver.command(10 * NS_PER_US)
+    run_until(loop, lambda: len(machine.did("wake")) == 30)
+    assert all(now >= deadline for _, deadline, now in machine.did("wake"))
+    assert driver._spin_ns == 0
+    driver.close()
+    loop.close()
+
+
+class Spent(Budget):
+    """Nothing is left to spin with, ever."""
+
+    def may_spin(self, now: int) -> bool:
+        return False
+
+
+@pytest.mark.parametrize("baud", [45_450, 500_000, 12_000_000])
+def test_at_every_rate_a_bus_goes_on_when_the_budget_is_used_up(baud: int) -> None:
+    loop = PlainLoop(budget=Spent())
+    port = open_port("pty", baud)
+    params = BusParams.preset(baud, address=2, gap=0)
+    master = Master(params, [SlaveSetup(address=3, name="s", ident=0x0696, config=b"\xf3\xf1")], watchdog_ms=1000)
+    station = ActiveStation(params, [master], patience=patience_of(port), now=monotonic_ns())
+    driver = PlainRuntime(loop, port, station, lambda _events: None, echo=Echo.OFF)
+    driver.open()
+    driver._waited(1, monotonic_ns())  # as after a spin that was the last
+    with Responder(driver.port_name, ["3:0696:f3f1:12:12"]):
+        driver.command(GoOnline())
+        driver.command(SetMode(Mode.OPERATE))
+        handler = master.handlers[3]
+        run_until(loop, lambda: handler.state is SlaveState.DATA_EXCHANGE and handler.exchanges >= 20)
+    assert driver.failed is None
+    driver.close()
+    loop.close()
+
+
+@pytest.mark.parametrize("port", [open_port("rfc2217://127.0.0.1:7000", 500_000), PySerialPort("COM3", 500_000)])
+def test_a_port_that_needs_asyncio_is_refused(port: Port) -> None:
+    driver = PlainRuntime(PlainLoop(), port, Script(), lambda _events: None)
+    with pytest.raises(PortError, match='works with the asyncio driver only: set driver = "asyncio"'):
+        driver.open()
+
+
+class SlowLine:
+    """A TCP line whose connecting waits for the test, from the second time on."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.far = TcpFarEnd()
+        self.port = open_port(self.far.path, 500_000)
+        self.threads: list[str] = []
+        self.go = threading.Event()
+        self._really = self.port.open_now
+        monkeypatch.setattr(self.port, "open_now", self._open_now)
+
+    def _open_now(self) -> None:
+        if self.threads:
+            self.go.wait(10)
+        self.threads.append(threading.current_thread().name)
+        self._really()
+
+
+def test_a_lost_connection_is_made_again_while_the_loop_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    line = SlowLine(monkeypatch)
+    loop, machine, events = PlainLoop(), Script(), list[Event]()
+    driver = PlainRuntime(loop, line.port, machine, events.extend, echo=Echo.OFF, backoff_ns=BACKOFF)
+    driver.open()
+    line.far.hang_up()
+    run_until(loop, lambda: any(isinstance(event, PortLost) for event in events))
+    turns = 0
+
+    def meanwhile() -> None:
+        nonlocal turns
+        turns += 1
+        if turns == 20:
+            line.go.set()
+        loop.call_at(monotonic_ns() + NS_PER_MS, meanwhile)
+
+    loop.call_soon(meanwhile)
+    run_until(loop, lambda: any(isinstance(event, PortBack) for event in events))
+    assert turns >= 20
+    assert line.threads == ["MainThread", f"connecting {line.far.path}"]
+    driver.command(TOKEN)
+    assert machine.did("sent")
+    driver.close()
+    loop.close()
+    line.far.shut()
+
+
+@pytest.mark.parametrize("loop_is_closed", [True, False])
+def test_a_connection_that_comes_about_too_late_is_closed(
+    monkeypatch: pytest.MonkeyPatch, loop_is_closed: bool
+) -> None:
+    line = SlowLine(monkeypatch)
+    loop, events = PlainLoop(), list[Event]()
+    driver = PlainRuntime(loop, line.port, Script(), events.extend, echo=Echo.OFF, backoff_ns=BACKOFF)
+    driver.open()
+    line.far.hang_up()
+
+    def connecting() -> list[threading.Thread]:
+        return [thread for thread in threading.enumerate() if thread.name.startswith("connecting")]
+
+    run_until(loop, lambda: bool(connecting()))
+    (thread,) = connecting()
+    driver.close()
+    if loop_is_closed:
+        loop.close()
+    line.go.set()
+    thread.join()
+    if not loop_is_closed:
+        run_until(loop, lambda: line.port.fd is None)
+        loop.close()
+    assert line.port.fd is None
+    assert not any(isinstance(event, PortBack) for event in events)
+    line.far.shut()
+
+
+def test_opened_again_while_an_old_attempt_connects(monkeypatch: pytest.MonkeyPatch) -> None:
+    line = SlowLine(monkeypatch)
+    loop, events, machine = PlainLoop(), list[Event](), Script()
+    driver = PlainRuntime(loop, line.port, machine, events.extend, echo=Echo.OFF, backoff_ns=BACKOFF)
+    driver.open()
+    line.far.hang_up()
+    run_until(loop, lambda: driver._connecting is not None)
+    driver.close()
+    line.go.set()
+    driver.open()
+    turns = monotonic_ns() + 5 * NS_PER_MS
+    run_until(loop, lambda: monotonic_ns() > turns)  # the outcome of the old attempt comes now, and changes nothing
+    assert line.port.fd is not None
+    assert not any(isinstance(event, PortBack) for event in events)
+    driver.close()
+    loop.close()
+    line.far.shut()
+
+
+def test_notices_of_the_port_are_told_at_open() -> None:
+    loop, events = PlainLoop(), list[Event]()
+    near, _far = memory_pair(500_000)
+    near.notices = ["has no parity bit"]
+    driver = PlainRuntime(loop, near, Script(), events.extend)
+    driver.open()
+    assert [event.text for event in events if isinstance(event, Notice)] == [f"{near.name}: has no parity bit"]
+    driver.close()
+    driver.close()
+    loop.close()

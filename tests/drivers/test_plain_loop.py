@@ -1,0 +1,375 @@
+"""The loop without asyncio: descriptors, deadlines, calls of the next turn, threads and signals."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from time import monotonic_ns
+
+import pytest
+
+from dpstack.drivers.budget import Budget
+from dpstack.drivers.plain_loop import PlainLoop
+from dpstack.errors import UsageError
+from dpstack.units import NEVER, NS_PER_MS, NS_PER_US
+
+LIMIT_NS = 10_000 * NS_PER_MS  # for hangs only
+
+
+class Failures(list[tuple[str, Exception]]):
+    def __call__(self, message: str, error: Exception) -> None:
+        self.append((message, error))
+
+
+@pytest.fixture
+def failures() -> Failures:
+    return Failures()
+
+
+@pytest.fixture
+def loop(failures: Failures) -> Iterator[PlainLoop]:
+    loop = PlainLoop(report=failures)
+    yield loop
+    loop.close()
+
+
+@pytest.fixture
+def pair() -> Iterator[tuple[socket.socket, socket.socket]]:
+    near, far = socket.socketpair()
+    near.setblocking(False)
+    yield near, far
+    near.close()
+    far.close()
+
+
+def run(loop: PlainLoop) -> None:
+    """Until it is stopped."""
+    hang = loop.call_at(monotonic_ns() + LIMIT_NS, lambda: pytest.fail("nobody stopped the loop"))
+    loop.run()
+    hang.cancel()
+
+
+def test_what_is_readable_is_told_until_it_is_read(loop: PlainLoop, pair: tuple[socket.socket, socket.socket]) -> None:
+    near, far = pair
+    calls: list[bytes] = []
+
+    def readable() -> None:
+        calls.append(near.recv(2))
+        if len(calls) == 3:
+            loop.stop()
+
+    loop.add_reader(near.fileno(), readable)
+    far.send(b"abcdef")
+    run(loop)
+    assert calls == [b"ab", b"cd", b"ef"]
+
+
+def test_a_hang_up_is_readable(loop: PlainLoop, pair: tuple[socket.socket, socket.socket]) -> None:
+    near, far = pair
+    got: list[bytes] = []
+
+    def readable() -> None:
+        got.append(near.recv(9))
+        loop.stop()
+
+    loop.add_reader(near.fileno(), readable)
+    far.close()
+    run(loop)
+    assert got == [b""]
+
+
+def test_a_descriptor_is_told_when_it_takes_octets_again(
+    loop: PlainLoop, pair: tuple[socket.socket, socket.socket]
+) -> None:
+    near, far = pair
+    with contextlib.suppress(BlockingIOError):
+        while near.send(bytes(65_536)):
+            pass
+    told: list[str] = []
+
+    def writable() -> None:
+        told.append("writable")
+        assert loop.remove_writer(near.fileno())
+        loop.stop()
+
+    def drain() -> None:
+        assert told == []
+        far.setblocking(False)
+        with contextlib.suppress(BlockingIOError):
+            while far.recv(65_536):
+                pass
+
+    loop.add_writer(near.fileno(), writable)
+    loop.add_reader(near.fileno(), lambda: None)
+    loop.call_at(monotonic_ns() + NS_PER_MS, drain)
+    run(loop)
+    assert told == ["writable"]
+    assert not loop.remove_writer(near.fileno())
+
+
+def test_who_is_removed_in_the_same_turn_is_not_called(loop: PlainLoop) -> None:
+    pairs = [socket.socketpair() for _ in range(2)]
+    called: list[int] = []
+
+    def make(own: int) -> Callable[[], None]:
+        def readable() -> None:
+            called.append(own)
+            assert loop.remove_reader(pairs[1 - own][0].fileno())
+            loop.remove_reader(pairs[own][0].fileno())
+            loop.stop()
+
+        return readable
+
+    for i, (near, far) in enumerate(pairs):
+        loop.add_reader(near.fileno(), make(i))
+        far.send(b"x")
+    run(loop)
+    assert len(called) == 1
+    for near, far in pairs:
+        near.close()
+        far.close()
+
+
+@pytest.mark.parametrize("wait_ns", [-1, 1, 10 * NS_PER_US, 60 * NS_PER_US, 300 * NS_PER_US, 3 * NS_PER_MS])
+def test_an_alarm_is_never_early(loop: PlainLoop, wait_ns: int) -> None:
+    at = monotonic_ns() + wait_ns
+    called: list[int] = []
+
+    def due() -> None:
+        called.append(monotonic_ns())
+        loop.stop()
+
+    loop.call_at(at, due)
+    run(loop)
+    (now,) = called
+    assert now >= at
+
+
+def test_an_alarm_is_never_early_when_the_budget_is_used_up(loop: PlainLoop) -> None:
+    wanted: list[int] = []
+    late: list[int] = []
+
+    def due() -> None:
+        late.append(monotonic_ns() - wanted[-1])
+        loop.budget.spun(1_000 * NS_PER_MS, monotonic_ns())
+        if len(late) < 20:
+            again()
+        else:
+            loop.stop()
+
+    def again() -> None:
+        wanted.append(monotonic_ns() + 30 * NS_PER_US)
+        alarm.set(wanted[-1])
+
+    alarm = loop.alarm(due)
+    again()
+    run(loop)
+    assert len(late) == 20
+    assert min(late) >= 0
+
+
+def test_alarms_move_and_are_cancelled(loop: PlainLoop) -> None:
+    told: list[str] = []
+    now = monotonic_ns()
+    loop.call_at(now, lambda: told.append("cancelled")).cancel()
+
+    def first() -> None:
+        told.append("first")
+        moved.set(NEVER)
+        closed.close()
+
+    loop.call_at(now, first)
+    moved = loop.alarm(lambda: told.append("moved"))
+    moved.set(now)
+    closed = loop.call_at(now, lambda: told.append("closed"))
+    loop.call_at(now + NS_PER_MS, loop.stop)
+    run(loop)
+    assert told == ["first"]
+    closed.close()
+    moved.set(monotonic_ns())
+    moved.callback = loop.stop
+    run(loop)
+
+
+def test_calls_of_the_next_turn_keep_their_order_and_let_others_have_theirs(
+    loop: PlainLoop, pair: tuple[socket.socket, socket.socket]
+) -> None:
+    near, far = pair
+    told: list[str] = []
+
+    def for_ever() -> None:
+        told.append("soon")
+        loop.call_soon(for_ever)
+
+    def readable() -> None:
+        told.append("readable")
+        loop.stop()
+
+    loop.add_reader(near.fileno(), readable)
+    far.send(b"x")
+    loop.call_soon(lambda: told.append("never")).cancel()
+    loop.call_soon(lambda: told.append("one"))
+    loop.call_soon(for_ever)
+    run(loop)
+    assert told[:2] == ["one", "soon"]
+    assert told[-1] == "readable"
+    assert "never" not in told
+
+
+def test_what_a_callback_raises_is_told_and_stops_nothing(loop: PlainLoop, failures: Failures) -> None:
+    def broken() -> None:
+        raise ValueError("the callback's own")
+
+    loop.call_soon(broken)
+    loop.call_at(monotonic_ns() + NS_PER_MS, loop.stop)
+    run(loop)
+    ((message, error),) = failures
+    assert message == "a callback raised"
+    assert isinstance(error, ValueError)
+
+
+def test_nobody_told_prints_it(capsys: pytest.CaptureFixture[str]) -> None:
+    loop = PlainLoop()
+
+    def broken() -> None:
+        raise ValueError("the callback's own")
+
+    loop.call_soon(broken)
+    loop.call_soon(loop.stop)
+    loop.run()
+    loop.close()
+    assert "ValueError: the callback's own" in capsys.readouterr().err
+
+
+def test_another_thread_wakes_it(loop: PlainLoop) -> None:
+    idle = threading.Event()
+    loop.on_idle = lambda _now, _until: idle.set()
+
+    def other() -> None:
+        idle.wait(10)
+        loop.call_soon_threadsafe(loop.stop)
+
+    thread = threading.Thread(target=other)
+    thread.start()
+    run(loop)
+    thread.join()
+    loop.close()
+    with pytest.raises(RuntimeError, match="closed"):
+        loop.call_soon_threadsafe(loop.stop)
+
+
+def test_a_signal_wakes_it(loop: PlainLoop) -> None:
+    told: list[int] = []
+
+    def signalled() -> None:
+        told.append(1)
+        loop.stop()
+
+    loop.add_signal_handler(signal.SIGUSR1, signalled)
+    loop.call_at(monotonic_ns() + NS_PER_MS, lambda: os.kill(os.getpid(), signal.SIGUSR1))
+    run(loop)
+    assert told == [1]
+    assert loop.remove_signal_handler(signal.SIGUSR1)
+    assert not loop.remove_signal_handler(signal.SIGUSR1)
+    assert signal.getsignal(signal.SIGUSR1) is signal.SIG_DFL
+
+
+def test_idle_time_is_told_with_its_end(loop: PlainLoop, pair: tuple[socket.socket, socket.socket]) -> None:
+    near, far = pair
+    told: list[int] = []
+    loop.on_idle = lambda _now, until: told.append(until)
+    due = monotonic_ns() + LIMIT_NS // 2
+    loop.expected_at = expected = due - 1_000 * NS_PER_MS
+    loop.call_at(due, lambda: pytest.fail("nobody stopped the loop"))
+
+    def readable() -> None:  # left unread: no sleep lasts
+        if loop.expected_at < monotonic_ns():
+            loop.stop()
+        loop.expected_at = 1
+
+    loop.add_reader(near.fileno(), readable)
+    far.send(b"x")
+    loop.run()
+    assert told == [expected, due]  # and once it should have come: what is due
+
+
+class Counting(Budget):
+    """Counts the sleep it is told of."""
+
+    __slots__ = ("total",)
+
+    def __init__(self) -> None:
+        super().__init__(rests=True)
+        self.total = 0
+
+    def slept(self, ns: int, now: int) -> None:
+        self.total += ns
+        super().slept(ns, now)
+
+
+def test_who_owes_rest_gets_it_whatever_is_due() -> None:
+    budget = Counting()
+    loop = PlainLoop(budget=budget)
+    end = monotonic_ns() + 20 * NS_PER_MS
+
+    def busy() -> None:
+        if monotonic_ns() < end:
+            loop.call_soon(busy)
+        else:
+            loop.stop()
+
+    loop.call_soon(busy)
+    run(loop)
+    loop.close()
+    assert budget.total >= 0.06 * 20 * NS_PER_MS
+
+
+@pytest.mark.parametrize("sleeps", [True, False])
+def test_a_descriptor_that_was_closed_is_told_and_waited_for_no_more(
+    loop: PlainLoop, failures: Failures, pair: tuple[socket.socket, socket.socket], sleeps: bool
+) -> None:
+    near, far = pair
+    got: list[bytes] = []
+
+    def readable() -> None:
+        got.append(near.recv(9))
+        loop.stop()
+
+    loop.call_soon(loop.stop)
+    run(loop)  # its own descriptors are there: the number that is closed here is not used again
+    closed, other = os.pipe()
+    loop.add_reader(closed, lambda: pytest.fail("it is closed"))
+    loop.add_reader(near.fileno(), readable)
+    os.close(closed)
+    os.close(other)
+    if not sleeps:
+        loop.call_soon(lambda: loop.call_soon(lambda: None))
+    loop.call_at(monotonic_ns() + NS_PER_MS, lambda: far.send(b"x"))
+    run(loop)
+    assert got == [b"x"]
+    assert [message for message, _ in failures] == [f"descriptor {closed} was closed without being removed"]
+
+
+def test_misuse_raises_at_once(loop: PlainLoop) -> None:
+    raised: list[str] = []
+
+    def nested() -> None:
+        for wrong in (loop.run, loop.close):
+            with pytest.raises(UsageError) as info:
+                wrong()
+            raised.append(str(info.value))
+        loop.stop()
+
+    loop.call_soon(nested)
+    run(loop)
+    assert raised == ["the loop is running already", "the loop is running: stop it first"]
+    with pytest.raises(UsageError, match="below 1024; close some files"):
+        loop.add_reader(2000, lambda: None)
+    loop.close()
+    assert loop.is_closed()
+    with pytest.raises(UsageError, match="closed"):
+        loop.run()

@@ -1,0 +1,153 @@
+"""Real-time rights: taken where permitted, else a line that says what is missing. In processes of their own."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dpstack.drivers import realtime
+from dpstack.drivers.realtime import MEMORY, PRIORITY, Rights, become_real_time, stay_on
+from dpstack.errors import ConfigError
+
+SCRIPT = """
+import ctypes, json, os, resource, sys
+from dpstack.drivers import realtime
+as_nobody, priority = int(sys.argv[1]), int(sys.argv[2])
+if priority >= 0:
+    resource.setrlimit(resource.RLIMIT_RTPRIO, (priority, priority))
+    resource.setrlimit(resource.RLIMIT_MEMLOCK, (8 << 20, 8 << 20))
+if as_nobody and os.geteuid() == 0:
+    os.setuid(65534)
+notices = realtime.become_real_time([min(os.sched_getaffinity(0))])
+child = os.fork()
+if not child:
+    os._exit(os.sched_getscheduler(0))
+status = open("/proc/self/status").read()
+print(json.dumps({
+    "notices": notices,
+    "fifo": os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO,
+    "priority": os.sched_getparam(0).sched_priority,
+    "locked": "VmLck:\\t       0 kB" not in status,
+    "processors": len(os.sched_getaffinity(0)),
+    "slack": ctypes.CDLL(None).prctl(30, 0, 0, 0, 0),
+    "of_child": os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]),
+}))
+"""
+
+
+def ask(as_nobody: bool, priority: int) -> dict[str, Any]:
+    root = Path(__file__).parents[2]
+    done = subprocess.run(
+        [sys.executable, "-c", SCRIPT, str(int(as_nobody)), str(priority)],
+        cwd=root,
+        env={**os.environ, "PYTHONPATH": str(root)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
+
+
+def test_without_rights_each_refusal_says_what_to_do() -> None:
+    found = ask(as_nobody=True, priority=0)
+    notices = found["notices"]
+    assert [notice.split(":")[0] for notice in notices] == [
+        "no real-time priority is allowed (RLIMIT_RTPRIO 0)",
+        "only 8192 KiB may be locked in memory (RLIMIT_MEMLOCK)",
+    ]
+    for notice in notices:
+        assert "tools/setup_adapter.sh" in notice
+        assert "--cap-add SYS_NICE" in notice
+    assert not found["fifo"]
+    assert not found["locked"]
+    assert found["processors"] == 1
+
+
+def test_a_priority_within_the_limit_is_taken() -> None:
+    hard = resource.getrlimit(resource.RLIMIT_RTPRIO)[1]
+    most = 10 if hard == resource.RLIM_INFINITY else min(10, hard)  # nobody may go beyond the hard one
+    found = ask(as_nobody=True, priority=most)
+    assert found["fifo"] == bool(most)
+    assert found["priority"] == most
+
+
+def test_what_is_permitted_here_is_taken_or_told() -> None:
+    found = ask(as_nobody=False, priority=-1)
+    notices = " ".join(found["notices"])
+    assert found["fifo"] or "real-time priority" in notices
+    assert found["locked"] or "memory" in notices
+    assert found["fifo"] or found["slack"] == 1
+    assert found["of_child"] == os.SCHED_OTHER  # it is not handed down
+
+
+@pytest.mark.parametrize(
+    ("rights", "priority", "memory"),
+    [
+        (Rights(False, 0, 0), True, True),
+        (Rights(False, 1, MEMORY), False, False),
+        (Rights(False, None, None), False, False),
+        (Rights(False, 99, MEMORY - 1), False, True),
+        (Rights(True, 0, 0), False, False),
+    ],
+)
+def test_rights(rights: Rights, priority: bool, memory: bool) -> None:
+    assert bool(rights.no_priority()) == priority
+    assert bool(rights.no_memory()) == memory
+
+
+def test_a_container_may_have_taken_roots_rights_away(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    status = tmp_path / "status"
+    monkeypatch.setattr(realtime, "_STATUS", status)
+    for capabilities, privileged in (
+        ("000001ffffffffff", True),
+        ("00000000a80425fb", False),
+        ("0000000000804000", True),
+    ):
+        status.write_text(f"Name:\tpython\nCapEff:\t{capabilities}\n")
+        assert realtime.is_privileged() is privileged
+    status.unlink()
+    assert realtime.is_privileged() is (os.geteuid() == 0)
+
+
+@pytest.mark.parametrize(("limit", "taken"), [(10, 10), (99, PRIORITY), (None, PRIORITY)])
+def test_no_more_priority_than_the_limit_allows(monkeypatch: pytest.MonkeyPatch, limit: int | None, taken: int) -> None:
+    asked: list[int] = []
+    monkeypatch.setattr(realtime, "rights", lambda: Rights(False, limit, None))
+    monkeypatch.setattr(os, "sched_setscheduler", lambda _pid, _policy, param: asked.append(param.sched_priority))
+    assert realtime.set_priority() == ""
+    assert asked == [taken]
+
+
+def test_refusals_of_the_system_in_spite_of_the_limits(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_args: object) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(realtime, "rights", lambda: Rights(False, 50, None))
+    monkeypatch.setattr(os, "sched_setscheduler", refuse)
+    notice = realtime.set_priority()
+    assert f"SCHED_FIFO {PRIORITY} is refused (Operation not permitted) although the limits allow it" in notice
+    monkeypatch.setattr(os, "sched_setaffinity", refuse)
+    assert "0 refused (Operation not permitted)" in stay_on([0])
+
+
+def test_elsewhere_each_says_that_it_needs_linux(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "platform", "darwin")
+    monkeypatch.delattr(os, "sched_setaffinity")
+    notices = become_real_time([0])
+    assert len(notices) == 4
+    assert all("on Linux only" in notice for notice in notices)
+
+
+def test_a_processor_that_is_not_there_is_misuse() -> None:
+    with pytest.raises(ConfigError, match="no processor 4711: they are 0 to"):
+        stay_on([4711])
+    with pytest.raises(ConfigError, match="no processor given"):
+        stay_on([])

@@ -1,0 +1,413 @@
+"""Demag: DC brake (D8), toggle bit (D10), OUT-PZD (D12, D14), trace (D16), address (D19).
+
+Both ends alone, against literal octets.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import pytest
+from drive_bench import MS, DeviceBench, PluginBench, S, as_mapping
+from slave_kit import SLAVE, Bench
+
+from dpstack.dp.slaveapp import SlaveApp
+from dpstack.errors import ConfigError
+from dpstack.profile import Leave
+from dpstack_drives.demag import DRIVE
+from dpstack_drives.demag.simulator import DemagDevice
+
+NONE: Mapping[str, Any] = {}
+ZERO = "00 00 00 00 00 00 00 00 "
+REST = " 00 00 00 00 00 00 00 00"
+
+
+def sim(telegram: str = "PPO3", presets: Mapping[str, Any] = NONE, **options: Any) -> DeviceBench:
+    return DeviceBench(DRIVE.device(telegram, {"412": 1, **presets, **options}), DRIVE.telegram(telegram).config.hex())
+
+
+def pkw(bench: DeviceBench, order: str) -> str:
+    assert bench.send(ZERO + "00 00 00 00")[:23] == ZERO.strip()
+    return bench.send(order + " 00 00 00 00")[:23]
+
+
+def plugin(inputs: str, telegram: str = "PPO3", **options: object) -> PluginBench:
+    return PluginBench(DRIVE.core("hoist", telegram, options), inputs)
+
+
+# -- D1, D2 ------------------------------------------------------------------------------------------------------------
+
+
+def test_d1_what_set_prm_and_chk_cfg_bring() -> None:
+    """The octets of the GSD file, at the simulated drive and as the plugin's telegrams."""
+    device = DRIVE.device("PPO1")
+    assert device.check_prm(bytes.fromhex("00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00")) is None
+    assert device.check_prm(bytes.fromhex("00 00 00 00 00 00 00 00 00 00 00 00 00 00 00")) is not None
+    for octets, name in (("F3 71", "PPO1"), ("F3 75", "PPO2"), ("71", "PPO3"), ("75", "PPO4")):
+        assert device.check_cfg(bytes.fromhex(octets)) is None
+        assert DRIVE.core("hoist", name).telegram.config == bytes.fromhex(octets)
+    assert device.ident == 0x0696
+    assert device.fail_safe
+
+
+# -- D8 ----------------------------------------------------------------------------------------------------------------
+
+
+def test_d8_the_dc_brake_holds_for_632_and_takes_no_control_word() -> None:
+    bench = sim("PPO3", {"392": 1, "632": 2.0})
+    for control in ("00 06", "00 07"):
+        bench.send(control + " 40 00")
+    bench.until("00 0F 40 00", "06 27 40 00", 2000)
+    began = bench.now
+    assert bench.send("00 07 40 00", 40)[:5] == "0A 27"  # the torque limit holds it: bit 11
+    assert bench.send("00 0F 40 00", 200) == "02 27 00 00"  # 0F does not bring it back
+    assert bench.device.motor.braking
+    assert bench.device.motor.speed == 0.0
+    assert bench.send("00 00 40 00", 1000) == "02 27 00 00"
+    seen = bench.until("00 07 40 00", "02 23 00 00", 1000)
+    assert seen == ["02 27 00 00", "02 23 00 00"]
+    assert 2 * S <= bench.now - began <= 2 * S + 64 * MS
+    assert not bench.device.motor.on
+
+
+def test_d8_the_dc_brake_ends_with_the_release_or_a_fault() -> None:
+    for word, what in (("00 23 00 00", "release"), ("02 08 00 00", "fault")):
+        bench = sim("PPO3", {"392": 1, "632": 2.0})
+        for control in ("00 06", "00 07"):
+            bench.send(control + " 40 00")
+        bench.until("00 0F 40 00", "06 27 40 00", 2000)
+        bench.send("00 07 40 00", 40)
+        if what == "release":
+            bench.device.release(False)
+        else:
+            bench.device.trip("F2061")
+        assert bench.send("00 07 40 00", 40) == word
+        assert not bench.device.motor.on
+
+
+def test_d8_392_by_the_kind_of_application() -> None:
+    assert pkw(sim("PPO1"), "21 88 00 00 00 00 00 01") == "11 88 00 00 00 00 00 01"
+    assert pkw(sim("PPO1", application="speed"), "21 88 00 00 00 00 00 01") == "71 88 00 00 00 00 00 02"
+    assert pkw(sim("PPO1", application="speed"), "11 88 00 00 00 00 00 00") == "11 88 00 00 00 00 00 02"
+    assert pkw(sim("PPO1", application="torque"), "11 88 00 00 00 00 00 00") == "11 88 00 00 00 00 00 00"
+    with pytest.raises(ConfigError, match="392 = 1"):
+        DRIVE.device("PPO3", {"392": 1, "application": "speed"})
+
+
+# -- D10 ---------------------------------------------------------------------------------------------------------------
+
+
+def test_d10_the_drive_waits_for_the_first_copy_and_then_limits_each_answer() -> None:
+    bench = sim("PPO3", {"880": 1, "881": 100})
+    assert bench.send("00 06 20 00", 5000) == "03 C0 00 00"  # bit 8, a warning, nothing obeyed
+    assert bench.send("01 06 20 00", 32) == "02 21 00 00"  # the copy: obeyed, and the next bit is 0
+    for control, status in (("00 07", "03 23"), ("01 0F", "06 27"), ("00 0F", "07 27")):
+        assert bench.send(control + " 00 00", 32) == status + " 00 00"
+    # no answer for 100 ms: F2100
+    word = bench.send("00 0F 00 00", 50)
+    assert word[3:5] == "27"
+    assert bench.send("00 0F 00 00", 100)[:5] == "02 08"
+    assert bench.send("60 00 00 00") == "62 08 21 00"
+    assert bench.send("01 00 00 00", 14_000)[:5] == "02 08"  # not sent within 15 s of a fault
+    assert bench.send("00 00 00 00", 1000)[:5] == "02 08"
+    assert bench.send("00 80 00 00", 50) == "03 C0 00 00"  # acknowledged: it begins anew
+
+
+@pytest.mark.parametrize(
+    ("mode", "reaction", "start", "words"),
+    [
+        (1, 2, ("00 06", "00 07", "00 0F"), ["03 C0"]),
+        (1, 3, ("00 06", "00 07", "00 0F"), ["03 87", "03 C0"]),
+        (2, 2, ("00 03",), ["03 A3"]),
+        (2, 3, ("00 03",), ["03 A3"]),
+    ],
+)
+def test_d10_switch_off_and_quick_stop(mode: int, reaction: int, start: tuple[str, ...], words: list[str]) -> None:
+    """Quick stop only with 412 = 1; with 412 = 2 it switches off."""
+    bench = sim("PPO3", {"412": mode, "880": reaction, "881": 500})
+    copy, controls = "01", [*start]
+    while controls or copy == "00":
+        control = controls.pop(0) if controls else start[-1]
+        copy = f"{int(bench.send(copy + control[2:] + ' 20 00', 16)[:2], 16) & 1:02}"
+    assert bench.device.motor.on
+    seen: list[str] = []
+    for _ in range(100):
+        word = bench.send(start[-1] + " 20 00", 16)[:5]
+        if not seen or seen[-1] != word:
+            seen.append(word)
+        if word == words[-1]:
+            break
+    assert seen[-len(words) :] == words
+    assert not bench.device.motor.on
+
+
+def test_d10_880_is_0_as_delivered_and_bit_8_stays_0() -> None:
+    bench = sim()
+    assert bench.send("01 06 00 00") == "02 21 00 00"
+    assert bench.send("00 06 00 00") == "02 21 00 00"
+
+
+def test_d10_the_master_copies_the_bit_and_never_inverts_it() -> None:
+    bench = plugin("03 C0 00 00")
+    assert bench.out() == "51 00 00 00"  # with bits 12-14: which warning is it?
+    assert bench.see("52 40 00 00") == "00 00 00 00"
+    bench.order("start")
+    assert bench.see("03 40 00 00") == "01 06 00 00"
+    assert bench.see("02 21 00 00") == "00 07 00 00"
+    assert bench.see("03 23 00 00") == "01 0F 00 00"
+    bench.core.lost(bench.now)
+    assert bench.core.cyclic(b"", bench.now).hex(" ") == "00 00 00 00"
+
+
+@pytest.mark.parametrize(("limit", "told"), [("00 32", True), ("01 F4", False)])
+def test_d10_the_plugin_warns_when_881_is_too_short(limit: str, told: bool) -> None:
+    """50 ms are less than two scans of 32 ms."""
+    bench = plugin(ZERO + "03 40 00 00", "PPO1")
+    bench.run(6)
+    assert bench.out() == "13 71 00 00 00 00 00 00 01 00 00 00"
+    bench.see(f"13 71 00 00 00 00 {limit} 03 40 00 00", 3)
+    notices = [text for text in bench.notices() if "881" in text]
+    assert len(notices) == told
+    assert all("50 ms, two scans of the drive and two rotations take 68 ms" in text for text in notices)
+
+
+# -- D12, D14 ----------------------------------------------------------------------------------------------------------
+
+VALUES = [
+    ("bool", 1, "FF FF"),
+    ("bool", 0, "00 00"),
+    ("percent", 30, "0B B8"),
+    ("percent", -55.36, "EA 60"),
+    ("percent", -300, "8A D0"),
+    ("percent", 300, "75 30"),
+    ("current", 10, "20 00"),
+    ("torque", -5, "F0 00"),
+    ("frequency", 30, "20 00"),
+    ("frequency", -60, "C0 00"),
+]
+
+
+@pytest.mark.parametrize(("kind", "value", "word"), VALUES)
+def test_d14_the_words_of_the_plugin(kind: str, value: float, word: str) -> None:
+    """390 = 60 Hz, scaling current 10 A; PZD5."""
+    options = {"reference_hz": 60, "scaling_current": 10, "map_outputs": f"- - {kind}"}
+    bench = plugin("02 40" + " 00" * 10, "PPO4", **options)
+    assert as_mapping(bench.result(bench.order("output", number="pzd5", value=value)))["ok"]
+    assert bench.out() == f"00 00 00 00 00 00 00 00 {word} 00 00"
+    bench.core.lost(bench.now)
+    assert bench.core.cyclic(b"", bench.now).hex(" ").upper() == "00 00 00 00 00 00 00 00 00 00 00 00"
+
+
+def test_d12_the_additional_reference_of_the_plugin() -> None:
+    bench = plugin("02 40" + " 00" * 10, "PPO4", reference_hz=60, map_outputs="reference")
+    bench.order("output", number="PZD3", value=-15)
+    bench.order("speed", value=0.5)
+    assert bench.out() == "00 00 20 00 F0 00 00 00 00 00 00 00"
+
+
+@pytest.mark.parametrize(
+    ("telegram", "text", "says"),
+    [
+        ("PPO1", "bool", "PPO1 has no PZD3 to PZD6; take PPO2 or PPO4"),
+        ("PPO4", "- reference", "only PZD3 is the additional reference"),
+        ("PPO4", "speed", "'speed' is no meaning of PZD3"),
+        ("PPO4", "- - - - bool", "5 words, there are 4"),
+    ],
+)
+def test_d14_maps_that_cannot_be(telegram: str, text: str, says: str) -> None:
+    with pytest.raises(ConfigError, match=says):
+        DRIVE.core("hoist", telegram, {"map_outputs": text})
+
+
+@pytest.mark.parametrize(
+    ("number", "value", "says"),
+    [
+        ("pzd3", 2, "pzd3 (bool) is 0 or 1, not 2"),
+        ("pzd4", 300.5, "outside -300..300 %"),
+        ("pzd5", 121, "pzd5 (frequency) 121 Hz is outside -100..99.997 Hz"),
+        ("pzd6", 1, "needs the option scaling_current"),
+        ("pzd2", 1, "'pzd2' is not in the output map (bool percent frequency current)"),
+    ],
+)
+def test_d14_values_that_cannot_be_are_refused_before_anything_is_sent(number: str, value: float, says: str) -> None:
+    bench = plugin("02 40" + " 00" * 10, "PPO4", map_outputs="bool percent frequency current")
+    result = as_mapping(bench.result(bench.order("output", number=number, value=value)))
+    assert (result["error"], says in str(result["text"])) == ("usage", True), result
+    assert bench.out() == "00 00 00 00 00 00 00 00 00 00 00 00"
+
+
+@pytest.mark.parametrize(
+    ("words", "number", "value"),
+    [
+        ("FF FF 00 00 00 00 00 00", 750, True),
+        ("FF FF 00 00 00 00 00 00", 753, False),
+        ("00 00 0B B8 00 00 00 00", 755, 30.0),
+        ("00 00 00 00 EA 60 00 00", 756, -55.36),
+        ("00 00 00 00 20 00 00 00", 760, 30.0),
+        ("00 00 00 00 00 00 C0 00", 761, -60.0),
+    ],
+)
+def test_d14_the_sources_of_the_drive(words: str, number: int, value: bool | float) -> None:
+    """390 = 60 Hz; the table's numbers: PZD5 as long is 760, not 759."""
+    bench = sim("PPO4", {"390": 60})
+    bench.send("00 00 00 00 " + words)
+    assert isinstance(bench.device, DemagDevice)
+    assert bench.device.source(number) == pytest.approx(value)
+
+
+def test_d14_sources_are_there_in_ppo2_and_ppo4_only() -> None:
+    bench = sim("PPO3")
+    assert isinstance(bench.device, DemagDevice)
+    with pytest.raises(ValueError, match="PPO2 and PPO4 only"):
+        bench.device.source(750)
+    wide = sim("PPO4").device
+    assert isinstance(wide, DemagDevice)
+    with pytest.raises(ValueError, match="none of 750 to 761"):
+        wide.source(762)
+
+
+# -- D16 ---------------------------------------------------------------------------------------------------------------
+
+
+def test_d16_the_lines_of_the_manual_from_live_data() -> None:
+    """The order that was answered is idle again, its last transmission is what the lines show."""
+    wide = " 06 A7 20 00 11 47 0C CC 08 00 00 00"
+    bench = plugin(ZERO.strip() + wide, "PPO2")
+    bench.order("speed", value=0.5)
+    bench.order("start")
+    bench.order("read", number=480, data_set=3)
+    bench.run(2)
+    bench.see("51 E0 03 00 FF FF EA 84" + wide, 3)
+    bench.see(ZERO.strip() + wide, 3)
+    lines = as_mapping(as_mapping(bench.result(bench.order("trace")))["value"])
+    assert bench.out() == ZERO + "00 0F 20 00 00 00 00 00 00 00 00 00"
+    assert lines["in"] == ("PKE: 5 480 IND: 03 00 PWE: -005500 STA: 06A7 VAL: 2000 3: 1147 4: 0CCC 5: 0800 6: 0000")
+    assert lines["out"] == ("PKE: 6 480 IND: 03 00 PWE: +000000 CTR: 000F STP: 2000 3: 0000 4: 0000 5: 0000 6: 0000")
+
+
+def test_d16_a_write_shows_its_value_and_narrow_telegrams_their_part() -> None:
+    bench = plugin(ZERO + "02 40 00 00", "PPO1")
+    bench.order("write", number=480, data_set=3, value=-55)
+    bench.run(2)
+    bench.see("51 E0 03 00 FF FF EA 84 02 40 00 00", 3)
+    lines = as_mapping(as_mapping(bench.result(bench.order("trace")))["value"])
+    assert lines["out"] == "PKE: 8 480 IND: 03 00 PWE: -005500 CTR: 0000 STP: 0000"
+    assert lines["in"] == "PKE: 5 480 IND: 03 00 PWE: -005500 STA: 0240 VAL: 0000"
+    narrow = plugin("02 40 00 00")
+    assert as_mapping(as_mapping(narrow.result(narrow.order("trace")))["value"])["in"] == "STA: 0240 VAL: 0000"
+
+
+def test_d16_the_texts_281_and_284_cannot_be_read_over_the_channel() -> None:
+    bench = sim("PPO1")
+    assert pkw(bench, "11 19 00 00 00 00 00 00") == "71 19 00 00 00 00 00 65"
+    assert pkw(bench, "11 1C 00 00 00 00 00 00") == "71 1C 00 00 00 00 00 65"
+
+
+# -- D19 to D22 --------------------------------------------------------------------------------------------------------
+
+
+def test_d19_a_write_of_391_resets_the_drive() -> None:
+    bench = sim("PPO1")
+    for control in ("00 06", "00 07"):
+        bench.send(f"{ZERO}{control} 20 00")
+    assert bench.send(ZERO + "00 0F 20 00", 1500) == ZERO + "06 27 20 00"
+    assert bench.send("81 E0 06 00 00 00 03 E8 00 0F 20 00")[:23] == "51 E0 06 00 00 00 03 E8"  # 480 in RAM only
+    bench.send(ZERO + "00 0F 20 00")
+    bench.send("21 87 00 00 00 00 00 07 00 00 20 00")
+    assert bench.send(ZERO + "00 00 20 00") == ZERO + "02 40 " + "00 00"
+    assert not bench.device.motor.on
+    assert pkw(bench, "61 E0 01 00 00 00 00 00") == "51 E0 01 00 00 00 01 F4"  # RAM is what the EEPROM holds
+    bench = sim("PPO1", {"391": 9})
+    assert pkw(bench, "11 87 00 00 00 00 00 00") == "11 87 00 00 00 00 00 09"
+    assert pkw(bench, "21 87 00 00 00 00 00 7F") == "71 87 00 00 00 00 00 02"
+
+
+def test_d19_the_plugin_reads_and_writes_391() -> None:
+    bench = plugin(ZERO + "02 40 00 00", "PPO1")
+    token = bench.order("write", number="node_id", value=7)
+    bench.run(2)
+    assert bench.out() == "21 87 00 00 00 00 00 07 00 00 00 00"
+    bench.see("11 87 00 00 00 00 00 07 02 40 00 00", 2)
+    assert as_mapping(bench.result(token))["value"] == 7
+    refused = as_mapping(bench.result(bench.order("write", number=391, value=127)))
+    assert "0..126" in str(refused["text"])
+
+
+def test_d20_limits_and_factory_values_over_the_channel() -> None:
+    bench = sim("PPO1")
+    for order, reply in (
+        ("61 77 01 00 00 00 00 00", "51 77 01 00 00 00 13 88"),  # 375: 50.00 Hz
+        ("81 77 01 00 00 00 03 E7", "71 77 01 00 00 00 00 02"),  # 9.99 Hz
+        ("21 B2 00 00 00 00 00 04", "71 B2 00 00 00 00 00 02"),  # 434 1..3
+        ("13 71 00 00 00 00 00 00", "13 71 00 00 00 00 01 F4"),  # 881: 500 ms
+        ("13 70 00 00 00 00 00 00", "13 70 00 00 00 00 00 00"),  # 880: 0
+        ("20 E4 00 00 00 00 00 01", "70 E4 00 00 00 00 00 01"),  # 228 is read only
+        ("10 FA 00 00 00 00 00 00", "10 FA 00 00 00 00 00 03"),  # 250: S1 and S2
+    ):
+        assert pkw(bench, order) == reply
+
+
+@pytest.mark.parametrize(
+    ("mask", "status"), [(0x0080, "82 C0"), (0x0800, "02 C0"), (0x0100, "82 C0"), (0x0000, "02 40")]
+)
+def test_d15_d21_warning_bits_of_the_drive(mask: int, status: str) -> None:
+    """ZSW 7 for any, ZSW 15 for one that leads to a trip; the word itself through bits 12 to 14."""
+    bench = sim()
+    bench.device.warn(mask)
+    assert bench.send("00 00 00 00") == status + " 00 00"
+    high = f"{int(status[:2], 16) | 0x50:02X}"
+    assert bench.send("50 00 00 00") == f"{high} {status[3:]} {mask >> 8:02X} {mask & 0xFF:02X}"
+
+
+def test_d15_lost_master_is_f2062() -> None:
+    bench = sim()
+    for control in ("00 06", "00 07", "00 0F"):
+        bench.send(control + " 20 00")
+    bench.device.leave(Leave.WATCHDOG, bench.now)
+    bench.device.enter(b"\x71", bench.now)
+    bench.send("60 00 00 00")
+    assert bench.send("60 00 00 00") == "62 08 20 62"
+
+
+def test_d19_set_slave_add_is_kept_as_391() -> None:
+    device = DRIVE.device("PPO1")
+    app = SlaveApp(device, address=SLAVE)
+    bench = Bench(device, app)
+    bench.ask(55, bytes.fromhex("07 06 96 00"))
+    again = DRIVE.device("PPO1")
+    again.inherit(device)
+    assert again.own_address == 7
+
+
+def test_d22_each_further_sync_passes_the_outputs_on() -> None:
+    """By the standard; the manual has only UNSYNC do that."""
+    device = DRIVE.device("PPO3", {"412": 1})
+    app = SlaveApp(device, address=SLAVE)
+    bench = Bench(device, app)
+    bench.prm(bytes.fromhex("B0 01 01 0B 06 96 01") + bytes(16))  # lock, sync, freeze
+    bench.cfg(bytes.fromhex("71"))
+
+    def after(outputs: str) -> str:
+        bench.dx(bytes.fromhex(outputs))
+        bench.now += 100 * MS
+        return bench.dx(bytes.fromhex(outputs)).data.hex(" ")
+
+    assert after("00 06 00 00") == "02 21 00 00"
+    bench.control(bytes.fromhex("20 00"))  # SYNC
+    assert after("00 07 00 00") == "02 21 00 00"
+    bench.control(bytes.fromhex("20 00"))  # a further one
+    assert after("00 00 00 00") == "02 23 00 00"
+    bench.control(bytes.fromhex("10 00"))  # UNSYNC ends the mode
+    assert after("00 00 00 00") == "02 40 00 00"
+
+
+def test_d17_the_plugin_waits_for_two_scans_before_it_believes() -> None:
+    """16 ms with PPO3, 32 ms with the others: an old 0627 is no answer to a stop."""
+    for telegram, lead, early in (("PPO3", "", 60), ("PPO1", ZERO, 100)):
+        bench = plugin(lead + "02 40 00 00", telegram)
+        token = bench.order("coast")
+        bench.run(early // 2)
+        assert bench.result(token) is None
+        bench.run(10)
+        assert as_mapping(bench.result(token))["ok"]
