@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from dpstack.dp.class2_jobs import ATTEMPTS, Job, Outcome, ServiceFailure, Step, Steps
+from dpstack.dp.commands import Mode
 from dpstack.dp.events import SlaveState
 from dpstack.dp.master import Master
 from dpstack.dp.ms0 import DATA_STATUS, refusal_text
@@ -140,9 +141,22 @@ class Ms1:
             )
         return handler
 
-    def current(self, handler: SlaveHandler) -> bool:
-        """Whether it is still the one that handles its slave."""
-        return self.master is not None and self.master.handlers.get(handler.setup.address) is handler
+    def bar(self, handler: SlaveHandler, since: int) -> str:
+        """Why no service to the slave of ``handler``, in data exchange ``since`` then, can end: MS1 closes on leaving
+        data exchange (section J), and in Stop nothing is sent to slaves. Empty while it can.
+        """
+        master = self.master
+        if master is None or master.handlers.get(handler.setup.address) is not handler:
+            return "the slave was removed from this bus, or parameterised anew; repeat it afterwards"
+        if master.mode <= Mode.STOP:
+            return f"the master is in {master.mode.name.capitalize()}, where nothing is sent to slaves"
+        state = handler.state
+        if state is SlaveState.DATA_EXCHANGE and handler.since == since:
+            return ""
+        why = "" if handler.fault is None else f" ({handler.fault.text})"
+        if state is SlaveState.DATA_EXCHANGE:
+            return f"the slave left data exchange{why} and came back; repeat it"
+        return f"the slave is not in data exchange but in {state.value}{why}; repeat it when it is"
 
 
 class RecordJob:
@@ -182,16 +196,9 @@ class RecordJob:
         )
 
     def bar(self) -> str:
-        """MS1 closes on leaving data exchange (section J)."""
-        handler = self._handler
-        if not self._ms1.current(handler):
-            return "has no end: the slave was removed from this bus, or parameterised anew; repeat it afterwards"
-        if handler.state is SlaveState.DATA_EXCHANGE and handler.since == self._since:
-            return ""
-        why = "" if handler.fault is None else f" ({handler.fault.text})"
-        if handler.state is SlaveState.DATA_EXCHANGE:
-            return f"has no end: the slave left data exchange{why} and came back; repeat it"
-        return f"has no end: the slave is not in data exchange but in {handler.state.value}{why}; repeat it when it is"
+        """See :meth:`Ms1.bar`."""
+        why = self._ms1.bar(self._handler, self._since)
+        return f"has no end: {why}" if why else ""
 
     def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:
         """One event."""

@@ -168,7 +168,7 @@ def parse_response(octets: bytes) -> RecordRes:
         return Negative(function & ~_NEGATIVE, nrs.error_code_1, nrs.error_code_2, nrs.error_decode)
     name = f"{Function(function).title} response"
     if function not in (Function.READ, Function.WRITE):
-        raise PduError(f"octet 1: a {name} answers neither Read nor Write")
+        raise PduError(f"DP-V1 response: octet 1: {Function(function).title} answers neither Read nor Write")
     raw = RECORD.parse(octets)
     if function == Function.WRITE:
         if raw.data:
