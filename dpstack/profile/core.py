@@ -255,6 +255,10 @@ class DriveCore:
         """An order of this drive's own (named in ``own_ops``), not begun yet. Raises CommandError."""
         return None
 
+    def safe(self, configured: bytes) -> bytes:
+        """See :class:`CyclicUnit`."""
+        return configured
+
     def status_of(self, process: bytes) -> int:
         """The status word in the process data received."""
         return self.words[0]

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Final, Generic, TypeVar
+from collections.abc import Mapping, Sequence
+from typing import Final, Generic, Literal, TypeVar
 
+from dpstack.errors import ConfigError
 from dpstack.profile import datamap
 from dpstack.profile.core import DriveCore
-from dpstack.profile.datamap import DataMap
+from dpstack.profile.datamap import DataMap, Field
 from dpstack.profile.jobs import Args, CommandError, Steps
 
 M = TypeVar("M", bound=DataMap)
@@ -22,6 +24,11 @@ class MappedCore(DriveCore, Generic[M]):
     ``read_map``; ``write_map`` (``inputs``, ``outputs``: texts, what is not given stays); ``inputs``; ``output``
     (``number``: name or key of a field of the output map, ``value`` in its unit). A map or a value that cannot be
     raises before anything is sent.
+
+    An output that is a parameter of the drive (a field that is not ``neutral``) is never sent without a value: it has
+    one behind its name in the option (``dr-04=2.5``), in ``write_map``, or by ``output``; until then ``start`` is
+    refused. It keeps the last one in the safe outputs and when the drive was away, all others fall back to those of
+    the option.
     """
 
     own_ops: tuple[str, ...] = MAP_OPS
@@ -33,10 +40,66 @@ class MappedCore(DriveCore, Generic[M]):
     #: as the drive has them; None until that is known
     inputs_map: M | None
     outputs_map: M | None
-    #: the word at which the inputs' map begins
+    #: the word at which the inputs' map begins, and that of the outputs
     inputs_at: int = 0
-    #: what the application gave, by key
+    outputs_at: int = 0
+    #: of a word
+    octet_order: Literal["big", "little"] = "big"
+    #: values of the outputs by key: those of the option, and the present ones
+    presets: dict[int, int]
     values: dict[int, int]
+    _last_map: M | None = None
+
+    def take_presets(self, text: str, fields: Sequence[Field | None], what: str) -> None:
+        """The values in the text of the output map's option (``what``, for people). Raises ConfigError."""
+        try:
+            self.presets = datamap.given(datamap.split(text)[1], fields)
+        except ValueError as error:
+            raise ConfigError(f"{what}: {error}") from None
+        self.values = dict(self.presets)
+
+    def refuse_zeros(self, what: str) -> None:
+        """For a map that counts from the first cycle on. Raises ConfigError where a parameter has no value."""
+        if missing := self.missing():
+            raise ConfigError(
+                f"{what}: {', '.join(missing)} would be written with 0 from the first cycle on: "
+                f"give the value in the map, {missing[0].partition(' ')[0]}=VALUE"
+            )
+
+    def missing(self) -> list[str]:
+        """The parameters among the outputs that nobody gave a value, by name."""
+        fields = () if self.outputs_map is None else self.outputs_map.fields
+        return [f.name for f in fields if f is not None and not f.neutral and f.key not in self.values]
+
+    def lost(self, now: int) -> None:
+        """Parameters keep their values; commands and set points do not come back by themselves."""
+        self._last_map = self.outputs_map or self._last_map
+        self.values = {**self.presets, **self._parameters()}
+        super().lost(now)
+
+    def safe(self, configured: bytes) -> bytes:
+        """The safe outputs with the present values of parameters: a ramp time of 0 is not safe."""
+        outputs = self.outputs_map or self._last_map
+        if configured != self.safe_outputs or outputs is None:
+            return configured
+        octets = bytearray(configured)
+        begin = len(octets) - self.telegram.outputs + 2 * self.outputs_at
+        words = datamap.pack(outputs.fields, self.values, (len(octets) - begin) // 2)
+        for at, field in datamap.places(outputs.fields):
+            if not field.neutral:
+                for place in range(at, min(at + field.octets // 2, len(words))):
+                    octets[begin + 2 * place : begin + 2 * place + 2] = words[place].to_bytes(2, self.octet_order)
+        return bytes(octets)
+
+    def prepare(self, deadline: int) -> Steps[None]:
+        """Nothing runs with a parameter at 0 that nobody chose."""
+        yield from ()
+        if missing := self.missing():
+            raise CommandError(
+                "fault",
+                f"{', '.join(missing)} in {self.outputs_name} would be written with 0: give a value first, "
+                f"by order('output', number='{missing[0].partition(' ')[0]}', value=...) or in the option of the map",
+            )
 
     def order(self, op: str, args: Args) -> Steps[dict[str, object]] | None:
         """See the class."""
@@ -87,13 +150,28 @@ class MappedCore(DriveCore, Generic[M]):
     # -- inside ---------------------------------------------------------------------------------------------------
 
     def _write(self, inputs: str | None, outputs: str | None, deadline: int) -> Steps[dict[str, object]]:
+        bare, behind = (None, ()) if outputs is None else datamap.split(outputs)
         try:
-            maps = self.parse_map(inputs, outputs=False), self.parse_map(outputs, outputs=True)
+            maps = self.parse_map(inputs, outputs=False), self.parse_map(bare, outputs=True)
         except ValueError as error:
             raise CommandError("usage", f"write_map: {error}") from None
         if (wrong := self.check_maps(*maps)) is not None:
             raise CommandError("usage", f"write_map: {wrong}")
-        return self.write_map(*maps, deadline)
+        try:
+            values = datamap.given(behind, maps[1].fields)
+        except ValueError as error:
+            raise CommandError("usage", f"write_map: {error}") from None
+        return self._with(values, self.write_map(*maps, deadline))
+
+    def _with(self, values: Mapping[int, int], steps: Steps[dict[str, object]]) -> Steps[dict[str, object]]:
+        self.values |= values
+        return (yield from steps)
+
+    def _parameters(self) -> dict[int, int]:
+        """The present values of those that are not neutral."""
+        outputs = self.outputs_map or self._last_map
+        fields = () if outputs is None else outputs.fields
+        return {f.key: self.values[f.key] for f in fields if f is not None and not f.neutral and f.key in self.values}
 
     def _inputs_values(self, deadline: int) -> Steps[dict[str, object]]:
         yield from self.known(deadline)

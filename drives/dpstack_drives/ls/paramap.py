@@ -55,6 +55,11 @@ class ParaWord:
     key: int
 
     @property
+    def neutral(self) -> bool:
+        """Frequency and operation command: 0 is none of either; all others are parameters."""
+        return self.key in (t.FREQUENCY, t.OPERATION)
+
+    @property
     def name(self) -> str:
         """``dr-03``, or the address in hex."""
         return t.code_of(self.key)
@@ -96,10 +101,10 @@ def read(access: ParameterChannel, deadline: int) -> Steps[dict[str, object]]:
     """The maps as the drive has them."""
     found: dict[str, object] = {}
     for name, count_at, first in _PLACES:
-        count = yield from _raw(access, count_at, deadline)
+        count = yield from raw(access, count_at, deadline)
         entries: tuple[int, ...] = ()
         for place in range(min(count, telegrams.MOST)):
-            entry = yield from _raw(access, first + place, deadline)
+            entry = yield from raw(access, first + place, deadline)
             entries += (entry,)
         found[name] = show(entries)
     return {"value": found}
@@ -115,8 +120,16 @@ def write(access: ParameterChannel, status: ParaMap, control: ParaMap, deadline:
     yield from access.write(ParamKey(t.UPDATE), 1, deadline)
 
 
-def _raw(access: ParameterChannel, where: int, deadline: int) -> Steps[int]:
+def clear_control(access: ParameterChannel, deadline: int) -> Steps[None]:
+    """No word of the outputs is anything: one address, and that is none."""
+    yield from access.write(ParamKey(t.PARA_CONTROL), 0, deadline)
+    yield from access.write(ParamKey(t.CONTROL_COUNT), 1, deadline)
+    yield from access.write(ParamKey(t.UPDATE), 1, deadline)
+
+
+def raw(access: ParameterChannel, where: int, deadline: int) -> Steps[int]:
+    """The word at an address as the drive has it."""
     outcome = yield from access.read(ParamKey(where), deadline)
-    raw = outcome["raw"]
-    assert isinstance(raw, int)
-    return raw
+    word = outcome["raw"]
+    assert isinstance(word, int)
+    return word
