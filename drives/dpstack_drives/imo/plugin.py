@@ -264,8 +264,6 @@ class ImoCore(MappedCore[PzdMap]):
 
     def _take(self, inputs: PzdMap, outputs: PzdMap) -> None:
         self.inputs_map, self.outputs_map = inputs, outputs
-        values = {**self.presets, **self.values}
-        self.values = {number: raw for number, raw in values.items() if number in outputs.numbers}
         self._dirty = True
         self.update()
 
@@ -281,6 +279,7 @@ class ImoCore(MappedCore[PzdMap]):
             for number, new, old in zip(numbers, wanted.numbers, had.numbers, strict=True):
                 if new != old:
                     yield from self._channel.put(number, new, deadline)
+        self.values = {number: raw for number, raw in self.values.items() if number in outputs.numbers}
         self._take(inputs, outputs)
         return {"value": {"inputs": str(inputs), "outputs": str(outputs)}}
 
