@@ -287,6 +287,9 @@ async def test_who_hangs_up_ends_the_order(plant: Path, monkeypatch: pytest.Monk
         await bus.ready()  # in Clear
         found = await find_drive("virtual", "fan")
         assert found is not None
+        says = r"the bus is in Clear, nothing reaches the drive: .* \(of a run: dpstack ctl virtual operate\)"
+        with pytest.raises(DriveTimeout, match=says):
+            await found.order("start", "timeout=0.01")
         order = asyncio.ensure_future(found.order("start", "timeout=60"))
         await asyncio.sleep(0.1)
         assert not order.done()
