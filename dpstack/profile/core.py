@@ -155,7 +155,7 @@ class DriveCore:
         return DriveStatus(
             state=self.state,
             running=self.state is State.RUNNING,
-            reached=bits.told(word, "reached"),
+            reached=bits.told(word, "reached") if "reached" in bits.bits else motion.near(self, speed),
             remote="remote" not in bits.bits or bits.told(word, "remote"),
             setpoint=self.setpoint,
             speed=speed,

@@ -360,7 +360,10 @@ def test_alone_on_a_port_until_ctrl_c(plant: Path, start: Starter, capsys: Out) 
     # a run at the same end; `dpstack ctl` still finds the sim, which was there first
     run = start("run", str(plant), "--json")
     run.wait_for_slaves(3)
-    (status,) = (json.loads(line) for line in drive(capsys, str(plant), "fan", "status", "--json")[0])
+    for _ in range(100):  # in data exchange, and in Operate a moment later
+        (status,) = (json.loads(line) for line in drive(capsys, str(plant), "fan", "status", "--json")[0])
+        if status["status"]["state"] != "offline":
+            break
     assert status["through"] == "run"
     assert status["status"]["state"] == "fault"  # Er5: its watchdog ended the data exchange with the first master (F8)
     assert main(["ctl", port]) == 0

@@ -181,8 +181,10 @@ def test_reached_by_the_speed_where_no_bit_is_named() -> None:
     token = bench.order("reached")
     bench.see("00 20 05 78", 60)
     assert bench.result(token) is None
+    assert not bench.core.status().reached
     bench.see("00 20 05 B0", 2)
     assert bench.result(token) is not None
+    assert bench.core.status().reached
     blind = plugin("00 20 00 00", status_bits="run=5 fault=3", rpm_per_count=0)
     assert "does not tell its speed" in str(blind.result(blind.order("reached")))
 
