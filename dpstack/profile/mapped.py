@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Final, Generic, Literal, TypeVar
 
 from dpstack.errors import ConfigError
 from dpstack.profile import datamap
+from dpstack.profile.channel import ParamKey
 from dpstack.profile.core import DriveCore
 from dpstack.profile.datamap import DataMap, Field
 from dpstack.profile.jobs import Args, CommandError, Steps
@@ -49,6 +50,9 @@ class MappedCore(DriveCore, Generic[M]):
     presets: dict[int, int]
     values: dict[int, int]
     _last_map: M | None = None
+    #: maps that the drive takes at its next power-on, as options; and whether that may have been
+    _later: str | None = None
+    _doubtful = False
 
     def take_presets(self, text: str, fields: Sequence[Field | None], what: str) -> None:
         """The values in the text of the output map's option (``what``, for people). Raises ConfigError."""
@@ -74,6 +78,7 @@ class MappedCore(DriveCore, Generic[M]):
     def lost(self, now: int) -> None:
         """Parameters keep their values; commands and set points do not come back by themselves."""
         self._last_map = self.outputs_map or self._last_map
+        self._doubtful |= self._later is not None
         self.values = {**self.presets, **self._parameters()}
         super().lost(now)
 
@@ -92,8 +97,14 @@ class MappedCore(DriveCore, Generic[M]):
         return bytes(octets)
 
     def prepare(self, deadline: int) -> Steps[None]:
-        """Nothing runs with a parameter at 0 that nobody chose."""
+        """Nothing runs with a parameter at 0 that nobody chose, nor with words that may stand in another's place."""
         yield from ()
+        if self._doubtful:
+            raise CommandError(
+                "fault",
+                "other maps were written to the drive, and it was away since: if it was switched off they act. "
+                f"Open the bus anew with {self._later} among the options",
+            )
         if missing := self.missing():
             raise CommandError(
                 "fault",
@@ -139,6 +150,10 @@ class MappedCore(DriveCore, Generic[M]):
         """Wait until both maps are known."""
         yield from ()
 
+    def read_by(self, field: Field) -> ParamKey | None:
+        """How an output that is a parameter is read before a map acts at once; None where that is not wanted."""
+        return None
+
     def called(self, name: str | int) -> str | int:
         """Name or key of an output as a user wrote it."""
         return name
@@ -161,11 +176,36 @@ class MappedCore(DriveCore, Generic[M]):
             values = datamap.given(behind, maps[1].fields)
         except ValueError as error:
             raise CommandError("usage", f"write_map: {error}") from None
-        return self._with(values, self.write_map(*maps, deadline))
+        return self._with(maps, values, deadline)
 
-    def _with(self, values: Mapping[int, int], steps: Steps[dict[str, object]]) -> Steps[dict[str, object]]:
+    def _with(self, maps: tuple[M, M], values: dict[int, int], deadline: int) -> Steps[dict[str, object]]:
+        """A parameter without a value gets the one that the drive has, before its map acts."""
+        inputs, outputs = maps
+        for field in outputs.fields:
+            if field is None or field.neutral or field.key in values or field.key in self.values:
+                continue
+            if (key := self.read_by(field)) is not None and self.access is not None:
+                raw = (yield from self.access.read(key, deadline))["raw"]
+                assert isinstance(raw, int)
+                values[field.key] = raw
         self.values |= values
-        return (yield from steps)
+        outcome = yield from self.write_map(inputs, outputs, deadline)
+        if "acts" in outcome:
+            self._write_later(inputs, outputs)
+        return outcome
+
+    def _write_later(self, inputs: M, outputs: M) -> None:
+        if (inputs, outputs) == (self.inputs_map, self.outputs_map):
+            self._later, self._doubtful = None, False
+            return
+        self._later = f"map_inputs = '{inputs}' and map_outputs = '{outputs}'"
+        needed = [field.name.partition(" ")[0] for field in outputs.fields if field is not None and not field.neutral]
+        if needed:
+            self._later += f" (with {', '.join(f'{name}=VALUE' for name in needed)})"
+        self.notice(
+            "end the bus before the drive is switched off and on: this plugin goes on with the maps it was told, "
+            f"and needs {self._later} then"
+        )
 
     def _parameters(self) -> dict[int, int]:
         """The present values of those that are not neutral."""

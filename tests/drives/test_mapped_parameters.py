@@ -102,7 +102,7 @@ S2 = "02 35 00 00"
 
 
 def test_a_map_on_the_wire_takes_what_the_drive_has() -> None:
-    """The old map goes first, then dr-04 is asked for, and stands in its word before COM-51 says so."""
+    """dr-04 is asked for, the old map goes, and the value stands in its word before COM-51 says what it is."""
     bench = PluginBench(LS.core("pump", "PPO2"), ZERO + S2 + " 00" * 8)
     token = bench.order("write_map", inputs="000E", outputs="dr-04")
     sent: list[tuple[str, str]] = []
@@ -117,10 +117,10 @@ def test_a_map_on_the_wire_takes_what_the_drive_has() -> None:
         else:
             bench.see(ZERO + S2 + " 00" * 8)
     assert sent == [
+        ("10 11 04 00 00 00 00 00", "00 00"),
         ("20 17 33 00 00 00 00 00", "00 00"),
         ("20 17 32 00 00 00 00 01", "00 00"),
         ("20 17 5E 00 00 00 00 01", "00 00"),
-        ("10 11 04 00 00 00 00 00", "00 00"),
         ("20 17 1F 00 00 00 00 0E", "00 19"),
         ("20 17 1E 00 00 00 00 01", "00 19"),
         ("20 17 33 00 00 00 11 04", "00 19"),
@@ -218,3 +218,26 @@ def test_no_way_out_takes_the_ramp_away(way: str, monkeypatch: pytest.MonkeyPatc
         "04 7E 00 00 00 00 00 00 00 32 00 00",
     }
     assert "04 7E 00 00 00 00 00 00 00 32 00 00" in frames
+
+
+def test_maps_that_act_later_must_be_told_before_the_drive_runs_again() -> None:
+    """The words of the old map would stand in the places of the new one: a control word in a torque limit."""
+    telegram = "PCH+8/8"
+    bench = PairBench(KEB.core("saw", telegram, simulated=True), KEB.device(telegram))
+    maps = {"inputs": "ru.12:long sy.51 sy.53", "outputs": "cS.19:long sy.50 sy.52"}
+    bench.ok("write_map", **maps)
+    told = "map_inputs = '220C:long 2033 2035' and map_outputs = '2F13:long 2032 2034' (with cS.19=VALUE)"
+    assert any(told in text and "end the bus before the drive is switched off" in text for text in bench.notices())
+    bench.ok("speed", value=0.5)
+    bench.ok("start")  # the old ones still count
+    bench.ok("stop")
+    bench.core.lost(bench.now)
+    kind, text = bench.refused("start")
+    assert kind == "fault"
+    assert "it was away since" in text
+    assert told in text
+    known = {"map_inputs": maps["inputs"], "map_outputs": "cS.19:long=100 sy.50 sy.52"}
+    bench = PairBench(KEB.core("saw", telegram, known, simulated=True), KEB.device(telegram))
+    bench.ok("write_map")
+    bench.core.lost(bench.now)
+    assert not [text for text in bench.notices() if "end the bus" in text]

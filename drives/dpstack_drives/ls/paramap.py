@@ -101,10 +101,10 @@ def read(access: ParameterChannel, deadline: int) -> Steps[dict[str, object]]:
     """The maps as the drive has them."""
     found: dict[str, object] = {}
     for name, count_at, first in _PLACES:
-        count = yield from raw(access, count_at, deadline)
+        count = yield from _raw(access, count_at, deadline)
         entries: tuple[int, ...] = ()
         for place in range(min(count, telegrams.MOST)):
-            entry = yield from raw(access, first + place, deadline)
+            entry = yield from _raw(access, first + place, deadline)
             entries += (entry,)
         found[name] = show(entries)
     return {"value": found}
@@ -127,8 +127,7 @@ def clear_control(access: ParameterChannel, deadline: int) -> Steps[None]:
     yield from access.write(ParamKey(t.UPDATE), 1, deadline)
 
 
-def raw(access: ParameterChannel, where: int, deadline: int) -> Steps[int]:
-    """The word at an address as the drive has it."""
+def _raw(access: ParameterChannel, where: int, deadline: int) -> Steps[int]:
     outcome = yield from access.read(ParamKey(where), deadline)
     word = outcome["raw"]
     assert isinstance(word, int)

@@ -327,24 +327,23 @@ class LsCore(MappedCore[ParaMap]):
     def write_map(self, inputs: ParaMap, outputs: ParaMap, deadline: int) -> Steps[dict[str, object]]:
         """Acts at once (COM-94).
 
-        The words of the new map never stand under the old one, nor the other way round: the drive's is emptied first,
-        then every parameter without a value gets the one that the drive has.
+        The words of the new map never stand under the old one, nor the other way round: the drive's is emptied first.
         """
         access = self.access
         assert access is not None
         if outputs != self.outputs_map and any(outputs.entries):
             yield from paramap.clear_control(access, deadline)
-        values = dict(self.values)
-        for field in outputs.fields:
-            if field is not None and not field.neutral and field.key not in values:
-                values[field.key] = yield from paramap.raw(access, field.key, deadline)
-        self.outputs_map, self.values = outputs, values
+        self.outputs_map = outputs
         self._dirty = True
         yield from paramap.write(access, inputs, outputs, deadline)
         self.inputs_map = inputs
         self._dirty = True
         self._advise_maps()
         return {"value": {"inputs": str(inputs), "outputs": str(outputs)}}
+
+    def read_by(self, field: datamap.Field) -> ParamKey:
+        """By its address."""
+        return ParamKey(field.key)
 
     def called(self, name: str | int) -> str | int:
         """An address in any writing."""
