@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Final, Generic, Literal, TypeVar
 
 from dpstack.errors import ConfigError
@@ -47,7 +48,7 @@ class MappedCore(DriveCore, Generic[M]):
     #: of a word
     octet_order: Literal["big", "little"] = "big"
     #: values of the outputs by key: those of the option, and the present ones
-    presets: dict[int, int]
+    presets: Mapping[int, int] = MappingProxyType({})
     values: dict[int, int]
     _last_map: M | None = None
     #: maps that the drive takes at its next power-on, as options; and whether that may have been
