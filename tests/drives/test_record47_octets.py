@@ -86,9 +86,8 @@ def raws_of(form: Format) -> st.SearchStrategy[tuple[Raw, ...]]:
     if not form.code:
         return st.lists(st.binary(min_size=form.octets, max_size=form.octets), min_size=1, max_size=8).map(tuple)
     if form.code in "fd":
-        return st.lists(st.floats(width=8 * form.octets, allow_nan=False, allow_infinity=False), min_size=1).map(
-            lambda one: tuple(one[:8])
-        )
+        floats = st.floats(width=64 if form.octets == 8 else 32, allow_nan=False, allow_infinity=False)
+        return st.lists(floats, min_size=1, max_size=8).map(tuple)
     return st.lists(st.integers(form.low, form.high), min_size=1, max_size=8).map(tuple)
 
 

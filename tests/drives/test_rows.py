@@ -18,14 +18,14 @@ from typing import Final
 import pytest
 
 TESTS: Final = Path(__file__).parent.parent
-#: L8 and L10 are DP-V1's
+#: L10 (I&M) is DP-V1's
 ROWS: Final = tuple(
     f"{letter}{number}"
     for letter, numbers in {
         "D": range(1, 23),
         "K": range(1, 13),
         "I": range(1, 6),
-        "L": (*range(1, 8), 9, 11),
+        "L": (*range(1, 10), 11),
         "F": range(1, 16),
     }.items()
     for number in numbers

@@ -4,3 +4,90 @@
 tells of itself; ``access``, ``choice``: for drive plugins; ``server``, ``model``: the drive's end; ``services``: what
 carries them.
 """
+
+from dpstack.profile.acyclic.access import AcyclicAccess, Place, Placed, plain_places
+from dpstack.profile.acyclic.choice import ChosenAccess
+from dpstack.profile.acyclic.client import Counters, NoRecordError, ParameterClient, Progress
+from dpstack.profile.acyclic.formats import FORMATS, UNSIGNED16, UNSIGNED32, WORD, Format, format_of
+from dpstack.profile.acyclic.lists import (
+    Description,
+    ReadParameter,
+    defined,
+    describe,
+    read_limits,
+    read_out,
+)
+from dpstack.profile.acyclic.model import StoreParameters
+from dpstack.profile.acyclic.record47 import (
+    INDEX,
+    Address,
+    Attribute,
+    ErrorValue,
+    Request,
+    RequestId,
+    Response,
+    Result,
+    Values,
+)
+from dpstack.profile.acyclic.server import ParameterModel, ParameterServer, RecordServer, Rules
+from dpstack.profile.acyclic.services import (
+    Answer,
+    Pause,
+    PendingService,
+    ReadRecord,
+    RecordQueue,
+    Refused,
+    Service,
+    Talk,
+    WriteRecord,
+)
+from dpstack.profile.acyclic.split import Item, Limits
+
+__all__ = [
+    "FORMATS",
+    "INDEX",
+    "UNSIGNED16",
+    "UNSIGNED32",
+    "WORD",
+    "AcyclicAccess",
+    "Address",
+    "Answer",
+    "Attribute",
+    "ChosenAccess",
+    "Counters",
+    "Description",
+    "ErrorValue",
+    "Format",
+    "Item",
+    "Limits",
+    "NoRecordError",
+    "ParameterClient",
+    "ParameterModel",
+    "ParameterServer",
+    "Pause",
+    "PendingService",
+    "Place",
+    "Placed",
+    "Progress",
+    "ReadParameter",
+    "ReadRecord",
+    "RecordQueue",
+    "RecordServer",
+    "Refused",
+    "Request",
+    "RequestId",
+    "Response",
+    "Result",
+    "Rules",
+    "Service",
+    "StoreParameters",
+    "Talk",
+    "Values",
+    "WriteRecord",
+    "defined",
+    "describe",
+    "format_of",
+    "plain_places",
+    "read_limits",
+    "read_out",
+]

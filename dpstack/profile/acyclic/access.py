@@ -94,17 +94,12 @@ class AcyclicAccess:
         self._turns: deque[object] = deque()
         self._formats: dict[Address, int] = {}
 
-    @property
-    def available(self) -> bool:
-        """The master serves records of this slave now."""
-        return self._records.open
-
     def step(self, inputs: bytes, now: int) -> None:
         """Nothing of it is in the process data."""
 
     def reset(self) -> None:
         """The slave left data exchange."""
-        self._records.close()
+        self._records.clear()
 
     def read(self, key: ParamKey, deadline: int) -> Steps[dict[str, object]]:
         """Read one parameter."""
@@ -158,7 +153,7 @@ class AcyclicAccess:
             return result
         except CommandError as error:
             text = error.text if error.text.startswith(label) else f"{label}: {error.text}"
-            raise CommandError(error.kind, text, error.number) from None
+            raise type(error)(error.kind, text, error.number) from None
         finally:
             talk.close()
             self._turns.remove(turn)
@@ -171,6 +166,8 @@ class AcyclicAccess:
                 yield
         finally:
             self._records.cancel(pending)
+        if isinstance(pending.answer, CommandError):
+            raise pending.answer
         return pending.answer
 
     def _in_time(self, deadline: int, label: str) -> None:

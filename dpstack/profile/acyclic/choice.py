@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dpstack.profile.acyclic.access import AcyclicAccess
+from dpstack.profile.acyclic.client import NoRecordError
 from dpstack.profile.channel import ParameterChannel, ParamKey
 from dpstack.profile.jobs import CommandError, Steps
 
@@ -10,14 +11,15 @@ from dpstack.profile.jobs import CommandError, Steps
 class ChosenAccess:
     """A :class:`~dpstack.profile.channel.ParameterChannel` of both; ``cyclic`` None where the telegram has none.
 
-    The way is chosen when an order begins: one that runs stays where it is.
+    A drive that refuses record 47 as such is asked by the cyclic channel from then on, until it comes back.
     """
 
-    __slots__ = ("_acyclic", "_cyclic")
+    __slots__ = ("_absent", "_acyclic", "_cyclic")
 
     def __init__(self, acyclic: AcyclicAccess, cyclic: ParameterChannel | None) -> None:
         self._acyclic = acyclic
         self._cyclic = cyclic
+        self._absent = False
 
     @property
     def octets(self) -> bytes:
@@ -36,25 +38,39 @@ class ChosenAccess:
 
     def reset(self) -> None:
         """The slave left data exchange."""
+        self._absent = False
         self._acyclic.reset()
         if self._cyclic is not None:
             self._cyclic.reset()
 
     def read(self, key: ParamKey, deadline: int) -> Steps[dict[str, object]]:
         """Read one parameter."""
-        return (yield from self._way().read(key, deadline))
+        if not self._by_cycle:
+            try:
+                return (yield from self._acyclic.read(key, deadline))
+            except NoRecordError as error:
+                self._without(error)
+        assert self._cyclic is not None
+        return (yield from self._cyclic.read(key, deadline))
 
     def write(self, key: ParamKey, value: float, deadline: int) -> Steps[dict[str, object]]:
         """Write one parameter."""
-        return (yield from self._way().write(key, value, deadline))
+        if not self._by_cycle:
+            try:
+                return (yield from self._acyclic.write(key, value, deadline))
+            except NoRecordError as error:
+                self._without(error)
+        assert self._cyclic is not None
+        return (yield from self._cyclic.write(key, value, deadline))
 
-    def _way(self) -> ParameterChannel:
-        if self._acyclic.available:
-            return self._acyclic
+    @property
+    def _by_cycle(self) -> bool:
+        return self._absent and self._cyclic is not None
+
+    def _without(self, error: NoRecordError) -> None:
+        """There is no record 47: on with the cyclic channel, or the end where there is none."""
+        self._absent = True
         if self._cyclic is None:
             raise CommandError(
-                "parameter",
-                "the telegram has no parameter channel and the slave serves no records now: switch DP-V1 on for it, "
-                "or take a telegram with a parameter channel",
-            )
-        return self._cyclic
+                error.kind, f"{error.text}; a telegram with a parameter channel needs none", error.number
+            ) from None

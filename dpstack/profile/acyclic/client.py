@@ -13,6 +13,7 @@ from dpstack.errors import PduError
 from dpstack.profile.acyclic.formats import ZERO
 from dpstack.profile.acyclic.record47 import INDEX, Address, ErrorValue, Request, RequestId, Response, Result, Values
 from dpstack.profile.acyclic.services import (
+    ABSENT,
     AGAIN,
     WRITE_LENGTH,
     Answer,
@@ -36,6 +37,10 @@ PATIENCE_NS: Final = 2 * NS_PER_S
 
 #: told after each request: items that are done, items in all
 Progress = Callable[[int, int], None]
+
+
+class NoRecordError(CommandError):
+    """The drive has no record 47, or not in this slot."""
 
 
 @dataclass(slots=True)
@@ -218,7 +223,8 @@ class ParameterClient:
     def _again(self, refused: Refused, what: str) -> None:
         """A refusal that passes is counted, any other one ends the order."""
         if refused.code not in AGAIN:
-            raise CommandError("parameter", f"{self._place}: the drive refuses {what}: {refused}", refused.code)
+            kind = NoRecordError if refused.code in ABSENT else CommandError
+            raise kind("parameter", f"{self._place}: the drive refuses {what}: {refused}", refused.code)
         self.counters.busy += 1
 
     @property

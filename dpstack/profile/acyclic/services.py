@@ -11,12 +11,16 @@ from collections.abc import Generator
 from dataclasses import dataclass
 from typing import Final, NamedTuple, TypeVar
 
+from dpstack.profile.jobs import CommandError
+
 T = TypeVar("T")
 
 #: Error_Code_1 of a negative answer: class << 4 | code (protocol facts C2)
 INVALID_INDEX, WRITE_LENGTH, INVALID_SLOT, STATE_CONFLICT, ACCESS_DENIED = 0xB0, 0xB1, 0xB2, 0xB5, 0xB6
 INVALID_RANGE, INVALID_PARAMETER = 0xB7, 0xB8
 READ_BUSY, WRITE_BUSY, BUSY = 0xC0, 0xC1, 0xC2
+#: there is no such record
+ABSENT: Final = frozenset({0, INVALID_INDEX, INVALID_SLOT})
 #: not now: worth another try
 AGAIN: Final = frozenset({STATE_CONFLICT, READ_BUSY, WRITE_BUSY, BUSY})
 
@@ -71,26 +75,25 @@ Talk = Generator[Service, Answer, T]
 
 
 class PendingService:
-    """A service under way; ``answer`` is None until it is over."""
+    """A service under way; ``answer`` is None until it is over: what was read, a negative answer, or why there is none.
+
+    ``Refused`` with code 0: the slave does not take the service at all.
+    """
 
     __slots__ = ("answer", "service")
 
     def __init__(self, service: WriteRecord | ReadRecord) -> None:
         self.service = service
-        self.answer: bytes | Refused | None = None
+        self.answer: bytes | Refused | CommandError | None = None
 
 
 class RecordQueue:
-    """The services that one slave is to be asked, oldest first: the plugin puts in, the master takes out.
+    """The services that one slave is to be asked, oldest first: the plugin puts in, the master takes out."""
 
-    ``open``: the master serves it, that is the slave has DP-V1 and is in data exchange.
-    """
-
-    __slots__ = ("_waiting", "open")
+    __slots__ = ("_waiting",)
 
     def __init__(self) -> None:
         self._waiting: deque[PendingService] = deque()
-        self.open = False
 
     def submit(self, service: WriteRecord | ReadRecord) -> PendingService:
         """Queue a service."""
@@ -107,7 +110,6 @@ class RecordQueue:
         """The next one for the master, who sets its ``answer``."""
         return self._waiting.popleft() if self._waiting else None
 
-    def close(self) -> None:
+    def clear(self) -> None:
         """The slave left data exchange."""
-        self.open = False
         self._waiting.clear()

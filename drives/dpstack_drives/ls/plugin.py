@@ -25,10 +25,11 @@ from dpstack.profile import (
     State,
     Steps,
     TelegramSpec,
+    acyclic,
     datamap,
     settled,
 )
-from dpstack_drives.ls import paramap, references, telegrams
+from dpstack_drives.ls import paramap, records, references, telegrams
 from dpstack_drives.ls import table as t
 from dpstack_drives.ls.paramap import ParaMap
 
@@ -138,6 +139,11 @@ class LsCore(MappedCore[ParaMap]):
             f"address {where:04X} is not to be used beside a drive profile (manual 5.1, 5.3): take it out of "
             "COM-31.. and COM-51.. (write_map) or leave it alone"
         )
+
+    def over_records(self, queue: acyclic.RecordQueue) -> acyclic.AcyclicAccess:
+        """Parameters over record 47 (L8); trips and warnings have names in every telegram then."""
+        self.lookups = (self._trips, self._warning)
+        return records.access(self.drive, queue, lambda: self.now, self._advised)
 
     # -- process data ---------------------------------------------------------------------------------------------
 
@@ -299,9 +305,12 @@ class LsCore(MappedCore[ParaMap]):
 
     def _resolve(self, key: ParamKey) -> ParamRef:
         ref, where = references.resolve(key, self.drive)
+        self._advised(where)
+        return ref
+
+    def _advised(self, where: int | None) -> None:
         if where in t.ADVISED_AGAINST:
             self._advise(where)
-        return ref
 
     # -- Para Status and Para Control -----------------------------------------------------------------------------
 
