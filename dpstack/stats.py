@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import Final
 
 from dpstack.units import NS_PER_US
 
 _SUB_BITS: Final = 8  # 256 buckets an octave: values are kept to 0.4 %
 _SUB: Final = 1 << _SUB_BITS
+
+
+@dataclass(frozen=True, slots=True)
+class HistogramData:
+    """A histogram as plain data. ``buckets`` are private to :class:`Histogram`."""
+
+    count: int = 0
+    total_ns: int = 0
+    min_ns: int = 0
+    max_ns: int = 0
+    buckets: dict[int, int] = field(default_factory=dict)
 
 
 class Histogram:
@@ -36,6 +48,18 @@ class Histogram:
             self.min_ns = ns
         self.count += 1
         self.total_ns += ns
+
+    def data(self) -> HistogramData:
+        """A copy as plain data."""
+        return HistogramData(self.count, self.total_ns, self.min_ns, self.max_ns, dict(self._buckets))
+
+    @classmethod
+    def of(cls, data: HistogramData) -> Histogram:
+        """The histogram that ``data`` is a copy of."""
+        made = cls()
+        made.count, made.total_ns, made.min_ns, made.max_ns = data.count, data.total_ns, data.min_ns, data.max_ns
+        made._buckets = dict(data.buckets)
+        return made
 
     def quantile_ns(self, q: float) -> int:
         """The smallest bucket value at or above which ``q`` (0..1) of the durations lie; 0 when empty."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -57,6 +59,13 @@ FORBIDDEN_IN_PURE = {
     "termios",
 }
 NEVER_IN_PRODUCT = {"pyprofibus"}
+
+
+def test_the_bus_process_starts_without_asyncio() -> None:
+    heavy = "{'asyncio', 'dpstack.api', 'dpstack.profile'}"
+    program = f"import sys, dpstack.drivers.child; print(*{heavy} & {{*sys.modules}})"
+    told = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert told.stdout.split() == []
 
 
 def modules(under: Path) -> list[Path]:

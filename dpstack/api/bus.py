@@ -10,7 +10,7 @@ from types import TracebackType
 from typing import Final
 
 from dpstack.api.class2 import Class2
-from dpstack.api.compose import attach_core, compose
+from dpstack.api.compose import compose
 from dpstack.api.config import Config, slave_config
 from dpstack.api.cycles import Cycle, Cycles
 from dpstack.api.drive import Drive
@@ -92,7 +92,7 @@ class Bus(Composed):
     def _register(self, config: SlaveConfig) -> Slave:
         handler = self.master.handlers[config.address]
         slave = self._slaves[config.address] = Slave(self, config, handler)
-        core = attach_core(self.master, config, simulated=self.bench is not None)
+        core = self.parts.attach(config)
         if core is not None:
             self._drives[config.address] = Drive(self, slave, core, handler.image)
         return slave
@@ -332,7 +332,7 @@ class Bus(Composed):
             await self.until(lambda: False, timeout)
             return
         with self.rounds.watched(functools.partial(self._waiters.check)):  # one of its own for each caller
-            await self.until(lambda: self.master.rotation.count >= rotations, timeout)
+            await self.until(lambda: self.master.rotation_count >= rotations, timeout)
 
     # --- from the machine ---------------------------------------------------------------------------------------
 
@@ -359,11 +359,12 @@ class Bus(Composed):
         self._waiters.check()
 
     def _on_failure(self, error: Exception) -> None:
-        """The machine raised, which is a defect of ours: everybody who waits is told."""
-        failure = BusError(
-            f"the bus was stopped by a defect in dpstack ({type(error).__name__}: {error}); please report it"
-        )
-        failure.__cause__ = error
+        """Nothing runs the bus any more: everybody who waits is told. What is no BusError is a defect of ours."""
+        failure = error
+        if not isinstance(failure, BusError):
+            text = f"the bus was stopped by a defect in dpstack ({type(error).__name__}: {error}); please report it"
+            failure = BusError(text)
+            failure.__cause__ = error
         self._tell(Notice(t_ns=self.runtime.now(), source="bus", message=str(failure), severity=Severity.ERROR))
         self._nothing_more(failure)
 

@@ -12,7 +12,7 @@ from dpstack.units import BAUD_RATES, NS_PER_MS
 VIRTUAL: Final = "virtual"
 #: the baud rate is found by listening (see :mod:`dpstack.api.baud`); echo is recognised
 AUTO: Final = "auto"
-_DRIVERS: Final = ("auto", "asyncio")
+_DRIVERS: Final = ("auto", "asyncio", "process")
 _KEYS: Final = (
     "port",
     "baud",
@@ -81,10 +81,8 @@ def read_bus(table: Table) -> BusConfig:
     """Check it. Raises ConfigError, one line."""
     table.check_keys(_KEYS)
     driver = table.text("driver") or "auto"
-    if driver == "process":
-        table.fail("driver", 'driver "process" is not supported yet by this version', 'use "auto" or "asyncio"')
     if driver not in _DRIVERS:
-        table.fail("driver", f"unknown driver {driver!r}", 'it must be "auto" or "asyncio"')
+        table.fail("driver", f"unknown driver {driver!r}", 'it must be "auto", "asyncio" or "process"')
     return BusConfig(
         port=table.text("port"),
         baud=_baud(table),

@@ -2,38 +2,38 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 from dpstack.api.bench import VirtualBench
 from dpstack.api.config import Config, rate_findings
+from dpstack.api.drive import DriveSeen
+from dpstack.api.driver_choice import PROCESS, driver_for
 from dpstack.api.planning import adapter_notes, other_masters, refuse_misfit, with_t_tr
+from dpstack.api.remote import attach_remote, core_of, known_places, plugin_of
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.api.streams import Rounds
-from dpstack.dp.class2 import Class2
 from dpstack.dp.master import Master
 from dpstack.dp.plan import Case, Plan, make_plan
-from dpstack.dp.reading import reading_only
-from dpstack.dp.scanner import Scanner
+from dpstack.dp.survey import SurveyOrder, SurveyResult
+from dpstack.drivers import seen
 from dpstack.drivers.aio import AsyncioRuntime, OnFailure, patience_of
 from dpstack.drivers.base import OnEvents, Runtime
 from dpstack.drivers.echo import Echo
+from dpstack.drivers.stack import StackSpec, build_stack
 from dpstack.drivers.virtual import VirtualRuntime
 from dpstack.fdl.active import ActiveStation
-from dpstack.fdl.livelist import LiveList, live_allowance
-from dpstack.fdl.user import LinkUser
-from dpstack.params import BusParams
+from dpstack.fdl.commands import AttachUser, DetachUser
 from dpstack.phy.neighbours import Neighbours
 from dpstack.phy.patience import EXACT, Patience, slack
 from dpstack.ports import Delivery, Port, open_port
 from dpstack.profile import DriveCore
 from dpstack.sim.world import World
-from dpstack.units import NS_PER_MS, NS_PER_S
+from dpstack.units import NS_PER_MS
 
 ECHO: Final = {None: Echo.AUTO, True: Echo.ON, False: Echo.OFF}
-#: a read-only bus asks the whole live list and the diagnosis of each slave anew so often
-_LIST_PERIOD: Final = 10 * NS_PER_S
-_DIAGNOSIS_PERIOD: Final = 500 * NS_PER_MS
 
 
 def plan_bus(config: Config, baud: int | None = None) -> Plan:
@@ -80,21 +80,30 @@ def patience_for(config: Config, port: Port) -> Patience:
     return patience_of(port)
 
 
-@dataclass(slots=True)
+Survey = Callable[[Callable[[object], None], SurveyOrder], seen.Survey]
+
+
+@dataclass(slots=True, kw_only=True)
 class Parts:
-    """Everything one bus is made of."""
+    """Everything one bus is made of: machines, or their mirror where they run in another process."""
 
     config: Config
     plan: Plan
-    master: Master
-    station: ActiveStation
+    master: seen.MasterSeen
+    station: seen.StationSeen
     runtime: Runtime
-    world: World | None
-    #: of a read-only bus: what shows the state of its stations
-    watcher: Scanner | None
-    #: the simulated slaves, where they are part of it
-    bench: VirtualBench | None
+    #: "asyncio", "process", or "virtual" on a simulated bus
+    driver: str
+    #: puts the drive plugin of a slave onto its process image; None where it has none. Raises ConfigError
+    attach: Callable[[SlaveConfig], DriveSeen | None]
+    #: begins a live list; its first argument takes the orders for it
+    survey: Survey
     rounds: Rounds
+    world: World | None = None
+    #: of a read-only bus: what shows the state of its stations
+    watcher: seen.WatcherSeen | None = None
+    #: the simulated slaves, where they are part of it
+    bench: VirtualBench | None = None
 
 
 def compose(
@@ -107,37 +116,38 @@ def compose(
 ) -> Parts:
     """Build the parts of ``config``, with simulated slaves in a world of its own when its port is "virtual".
 
-    ``on_failure`` is told when a machine raised (a defect of ours). ``world`` puts the master into an existing
-    simulated bus, with nothing added. A read-only bus has a guard in front of all that could write, and is watched
-    unless told otherwise. Raises ConfigError, PortError.
+    ``on_failure`` is told when a machine raised (a defect of ours), or the bus process ended. ``world`` puts the master
+    into an existing simulated bus, with nothing added. A read-only bus has a guard in front of all that could write,
+    and is watched unless told otherwise. Raises ConfigError, PortError.
     """
     plan = plan_bus(config)
-    params = plan.params
     refuse_misfit(config, plan, config.setups())
     virtual = world is not None or config.virtual
-    port = None if virtual else port_of(config, params.baud)
+    port = None if virtual else port_of(config, plan.params.baud)
     patience = EXACT if port is None else patience_for(config, port)
-    read_only = config.bus.read_only
-    master = Master(
-        params,
-        config.setups(),
+    spec = StackSpec(
+        params=plan.params,
+        patience=patience,
+        slaves=config.setups(),
         watchdog_ms=plan.watchdog_ms,
-        absent_share=patience.unknown_share,
         auto_clear=config.bus.auto_clear,
         data_control_ns=config.bus.data_control_time_ms * NS_PER_MS,
-        read_only=read_only,
+        read_only=config.bus.read_only,
+        watched=watched,
         cycle_ns=config.bus.cycle_ns,
         cycle_freeze=config.bus.cycle_freeze,
         cycle_sync=config.bus.cycle_sync,
     )
-    watcher = _watcher(config, params, patience) if read_only and watched else None
-    users: list[LinkUser] = [master] if watcher is None else [master, watcher]
-    users.append(Class2(params.address, master))
-    guard = reading_only if read_only else None
-    station = ActiveStation(params, users, patience=patience, guard=guard, budget=master.budget)
+    driver = driver_for(config, port)
+    # a pty is given what a stalled computer needs, and a user's own figure stands
+    tune = port is not None and port.delivery is Delivery.ADAPTER and config.bus.host_slack_ms is None
+    if driver == PROCESS:
+        return in_process(config, plan, spec, on_events, on_failure, tune=tune)
+    stack = build_stack(spec)
+    master, station = stack.master, stack.station
+    bench = None
+    runtime: Runtime
     if port is not None:
-        # a pty is given what a stalled computer needs, and a user's own figure stands
-        tune = port.delivery is Delivery.ADAPTER and config.bus.host_slack_ms is None
         runtime = AsyncioRuntime(
             port,
             station,
@@ -146,27 +156,81 @@ def compose(
             on_failure=on_failure,
             tune=station.set_patience if tune else None,
         )
-        return Parts(config, plan, master, station, runtime, None, watcher, None, Rounds(master))
-    bench = None
-    if world is None:
-        world = World(referee=False)
-        bench = VirtualBench(world, params)
-        for slave in config.slaves:
-            bench.add(slave)
-    virtual_runtime = VirtualRuntime(world, station, on_events, on_failure=on_failure)
-    return Parts(config, plan, master, station, virtual_runtime, world, watcher, bench, Rounds(master))
-
-
-def _watcher(config: Config, params: BusParams, patience: Patience) -> Scanner:
-    """The scanner of a read-only bus: the whole list quickly once, then within its share, slaves twice a second."""
-    live = LiveList(
-        params.address,
-        period_ns=_LIST_PERIOD,
-        allowance=live_allowance(params, patience, 0),
-        quick_start=True,
+    else:
+        if world is None:
+            world = World(referee=False)
+            bench = VirtualBench(world, plan.params)
+            for slave in config.slaves:
+                bench.add(slave)
+        runtime = VirtualRuntime(world, station, on_events, on_failure=on_failure)
+    return Parts(
+        config=config,
+        plan=plan,
+        master=master,
+        station=station,
+        runtime=runtime,
+        driver=driver,
+        attach=partial(attach_core, master, simulated=bench is not None),
+        survey=partial(LocalSurvey, station, runtime),
+        rounds=Rounds(master),
+        world=world,
+        watcher=stack.watcher,
+        bench=bench,
     )
-    wanted = [slave.address for slave in config.slaves]
-    return Scanner(params.address, live, period_ns=_DIAGNOSIS_PERIOD, wanted=wanted)
+
+
+def in_process(
+    config: Config, plan: Plan, spec: StackSpec, on_events: OnEvents, on_failure: OnFailure, *, tune: bool
+) -> Parts:
+    """The parts where the machines run in a process of their own. Raises ConfigError for plugins without a name."""
+    from dpstack.drivers.messages import SetUp  # msgspec and all it needs: only for who wants it
+    from dpstack.drivers.process import ProcessRuntime, ProcessSurvey
+
+    plugins = {slave.address: ref for slave in config.slaves if (ref := plugin_of(slave)) is not None}
+    setup = SetUp(
+        port=config.port,
+        event_char=config.bus.event_char,
+        rs485=config.bus.rs485,
+        echo=ECHO[config.bus.echo],
+        tune=tune,
+        stack=spec,
+        plugins=plugins,
+        preload=known_places(),
+    )
+    runtime = ProcessRuntime(setup, on_events, on_failure)
+    mirror = runtime.mirror
+    return Parts(
+        config=config,
+        plan=plan,
+        master=mirror.master,
+        station=mirror.station,
+        runtime=runtime,
+        driver=PROCESS,
+        attach=partial(attach_remote, runtime),
+        survey=partial(ProcessSurvey, runtime),
+        rounds=Rounds(mirror.master),
+        watcher=mirror.watcher,
+    )
+
+
+class LocalSurvey:
+    """A live list by a link user at ``station``."""
+
+    def __init__(
+        self, station: ActiveStation, runtime: Runtime, command: Callable[[object], None], order: SurveyOrder
+    ) -> None:
+        self._command = command
+        self._scanner = order.scanner(station.params, station.patience, runtime.now())
+        command(AttachUser(self._scanner))
+
+    @property
+    def result(self) -> SurveyResult | None:
+        """None until everything was asked."""
+        return SurveyResult.of(self._scanner)
+
+    def end(self) -> None:
+        """Nobody wants it any more."""
+        self._command(DetachUser(self._scanner))
 
 
 def attach_core(master: Master, slave: SlaveConfig, *, simulated: bool) -> DriveCore | None:
@@ -174,9 +238,9 @@ def attach_core(master: Master, slave: SlaveConfig, *, simulated: bool) -> Drive
 
     ``simulated``: the slave is one of ours, in the same process.
     """
-    if slave.profile is None or slave.raw:
+    core = core_of(slave, simulated=simulated)
+    if core is None:
         return None
-    core = slave.profile.core(slave.name, slave.telegram, slave.options, simulated=simulated)
     master.handlers[slave.address].image.unit = core
     return core
 

@@ -7,14 +7,14 @@ import contextlib
 import itertools
 from collections.abc import AsyncIterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Protocol
 
 from dpstack.api.parameter_dump import Comparison, OnParameter, ParameterValue, compare, dump
 from dpstack.api.parameter_list import ParameterList
 from dpstack.api.slave import Slave
 from dpstack.api.streams import Latest
 from dpstack.dp.commands import DriveCommand, Mode
-from dpstack.dp.image import SlaveImage
+from dpstack.drivers.seen import ImageSeen
 from dpstack.errors import (
     BusError,
     DpError,
@@ -24,7 +24,7 @@ from dpstack.errors import (
     ParameterError,
     UsageError,
 )
-from dpstack.profile import DriveCore, DriveStatus, ListedParam
+from dpstack.profile import DriveStatus, ListedParam, TelegramSpec
 
 if TYPE_CHECKING:
     from dpstack.api.bus import Bus
@@ -34,10 +34,43 @@ _GRACE: Final = 0.25
 _tokens = itertools.count(1)
 
 
+class DriveSeen(Protocol):
+    """What is seen of a drive's plugin, wherever it runs; see :class:`dpstack.profile.DriveCore`."""
+
+    @property
+    def drive(self) -> str:
+        """What kind of drive it is."""
+
+    @property
+    def reference_hz(self) -> float:
+        """The frequency that 100 % speed means."""
+
+    @property
+    def setpoint(self) -> float:
+        """The set point as a part of the reference."""
+
+    @property
+    def telegram(self) -> TelegramSpec:
+        """The telegram it is exchanged in."""
+
+    @property
+    def access(self) -> object | None:
+        """The parameter channel, where its telegram has one."""
+
+    def parameters(self) -> tuple[ListedParam, ...]:
+        """Those it declares, in the order in which they are listed."""
+
+    def setpoint_word(self, fraction: float) -> int:
+        """The set point as its word. Raises ValueError with the range."""
+
+    def status(self) -> DriveStatus:
+        """At this moment."""
+
+
 class Drive:
     """A drive by its name in the configuration. Orders are awaitable and raise DriveFault or DriveTimeout."""
 
-    def __init__(self, bus: Bus, slave: Slave, core: DriveCore, image: SlaveImage) -> None:
+    def __init__(self, bus: Bus, slave: Slave, core: DriveSeen, image: ImageSeen) -> None:
         self._bus = bus
         self._core = core
         self._image = image

@@ -5,23 +5,19 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from dpstack.dp.commands import Shutdown
 from dpstack.dp.events import MasterStopped
+from dpstack.drivers.base import END_LIMIT, last_bits_ns
 from dpstack.errors import DpError
 from dpstack.fdl.commands import GoOffline
 from dpstack.fdl.events import RingLeft
 from dpstack.trace import Event
-from dpstack.units import BITS_PER_CHAR, ns_to_s
+from dpstack.units import ns_to_s
 
 if TYPE_CHECKING:
     from dpstack.api.bus import Bus
-
-#: the ordered end takes a few rotations; nobody waits longer than this for it (plus ten rotations)
-_TIMEOUT_S: Final = 2.0
-#: Global_Control, the longest telegram of the end
-_LAST_OCTETS: Final = 13
 
 
 class OrderedEnd:
@@ -46,13 +42,11 @@ class OrderedEnd:
     async def carry_out(self) -> None:
         """All of it, as far as the bus still can."""
         bus = self._bus
-        limit = _TIMEOUT_S + 10 * bus.rotation_limit_s
+        limit = ns_to_s(END_LIMIT) + 10 * bus.rotation_limit_s
         await self._ordered(Shutdown(), lambda: self._stopped, limit)
         self._left = not bus.station.in_ring  # it may have left and come back before
         await self._ordered(GoOffline(), lambda: self._left, limit)
-        # events tell of transmissions whose last bit lies ahead: let it leave before the port is closed
-        last = bus.params.ns(_LAST_OCTETS * BITS_PER_CHAR + bus.params.t_id2)
-        await asyncio.sleep(ns_to_s(max(0, self._at_ns - bus.runtime.now()) + last))
+        await asyncio.sleep(ns_to_s(max(0, self._at_ns - bus.runtime.now()) + last_bits_ns(bus.params)))
 
     async def _ordered(self, command: object, done: Callable[[], bool], limit: float) -> None:
         """One step of the end; a bus that can no longer do it does not hold the program up."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Final
 
+from dpstack.drivers.seen import StationSeen
 from dpstack.errors import BusError
-from dpstack.fdl.active import ActiveStation
 from dpstack.fdl.events import MasterSeen
 from dpstack.params import BusParams
 from dpstack.phy.neighbours import Neighbours
@@ -42,7 +42,7 @@ class Beside:
     The figures are those of the moment: told again when the port was measured and another master comes.
     """
 
-    def __init__(self, station: ActiveStation) -> None:
+    def __init__(self, station: StationSeen) -> None:
         self._station = station
         self._told: set[str] = set()
 
@@ -84,7 +84,7 @@ async def join(bus: Bus, timeout: float | None) -> None:
         raise BusError(why_not_joined(bus.station, limit)) from None
 
 
-def why_not_joined(station: ActiveStation, after_s: float) -> str:
+def why_not_joined(station: StationSeen, after_s: float) -> str:
     """One line that says what was heard instead, and what to do."""
     own = station.address
     late = f"station {own} is not in the token ring after {after_s:g} s"
@@ -99,7 +99,7 @@ def why_not_joined(station: ActiveStation, after_s: float) -> str:
     return f"{late}: nothing is heard and nothing could be sent; check port and cable"
 
 
-def what_was_heard(station: ActiveStation) -> str:
+def what_was_heard(station: StationSeen) -> str:
     """One line: what a station that has just joined heard before, of its own address nothing."""
     heard, bad = station.stats.heard, station.decoder_stats.bad
     others = sorted(station.las - {station.address})

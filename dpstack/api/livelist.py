@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING
 
 from dpstack.api.visiting import MakeBus, joined
 from dpstack.dp.events import SlaveState
-from dpstack.dp.scanner import Found, Scanner, SlaveView, view_of
+from dpstack.dp.scanner import Found, SlaveView, view_of
+from dpstack.dp.survey import SurveyOrder
 from dpstack.errors import BusError, DpError
-from dpstack.fdl.commands import AttachUser, DetachUser
-from dpstack.fdl.livelist import LiveList, live_allowance, long_look
 from dpstack.fdl.telegram import StationType
 from dpstack.params import MAX_STATION
 
@@ -27,19 +26,18 @@ async def scan_on(bus: Bus, *, configs: bool, addresses: Iterable[int], quick: b
     if quick is None:
         quick = not any(slave.ready_now for slave in bus.slaves if not bus.master.read_only)
     own = bus.params.address
-    allowance = None if quick else live_allowance(bus.params, bus.station.patience, bus.runtime.now())
     mine = {} if bus.master.read_only else {slave.address: slave for slave in bus.slaves}
-    look = long_look(bus.params, bus.station.patience) if quick else None
-    live = LiveList(own, addresses=addresses, allowance=allowance, long_look=look)
-    scanner = Scanner(own, live, configs=configs, skip=mine)
-    bus.command(AttachUser(scanner))
+    order = SurveyOrder(tuple(addresses), tuple(mine), configs=configs, quick=quick)
+    survey = bus.parts.survey(bus.command, order)
     try:
-        await bus.until(lambda: scanner.done)
+        await bus.until(lambda: survey.result is not None)
+        result = survey.result
     finally:
         with contextlib.suppress(DpError):  # the bus may have ended meanwhile
-            bus.command(DetachUser(scanner))
-    bus.unreadable = frozenset(scanner.live.unreadable)
-    return tuple(_of_ours(found, mine.get(address), own) for address, found in sorted(scanner.found.items()))
+            survey.end()
+    assert result is not None
+    bus.unreadable = frozenset(result.unreadable)
+    return tuple(_of_ours(found, mine.get(found.address), own) for found in result.found)
 
 
 def _of_ours(found: Found, slave: Slave | None, own: int) -> Found:

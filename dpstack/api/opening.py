@@ -18,6 +18,7 @@ def open_bus(
     port: str | None = None,
     baud: int | Literal["auto"] | None = None,
     address: int | None = None,
+    driver: Literal["auto", "asyncio", "process"] | None = None,
     slaves: Iterable[SlaveTable] = (),
     on_event: OnEvent | None = None,
     join_timeout: float | None = None,
@@ -28,7 +29,9 @@ def open_bus(
 
     Use it as ``async with open_bus(...) as bus``: entering listens, joins the token ring and begins to bring the slaves
     up in Clear; ``await bus.operate()`` lets outputs out. ``slaves`` are mappings with the keys of a [[slave]] table,
-    ``bus`` further keys of [bus]. ``port="virtual"`` simulates the slaves in this process. ``on_event`` is called for
+    ``bus`` further keys of [bus].
+    ``driver="process"``: the bus runs in a process of its own, which the application cannot hold up (docs/drivers.md).
+    ``port="virtual"`` simulates the slaves in this process. ``on_event`` is called for
     every event at once; ``world`` joins an existing simulated bus
     (see :func:`simulate`). ``join_timeout`` in seconds: how long to wait
     for the token beside other masters (default: two passes over a GAP like this master's, 30 s at least).
@@ -44,8 +47,9 @@ def open_bus(
             raise ConfigError("open_bus: no baud; give for instance baud=500000, or a configuration file")
         if port is None and world is None:
             raise ConfigError('open_bus: no port; give for instance port="/dev/ttyUSB0", or "virtual"')
-        made = make_config(port or "virtual", baud, 2 if address is None else address, slaves, bus=bus)
+        own = 2 if address is None else address
+        made = make_config(port or "virtual", baud, own, slaves, bus={"driver": driver, **bus})
     else:
         made = config if isinstance(config, Config) else load_config(config)
-        made = made.with_bus(port=port, baud=baud, address=address, **bus).with_slaves(slaves)
+        made = made.with_bus(port=port, baud=baud, address=address, driver=driver, **bus).with_slaves(slaves)
     return Bus(made, on_event=on_event, join_timeout=join_timeout, world=world)

@@ -13,13 +13,11 @@ from dpstack.api.planning import refuse_misfit
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.api.streams import Rounds
 from dpstack.dp.commands import Mode
-from dpstack.dp.master import Master
 from dpstack.dp.plan import Case, Plan
-from dpstack.dp.scanner import Scanner
 from dpstack.dp.setup import SlaveSetup
 from dpstack.drivers.base import Runtime
+from dpstack.drivers.seen import MasterSeen, StationSeen, WatcherSeen
 from dpstack.errors import UsageError
-from dpstack.fdl.active import ActiveStation
 from dpstack.params import BusParams
 from dpstack.sim.world import World
 from dpstack.units import ns_to_s
@@ -98,14 +96,19 @@ class Composed:
         return self.master.mode
 
     @property
-    def station(self) -> ActiveStation:
+    def station(self) -> StationSeen:
         """The link layer."""
         return self.parts.station
 
     @property
-    def master(self) -> Master:
+    def master(self) -> MasterSeen:
         """The class 1 master."""
         return self.parts.master
+
+    @property
+    def driver(self) -> str:
+        """What keeps it running: "asyncio", "process", or "virtual" on a simulated bus."""
+        return self.parts.driver
 
     @property
     def runtime(self) -> Runtime:
@@ -118,7 +121,7 @@ class Composed:
         return self.parts.rounds
 
     @property
-    def watcher(self) -> Scanner | None:
+    def watcher(self) -> WatcherSeen | None:
         """Of a read-only bus: what shows the state of its stations."""
         return self.parts.watcher
 

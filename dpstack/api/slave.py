@@ -16,7 +16,7 @@ from dpstack.dp.events import Fault, SlaveState
 from dpstack.dp.fields import Field, Value
 from dpstack.dp.scanner import Found, SlaveView
 from dpstack.dp.setup import SlaveSetup
-from dpstack.dp.slave_handler import SlaveHandler
+from dpstack.drivers.seen import HandlerSeen
 from dpstack.errors import SlaveFault, SlaveTimeout, UsageError
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ class Changes(TypedDict, total=False):
 class Slave:
     """One slave of a bus: inputs, outputs, state, diagnosis. Made by the bus, see ``Bus.slave``."""
 
-    def __init__(self, bus: Bus, config: SlaveConfig, handler: SlaveHandler) -> None:
+    def __init__(self, bus: Bus, config: SlaveConfig, handler: HandlerSeen) -> None:
         self._bus = bus
         self._handler = handler
         self.config = config

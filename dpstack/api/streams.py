@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterable, Iterator
 from typing import Final, Generic, TypeVar
 
-from dpstack.dp.master import Master
+from dpstack.drivers.seen import MasterSeen
 from dpstack.trace import Event
 
 T = TypeVar("T")
@@ -93,7 +93,7 @@ class Waiters:
 class Rounds:
     """Calls back at the end of every round with data exchange; while nobody wants it, it costs the bus nothing."""
 
-    def __init__(self, master: Master) -> None:
+    def __init__(self, master: MasterSeen) -> None:
         self._master = master
         self._watchers: list[Callable[[], None]] = []
 

@@ -146,7 +146,7 @@ def _bar(speed: float) -> str:
 
 async def _demo(config: Config, args: argparse.Namespace) -> int:
     live = output.on_terminal() and not args.json
-    reporter = Reporter(json=args.json, driver="virtual", quiet=live)
+    reporter = Reporter(json=args.json, quiet=live)
     bus = open_bus(config, on_event=reporter.event)
     reporter.bus = bus
     stage = _Stage(bus, args.json, live)

@@ -18,10 +18,9 @@ _STYLES = {Severity.INFO: "", Severity.WARNING: "yellow", Severity.ERROR: "red"}
 class Reporter:
     """Prints the start line, then every event of ``bus`` (set before it is opened). ``quiet``: no lines for people."""
 
-    def __init__(self, *, json: bool, driver: str, quiet: bool = False) -> None:
+    def __init__(self, *, json: bool, quiet: bool = False) -> None:
         self.bus: Bus | None = None
         self._json = json
-        self._driver = driver
         self._quiet = quiet
         self._started = False
 
@@ -39,7 +38,7 @@ class Reporter:
         name, rate = bus.runtime.port_name, bus.params.baud
         if self._json:
             now = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
-            output.json_line({"event": "start", "time": now, "port": name, "baud": rate, "driver": self._driver})
+            output.json_line({"event": "start", "time": now, "port": name, "baud": rate, "driver": bus.driver})
         elif not self._quiet:
             output.line(f"master {bus.params.address} on {name} at {baud_text(rate)}", "bold")
 

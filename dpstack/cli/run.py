@@ -18,8 +18,6 @@ from dpstack.cli.signals import StopSignal
 from dpstack.cli.streams import warn
 from dpstack.errors import UsageError
 
-_LATER = "is not supported yet by this version; leave it out"
-
 
 def add_to(commands: options.Commands) -> None:
     """The command and its options."""
@@ -48,8 +46,6 @@ def add_to(commands: options.Commands) -> None:
 
 def execute(args: argparse.Namespace) -> int:
     """Run until a limit or a signal; 1 when a slave is not in data exchange at the end."""
-    if args.driver == "process":
-        raise UsageError(f"--driver process {_LATER}, or take --driver asyncio")
     config = load_config(args.config).with_bus(
         port=args.port, baud=args.baud, driver=args.driver, read_only=args.read_only or None
     )
@@ -61,7 +57,7 @@ def execute(args: argparse.Namespace) -> int:
 
 async def _run(config: Config, args: argparse.Namespace) -> int:
     with StopSignal() as stop:
-        reporter = Reporter(json=args.json, driver="virtual" if config.virtual else "asyncio")
+        reporter = Reporter(json=args.json)
         bus = reporter.bus = open_bus(config, on_event=reporter.event)
         if bus.searching:
             reporter.searching()

@@ -7,6 +7,7 @@ running, or a fixed cycle), what it consists of :mod:`dpstack.dp.round`.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from typing import Final
 
 from dpstack.dp.cadence import Cadence
 from dpstack.dp.commands import (
@@ -42,6 +43,11 @@ from dpstack.params import BusParams
 from dpstack.stats import Histogram
 from dpstack.trace import Event
 
+# asked in every exchange: an enum's member costs ten times a name of the module
+_STOP: Final = Mode.STOP
+_ABANDONED: Final = Failure.ABANDONED
+_HELD_BACK: Final = Failure.HELD_BACK
+
 
 class Master:
     """A DP class 1 master over ``slaves``. Starts in Clear; ``watchdog_ms`` is the default of slaves without their own.
@@ -49,7 +55,8 @@ class Master:
     ``absent_share``: while any slave is in data exchange, silent polls of absent ones take at most 1/absent_share of
     the bus time; 0 = no limit. ``auto_clear``: to Clear when a slave had no good data exchange for
     ``data_control_ns``. ``read_only``: it stays in Stop, where nothing is sent to slaves. ``on_round(now)`` is
-    called at the end of every round with data exchange, after :attr:`cycle` was published.
+    called at the end of every round with data exchange, after :attr:`cycle` was published,
+    ``on_begin()`` before a round may begin: what it puts into the process image goes out in that one.
 
     ``cycle_ns``: the rounds begin on a grid of this length, best effort (0: free running); then give :attr:`budget` to
     the station. ``cycle_freeze``, ``cycle_sync``: groups that every cycle sends FREEZE and SYNC to. Raises ConfigError.
@@ -77,6 +84,7 @@ class Master:
         self.rotation = Histogram()
         self.rounds = 0
         self.on_round = on_round
+        self.on_begin: Callable[[], None] | None = None
         #: the last round with data exchange, while ``on_round`` is set
         self.cycle: CycleData | None = None
         self.controls = Controls(params, self.handlers, self._emit, cycle_freeze, cycle_sync)
@@ -126,6 +134,11 @@ class Master:
     def images(self) -> dict[int, SlaveImage]:
         """The process image of each slave by address."""
         return {address: handler.image for address, handler in self.handlers.items()}
+
+    @property
+    def rotation_count(self) -> int:
+        """Rotations up to now."""
+        return self.rotation.count
 
     def command(self, command: object, now: int) -> bool:
         """Take the orders of :mod:`dpstack.dp.commands`. Misuse raises before anything is changed."""
@@ -272,11 +285,13 @@ class Master:
         """A hold begins, and with it perhaps a new round."""
         self._token.received(now)
         if self._course.mode > Mode.STOP:
+            if self.on_begin is not None:
+                self.on_begin()
             self._round.token(now)
 
     def next_request(self, now: int, high_only: bool) -> Request | None:
         """Everything a master sends to its slaves is high priority, so ``high_only`` changes nothing."""
-        return self._round.next_request(now) if self._course.mode > Mode.STOP else None
+        return self._round.next_request(now) if self._course.mode > _STOP else None
 
     def _round_ended(self, now: int) -> None:
         self.rounds += 1
@@ -306,10 +321,10 @@ class Master:
     def result(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
         """Hand the end of a request to the handling of its slave."""
         handler = request.tag
-        if outcome is Failure.HELD_BACK:
+        if outcome is _HELD_BACK:
             self._round.held_back(request)
             return
-        if outcome is Failure.ABANDONED and request.dsap == SAP_GLOBAL_CONTROL:
+        if outcome is _ABANDONED and request.dsap == SAP_GLOBAL_CONTROL:
             self.controls.abandoned(request)
         if not isinstance(handler, SlaveHandler) or self.handlers.get(handler.setup.address) is not handler:
             return  # of nobody, or of a slave that was removed meanwhile

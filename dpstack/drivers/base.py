@@ -4,10 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Final, Protocol
 
 from dpstack.drivers.lateness import Lateness
+from dpstack.params import BusParams
 from dpstack.trace import Event
+from dpstack.units import BITS_PER_CHAR, NS_PER_S
+
+#: the ordered end takes a few rotations; nobody waits longer than this for each of its steps (plus ten rotations)
+END_LIMIT: Final = 2 * NS_PER_S
+#: Global_Control, the longest telegram of the end
+_LAST_OCTETS: Final = 13
 
 #: Takes what a machine told, in order; called from the loop, never from another thread.
 OnEvents = Callable[[list[Event]], None]
@@ -40,10 +47,18 @@ class PortBack(Event):
         return f"port {self.port} is back"
 
 
+def last_bits_ns(params: BusParams) -> int:
+    """How long to wait after the event that ends the ordered end, before the port is closed: events tell of
+    transmissions whose last bit lies ahead."""
+    return params.ns(_LAST_OCTETS * BITS_PER_CHAR + params.t_id2)
+
+
 class Runtime(Protocol):
     """A running driver. Constructed with its machine, its line and an :data:`OnEvents`."""
 
-    lateness: Lateness
+    @property
+    def lateness(self) -> Lateness:
+        """How late answers arrive."""
 
     @property
     def port_name(self) -> str:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import asyncio
 import time
 from collections.abc import Callable
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from dpstack.ports import timerfd
 from dpstack.units import NS_PER_S
+
+if TYPE_CHECKING:  # the bus process runs without asyncio, and starts sooner without it
+    import asyncio
 
 
 class Timer(Protocol):

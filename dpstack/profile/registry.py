@@ -14,8 +14,9 @@ GROUP: Final = "dpstack.drives"
 
 
 @functools.cache
-def _scan() -> tuple[dict[str, DriveProfile], dict[str, str]]:
+def _scan() -> tuple[dict[str, DriveProfile], dict[str, str], dict[str, str]]:
     drives: dict[str, DriveProfile] = {}
+    places: dict[str, str] = {}
     broken: dict[str, str] = {}
     for point in sorted(metadata.entry_points(group=GROUP), key=lambda p: (p.name, p.value)):
         try:
@@ -29,7 +30,8 @@ def _scan() -> tuple[dict[str, DriveProfile], dict[str, str]]:
             broken[point.name] = f"{point.value} calls itself {profile.name}, its entry point {point.name}"
         else:
             drives[profile.name] = profile
-    return drives, broken
+            places[profile.name] = point.value
+    return drives, broken, places
 
 
 def known() -> dict[str, DriveProfile]:
@@ -42,6 +44,11 @@ def broken() -> dict[str, str]:
     return dict(_scan()[1])
 
 
+def places() -> dict[str, str]:
+    """Where the drives of :func:`known` are imported from: name -> ``package.module:name``."""
+    return dict(_scan()[2])
+
+
 def refresh() -> None:
     """Forget what was found; the next call looks again."""
     _scan.cache_clear()
@@ -49,7 +56,7 @@ def refresh() -> None:
 
 def find(name: str) -> DriveProfile:
     """The drive called ``name``. Raises ConfigError with the nearest names, or with the reason why it cannot load."""
-    drives, failed = _scan()
+    drives, failed, _places = _scan()
     if name in drives:
         return drives[name]
     if name in failed:

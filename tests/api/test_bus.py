@@ -10,6 +10,7 @@ from support import WorldFactory
 
 import dpstack
 from dpstack.api.events import DriveEvent, ModeChanged, Notice, RingJoined, SlaveFaulted, SlaveStateChanged
+from dpstack.dp.master import Master
 from dpstack.dp.mirror import MirrorDevice
 from dpstack.dp.plan import Case
 from dpstack.dp.slaveapp import SlaveApp, SlaveAppState, make_slave
@@ -373,6 +374,7 @@ def test_the_shortest_rotation_is_the_plans(baud: int, count: int) -> None:
         async with dpstack.open_bus(port="virtual", baud=baud, slaves=tables, gap=0) as bus:
             await bus.operate()
             await bus.ready(60)
+            assert isinstance(bus.master, Master)
             bus.master.rotation = Histogram()  # without the rounds of the bring-up
             await bus.rotated(30)
             planned = bus.plan.rotation_ns(Case.SHORTEST)

@@ -12,6 +12,7 @@ import dpstack
 from dpstack.api.compose import plan_bus
 from dpstack.api.config import Config, parse_config
 from dpstack.api.planning import Verdict, cycle_rates
+from dpstack.dp.master import Master
 from dpstack.dp.plan import Case
 from dpstack.errors import ConfigError
 from dpstack.stats import Histogram
@@ -171,6 +172,7 @@ def test_the_manuals_rotation_in_virtual_time() -> None:
         async with dpstack.open_bus(EXAMPLES / "two_milliseconds.toml") as bus:
             await bus.operate()
             await bus.ready()
+            assert isinstance(bus.master, Master)
             bus.master.rotation = Histogram()
             await asyncio.sleep(0.5)
             seen = bus.master.rotation

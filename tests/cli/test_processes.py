@@ -57,13 +57,15 @@ def plant(tmp_path: Path, port: object) -> str:
     return str(path)
 
 
-def test_a_plant_on_a_segment(tmp_path: Path, start: Starter, segment: Path) -> None:
+@pytest.mark.parametrize("driver", ["asyncio", "process"])
+def test_a_plant_on_a_segment(tmp_path: Path, start: Starter, segment: Path, driver: str) -> None:
     config = plant(tmp_path, segment / "1")
     sim = start("sim", config, "--port", str(segment / "0"))
     sim.wait_for("raw")
-    run = start("run", config, "--seconds", "2", "--json", "--outputs", "9=5A")
+    run = start("run", config, "--seconds", "2", "--json", "--outputs", "9=5A", "--driver", driver)
     assert run.end() == 0
     assert run.err == ""
+    assert run.lines[0]["driver"] == driver
     summary = run.lines[-1]
     assert summary["event"] == "summary"
     assert summary["paced"] is False
@@ -120,6 +122,29 @@ def test_the_end_leaves_safe_outputs(tmp_path: Path, start: Starter, segment: Pa
     assert [e["mode"] for e in told if e["event"] == "mode"] == ["operate", "clear", "offline"]
     assert told[-2]["event"] == "ring"
     assert told[-1]["event"] == "summary"
+
+
+def test_the_bus_process_is_killed_and_run_says_what_that_means(
+    tmp_path: Path, start: Starter, segment: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = plant(tmp_path, segment / "1")
+    start("sim", config, "--port", str(segment / "0")).wait_for("raw")
+    run = start("run", config, "--json", "--driver", "process")
+    run.wait_for_slaves(3)
+    wait_for_socket(segment / "1")
+    assert main(["ctl", str(segment / "1"), "status", "--json"]) == 0
+    slaves = json.loads(capsys.readouterr().out)["result"]["slaves"]
+    assert {slave["state"] for slave in slaves.values()} == {"data_exchange"}
+    assert slaves["3"]["drive"]["state"] != "offline"
+    pid = run.process.pid
+    (child,) = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    os.kill(int(child), signal.SIGKILL)
+    assert run.end() == 1
+    assert run.err.count("\n") == 1
+    assert run.err.startswith(
+        "dpstack: the bus process was killed by SIGKILL: nothing is sent any more. The slaves' wat"
+    )
+    assert start("run", config, "--driver", "process", "--seconds", "0.1").end() in (0, 1)  # the port is free
 
 
 def test_the_port_vanishes(tmp_path: Path, start: Starter) -> None:

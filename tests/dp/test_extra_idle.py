@@ -11,6 +11,7 @@ from bus_kit import SimBus
 from support import MS, WorldFactory
 
 import dpstack
+from dpstack.dp.master import Master
 from dpstack.dp.plan import Case
 from dpstack.params import BusParams
 from dpstack.stats import Histogram
@@ -76,6 +77,7 @@ def test_the_plan_counts_it(extra: int) -> None:
         async with bus_of(*tables, gap=0, extra_idle_bits=extra) as bus:
             await bus.operate()
             await bus.ready()
+            assert isinstance(bus.master, Master)
             bus.master.rotation = Histogram()  # without the rounds of the bring-up
             await bus.rotated(30)
             # each slave: SD2 with one octet both ways, T_SDR 11, T_ID1; the token and T_ID1

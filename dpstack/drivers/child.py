@@ -1,0 +1,85 @@
+"""The bus process: ``python -m dpstack.drivers.child SOCKET MEMORY PARENT``; started by :mod:`dpstack.drivers.process`.
+
+SOCKET and MEMORY are numbers of file descriptors, PARENT the process id of who started it. The first message is the
+:class:`~dpstack.drivers.messages.SetUp`. It listens on nothing, and ends in order when its parent is gone.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import signal
+import socket
+import sys
+from typing import Final
+
+from dpstack.drivers.collecting import Collector
+from dpstack.drivers.host import Host
+from dpstack.drivers.messages import Answer, Frames, Message, SetUp, error_pair, framed, order_of
+from dpstack.drivers.plain_loop import PlainLoop
+from dpstack.drivers.realtime import become_real_time
+from dpstack.drivers.shared_image import SharedImage
+from dpstack.errors import BusError
+
+_PR_SET_PDEATHSIG: Final = 1
+_CHUNK: Final = 65_536
+
+
+def main(arguments: list[str]) -> int:
+    """Run one bus until its end; 0 when it was an ordered one."""
+    # a terminal sends these to everybody in front of it: the application's way out is this process's too
+    for sig in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(sig, signal.SIG_IGN)
+    sock_fd, memory_fd, parent = map(int, arguments)
+    loop = PlainLoop()
+    hosts: list[Host] = []
+    loop.add_signal_handler(signal.SIGTERM, lambda: _terminated(loop, hosts))
+    # the second way to know of the parent's death; the first is the end of the socket
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+    if os.getppid() != parent:
+        return 1
+    sock = socket.socket(fileno=sock_fd)
+    image = SharedImage(memory_fd)
+    os.close(memory_fd)
+    try:
+        setup = _set_up(sock)
+        if setup is None:
+            return 1
+        host = Host(loop, sock, image, setup)
+        host.open(become_real_time())
+    except Exception as error:
+        with contextlib.suppress(OSError):
+            sock.sendall(framed(Message(answer=Answer(0, error=error_pair(error)))))
+        return 1
+    hosts.append(host)
+    collector = Collector()
+    collector.begin()
+    loop.on_idle = collector.idle
+    loop.run()
+    loop.close()
+    return 0
+
+
+def _terminated(loop: PlainLoop, hosts: list[Host]) -> None:
+    if hosts:
+        hosts[0].end("it was told to end (SIGTERM)")
+    else:
+        loop.stop()
+
+
+def _set_up(sock: socket.socket) -> SetUp | None:
+    """The first message; None when the parent is gone."""
+    frames = Frames()
+    while octets := sock.recv(_CHUNK):
+        for message in frames.feed(octets):
+            if message.question is not None:
+                setup = order_of(message.question.order)
+                if isinstance(setup, SetUp):
+                    return setup
+                raise BusError("the first message is no set-up")
+    return None
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

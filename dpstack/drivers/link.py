@@ -1,0 +1,243 @@
+"""The line between an application and its bus process: one process, one socket, questions and answers, news.
+
+A question waits for its answer, for :data:`ANSWER_S` at most; news that arrive meanwhile are handed on at once, in
+order. A handler of news that asks in turn does not get ahead of what was told before.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import select
+import socket
+import subprocess
+import sys
+from collections import deque
+from collections.abc import Callable
+from time import monotonic
+from typing import Final
+
+from dpstack.drivers.messages import (
+    Answer,
+    Frames,
+    Hello,
+    Message,
+    News,
+    Question,
+    SetUp,
+    error_of,
+    framed,
+    named,
+    typed,
+)
+from dpstack.errors import BusError, DpError, UsageError
+
+#: an order that is not answered so long: the bus process hangs, or is stopped
+ANSWER_S: Final = 5.0
+#: the interpreter starts, the plugins are imported, the port is opened
+_START_S: Final = 30.0
+_END_S: Final = 3.0
+_CHUNK: Final = 65_536
+
+
+class Link:
+    """Starts the bus process and talks to it. ``on_news`` takes what it tells.
+
+    ``why_gone`` makes the error of a bus process that ended unasked from its exit code (negative: a signal; None: it
+    runs on, but has hung up); from then on that is raised by every question, and ``on_gone`` is told.
+    """
+
+    def __init__(
+        self,
+        on_news: Callable[[News], None],
+        why_gone: Callable[[int | None], DpError],
+        on_gone: Callable[[DpError], None],
+    ) -> None:
+        self._on_news = on_news
+        self._why_gone = why_gone
+        self._on_gone = on_gone
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._sock: socket.socket | None = None
+        self._process: subprocess.Popen[bytes] | None = None
+        self._frames = Frames()
+        self._hello: asyncio.Future[Hello] | None = None
+        self._inbox: deque[News] = deque()
+        self._dispatching = False
+        self._number = 0
+        self._awaited: set[int] = set()
+        self._answers: dict[int, Answer] = {}
+        self._gone: DpError | None = None
+
+    @property
+    def pid(self) -> int | None:
+        """The process id, once it was started."""
+        return None if self._process is None else self._process.pid
+
+    @property
+    def is_open(self) -> bool:
+        """Questions can be asked."""
+        return self._sock is not None and self._gone is None
+
+    async def start(self, setup: SetUp, memory: int) -> Hello:
+        """Start it with the shared memory behind the descriptor ``memory``. Raises PortError, ConfigError, BusError."""
+        self._loop = loop = asyncio.get_running_loop()
+        self._hello = loop.create_future()
+        ours, theirs = socket.socketpair()
+        self._sock = ours
+        try:
+            with theirs:
+                ours.setblocking(False)
+                self._process = _started(theirs.fileno(), memory)
+            async with asyncio.timeout(_START_S):
+                await loop.sock_sendall(ours, framed(Message(question=Question(0, named(setup)))))
+                loop.add_reader(ours.fileno(), self._on_readable)
+                return await self._hello
+        except BaseException as error:
+            self.release(kill=True)
+            if isinstance(error, TimeoutError):
+                raise BusError(f"the bus process did not start within {_START_S:g} s") from None
+            raise
+
+    async def ended(self) -> None:
+        """Wait until the process has ended by itself, with a limit."""
+        process = self._process
+        if process is not None and self._loop is not None:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                await self._loop.run_in_executor(None, process.wait, _END_S)
+
+    def hang_up(self, error: DpError) -> None:
+        """Nothing more will be asked: ``error`` says why."""
+        self._gone = self._gone or error
+
+    def release(self, *, kill: bool) -> None:
+        """Whatever state it is in: no process and no descriptor is left behind."""
+        self._disconnect()
+        process = self._process
+        if process is None or process.poll() is not None:
+            return
+        if not kill:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(_END_S)  # it ends in order when nobody is there any more
+        if process.poll() is None:
+            process.kill()
+            process.wait()
+
+    # --- question and answer ----------------------------------------------------------------------------------------
+
+    def ask(self, order: object) -> object:
+        """What it answers to ``order``; what it raises is raised here. Raises BusError when nobody answers."""
+        if self._gone is not None:
+            raise self._gone
+        if self._sock is None:
+            raise UsageError("the driver is not open: await open() first")
+        self._number += 1
+        number = self._number
+        self._awaited.add(number)
+        try:
+            end = monotonic() + ANSWER_S
+            self._send(framed(Message(question=Question(number, named(order)))), end)
+            while number not in self._answers:
+                self._wait(end, reading=True)
+            answer = self._answers.pop(number)
+        finally:
+            self._awaited.discard(number)
+        if answer.error is not None:
+            raise error_of(answer.error)
+        return answer.value
+
+    def _send(self, octets: bytes, end: float) -> None:
+        left = memoryview(octets)
+        while left and self._sock is not None:
+            try:
+                left = left[self._sock.send(left) :]
+            except BlockingIOError:
+                self._wait(end, reading=False)
+            except OSError:
+                self._hung_up()
+
+    def _wait(self, end: float, *, reading: bool) -> None:
+        """For octets of the bus process, or for room to write; what it says meanwhile is taken."""
+        sock = self._sock
+        if sock is not None:
+            writers = [] if reading else [sock]
+            ready, room, _ = select.select([sock], writers, [], max(0.0, end - monotonic()))
+            if ready:
+                self._on_readable()
+            elif not room:
+                raise BusError(f"the bus process (pid {self.pid}) did not answer within {ANSWER_S:g} s")
+        if self._gone is not None and sock is None:
+            raise self._gone
+
+    def _on_readable(self) -> None:
+        if self._sock is None:
+            return
+        try:
+            octets = self._sock.recv(_CHUNK)
+        except BlockingIOError:
+            return
+        except OSError:
+            octets = b""
+        if not octets:
+            self._hung_up()
+            return
+        for message in self._frames.feed(octets):
+            if message.news is not None:
+                self._inbox.append(message.news)
+            answer = message.answer
+            if answer is None:
+                continue
+            if answer.number in self._awaited:
+                self._answers[answer.number] = answer
+            elif not answer.number and self._hello is not None and not self._hello.done():
+                if answer.error is None:
+                    self._hello.set_result(typed(answer.value, Hello))
+                else:
+                    self._hello.set_exception(error_of(answer.error))
+        self._dispatch()
+
+    def _dispatch(self) -> None:
+        """Hand on what was told, in order; a handler that gives orders of its own does not get ahead of it."""
+        if self._dispatching:
+            return
+        self._dispatching = True
+        try:
+            while self._inbox:
+                self._on_news(self._inbox.popleft())
+        finally:
+            self._dispatching = False
+
+    # --- the end ----------------------------------------------------------------------------------------------------
+
+    def _hung_up(self) -> None:
+        """The bus process is gone, or about to be."""
+        process = self._process
+        if self._sock is None or process is None:
+            return
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(_END_S)
+        asked_for = self._gone is not None
+        self._gone = self._gone or self._why_gone(process.returncode)
+        self._disconnect()
+        if self._hello is not None and not self._hello.done():
+            self._hello.set_exception(self._gone)
+        elif not asked_for:
+            self._on_gone(self._gone)
+
+    def _disconnect(self) -> None:
+        sock, self._sock = self._sock, None
+        if sock is not None:
+            if self._loop is not None and not self._loop.is_closed():
+                self._loop.remove_reader(sock.fileno())
+            sock.close()
+
+
+def _started(sock: int, memory: int) -> subprocess.Popen[bytes]:
+    """The process, which is given two file descriptors by number and finds modules where this one does."""
+    return subprocess.Popen(
+        [sys.executable, "-P", "-m", "dpstack.drivers.child", str(sock), str(memory), str(os.getpid())],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        pass_fds=(sock, memory),
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
+    )

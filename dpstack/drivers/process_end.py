@@ -1,0 +1,47 @@
+"""Why a bus process is no more, and what that means at the slaves; for people."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Mapping
+
+from dpstack.drivers.messages import News
+from dpstack.errors import BusError
+from dpstack.units import NS_PER_MS
+
+
+def how_it_ended(code: int | None, last: News | None, watchdogs: Mapping[str, int]) -> BusError:
+    """``code``: its exit code, negative for a signal. ``last``: its last words, if any.
+
+    ``watchdogs``: of the slaves that were in data exchange, by name, in ns (0 is off).
+    """
+    if last is not None and last.defect:
+        text = f"the bus was stopped by a defect in dpstack ({last.over}); please report it. {_at_slaves(watchdogs)}"
+        return BusError(text)
+    if last is not None:
+        return BusError(f"the bus process has ended: {last.over}; outputs were set to their safe values before")
+    if code is None:
+        how = "does not talk any more"
+    elif code < 0:
+        how = f"was killed by {_signal(-code)}"
+    else:
+        how = f"ended with exit code {code}, see what it wrote to standard error"
+    return BusError(f"the bus process {how}: nothing is sent any more. {_at_slaves(watchdogs)}; open the bus anew")
+
+
+def _signal(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"
+
+
+def _at_slaves(watchdogs: Mapping[str, int]) -> str:
+    if not watchdogs:
+        return "No slave was in data exchange"
+    off = sorted(name for name, ns in watchdogs.items() if not ns)
+    longest = max(watchdogs.values()) // NS_PER_MS
+    words = [f"The slaves' watchdogs make their outputs safe within {longest} ms"] if longest else []
+    if off:
+        words.append(f"{', '.join(off)} without watchdog keep{'s' if len(off) == 1 else ''} the last outputs")
+    return "; ".join(words)

@@ -1,0 +1,83 @@
+"""The machines of one bus, from plain data: what every driver runs, in this process or in one of its own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from dpstack.dp.class2 import Class2
+from dpstack.dp.master import Master
+from dpstack.dp.reading import reading_only
+from dpstack.dp.scanner import Scanner
+from dpstack.dp.setup import SlaveSetup
+from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.livelist import LiveList, live_allowance
+from dpstack.fdl.user import LinkUser
+from dpstack.params import BusParams
+from dpstack.phy.patience import Patience
+from dpstack.units import NS_PER_MS, NS_PER_S
+
+#: a read-only bus asks the whole live list and the diagnosis of each slave anew so often
+_LIST_PERIOD: Final = 10 * NS_PER_S
+_DIAGNOSIS_PERIOD: Final = 500 * NS_PER_MS
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StackSpec:
+    """What the machines of a bus are made from. ``watched``: a read-only bus shows the state of its stations."""
+
+    params: BusParams
+    patience: Patience
+    slaves: tuple[SlaveSetup, ...]
+    watchdog_ms: int
+    auto_clear: bool
+    data_control_ns: int
+    read_only: bool
+    watched: bool
+    cycle_ns: int = 0
+    cycle_freeze: tuple[int, ...] = ()
+    cycle_sync: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Stack:
+    """The machines: ``station`` is the one to be pumped. ``watcher``: of a read-only bus that is watched."""
+
+    master: Master
+    station: ActiveStation
+    watcher: Scanner | None
+
+
+def build_stack(spec: StackSpec) -> Stack:
+    """Make them. A read-only bus has a guard in front of all that could write. Raises ConfigError."""
+    params, patience = spec.params, spec.patience
+    master = Master(
+        params,
+        spec.slaves,
+        watchdog_ms=spec.watchdog_ms,
+        absent_share=patience.unknown_share,
+        auto_clear=spec.auto_clear,
+        data_control_ns=spec.data_control_ns,
+        read_only=spec.read_only,
+        cycle_ns=spec.cycle_ns,
+        cycle_freeze=spec.cycle_freeze,
+        cycle_sync=spec.cycle_sync,
+    )
+    watcher = _watcher(spec) if spec.read_only and spec.watched else None
+    users: list[LinkUser] = [master] if watcher is None else [master, watcher]
+    users.append(Class2(params.address, master))
+    guard = reading_only if spec.read_only else None
+    station = ActiveStation(params, users, patience=patience, guard=guard, budget=master.budget)
+    return Stack(master, station, watcher)
+
+
+def _watcher(spec: StackSpec) -> Scanner:
+    """The scanner of a read-only bus: the whole list quickly once, then within its share, slaves twice a second."""
+    own = spec.params.address
+    live = LiveList(
+        own,
+        period_ns=_LIST_PERIOD,
+        allowance=live_allowance(spec.params, spec.patience, 0),
+        quick_start=True,
+    )
+    return Scanner(own, live, period_ns=_DIAGNOSIS_PERIOD, wanted=[slave.address for slave in spec.slaves])

@@ -1,0 +1,88 @@
+"""Which driver keeps a bus going, and what cannot be."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+import pytest
+from api_kit import RAW, virtual
+
+import dpstack
+from dpstack.api import driver_choice
+from dpstack.api.config import Config, make_config, parse_config
+from dpstack.api.driver_choice import driver_for
+from dpstack.drivers.realtime import Rights
+from dpstack.errors import ConfigError
+from dpstack.ports import Delivery, Port, open_port
+
+
+def config(driver: str | None, port: str = "/dev/ttyUSB7") -> Config:
+    return make_config(port, 500_000, bus={"driver": driver})
+
+
+def uart() -> Port:
+    port = open_port("/dev/ttyUSB7", 500_000)
+    assert port.delivery is Delivery.ADAPTER
+    return port
+
+
+@pytest.fixture
+def rights(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
+    """Two processors, and the right to go before everybody else."""
+    monkeypatch.setattr(driver_choice, "rights", lambda: Rights(True, None, None))
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0, 1})
+    return monkeypatch
+
+
+@pytest.mark.usefixtures("rights")
+def test_auto_takes_a_process_for_a_real_line() -> None:
+    assert driver_for(config(None), uart()) == "process"
+    assert driver_for(config("auto"), uart()) == "process"
+    assert driver_for(config("asyncio"), uart()) == "asyncio"
+
+
+def test_auto_needs_rights_and_a_processor_of_its_own(rights: pytest.MonkeyPatch) -> None:
+    rights.setattr(os, "sched_getaffinity", lambda pid: {0})
+    assert driver_for(config("auto"), uart()) == "asyncio"
+    rights.setattr(os, "sched_getaffinity", lambda pid: {0, 1})
+    rights.setattr(driver_choice, "rights", lambda: Rights(False, 0, None))
+    assert driver_for(config("auto"), uart()) == "asyncio"
+    assert driver_for(config("process"), uart()) == "process"  # asked for: it says what it was not permitted
+
+
+@pytest.mark.usefixtures("rights")
+@pytest.mark.parametrize("port", ["pty", "socket://localhost:7000", "rfc2217://localhost:7000"])
+def test_auto_keeps_asyncio_where_there_is_no_wire_of_ours(port: str) -> None:
+    assert driver_for(config("auto", port), open_port(port, 500_000)) == "asyncio"
+
+
+def test_what_a_process_cannot_do_is_refused_with_what_to_do(rights: pytest.MonkeyPatch) -> None:
+    wanted = r'\[bus\]: driver = "process": '
+    with pytest.raises(ConfigError, match=wanted + "a simulated bus lives in the program's own process; leave driver"):
+        dpstack.open_bus(port="virtual", baud=500_000, driver="process")
+    with pytest.raises(ConfigError, match=wanted + "a simulated bus"):
+        dpstack.open_bus(world=dpstack.World(referee=False), baud=500_000, driver="process")
+    with pytest.raises(ConfigError, match=wanted + "the port rfc2217://localhost:7000 is of a kind that needs asyncio"):
+        dpstack.open_bus(port="rfc2217://localhost:7000", baud=500_000, driver="process")
+    file = parse_config('[bus]\nport = "virtual"\nbaud = 500000\ndriver = "process"\n', "plant.toml")
+    with pytest.raises(ConfigError, match=r"^plant.toml:4: \[bus\]: driver"):
+        dpstack.open_bus(file)
+    with pytest.raises(ConfigError, match=r"unknown driver 'thread'; it must be "):
+        config("thread")
+    rights.setattr(sys, "frozen", True, raising=False)
+    assert driver_for(config("auto"), uart()) == "asyncio"
+    with pytest.raises(ConfigError, match=wanted + "this program is one file without a Python beside it"):
+        driver_for(config("process"), uart())
+    rights.delattr(sys, "frozen")
+    rights.setattr(sys, "platform", "win32")
+    with pytest.raises(ConfigError, match=wanted + "the bus process needs Linux, this is win32"):
+        driver_for(config("process"), uart())
+
+
+def test_a_simulated_bus_says_so() -> None:
+    async def program() -> str:
+        async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[RAW], driver="auto") as bus:
+            return bus.driver
+
+    assert virtual(program()) == "virtual"

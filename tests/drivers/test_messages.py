@@ -1,0 +1,172 @@
+"""What bus process and application tell each other survives the way, whatever is in it."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from enum import Enum
+from types import UnionType
+from typing import Any, Union, get_args, get_origin, get_type_hints
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from property_kit import examples
+
+from dpstack.dp.commands import AddSlave, ReparameteriseSlave
+from dpstack.dp.diag_texts import DiagTexts
+from dpstack.dp.setup import SlaveSetup
+from dpstack.drivers import messages as m
+from dpstack.drivers.stack import StackSpec
+from dpstack.errors import BusError, ConfigError, PortBusyError, SlaveFault, UsageError
+from dpstack.fdl.user import LinkStats
+from dpstack.gsd.diag_texts import DiagTexts as GsdTexts
+from dpstack.gsd.model import Device
+from dpstack.params import BusParams
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers(-99, 99) | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    max_leaves=5,
+)  # fmt: skip
+NS = st.integers(-(2**63), 2**63 - 1)
+SETUPS = st.builds(
+    SlaveSetup,
+    address=st.integers(0, 125),
+    name=st.text(max_size=8),
+    ident=st.none() | st.integers(0, 0xFFFF),
+    config=st.just(b"\x21\x11"),
+    user_prm=st.binary(max_size=20),
+    watchdog_ms=st.none() | st.integers(0, 650_250),
+    groups=st.lists(st.integers(1, 8), max_size=3).map(tuple),
+    safe=st.just(b"") | st.binary(min_size=2, max_size=2),
+    initial=st.none() | st.binary(min_size=2, max_size=2),
+    every=st.integers(1, 100),
+    max_tsdr=st.none() | st.integers(1, 1000),
+    fail_safe_told=st.just(False),
+    wd_base_1ms=st.just(False),
+    texts=st.none(),
+    on_loss=st.text(max_size=5),
+)
+PARAMS = st.sampled_from((9_600, 500_000, 12_000_000)).map(lambda baud: BusParams.preset(baud, address=7))
+
+#: what has limits of its own
+LIMITED: dict[object, st.SearchStrategy[object]] = {
+    SlaveSetup: SETUPS,
+    BusParams: PARAMS,
+    object: JSON,
+    int: NS,
+    float: st.floats(allow_nan=False, allow_infinity=False),
+    str: st.text(max_size=8),
+    bytes: st.binary(max_size=8),
+    bool: st.booleans(),
+    type(None): st.none(),
+}
+
+
+TOLD = (*m.ORDERS.values(), *m.event_classes().values(), m.Counters, m.Hello, m.News, LinkStats, StackSpec)
+
+
+def made(hint: Any) -> st.SearchStrategy[Any]:
+    """Values of a type hint, dataclasses by those of their fields."""
+    if hint in LIMITED:
+        return LIMITED[hint]
+    if isinstance(hint, type) and issubclass(hint, Enum):
+        return st.sampled_from(hint)
+    if dataclasses.is_dataclass(hint) and isinstance(hint, type):
+        hints = get_type_hints(hint)
+        return st.builds(hint, **{field.name: made(hints[field.name]) for field in dataclasses.fields(hint)})
+    origin, arguments = get_origin(hint), [made(argument) for argument in get_args(hint) if argument is not ...]
+    if origin in (Union, UnionType):
+        return st.one_of(arguments)
+    if origin in (list, frozenset):
+        return st.lists(arguments[0], max_size=3).map(origin)
+    if origin is tuple and ... in get_args(hint):
+        return st.lists(arguments[0], max_size=3).map(tuple)
+    if origin is tuple:
+        return st.tuples(*arguments)
+    assert origin in (dict, Mapping), hint
+    return st.dictionaries(*arguments, max_size=3)
+
+
+def there(message: m.Message) -> m.Message:
+    (back,) = m.Frames().feed(m.framed(message))
+    return back
+
+
+@pytest.mark.parametrize("kind", TOLD, ids=lambda kind: kind.__name__)
+def test_every_order_and_event_comes_back_as_it_was(kind: type) -> None:
+    @examples(8)
+    @given(made(kind))
+    def comes_back(thing: object) -> None:
+        answer = there(m.Message(answer=m.Answer(1, value=thing))).answer
+        assert answer is not None
+        assert m.typed(answer.value, kind) == thing
+
+    comes_back()
+
+
+def test_every_class_is_found_by_its_name() -> None:
+    for kind in m.ORDERS.values():
+        assert dataclasses.is_dataclass(kind)
+    assert len({kind.__name__ for kind in TOLD}) == len(TOLD)
+    with pytest.raises(BusError, match="'Nonsense' is nothing that"):
+        m.order_of(("Nonsense", {}))
+    with pytest.raises(BusError, match="SetMode cannot be read"):
+        m.order_of(("SetMode", {"mode": "loud"}))
+    with pytest.raises(BusError, match="is nothing that"):
+        m.event_of(("SetMode", {"mode": 128}))  # an order is no event
+
+
+def test_the_octets_are_json_with_a_length_in_front() -> None:
+    octets = m.framed(m.Message(question=m.Question(3, m.named(AddSlave(SlaveSetup(**SETUP))))))
+    assert int.from_bytes(octets[:4], "big") == len(octets) - 4
+    said = json.loads(octets[4:])
+    assert said["question"]["number"] == 3
+    name, fields = said["question"]["order"]
+    assert name == "AddSlave"
+    assert fields["setup"]["config"] == "IRE="  # 21 11
+
+
+SETUP: dict[str, Any] = {"address": 4, "name": "valves", "ident": 0x1234, "config": b"\x21\x11"}
+
+
+def test_the_texts_of_a_gsd_file_stay_here() -> None:
+    texts: DiagTexts = GsdTexts(Device())
+    setup = SlaveSetup(address=4, name="v", ident=1, config=b"\x21", texts=texts)
+    question = there(m.Message(question=m.Question(1, m.named(ReparameteriseSlave(setup))))).question
+    assert question is not None
+    order = m.order_of(question.order)
+    assert order == ReparameteriseSlave(setup)  # texts are not compared
+    assert isinstance(order, ReparameteriseSlave)
+    assert order.setup.texts is None
+    with pytest.raises(TypeError, match="does not go to another process"):
+        m.framed(m.Message(answer=m.Answer(1, value=print)))
+
+
+@given(st.lists(st.integers(0, 5), min_size=1, max_size=5), st.integers(1, 40))
+def test_messages_are_cut_however_they_arrive(numbers: list[int], size: int) -> None:
+    octets = b"".join(m.framed(m.Message(answer=m.Answer(n))) for n in numbers)
+    frames, got = m.Frames(), []
+    for at in range(0, len(octets), size):
+        got += [message.answer.number for message in frames.feed(octets[at : at + size]) if message.answer]
+    assert got == numbers
+
+
+@pytest.mark.parametrize(
+    "octets", [b"\xff\xff\xff\xff", b"\0\0\0\x02{]", b"\0\0\0\x02[]", b"\0\0\0\x0e" + b'{"news":{"x":', b"\0\0\0\0"]
+)
+def test_garbage_is_an_error_of_the_bus(octets: bytes) -> None:
+    with pytest.raises(BusError, match="between bus process and application"):
+        list(m.Frames().feed(octets + b" " * 20))
+
+
+def test_errors_keep_their_class_and_text() -> None:
+    for error in (UsageError("a"), ConfigError("b"), PortBusyError("c"), BusError("d")):
+        back = m.error_of(m.error_pair(error))
+        assert type(back) is type(error)
+        assert str(back) == str(error)
+    assert type(m.error_of(m.error_pair(SlaveFault(3, "e")))) is BusError
+    assert "defect in dpstack" in str(m.error_of(m.error_pair(KeyError("f"))))
+    assert get_type_hints(m.Message)  # every name in the hints can be looked up

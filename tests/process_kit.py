@@ -1,0 +1,63 @@
+"""What tests of the bus process use: slaves that know only octets at the other end of a pty, seen by any process."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tty
+from collections.abc import Iterator
+from typing import Any, Literal
+
+from support_responder import Responder
+
+import dpstack
+from dpstack.drivers.process import ProcessRuntime
+
+Driver = Literal["asyncio", "process"]
+DRIVERS: tuple[Driver, ...] = ("asyncio", "process")
+
+VALVES: dict[str, object] = {
+    "name": "valves",
+    "address": 4,
+    "ident": 0x1234,
+    "config": "21 11",
+    "safe": "A5 5A",
+    "sync": True,
+    "freeze": True,
+    "groups": [1],
+    "inputs": {"level": "i16@0"},
+    "outputs": {"target": "i16@0"},
+}
+SPEC = "4:1234:2111:2:2"
+LAMPS: dict[str, object] = {
+    "name": "lamps", "address": 5, "ident": 0x1234, "config": "20 10", "sync": True, "freeze": True, "groups": [1]
+}  # fmt: skip
+LAMPS_SPEC = "5:1234:2010:1:1"
+
+
+@contextlib.contextmanager
+def octet_slaves(*specs: str) -> Iterator[tuple[str, Responder]]:
+    """The path of a pty, and the slaves of ``specs`` (see ``support_responder``) at its other end."""
+    master, slave = os.openpty()
+    try:
+        tty.setraw(slave)
+        path = os.ttyname(slave)
+        responder = Responder(path, specs)
+        os.dup2(master, responder.fd)
+        with responder:
+            yield path, responder
+    finally:
+        os.close(master)
+        os.close(slave)
+
+
+def bus_on(path: str, driver: Driver, *slaves: dict[str, object], **more: Any) -> dpstack.Bus:
+    return dpstack.open_bus(port=path, baud=1_500_000, slaves=slaves, gap=0, driver=driver, **more)
+
+
+def process_of(bus: dpstack.Bus) -> int:
+    """The process id of its bus process."""
+    runtime = bus.runtime
+    assert isinstance(runtime, ProcessRuntime)
+    assert runtime.pid is not None
+    return runtime.pid
