@@ -20,7 +20,7 @@ from dpstack.profile.store import ParamStore
 #: words and double words, no arrays, no data sets
 PLAIN_PKW: Final = PkwDialect(
     answers={Order.READ: (Reply.WORD, Reply.LONG), Order.WRITE_WORD: (Reply.WORD,), Order.WRITE_LONG: (Reply.LONG,)},
-    errors={**PARAMETER_ERRORS, 18: "another error"},
+    errors={**PARAMETER_ERRORS, 17: "not in this operating state", 18: "another error"},  # V2 has words of its own
 )
 #: the highest PNU that PKE holds
 _MOST: Final = 0x7FF

@@ -205,14 +205,16 @@ def _outcome(place: Place, values: Values) -> dict[str, object]:
     spec = place.spec
     form = FORMATS[values.format]
     first = values.raws[0]
-    raw: Raw = first
     value: Value = form.value(first)
+    if isinstance(value, (str, bytes)):
+        raise CommandError("parameter", f"{place.label} is no number but {form.name}: {value!r}")
+    raw = first if isinstance(first, int) else int.from_bytes(form.pack((first,)), "big")
     if spec is not None and isinstance(first, int):
         raw = spec.from_pwe(first)
         value = spec.to_value(raw)
     return {
-        "value": value.hex(" ") if isinstance(value, bytes) else value,
-        "raw": raw.hex(" ") if isinstance(raw, bytes) else raw,
+        "value": value,
+        "raw": raw,
         "number": place.number,
         "name": spec.name if spec else None,
         "unit": spec.unit if spec else "",
