@@ -23,7 +23,7 @@ from dpstack.api.slave import Slave
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.api.statistics import BusStats, collect
 from dpstack.api.streams import EventStream, Waiters
-from dpstack.dp.class2 import ServiceDone
+from dpstack.dp.class2_jobs import ServiceDone
 from dpstack.dp.commands import AddSlave, Mode, RemoveSlave, SetMode
 from dpstack.dp.events import ControlSent, DriveEvent
 from dpstack.dp.scanner import Found

@@ -13,8 +13,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from dpstack.dp.class2 import CancelService, ChangeAddress, ReadService, ServiceDone
-from dpstack.dp.class2_jobs import Outcome, Service, ServiceFailure
+from dpstack.dp.acyclic import CancelService
+from dpstack.dp.class2 import ChangeAddress, ReadService
+from dpstack.dp.class2_jobs import Outcome, Service, ServiceDone, ServiceFailure
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.fields import Value
 from dpstack.errors import (

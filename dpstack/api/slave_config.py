@@ -13,8 +13,9 @@ from dpstack.api.tables import Table
 from dpstack.dp.diag_texts import DiagTexts
 from dpstack.dp.diagnosis import FIXED_LEN, MAX_LEN
 from dpstack.dp.fields import FieldMap
-from dpstack.dp.setup import DPV1_STATUS_LEN, INTERVAL_UNIT, MAX_WATCHDOG_MS, SlaveSetup
+from dpstack.dp.setup import INTERVAL_UNIT, MAX_WATCHDOG_MS, SlaveSetup
 from dpstack.dp.slave_description import SlaveDescription
+from dpstack.dp.v1.status import DPV1_STATUS_LEN
 from dpstack.errors import ConfigError
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.gsd.model import Device
