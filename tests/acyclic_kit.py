@@ -5,16 +5,30 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
+from dpstack.dp.v1.records import ReadReq, WriteReq
+from dpstack.dp.v1.unit_records import Outcome, ServiceFailure
 from dpstack.profile.acyclic.server import RecordServer
-from dpstack.profile.acyclic.services import Answer, Pause, ReadRecord, Refused, Service, Talk, WriteRecord
+from dpstack.profile.acyclic.services import Answer, Pause, Refused, Service, Talk
 
 T = TypeVar("T")
 MS = 1_000_000
-BUSY = Refused(0xB5, "state conflict")
+BUSY = Refused(0xB5)
 
 
 def octets(text: str) -> bytes:
     return bytes.fromhex(text)
+
+
+def outcome(answer: str | Refused | ServiceFailure) -> Outcome:
+    """What a service comes to: octets, a negative answer, or none (with the failure's name as text)."""
+    match answer:
+        case str():
+            return Outcome(octets(answer))
+        case Refused(code, why):
+            codes = (0x80, code, 0) if code else None
+            return Outcome(failure=ServiceFailure.NEGATIVE if code else ServiceFailure.REFUSED, text=why, codes=codes)
+        case failure:
+            return Outcome(failure=failure, text=f"slave 6 {failure.value}")
 
 
 class Script:
@@ -32,7 +46,7 @@ class Script:
             self.now += service.ns
             return Answer(self.now)
         self.now += self.service_ns
-        if isinstance(service, WriteRecord):
+        if isinstance(service, WriteReq):
             self.said.append(f"5F {service.slot:02X} {service.index:02X} {len(service.data):02X} " + _hex(service.data))
         else:
             self.said.append(f"5E {service.slot:02X} {service.index:02X} {service.length:02X}")
@@ -56,7 +70,7 @@ class Wire:
             self.now += service.ns
             return Answer(self.now)
         self.now += self.service_ns
-        if isinstance(service, WriteRecord):
+        if isinstance(service, WriteReq):
             self.longest = max(self.longest, len(service.data))
             refused = self.server.write_record(service.slot, service.index, service.data, self.now)
             return Answer(self.now, b"" if refused is None else refused)
@@ -85,4 +99,4 @@ def hexes(parts: Sequence[bytes]) -> list[str]:
     return [_hex(part) for part in parts]
 
 
-__all__ = ["BUSY", "MS", "ReadRecord", "Script", "Wire", "hexes", "octets", "talk"]
+__all__ = ["BUSY", "MS", "ReadReq", "Script", "Wire", "hexes", "octets", "outcome", "talk"]

@@ -19,12 +19,12 @@ from dpstack.profile.acyclic import (
     Pause,
     Progress,
     ReadParameter,
-    ReadRecord,
+    ReadReq,
     Refused,
     Result,
     Talk,
     Values,
-    WriteRecord,
+    WriteReq,
     defined,
     describe,
     read_limits,
@@ -34,7 +34,7 @@ from dpstack.units import NEVER, NS_PER_S, s_to_ns
 
 T = TypeVar("T")
 #: Carries out one Read or Write of the slave: what was read, b"" after a Write, or its negative answer.
-CarryOut = Callable[[ReadRecord | WriteRecord], Awaitable[bytes | Refused]]
+CarryOut = Callable[[ReadReq | WriteReq], Awaitable[bytes | Refused]]
 
 
 class RecordParameters:

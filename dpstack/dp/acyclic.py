@@ -29,6 +29,10 @@ from dpstack.units import NEVER, ns_to_s
 CAPACITY: Final = 32
 
 
+#: the token of services that no program ordered
+UNITS: Final = -1
+
+
 @dataclass(frozen=True, slots=True)
 class CancelService:
     """Nobody waits for the service with ``token`` any more; one that is over already is no error."""
@@ -116,6 +120,8 @@ class Acyclic:
         """One request a hold. What a slave cannot answer any more ends here."""
         self._turn = True
         self._tokens += 1
+        for job, timeout_ns in self._ms1.of_units():
+            self._take(UNITS, job, timeout_ns, now)
         if self._queue:
             self._end_barred(now)
 

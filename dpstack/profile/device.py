@@ -42,7 +42,7 @@ class DriveDevice(Device):
         self.telegram = telegram
         self.motor = motor
         self.channel: ChannelServer | None = None
-        #: record 47, asked at the time of the last scan
+        #: record 47, for whoever makes it one of ``records``
         self.record47: ParameterServer | None = None
         self.warning_mask = 0
         self.released = True

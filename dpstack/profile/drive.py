@@ -12,8 +12,8 @@ from dpstack.profile.acyclic.choice import ChosenAccess
 from dpstack.profile.channel import CHANNEL_LEN
 
 if TYPE_CHECKING:
+    from dpstack.dp.v1.unit_records import RecordQueue
     from dpstack.profile.acyclic.access import AcyclicAccess
-    from dpstack.profile.acyclic.services import RecordQueue
     from dpstack.profile.core import DriveCore
     from dpstack.profile.device import DriveDevice
 
@@ -192,6 +192,7 @@ class DriveProfile:
             self._refuse(next(iter(extra)), self.core_options, f"drive {name} ({self.name})")
         core = self.core_factory(self, name, self.telegram(telegram), checked)
         if records is not None and self.record_access is not None:
+            core.records = records
             core.access = ChosenAccess(self.record_access(core, records), core.access)
         return core
 

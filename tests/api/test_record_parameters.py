@@ -14,12 +14,12 @@ from dpstack.profile.acyclic import (
     Address,
     ErrorValue,
     ParameterServer,
-    ReadRecord,
+    ReadReq,
     Refused,
     Rules,
     StoreParameters,
     Values,
-    WriteRecord,
+    WriteReq,
 )
 from dpstack.units import NS_PER_MS, s_to_ns
 
@@ -36,10 +36,10 @@ def drive(busy_ms: int = 10) -> tuple[RecordParameters, ParamStore]:
     store = ParamStore(table, {}, sets=4)
     server = ParameterServer(StoreParameters(store), Rules(busy_ns=busy_ms * NS_PER_MS))
 
-    async def carry_out(service: ReadRecord | WriteRecord) -> bytes | Refused:
+    async def carry_out(service: ReadReq | WriteReq) -> bytes | Refused:
         await asyncio.sleep(0.003)
         now = s_to_ns(asyncio.get_running_loop().time())
-        if isinstance(service, WriteRecord):
+        if isinstance(service, WriteReq):
             return server.write_record(service.slot, service.index, service.data, now) or b""
         return server.read_record(service.slot, service.index, service.length, now)
 
@@ -80,8 +80,8 @@ def test_tasks_take_turns_and_a_time_ends() -> None:
 
 def test_a_drive_without_the_record_says_so() -> None:
     async def main() -> None:
-        async def none(service: ReadRecord | WriteRecord) -> bytes | Refused:
-            return Refused(0xB0, "invalid index")
+        async def none(service: ReadReq | WriteReq) -> bytes | Refused:
+            return Refused(0xB0)
 
         with pytest.raises(dpstack.ParameterError, match="refuses the request: error B/0, invalid index") as caught:
             await RecordParameters("pump", none, 1).read_out()

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import pytest
-from acyclic_kit import octets
+from acyclic_kit import octets, outcome
 from drive_bench import MS, DeviceBench, PluginBench
 from ls_kit import NONE, ZERO, sim
 
-from dpstack.profile import CommandError
-from dpstack.profile.acyclic import RecordQueue, Refused, WriteRecord
+from dpstack.dp.v1.records import parse_request
+from dpstack.dp.v1.serving import Ticket
+from dpstack.dp.v1.unit_records import ServiceFailure
+from dpstack.profile.acyclic import RecordQueue, Refused, WriteReq
 from dpstack_drives.ls import DRIVE
 from dpstack_drives.ls.simulator import LsDevice
 
@@ -148,16 +150,16 @@ class Master:
             pending = self.queue.take()
             if pending is not None:
                 self.pending = pending
-                wanted = pending.service
-                if isinstance(wanted, WriteRecord):
+                wanted = pending.request
+                if isinstance(wanted, WriteReq):
                     head = bytes((0x5F, wanted.slot, wanted.index, len(wanted.data)))
                     return (head + wanted.data).hex(" ").upper()
                 return f"5E {wanted.slot:02X} {wanted.index:02X} {wanted.length:02X}"
             self.bench.run()
         raise AssertionError("it asks for nothing")
 
-    def answers(self, data: str | Refused | CommandError) -> None:
-        self.pending.answer = octets(data) if isinstance(data, str) else data
+    def answers(self, data: str | Refused | ServiceFailure) -> None:
+        self.pending.outcome = outcome(data)
         self.bench.run()
 
 
@@ -208,15 +210,16 @@ def test_l8_the_plugin_writes_and_reads_elements() -> None:
         ("01 81 01 01 44 02 00 03 00 07", "parameter", "PNU 965: error 3, invalid subindex (subindex 7)"),
         ("01 81 01 01 44 01 00 C8", "parameter", "PNU 965: error 200, the maker's own"),
         ("01 01 01 01 06 00", "parameter", "PNU 965: the drive answered without a value"),
-        (CommandError("timeout", "no answer"), "timeout", "PNU 965: no answer"),
+        (ServiceFailure.SILENT, "timeout", "PNU 965: slave 6 silent"),
+        (ServiceFailure.CLOSED, "lost", "PNU 965: slave 6 closed"),
         (
-            Refused(0xA0, "read error"),
+            Refused(0xA0),
             "parameter",
             "PNU 965: record 47 of slot 1: the drive refuses the response: error A/0, read error",
         ),
     ],
 )
-def test_l8_refusals_as_texts(answer: str | Refused | CommandError, error: str, text: str) -> None:
+def test_l8_refusals_as_texts(answer: str | Refused | ServiceFailure, error: str, text: str) -> None:
     master = Master("ST1", ST1)
     token = master.bench.order("read", number=965)
     assert master.asks() == "5F 01 2F 0A 01 01 01 01 10 00 03 C5 00 00"
@@ -246,7 +249,7 @@ def test_a_drive_without_the_record_is_asked_by_pkw() -> None:
     master = Master("PPO1", ZERO + "00 40 00 00")
     token = master.bench.order("read", number=965)
     assert master.asks() == "5F 01 2F 0A 01 01 01 01 10 00 03 C5 00 00"
-    master.answers(Refused(0xB0, "invalid index"))
+    master.answers(Refused(0xB0))
     assert master.bench.run(2)[:8] == octets("13 C5 00 00 00 00 00 00")
     master.bench.see("13 C5 00 00 00 00 03 28 00 40 00 00")
     assert (master.bench.result(token) or {})["value"] == 0x0328
@@ -267,7 +270,7 @@ def test_without_either_the_reason_is_told() -> None:
     master.answers(Refused(0, "SAP 51 is closed"))
     result = master.bench.result(token) or {}
     assert result["text"] == (
-        "PNU 965: record 47 of slot 1: the drive refuses the request: error 0/0, SAP 51 is closed; "
+        "PNU 965: record 47 of slot 1: the drive refuses the request: SAP 51 is closed; "
         "a telegram with a parameter channel needs none"
     )
 
@@ -285,3 +288,30 @@ def test_l8_trips_have_names_in_a_telegram_without_a_channel() -> None:
     master.asks()
     master.answers("02 01 01 01 06 01 00 00")
     assert master.bench.core.faults() == ("34 LV",)
+
+
+def du(device: LsDevice, request: str) -> str:
+    """One service of DP-V1 as the slave application hands it on, in octets both ways."""
+    ticket = Ticket(parse_request(octets(request)))
+    assert device.records is not None
+    device.records.ask(ticket)
+    assert ticket.response is not None
+    return ticket.response.build().hex(" ").upper()
+
+
+def test_l8_l10_as_the_slave_application_asks() -> None:
+    bench = drive()
+    assert isinstance(bench.device, LsDevice)
+    assert du(bench.device, "5F 01 2F 0A 01 01 01 01 10 00 03 C5 00 00") == "5F 01 2F 0A"
+    assert du(bench.device, "5E 01 2F F0") == "DE 80 B5 00"
+    bench.device.advance(bench.now + 12 * MS)
+    assert du(bench.device, "5E 01 2F F0") == "5E 01 2F 08 01 01 01 01 06 01 03 28"
+    for slot in ("00", "01", "05"):
+        assert du(bench.device, f"5F {slot} FF 04 08 00 FD E8") == f"5F {slot} FF 04"
+        found = octets(du(bench.device, f"5E {slot} FF 44"))
+        assert found[:8] == octets(f"5E {slot} FF 44 08 00 FD E8")
+        assert found[18:20] == octets("03 51")
+        assert found[20:40].rstrip() == b"CPDP-S100"
+        assert len(found) == 72
+        assert found[62:] == octets("00 00 3A 00 00 00 01 01 00 01")  # revision counter, profile, type, I&M 1.1, I&M0
+    assert du(bench.device, "5F 01 FF 04 08 00 FD E9") == "DF 80 B7 00"  # no I&M1

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pytest
-from acyclic_kit import octets
+from acyclic_kit import outcome
 
 from dpstack.profile import CommandError, ParamKey, ParamSpec, ParamTable, Steps
-from dpstack.profile.acyclic import AcyclicAccess, ParameterClient, RecordQueue, WriteRecord, plain_places
+from dpstack.profile.acyclic import AcyclicAccess, ParameterClient, RecordQueue, WriteReq, plain_places
 
 TABLE = ParamTable(
     [
@@ -37,11 +37,11 @@ class Bench:
                 pending = self.queue.take()
                 if pending is None:
                     continue
-                if isinstance(pending.service, WriteRecord):
-                    self.said.append(pending.service.data.hex(" ").upper())
-                    pending.answer = b""
+                if isinstance(pending.request, WriteReq):
+                    self.said.append(pending.request.data.hex(" ").upper())
+                    pending.outcome = outcome("")
                 else:
-                    pending.answer = octets(waiting.pop(0))
+                    pending.outcome = outcome(waiting.pop(0))
         except StopIteration as end:
             result: dict[str, object] = end.value
             return result

@@ -10,12 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from property_kit import examples
 
+from dpstack.dp.v1.records import ReadReq, WriteReq
 from dpstack.profile.acyclic.client import ParameterClient
 from dpstack.profile.acyclic.formats import FORMATS
 from dpstack.profile.acyclic.lists import Description, ReadParameter, defined, describe, read_limits, read_out
 from dpstack.profile.acyclic.record47 import Address, ErrorValue, Request, Response, Result, Values
 from dpstack.profile.acyclic.server import ParameterServer, Rules
-from dpstack.profile.acyclic.services import Answer, ReadRecord, Refused, Service, WriteRecord
+from dpstack.profile.acyclic.services import Answer, Refused, Service
 from dpstack.profile.acyclic.split import Item, Limits
 from dpstack.profile.jobs import CommandError
 
@@ -90,8 +91,8 @@ def test_each_request_has_a_reference_of_its_own_and_never_0() -> None:
 @pytest.mark.parametrize(
     ("answers", "text", "number"),
     [
-        ((Refused(0xB2, "invalid slot"),), "the drive refuses the request: error B/2, invalid slot", 0xB2),
-        (("", Refused(0xB0, "invalid index")), "the drive refuses the response: error B/0, invalid index", 0xB0),
+        ((Refused(0xB2),), "the drive refuses the request: error B/2, invalid slot", 0xB2),
+        (("", Refused(0xB0)), "the drive refuses the response: error B/0, invalid index", 0xB0),
         (("", "01 01 01 01 06 02 03 28"), "2 values of format Unsigned16 are 4 octets", None),
         (("", "01 01 01 00"), "the drive answered 0 of 1 parameters", None),
         ((Refused(0xB1),), "does not take a request of 10 octets", None),
@@ -201,9 +202,9 @@ class Lists:
         self.requests = 0
 
     def __call__(self, service: Service) -> Answer:
-        if isinstance(service, ReadRecord):
+        if isinstance(service, ReadReq):
             return Answer(0, self.answer)
-        assert isinstance(service, WriteRecord)
+        assert isinstance(service, WriteReq)
         data = service.data
         assert data[3] == 1
         self.requests += 1
@@ -354,7 +355,7 @@ def test_the_server_takes_any_octets(data: bytes, length: int) -> None:
     taken = server.write_record(1, 47, data, 0)
     answer = server.read_record(1, 47, length, 0)
     if taken is not None:
-        assert answer == Refused(0xB5, "state conflict")
+        assert answer == Refused(0xB5)
     elif isinstance(answer, bytes):
         assert Response.parse(answer).reference == data[0]
 

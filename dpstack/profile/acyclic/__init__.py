@@ -5,6 +5,9 @@ tells of itself; ``access``, ``choice``: for drive plugins; ``server``, ``model`
 carries them.
 """
 
+from dpstack.dp.v1.im import Im0
+from dpstack.dp.v1.serving import ImRecords
+from dpstack.dp.v1.unit_records import ReadReq, RecordQueue, WriteReq
 from dpstack.profile.acyclic.access import AcyclicAccess, Place, Placed, plain_places
 from dpstack.profile.acyclic.choice import ChosenAccess
 from dpstack.profile.acyclic.client import Counters, NoRecordError, ParameterClient, Progress
@@ -29,17 +32,13 @@ from dpstack.profile.acyclic.record47 import (
     Result,
     Values,
 )
-from dpstack.profile.acyclic.server import ParameterModel, ParameterServer, RecordServer, Rules
+from dpstack.profile.acyclic.server import ParameterModel, ParameterServer, RecordServer, Rules, TimedRecords
 from dpstack.profile.acyclic.services import (
     Answer,
     Pause,
-    PendingService,
-    ReadRecord,
-    RecordQueue,
     Refused,
     Service,
     Talk,
-    WriteRecord,
 )
 from dpstack.profile.acyclic.split import Item, Limits
 
@@ -58,6 +57,8 @@ __all__ = [
     "Description",
     "ErrorValue",
     "Format",
+    "Im0",
+    "ImRecords",
     "Item",
     "Limits",
     "NoRecordError",
@@ -65,12 +66,11 @@ __all__ = [
     "ParameterModel",
     "ParameterServer",
     "Pause",
-    "PendingService",
     "Place",
     "Placed",
     "Progress",
     "ReadParameter",
-    "ReadRecord",
+    "ReadReq",
     "RecordQueue",
     "RecordServer",
     "Refused",
@@ -82,8 +82,9 @@ __all__ = [
     "Service",
     "StoreParameters",
     "Talk",
+    "TimedRecords",
     "Values",
-    "WriteRecord",
+    "WriteReq",
     "defined",
     "describe",
     "format_of",

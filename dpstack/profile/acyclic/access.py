@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping
-from typing import NamedTuple, TypeVar
+from typing import Final, NamedTuple, TypeVar
 
+from dpstack.dp.v1.codes import Decode
+from dpstack.dp.v1.unit_records import Outcome, ReadReq, RecordQueue, ServiceFailure, WriteReq
 from dpstack.profile.acyclic.client import ParameterClient
 from dpstack.profile.acyclic.formats import FORMATS, Raw, Value
 from dpstack.profile.acyclic.record47 import Address, ErrorValue, Values
-from dpstack.profile.acyclic.services import Answer, Pause, ReadRecord, RecordQueue, Refused, Talk, WriteRecord
+from dpstack.profile.acyclic.services import Answer, Pause, Refused, Talk
 from dpstack.profile.channel import ParamKey
 from dpstack.profile.jobs import CommandError, Steps
 from dpstack.profile.param_errors import error_text
 from dpstack.profile.params import ParamSpec, ParamTable
 
 T = TypeVar("T")
+#: the bus or the slave went away
+_LOST: Final = frozenset({ServiceFailure.LINE, ServiceFailure.CLOSED, ServiceFailure.CANCELLED})
 
 
 class Place(NamedTuple):
@@ -158,17 +162,15 @@ class AcyclicAccess:
             talk.close()
             self._turns.remove(turn)
 
-    def _carried_out(self, service: WriteRecord | ReadRecord, deadline: int, label: str) -> Steps[bytes | Refused]:
+    def _carried_out(self, service: WriteReq | ReadReq, deadline: int, label: str) -> Steps[bytes | Refused]:
         pending = self._records.submit(service)
         try:
-            while pending.answer is None:
+            while pending.outcome is None:
                 self._in_time(deadline, label)
                 yield
         finally:
             self._records.cancel(pending)
-        if isinstance(pending.answer, CommandError):
-            raise pending.answer
-        return pending.answer
+        return answer_of(pending.outcome)
 
     def _in_time(self, deadline: int, label: str) -> None:
         if self._clock() >= deadline:
@@ -187,6 +189,17 @@ class AcyclicAccess:
         if isinstance(result, ErrorValue):
             text = error_text(result.number, result.info, self._makers)
             raise CommandError("parameter", f"{place.label}: {text}", result.number)
+
+
+def answer_of(outcome: Outcome) -> bytes | Refused:
+    """What came of a service, for a talk. Raises CommandError where nothing did."""
+    if outcome.failure is None:
+        return outcome.data
+    if outcome.codes is not None and outcome.codes[0] == Decode.DPV1:
+        return Refused(outcome.codes[1])
+    if outcome.failure in (ServiceFailure.REFUSED, ServiceFailure.NEGATIVE):
+        return Refused(0, outcome.text)
+    raise CommandError("lost" if outcome.failure in _LOST else "timeout", outcome.text)
 
 
 def _raw(spec: ParamSpec | None, number: int, value: float) -> Raw:

@@ -9,20 +9,19 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from dpstack.dp.v1.codes import Code
+from dpstack.dp.v1.records import ReadReq, WriteReq
 from dpstack.errors import PduError
 from dpstack.profile.acyclic.formats import ZERO
 from dpstack.profile.acyclic.record47 import INDEX, Address, ErrorValue, Request, RequestId, Response, Result, Values
 from dpstack.profile.acyclic.services import (
     ABSENT,
     AGAIN,
-    WRITE_LENGTH,
     Answer,
     Pause,
-    ReadRecord,
     Refused,
     Service,
     Talk,
-    WriteRecord,
 )
 from dpstack.profile.acyclic.split import Item, Limits, Piece, batch, halves, joined, pieces
 from dpstack.profile.jobs import CommandError
@@ -179,7 +178,7 @@ class ParameterClient:
         told = f"the drive did not answer within {patience // NS_PER_MS} ms"
         pause = _FIRST_PAUSE
         while True:
-            now, data = yield from self._service(ReadRecord(self.slot, INDEX, self.limits.octets))
+            now, data = yield from self._service(ReadReq(self.slot, INDEX, self.limits.octets))
             if isinstance(data, Refused):
                 self._again(data, "the response")
             else:
@@ -201,10 +200,10 @@ class ParameterClient:
         until: int | None = None
         pause = _FIRST_PAUSE
         while True:
-            now, data = yield from self._service(WriteRecord(self.slot, INDEX, octets))
+            now, data = yield from self._service(WriteReq(self.slot, INDEX, octets))
             if not isinstance(data, Refused):
                 return now
-            if data.code == WRITE_LENGTH:
+            if data.code == Code.WRITE_LENGTH:
                 return None
             self._again(data, "the request")
             until = min(deadline, now + self._patience) if until is None else until
@@ -216,7 +215,7 @@ class ParameterClient:
     def _service(self, service: Service) -> Talk[Answer]:
         answer = yield service
         self.counters.services += 1
-        self.counters.octets += len(service.data) if isinstance(service, WriteRecord) else 0
+        self.counters.octets += len(service.data) if isinstance(service, WriteReq) else 0
         self.counters.octets += 0 if isinstance(answer.data, Refused) else len(answer.data)
         return answer
 

@@ -7,10 +7,13 @@ answered 0xB7.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Final, Protocol
 
+from dpstack.dp.v1.codes import Code
+from dpstack.dp.v1.records import WriteReq
+from dpstack.dp.v1.serving import Ticket
 from dpstack.errors import PduError
 from dpstack.profile.acyclic.formats import ZERO
 from dpstack.profile.acyclic.record47 import (
@@ -25,18 +28,11 @@ from dpstack.profile.acyclic.record47 import (
     Result,
     Values,
 )
-from dpstack.profile.acyclic.services import (
-    INVALID_INDEX,
-    INVALID_RANGE,
-    INVALID_SLOT,
-    STATE_CONFLICT,
-    WRITE_LENGTH,
-    Refused,
-)
+from dpstack.profile.acyclic.services import Refused
 from dpstack.profile.acyclic.split import Limits
 from dpstack.profile.param_errors import BAD_ADDRESS, BAD_COUNT, NO_OBJECT, TOO_LONG
 
-_BUSY: Final = Refused(STATE_CONFLICT, "state conflict")
+_BUSY: Final = Refused(Code.STATE_CONFLICT)
 
 
 class RecordServer(Protocol):
@@ -47,6 +43,26 @@ class RecordServer(Protocol):
 
     def read_record(self, slot: int, index: int, length: int, now: int) -> bytes | Refused:
         """At most ``length`` octets."""
+
+
+class TimedRecords:
+    """Records of a slave application (:class:`~dpstack.dp.v1.serving.Records`) over a server; ``clock`` in ns."""
+
+    def __init__(self, server: RecordServer, clock: Callable[[], int]) -> None:
+        self._server = server
+        self._clock = clock
+
+    def ask(self, ticket: Ticket) -> None:
+        """At once: what is not ready is refused, and asked again."""
+        request, now = ticket.request, self._clock()
+        if isinstance(request, WriteReq):
+            answer = self._server.write_record(request.slot, request.index, request.data, now) or b""
+        else:
+            answer = self._server.read_record(request.slot, request.index, request.length, now)
+        if isinstance(answer, Refused):
+            ticket.refuse(answer.code)
+        else:
+            ticket.answer(answer)
 
 
 class ParameterModel(Protocol):
@@ -102,13 +118,13 @@ class ParameterServer:
         if self._response is not None and now < self._ready_at:
             return _BUSY
         if len(data) > self.rules.limits.octets:
-            return Refused(WRITE_LENGTH, "write length error")
+            return Refused(Code.WRITE_LENGTH)
         try:
             request = Request.parse(data)
         except PduError:
-            return Refused(INVALID_RANGE, "invalid range")
+            return Refused(Code.INVALID_RANGE)
         if not request.reference or not request.addresses or len(request.addresses) > self.rules.limits.parameters:
-            return Refused(INVALID_RANGE, "invalid range")
+            return Refused(Code.INVALID_RANGE)
         self._response = self._carried_out(request).build()
         self._ready_at = now + self.rules.busy_ns
         return None
@@ -122,14 +138,14 @@ class ParameterServer:
         if response is None or now < self._ready_at:
             return _BUSY
         if len(response) > length:
-            return Refused(INVALID_RANGE, "invalid range")
+            return Refused(Code.INVALID_RANGE)
         self._response = None
         return response
 
     def _elsewhere(self, slot: int, index: int) -> Refused | None:
         if self.rules.slots is not None and slot not in self.rules.slots:
-            return Refused(INVALID_SLOT, "invalid slot")
-        return None if index == INDEX else Refused(INVALID_INDEX, "invalid index")
+            return Refused(Code.INVALID_SLOT)
+        return None if index == INDEX else Refused(Code.INVALID_INDEX)
 
     def _carried_out(self, request: Request) -> Response:
         results: Sequence[Result]

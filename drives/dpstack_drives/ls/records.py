@@ -1,4 +1,4 @@
-"""Record 47 of the CPDP-S100, both ends (row L8; manual 6.2.2): a subset, PNUs and addresses side by side.
+"""The records of the CPDP-S100: 47 at both ends (row L8; manual 6.2.2), a subset, and I&M0 (L10; 8).
 
 PNUs are taken before addresses of the same number. Readings: a plain parameter with a subindex is error 4; a request
 takes two scans.
@@ -76,6 +76,24 @@ class LsParameters:
 def server(module: Module) -> acyclic.ParameterServer:
     """The drive's end."""
     return acyclic.ParameterServer(LsParameters(module), RULES)
+
+
+def identification() -> acyclic.Im0:
+    """I&M0 (row L10; manual 8). Order id, serial number and versions are made up."""
+    return acyclic.Im0(
+        manufacturer_id=t.DEVICE_ID[0],
+        order_id="CPDP-S100",
+        serial_number="00000001",
+        hardware_revision=1,
+        software_revision="V3.0.0",
+        profile_id=0x3A00,
+        supported=1,
+    )
+
+
+def served(parameters: acyclic.ParameterServer, clock: Callable[[], int]) -> acyclic.ImRecords:
+    """All records of the drive: record 47 in slot 1, I&M0 in every slot."""
+    return acyclic.ImRecords((identification(),), acyclic.TimedRecords(parameters, clock))
 
 
 def access(

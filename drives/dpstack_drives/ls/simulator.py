@@ -75,7 +75,9 @@ class LsDevice(DriveDevice):
         super().__init__(profile, telegram, Motor(load=float(options["load"])))
         self.module = Module(self.store, self._live, self._changed, lambda: bool(self.motor.frequency))
         self.channel = PkwServer(t.PKW, self.module.order)
-        self.record47 = None if self.legacy else records.server(self.module)
+        if not self.legacy:
+            self.record47 = records.server(self.module)
+            self.records = records.served(self.record47, lambda: self.seen_until or 0)
 
     @property
     def scan_ns(self) -> int:
