@@ -153,7 +153,7 @@ def test_a_slave_without_ms1() -> None:
 
 @pytest.mark.parametrize(
     ("dpv1", "ms", "of"),
-    [(Dpv1(), 1_000, "no C1_Response_Timeout"), (Dpv1(c1_response_timeout_ns=70 * MS), 70, "of its GSD file")],
+    [(Dpv1(), 1_000, "no C1_Response_Timeout"), (Dpv1(c1_response_timeout_ns=70 * MS), 70, "its C1_Response_Timeout)")],
 )
 def test_a_slave_that_never_answers(dpv1: Dpv1, ms: int, of: str) -> None:
     kit = Ms1Bus(dpv1=dpv1)
@@ -163,6 +163,12 @@ def test_a_slave_that_never_answers(dpv1: Dpv1, ms: int, of: str) -> None:
     assert f"had no answer within {ms / 1000:g} s (" in done.outcome.text
     assert of in done.outcome.text
     assert ms <= (kit.bus.now - begun) // MS <= ms + 30
+
+
+def test_a_slave_that_is_busy_all_the_time() -> None:
+    kit = Ms1Bus()
+    kit.slave.ms1 = lambda data: status(4, RR)
+    assert "it was busy all the time; try again" in kit.read().outcome.text
 
 
 def test_what_was_not_fetched_is_fetched_before_the_next_request() -> None:

@@ -109,7 +109,6 @@ def test_an_answer_that_comes_later() -> None:
     assert ask(bench, "5E 00 01 F0") == SC_REPLY
     for _ in range(3):
         assert ask(bench, "") == SC_REPLY
-    assert ask(bench, "5E 00 07 F0") == Reply(Resp.RR)  # the first is worked at
     (ticket,) = later.tickets
     ticket.answer(b"\x55")
     ticket.answer(b"\x66")  # once is enough
@@ -117,6 +116,22 @@ def test_an_answer_that_comes_later() -> None:
         assert ask(bench, "").data == bytes.fromhex("5E 00 01 01 55")
     assert ask(bench, "5E 00 07 F0") == SC_REPLY
     assert ask(bench, "") == SC_REPLY
+
+
+def test_a_request_takes_the_place_of_the_one_before() -> None:
+    later = Later()
+    bench = bench_with(later)
+    ask(bench, "5E 00 01 F0")
+    gone: list[int] = []
+    later.tickets[0].abandoned = lambda: gone.append(1)
+    ask(bench, "5E 00 02 F0")
+    assert gone == [1]
+    later.tickets[0].answer(b"\x11")
+    assert ask(bench, "") == SC_REPLY
+    later.tickets[1].answer(b"\x22")
+    assert ask(bench, "").data == bytes.fromhex("5E 00 02 01 22")
+    ask(bench, "5E 00 03 F0")
+    assert gone == [1]  # the second was answered
 
 
 def test_leaving_data_exchange_ends_what_is_worked_at() -> None:

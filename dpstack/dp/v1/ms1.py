@@ -189,10 +189,11 @@ class RecordJob:
         self._ms1 = ms1
         self._since = handler.since
         self._stale = 0
+        self._busy = False
         self._write = isinstance(request, WriteReq)
         told = 0 if handler.setup.dpv1 is None else handler.setup.dpv1.c1_response_timeout_ns
         self._limit_ns = told or RESPONSE_TIMEOUT
-        self._limit_of = "C1_Response_Timeout of its GSD file" if told else "no C1_Response_Timeout is known of it"
+        self._limit_of = "its C1_Response_Timeout" if told else "no C1_Response_Timeout is known of it"
         self._answer = _HEAD if isinstance(request, WriteReq) else _HEAD + request.length
 
     @property
@@ -205,9 +206,10 @@ class RecordJob:
     def overdue(self) -> str:
         """After C1_Response_Timeout."""
         others = f", only {self._stale} to other requests" if self._stale else ""
+        why = "it was busy all the time" if self._busy else "it exchanges data, but does not work at this record"
         return (
-            f"had no answer{others} within {ns_to_s(self._limit_ns):g} s ({self._limit_of}); "
-            f"the slave exchanges data, but its acyclic part does not work: see whether it has this record"
+            f"had no answer{others} within {ns_to_s(self._limit_ns):g} s ({self._limit_of}): {why}; "
+            f"try again, or give it longer (dpv1 = {{ response_timeout_ms = ... }})"
         )
 
     def bar(self) -> str:
@@ -248,6 +250,7 @@ class RecordJob:
                 if answer is Failure.REFUSED or self._write or unanswered == ATTEMPTS:
                     return self._unanswered(answer)
                 continue
+            self._busy = answer.function in _NOT_NOW
             if answer.kind is Kind.SC or answer.function in _NOT_YET:
                 break
             if answer.function in DATA_STATUS:

@@ -3,8 +3,8 @@
 Decisions where the sources are silent:
 
 - Every request is acknowledged with SC and answered when polled, as slave chips do; a poll before that gets SC, too.
-- A request while another one is being worked at is not taken (RR); one that finds an answer nobody fetched takes its
-  place: the master has given that one up.
+- A request while another one is being worked at, or has an answer that nobody fetched, takes its place: the master has
+  given that one up, and whoever works at it is told.
 - An answer stays until the next request: a poll whose answer was lost gets it again.
 - Leaving data exchange ends everything; an answer that comes after that is dropped.
 """
@@ -12,7 +12,7 @@ Decisions where the sources are silent:
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import Final, Protocol
+from typing import Protocol
 
 from dpstack.dp.v1.codes import Code
 from dpstack.dp.v1.im import IM_FI, IM_INDEX, IM_LEN, RECORDS, Im, Im0, build_call, number_of, parse_call
@@ -32,18 +32,17 @@ from dpstack.errors import PduError, RecordRefused
 from dpstack.fdl.telegram import Resp
 from dpstack.fdl.user import SC_REPLY, Reply
 
-_RR_REPLY: Final = Reply(Resp.RR)
-
 
 class Ticket:
     """One request and the way its answer goes: exactly one of the methods, once, whenever it is known.
 
-    ``open``: the answer is still wanted. An answer that is not wanted any more is dropped.
+    ``open``: the answer is still wanted; ``abandoned`` is called when it is not any more. Then it would be dropped.
     """
 
     def __init__(self, request: RecordReq) -> None:
         self.request = request
         self.open = True
+        self.abandoned: Callable[[], None] | None = None
         self.response: RecordRes | None = None
         #: what went wrong in the function that should have answered
         self.failure: str | None = None
@@ -115,18 +114,18 @@ class Ms1Server:
         return self.enabled and self.records is not None
 
     def close(self) -> None:
-        """Data exchange is over."""
-        if self._ticket is not None:
-            self._ticket.open = False
-            self._ticket = None
+        """Data exchange is over, or another request came."""
+        ticket, self._ticket = self._ticket, None
+        if ticket is not None:
+            ticket.open = False
+            if ticket.response is None and ticket.abandoned is not None:
+                ticket.abandoned()
 
     def serve(self, octets: bytes, sa: int, now: int) -> Reply:
         """A request, or a poll (no octets)."""
         ticket = self._ticket
         if not octets:
             return SC_REPLY if ticket is None or ticket.response is None else self._reply(ticket, sa, now)
-        if ticket is not None and ticket.response is None:
-            return _RR_REPLY
         self.close()
         try:
             request = parse_request(octets)
