@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from dpstack.dp.class2_jobs import Outcome, ServiceFailure
+from dpstack.dp.events import SlaveState
 from dpstack.dp.v1.records import ReadReq, RecordReq, WriteReq
 
 if TYPE_CHECKING:
@@ -57,8 +58,8 @@ class RecordQueue:
 
 
 def waiting(handler: SlaveHandler) -> Iterator[PendingRecord]:
-    """What the unit of a slave with DP-V1 wants now; taken."""
-    if handler.setup.dpv1 is None:
+    """What the unit of a slave with DP-V1 wants now; taken. Before data exchange it waits."""
+    if handler.setup.dpv1 is None or handler.state is not SlaveState.DATA_EXCHANGE:
         return
     queue = getattr(handler.image.unit, "records", None)
     if isinstance(queue, RecordQueue):
