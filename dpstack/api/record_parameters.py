@@ -6,9 +6,12 @@ import asyncio
 from collections.abc import Awaitable, Callable, Sequence
 from typing import TypeVar
 
-from dpstack.errors import DriveError, DriveTimeout, ParameterError
+from dpstack.api.records import Records
+from dpstack.dp.v1.codes import Decode
+from dpstack.errors import AcyclicError, DriveError, DriveTimeout, ParameterError, ServiceRefused
 from dpstack.profile import CommandError
 from dpstack.profile.acyclic import (
+    PROGRAM,
     Address,
     Answer,
     Counters,
@@ -49,7 +52,7 @@ class RecordParameters:
     ) -> None:
         self._name = name
         self._carry_out = carry_out
-        self._client = ParameterClient(slot, object=object, limits=limits)
+        self._client = ParameterClient(slot, object=object, limits=limits, references=PROGRAM)
         self._one_by_one = asyncio.Lock()
 
     @property
@@ -119,6 +122,25 @@ class RecordParameters:
                 return ParameterError(self._name, -1 if error.number is None else error.number, text)
             case _:
                 return DriveError(self._name, text)
+
+
+def over_records(records: Records, timeout: float) -> CarryOut:
+    """By MS1: what the slave refuses is an answer, other failures are raised as Read and Write raise them."""
+
+    async def carry_out(request: ReadReq | WriteReq) -> bytes | Refused:
+        try:
+            if isinstance(request, ReadReq):
+                return await records.read(request.slot, request.index, request.length, timeout)
+            await records.write(request.slot, request.index, request.data, timeout)
+        except AcyclicError as error:
+            if error.error_decode != Decode.DPV1:
+                raise
+            return Refused(error.code_1)
+        except ServiceRefused as error:
+            return Refused(0, str(error))
+        return b""
+
+    return carry_out
 
 
 def _now(loop: asyncio.AbstractEventLoop) -> int:

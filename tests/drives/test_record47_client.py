@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from property_kit import examples
 
 from dpstack.dp.v1.records import ReadReq, WriteReq
-from dpstack.profile.acyclic.client import ParameterClient
+from dpstack.profile.acyclic.client import PLUGIN, PROGRAM, ParameterClient
 from dpstack.profile.acyclic.formats import FORMATS
 from dpstack.profile.acyclic.lists import Description, ReadParameter, defined, describe, read_limits, read_out
 from dpstack.profile.acyclic.record47 import Address, ErrorValue, Request, Response, Result, Values
@@ -79,13 +79,27 @@ def test_an_answer_to_another_request_is_never_taken() -> None:
 
 
 def test_each_request_has_a_reference_of_its_own_and_never_0() -> None:
-    master = ParameterClient(1, reference=254)
-    said: list[str] = []
-    for reference in ("FE", "FF", "01"):
-        drive = Script("", f"{reference} 01 01 01 06 01 00 00")
-        talk(master.read([Address(965)]), drive)
-        said.append(drive.said[0][12:14])
-    assert said == ["FE", "FF", "01"]
+    for references, expected in ((range(1, 256), "01 02 FF 01"), (PLUGIN, "01 02 7F 01"), (PROGRAM, "80 81 FF 80")):
+        master = ParameterClient(1, references=references)
+        said: list[str] = []
+        for reference in (*references, references.start):
+            drive = Script("", f"{reference:02X} 01 01 01 06 01 00 00")
+            talk(master.read([Address(965)]), drive)
+            said.append(drive.said[0][12:14])
+        assert len(set(said)) == len(references)
+        assert " ".join((*said[:2], *said[-2:])) == expected
+
+
+def test_a_request_that_somebody_elses_replaced_is_made_again_and_a_change_is_not() -> None:
+    ours, other = "80 01 01 01 06 01 03 28", "05 01 01 01 06 01 00 07"
+    drive = Script("", other, "", ours)
+    master = ParameterClient(1, references=PROGRAM)
+    assert talk(master.read([Address(965)]), drive) == [Values(6, (0x328,))]
+    assert [one[:2] for one in drive.said] == ["5F", "5E", "5F", "pa", "5E"]
+    change = Script("", *[other] * 100)
+    with pytest.raises(CommandError, match=r"the drive answers request 5 \(id 1\) instead of ours"):
+        talk(master.change([(Address(927), Values(6, (0,)))]), change)
+    assert [one[:2] for one in change.said].count("5F") == 1
 
 
 @pytest.mark.parametrize(

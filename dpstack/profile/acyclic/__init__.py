@@ -10,7 +10,7 @@ from dpstack.dp.v1.serving import ImRecords
 from dpstack.dp.v1.unit_records import ReadReq, RecordQueue, WriteReq
 from dpstack.profile.acyclic.access import AcyclicAccess, Place, Placed, plain_places
 from dpstack.profile.acyclic.choice import ChosenAccess
-from dpstack.profile.acyclic.client import Counters, NoRecordError, ParameterClient, Progress
+from dpstack.profile.acyclic.client import PLUGIN, PROGRAM, Counters, NoRecordError, ParameterClient, Progress
 from dpstack.profile.acyclic.formats import FORMATS, UNSIGNED16, UNSIGNED32, WORD, Format, format_of
 from dpstack.profile.acyclic.lists import (
     Description,
@@ -45,6 +45,8 @@ from dpstack.profile.acyclic.split import Item, Limits
 __all__ = [
     "FORMATS",
     "INDEX",
+    "PLUGIN",
+    "PROGRAM",
     "UNSIGNED16",
     "UNSIGNED32",
     "WORD",

@@ -34,6 +34,10 @@ _LONGEST_PAUSE: Final = 50 * NS_PER_MS
 #: how long a drive may take for one request where it does not say (PNU 974)
 PATIENCE_NS: Final = 2 * NS_PER_S
 
+#: references of the plugin's requests and of a program's: each end recognises the other one's
+PLUGIN: Final = range(1, 128)
+PROGRAM: Final = range(128, 256)
+
 #: told after each request: items that are done, items in all
 Progress = Callable[[int, int], None]
 
@@ -62,17 +66,21 @@ class Counters:
 class ParameterClient:
     """Asks the drive in ``slot`` (object ``object``) for parameters, one request at a time: run one talk to its end.
 
-    ``limits`` may be narrowed at any time, see :func:`~dpstack.profile.acyclic.lists.read_limits`.
+    ``limits`` may be narrowed at any time, see :func:`~dpstack.profile.acyclic.lists.read_limits`. ``references`` are
+    ours: a response to one that is not ours means that somebody else asks this drive, too.
     """
 
-    __slots__ = ("_reference", "counters", "limits", "object", "slot")
+    __slots__ = ("_reference", "_references", "counters", "limits", "object", "slot")
 
-    def __init__(self, slot: int, *, object: int = 1, limits: Limits | None = None, reference: int = 1) -> None:
+    def __init__(
+        self, slot: int, *, object: int = 1, limits: Limits | None = None, references: range = range(1, 256)
+    ) -> None:
         self.slot = slot
         self.object = object
         self.limits = Limits() if limits is None else limits
         self.counters = Counters()
-        self._reference = reference
+        self._references = references
+        self._reference = references.start
 
     # -- any number of parameters -----------------------------------------------------------------------------------
 
@@ -145,8 +153,9 @@ class ParameterClient:
         return self._results(request, response)
 
     def _next(self) -> int:
-        """1..255: each request another one, so that a late response is recognised."""
-        reference, self._reference = self._reference, self._reference % 255 + 1
+        """Each request has another one, so that a late response is recognised."""
+        reference, ours = self._reference, self._references
+        self._reference = reference + 1 if reference + 1 in ours else ours.start
         return reference
 
     @staticmethod
@@ -186,6 +195,8 @@ class ParameterClient:
                 if response is not None:
                     return response
                 told = why
+                if request.id == RequestId.READ and data and data[0] not in self._references:
+                    yield from self._written(octets, deadline)  # that one took the place of ours
             if now >= until:
                 raise CommandError("timeout", f"{self._place}: {told}")
             yield Pause(min(pause, until - now))

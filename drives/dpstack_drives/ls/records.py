@@ -109,5 +109,5 @@ def access(
         address = acyclic.Address(ref.pnu, ref.ind, 1 if ref.array else 0)
         return acyclic.Place(address, ref.spec, ref.label, ref.pnu, format=acyclic.UNSIGNED16)
 
-    client = acyclic.ParameterClient(SLOT, limits=LIMITS)
+    client = acyclic.ParameterClient(SLOT, limits=LIMITS, references=acyclic.PLUGIN)
     return acyclic.AcyclicAccess(client, queue, placed, clock)
