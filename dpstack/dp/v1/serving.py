@@ -42,7 +42,7 @@ class Ticket:
     def __init__(self, request: RecordReq) -> None:
         self.request = request
         self.open = True
-        self.abandoned: Callable[[], None] | None = None
+        self.abandoned: Callable[[], object] | None = None
         self.response: RecordRes | None = None
         #: what went wrong in the function that should have answered
         self.failure: str | None = None
