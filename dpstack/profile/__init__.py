@@ -15,7 +15,7 @@ from dpstack.profile.lookup import Lookup
 from dpstack.profile.mapped import MAP_OPS, MappedCore
 from dpstack.profile.motion import settled
 from dpstack.profile.motor import Motor
-from dpstack.profile.param_errors import PARAMETER_ERRORS
+from dpstack.profile.param_errors import PARAMETER_ERRORS, error_text
 from dpstack.profile.params import ParamSpec, ParamTable
 from dpstack.profile.pkw import Order, Pkw, PkwClient, PkwDialect, PkwServer, Reply
 from dpstack.profile.pkw_access import ParamRef, PkwAccess, PkwChannel
@@ -88,6 +88,7 @@ __all__ = [
     "broken",
     "datamap",
     "drivecom",
+    "error_text",
     "find",
     "known",
     "listing",

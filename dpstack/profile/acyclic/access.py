@@ -104,6 +104,7 @@ class AcyclicAccess:
     def reset(self) -> None:
         """The slave left data exchange."""
         self._records.clear()
+        self._formats.clear()  # it may be another drive now
 
     def read(self, key: ParamKey, deadline: int) -> Steps[dict[str, object]]:
         """Read one parameter."""
