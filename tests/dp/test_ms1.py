@@ -188,6 +188,24 @@ def test_what_was_not_fetched_is_fetched_before_the_next_request() -> None:
     assert kit.read().stale == 0
 
 
+def test_what_is_owed_outlives_a_service_that_was_cancelled_while_it_fetched() -> None:
+    kit = Ms1Bus(dpv1=Dpv1(c1_response_timeout_ns=100 * MS))
+    assert kit.read().outcome.failure is ServiceFailure.LATE
+    token = kit.order_read()
+    kit.bus.run(20 * MS)
+    kit.send(CancelService(token))
+    assert kit.end(token).outcome.failure is ServiceFailure.CANCELLED
+    old = ["5E 01 02 01 11"]
+
+    def ms1(data: bytes) -> bytes:
+        if data:
+            return answer(4, "5E 01 02 01 22")
+        return answer(4, old.pop()) if old else SC
+
+    kit.slave.ms1 = ms1
+    assert (kit.read().outcome.data, old) == (b"\x22", [])
+
+
 def test_nothing_comes_of_what_was_owed_and_the_next_is_asked_all_the_same() -> None:
     kit = Ms1Bus(dpv1=Dpv1(c1_response_timeout_ns=100 * MS))
     assert kit.read().outcome.failure is ServiceFailure.LATE

@@ -284,14 +284,16 @@ class RecordJob:
                 return outcome
 
     def _fetch_owed(self) -> Steps[None]:
-        if self._ms1.owed.pop(self.address, None) != self._since:
+        owed = self._ms1.owed  # until it is fetched, also where this service is cut short meanwhile
+        if owed.get(self.address) != self._since:
             return
         poll = self._srd(b"")
         for polls in range(self._limit_ns // _PAUSES[-1] + 1):
             answer = yield Step(poll, _pause(polls))
             if isinstance(answer, Telegram) and answer.data:
                 self._stale += 1
-                return
+                break
+        owed.pop(self.address, None)
 
     def _srd(self, octets: bytes) -> Request:
         """High priority as all services of DP here; ``answer`` lets the budget of a fixed cycle know its length."""
