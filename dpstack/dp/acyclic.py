@@ -17,7 +17,7 @@ from dpstack.dp.class2_jobs import Job, Outcome, ServiceFailure, Step, Steps
 from dpstack.dp.events import SlaveState
 from dpstack.dp.master import Master
 from dpstack.dp.ms0 import positive
-from dpstack.dp.v1.ms1 import Ms1
+from dpstack.dp.v1.ms1 import SERVICE_TIMEOUT, Ms1
 from dpstack.errors import UsageError
 from dpstack.fdl.telegram import SAP_SLAVE_DIAG, Telegram
 from dpstack.fdl.user import Failure, Request
@@ -109,19 +109,23 @@ class Acyclic:
         return True
 
     def _take(self, token: int, job: Job, timeout_ns: int, now: int) -> None:
-        if sum(entry.job.lane == job.lane for entry in self._queue) >= CAPACITY:
+        if not self._room(job.lane):
             what = "class 2 services are" if job.lane is None else f"services for slave {job.lane} are"
             raise UsageError(f"{CAPACITY} {what} waiting already: await their results first")
         deadline = now + timeout_ns
         self._queue.append(_Entry(token, job, deadline, timeout_ns, job.steps(), self._tokens, next(self._turns)))
+
+    def _room(self, lane: int | None) -> bool:
+        return sum(entry.job.lane == lane for entry in self._queue) < CAPACITY
 
     # --- link user ----------------------------------------------------------------------------------------------
     def token_received(self, now: int) -> None:
         """One request a hold. What a slave cannot answer any more ends here."""
         self._turn = True
         self._tokens += 1
-        for job, timeout_ns in self._ms1.of_units():
-            self._take(UNITS, job, timeout_ns, now)
+        for handler, queue in self._ms1.asking():
+            if self._room(handler.setup.address) and (job := self._ms1.unit_job(handler, queue)) is not None:
+                self._take(UNITS, job, SERVICE_TIMEOUT, now)
         if self._queue:
             self._end_barred(now)
 

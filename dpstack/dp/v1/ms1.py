@@ -28,7 +28,7 @@ from dpstack.dp.ms0 import DATA_STATUS, refusal_text
 from dpstack.dp.slave_handler import SlaveHandler
 from dpstack.dp.v1.codes import Decode, remedy
 from dpstack.dp.v1.records import MAX_RECORD, Function, Negative, ReadReq, ReadRes, RecordReq, WriteReq, parse_response
-from dpstack.dp.v1.unit_records import PendingRecord, waiting
+from dpstack.dp.v1.unit_records import PendingRecord, RecordQueue, queue_of
 from dpstack.errors import PduError, UsageError
 from dpstack.fdl.telegram import SAP_MS1, Kind, Req, Resp, Telegram
 from dpstack.fdl.user import Failure, Request
@@ -129,18 +129,23 @@ class Ms1:
             raise UsageError(str(error)) from None
         return token, RecordJob(address, request, octets, self._handler(address), self), timeout_ns
 
-    def of_units(self) -> Iterator[tuple[Job, int]]:
-        """What cyclic units ask their slaves now: jobs with their time-outs in ns."""
-        if self.master is None:
-            return
-        for handler in self.master.handlers.values():
-            for pending in waiting(handler):
-                try:
-                    octets = pending.request.build()
-                except PduError as error:
-                    pending.outcome = Outcome(failure=ServiceFailure.LENGTH, text=str(error))
-                    continue
-                yield UnitJob(pending, octets, handler, self), SERVICE_TIMEOUT
+    def asking(self) -> Iterator[tuple[SlaveHandler, RecordQueue]]:
+        """Slaves whose cyclic units ask them something now."""
+        for handler in () if self.master is None else self.master.handlers.values():
+            queue = queue_of(handler)
+            if queue is not None:
+                yield handler, queue
+
+    def unit_job(self, handler: SlaveHandler, queue: RecordQueue) -> Job | None:
+        """The next service of a unit; None where it cannot be, which the unit is told."""
+        pending = queue.take()
+        if pending is None:
+            return None
+        try:
+            return UnitJob(pending, pending.request.build(), handler, self)
+        except PduError as error:
+            pending.outcome = Outcome(failure=ServiceFailure.LENGTH, text=str(error))
+            return None
 
     def _handler(self, address: int) -> SlaveHandler:
         handlers = {} if self.master is None else self.master.handlers

@@ -6,7 +6,6 @@ them out by MS1 between the services of the application, one at a time for a sla
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from dpstack.dp.class2_jobs import Outcome, ServiceFailure
@@ -16,7 +15,7 @@ from dpstack.dp.v1.records import ReadReq, RecordReq, WriteReq
 if TYPE_CHECKING:
     from dpstack.dp.slave_handler import SlaveHandler
 
-__all__ = ["Outcome", "PendingRecord", "ReadReq", "RecordQueue", "RecordReq", "ServiceFailure", "WriteReq", "waiting"]
+__all__ = ["Outcome", "PendingRecord", "ReadReq", "RecordQueue", "RecordReq", "ServiceFailure", "WriteReq", "queue_of"]
 
 
 class PendingRecord:
@@ -56,12 +55,14 @@ class RecordQueue:
         """The slave left data exchange."""
         self._waiting.clear()
 
+    def __bool__(self) -> bool:
+        """Something waits."""
+        return bool(self._waiting)
 
-def waiting(handler: SlaveHandler) -> Iterator[PendingRecord]:
-    """What the unit of a slave with DP-V1 wants now; taken. Before data exchange it waits."""
+
+def queue_of(handler: SlaveHandler) -> RecordQueue | None:
+    """The queue of a slave with DP-V1 whose unit wants something now; before data exchange it waits."""
     if handler.setup.dpv1 is None or handler.state is not SlaveState.DATA_EXCHANGE:
-        return
+        return None
     queue = getattr(handler.image.unit, "records", None)
-    if isinstance(queue, RecordQueue):
-        while (pending := queue.take()) is not None:
-            yield pending
+    return queue if isinstance(queue, RecordQueue) and queue else None
