@@ -32,6 +32,7 @@ from dpstack.profile.acyclic import (
     describe,
     read_limits,
     read_out,
+    texts,
 )
 from dpstack.units import NEVER, NS_PER_S, s_to_ns
 
@@ -83,6 +84,10 @@ class RecordParameters:
     async def describe(self, pnus: Sequence[int], *, timeout: float | None = None) -> list[Description | None]:
         """The descriptions, None where the drive has none."""
         return await self._run(lambda deadline: describe(self._client, pnus, deadline), timeout)
+
+    async def texts(self, pnu: int, count: int, *, first: int = 0, timeout: float | None = None) -> list[str]:
+        """The texts of a parameter's values or elements, from ``first`` on."""
+        return await self._run(lambda deadline: texts(self._client, pnu, count, deadline, first=first), timeout)
 
     async def read_out(
         self, *, described: bool = True, timeout: float | None = None, progress: Progress | None = None

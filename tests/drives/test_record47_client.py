@@ -13,7 +13,7 @@ from property_kit import examples
 from dpstack.dp.v1.records import ReadReq, WriteReq
 from dpstack.profile.acyclic.client import PLUGIN, PROGRAM, ParameterClient
 from dpstack.profile.acyclic.formats import FORMATS
-from dpstack.profile.acyclic.lists import Description, ReadParameter, defined, describe, read_limits, read_out
+from dpstack.profile.acyclic.lists import Description, ReadParameter, defined, describe, read_limits, read_out, texts
 from dpstack.profile.acyclic.record47 import Address, ErrorValue, Request, Response, Result, Values
 from dpstack.profile.acyclic.server import ParameterServer, Rules
 from dpstack.profile.acyclic.services import Answer, Refused, Service
@@ -271,6 +271,17 @@ def test_descriptions_in_octets() -> None:
 
 def test_a_description_that_is_too_short_is_none() -> None:
     assert talk(describe(client(), [11]), Script("", "01 01 01 01 06 01 42 06")) == [None]
+
+
+def test_texts_of_16_characters() -> None:
+    off, on = (name.ljust(16).encode().hex(" ") for name in ("off", "on"))
+    drive = Script("", f"01 01 01 01 09 20 {off} {on}", "", "02 81 01 01 44 01 00 0F")
+    master = client()
+    assert talk(texts(master, 300, 2), drive) == ["off", "on"]
+    assert drive.said[0] == "5F 01 2F 0A 01 01 01 01 30 02 01 2C 00 00"
+    with pytest.raises(CommandError, match="texts of parameter 300: error 15, no text array"):
+        talk(texts(master, 300, 1, first=2), drive)
+    assert drive.said[2] == "5F 01 2F 0A 02 01 01 01 30 01 01 2C 00 02"
 
 
 # -- both ends ---------------------------------------------------------------------------------------------------------

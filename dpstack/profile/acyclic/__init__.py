@@ -19,6 +19,7 @@ from dpstack.profile.acyclic.lists import (
     describe,
     read_limits,
     read_out,
+    texts,
 )
 from dpstack.profile.acyclic.model import StoreParameters
 from dpstack.profile.acyclic.record47 import (
@@ -93,4 +94,5 @@ __all__ = [
     "plain_places",
     "read_limits",
     "read_out",
+    "texts",
 ]

@@ -22,6 +22,7 @@ from dpstack.units import NEVER
 
 PNU_LIMITS: Final = 974
 FIRST_LIST, LAST_LIST = 980, 989
+TEXT_LEN: Final = 16
 #: elements of one list that are asked at a time: what fits into a response of words
 _AT_ONCE: Final = 116
 #: what a drive answers behind the last element
@@ -166,6 +167,16 @@ def _description(result: Result) -> Description | None:
         return Description.parse(FORMATS[result.format].pack(result.raws))
     except PduError:
         return None
+
+
+def texts(client: ParameterClient, pnu: int, count: int, deadline: int = NEVER, *, first: int = 0) -> Talk[list[str]]:
+    """``count`` texts of 16 characters from ``first`` on, without trailing spaces. Raises CommandError."""
+    address = Address(pnu, first, count, Attribute.TEXT)
+    (found,) = yield from client.read([Item(address, width=TEXT_LEN)], deadline)
+    if isinstance(found, ErrorValue):
+        raise CommandError("parameter", f"texts of parameter {pnu}: {error_text(*found)}", found.number)
+    octets = format_of(found.format).pack(found.raws)
+    return [octets[at : at + TEXT_LEN].decode("latin-1").rstrip("\0 ") for at in range(0, count * TEXT_LEN, TEXT_LEN)]
 
 
 def read_out(
