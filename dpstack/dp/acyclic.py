@@ -123,15 +123,18 @@ class Acyclic:
         """One request a hold. What a slave cannot answer any more ends here."""
         self._turn = True
         self._tokens += 1
-        for handler, queue in self._ms1.asking():
-            if self._room(handler.setup.address) and (job := self._ms1.unit_job(handler, queue)) is not None:
-                self._take(UNITS, job, SERVICE_TIMEOUT, now)
         if self._queue:
             self._end_barred(now)
 
     def next_request(self, now: int, high_only: bool) -> Request | None:
         """The next request of the service that waited longest for a turn, of those that may go on."""
-        if high_only or not self._turn or not self._queue:
+        if high_only or not self._turn:
+            return None
+        # what a unit wants since the Data_Exchange of this hold goes out in the same one
+        for handler, queue in self._ms1.asking():
+            if self._room(handler.setup.address) and (job := self._ms1.unit_job(handler, queue)) is not None:
+                self._take(UNITS, job, SERVICE_TIMEOUT, now)
+        if not self._queue:
             return None
         self._end_barred(now)
         entry = self._next(now)
