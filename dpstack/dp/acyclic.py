@@ -17,6 +17,7 @@ from dpstack.dp.class2_jobs import Job, Outcome, ServiceFailure, Step, Steps
 from dpstack.dp.events import SlaveState
 from dpstack.dp.master import Master
 from dpstack.dp.ms0 import positive
+from dpstack.dp.v1 import units
 from dpstack.dp.v1.ms1 import SERVICE_TIMEOUT, Ms1
 from dpstack.errors import UsageError
 from dpstack.fdl.telegram import SAP_SLAVE_DIAG, Telegram
@@ -131,8 +132,8 @@ class Acyclic:
         if high_only or not self._turn:
             return None
         # what a unit wants since the Data_Exchange of this hold goes out in the same one
-        for handler, queue in self._ms1.asking():
-            if self._room(handler.setup.address) and (job := self._ms1.unit_job(handler, queue)) is not None:
+        for handler, queue in units.asking(self._ms1):
+            if self._room(handler.setup.address) and (job := units.unit_job(self._ms1, handler, queue)) is not None:
                 self._take(UNITS, job, SERVICE_TIMEOUT, now)
         if not self._queue:
             return None

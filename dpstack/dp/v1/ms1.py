@@ -16,7 +16,6 @@ Decisions where the sources are silent:
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -28,7 +27,6 @@ from dpstack.dp.ms0 import DATA_STATUS, refusal_text
 from dpstack.dp.slave_handler import SlaveHandler
 from dpstack.dp.v1.codes import Decode, remedy
 from dpstack.dp.v1.records import MAX_RECORD, Function, Negative, ReadReq, ReadRes, RecordReq, WriteReq, parse_response
-from dpstack.dp.v1.unit_records import PendingRecord, RecordQueue, queue_of
 from dpstack.errors import PduError, UsageError
 from dpstack.fdl.telegram import SAP_MS1, Kind, Req, Resp, Telegram
 from dpstack.fdl.user import Failure, Request
@@ -128,24 +126,6 @@ class Ms1:
         except PduError as error:
             raise UsageError(str(error)) from None
         return token, RecordJob(address, request, octets, self._handler(address), self), timeout_ns
-
-    def asking(self) -> Iterator[tuple[SlaveHandler, RecordQueue]]:
-        """Slaves whose cyclic units ask them something now."""
-        for handler in () if self.master is None else self.master.handlers.values():
-            queue = queue_of(handler)
-            if queue is not None:
-                yield handler, queue
-
-    def unit_job(self, handler: SlaveHandler, queue: RecordQueue) -> Job | None:
-        """The next service of a unit; None where it cannot be, which the unit is told."""
-        pending = queue.take()
-        if pending is None:
-            return None
-        try:
-            return UnitJob(pending, pending.request.build(), handler, self)
-        except PduError as error:
-            pending.outcome = Outcome(failure=ServiceFailure.LENGTH, text=str(error))
-            return None
 
     def _handler(self, address: int) -> SlaveHandler:
         handlers = {} if self.master is None else self.master.handlers
@@ -376,19 +356,6 @@ class RecordJob:
         self._ms1.owed.pop(self.address, None)
         told = f"slave {self.address} {text}" if text else ""
         return Outcome(data, failure, told, status, codes)
-
-
-class UnitJob(RecordJob):
-    """One that a cyclic unit waits for: its end is not an event."""
-
-    def __init__(self, pending: PendingRecord, octets: bytes, handler: SlaveHandler, ms1: Ms1) -> None:
-        super().__init__(handler.setup.address, pending.request, octets, handler, ms1)
-        self._pending = pending
-
-    def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:
-        """Told to the unit."""
-        self._pending.outcome = outcome
-        return []
 
 
 _NO_ANSWERS: Final = {
