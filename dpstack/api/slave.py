@@ -7,6 +7,7 @@ import difflib
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, TypedDict, Unpack
 
+from dpstack.api.record_parameters import RecordParameters, over_records
 from dpstack.api.records import TIMEOUT, Records
 from dpstack.api.slave_config import SlaveConfig, refitted
 from dpstack.dp import faults
@@ -270,6 +271,13 @@ class Slave:
     async def write_im(self, record: Im, *, slot: int = 0, timeout: float = TIMEOUT) -> None:
         """Write I&M1 to I&M4. Raises as :meth:`read`."""
         await self._records.write_im(record, slot, timeout)
+
+    def parameters(self, slot: int = 1, *, object: int = 1, timeout: float = TIMEOUT) -> RecordParameters:
+        """PROFIdrive's parameter access, record 47 of ``slot``: many parameters, arrays, the drive's own list.
+
+        ``object``: axis or drive object; ``timeout`` in seconds for each Read and Write. Make one and keep it.
+        """
+        return RecordParameters(self.name, over_records(self._records, timeout), slot, object=object)
 
     @property
     def _records(self) -> Records:

@@ -17,7 +17,8 @@ from dpstack.dp.class2_jobs import Job, Outcome, ServiceFailure, Step, Steps
 from dpstack.dp.events import SlaveState
 from dpstack.dp.master import Master
 from dpstack.dp.ms0 import positive
-from dpstack.dp.v1.ms1 import Ms1
+from dpstack.dp.v1 import units
+from dpstack.dp.v1.ms1 import SERVICE_TIMEOUT, Ms1
 from dpstack.errors import UsageError
 from dpstack.fdl.telegram import SAP_SLAVE_DIAG, Telegram
 from dpstack.fdl.user import Failure, Request
@@ -27,6 +28,10 @@ from dpstack.units import NEVER, ns_to_s
 
 #: services that may wait at a time: of class 2 in all, of class 1 for each slave
 CAPACITY: Final = 32
+
+
+#: the token of services that no program ordered
+UNITS: Final = -1
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,11 +110,14 @@ class Acyclic:
         return True
 
     def _take(self, token: int, job: Job, timeout_ns: int, now: int) -> None:
-        if sum(entry.job.lane == job.lane for entry in self._queue) >= CAPACITY:
+        if not self._room(job.lane):
             what = "class 2 services are" if job.lane is None else f"services for slave {job.lane} are"
             raise UsageError(f"{CAPACITY} {what} waiting already: await their results first")
         deadline = now + timeout_ns
         self._queue.append(_Entry(token, job, deadline, timeout_ns, job.steps(), self._tokens, next(self._turns)))
+
+    def _room(self, lane: int | None) -> bool:
+        return sum(entry.job.lane == lane for entry in self._queue) < CAPACITY
 
     # --- link user ----------------------------------------------------------------------------------------------
     def token_received(self, now: int) -> None:
@@ -121,7 +129,13 @@ class Acyclic:
 
     def next_request(self, now: int, high_only: bool) -> Request | None:
         """The next request of the service that waited longest for a turn, of those that may go on."""
-        if high_only or not self._turn or not self._queue:
+        if high_only or not self._turn:
+            return None
+        # what a unit wants since the Data_Exchange of this hold goes out in the same one
+        for handler, queue in units.asking(self._ms1):
+            if self._room(handler.setup.address) and (job := units.unit_job(self._ms1, handler, queue)) is not None:
+                self._take(UNITS, job, SERVICE_TIMEOUT, now)
+        if not self._queue:
             return None
         self._end_barred(now)
         entry = self._next(now)
