@@ -150,6 +150,8 @@ class Cadence:
             return MissReason.OVERRUN, f"the round before took {ms_text(self._over_at - self.started_at)}"
         if self.budget.overdrawn:
             return MissReason.NO_ROOM, f"{self.budget.overdrawn} fits between no two cycles and was sent before"
+        if self.budget.silent:
+            return MissReason.SILENCE, f"{self.budget.silent} was not answered"
         if not self.budget.alone:
             return MissReason.TOKEN, "the token came late from another master"
         return MissReason.LATE, "this computer or its port was late"

@@ -15,6 +15,7 @@ class MissReason(Enum):
 
     OVERRUN = "overrun"  # the round before was not over
     NO_ROOM = "no_room"  # something that fits between no two cycles was sent before it
+    SILENCE = "silence"  # a request between two cycles was not answered, and waited for longer than there was room
     TOKEN = "token"  # another master had the token
     LATE = "late"  # none of these: this computer, or its port, was late
 
@@ -27,6 +28,7 @@ class MissReason(Enum):
 _TEXTS: Final = {
     MissReason.OVERRUN: "after a long round",
     MissReason.NO_ROOM: "after a request that fits between no two cycles",
+    MissReason.SILENCE: "after a service that was not answered",
     MissReason.TOKEN: "waiting for the token",
     MissReason.LATE: "by this computer or its port",
 }

@@ -75,6 +75,7 @@ class Round:
         self._services = 0
         self._operating = False  # it began in Operate
         self._unsent = False  # no request of it went out yet
+        self._at_once = False  # the grid was left: the next round begins within this hold
         self._freeze = self._sync = False  # still to be sent in it
         #: with a fixed cycle, by address of slaves that have a Min_Slave_Interval: no exchange before this time
         self._spaced: dict[int, int] = {}
@@ -91,10 +92,13 @@ class Round:
     def next_request(self, now: int) -> Request | None:
         """The next request, in the round or between two fixed cycles."""
         if not self.open:
-            if not self._cadence.fixed:
+            fixed = self._cadence.fixed
+            if not (fixed or self._at_once):
                 return None
             if not self._cadence.due(now):
-                return self._between(now)
+                return self._between(now) if fixed else None
+            if not (fixed or self._may_take_all(now)):
+                return None
             self._begin(now)
         if not self._cursor and (request := self._before_data(now)) is not None:
             return request
@@ -130,6 +134,7 @@ class Round:
         for handler in self._due:
             handler.image.latch()
         self.open = True
+        self._at_once = False
         self._cursor = 0
         self._unsent = True
         self.first_data = bool(self._due)
@@ -237,6 +242,7 @@ class Round:
     def cut(self, now: int) -> None:
         """Whatever is under way is over: a whole round follows, on no grid."""
         self.open = False
+        self._at_once = self._cadence.fixed
         self._spaced.clear()
         self._cadence.stop(now)
 
