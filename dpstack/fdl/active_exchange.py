@@ -83,9 +83,15 @@ def ends_at(link: Link, request: Request, now: int) -> int:
     else:
         slot = link.slot_known_ns
     # an answer that may be a late one is kept back
-    kept = _kept_back_ns(link) if any(until >= now for _, until in link.owed.values()) else 0
+    late = any(until >= now and _alike(owed, request) for owed, until in link.owed.values())
+    kept = _kept_back_ns(link) if late else 0
     answer = _longest_answer_ns(link, request)
     return begins + (tries + 1) * (sending + slot + request.extra_ns) + answer + kept + line.t_id1_ns
+
+
+def _alike(owed: Request, request: Request) -> bool:
+    """Whether one telegram can answer both: from the same station, or SC."""
+    return owed.da == request.da or (_SERVICES[owed.function].acknowledged and _SERVICES[request.function].acknowledged)
 
 
 def _longest_answer_ns(link: Link, request: Request) -> int:
@@ -224,9 +230,9 @@ def _owe(link: Link, now: int) -> None:
     link.owed[link.request.da] = (link.request, now + _OWED_SLOTS * link.slot_known_ns)
 
 
-def owe_status(link: Link, address: int, now: int) -> None:
-    """A station that used to answer GAP polls did not: its answer may come while the next request waits."""
-    link.owed[address] = (Request(address, Req.FDL_STATUS), now + _OWED_SLOTS * link.slot_known_ns)
+def owe_status(link: Link, address: int, now: int, slot_ns: int) -> None:
+    """A GAP poll was given up after the slot time ``slot_ns``: its answer may come while the next request waits."""
+    link.owed[address] = (Request(address, Req.FDL_STATUS), now + _OWED_SLOTS * slot_ns)
 
 
 def _answered(link: Link, telegram: Telegram, now: int) -> None:
@@ -278,6 +284,7 @@ def timeout(link: Link, _: Telegram, now: int) -> None:
         link.queue(link.frame)
         return
     link.slow.discard(request.da)
+    link.doubted.add(request.da)
     if request.patient or request.function != Req.FDL_STATUS:
         station.timeouts += 1
         _owe(link, now)

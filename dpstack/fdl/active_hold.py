@@ -70,11 +70,14 @@ def check(link: Link, _: Telegram, now: int) -> None:
                     return
         if link.gap.enabled and _poll(link, now):
             return
-        keep_ns = link.keep_alone_ns if budget.alone else link.keep_ns
-        if 0 < budget.next_at - now <= keep_ns and (not over or link.fresh):
-            link.enter(State.USE_TOKEN)  # the next cycle begins with this token: silent until then
-            link.deadline = budget.next_at
-            return
+        if now < budget.next_at != NEVER and (not over or link.fresh):
+            keep_ns = link.keep_alone_ns if budget.alone else link.keep_ns
+            # the result of an SDN comes before its end: the token could not go on sooner than this
+            free_at = max(now, link.line.idle_since + link.after_ns)
+            if budget.next_at - free_at <= keep_ns:
+                link.enter(State.USE_TOKEN)  # the next cycle begins with this token: silent until then
+                link.deadline = budget.next_at
+                return
     passing.start(link, now)
 
 
@@ -161,6 +164,7 @@ def status(link: Link, telegram: Telegram, now: int) -> None:
         return
     kind = telegram.station_type
     link.polling = -1
+    link.doubted.discard(address)
     if link.gap.polled(address, kind):
         link.events.append(StationFound(t_ns=now, address=address, kind=kind))
     # 'in ring' of a station that is not in our LAS: it lost its token as we did, take it in
@@ -175,16 +179,19 @@ def status_timeout(link: Link, _: Telegram, now: int) -> None:
     link.polling = -1
     known = link.knows(address)
     link.slow.discard(address)
+    link.doubted.discard(address)
     if link.garbled:
         link.gap.passed(address)
     elif link.gap.polled(address, None):
         link.events.append(StationFound(t_ns=now, address=address, kind=None))
-    if known and now > link.budget.next_at:
-        link.budget.silent = f"{request_name(_poll_request(address))} to station {address}"
-    if known or link.budget.next_at != NEVER:
-        exchange.owe_status(link, address, now)
-    if not known:
+    if known:
+        exchange.owe_status(link, address, now, link.slot_known_ns)
+        if now > link.budget.next_at:
+            link.budget.silent = f"{request_name(_poll_request(address))} to station {address}"
+    else:
         link.gap.allowance.charge(link.slot_unknown_ns)
+        if link.budget.next_at != NEVER and not link.exact:  # it may have had less than that
+            exchange.owe_status(link, address, now, link.slot_unknown_ns)
     passing.start(link, now)
 
 

@@ -80,6 +80,7 @@ class Link:
         "claims_left",
         "collision_told",
         "deadline",
+        "doubted",
         "early_ns",
         "early_until",
         "edge_at",
@@ -207,6 +208,8 @@ class Link:
         self.told_le3: set[int] = set()  # stations whose answers with LE = 3 were told
         #: stations that answered late: they are there, and given the slack of a known one until they are silent again
         self.slow: set[int] = set()
+        #: stations that left a request unanswered since their last GAP poll: no slack beyond anybody's for the next one
+        self.doubted: set[int] = set()
         #: exchanges whose answer may still come: request and until when, by address
         self.owed: dict[int, tuple[Request, int]] = {}
 
@@ -250,7 +253,9 @@ class Link:
 
     def knows(self, address: int) -> bool:
         """It answered our last GAP poll, if late, or answers our requests: its silence would be news."""
-        return address in self.gap.stations or self.fcb.operational[address] or address in self.slow
+        if self.fcb.operational[address] or address in self.slow:
+            return True
+        return address in self.gap.stations and address not in self.doubted
 
     def ask_times(self) -> None:
         """A user was called that may want its tick at another time now."""
