@@ -99,7 +99,7 @@ def test_a_slave_that_dies_at_a_service_costs_cycles_and_is_the_reason(world: Wo
     bus.world.run_for(4 * S)
     bus.quiet()
     origin = bus.world.now
-    while (4, 2, 0x49) != tuple(bus.wire[-1].octets[1:4] if bus.wire else ()):
+    while tuple(bus.wire[-1].octets[1:4] if bus.wire else ()) != (4, 2, 0x49):
         bus.world.run_for(20 * US)
     bus.world.silence(bus.slaves[4], 20 * MS, deaf=True)
     bus.world.run_for(200 * MS)
