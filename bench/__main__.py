@@ -14,12 +14,15 @@ from bench.report import Report
 
 #: name -> (module with ``run(argv) -> Report``, what it measures)
 BENCHMARKS = {
+    "codec": ("bench.codec", "encoding and decoding of telegrams, beside pyprofibus and construct"),
     "cycle": ("bench.cycle", "turn-around, CPU time and whole exchanges over a pty at 12 Mbit/s parameters"),
     "gsd": ("bench.gsd", "reading a made-up set of 689 GSD files, and the largest ones"),
     "jitter": ("bench.jitter", "how late the rounds of a fixed cycle begin, beside an idle, blocking, busy program"),
     "rotation": ("bench.rotation", "bus rotation time on a paced bus beside the time on the wire; CPU time there"),
+    "scale": ("bench.scale", "what one exchange costs the master, from 1 to 100 slaves"),
     "startup": ("bench.startup", "time until 32 slaves are in data exchange"),
     "usb": ("bench.usb", "the rotation behind a USB adapter's habits: wire, adapter and stack apart"),
+    "virtual": ("bench.virtual", "simulated seconds of the bus per second of CPU time"),
 }
 
 _EPILOG: Final = """\

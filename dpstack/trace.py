@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import NamedTuple
 
 
 class Severity(Enum):
@@ -45,8 +46,7 @@ class Notice(Event):
         return f"{self.source}: {self.message}"
 
 
-@dataclass(frozen=True, slots=True)
-class WireEntry:
+class WireEntry(NamedTuple):
     """One transmission on the wire: octets as sent, first start edge, end of the last stop bit, remarks.
 
     ``sender`` is a station's name or address as the one who logs knows it; None when only heard.

@@ -21,7 +21,7 @@ from dpstack.fdl.states import State
 from dpstack.fdl.telegram import Kind
 from dpstack.fdl.user import LinkUser
 from dpstack.params import BusParams
-from dpstack.sim.medium import Transmission
+from dpstack.sim.transmission import Transmission
 from dpstack.sim.world import World
 from dpstack.trace import Event
 from dpstack.units import BITS_PER_CHAR

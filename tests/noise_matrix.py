@@ -76,7 +76,11 @@ def _cell(baud: int, noise: float, masters: int, slaves: int, bits: int, seed: i
         row["referee"] = len(world.referee.violations)
     world.faults.clear()
     since = world.now
-    back = world.run(since + 60 * S, lambda: _exchanging(users) and all(s.in_ring for s in stations))
+
+    def well() -> bool:
+        return _exchanging(users) and all(s.in_ring for s in stations)
+
+    back = well() or world.run(since + 60 * S, well)
     row["back after ms"] = (world.now - since) // MS if back else "never"
     return row
 

@@ -23,7 +23,7 @@ from support import MS, S
 from dpstack.dp.events import SlaveState, SlaveStateChanged
 from dpstack.fdl.decoder import Decoder
 from dpstack.params import BusParams
-from dpstack.sim.medium import Transmission
+from dpstack.sim.transmission import Transmission
 from dpstack.sim.world import World
 
 MASTER = "2"

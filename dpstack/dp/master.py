@@ -7,6 +7,7 @@ running, or a fixed cycle), what it consists of :mod:`dpstack.dp.round`.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from typing import Final
 
 from dpstack.dp.cadence import Cadence
 from dpstack.dp.commands import (
@@ -41,6 +42,11 @@ from dpstack.machine import LineDown, LineUp
 from dpstack.params import BusParams
 from dpstack.stats import Histogram
 from dpstack.trace import Event
+
+# asked in every exchange: an enum's member costs ten times a name of the module
+_STOP: Final = Mode.STOP
+_ABANDONED: Final = Failure.ABANDONED
+_HELD_BACK: Final = Failure.HELD_BACK
 
 
 class Master:
@@ -285,7 +291,7 @@ class Master:
 
     def next_request(self, now: int, high_only: bool) -> Request | None:
         """Everything a master sends to its slaves is high priority, so ``high_only`` changes nothing."""
-        return self._round.next_request(now) if self._course.mode > Mode.STOP else None
+        return self._round.next_request(now) if self._course.mode > _STOP else None
 
     def _round_ended(self, now: int) -> None:
         self.rounds += 1
@@ -315,10 +321,10 @@ class Master:
     def result(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
         """Hand the end of a request to the handling of its slave."""
         handler = request.tag
-        if outcome is Failure.HELD_BACK:
+        if outcome is _HELD_BACK:
             self._round.held_back(request)
             return
-        if outcome is Failure.ABANDONED and request.dsap == SAP_GLOBAL_CONTROL:
+        if outcome is _ABANDONED and request.dsap == SAP_GLOBAL_CONTROL:
             self.controls.abandoned(request)
         if not isinstance(handler, SlaveHandler) or self.handlers.get(handler.setup.address) is not handler:
             return  # of nobody, or of a slave that was removed meanwhile

@@ -7,6 +7,7 @@ profichip VPC3+ manual (Set_Slave_Add).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 from dpstack.dp.wire import (
@@ -30,6 +31,8 @@ MAX_REM_SLAVE_DATA: Final = 240
 #: No_Add_Chg is a Boolean of one octet: 0 is false, anything else true; this value is true to every reader.
 _TRUE: Final = 0xFF
 
+#: as many Global_Controls are kept, read and built
+_KEPT_CONTROLS: Final = 64
 #: What is sent as watchdog factors when the watchdog is off: the smallest legal ones, some slaves look at them anyway.
 _NO_WATCHDOG: Final = (1, 1)
 
@@ -114,33 +117,44 @@ class GlobalControl:
 
     def build(self) -> bytes:
         """The two octets. Raises PduError where the mask does not fit."""
-        return GLOBAL_CONTROL.build(
-            GlobalControlOctets(
-                reserved_high=0,
-                sync=self.sync,
-                unsync=self.unsync,
-                freeze=self.freeze,
-                unfreeze=self.unfreeze,
-                clear_data=self.clear,
-                reserved_low=0,
-                group_select=self.group_mask,
-            )
-        )
+        return _control_octets(self)
 
     @classmethod
     def parse(cls, octets: bytes) -> GlobalControl:
         """Read ``octets``; reserved bits are ignored. Raises PduError unless there are two."""
-        raw = GLOBAL_CONTROL.parse(octets)
-        if len(octets) != 2:
-            raise PduError(f"Global_Control has {len(octets)} octets, octet 2 is the last one")
-        return cls(
-            clear=raw.clear_data,
-            unfreeze=raw.unfreeze,
-            freeze=raw.freeze,
-            unsync=raw.unsync,
-            sync=raw.sync,
-            group_mask=raw.group_select,
+        return _control(octets)
+
+
+# Every slave of a bus reads the same Global_Control again and again; construct takes its time.
+@lru_cache(_KEPT_CONTROLS)
+def _control_octets(control: GlobalControl) -> bytes:
+    return GLOBAL_CONTROL.build(
+        GlobalControlOctets(
+            reserved_high=0,
+            sync=control.sync,
+            unsync=control.unsync,
+            freeze=control.freeze,
+            unfreeze=control.unfreeze,
+            clear_data=control.clear,
+            reserved_low=0,
+            group_select=control.group_mask,
         )
+    )
+
+
+@lru_cache(_KEPT_CONTROLS)
+def _control(octets: bytes) -> GlobalControl:
+    raw = GLOBAL_CONTROL.parse(octets)
+    if len(octets) != 2:
+        raise PduError(f"Global_Control has {len(octets)} octets, octet 2 is the last one")
+    return GlobalControl(
+        clear=raw.clear_data,
+        unfreeze=raw.unfreeze,
+        freeze=raw.freeze,
+        unsync=raw.unsync,
+        sync=raw.sync,
+        group_mask=raw.group_select,
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,14 +22,13 @@ from dpstack.dp.ms0 import DATA_STATUS, EMPTY_STATUS, SERVICE_NAMES, positive, r
 from dpstack.dp.odd_answers import OddAnswers
 from dpstack.dp.pacing import Pacing
 from dpstack.dp.setup import SlaveSetup
+from dpstack.dp.slave_requests import SlaveRequests
 from dpstack.dp.unit_host import UnitHost
 from dpstack.fdl.telegram import (
     SAP_CHK_CFG,
     SAP_GET_CFG,
     SAP_SET_PRM,
     SAP_SLAVE_DIAG,
-    SSAP_MS0,
-    Req,
     Resp,
     Telegram,
 )
@@ -43,6 +42,8 @@ _MAX_BUSY: Final = 5
 _MAX_PRM_ROUNDS: Final = 3
 _TOLD_ABSENT_AFTER: Final = 3
 _DH: Final = int(Resp.DH)
+#: asked in every exchange: an enum's member costs ten times a name of the module
+_DATA_EXCHANGE: Final = SlaveState.DATA_EXCHANGE
 
 
 class SlaveHandler:
@@ -90,7 +91,9 @@ class SlaveHandler:
         self._cfg_sent = False
         self._ask_cfg = False
         self._left = False
-        self._request: Request | None = None
+        self._requests = SlaveRequests(setup.address, self)
+        #: Data_Exchange with the outputs given; the same object as long as they stay the same
+        self.data_request: Callable[[bytes], Request] = self._requests.data
         if before is not None:
             self.unit.fault = before.unit.fault
             self.state = before.state if before.state is SlaveState.DEACTIVATED else self.state
@@ -117,14 +120,6 @@ class SlaveHandler:
 
     # --- cyclic path --------------------------------------------------------------------------------------------
 
-    def data_request(self, outputs: bytes) -> Request:
-        """Data_Exchange with ``outputs``; the same object as long as they stay the same."""
-        request = self._request
-        if request is None or request.data != outputs:
-            address = self.setup.address
-            request = self._request = Request(address, Req.SRD_HIGH, outputs, patient=True, tag=self, cyclic=True)
-        return request
-
     def data_result(self, outcome: Telegram | Failure, now: int) -> None:
         """The answer to Data_Exchange: data into the image, everything else on to the judging."""
         if isinstance(outcome, Telegram):
@@ -133,7 +128,7 @@ class SlaveHandler:
             image = self.image
             if status in DATA_STATUS if image.input_len else (outcome.fc < 0 or status in EMPTY_STATUS):
                 data = outcome.data
-                if len(data) == image.input_len and self.state is SlaveState.DATA_EXCHANGE:
+                if len(data) == image.input_len and self.state is _DATA_EXCHANGE:
                     image.inputs = data
                     image.input_time = now
                     if not image.valid:
@@ -165,7 +160,7 @@ class SlaveHandler:
         """True when a request other than Data_Exchange is due."""
         if self.state is SlaveState.DEACTIVATED:
             return False
-        return self._pacing.due <= now and (self.state is not SlaveState.DATA_EXCHANGE or self.diag_due)
+        return self._pacing.due <= now and (self.state is not _DATA_EXCHANGE or self.diag_due)
 
     @property
     def under_way(self) -> bool:
@@ -198,8 +193,7 @@ class SlaveHandler:
 
     def _service(self, sap: int, data: bytes) -> Request:
         restart, self.restart = self.restart, False
-        address, patient = self.setup.address, self.state is not SlaveState.OFFLINE
-        return Request(address, Req.SRD_HIGH, data, sap, SSAP_MS0, patient=patient, restart=restart, tag=self)
+        return self._requests.service(sap, data, patient=self.state is not SlaveState.OFFLINE, restart=restart)
 
     def set_prm(self) -> bytes:
         """The octets of Set_Prm for this slave."""
@@ -350,7 +344,6 @@ class SlaveHandler:
             self.unit.remind(now)
             self._prm_rounds = 0
             self._unacked = ""
-            self._request = None
         elif state is SlaveState.SET_PRM:
             self._cfg_sent = False
             self._unacked = ""

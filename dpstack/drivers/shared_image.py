@@ -1,9 +1,10 @@
 """The process image in memory that two processes share: whole pictures, never torn, and nobody ever waits.
 
-One area for each direction, with one writer each. A picture is written as a whole between two counts of its sequence
-number (odd: being written), with its length and CRC-32. A reader copies it and looks whether number and CRC agree; if
-not it tries again, a few times, and keeps the picture it had. The writer never looks at anybody. (The CRC is what makes
-it certain on computers that do not keep the order of stores.)
+One area for each direction, with one writer each. An area holds the last few pictures: the writer puts the next one, with
+its length and a CRC-32 over its number and octets, where the oldest stands, and then says its number. A reader copies the
+newest; only if the writer went all the way round meanwhile, or the CRC does not agree, it looks again, a few times, and
+keeps the picture it had. The writer never looks at anybody. (The CRC is what makes it certain on computers that do not
+keep the order of stores. With one place for all pictures a reader beside a writer that hardly pauses got next to none.)
 
 Pictures name the address of each slave, so slaves may come, go and change their lengths: there is room for all 126.
 """
@@ -21,10 +22,14 @@ _HEAD: Final = 4096
 #: 126 slaves with 244 octets each way and their heads; a page boundary
 _INPUTS: Final = 80 * 1024
 _OUTPUTS: Final = 40 * 1024
-SIZE: Final = _HEAD + _INPUTS + _OUTPUTS
+#: pictures kept in an area, a power of two: while one is read the writer begins this many more before it is overwritten
+_PLACES: Final = 4
+SIZE: Final = _HEAD + _PLACES * (_INPUTS + _OUTPUTS)
 
-#: a reader tries so often: a writer that was stopped in the middle may be seconds away
+#: a reader tries so often
 _TRIES: Final = 4
+#: words of the head that an area has: its number, then length and CRC of each place
+_WORDS: Final = 1 + 2 * _PLACES
 _PICTURE: Final = struct.Struct("<QQ")
 _SLAVE: Final = struct.Struct("<BBBBQQ")
 _OUTPUT: Final = struct.Struct("<BB")
@@ -55,7 +60,7 @@ class Area:
 
     def __init__(self, memory: memoryview, word: int, at: int, limit: int) -> None:
         # aligned words of 8 octets: each is stored at once
-        self._words = memory[8 * word : 8 * word + 24].cast("Q")
+        self._words = memory[8 * word : 8 * (word + _WORDS)].cast("Q")
         self._memory = memory
         self._at = at
         self._limit = limit
@@ -65,27 +70,28 @@ class Area:
         """Publish ``octets`` instead of what was there."""
         assert len(octets) <= self._limit
         words = self._words
-        number = words[0] | 1
+        number = words[0] + 1
+        place = number % _PLACES
+        words[1 + 2 * place] = len(octets)
+        words[2 + 2 * place] = zlib.crc32(octets, number & 0xFFFF_FFFF)
+        at = self._at + place * self._limit
+        self._memory[at : at + len(octets)] = octets
         words[0] = number
-        words[1] = len(octets)
-        words[2] = zlib.crc32(octets)
-        self._memory[self._at : self._at + len(octets)] = octets
-        words[0] = number + 1
 
     def read(self) -> bytes | None:
-        """What is there; None when it is nothing new, or being written all the time."""
+        """The newest picture; None when it was read before, or could not be had whole."""
         words = self._words
         for _ in range(_TRIES):
             number = words[0]
             if number == self._seen:
                 return None
-            if number & 1:
-                continue
-            length, crc = words[1], words[2]
+            place = number % _PLACES
+            length, crc = words[1 + 2 * place], words[2 + 2 * place]
             if length > self._limit:
                 continue
-            octets = bytes(self._memory[self._at : self._at + length])
-            if words[0] == number and zlib.crc32(octets) == crc:
+            at = self._at + place * self._limit
+            octets = bytes(self._memory[at : at + length])
+            if zlib.crc32(octets, number & 0xFFFF_FFFF) == crc:
                 self._seen = number
                 return octets
         return None
@@ -103,7 +109,7 @@ class SharedImage:
         self._map = mmap.mmap(fd, SIZE)
         #: from the bus to the application, and back
         self.inputs = Area(memoryview(self._map), 0, _HEAD, _INPUTS)
-        self.outputs = Area(memoryview(self._map), 8, _HEAD + _INPUTS, _OUTPUTS)
+        self.outputs = Area(memoryview(self._map), 64, _HEAD + _PLACES * _INPUTS, _OUTPUTS)
 
     def close(self) -> None:
         """Unmap it; the other process keeps its own."""

@@ -40,6 +40,11 @@ ROWS: Final[Rows] = handlers_by_state(
     {"idle": active_idle, "hold": active_hold, "exchange": active_exchange, "passing": active_passing}, _ignored
 )
 
+# asked with every telegram: an enum's member costs ten times a name of the module
+_OFFLINE: Final = State.OFFLINE
+_ACTIVITY: Final = Input.ACTIVITY
+_SENT: Final = Input.SENT
+
 _COMMANDS: Final[dict[type, Input]] = {
     GoOnline: Input.GO_ONLINE,
     GoOffline: Input.GO_OFFLINE,
@@ -56,7 +61,7 @@ class ActiveStation:
     not its own go to the users; :class:`UsageError` when none takes it.
     """
 
-    __slots__ = ("_decoder", "_guard", "_link", "_longest_ns", "_partial", "_sending", "wire")
+    __slots__ = ("_decoder", "_guard", "_link", "_longest_ns", "_partial", "_sending", "address", "baud", "wire")
 
     def __init__(
         self,
@@ -68,6 +73,10 @@ class ActiveStation:
         budget: Budget | None = None,
         now: int = 0,
     ) -> None:
+        #: TS
+        self.address: Final = params.address
+        #: the rate of its receiver
+        self.baud: Final = params.baud
         self._guard = guard
         self._link = Link(params, [self._guarded(user) for user in users], patience, ROWS, now)
         if budget is not None:
@@ -81,16 +90,6 @@ class ActiveStation:
         self.wire: Callable[[WireEntry], None] | None = None
 
     # --- what others may know -----------------------------------------------------------------------------------
-    @property
-    def address(self) -> int:
-        """TS."""
-        return self._link.ts
-
-    @property
-    def baud(self) -> int:
-        """The rate of its receiver."""
-        return self._link.params.baud
-
     @property
     def hears_all(self) -> bool:
         """A ring member has to hear every token."""
@@ -150,7 +149,7 @@ class ActiveStation:
     def receive(self, chunk: bytes, now: int) -> None:
         """Octets from the line (machine contract)."""
         link = self._link
-        if link.state is State.OFFLINE:
+        if link.state is _OFFLINE:
             return
         line = link.line
         # receiving while sending implies sent, except where nothing is late: there it is a collision
@@ -164,7 +163,7 @@ class ActiveStation:
         for telegram in found:
             self._heard(telegram, now)
         if not found:
-            link.row[Input.ACTIVITY](link, NONE, now)
+            link.row[_ACTIVITY](link, NONE, now)
 
     def _arriving(self, pending: bool) -> None:
         link = self._link
@@ -179,19 +178,19 @@ class ActiveStation:
     def activity(self, now: int) -> None:
         """A start edge (see BusStation): what waits goes on waiting, for the longest telegram at most."""
         link = self._link
-        if link.state is State.OFFLINE:
+        if link.state is _OFFLINE:
             return
         link.line.heard(now)
         link.edge_at = now
         link.edge_told = True
         link.after_ns = link.line.t_id1_ns
         link.busy_until = now + self._longest_ns
-        link.row[Input.ACTIVITY](link, NONE, now)
+        link.row[_ACTIVITY](link, NONE, now)
 
     def telegram(self, telegram: Telegram, now: int) -> None:
         """A whole telegram (see BusStation)."""
         link = self._link
-        if link.state is State.OFFLINE:
+        if link.state is _OFFLINE:
             return
         line = link.line
         if now > line.idle_since:
@@ -217,7 +216,9 @@ class ActiveStation:
         """The machine contract: a gate, a deadline, the end of a stalled telegram, or a user's time."""
         link = self._link
         if link.tx is not None:
-            at = link.tx_at()
+            at = link.line.idle_since + link.gate_ns  # as Link.tx_at
+            if at < link.busy_until:
+                at = link.busy_until
         else:
             at = link.deadline
             if at < link.busy_until:
@@ -268,7 +269,7 @@ class ActiveStation:
         at += link.patience.sending_ns  # an answer cuts this short, silence does not
         link.line.idle_since = at
         link.after_ns = link.line.t_id1_ns
-        link.row[Input.SENT](link, NONE, at)
+        link.row[_SENT](link, NONE, at)
 
     @property
     def patience(self) -> Patience:

@@ -51,6 +51,13 @@ _SERVICES: Final[dict[Req, _Service]] = {
 _FRAME: Final = 9
 _SD1: Final = 6
 _SAPS: Final = 2
+# An enum's member costs ten times a name of the module: those of every exchange are named here.
+_USE_TOKEN: Final = State.USE_TOKEN
+_AWAIT_DATA_RESPONSE: Final = State.AWAIT_DATA_RESPONSE
+_CHECK_ACCESS_TIME: Final = State.CHECK_ACCESS_TIME
+_CHECK: Final = Input.CHECK
+_SC: Final = Kind.SC
+_FDL_STATUS: Final = Req.FDL_STATUS
 #: so many slot times with the port's patience an answer may come late
 _OWED_SLOTS: Final = 4
 #: responses that say no or plainly yes
@@ -123,26 +130,26 @@ def waits_long(link: Link, request: Request) -> bool:
 
 def start(link: Link, user: LinkUser, request: Request) -> None:
     """Make the telegram of a new request and let it wait for its gate."""
-    da = request.da
-    fc, counted, answered, _ = _SERVICES[request.function]
-    tries = link.max_retry if answered and request.retry else 0
+    da, function, data, dsap, ssap, patient, retry, restart, _, _, _, _ = request
+    fc, counted, answered, _ = _SERVICES[function]
+    tries = link.max_retry if answered and retry else 0
     if counted:
         fcb = link.fcb
-        if request.restart:
+        if restart:
             fcb.restart(da)
         fc |= fcb.bits[da]
         if not fcb.operational[da]:
             tries = 0  # spec p119: a first request is not repeated
-    elif answered and not request.patient and link.knows(da):
+    elif answered and not patient and link.knows(da):
         request = request._replace(patient=True)  # whoever asks: the silence of a station that is there is news
     link.user = user
     link.request = request
     link.tries_left = tries
     link.repeats = 0
     link.wrong = False
-    link.frame = link.tx = request_octets(da, link.ts, fc, request.data, request.dsap, request.ssap)
+    link.frame = link.tx = request_octets(da, link.ts, fc, data, dsap, ssap)
     link.gate_ns = link.after_ns
-    link.enter(State.USE_TOKEN)
+    link.enter(_USE_TOKEN)
 
 
 def sent(link: Link, at: int) -> None:
@@ -166,7 +173,7 @@ def repeated(link: Link, _: Telegram, at: int) -> None:
 
 
 def _await(link: Link, at: int) -> None:
-    link.enter(State.AWAIT_DATA_RESPONSE)
+    link.enter(_AWAIT_DATA_RESPONSE)
     request = link.request
     patient = request.patient or request.da in link.slow
     link.deadline = (at + link.slot_known_ns if patient else in_vain_until(link, request, at)) + request.extra_ns
@@ -187,11 +194,11 @@ def response(link: Link, telegram: Telegram, now: int) -> None:
 
 def answers(request: Request, telegram: Telegram) -> bool:
     """Whether ``telegram``, addressed to us or SC, can answer ``request``."""
-    if telegram.kind == Kind.SC:
+    if telegram.kind == _SC:
         return _SERVICES[request.function].acknowledged
     if telegram.sa != request.da:
         return False
-    if request.function == Req.FDL_STATUS:
+    if request.function == _FDL_STATUS:
         return not telegram.data and telegram.dsap is telegram.ssap is None
     if telegram.ssap == request.dsap and telegram.dsap == request.ssap:
         return True
@@ -260,8 +267,8 @@ def _finish(link: Link, outcome: Telegram | Failure, now: int) -> None:
     link.end_exchange()
     if user is not None:
         user.result(request, outcome, now)
-    link.enter(State.CHECK_ACCESS_TIME)
-    link.row[Input.CHECK](link, NONE, now)
+    link.enter(_CHECK_ACCESS_TIME)
+    link.row[_CHECK](link, NONE, now)
 
 
 def timeout(link: Link, _: Telegram, now: int) -> None:

@@ -15,6 +15,9 @@ from dpstack.fdl.telegram import FC_REQUEST, Kind, Req, StationType, Telegram
 from dpstack.fdl.user import Failure, Request
 from dpstack.units import NEVER
 
+# asked in every exchange: an enum's member costs ten times a name of the module
+_CHECK: Final = Input.CHECK
+_CHECK_ACCESS_TIME: Final = State.CHECK_ACCESS_TIME
 _STATUS_FC: Final = FC_REQUEST | Req.FDL_STATUS
 #: after so many holds without time for a GAP poll that was due, low-priority service stands back once
 _GAP_PATIENCE: Final = 8
@@ -40,8 +43,8 @@ def begin(link: Link, _: Telegram, now: int) -> None:
     for user in link.users:
         user.token_received(now)
     link.ask_times()
-    link.enter(State.CHECK_ACCESS_TIME)
-    link.row[Input.CHECK](link, NONE, now)
+    link.enter(_CHECK_ACCESS_TIME)
+    link.row[_CHECK](link, NONE, now)
 
 
 def _joined(link: Link, now: int) -> None:

@@ -39,6 +39,11 @@ NO_REQUEST: Final = Request(-1, Req.FDL_STATUS)
 
 _NO_PASS: Final = (-1, -1)
 
+# what every telegram needs: an enum's member costs ten times a name of the module
+_SC: Final = Kind.SC
+_RESPONSE: Final = Input.RESPONSE
+_RESPONSE_SEEN: Final = Input.RESPONSE_SEEN
+
 Handler = Callable[["Link", Telegram, int], None]
 Rows = tuple[tuple[Handler, ...], ...]
 
@@ -47,8 +52,8 @@ def classify(telegram: Telegram, ts: int) -> Input:
     """What ``telegram`` is to station ``ts``."""
     fc = telegram.fc
     if fc < 0:
-        if telegram.kind == Kind.SC:
-            return Input.RESPONSE
+        if telegram.kind == _SC:
+            return _RESPONSE
         if telegram.da > MAX_STATION or telegram.sa > MAX_STATION:
             return Input.ACTIVITY  # no master can have such an address: a damaged token
         if telegram.sa == ts:
@@ -57,7 +62,7 @@ def classify(telegram: Telegram, ts: int) -> Input:
     if telegram.sa == ts:
         return Input.OWN_ADDRESS
     if not fc & FC_REQUEST:
-        return Input.RESPONSE if telegram.da == ts else Input.RESPONSE_SEEN
+        return _RESPONSE if telegram.da == ts else _RESPONSE_SEEN
     if telegram.da != ts:
         return Input.REQUEST_SEEN
     return Input.STATUS_REQUEST if fc & (FC_FUNCTION | 0x80) == Req.FDL_STATUS else Input.REQUEST_TO_ME

@@ -10,6 +10,7 @@ telegram is recognised by the first octet that says so and not at its end.
 from __future__ import annotations
 
 from enum import Enum
+from functools import lru_cache
 from typing import Final
 
 from dpstack.fdl.telegram import ED, MAX_LE, MIN_LE, SHORT_ACK, Kind, Telegram
@@ -30,10 +31,15 @@ _SD2: Final = int(Kind.SD2)
 _SD3: Final = int(Kind.SD3)
 _SD4: Final = int(Kind.SD4)
 _SC: Final = int(Kind.SC)
+# an enum's member costs ten times a name of the module
+_KIND_SD1: Final = Kind.SD1
+_KIND_SD2: Final = Kind.SD2
+_KIND_SD4: Final = Kind.SD4
 
-#: what stands before and behind the checked octets, made once: a request is built in well under a microsecond
-_HEADS: Final = tuple(bytes((_SD2, le, le, _SD2)) for le in range(MAX_LE + 1))
+#: what stands behind the checked octets, made once; what stands before the data is kept too (:func:`_head`)
 _TAILS: Final = tuple(bytes((check, ED)) for check in range(256))
+#: so many heads are kept: 126 stations with both FCB each way are 504
+_KEPT_HEADS: Final = 1_024
 _NEW = tuple.__new__  # NamedTuple's own constructor costs twice as much
 
 
@@ -57,6 +63,7 @@ def fcs(octets: bytes | bytearray) -> int:
 
 
 # --- encoding --------------------------------------------------------------------------------------------------------
+@lru_cache(_KEPT_HEADS)
 def encode_sd1(da: int, sa: int, fc: int) -> bytes:
     """A telegram without data: DA 0..127, SA 0..126, FC 0..255. Raises ValueError."""
     if not (0 <= da <= BROADCAST and 0 <= sa <= UNADDRESSED and 0 <= fc <= 0xFF):
@@ -69,17 +76,28 @@ def encode_sd2(da: int, sa: int, fc: int, data: bytes = b"", dsap: int | None = 
 
     Raises ValueError; without data and SAPs there is nothing to put into an SD2: that is an SD1.
     """
+    head, check = _head(da, sa, fc, len(data), dsap, ssap)
+    return head + data + _TAILS[(check + sum(data)) & 0xFF]
+
+
+@lru_cache(_KEPT_HEADS)
+def _head(da: int, sa: int, fc: int, size: int, dsap: int | None, ssap: int | None) -> tuple[bytes, int]:
+    """What stands before the ``size`` octets of data, and its part of the FCS: made once, the data are added to it.
+
+    In data exchange only FCB, data and FCS change from one request to the next.
+    """
     if not (0 <= da <= BROADCAST and 0 <= sa <= UNADDRESSED and 0 <= fc <= 0xFF):
         raise _misuse(da, sa, fc)
     if dsap is None:
-        body = bytes((da, sa, fc) if ssap is None else (da, sa | _EXTENDED, fc, _sap(ssap))) + data
+        body = bytes((da, sa, fc) if ssap is None else (da, sa | _EXTENDED, fc, _sap(ssap)))
     elif ssap is None:
-        body = bytes((da | _EXTENDED, sa, fc, _sap(dsap))) + data
+        body = bytes((da | _EXTENDED, sa, fc, _sap(dsap)))
     elif 0 <= dsap <= _VALUE and 0 <= ssap <= _VALUE:
-        body = bytes((da | _EXTENDED, sa | _EXTENDED, fc, dsap, ssap)) + data
+        body = bytes((da | _EXTENDED, sa | _EXTENDED, fc, dsap, ssap))
     else:
         raise ValueError(f"SAPs {dsap} and {ssap}: both must be 0..63")
-    return _frame(body)
+    le = _checked_le(len(body) + size)
+    return bytes((_SD2, le, le, _SD2)) + body, sum(body)
 
 
 def encode_token(da: int, sa: int) -> bytes:
@@ -123,7 +141,9 @@ def _encode_segments(telegram: Telegram) -> bytes:
     extensions = _extension(dsap, dseg) + _extension(ssap, sseg)
     da |= _EXTENDED if not dsap is dseg is None else 0
     sa |= _EXTENDED if not ssap is sseg is None else 0
-    return _frame(bytes((da, sa, fc)) + extensions + data)
+    body = bytes((da, sa, fc)) + extensions + data
+    le = _checked_le(len(body))
+    return bytes((_SD2, le, le, _SD2)) + body + _TAILS[sum(body) & 0xFF]
 
 
 def _extension(sap: int | None, segment: int | None) -> bytes:
@@ -137,13 +157,12 @@ def _extension(sap: int | None, segment: int | None) -> bytes:
     return bytes((_MORE | _SEGMENT | segment, _sap(sap)))
 
 
-def _frame(body: bytes) -> bytes:
-    le = len(body)
-    if not MIN_LE <= le <= MAX_LE:
-        if le < MIN_LE:
-            raise ValueError("an SD2 telegram without a data unit (LE = 3) is never sent: use SD1")
+def _checked_le(le: int) -> int:
+    if le < MIN_LE:
+        raise ValueError("an SD2 telegram without a data unit (LE = 3) is never sent: use SD1")
+    if le > MAX_LE:
         raise ValueError(f"LE = {le}: the data unit has {le - 3} octets, {MAX_LE - 3} fit")
-    return _HEADS[le] + body + _TAILS[sum(body) & 0xFF]
+    return le
 
 
 def _sap(sap: int) -> int:
@@ -160,12 +179,10 @@ def _misuse(da: int, sa: int, fc: int) -> ValueError:
 def decode(octets: bytes | bytearray) -> Telegram | None:
     """The one telegram that ``octets`` are from the first to the last, or None."""
     size = len(octets)
-    if not size:
-        return None
+    if not size or (octets[1] + 6 if octets[0] == _SD2 and size > 1 else _FIXED.get(octets[0])) != size:
+        return None  # by what a telegram with these first octets has to have (see claimed)
     telegram = parse(octets, 0, size)
-    if not isinstance(telegram, Telegram) or claimed(octets, 0, size) != size:
-        return None
-    return telegram
+    return telegram if type(telegram) is Telegram else None
 
 
 def claimed(octets: bytes | bytearray, at: int, end: int) -> int:
@@ -211,7 +228,7 @@ def parse(octets: bytes | bytearray, at: int, end: int) -> Telegram | Flaw | Non
         body = octets[at + 4 : stop]
         if sum(body) & 0xFF != octets[stop]:
             return Flaw.BAD_FCS
-        return _content(Kind.SD2, body)
+        return _content(_KIND_SD2, body)
     if start == _SC:
         return SHORT_ACK
     if start == _SD1:
@@ -225,21 +242,19 @@ def parse(octets: bytes | bytearray, at: int, end: int) -> Telegram | Flaw | Non
 
 def _content(kind: Kind, body: bytes | bytearray) -> Telegram | Flaw:
     """DA, SA, FC and data unit of a frame whose FCS is right."""
-    da = body[0]
-    sa = body[1]
-    fc = body[2]
+    da, sa, fc = body[:3]
     if fc > 0x7F and fc & 0xCF != 0xC0:
         return Flaw.BAD_FC
-    if da & sa & 0x80:
-        # both SAPs, one octet each: what DP services look like
-        if len(body) > 4 and body[3] <= _VALUE and body[4] <= _VALUE:
-            if sa == 0xFF:
-                return Flaw.BAD_ADDRESS
-            return _NEW(Telegram, (kind, da & 0x7F, sa & 0x7F, fc, body[3], body[4], bytes(body[5:]), None, None))
-    elif da < 0x80 and sa < 0x80:
+    if da < 0x80 and sa < 0x80:
+        # no extension octets: what data exchange looks like
         if sa == BROADCAST:
             return Flaw.BAD_ADDRESS
         return _NEW(Telegram, (kind, da, sa, fc, None, None, bytes(body[3:]), None, None))
+    if da & sa & 0x80 and len(body) > 4 and body[3] <= _VALUE and body[4] <= _VALUE:
+        # both SAPs, one octet each: what DP services look like
+        if sa == 0xFF:
+            return Flaw.BAD_ADDRESS
+        return _NEW(Telegram, (kind, da & 0x7F, sa & 0x7F, fc, body[3], body[4], bytes(body[5:]), None, None))
     return _extended(kind, body)
 
 
@@ -300,17 +315,17 @@ def _parse_sd1(octets: bytes | bytearray, at: int, end: int) -> Telegram | Flaw 
         return Flaw.BAD_FCS
     if fc > 0x7F and fc & 0xCF != 0xC0:
         return Flaw.BAD_FC
-    return _NEW(Telegram, (Kind.SD1, da, sa, fc, None, None, b"", None, None))
+    return _NEW(Telegram, (_KIND_SD1, da, sa, fc, None, None, b"", None, None))
 
 
 def _parse_token(octets: bytes | bytearray, at: int, end: int) -> Telegram | Flaw | None:
     # nothing protects a token but its addresses: both 0..126, no extension bit
-    for address in octets[at + 1 : min(at + 3, end)]:
-        if address > UNADDRESSED:
-            return Flaw.BAD_ADDRESS
-    if end - at < 3:
+    have = end - at
+    if (have > 1 and octets[at + 1] > UNADDRESSED) or (have > 2 and octets[at + 2] > UNADDRESSED):
+        return Flaw.BAD_ADDRESS
+    if have < 3:
         return None
-    return _NEW(Telegram, (Kind.SD4, octets[at + 1], octets[at + 2], -1, None, None, b"", None, None))
+    return _NEW(Telegram, (_KIND_SD4, octets[at + 1], octets[at + 2], -1, None, None, b"", None, None))
 
 
 def _parse_sd3(octets: bytes | bytearray, at: int, end: int) -> Telegram | Flaw | None:

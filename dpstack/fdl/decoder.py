@@ -16,7 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Final
 
-from dpstack.fdl.codec import EMPTY_LE, Flaw, claimed, parse
+from dpstack.fdl.codec import EMPTY_LE, Flaw, claimed, decode, parse
 from dpstack.fdl.telegram import MAX_LE, Kind, Telegram
 from dpstack.units import NEVER
 
@@ -87,17 +87,16 @@ class Decoder:
     def feed(self, chunk: bytes, now: int) -> list[Telegram]:
         """The telegrams that end within ``chunk``, in order; ``now`` in ns. Never raises."""
         if not self._held and not self._doubt and not self._tail:
-            size = len(chunk)
-            if size:
-                # the fast path: one read, one telegram
-                telegram = parse(chunk, 0, size)
-                if isinstance(telegram, Telegram) and claimed(chunk, 0, size) == size:
-                    stats = self.stats
-                    stats.octets += size
-                    stats.telegrams += 1
-                    if size == _LE3_SIZE:
-                        stats.empty_le3 += 1
-                    return [telegram]
+            # the fast path: one read, one telegram
+            telegram = decode(chunk)
+            if telegram is not None:
+                size = len(chunk)
+                stats = self.stats
+                stats.octets += size
+                stats.telegrams += 1
+                if size == _LE3_SIZE:
+                    stats.empty_le3 += 1
+                return [telegram]
         return self._feed_slowly(chunk, now)
 
     def stall_at(self) -> int:

@@ -28,6 +28,8 @@ LOWEST_TSDR: Final = 11
 
 #: requests that carry a frame count
 _CONFIRMED: Final = frozenset((Req.SDA_LOW, Req.SDA_HIGH, Req.SRD_LOW, Req.SRD_HIGH, Req.MSRD))
+_DL: Final = Resp.DL
+_DH: Final = Resp.DH
 _SERVED: Final = frozenset((Req.SDA_LOW, Req.SDA_HIGH, Req.SRD_LOW, Req.SRD_HIGH, Req.IDENT))
 _REFUSED: Final = frozenset((Req.MSRD, Req.LSAP_STATUS))
 _UNCONFIRMED: Final = frozenset((Req.SDN_LOW, Req.SDN_HIGH))
@@ -67,6 +69,7 @@ class PassiveStation:
         "_told_le3",
         "_tx",
         "_tx_until",
+        "baud",
         "decoder",
         "line",
         "stats",
@@ -121,11 +124,6 @@ class PassiveStation:
         return self._params
 
     @property
-    def baud(self) -> int:
-        """The rate it listens at."""
-        return self._params.baud
-
-    @property
     def hears_all(self) -> bool:
         """A passive station is interested in what is sent to it and to all."""
         return False
@@ -147,6 +145,8 @@ class PassiveStation:
         What Set_Prm said of min T_SDR still holds: a slave without a watchdog stays in Data_Exchange while it searches.
         """
         self._params = params
+        #: the rate it listens at
+        self.baud = params.baud
         self.line.set_params(params)
         self.decoder.stall_ns = self.line.t_stall_ns + self._patience.stall_ns
         self.set_min_tsdr(0)
@@ -300,7 +300,7 @@ class PassiveStation:
             return SC_OCTETS
         da = request.sa
         sa = request.da
-        if data or status is Resp.DL or status is Resp.DH:
+        if data or status is _DL or status is _DH:
             return request_octets(da, sa, status, data, request.ssap, request.dsap)
         if status is not Resp.OK:
             self.stats.refused += 1

@@ -12,7 +12,7 @@ from dpstack.phy.noise import BitNoise
 from dpstack.units import BITS_PER_CHAR
 
 if TYPE_CHECKING:
-    from dpstack.sim.medium import Transmission
+    from dpstack.sim.transmission import Transmission
 
 #: Chooses transmissions by sender, octets or telegram.
 Which = Callable[["Transmission"], bool]

@@ -11,13 +11,12 @@ from collections.abc import Callable
 from random import Random
 from typing import Any, Final, Protocol
 
-from dpstack.fdl.codec import decode
-from dpstack.fdl.telegram import Telegram
 from dpstack.params import BROADCAST
 from dpstack.phy.uart import Receiver, waveform
 from dpstack.sim import uart
 from dpstack.sim.faults import Faults
 from dpstack.sim.nodes import Node, Nodes
+from dpstack.sim.transmission import Transmission
 from dpstack.trace import WireEntry, WireLog
 from dpstack.units import NEVER, chars_to_ns
 
@@ -30,46 +29,7 @@ TIMERS: Final = 2 << 60
 EDGES: Final = 3 << 60
 
 _LENGTHS: Final = 256
-
-
-class Transmission:
-    """Octets of one sender on the wire, without gaps. ``telegram`` is None when they are not exactly one.
-
-    ``forced``: by an order from outside (injected, delayed), so not a station's doing. ``flips``: inverted bits
-    by octet number (see :mod:`dpstack.sim.uart`). ``lost``: not on the wire at all. ``whole``: intact so far for
-    everybody at its rate. ``heard_ns``: when the last octet of it that could be read was over.
-    """
-
-    __slots__ = (
-        "baud",
-        "collided",
-        "cut",
-        "end_ns",
-        "flips",
-        "forced",
-        "heard_ns",
-        "lost",
-        "node",
-        "notes",
-        "octets",
-        "sender",
-        "start_ns",
-        "telegram",
-        "whole",
-    )
-
-    def __init__(self, node: Node | None, sender: str, octets: bytes, baud: int, start_ns: int, end_ns: int) -> None:
-        self.node = node
-        self.sender = sender
-        self.octets = octets
-        self.baud = baud
-        self.start_ns = start_ns
-        self.end_ns = self.heard_ns = end_ns
-        self.telegram: Telegram | None = decode(octets)
-        self.flips: dict[int, int] = {}
-        self.notes: list[str] = []
-        self.forced = node is None
-        self.whole = self.lost = self.collided = self.cut = False
+_NEW: Final = tuple.__new__  # NamedTuple's own constructor costs twice as much
 
 
 class Watcher(Protocol):
@@ -283,7 +243,8 @@ class Medium:
             if not tx.whole:
                 tx.heard_ns = self._octet_ns
             self._watcher.heard(tx)
-        self._log.add(WireEntry(tx.start_ns, tx.end_ns, tx.octets, tx.sender, "; ".join(tx.notes) if tx.notes else ""))
+        notes = "; ".join(tx.notes) if tx.notes else ""
+        self._log.add(_NEW(WireEntry, (tx.start_ns, tx.end_ns, tx.octets, tx.sender, notes)))
 
     def _hand_telegram(self, tx: Transmission) -> None:
         telegram = tx.telegram

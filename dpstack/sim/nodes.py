@@ -17,8 +17,10 @@ from dpstack.units import NEVER
 class Node:
     """One station on the medium, and what the world knows of it.
 
-    ``due`` is the time of its one live entry in the event heap, ``deadline`` what it asked for last (never earlier
-    than ``due``). It hears transmissions that begin at ``hears_from`` or later: it cannot hear while it sends.
+    ``deadline`` is what it asked for last, ``due`` when it is looked at (never later), and ``order`` its place among
+    those due at the same time. ``entry`` is its next one in the event heap (never later than ``due``), ``later`` are
+    its others, the next one last. It hears transmissions that begin at ``hears_from`` or later: it cannot hear while it
+    sends.
     """
 
     __slots__ = (
@@ -27,13 +29,16 @@ class Node:
         "by_octets",
         "deadline",
         "due",
+        "entry",
         "hears_all",
         "hears_from",
+        "later",
         "mute_until",
         "name",
         "named",
         "on_bus",
         "on_events",
+        "order",
         "sending_until",
         "station",
         "transmit",
@@ -53,6 +58,9 @@ class Node:
         self.on_events = on_events
         self.on_bus = True
         self.due = NEVER
+        self.order = 0
+        self.entry = NEVER
+        self.later: list[int] = []
         self.deadline = NEVER
         self.hears_from = now
         self.sending_until = now

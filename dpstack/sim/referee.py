@@ -16,8 +16,8 @@ from dpstack.fdl.describe import render
 from dpstack.fdl.telegram import FC_FUNCTION, FC_REQUEST, Kind, Req, Telegram
 from dpstack.params import BROADCAST, T_SYN, BusParams
 from dpstack.sim import uart
-from dpstack.sim.medium import Transmission
 from dpstack.sim.token_watch import Finding, Rule, TokenWatch
+from dpstack.sim.transmission import Transmission
 from dpstack.trace import WireEntry, WireLog
 from dpstack.units import bits_to_ns, ns_to_bits
 
@@ -26,6 +26,8 @@ MIN_TSDR: Final = 11
 _DISORDER: Final = 6 + 2 * 126
 _SHOWN_VIOLATIONS: Final = 20
 _SHOWN_ENTRIES: Final = 60
+_IDLE: Final = Rule.IDLE
+_SD4: Final = Kind.SD4
 _UNANSWERED: Final = frozenset((Req.TIME_EVENT, Req.SDN_LOW, Req.SDN_HIGH))
 
 
@@ -55,6 +57,14 @@ class _After(Enum):
     ANSWER = auto()
     TOKEN = auto()
     GARBAGE = auto()  # octets that nobody could make a telegram of
+
+
+# looked at with every transmission: an enum's member costs ten times a name of the module
+_NOTHING: Final = _After.NOTHING
+_REQUEST: Final = _After.REQUEST
+_QUIET: Final = _After.QUIET
+_ANSWER: Final = _After.ANSWER
+_TOKEN: Final = _After.TOKEN
 
 
 class _Pending(NamedTuple):
@@ -135,7 +145,7 @@ class Referee:
                 self._found(tx, Finding(Rule.BROKEN, "the octets are not one telegram without gaps"))
             self._pending = None
             after = _After.GARBAGE
-        elif telegram.kind is Kind.SD4:
+        elif telegram.kind is _SD4:
             after = self._token(tx, telegram)
         elif telegram.fc >= 0 and telegram.fc & FC_REQUEST:
             after = self._request(tx, telegram)
@@ -157,9 +167,9 @@ class Referee:
             self._found(tx, self.tokens.request(sa, tx.node))
         if telegram.da == BROADCAST or telegram.fc & FC_FUNCTION in _UNANSWERED:
             self._pending = None
-            return _After.QUIET
+            return _QUIET
         self._pending = _Pending(sa, telegram.da, tx.end_ns)
-        return _After.REQUEST
+        return _REQUEST
 
     def _token(self, tx: Transmission, telegram: Telegram) -> _After:
         sa = telegram.sa
@@ -174,18 +184,18 @@ class Referee:
         if self.token_rules:
             self._found(tx, self.tokens.token(sa, telegram.da, tx.node, lacks))
         self._pending = None
-        return _After.TOKEN
+        return _TOKEN
 
     def _answer(self, tx: Transmission, telegram: Telegram) -> _After:
         pending = self._pending
         self._pending = None
         if pending is None:
             self._found(tx, Finding(Rule.UNASKED, "no request is open"))
-            return _After.ANSWER
+            return _ANSWER
         if telegram.fc >= 0 and (telegram.sa != pending.da or telegram.da != pending.sa):
             text = f"{telegram.sa} answers {telegram.da}, the request was {pending.sa} -> {pending.da}"
             self._found(tx, Finding(Rule.UNASKED, text))
-            return _After.ANSWER
+            return _ANSWER
         waited = tx.start_ns - pending.end_ns
         if waited < bits_to_ns(MIN_TSDR, tx.baud):
             text = f"{ns_to_bits(waited, tx.baud)} bits after the request; min T_SDR is {MIN_TSDR}"
@@ -194,21 +204,21 @@ class Referee:
         if params is not None and waited >= bits_to_ns(params.t_sl, tx.baud):
             text = f"{ns_to_bits(waited, tx.baud)} bits after the request; T_SL of {pending.sa} is {params.t_sl}"
             self._found(tx, Finding(Rule.LATE, text))
-        return _After.ANSWER
+        return _ANSWER
 
     def _idle(self, tx: Transmission, sa: int) -> None:
         """Silence before a request or token."""
         after = self._after
-        if after is _After.NOTHING:
+        if after is _NOTHING:
             return
-        rule, need, name = Rule.IDLE, T_SYN, "T_SYN"
+        rule, need, name = _IDLE, T_SYN, "T_SYN"
         params = self._masters.get(sa)
         if params is not None:
             if self._waits(sa):
                 rule, need, name = Rule.SLOT, params.t_sl, "T_SL"
-            elif after is _After.ANSWER or after is _After.TOKEN:
+            elif after is _ANSWER or after is _TOKEN:
                 need, name = params.t_id1, "T_ID1"
-            elif after is _After.QUIET and sa == self._last_sa:
+            elif after is _QUIET and sa == self._last_sa:
                 need, name = params.t_id2, "T_ID2"
         silence = tx.start_ns - self._last_end
         if silence < bits_to_ns(need, tx.baud):
@@ -217,9 +227,9 @@ class Referee:
 
     def _waits(self, sa: int) -> bool:
         """``sa`` waits for somebody: an answer, or the successor's first sign of life."""
-        if self._after is _After.REQUEST:
+        if self._after is _REQUEST:
             return self._pending is not None and self._pending.sa == sa
-        return self._after is _After.TOKEN and self.tokens.offered_by == sa
+        return self._after is _TOKEN and self.tokens.offered_by == sa
 
     def _excuse_forged_token(self, tx: Transmission) -> None:
         """Nothing protects a token: noise may have made another one of it. What follows is not the stations' doing."""

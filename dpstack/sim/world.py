@@ -76,7 +76,6 @@ class World:
         node = self._node(station)
         self._nodes.remove(node)
         node.on_bus = False
-        node.due = -1  # none of its heap entries is live any more
         self._medium.cut(node, self.now)
 
     def command(self, station: BusStation, command: object) -> None:
@@ -182,18 +181,33 @@ class World:
 
     # --- inside ---
     def _arm(self, node: Node, deadline: int) -> None:
-        """One live heap entry for each station: a new one only when it becomes due earlier."""
+        """Look at the station at its deadline. A new heap entry only where it has none that comes before that.
+
+        What it has for later stays: a watchdog that every exchange puts off has one entry, not one an exchange.
+        """
         if deadline < self.now:
             deadline = self.now
         node.deadline = deadline
         if deadline < node.due:
             node.due = deadline
             self._count += 1
-            heappush(self._heap, (deadline, TIMERS + self._count, self._on_due, node))
+            node.order = TIMERS + self._count
+            if deadline < node.entry:
+                self._enter(node)
+
+    def _enter(self, node: Node) -> None:
+        node.later.append(node.entry)
+        node.entry = node.due
+        heappush(self._heap, (node.due, node.order, self._on_due, node))
 
     def _due(self, node: Node) -> None:
-        if node.due != self.now:
-            return  # an earlier entry took its place, or the station is gone
+        if not node.on_bus:
+            return
+        node.entry = node.later.pop()
+        if node.due > self.now:  # put off
+            if node.due < node.entry:
+                self._enter(node)
+            return
         node.due = NEVER
         if node.deadline > self.now:
             self._arm(node, node.deadline)

@@ -353,6 +353,7 @@ def test_alone_on_a_port_until_ctrl_c(plant: Path, start: Starter, capsys: Out) 
     assert told[0].startswith("fan: running at 0.0%")
     assert "fan: stopping by its ramp; a second Ctrl-C ends at once" in told
     assert told[-1] == "fan: ready_to_switch_on at 0.0% (0.0 Hz), set point 20.0%"
+    sim.wait_for('"why":"watchdog expired"')
     # a run at the same end; `dpstack ctl` still finds the sim, which was there first
     run = start("run", str(plant), "--json")
     run.wait_for_slaves(3)

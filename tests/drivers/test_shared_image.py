@@ -101,14 +101,13 @@ def test_a_writer_that_died_in_the_middle_holds_nobody_up(memory: int) -> None:
     image, there = SharedImage(memory), SharedImage(memory)
     image.inputs.write(b"whole")
     assert there.inputs.read() == b"whole"
-    os.pwrite(memory, (3).to_bytes(8, sys.byteorder), 0)  # the sequence number of a picture that is being written
+    os.pwrite(memory, b"torn!", 4096 + 2 * 80 * 1024)  # the second picture, half of it, and not yet its number
     assert there.inputs.read() is None
     image.inputs.write(b"again")
     assert there.inputs.read() == b"again"
-    os.pwrite(memory, (6).to_bytes(8, sys.byteorder), 0)  # a number without its octets: the check sum is that of none
-    os.pwrite(memory, b"torn!", 4096)
+    os.pwrite(memory, (3).to_bytes(8, sys.byteorder), 0)  # a number without its octets: the check sum is that of none
     assert there.inputs.read() is None
-    os.pwrite(memory, (2**40).to_bytes(8, sys.byteorder), 8)  # a length that cannot be
+    os.pwrite(memory, (2**40).to_bytes(8, sys.byteorder), 8 + 16 * 3)  # a length that cannot be
     assert there.inputs.read() is None
     image.close()
     there.close()

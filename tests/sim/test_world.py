@@ -8,8 +8,8 @@ import pytest
 from support import MS, Dummy, WorldFactory, ends, wire_log
 
 from dpstack.errors import ConfigError, UsageError
-from dpstack.sim.medium import Transmission
 from dpstack.sim.token_watch import Rule
+from dpstack.sim.transmission import Transmission
 from dpstack.sim.world import World
 from dpstack.trace import Event, Notice
 from dpstack.units import NEVER

@@ -1,0 +1,129 @@
+"""What one exchange costs the master, from 1 to 100 slaves: on a medium that costs nothing, and over a pty.
+
+The cost of an exchange must not depend on how many slaves there are. Once a round come the token to itself and what a
+round begins and ends with; with one slave that is once an exchange. So beside the mean there is the cost of *one slave
+more*: (a round's cost - that of one slave's round) / (slaves - 1).
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from statistics import median
+from typing import Final
+
+from bench.calibration import calibrate
+from bench.null_medium import NullBus
+from bench.report import Report
+from dpstack.dp.commands import Mode, SetMode
+from dpstack.dp.events import SlaveState
+from dpstack.dp.master import Master
+from dpstack.dp.setup import SlaveSetup
+from dpstack.drivers.aio import AsyncioRuntime, patience_of
+from dpstack.drivers.echo import Echo
+from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.commands import GoOnline
+from dpstack.params import BusParams
+from dpstack.ports.pty import PtyPort
+from dpstack.trace import Event
+from dpstack.units import NS_PER_US
+
+_RESPONDER: Final = Path(__file__).resolve().parent.parent / "tests" / "support_responder.py"
+_PTY_BAUD: Final = 12_000_000
+_FIRST: Final = 3
+#: cost of an exchange with the most slaves to that with one
+_GOAL: Final = 1.1
+_WITHIN_S: Final = 60
+
+
+@contextlib.contextmanager
+def _responder(path: str, slaves: int) -> Iterator[None]:
+    specs = [f"{_FIRST + i}:0696:f3f1:12:12" for i in range(slaves)]
+    with subprocess.Popen([sys.executable, str(_RESPONDER), path, *specs], stdout=subprocess.PIPE) as process:
+        try:
+            if process.stdout is None or not process.stdout.readline():
+                raise RuntimeError("the responder did not start")
+            yield
+        finally:
+            process.kill()
+
+
+async def over_pty(slaves: int, seconds: float) -> float:
+    """CPU time in ns of one exchange: the asyncio driver, a pty, 12 Mbit/s parameters, the other end a process."""
+    params = BusParams.preset(_PTY_BAUD, address=2, gap=0)
+    port = PtyPort(_PTY_BAUD)
+    patience = patience_of(port)
+    setups = [SlaveSetup(address=_FIRST + i, name=f"s{i}", ident=0x0696, config=b"\xf3\xf1") for i in range(slaves)]
+    master = Master(params, setups, watchdog_ms=5_000, absent_share=patience.unknown_share)
+    handlers = master.handlers.values()
+    up = asyncio.Event()
+
+    def on_events(_: list[Event]) -> None:
+        if all(h.state is SlaveState.DATA_EXCHANGE for h in handlers):
+            up.set()
+
+    runtime = AsyncioRuntime(port, ActiveStation(params, [master], patience=patience), on_events, echo=Echo.OFF)
+    await runtime.open()
+    try:
+        with _responder(port.name, slaves):
+            runtime.command(GoOnline())
+            runtime.command(SetMode(Mode.OPERATE))
+            await asyncio.wait_for(up.wait(), _WITHIN_S)
+            await asyncio.sleep(seconds / 4)
+            done, cpu = sum(h.exchanges for h in handlers), time.process_time_ns()
+            await asyncio.sleep(seconds)
+            cpu = time.process_time_ns() - cpu
+            done = sum(h.exchanges for h in handlers) - done
+    finally:
+        await runtime.close()
+    if not done:
+        raise RuntimeError("no data were exchanged over the pty")
+    return cpu / done
+
+
+def run(argv: Sequence[str]) -> Report:
+    """The benchmark with its own options."""
+    parser = argparse.ArgumentParser(prog="python -m bench scale")
+    parser.add_argument("--slaves", type=int, nargs="*", default=[1, 3, 10, 32, 100])
+    parser.add_argument("--exchanges", type=int, default=3_000, help="a round on the medium that costs nothing")
+    parser.add_argument("--rounds", type=int, default=11, help="interleaved")
+    parser.add_argument("--seconds", type=float, default=1.0, help="a round over the pty; 0: without a pty")
+    parser.add_argument("--pty-rounds", type=int, default=3)
+    args = parser.parse_args(argv)
+    counts = sorted({1, *args.slaves})
+    report = Report("scale")
+    loops: list[float] = []
+    buses = {n: NullBus(n) for n in counts}
+    for bus in buses.values():
+        bus.bring_up()
+    null: dict[int, list[float]] = {n: [] for n in counts}
+    pty: dict[int, list[float]] = {n: [] for n in counts}
+    for _ in range(args.rounds):
+        loops.append(calibrate(3))
+        for n, bus in buses.items():
+            null[n].append(bus.measure(args.exchanges))
+    if args.seconds and hasattr(os, "openpty"):
+        for _ in range(args.pty_rounds):
+            for n in counts:
+                pty[n].append(asyncio.run(over_pty(n, args.seconds)))
+    else:
+        report.notes.append("without a pty")
+    loop = median(loops)
+    report.measured("calibration loop", [ns / NS_PER_US for ns in loops], "us")
+    for medium, times in (("no medium", null), ("pty", pty)):
+        for n, each in times.items():
+            name = f"{medium}, {n} slave{'s' if n > 1 else ''}: CPU time"
+            report.measured(f"{name} per exchange", [ns / loop for ns in each], "loops")
+            if n > 1:
+                pairs = list(zip(each, times[1], strict=True))
+                report.measured(f"{name} per exchange to one slave's", [ns / one for ns, one in pairs], "", _GOAL)
+                more = [(n * ns - one) / (n - 1) / loop for ns, one in pairs]
+                report.measured(f"{name} of one slave more", more, "loops")
+    return report

@@ -1,0 +1,126 @@
+"""Virtual time: seconds of the simulated bus per second of CPU time.
+
+Ten PPO1 drives (plugin at the master, simulated drive at the other end, running) at 500 kbit/s are the measure; then
+mirrors, 1 to 100 of them: a telegram must cost the same however many slaves there are. The referee watches in all runs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Sequence
+from typing import Final
+
+from bench.report import Report
+from dpstack.dp.commands import DriveCommand, Mode, SetMode
+from dpstack.dp.device import Device
+from dpstack.dp.events import SlaveState
+from dpstack.dp.master import Master
+from dpstack.dp.mirror import MirrorDevice
+from dpstack.dp.setup import SlaveSetup
+from dpstack.dp.slaveapp import make_slave
+from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.commands import GoOnline
+from dpstack.params import BusParams
+from dpstack.profile.registry import find as find_drive
+from dpstack.sim.world import World
+from dpstack.units import NS_PER_MS, NS_PER_S, NS_PER_US
+
+_PPO1: Final = bytes((0xF3, 0xF1))
+_IDENT: Final = 0x1234
+_FIRST: Final = 3
+_WITHIN: Final = 60 * NS_PER_S
+#: simulated seconds per second of CPU time, ten PPO1 drives
+_GOAL: Final = 20.0
+#: no worse than linear: an exchange costs no more with many slaves than with few
+_LINEAR: Final = 1.0
+
+
+class Plant:
+    """A master with ``slaves`` slaves in data exchange and Operate: mirrors, or drives of ``drive`` that run."""
+
+    def __init__(self, slaves: int, baud: int, drive: str | None = None) -> None:
+        self.world = World()
+        params = BusParams.preset(baud, address=2)
+        addresses = range(_FIRST, _FIRST + slaves)
+        profile = None if drive is None else find_drive(drive)
+        spec = None if profile is None else profile.telegram("PPO1")
+        config, ident = (_PPO1, _IDENT) if profile is None or spec is None else (spec.config, profile.ident)
+        user_prm = b"" if profile is None else profile.user_prm
+        for address in addresses:
+            device: Device = MirrorDevice(_IDENT, _PPO1) if profile is None else profile.device("PPO1")
+            self.world.add(make_slave(address, device, params))
+        self.master = Master(
+            params,
+            [SlaveSetup(address=a, name=f"s{a}", ident=ident, config=config, user_prm=user_prm) for a in addresses],
+            watchdog_ms=2_000,
+        )
+        station = ActiveStation(params, [self.master])
+        self.world.add(station)
+        if profile is not None:
+            for address, image in self.master.images.items():
+                image.unit = profile.core(f"s{address}", "PPO1", simulated=True)
+        self.world.command(station, GoOnline())
+        self.world.command(station, SetMode(Mode.OPERATE))
+        handlers = self.master.handlers.values()
+        while not all(h.state is SlaveState.DATA_EXCHANGE for h in handlers):
+            self.world.run_for(10 * NS_PER_MS)
+            if self.world.now > _WITHIN:
+                raise RuntimeError("not every slave came into data exchange")
+        if profile is not None:
+            for token, address in enumerate(addresses):
+                self.world.command(station, DriveCommand(address, "start", {}, 2 * token + 1))
+                self.world.command(station, DriveCommand(address, "speed", {"value": 0.5}, 2 * token + 2))
+        self.world.run_for(NS_PER_S)
+
+    @property
+    def exchanges(self) -> int:
+        """Data_Exchange answered since the beginning."""
+        return sum(handler.exchanges for handler in self.master.handlers.values())
+
+    def measure(self, ns: int) -> float:
+        """Run for ``ns``; the CPU time in ns."""
+        begin = time.process_time_ns()
+        self.world.run_for(ns)
+        return max(1, time.process_time_ns() - begin)
+
+
+def run(argv: Sequence[str]) -> Report:
+    """The benchmark with its own options."""
+    parser = argparse.ArgumentParser(prog="python -m bench virtual")
+    parser.add_argument("--drives", type=int, default=10)
+    parser.add_argument("--drive", default="demag-dedrive", help="a drive with PPO1")
+    parser.add_argument("--slaves", type=int, nargs="*", default=[1, 3, 10, 32, 100], help="how many mirrors")
+    parser.add_argument("--baud", type=int, default=500_000)
+    parser.add_argument("--rounds", type=int, default=7, help="interleaved")
+    parser.add_argument("--ms", type=int, default=250, help="simulated time of a round")
+    args = parser.parse_args(argv)
+    report = Report("virtual")
+    drives = f"{args.drives} {args.drive}, PPO1"
+    plants = {drives: Plant(args.drives, args.baud, args.drive)}
+    portion = args.ms * NS_PER_MS
+    counts = sorted(set(args.slaves))
+    plants |= {_title(n): Plant(n, args.baud) for n in counts}
+    rates: dict[str, list[float]] = {title: [] for title in plants}
+    costs: dict[str, list[float]] = {title: [] for title in plants}
+    for _ in range(args.rounds):
+        for title, plant in plants.items():
+            before = plant.exchanges
+            cpu = plant.measure(portion)
+            rates[title].append(portion / cpu)
+            costs[title].append(cpu / NS_PER_US / max(1, plant.exchanges - before))
+    for title, plant in plants.items():
+        if plant.world.referee is not None:
+            plant.world.referee.check()
+        goal = _GOAL if title == drives else None
+        report.measured(f"{title}: simulated seconds per second of CPU", rates[title], "s/s", goal, more=True)
+        report.measured(f"{title}: CPU per exchange, both ends and the wire", costs[title], "us")
+    if len(counts) > 1:
+        few, many = (costs[_title(n)] for n in (counts[0], counts[-1]))
+        name = f"CPU per exchange, {counts[-1]} mirrors to {counts[0]}"
+        report.measured(name, [a / b for a, b in zip(many, few, strict=True)], "", _LINEAR)
+    return report
+
+
+def _title(mirrors: int) -> str:
+    return f"{mirrors} mirror{'s' if mirrors > 1 else ''}"

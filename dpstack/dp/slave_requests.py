@@ -1,0 +1,36 @@
+"""The requests to one slave. Data_Exchange is made in every rotation: it is the same object while its outputs stay."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from dpstack.fdl.telegram import MAX_DATA, SSAP_MS0, Req
+from dpstack.fdl.user import Request
+
+_SRD_HIGH: Final = Req.SRD_HIGH
+_NEW: Final = tuple.__new__  # NamedTuple's own constructor costs four times as much
+
+
+class SlaveRequests:
+    """Makes what is asked of the slave at ``address``; ``tag`` goes into every request."""
+
+    __slots__ = ("_address", "_data", "_tag")
+
+    def __init__(self, address: int, tag: object) -> None:
+        self._address = address
+        self._tag = tag
+        self._data = Request(address, _SRD_HIGH, patient=True, tag=tag, cyclic=True)
+
+    def data(self, outputs: bytes) -> Request:
+        """Data_Exchange with ``outputs``."""
+        request = self._data
+        if request.data != outputs:
+            to, tag = self._address, self._tag
+            request = self._data = _NEW(
+                Request, (to, _SRD_HIGH, outputs, None, None, True, True, False, tag, 0, MAX_DATA, True)
+            )
+        return request
+
+    def service(self, sap: int, data: bytes, *, patient: bool, restart: bool) -> Request:
+        """A service of MS0."""
+        return Request(self._address, _SRD_HIGH, data, sap, SSAP_MS0, patient=patient, restart=restart, tag=self._tag)
