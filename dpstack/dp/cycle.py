@@ -34,6 +34,11 @@ _TEXTS: Final = {
 }
 
 
+def tolerance_ns(cycle_ns: int) -> int:
+    """So late a cycle of ``cycle_ns`` may begin without being a deadline miss: a tenth of it."""
+    return cycle_ns // 10
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CycleData:
     """One round with data exchange, published when it is over. Times in ns.
@@ -74,8 +79,8 @@ class CycleBook:
 
     @property
     def tolerance_ns(self) -> int:
-        """So late a cycle may begin: a tenth of it."""
-        return self.cycle_ns // 10
+        """So late a cycle may begin."""
+        return tolerance_ns(self.cycle_ns)
 
     @property
     def missed(self) -> int:
