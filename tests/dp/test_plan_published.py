@@ -6,7 +6,8 @@ response times" in the Saia-Burgess PCD0 manual 26/766 E2, section 13.10. "Avail
 Dedrive Compact, section 10.
 
 Assumptions where a source is silent: each slave has inputs and outputs (the formula counts two telegrams with data a
-slave, 300 = 33 + 2 x 99 + 32 + 37; what it is without is tested, too), and the GAP is on with a silent poll a rotation, as the formula's 380 has it.
+slave, 300 = 33 + 2 x 99 + 32 + 37; what it is without is tested, too), and the GAP is on with a silent poll a rotation,
+as the formula's 380 has it.
 """
 
 from __future__ import annotations
@@ -52,9 +53,7 @@ def test_four_slaves_with_46_octets_at_3_mbit() -> None:
 
 @given(
     st.sampled_from([baud for baud in BAUD_RATES if baud > 500_000]),
-    st.integers(1, 124).flatmap(
-        lambda n: st.lists(st.tuples(st.integers(1, 244), st.integers(1, 244)), min_size=n, max_size=n)
-    ),
+    st.lists(st.tuples(st.integers(1, 244), st.integers(1, 244)), min_size=1, max_size=60),
 )
 def test_the_formula_everywhere_above_500_kbit(baud: int, lengths: list[tuple[int, int]]) -> None:
     estimate = estimate_us(baud, len(lengths), sum(map(sum, lengths)))
