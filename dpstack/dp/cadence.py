@@ -2,7 +2,8 @@
 
 With a fixed cycle the grid begins with the first request of the first round with data exchange. A round begins with the
 first token held at or after its grid time; so long the token goes round. After a delay the grid stays: what is late by
-up to half a cycle begins late, what is later is left out, so that two rounds never begin less than half a cycle apart.
+up to half a cycle begins late, what is later is left out, so that two rounds never begin less than half a cycle apart
+(but for a token and the idle time between the judgement and the first bit).
 While the master goes to a lower mode, and while nobody is in data exchange, rounds run free.
 """
 
