@@ -15,8 +15,12 @@ help:
 demo: $(VENV)/.core
 	$(VENV)/bin/dpstack demo
 
+# What runs in virtual time knows no clock: all processors at once. Then, one after the other, what has real ports and programs.
+VIRTUAL := tests/dp tests/drives tests/fdl tests/gsd tests/phy tests/sim
+
 test: $(VENV)/.test
-	$(PY) -m pytest -m "not soak"
+	$(PY) -m pytest -m "not soak" -n auto $(VIRTUAL)
+	$(PY) -m pytest -m "not soak" $(VIRTUAL:%=--ignore=%)
 
 check: $(VENV)/.check
 	$(PY) -m ruff check .

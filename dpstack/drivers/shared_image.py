@@ -1,10 +1,10 @@
 """The process image in memory that two processes share: whole pictures, never torn, and nobody ever waits.
 
-One area for each direction, with one writer each. An area holds the last few pictures: the writer puts the next one, with
-its length and a CRC-32 over its number and octets, where the oldest stands, and then says its number. A reader copies the
-newest; only if the writer went all the way round meanwhile, or the CRC does not agree, it looks again, a few times, and
-keeps the picture it had. The writer never looks at anybody. (The CRC is what makes it certain on computers that do not
-keep the order of stores. With one place for all pictures a reader beside a writer that hardly pauses got next to none.)
+One area for each direction, with one writer each. An area holds the last few pictures: the writer puts the next one,
+with its length and a CRC-32 over its number and octets, where the oldest stands, and then says its number. A reader
+copies the newest; only if the writer went all the way round meanwhile, or the CRC does not agree, it looks again, a few
+times, and keeps the picture it had. The writer never looks at anybody. (The CRC is what makes it certain on computers
+that do not keep the order of stores. With one place for all pictures a reader beside a busy writer got next to none.)
 
 Pictures name the address of each slave, so slaves may come, go and change their lengths: there is room for all 126.
 """
