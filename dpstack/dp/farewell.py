@@ -86,7 +86,8 @@ class Farewells:
             if now < spaced.get(setup.address, 0):
                 return None
             leaving.safe = True
-            return Request(setup.address, Req.SRD_HIGH, setup.safe_outputs, patient=True, tag=leaving)
+            safe = leaving.handler.unit.safe_outputs()
+            return Request(setup.address, Req.SRD_HIGH, safe, patient=True, tag=leaving)
         leaving.handler.owned = False
         data = unlock_prm(setup, leaving.handler.ident)
         return Request(setup.address, Req.SRD_HIGH, data, SAP_SET_PRM, SSAP_MS0, patient=True)
