@@ -15,7 +15,8 @@ from bus_kit import mirror
 from cycle_kit import CycleBus, slave
 from support import MS, WorldFactory
 
-from dpstack.dp.class2 import Class2, ReadService
+from dpstack.dp.acyclic import Acyclic
+from dpstack.dp.class2 import ReadService
 from dpstack.dp.class2_jobs import Service
 from dpstack.dp.commands import (
     ActivateSlave,
@@ -65,7 +66,7 @@ class Attack:
             self.setups,
             cycle_ns,
             silent=[s.address for s in setups[1:] if r.random() < 0.2],
-            more=[Class2(2)],
+            more=[Acyclic(2)],
             options=options,
             patience=r.choice((EXACT, HOST)),
         )

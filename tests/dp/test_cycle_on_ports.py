@@ -13,8 +13,9 @@ from bus_kit import mirror
 from cycle_kit import CycleBus, slave
 from support import MS, US, S, WorldFactory
 
-from dpstack.dp.class2 import Class2, ReadService, ServiceDone
-from dpstack.dp.class2_jobs import Service
+from dpstack.dp.acyclic import Acyclic
+from dpstack.dp.class2 import ReadService
+from dpstack.dp.class2_jobs import Service, ServiceDone
 from dpstack.dp.commands import Mode, SetMode, Shutdown
 from dpstack.dp.cycle import MissReason
 from dpstack.dp.events import CyclesMissed, SlaveState
@@ -77,7 +78,7 @@ def test_a_poll_has_all_the_time_there_is(world: WorldFactory) -> None:
 
 def test_a_diagnosis_on_a_pty_does_not_wait_eight_cycles(world: WorldFactory) -> None:
     """50 ms for the silence of a slave in data exchange fit into no cycle of 10 ms; 2 ms, which a pty needs, do."""
-    class2 = Class2(2)
+    class2 = Acyclic(2)
     bus = CycleBus(world(), P1500, [slave(3), slave(4)], 10 * MS, patience=HOST, more=[class2])
     bus.until_exchanging()
     bus.world.run_for(200 * MS)
