@@ -15,6 +15,7 @@ class MissReason(Enum):
 
     OVERRUN = "overrun"  # the round before was not over
     NO_ROOM = "no_room"  # something that fits between no two cycles was sent before it
+    SILENCE = "silence"  # a request between two cycles was not answered, and waited for longer than there was room
     TOKEN = "token"  # another master had the token
     LATE = "late"  # none of these: this computer, or its port, was late
 
@@ -27,9 +28,15 @@ class MissReason(Enum):
 _TEXTS: Final = {
     MissReason.OVERRUN: "after a long round",
     MissReason.NO_ROOM: "after a request that fits between no two cycles",
+    MissReason.SILENCE: "after a service that was not answered",
     MissReason.TOKEN: "waiting for the token",
     MissReason.LATE: "by this computer or its port",
 }
+
+
+def tolerance_ns(cycle_ns: int) -> int:
+    """So late a cycle of ``cycle_ns`` may begin without being a deadline miss: a tenth of it."""
+    return cycle_ns // 10
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,8 +79,8 @@ class CycleBook:
 
     @property
     def tolerance_ns(self) -> int:
-        """So late a cycle may begin: a tenth of it."""
-        return self.cycle_ns // 10
+        """So late a cycle may begin."""
+        return tolerance_ns(self.cycle_ns)
 
     @property
     def missed(self) -> int:
