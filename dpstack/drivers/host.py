@@ -114,6 +114,7 @@ class Host:
         self._slaves: dict[int, SlaveNow] = {}
         self._watcher: WatcherNow | None = None
         self._told_surveys: set[int] = set()
+        self._told_cycle: CycleData | None = None
 
     def open(self, notices: list[str]) -> None:
         """Open the port, say hello, listen to the application. Raises PortError, ConfigError.
@@ -307,7 +308,8 @@ class Host:
 
     def _tell_round(self, cycle: CycleData | None) -> None:
         if not self._outbox.full and not self._over:
-            self._outbox.send(Message(news=News(round_over=True, cycle=cycle)))
+            told, self._told_cycle = self._told_cycle, cycle
+            self._outbox.send(Message(news=News(round_over=True, cycle=None if cycle is told else cycle)))
 
     def _on_rhythm(self) -> None:
         if self._over:

@@ -162,8 +162,9 @@ class Link:
                 left = left[self._sock.send(left) :]
             except BlockingIOError:
                 self._wait(end, reading=False)
-            except OSError:
-                self._hung_up()
+            except OSError:  # gone, but its last words may still be here
+                while self._sock is not None:
+                    self._wait(end, reading=True)
 
     def _wait(self, end: float, *, reading: bool) -> None:
         """For octets of the bus process, or for room to write; what it says meanwhile is taken."""
