@@ -202,11 +202,11 @@ def test_the_application_is_killed(then: str) -> None:
                 eventually(lambda: not runs(child), "the end of the bus process")
             # all of it before a watchdog of the slave, which is running from one exchange to the next, expires
             values = [what for what, _ in itertools.groupby(heard)]
-            assert values[:1] == ["1122"]
-            assert values[1] == "a55a"
-            assert values.index("clear") > values.index("a55a")
+            safe = values.index("a55a")
+            assert set(values[:safe]) <= {"1122"}
+            assert values.index("clear") > safe
             assert heard.count("clear") == 2
-            assert "1122" not in values[1:]
+            assert "1122" not in values[safe:]
             assert "watchdog" not in heard
         port = open_port(path, 1_500_000)
         asyncio.run(port.open())  # nobody holds it
