@@ -9,13 +9,14 @@ from functools import partial
 from time import monotonic_ns
 from typing import Final
 
-from dpstack.dp.class2 import ServiceDone
+from dpstack.dp.class2_jobs import ServiceDone
 from dpstack.dp.commands import AddSlave, SendControl, Shutdown
 from dpstack.dp.cycle import CycleData
 from dpstack.dp.events import ControlFailed, ControlSent, DriveEvent, PictureTaken
 from dpstack.dp.image import SlaveImage
 from dpstack.dp.scanner import Scanner
 from dpstack.dp.survey import SurveyResult
+from dpstack.dp.v1.ms1 import RecordDone
 from dpstack.drivers import plugins
 from dpstack.drivers.ending import Ending
 from dpstack.drivers.messages import (
@@ -66,7 +67,7 @@ def _owed(event: Event) -> bool:
     """Whether somebody waits for ``event``: as many as there were orders, so they need no bound of their own."""
     if isinstance(event, DriveEvent):
         return event.payload.get("type") == "result"
-    return isinstance(event, (ServiceDone, ControlSent, ControlFailed, PictureTaken))
+    return isinstance(event, (ServiceDone, RecordDone, ControlSent, ControlFailed, PictureTaken))
 
 
 def _notice(text: str) -> Notice:

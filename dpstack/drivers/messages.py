@@ -16,7 +16,8 @@ from typing import Final, TypeVar
 import msgspec
 
 from dpstack import errors
-from dpstack.dp.class2 import CancelService, ChangeAddress, ReadService
+from dpstack.dp.acyclic import CancelService
+from dpstack.dp.class2 import ChangeAddress, ReadService
 from dpstack.dp.commands import (
     ActivateSlave,
     AddSlave,
@@ -34,6 +35,7 @@ from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.events import Fault, SlaveState
 from dpstack.dp.scanner import Found
 from dpstack.dp.survey import SurveyOrder, SurveyResult
+from dpstack.dp.v1.ms1 import ReadRecord, WriteRecord
 from dpstack.drivers.echo import Echo
 from dpstack.drivers.plugins import PluginRef
 from dpstack.drivers.stack import StackSpec
@@ -131,7 +133,7 @@ ORDERS: Final[dict[str, type]] = {
     kind.__name__: kind
     for kind in (
         SetMode, Shutdown, AddSlave, RemoveSlave, DeactivateSlave, ActivateSlave, ReparameteriseSlave, SendControl,
-        DriveCommand, ReadService, ChangeAddress, CancelService, GoOnline, GoOffline,
+        DriveCommand, ReadService, ChangeAddress, ReadRecord, WriteRecord, CancelService, GoOnline, GoOffline,
         SetUp, AttachPlugin, WatchRounds, AskCounters, AskUnit, StartSurvey, EndSurvey, CloseBus,
     )
 }  # fmt: skip
