@@ -44,12 +44,14 @@ class CycleData:
     """One round with data exchange, published when it is over. Times in ns.
 
     ``number`` counts fixed cycles by their due times, those that were left out included; free running the rounds.
-    ``t_ns`` is the first bit of its first request, ``due_ns`` when that was due (free running: the same). ``inputs``
-    are those of every slave in data exchange by address, all as they stood at the end of the round; ``fresh`` are the
-    slaves whose inputs came in this one. ``missed`` counts the deadline misses up to here.
+    ``published`` counts these pictures: who was handed fewer of them knows how many are missing. ``t_ns`` is the first
+    bit of its first request, ``due_ns`` when that was due (free running: the same). ``inputs`` are those of every slave
+    in data exchange by address, all as they stood at the end of the round; ``fresh`` are the slaves whose inputs came
+    in this one. ``missed`` counts the deadline misses up to here.
     """
 
     number: int
+    published: int
     t_ns: int
     due_ns: int
     inputs: Mapping[int, bytes]

@@ -76,6 +76,7 @@ class Round:
         self._operating = False  # it began in Operate
         self._unsent = False  # no request of it went out yet
         self._at_once = False  # the grid was left: the next round begins within this hold
+        self._published = 0
         self._freeze = self._sync = False  # still to be sent in it
         #: by address of slaves that have a Min_Slave_Interval: no exchange before this time
         self._spaced: dict[int, int] = {}
@@ -258,15 +259,16 @@ class Round:
         self._paused = False
         self._cadence.stop(now)
 
-    @property
-    def data(self) -> CycleData | None:
+    def publish(self) -> CycleData | None:
         """What came of it; None where nothing was sent in it."""
         if self._unsent or not self._due:
             return None
+        self._published += 1
         cadence = self._cadence
         exchanging = self._turns.exchanging
         return CycleData(
             number=cadence.number,
+            published=self._published,
             t_ns=cadence.started_at,
             due_ns=cadence.due_at,
             inputs={h.setup.address: h.image.inputs for h in exchanging},

@@ -8,6 +8,7 @@ stands as a pair of the class's name and its fields.
 from __future__ import annotations
 
 import functools
+import signal
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Final, TypeVar
@@ -52,6 +53,8 @@ T = TypeVar("T")
 #: a longer message is none of ours; the longest is a set-up of 125 slaves
 MAX_MESSAGE: Final = 4 * 1024 * 1024
 _LENGTH: Final = 4
+#: signals that a terminal sends to all in front of it: the application's, whose way out is the bus process's, too
+FROM_TERMINALS: Final = (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT)
 
 #: a class by name, and the fields of one of its objects
 Named = tuple[str, object]
