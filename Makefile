@@ -15,12 +15,9 @@ help:
 demo: $(VENV)/.core
 	$(VENV)/bin/dpstack demo
 
-# What runs in virtual time knows no clock: all processors at once. Then, one after the other, what has real ports and programs.
-VIRTUAL := tests/dp tests/drives tests/fdl tests/gsd tests/phy tests/sim
-
+# Two files at a time, whatever the computer has: ports and programs of tests need processors too.
 test: $(VENV)/.test
-	$(PY) -m pytest -m "not soak" -n auto $(VIRTUAL)
-	$(PY) -m pytest -m "not soak" $(VIRTUAL:%=--ignore=%)
+	$(PY) -m pytest -m "not soak" -n 2 --dist loadfile
 
 check: $(VENV)/.check
 	$(PY) -m ruff check .

@@ -180,7 +180,7 @@ async def test_it_finds_modules_where_the_application_does(monkeypatch: pytest.M
     monkeypatch.setattr(sys, "path", [*sys.path, ""])
     monkeypatch.chdir(tmp_path)
     (tmp_path / "made_here.py").write_text(
-        "class P:\n    def core(self, *a):\n        raise ValueError('found')\nD = P()\n"
+        "class P:\n    def core(self, *a, **k):\n        raise ValueError('found')\nD = P()\n"
     )
     from dpstack.profile import registry
 
