@@ -187,7 +187,7 @@ class SlaveApp:
     def wake_at(self) -> int:
         """The watchdog, or what the device wants."""
         at = self.watchdog.at
-        if self._core.failure is not None:
+        if self._clock.idle or self._core.failure is not None:
             return at
         due = self._clock.wake_at()
         return due if due < at else at
