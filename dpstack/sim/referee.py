@@ -175,8 +175,8 @@ class Referee:
     def _request(self, tx: Transmission, telegram: Telegram) -> _After:
         sa = telegram.sa
         self._idle(tx, sa)
-        if self.token_rules:
-            self._found(tx, self.tokens.request(sa, tx.node))
+        if self.token_rules and (finding := self.tokens.request(sa, tx.node)) is not None:
+            self._found(tx, finding)
         if telegram.da == BROADCAST or telegram.fc & FC_FUNCTION in _UNANSWERED:
             self._pending = None
             return _QUIET
@@ -193,8 +193,8 @@ class Referee:
             if silence < _ns(times.t_to, tx.baud):
                 lacks = f"after {ns_to_bits(silence, tx.baud)} bits of silence; its T_TO is {times.t_to}"
         self._idle(tx, sa)
-        if self.token_rules:
-            self._found(tx, self.tokens.token(sa, telegram.da, tx.node, lacks))
+        if self.token_rules and (finding := self.tokens.token(sa, telegram.da, tx.node, lacks)) is not None:
+            self._found(tx, finding)
         self._pending = None
         return _TOKEN
 
@@ -252,8 +252,8 @@ class Referee:
             self._excused_until = tx.end_ns + bits_to_ns(_DISORDER * t_sl, tx.baud)
             tx.notes.append(f"heard as the token {heard.sa} -> {heard.da}")
 
-    def _found(self, tx: Transmission, finding: Finding | None) -> None:
-        if finding is None or tx.forced or tx.start_ns < self._excused_until:
+    def _found(self, tx: Transmission, finding: Finding) -> None:
+        if tx.forced or tx.start_ns < self._excused_until:
             return
         rule, text = finding
         violation = Violation(tx.start_ns, rule, tx.sender, text)

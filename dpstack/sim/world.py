@@ -189,7 +189,9 @@ class World:
 
         What it has for later stays: a watchdog that every exchange puts off has one entry, not one an exchange.
         """
-        due = max(node.deadline, self.now)
+        due = node.deadline
+        if due < self.now:
+            due = self.now
         if due >= node.due:
             return
         node.due = due
