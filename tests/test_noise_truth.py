@@ -110,6 +110,9 @@ class Application:
     def lost(self, now: int) -> None:
         pass
 
+    def safe(self, configured: bytes) -> bytes:
+        return configured
+
     def command(self, op: str, args: Mapping[str, object], token: int, now: int) -> None:
         pass
 

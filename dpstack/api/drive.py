@@ -330,7 +330,10 @@ class Drive:
             why = slave.fault.text if slave.fault else f"it is in {slave.state.value}"
             return f"slave {slave.address} is not in data exchange: {why}"
         if self._bus.mode is not Mode.OPERATE:
-            return f"the bus is in {self._bus.mode.name.capitalize()}, nothing reaches the drive: call operate() first"
+            return (
+                f"the bus is in {self._bus.mode.name.capitalize()}, nothing reaches the drive: call operate() first "
+                f"(of a run: dpstack ctl {self._bus.config.bus.port} operate)"
+            )
         return "no answer from the plugin"
 
     def _error(self, payload: Mapping[str, object]) -> DpError:

@@ -74,7 +74,7 @@ class Farewells:
         if now < leaving.until or leaving.held:
             leaving.safe = True
             self._leaving.append(leaving)
-            return Request(setup.address, Req.SRD_HIGH, setup.safe_outputs, patient=True)
+            return Request(setup.address, Req.SRD_HIGH, leaving.handler.unit.safe_outputs(), patient=True)
         leaving.handler.owned = False
         data = unlock_prm(setup, leaving.handler.ident)
         return Request(setup.address, Req.SRD_HIGH, data, SAP_SET_PRM, SSAP_MS0, patient=True)

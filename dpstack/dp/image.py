@@ -25,6 +25,9 @@ class CyclicUnit(Protocol):
     def lost(self, now: int) -> None:
         """The slave left data exchange, or outputs went to their safe values: what is pending ends with a reason."""
 
+    def safe(self, configured: bytes) -> bytes:
+        """The outputs of every way out: ``configured``, unless what the device keeps would change by them."""
+
     def command(self, op: str, args: Mapping[str, object], token: int, now: int) -> None:
         """An order of the application in plain JSON data; its result is an event that carries ``token``."""
 

@@ -241,7 +241,7 @@ class Master:
     def _clear_is_safe(self) -> bool:
         """Whether Clear's zeros are the safe values of all slaves in data exchange."""
         exchanging = (h for h in self.handlers.values() if h.state is SlaveState.DATA_EXCHANGE)
-        return not any(any(handler.setup.safe_outputs) for handler in exchanging)
+        return not any(any(handler.unit.safe_outputs()) for handler in exchanging)
 
     def _descend(self, now: int) -> None:
         """A round on the way down is through."""

@@ -186,7 +186,7 @@ class Round:
     def _outputs(self, handler: SlaveHandler, now: int) -> bytes:
         course = self._course
         if self._operating and course.mode is _OPERATE:
-            return handler.unit.outputs(now) if course.target is _OPERATE else handler.setup.safe_outputs
+            return handler.unit.outputs(now) if course.target is _OPERATE else handler.unit.safe_outputs()
         # Clear: a Fail_Safe slave gets an empty frame, the others zeros (section J, Siemens CP5613)
         return b"" if handler.setup.fail_safe else bytes(handler.image.output_len)
 

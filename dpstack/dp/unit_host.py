@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 
 from dpstack.dp import faults
 from dpstack.dp.events import DriveEvent, Fault
-from dpstack.dp.image import SlaveImage
+from dpstack.dp.image import CyclicUnit, SlaveImage
 from dpstack.trace import Event
 
 
@@ -76,6 +76,20 @@ class UnitHost:
         except Exception as error:
             self._fail(error, now)
 
+    def safe_outputs(self) -> bytes:
+        """The outputs of every way out, as long as they are ones that the slave can take."""
+        unit = self._image.unit
+        if unit is None or self.fault is not None:
+            return self._safe
+        return self._present(unit)
+
+    def _present(self, unit: CyclicUnit) -> bytes:
+        try:
+            found = unit.safe(self._safe)
+        except Exception:  # a way out is no time to fault: the outputs end here anyway
+            return self._safe
+        return found if len(found) == len(self._safe) else self._safe
+
     def remind(self, now: int) -> None:
         """The slave is in data exchange again; a failed unit still is its fault."""
         if self.fault is not None:
@@ -88,6 +102,8 @@ class UnitHost:
                 self._event(payload, now)
 
     def _fail(self, error: Exception, now: int) -> None:
+        if self._image.unit is not None and self.fault is None:
+            self._safe = self._present(self._image.unit)
         self.fault = faults.plugin(error)
         self._image.outputs = self._safe
         self._tell(self.fault, now)

@@ -13,8 +13,9 @@ from typing import Final
 from dpstack.profile import lookup, motion
 from dpstack.profile.channel import CHANNEL_LEN, ParameterChannel, ParamKey
 from dpstack.profile.drive import TelegramSpec
-from dpstack.profile.jobs import Args, CommandError, ErrorKind, Job, Steps
+from dpstack.profile.jobs import Args, CommandError, Job, Steps
 from dpstack.profile.listing import ListedParam
+from dpstack.profile.orders import Orders
 from dpstack.profile.states import FAULTED, ControlTable, Goal, State
 from dpstack.profile.status import DriveStatus
 from dpstack.profile.words import SPEED, Scale
@@ -82,8 +83,7 @@ class DriveCore:
         self._unpack = struct.Struct(f">{telegram.inputs // 2}H").unpack_from
         self._pack: Callable[..., bytes] = struct.Struct(f">{telegram.outputs // 2}H").pack
         self._rest = (0,) * (telegram.outputs // 2 - 2)
-        self._jobs: list[Job] = []
-        self._events: list[dict[str, object]] = []
+        self._orders = Orders()
         self._told: tuple[object, ...] = ()
         self._tell_mask = table.status.mask(*(n for n in ("reached", "remote", "warning") if n in table.status.bits))
         self._outputs = safe_outputs
@@ -108,9 +108,7 @@ class DriveCore:
         if access is not None and access.busy and self.online:
             access.step(self._inputs, now)
             self._dirty = True
-        if self._jobs:
-            for job in tuple(self._jobs):
-                self._resume(job)
+        self._orders.step()
         if self._dirty:
             self._build()
         return self._outputs
@@ -119,10 +117,7 @@ class DriveCore:
         """The slave left data exchange, or outputs went to their safe values: what is pending ends with a reason."""
         self.now = now
         self.online = False
-        jobs, self._jobs = self._jobs, []
-        for job in jobs:
-            job.steps.close()
-            self._failed(job.token, "lost", _LOST)
+        self._orders.end("lost", _LOST)
         if self.access is not None:
             self.access.reset()
         lookup.reset(self)
@@ -141,22 +136,13 @@ class DriveCore:
         try:
             job = self._job(op, Args(op, args), token)
         except CommandError as error:
-            self._failed(token, error.kind, error.text, error.number)
+            self._orders.refused(token, error)
             return
-        if job.motion:
-            for other in [other for other in self._jobs if other.motion]:
-                self._jobs.remove(other)
-                other.steps.close()
-                self._failed(other.token, "usage", f"{other.op} was superseded by {op}")
-        self._jobs.append(job)
-        self._resume(job)
+        self._orders.begin(job)
 
     def take_events(self) -> list[dict[str, object]]:
         """Plain JSON data for the application, oldest first."""
-        if not self._events:
-            return []
-        events, self._events = self._events, []
-        return events
+        return self._orders.take_events()
 
     # -- for the application in the same process ------------------------------------------------------------------
 
@@ -169,7 +155,7 @@ class DriveCore:
         return DriveStatus(
             state=self.state,
             running=self.state is State.RUNNING,
-            reached=bits.told(word, "reached"),
+            reached=bits.told(word, "reached") if "reached" in bits.bits else motion.near(self, speed),
             remote="remote" not in bits.bits or bits.told(word, "remote"),
             setpoint=self.setpoint,
             speed=speed,
@@ -226,11 +212,11 @@ class DriveCore:
 
     def notice(self, text: str) -> None:
         """One line for the application."""
-        self._events.append({"type": "notice", "text": text})
+        self._orders.tell({"type": "notice", "text": text})
 
     def spawn(self, op: str, steps: Steps[dict[str, object]]) -> None:
         """Run something of our own; its failure is silent, what it learns it stores itself."""
-        self._jobs.append(Job(op, None, steps, motion=False))
+        self._orders.spawn(Job(op, None, steps, motion=False))
 
     def set_speed(self, fraction: float) -> None:
         """The set point of the next rotation. Raises CommandError with the range."""
@@ -254,6 +240,10 @@ class DriveCore:
     def order(self, op: str, args: Args) -> Steps[dict[str, object]] | None:
         """An order of this drive's own (named in ``own_ops``), not begun yet. Raises CommandError."""
         return None
+
+    def safe(self, configured: bytes) -> bytes:
+        """See :class:`CyclicUnit`."""
+        return configured
 
     def status_of(self, process: bytes) -> int:
         """The status word in the process data received."""
@@ -320,7 +310,7 @@ class DriveCore:
         key = (self.state, word, self.faults(), self.warnings()) if self.online else (self.state,)
         if key != self._told:
             self._told = key
-            self._events.append({"type": "status", **self.status().as_dict()})
+            self._orders.tell({"type": "status", **self.status().as_dict()})
 
     def _job(self, op: str, args: Args, token: int) -> Job:
         if op in motion.OPS:
@@ -351,11 +341,7 @@ class DriveCore:
     def _cancel(self, token: int | None) -> Steps[dict[str, object]]:
         """Nobody waits any more for the order with ``token``: it ends now, and a start() never comes true later."""
         yield from ()
-        ended = [job for job in self._jobs if job.token == token and token is not None]
-        for job in ended:
-            self._jobs.remove(job)
-            job.steps.close()
-        return {"value": len(ended)}
+        return {"value": self._orders.cancel(token)}
 
     def _speed(self, fraction: float) -> Steps[dict[str, object]]:
         yield from ()
@@ -371,27 +357,3 @@ class DriveCore:
         if op == "read":
             return access.read(ParamKey(number, data_set, index), deadline)
         return access.write(ParamKey(number, data_set, index, args.flag("ram")), args.number("value"), deadline)
-
-    def _resume(self, job: Job) -> None:
-        if job not in self._jobs:
-            return
-        try:
-            next(job.steps)
-            return
-        except StopIteration as done:
-            result: dict[str, object] = done.value
-        except CommandError as error:
-            self._jobs.remove(job)
-            self._failed(job.token, error.kind, error.text, error.number)
-            return
-        except BaseException:
-            self._jobs.remove(job)
-            raise
-        self._jobs.remove(job)
-        if job.token is not None:
-            self._events.append({"type": "result", "token": job.token, "ok": True, **result})
-
-    def _failed(self, token: int | None, kind: ErrorKind, text: str, number: int | None = None) -> None:
-        if token is not None:
-            error = {"error": kind, "number": number, "text": text}
-            self._events.append({"type": "result", "token": token, "ok": False, **error})

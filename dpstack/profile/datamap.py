@@ -25,6 +25,13 @@ class Field(Protocol):
     def octets(self) -> int:
         """2 or 4."""
 
+    @property
+    def neutral(self) -> bool:
+        """Of an output: 0 moves and changes nothing, so it may be sent before anybody gave a value.
+
+        A parameter that the drive keeps (a ramp time, a limit) is not neutral: 0 would be written to it.
+        """
+
     def encode(self, value: float) -> int:
         """The integer on the wire. Raises ValueError with the range."""
 
@@ -49,6 +56,28 @@ def places(fields: Sequence[Field | None]) -> Iterator[tuple[int, Field]]:
             continue
         yield at, field
         at += field.octets // 2
+
+
+def split(text: str) -> tuple[str, tuple[str | None, ...]]:
+    """``dr-04=2.5 dr-03``: the map alone, and what stands behind the ``=`` of each word of it."""
+    words = [word.partition("=") for word in text.replace(",", " ").split()]
+    return " ".join(name for name, _, _ in words), tuple(value if given else None for _, given, value in words)
+
+
+def given(values: Sequence[str | None], fields: Sequence[Field | None]) -> dict[int, int]:
+    """The integers by key of what :func:`split` found behind the words of these fields. Raises ValueError."""
+    found: dict[int, int] = {}
+    for field, text in zip(fields, values, strict=False):
+        if text is None:
+            continue
+        if field is None:
+            raise ValueError(f"={text}: an empty word has no value")
+        try:
+            value = float(text)
+        except ValueError:
+            raise ValueError(f"{field.name}={text}: {text!r} is no number") from None
+        found[field.key] = field.encode(value)
+    return found
 
 
 def find(fields: Sequence[Field | None], name: str | int) -> Field | None:

@@ -67,6 +67,10 @@ class DriveDevice(Device):
         """The hardware release inputs."""
         self.released = on
 
+    def jog(self, direction: int) -> None:
+        """Jog terminals: 1 forward, -1 reverse, 0 off. Raises ValueError where the drive has none."""
+        raise ValueError(f"{self.profile.name} has no jog terminals here")
+
     def inherit(self, before: DriveDevice) -> None:
         """Switched on again: ``before`` is the drive as it was; take what it kept in its EEPROM."""
 

@@ -132,6 +132,11 @@ def reached(core: DriveCore, deadline: int, tolerance: float | None) -> Steps[di
         yield
 
 
+def near(core: DriveCore, speed: float | None, tolerance: float = _NEAR) -> bool:
+    """Running, and with this speed close to its set point."""
+    return core.state is State.RUNNING and speed is not None and abs(speed - core.setpoint) <= tolerance
+
+
 def left(core: DriveCore) -> Steps[dict[str, object]]:
     """Tell, as soon as it has a name, why the drive left RUNNING by itself."""
     why = core.obstacle() or f"it reports {core.raw_state}"

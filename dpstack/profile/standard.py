@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import ClassVar, Final
 
 from dpstack.profile import datamap
 from dpstack.profile.channel import CHANNEL_LEN
@@ -24,6 +24,7 @@ class Signal:
     name: str
     octets: int = 2
     scale: Scale | None = None
+    neutral: ClassVar[bool] = True
 
     def encode(self, value: float) -> int:
         """The unsigned integer on the wire. Raises ValueError with the range."""

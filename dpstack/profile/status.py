@@ -12,8 +12,9 @@ class DriveStatus:
     """One drive at one moment, from its last inputs and the master's own last command.
 
     ``speed``, ``setpoint``: of the reference (1.0 = 100 %); ``current`` and ``torque``: of the rated current. What
-    the telegram does not carry is None. ``remote`` is True for a drive that does not tell it. ``words``: the process
-    data as received. ``bits``: names of the status bits set.
+    the telegram does not carry is None. ``reached``: as the drive tells it; where it has no bit for it, running within
+    1 % of the reference around the set point. ``remote`` is True for a drive that does not tell it. ``words``: the
+    process data as received. ``bits``: names of the status bits set.
     """
 
     state: State

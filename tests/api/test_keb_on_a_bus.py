@@ -59,7 +59,7 @@ def test_a_users_program() -> None:
 
 def test_a_map_in_the_configuration() -> None:
     async def mapped() -> None:
-        table = {**SAW, "options": {"map_inputs": INPUTS, "map_outputs": OUTPUTS}}
+        table = {**SAW, "options": {"map_inputs": INPUTS, "map_outputs": "cS.19:long=100 sy.50 sy.52"}}
         async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[table]) as bus:
             saw = bus.drive("saw")
             await bus.ready()

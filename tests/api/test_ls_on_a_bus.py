@@ -118,7 +118,7 @@ name = "pump"
 address = 6
 drive = "ls-s100"
 telegram = "VENDOR 3/2"
-options = { para_control = "0005 0006 dr-03" }
+options = { para_control = "0005 0006 dr-03=1" }
 """,
         encoding="utf-8",
     )

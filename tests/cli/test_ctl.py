@@ -118,6 +118,8 @@ async def test_a_run_in_the_virtual_world_has_its_slaves_commands(tmp_path: Path
         assert fan.motor.load == 0.6
         await ask(server, "release", "fan", "off")
         assert fan.released is False
+        with pytest.raises(UsageError, match="fuji-frenic has no jog terminals here"):
+            await ask(server, "jog", "fan", "forward")
 
         await ask(server, "power-off", "raw")
         await until(lambda: not bus.slave("raw").ready_now)
@@ -183,6 +185,7 @@ def test_simulated_slaves_are_silenced_and_switched(tmp_path: Path) -> None:
         (("load", "3", "nan"), "'nan' is no number from -10 to 10"),
         (("load", "3", "much"), "'much' is no number"),
         (("release", "3", "yes"), "'yes' is neither on nor off"),
+        (("jog", "3", "left"), "'left' is neither forward nor reverse nor off"),
         (("silence", "3", "soon"), "'soon' is no time; write it as 2s or 500ms"),
         (("silence", "3", "0s"), "'0s' is no time"),
         (("outputs", "9"), "'9' is not SLAVE=HEX"),

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from programs import PLANT, Starter
+from programs import PLANT, Program, Starter
 
 import dpstack
 from dpstack.api.bus import Bus
@@ -287,6 +287,9 @@ async def test_who_hangs_up_ends_the_order(plant: Path, monkeypatch: pytest.Monk
         await bus.ready()  # in Clear
         found = await find_drive("virtual", "fan")
         assert found is not None
+        says = r"the bus is in Clear, nothing reaches the drive: .* \(of a run: dpstack ctl virtual operate\)"
+        with pytest.raises(DriveTimeout, match=says):
+            await found.order("start", "timeout=0.01")
         order = asyncio.ensure_future(found.order("start", "timeout=60"))
         await asyncio.sleep(0.1)
         assert not order.done()
@@ -340,7 +343,26 @@ def port_of(program: Any) -> str:
     return str(program.lines[0]["port"])
 
 
-def test_alone_on_a_port_until_ctrl_c(plant: Path, start: Starter, capsys: Out) -> None:
+def through_the_run(plant: Path, run: Program, capsys: Out) -> None:
+    port = dpstack.load_config(plant).port
+    out, err = drive(capsys, str(plant), "fan", "acknowledge", "start", "speed", "0.3", "reached")
+    assert err == []
+    assert out[-1] == (
+        f"it keeps running under the run on {port} (pid {run.process.pid}): "
+        f"`dpstack drive {plant} fan stop` stops it, and so does the end of that run"
+    )
+    (told,) = (json.loads(line) for line in drive(capsys, str(plant), "fan", "status", "--json")[0])
+    assert (told["through"], told["status"]["running"]) == ("run", True)
+    assert told["status"]["speed"] == pytest.approx(0.3, abs=0.02)
+    other = plant.with_name("other.toml")
+    other.write_text(plant.read_text().replace("address = 4", "address = 5"), encoding="utf-8")
+    _, err = drive(capsys, str(other), "fan", "stop", code=2)
+    assert "but a fuji-frenic at 4 for the run on" in err[0]
+    out, _ = drive(capsys, str(plant), "fan", "stop", "status")
+    assert out[0].startswith("fan: ready_to_switch_on at 0.0%")
+
+
+def test_alone_on_a_port_until_ctrl_c_then_through_a_run(plant: Path, start: Starter, capsys: Out) -> None:
     sim = start("sim", str(plant), "--port", "pty", "--json")
     port = port_of(sim)
     plant.write_text(PLANT.format(port=port), encoding="utf-8")
@@ -357,35 +379,14 @@ def test_alone_on_a_port_until_ctrl_c(plant: Path, start: Starter, capsys: Out) 
     # a run at the same end; `dpstack ctl` still finds the sim, which was there first
     run = start("run", str(plant), "--json")
     run.wait_for_slaves(3)
-    (status,) = (json.loads(line) for line in drive(capsys, str(plant), "fan", "status", "--json")[0])
+    for _ in range(100):  # in data exchange, and in Operate a moment later
+        (status,) = (json.loads(line) for line in drive(capsys, str(plant), "fan", "status", "--json")[0])
+        if status["status"]["state"] != "offline":
+            break
     assert status["through"] == "run"
     assert status["status"]["state"] == "fault"  # Er5: its watchdog ended the data exchange with the first master (F8)
     assert main(["ctl", port]) == 0
     assert capsys.readouterr().out.startswith("sim on ")
+    through_the_run(plant, run, capsys)
     assert run.end(signal.SIGTERM) == 0
     assert sim.end(signal.SIGTERM) == 0
-
-
-def test_through_a_run_on_a_segment(plant: Path, tmp_path: Path, start: Starter, capsys: Out) -> None:
-    bus = tmp_path / "bus"
-    start("segment", "--stations", "2", "--dir", str(bus)).wait_for(str(bus / "1"))
-    start("sim", str(plant), "--port", str(bus / "0")).wait_for("raw")
-    plant.write_text(PLANT.format(port=bus / "1"), encoding="utf-8")
-    run = start("run", str(plant), "--json")
-    run.wait_for_slaves(3)
-    out, err = drive(capsys, str(plant), "fan", "start", "speed", "0.3", "reached")
-    assert err == []
-    assert out[-1] == (
-        f"it keeps running under the run on {bus / '1'} (pid {run.process.pid}): "
-        f"`dpstack drive {plant} fan stop` stops it, and so does the end of that run"
-    )
-    (told,) = (json.loads(line) for line in drive(capsys, str(plant), "fan", "status", "--json")[0])
-    assert (told["through"], told["status"]["running"]) == ("run", True)
-    assert told["status"]["speed"] == pytest.approx(0.3, abs=0.02)
-    other = tmp_path / "other.toml"
-    other.write_text(plant.read_text().replace("address = 4", "address = 5"), encoding="utf-8")
-    _, err = drive(capsys, str(other), "fan", "stop", code=2)
-    assert "but a fuji-frenic at 4 for the run on" in err[0]
-    out, _ = drive(capsys, str(plant), "fan", "stop", "status")
-    assert out[0].startswith("fan: ready_to_switch_on at 0.0%")
-    assert run.end(signal.SIGTERM) == 0

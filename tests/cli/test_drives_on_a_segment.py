@@ -56,7 +56,7 @@ def test_a_users_program_runs_a_keb_and_an_ls(tmp_path: Path, start: Starter) ->
     directory, config = tmp_path / "bus", tmp_path / "plant.toml"
     start("segment", "--stations", "2", "--dir", str(directory)).wait_for(str(directory / "1"))
     config.write_text(PLANT.format(port=directory / "1"), encoding="utf-8")
-    start("sim", str(config), "--port", str(directory / "0")).wait_for("pump")
+    start("sim", str(config), "--port", str(directory / "0"))  # the bus waits for its slaves
 
     async def main() -> dict[str, object]:
         async with dpstack.open_bus(config) as bus:

@@ -480,6 +480,9 @@ class Unit:
     def lost(self, now: int) -> None:
         self.losses += 1
 
+    def safe(self, configured: bytes) -> bytes:
+        return configured
+
     def command(self, op: str, args: object, token: int, now: int) -> None: ...
 
     def take_events(self) -> list[dict[str, object]]:

@@ -254,6 +254,9 @@ def test_a_failed_plugin_stays_the_fault_of_its_slave_after_a_re_entry() -> None
 
         def lost(self, now: int) -> None: ...
 
+        def safe(self, configured: bytes) -> bytes:
+            return configured
+
         def command(self, op: str, args: object, token: int, now: int) -> None: ...
 
         def take_events(self) -> list[dict[str, object]]:
@@ -287,6 +290,9 @@ def test_the_first_inputs_after_a_re_entry_are_never_the_old_ones() -> None:
 
         def lost(self, now: int) -> None:
             self.inputs.clear()
+
+        def safe(self, configured: bytes) -> bytes:
+            return configured
 
         def command(self, op: str, args: object, token: int, now: int) -> None: ...
 

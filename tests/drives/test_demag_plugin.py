@@ -62,6 +62,17 @@ def test_d11_set_point_of_the_example() -> None:
     assert "-2..1.9999" in str(result["text"])
 
 
+def test_d11_field_weakening_of_the_example() -> None:
+    """375 = 50 Hz and 390 = 100 Hz: up to +-200 Hz."""
+    bench = PluginBench(DRIVE.core("hoist", "PPO3", {"reference_hz": 100}), "02 40 00 00")
+    bench.order("frequency", value=-200)
+    assert bench.out() == "00 00 80 00"
+    bench.order("frequency", value=199.994)
+    assert bench.out() == "00 00 7F FF"
+    bench.see("02 27 7F FF")
+    assert bench.core.status().frequency_hz == pytest.approx(199.99, abs=0.01)
+
+
 def test_actual_value() -> None:
     bench = running()
     bench.see("06 27 20 00")

@@ -134,6 +134,38 @@ def test_d9_fault_and_its_lock_exact() -> None:
     assert bench.send("00 80 00 00") == "02 40 00 00"
 
 
+@pytest.mark.parametrize(("scans", "word"), [(937, "02 08 00 00"), (938, "02 40 00 00")])
+def test_d9_the_scan_before_15_s_and_the_one_after(scans: int, word: str) -> None:
+    """A scan is 16 ms: 937 of them are 14.992 s, 938 are 15.008 s; one edge each, and never another."""
+    bench = ppo3()
+    bench.rotation = MS
+    running(bench)
+    bench.device.trip("F2100")
+    while not bench.send("00 00 00 00", 1).startswith("02 08"):
+        pass
+    bench.send("00 00 00 00", 16 * (scans - 1))
+    assert bench.send("00 00 00 00", 8) == "02 08 00 00"
+    assert bench.send("00 80 00 00", 16) == word
+    assert bench.send("00 80 00 00", 100) == word
+
+
+def test_d7_d8_reaction_to_a_fault_and_a_quick_stop_step_by_step() -> None:
+    """11 and 12 by 02, 13 and 14 by a fault, 15 by the edge of bit 7; bits 0-6 by the masks of the states."""
+    bench = ppo3(**{"424": 50})
+    running(bench)
+    bench.send("00 0F 20 00", 1000)
+    seen = bench.until("00 02 20 00", "02 40 00 00", 2000)
+    assert {word[3:5] for word in seen} == {"27", "07", "40"}
+    assert int(seen[1][3:5], 16) & 0x6F == 0x07  # quick stop
+    assert int(seen[-1][3:5], 16) & 0x4F == 0x40  # switch-on inhibit
+    assert bench.send("00 0F 20 00", 1000) == "06 27 20 00"
+    bench.device.trip("F2100")
+    seen = bench.until("00 0F 20 00", "02 08 00 00", 3000)
+    assert {int(word[3:5], 16) & 0x4F for word in seen[1:]} <= {0x0F, 0x08}
+    assert bench.send("00 0F 20 00", 15_100) == "02 08 00 00"
+    assert bench.send("00 80 20 00", 40) == "02 40 00 00"  # 15
+
+
 def test_faults_are_named_by_digits() -> None:
     device = drive()
     assert device.fault_code("F2062") == 0x2062
@@ -185,6 +217,14 @@ def test_d11_references() -> None:
     backwards = ppo3()
     running(backwards, "E0 00")
     assert backwards.send("00 0F E0 00", 1500) == "06 27 E0 00"
+
+
+@pytest.mark.parametrize(("word", "hundredths"), [("80 00", "FF FF B1 E0"), ("7F FF", "00 00 4E 1F")])
+def test_d11_field_weakening_of_the_example(word: str, hundredths: str) -> None:
+    """375 = 50 Hz and 390 = 100 Hz: 282 shows -200.00 and 199.99 Hz."""
+    bench = ppo1(**{"390": 100, "375": 50})
+    bench.send(ZERO + f"00 00 {word}")
+    assert bench.send(f"11 1A 00 00 00 00 00 00 00 00 {word}")[:23] == f"21 1A 00 00 {hundredths}"
 
 
 def test_d11_ramp_set_point_434() -> None:

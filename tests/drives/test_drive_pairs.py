@@ -157,15 +157,31 @@ def test_load_shows_in_current_and_torque() -> None:
     assert "limit" in bench.core.status().bits
 
 
-def test_many_parameter_orders_at_once() -> None:
-    bench = pair(DEMAG, "PPO1", BUS)
-    numbers = [400, 412, 414, 392, 480, 549] * 4
-    tokens = [bench.order("read", number=number) for number in numbers]
-    bench.pass_time(3000)
-    for number, token in zip(numbers, tokens, strict=True):
+@pytest.mark.parametrize(
+    ("drive", "telegram", "presets", "numbers", "unknown"),
+    [
+        (DEMAG, "PPO1", BUS, [400, 412, 414, 392, 480, 549], 999),
+        (FUJI, "PPO1", NONE, ["F26", "y98", "F07", "F03"], "F99"),
+        (KEB, "PCH+4/4", NONE, ["oP.3", "sy.6", "oP.1", "oP.10"], 0x5001),
+        (IMO, "PKW+12", PZD, ["P15.02", "P00.10", "P15.13"], "P77.77"),
+        (LS, "PPO1", NONE, ["dr-03", 918, "dr-20", "COM-11"], "dr-98"),
+    ],
+)
+def test_many_parameter_orders_at_once(
+    drive: DriveProfile, telegram: str, presets: Mapping[str, object], numbers: list[str | int], unknown: str | int
+) -> None:
+    """Each waits for those before it and gets its own answer; one in the middle that is refused harms no other."""
+    bench = pair(drive, telegram, presets)
+    alone = {number: bench.do("read", number=number) for number in (*numbers, unknown)}
+    assert [alone[number]["ok"] for number in numbers] == [True] * len(numbers)
+    assert alone[unknown]["error"] == "parameter"
+    asked = [*numbers, *numbers[1:], unknown, *numbers * 2]
+    tokens = [bench.order("read", number=number) for number in asked]
+    bench.pass_time(4000)
+    for number, token in zip(asked, tokens, strict=True):
         result = bench.result(token)
         assert result is not None
-        assert result["number"] == number
+        assert {**result, "token": 0} == {**alone[number], "token": 0}
 
 
 @pytest.mark.parametrize(("drive", "telegram", "presets"), ALL)

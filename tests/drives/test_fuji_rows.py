@@ -120,7 +120,7 @@ def test_f12_words_of_the_plugin(op: str, ctw: str) -> None:
 
 def test_f5_words_of_the_plugin() -> None:
     inputs = " 00 0F 00 23 00 00 12 34"
-    bench = plugin("PPO2", IDLE + inputs, map_inputs="F26 M16 - W01", map_outputs="S06 F07 041A")
+    bench = plugin("PPO2", IDLE + inputs, map_inputs="F26 M16 - W01", map_outputs="S06 F07=6 041A=2")
     bench.order("output", number="f07", value=2.5)
     bench.order("output", number="F26", value=15)
     bench.order("output", number="S06", value=0x0300)

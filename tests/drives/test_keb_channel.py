@@ -56,6 +56,16 @@ def test_k3_k4_the_plugin_writes_with_four_octets_and_judges_handshake_and_resul
     assert (result["ok"], result["value"], result["raw"], result["unit"]) == (True, 20.0, 0x640, "Hz")
 
 
+def test_k4_the_confirmation_of_the_manual_is_one() -> None:
+    bench = plugin()
+    token = bench.order("write", number="oP.3", value=20)
+    channel(bench, ZERO, 2)
+    channel(bench, "42 01 23 03 06 40 00 00")
+    result = bench.result(token)
+    assert result is not None
+    assert (result["ok"], result["value"]) == (True, 20.0)
+
+
 def test_k3_the_handshake_is_inverted_for_every_new_request() -> None:
     bench = plugin()
     first, second = bench.order("read", number="oP.3"), bench.order("read", number="sy.51", data_set=2)

@@ -301,7 +301,7 @@ def test_a_map_of_eight_octets_from_one_power_on_to_the_next() -> None:
     bench = pair(telegram)
     bench.ok("write_map", inputs=inputs, outputs=outputs)
     assert isinstance(bench.device, KebDevice)
-    options = {"map_inputs": inputs, "map_outputs": outputs}
+    options = {"map_inputs": inputs, "map_outputs": "cS.19:long=100 sy.50 sy.52"}
     bench = pair(telegram, options, again(bench.device, telegram))
     read = bench.ok("read_map")
     assert read == {
@@ -330,7 +330,7 @@ def test_k12_two_blocks_both_ways() -> None:
     bench = pair(telegram)
     bench.ok("write_map", inputs=TEST_INPUTS, outputs=TEST_OUTPUTS)
     assert isinstance(bench.device, KebDevice)
-    options = {"map_inputs": TEST_INPUTS, "map_outputs": TEST_OUTPUTS}
+    options = {"map_inputs": TEST_INPUTS, "map_outputs": "2F13:long=100 2032 2034 230A=8000"}
     bench = pair(telegram, options, again(bench.device, telegram))
     read = bench.ok("read_map")
     assert isinstance(read, dict)

@@ -150,7 +150,7 @@ def test_a_real_drive_gets_no_bits_that_are_made_up() -> None:
 
 
 def test_k8_the_words_as_they_stand_where_nothing_is_named() -> None:
-    """Words exposed: the user's program makes them; the control word does not come back by itself."""
+    """Words exposed: the user's program makes them; they do not come back by themselves."""
     bench = PluginBench(DRIVE.core("hoist", "4/4"), "12 34 56 78")
     assert bench.core.status().words == (0x1234, 0x5678)
     assert bench.core.status().state is State.UNKNOWN
@@ -158,7 +158,7 @@ def test_k8_the_words_as_they_stand_where_nothing_is_named() -> None:
     bench.order("output", number="sy.52", value=-2)
     assert bench.out() == "AB CD FF FE"
     bench.core.lost(bench.now)
-    assert bench.out() == "00 00 FF FE"
+    assert bench.out() == "00 00 00 00"
     named = plugin()
     assert "is written by start" in str(named.result(named.order("output", number="sy.50", value=1)))
 
@@ -181,8 +181,10 @@ def test_reached_by_the_speed_where_no_bit_is_named() -> None:
     token = bench.order("reached")
     bench.see("00 20 05 78", 60)
     assert bench.result(token) is None
+    assert not bench.core.status().reached
     bench.see("00 20 05 B0", 2)
     assert bench.result(token) is not None
+    assert bench.core.status().reached
     blind = plugin("00 20 00 00", status_bits="run=5 fault=3", rpm_per_count=0)
     assert "does not tell its speed" in str(blind.result(blind.order("reached")))
 

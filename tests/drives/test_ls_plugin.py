@@ -181,7 +181,7 @@ def test_l1_l7_vendor_words() -> None:
 
 
 def test_l7_vendor_without_the_words_for_it() -> None:
-    bench = plugin("00 00", "VENDOR 1/1", para_control="dr-03", para_status="0334")
+    bench = plugin("00 00", "VENDOR 1/1", para_control="dr-03=1", para_status="0334")
     assert "0006 (operation command) is not in para_control" in text(bench, bench.order("start"))
     assert "0005 (frequency command)" in text(bench, bench.order("speed", value=0.5))
     bench = plugin("00 00", "VENDOR 1/1", para_control="0006", para_status="0334")
@@ -190,7 +190,7 @@ def test_l7_vendor_without_the_words_for_it() -> None:
 
 def test_l7_mapped_values() -> None:
     bench = plugin(
-        "02 35 00 00 00 14 01 00 00 07 00 00", "PPO4", para_status="dr-03 In-90 0x0700", para_control="dr-04"
+        "02 35 00 00 00 14 01 00 00 07 00 00", "PPO4", para_status="dr-03 In-90 0x0700", para_control="dr-04=2"
     )
     assert as_mapping(bench.result(bench.order("inputs")))["value"] == {"dr-03": 2.0, "In-90": 0x0100, "0700": 7}
     bench.order("output", number="dr-04", value=2.5)
@@ -228,7 +228,7 @@ def test_l7_addresses_that_are_advised_against() -> None:
 
 def test_l7_write_map_on_the_wire() -> None:
     """COM-31.. and COM-30, COM-51.. and COM-50, then COM-94 = 1."""
-    bench = plugin(ZERO + S2 + " 00" * 8, "PPO2", para_status="000E", para_control="dr-04")
+    bench = plugin(ZERO + S2 + " 00" * 8, "PPO2", para_status="000E", para_control="dr-04=2")
     token = bench.order("write_map", inputs="dr-03 In-90", outputs="")
     sent = []
     for _ in range(60):
@@ -394,7 +394,7 @@ def test_a_drive_that_stays_in_s1_is_told_with_what_to_look_at() -> None:
         ("PPO6", {"profile": "ls", "swap": True}),
         ("PPO3", {"speed_unit": "rpm", "reference_rpm": 1450.0, "reference_hz": 50.0}),
         ("VENDOR 2/3", {}),
-        ("VENDOR 4/5", {"para_control": "dr-03 0006 0005", "para_status": "000E In-90 000A"}),
+        ("VENDOR 4/5", {"para_control": "dr-03=1 0006 0005", "para_status": "000E In-90 000A"}),
     ],
 )
 def test_the_same_words_for_every_profile(telegram: str, options: dict[str, object]) -> None:

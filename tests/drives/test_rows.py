@@ -119,3 +119,56 @@ def test_a_row_is_shown_at_both_ends(row: str, end: str) -> None:
 
 def test_no_test_names_a_row_that_is_not_there() -> None:
     assert set(shown()) == {(row, end) for row in ROWS for end in (PLUGIN, DRIVE)}
+
+
+#: every worked example of the manuals that has octets: what shows it at the plugin and at the simulated drive
+EXAMPLES: Final[dict[str, tuple[str, str]]] = {
+    "Demag 11.1.6, 400 is read": ("test_d6_read_400", "test_d6_examples"),
+    "Demag 11.1.6, -300 Hz to 480 of set 3": ("test_d6_write_480_in_data_set_3", "test_d6_examples"),
+    "Demag 11.2.2, 30 Hz of 60": ("test_d11_set_point_of_the_example", "test_d11_references"),
+    "Demag 11.2.2, 375 = 50 and 390 = 100": (
+        "test_d11_field_weakening_of_the_example",
+        "test_d11_field_weakening_of_the_example",
+    ),
+    "Demag 11.2.5, FFFF, +30 %, -55.36 %, 30 Hz in PZD5": (
+        "test_d14_the_words_of_the_plugin",
+        "test_d14_the_sources_of_the_drive",
+    ),
+    "Demag 11.3, the lines of 281 and 284": ("test_d16_the_lines_of_the_manual_from_live_data", ""),
+    "KEB, basics: oP.3 := 20 Hz": (
+        "test_k4_the_confirmation_of_the_manual_is_one",
+        "test_k4_the_example_of_the_manual",
+    ),
+    "KEB, a word as four octets": (
+        "test_k3_k4_the_plugin_writes_with_four_octets_and_judges_handshake_and_result_only",
+        "test_k3_any_parameter_with_four_octets",
+    ),
+    "KEB, map examples 1 and 2": (
+        "test_k7_the_requests_of_write_map",
+        "test_k7_the_enable_is_answered_by_an_error_and_the_map_acts_after_power_on",
+    ),
+    "KEB, 12 and 10 octets in two blocks": (
+        "test_k11_k12_block_2_by_the_users_indexes_and_an_enable_that_falls_back",
+        "test_k9_k12_two_blocks_take_two_telegrams_and_half_the_rate",
+    ),
+    "IMO 2.4, address 10": ("test_i3_the_read_of_the_manual", "test_i3_the_read_of_the_manual"),
+    "IMO 2.4, PZD3 as rpm": ("test_i4_the_rpm_of_the_manual", "test_i4_the_rpm_of_the_manual"),
+    "IMO 2.4, PZD3 as PID reference": ("test_i4_received", "test_i4_received_and_transmitted"),
+    "LS 4.2, F000 and C000": ("test_l5_per_cent_of_dr_20", "test_l3_reverse_only_by_sign_and_l5_f000_is_15_hz"),
+    "LS 5.1, 04B0 is 1200 rpm": ("test_l5_rpm", "test_l5_rpm"),
+    "LS 5.2, 965, 964[1], 0h1101": ("test_l6_reads", "test_l6_l9_orders_and_replies"),
+    "Fuji 7.2, the run": ("test_f3_worked_run_of_the_master", "test_f3_worked_run_of_the_drive"),
+    "Fuji 7.2 (6), reverse by the sign": ("test_f3_reverse_by_the_sign", "test_f3_worked_run_of_the_drive"),
+    "Fuji 8.2, F26 is 041A": ("test_f5_words_of_the_plugin", "test_f5_the_drive_takes_them_at_power_on"),
+    "Fuji 8.3, examples 1 to 3": ("test_f6_the_plugin_to_the_byte", "test_f6_orders_and_replies"),
+    "Fuji 8.3, the errors of them": ("test_f14_errors_by_their_text", "test_f6_orders_and_replies"),
+    "Fuji 8.3, PNU 947": ("test_f6_the_plugin_to_the_byte", "test_f6_f7_f9_malfunction_history"),
+}
+
+
+@pytest.mark.parametrize("example", EXAMPLES)
+def test_every_example_of_the_manuals_is_shown_both_ways(example: str) -> None:
+    for test, end in zip(EXAMPLES[example], (PLUGIN, DRIVE), strict=True):
+        if test:
+            found = {one.partition("::")[2] for (_, shows), tests in shown().items() if shows == end for one in tests}
+            assert test in found, f"{test} does not show the {end} against literal octets"

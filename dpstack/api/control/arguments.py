@@ -53,6 +53,14 @@ def switch(text: str) -> bool:
     return text.lower() == "on"
 
 
+def direction(text: str) -> int:
+    """``forward``, ``reverse`` or ``off``: 1, -1, 0."""
+    try:
+        return {"forward": 1, "reverse": -1, "off": 0}[text.lower()]
+    except KeyError:
+        raise UsageError(f"{text!r} is neither forward nor reverse nor off") from None
+
+
 def field_value(text: str) -> tuple[str, str, str]:
     """``SLAVE.FIELD=VALUE``: the three parts."""
     where, equals, value = text.partition("=")

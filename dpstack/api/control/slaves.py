@@ -44,6 +44,7 @@ class SlaveCommands:
             "warn": self._drive(lambda drive, text: drive.warn(arguments.mask(text))),
             "load": self._drive(lambda drive, text: drive.set_load(arguments.number(text, -10, 10, "0.6"))),
             "release": self._drive(lambda drive, text: drive.release(arguments.switch(text))),
+            "jog": self._drive(lambda drive, text: drive.jog(arguments.direction(text))),
             "silence": self._silence,
             "resume": lambda args: self._bench.resume(self._address(args[0])),
             "power-off": lambda args: self._bench.power(self._address(args[0]), False),

@@ -42,6 +42,7 @@ SLAVES: Final = (
     Spec("warn", "SLAVE MASK", "its warning word in hex, 0 clears it", "3 0080"),
     Spec("load", "SLAVE TORQUE", "load torque against the motion, of the rated torque", "3 0.6"),
     Spec("release", "SLAVE on|off", "its hardware release inputs", "3 off"),
+    Spec("jog", "SLAVE forward|reverse|off", "the jog terminals of a drive that has them", "6 forward"),
     Spec("silence", "SLAVE [TIME]", "deaf and mute for a time, else until resume", "3 2s"),
     Spec("resume", "SLAVE", "ends a silence", "3"),
     Spec("power-off", "SLAVE", "switches the slave off", "3"),

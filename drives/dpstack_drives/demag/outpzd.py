@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, Final
 
-from dpstack.profile import Scale, signed16
+from dpstack.profile import Scale, datamap, signed16
 
 #: PZD3 is the first one
 FIRST: Final = 3
@@ -32,6 +32,7 @@ class OutPzd:
     """One word: PZD ``key`` as ``kind``. ``reference_hz`` and ``scaling_current`` (A, 0: not known) scale it."""
 
     octets: ClassVar[int] = 2
+    neutral: ClassVar[bool] = True
     key: int
     kind: str
     reference_hz: float
@@ -86,7 +87,7 @@ class OutMap:
 
 def parse(text: str, reference_hz: float, scaling_current: float) -> OutMap:
     """``reference percent - frequency``; what is not given is not used. Raises ValueError."""
-    kinds = text.replace(",", " ").lower().split()
+    kinds = datamap.split(text)[0].lower().split()
     if len(kinds) > COUNT:
         raise ValueError(f"{len(kinds)} words, there are {COUNT} (PZD3 to PZD6)")
     fields: list[OutPzd | None] = []

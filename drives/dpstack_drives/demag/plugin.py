@@ -73,7 +73,9 @@ class DemagCore(MappedCore[OutMap]):
         self._toggle_time = Lookup(lambda: self._toggles, self._ask_toggle_time)
         self.inputs_map = None
         self.outputs_map: OutMap = _map(name, profile, telegram, options)
-        self.values = {}
+        what = f"drive {name} ({profile.name}): map_outputs"
+        self.take_presets(str(options["map_outputs"]), self.outputs_map.fields, what)
+        self.outputs_at = 2  # behind PZD1 and PZD2
         super().__init__(
             name,
             profile.name,
@@ -201,7 +203,6 @@ class DemagCore(MappedCore[OutMap]):
     def lost(self, now: int) -> None:
         """The toggle bit begins anew; what was given for PZD3 to PZD6 does not come back by itself."""
         self._toggles = False
-        self.values.clear()
         super().lost(now)
 
     def _ask_toggle_time(self, deadline: int) -> Steps[int]:

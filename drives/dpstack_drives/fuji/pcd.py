@@ -28,6 +28,11 @@ class PcdWord:
     key: int
 
     @property
+    def neutral(self) -> bool:
+        """Group S is commands and set points, all others are kept."""
+        return self.key >> 8 == t.GROUPS["S"]
+
+    @property
     def name(self) -> str:
         """``F26``."""
         return t.code_of(self.key)

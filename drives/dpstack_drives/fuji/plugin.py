@@ -58,10 +58,12 @@ class FujiCore(MappedCore[PcdMap]):
     ) -> None:
         self._by_bit = options["reverse"] == "bit"
         self._alarm = Lookup(lambda: self.raw_state in FAULTED, self._ask)
-        self.values = {}
-        self.inputs_at = _PCD_AT
+        self.inputs_at = self.outputs_at = _PCD_AT
         self.inputs_map: PcdMap = _map(name, profile, telegram, options, "map_inputs")
         self.outputs_map: PcdMap = _map(name, profile, telegram, options, "map_outputs")
+        what = f"drive {name} ({profile.name}): map_outputs"
+        self.take_presets(str(options["map_outputs"]), self.outputs_map.fields, what)
+        self.refuse_zeros(what)
         super().__init__(
             name,
             profile.name,
@@ -82,11 +84,6 @@ class FujiCore(MappedCore[PcdMap]):
         if not self._rest:
             return self._pack(control, setpoint)
         return self._pack(control, setpoint, *datamap.pack(self.outputs_map.fields, self.values, pcd.COUNT))
-
-    def lost(self, now: int) -> None:
-        """A command given for S06 is not sent again by itself."""
-        self.values.pop(t.S06, None)
-        super().lost(now)
 
     def setpoint_word(self, fraction: float) -> int:
         """MRV."""
@@ -130,6 +127,7 @@ class FujiCore(MappedCore[PcdMap]):
 
     def prepare(self, deadline: int) -> Steps[None]:
         """Without STW bit 9 CTW does nothing."""
+        yield from super().prepare(deadline)
         yield from settled(self, self._remote, deadline)
         if self._remote():
             return
@@ -214,6 +212,7 @@ def _map(
     if text.strip() and telegram.outputs != 12:
         raise ConfigError(f"{where}: {telegram.name} has no PCD1 to PCD4; take PPO2 or PPO4")
     try:
-        return pcd.parse(text, outputs=option == "map_outputs")
+        outputs = option == "map_outputs"
+        return pcd.parse(datamap.split(text)[0] if outputs else text, outputs=outputs)
     except ValueError as error:
         raise ConfigError(f"{where}: {error}") from None

@@ -19,6 +19,7 @@ from dpstack.profile import (
     MappedCore,
     Steps,
     TelegramSpec,
+    datamap,
     listing,
     settled,
 )
@@ -65,7 +66,8 @@ class ImoCore(MappedCore[PzdMap]):
             self._fault_names = t.faults(str(options["fault_names"]))
             self._functions = pzd.to_drive(float(options["max_hz"] or options["reference_hz"]))
             self._wanted_inputs = PzdMap.parse(str(options["map_inputs"]), pzd.FROM_DRIVE, outputs=False)
-            self._wanted_outputs = PzdMap.parse(str(options["map_outputs"]), self._functions, outputs=True)
+            map_outputs = datamap.split(str(options["map_outputs"]))[0]
+            self._wanted_outputs = PzdMap.parse(map_outputs, self._functions, outputs=True)
         except ValueError as error:
             raise ConfigError(f"drive {name} ({profile.name}): {error}") from None
         self._reference_rpm = float(options["reference_rpm"])
@@ -76,8 +78,9 @@ class ImoCore(MappedCore[PzdMap]):
             *(["heartbeat"] if self._heartbeat else []), *(["motor_2"] if options["motor"] == "2" else [])
         )
         self._chosen = 0
-        self.values = {}
-        self.inputs_at = 1  # behind SW
+        what = f"drive {name} ({profile.name}): map_outputs"
+        self.take_presets(str(options["map_outputs"]), self._wanted_outputs.fields, what)
+        self.inputs_at = self.outputs_at = 1  # behind SW and CW
         self._learning = False
         self._online_at = 0
         #: as the drive has them; None until it has told
@@ -110,12 +113,12 @@ class ImoCore(MappedCore[PzdMap]):
 
     def lost(self, now: int) -> None:
         """The maps may be others when it returns; bits and values of the user's do not come back by themselves."""
+        self._chosen = 0
+        super().lost(now)
         self.inputs_map = self.outputs_map = None
+        self._dirty = True
         self._learning = False
         self._online_at = 0
-        self._chosen = 0
-        self.values.clear()
-        super().lost(now)
 
     def set_goal(self, goal: Goal) -> None:
         """Any order that moves the drive ends inching and pre-excitation."""
@@ -225,6 +228,7 @@ class ImoCore(MappedCore[PzdMap]):
                 "no received PZD carries the set frequency: of P15.02 to P15.12 none is 1; set P15.02 to 1, by "
                 "write_map(outputs='set_frequency') or the option set_map = true",
             )
+        yield from super().prepare(deadline)
 
     def _frequency_at(self) -> int | None:
         return None if self.outputs_map is None else self.outputs_map.place(pzd.SET_FREQUENCY)
@@ -260,7 +264,6 @@ class ImoCore(MappedCore[PzdMap]):
 
     def _take(self, inputs: PzdMap, outputs: PzdMap) -> None:
         self.inputs_map, self.outputs_map = inputs, outputs
-        self.values = {number: raw for number, raw in self.values.items() if number in outputs.numbers}
         self._dirty = True
         self.update()
 
@@ -276,6 +279,7 @@ class ImoCore(MappedCore[PzdMap]):
             for number, new, old in zip(numbers, wanted.numbers, had.numbers, strict=True):
                 if new != old:
                     yield from self._channel.put(number, new, deadline)
+        self.values = {number: raw for number, raw in self.values.items() if number in outputs.numbers}
         self._take(inputs, outputs)
         return {"value": {"inputs": str(inputs), "outputs": str(outputs)}}
 

@@ -35,6 +35,8 @@ class Function:
     low: float
     high: float
     fmax: bool = False
+    #: 0 of a limit holds the drive still: somebody has to choose it
+    neutral: bool = True
 
     @property
     def key(self) -> int:
@@ -58,8 +60,8 @@ class Function:
         return raw if self.per_unit == 1 else raw / self.per_unit
 
 
-def _hertz(number: int, name: str) -> Function:
-    return Function(number, name, "Hz", 100, 0, 655.35, fmax=True)
+def _hertz(number: int, name: str, *, neutral: bool = True) -> Function:
+    return Function(number, name, "Hz", 100, 0, 655.35, fmax=True, neutral=neutral)
 
 
 def _word(number: int, name: str, high: int = _ANY, unit: str = "") -> Function:
@@ -75,10 +77,10 @@ _RECEIVED: Final = (
     Function(2, "pid_reference", "%", 10, 0, 100),
     Function(3, "pid_feedback", "%", 10, 0, 100),
     Function(4, "torque", "%", 10, -300, 300),
-    _hertz(5, "forward_limit"),
-    _hertz(6, "reverse_limit"),
-    Function(7, "motoring_torque_limit", "%", 10, 0, 300),
-    Function(8, "braking_torque_limit", "%", 10, 0, 300),
+    _hertz(5, "forward_limit", neutral=False),
+    _hertz(6, "reverse_limit", neutral=False),
+    Function(7, "motoring_torque_limit", "%", 10, 0, 300, neutral=False),
+    Function(8, "braking_torque_limit", "%", 10, 0, 300, neutral=False),
     _word(9, "input_terminals", 0x3FF),
     _word(10, "output_terminals", 0x0F),
     Function(11, "voltage", "%", 10, 0, 100),

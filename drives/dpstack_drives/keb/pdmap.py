@@ -42,6 +42,11 @@ class Entry:
         return self.index
 
     @property
+    def neutral(self) -> bool:
+        """Control word and set speed: 0 is none of either; all others are parameters."""
+        return self.index in (t.CONTROL_WORD, t.SET_SPEED)
+
+    @property
     def name(self) -> str:
         """``sy.50 (2032h)`` where the group is known."""
         return t.name_of(self.index)

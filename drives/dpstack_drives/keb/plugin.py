@@ -22,6 +22,7 @@ from dpstack.profile import (
     Steps,
     TelegramSpec,
     Word,
+    datamap,
     listing,
 )
 from dpstack_drives.keb import mapping, pdmap
@@ -64,7 +65,9 @@ class KebCore(MappedCore[PdMap]):
             self._bits = t.bits(str(options["control_bits"]), t.CONTROL_BITS, "control_bits")
             status = t.bits(str(options["status_bits"]), t.STATUS_BITS, "status_bits")
             inputs = _map(str(options["map_inputs"]), pdmap.DEFAULT_INPUTS, telegram.inputs, "map_inputs")
-            outputs = _map(str(options["map_outputs"]), pdmap.DEFAULT_OUTPUTS, telegram.outputs, "map_outputs")
+            map_outputs = str(options["map_outputs"])
+            bare = datamap.split(map_outputs)[0]
+            outputs = _map(bare, pdmap.DEFAULT_OUTPUTS, telegram.outputs, "map_outputs")
             second = [t.record_and_enable(str(options[f"block2_{way}"])) for way in ("inputs", "outputs")]
             if (wrong := pdmap.check(inputs, outputs)) is not None:
                 raise ValueError(wrong)
@@ -79,7 +82,9 @@ class KebCore(MappedCore[PdMap]):
         if self._rpm_per_count:
             self.scale = Scale("speed", full=1, span=self._rpm_per_count / reference)
         self._ours = str(options["status_bits"]).strip() == t.SIMULATED_BITS
-        self.values = {}
+        what = f"{where}: map_outputs"
+        self.take_presets(map_outputs, outputs.fields, what)
+        self.refuse_zeros(what)
         self._state_number = Lookup(lambda: self.raw_state in FAULTED, self._ask)
         super().__init__(
             name,
@@ -110,11 +115,6 @@ class KebCore(MappedCore[PdMap]):
         if self._rpm_per_count:
             values[t.SET_SPEED] = setpoint
         return self.outputs_map.put(values, self.telegram.outputs)
-
-    def lost(self, now: int) -> None:
-        """A control word given as it stands is not sent again by itself."""
-        self.values.pop(t.CONTROL_WORD, None)
-        super().lost(now)
 
     def setpoint_word(self, fraction: float) -> int:
         """sy.52."""

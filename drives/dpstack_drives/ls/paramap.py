@@ -55,6 +55,11 @@ class ParaWord:
     key: int
 
     @property
+    def neutral(self) -> bool:
+        """Frequency and operation command: 0 is none of either; all others are parameters."""
+        return self.key in (t.FREQUENCY, t.OPERATION)
+
+    @property
     def name(self) -> str:
         """``dr-03``, or the address in hex."""
         return t.code_of(self.key)
@@ -115,8 +120,15 @@ def write(access: ParameterChannel, status: ParaMap, control: ParaMap, deadline:
     yield from access.write(ParamKey(t.UPDATE), 1, deadline)
 
 
+def clear_control(access: ParameterChannel, deadline: int) -> Steps[None]:
+    """No word of the outputs is anything: one address, and that is none."""
+    yield from access.write(ParamKey(t.PARA_CONTROL), 0, deadline)
+    yield from access.write(ParamKey(t.CONTROL_COUNT), 1, deadline)
+    yield from access.write(ParamKey(t.UPDATE), 1, deadline)
+
+
 def _raw(access: ParameterChannel, where: int, deadline: int) -> Steps[int]:
     outcome = yield from access.read(ParamKey(where), deadline)
-    raw = outcome["raw"]
-    assert isinstance(raw, int)
-    return raw
+    word = outcome["raw"]
+    assert isinstance(word, int)
+    return word

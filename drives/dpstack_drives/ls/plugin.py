@@ -84,8 +84,10 @@ class LsCore(MappedCore[ParaMap]):
             self.outputs_map: ParaMap = self._map(str(options["para_control"]), paramap.DEFAULT_CONTROL, written=True)
         except ValueError as error:
             raise ConfigError(f"{where}: {error}") from None
-        self.inputs_at = self._at
-        self.values = {}
+        self.inputs_at = self.outputs_at = self._at
+        what = f"{where}: {self.outputs_name}"
+        self.take_presets(str(options["para_control"]), self.outputs_map.fields, what)
+        self.refuse_zeros(what)
         self._trips = Lookup(lambda: self.raw_state in FAULTED, self._ask_trips)
         self._warning = Lookup(self._warned, self._ask_warning)
         reference_hz = float(options["reference_hz"])
@@ -96,6 +98,7 @@ class LsCore(MappedCore[ParaMap]):
         else:
             self.scale = SPEED
         order = "<" if options["swap"] else ">"
+        self.octet_order = "little" if options["swap"] else "big"
         self._words_out = struct.Struct(f"{order}{telegram.outputs // 2}H")
         table = t.PROFIDRIVE_TABLE if self._profile == t.PROFIDRIVE else t.ls_table(0 if self._io else t.AUTHORITY)
         super().__init__(
@@ -119,7 +122,7 @@ class LsCore(MappedCore[ParaMap]):
         room = self._rooms[written]
         if not text.strip():
             return ParaMap(default[:room])
-        given = ParaMap(paramap.parse(text))
+        given = ParaMap(paramap.parse(datamap.split(text)[0] if written else text))
         if (wrong := self._wrong(given, "para_control" if written else "para_status", written=written)) is not None:
             raise ValueError(wrong)
         return given
@@ -249,6 +252,7 @@ class LsCore(MappedCore[ParaMap]):
 
     def prepare(self, deadline: int) -> Steps[None]:
         """First the profile that the drive has (PNU 930); once it does not obey, who has the control."""
+        yield from super().prepare(deadline)
         if self.goal is not Goal.RUN:
             if self.access is not None:
                 found = yield from self._value(ParamKey(t.PNU_PROFILE), deadline)
@@ -321,13 +325,25 @@ class LsCore(MappedCore[ParaMap]):
         return paramap.read(self.access, deadline)
 
     def write_map(self, inputs: ParaMap, outputs: ParaMap, deadline: int) -> Steps[dict[str, object]]:
-        """Acts at once (COM-94)."""
-        assert self.access is not None
-        yield from paramap.write(self.access, inputs, outputs, deadline)
-        self.inputs_map, self.outputs_map = inputs, outputs
+        """Acts at once (COM-94).
+
+        The words of the new map never stand under the old one, nor the other way round: the drive's is emptied first.
+        """
+        access = self.access
+        assert access is not None
+        if outputs != self.outputs_map and any(outputs.entries):
+            yield from paramap.clear_control(access, deadline)
+        self.outputs_map = outputs
+        self._dirty = True
+        yield from paramap.write(access, inputs, outputs, deadline)
+        self.inputs_map = inputs
         self._dirty = True
         self._advise_maps()
         return {"value": {"inputs": str(inputs), "outputs": str(outputs)}}
+
+    def read_by(self, field: datamap.Field) -> ParamKey:
+        """By its address."""
+        return ParamKey(field.key)
 
     def called(self, name: str | int) -> str | int:
         """An address in any writing."""
