@@ -35,7 +35,9 @@ if TYPE_CHECKING:
     from dpstack.dp.slave_description import SlaveDescription, SlaveModule
     from dpstack.dp.slaveapp import SlaveApp, SlaveAppState
     from dpstack.dp.user_diag import UserDiag, channel_block, device_block, identifier_block, revision_block
+    from dpstack.dp.v1.im import Im0, Im1, Im2, Im3, Im4
     from dpstack.errors import (
+        AcyclicError,
         BaudError,
         BusError,
         ConfigError,
@@ -47,6 +49,7 @@ if TYPE_CHECKING:
         ParameterError,
         PortBusyError,
         PortError,
+        RecordRefused,
         ServiceRefused,
         SlaveError,
         SlaveFault,
@@ -58,6 +61,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
+    "AcyclicError",
     "BaudError",
     "BaudReport",
     "Bus",
@@ -73,11 +77,17 @@ __all__ = [
     "DriveStatus",
     "DriveTimeout",
     "Event",
+    "Im0",
+    "Im1",
+    "Im2",
+    "Im3",
+    "Im4",
     "Mode",
     "ParamError",
     "ParameterError",
     "PortBusyError",
     "PortError",
+    "RecordRefused",
     "ServiceRefused",
     "Slave",
     "SlaveApp",
@@ -138,6 +148,11 @@ _WHERE: Final = {
     "device_block": "dp.user_diag",
     "identifier_block": "dp.user_diag",
     "revision_block": "dp.user_diag",
+    "Im0": "dp.v1.im",
+    "Im1": "dp.v1.im",
+    "Im2": "dp.v1.im",
+    "Im3": "dp.v1.im",
+    "Im4": "dp.v1.im",
     "DriveStatus": "profile",
 }
 

@@ -16,6 +16,8 @@
     |   +-- SlaveFault                  refused parameters or configuration, wrong ident, locked, lying
     |   +-- ServiceRefused              answered a service of this master with no; carries service and status
     |   +-- SlaveTimeout (TimeoutError) did not reach what was awaited in time
+    |   +-- AcyclicError                a negative answer of DP-V1: class, code and text
+    +-- RecordRefused                   raised by a function of one's own slave: its negative answer
     +-- DriveError                      one drive; carries its name
         +-- DriveFault                  tripped, or refuses to do what was asked: names fault and remedy
         +-- DriveTimeout (TimeoutError) did not reach the wanted state in time: names what is missing
@@ -95,8 +97,48 @@ class ServiceRefused(SlaveError):
         self.status = status
 
 
+class AcyclicError(SlaveError):
+    """A negative answer to a DP-V1 ``service`` (Read, Write) of ``slot`` and ``index``.
+
+    ``error_decode``: 0x80 for the codes of DP-V1. ``error_class`` and ``error_code``: the halves of ``code_1``
+    (Error_Code_1; 0xB5 is "state conflict"). ``code_2``: the device's own.
+    """
+
+    def __init__(
+        self, address: int, message: str, *, service: str, slot: int, index: int, codes: tuple[int, int, int]
+    ) -> None:
+        super().__init__(address, message)
+        self.service = service
+        self.slot = slot
+        self.index = index
+        self.error_decode, self.code_1, self.code_2 = codes
+
+    @property
+    def error_class(self) -> int:
+        """Error_Class 0..15: 10 application, 11 access, 12 resource."""
+        return self.code_1 >> 4
+
+    @property
+    def error_code(self) -> int:
+        """Error_Code 0..15 within the class."""
+        return self.code_1 & 0x0F
+
+
 class SlaveTimeout(SlaveError, TimeoutError):
     """The slave did not get there in time."""
+
+
+class RecordRefused(DpError):
+    """What a function that serves records raises to refuse one: ``code_1`` is Error_Code_1, class and code.
+
+    0xB0 invalid index, 0xB2 invalid slot, 0xB5 state conflict, 0xB6 access denied ... (``dpstack.dp.v1.codes.Code``);
+    ``code_2``: one's own.
+    """
+
+    def __init__(self, code_1: int, code_2: int = 0) -> None:
+        super().__init__(f"record refused: Error_Code_1 0x{code_1:02X}, Error_Code_2 0x{code_2:02X}")
+        self.code_1 = code_1
+        self.code_2 = code_2
 
 
 class DriveError(DpError):

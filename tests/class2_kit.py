@@ -6,8 +6,9 @@ from dataclasses import dataclass, field
 
 from ring_bus import RingBus
 
-from dpstack.dp.class2 import ChangeAddress, Class2, ReadService, ServiceDone
-from dpstack.dp.class2_jobs import Outcome, Service
+from dpstack.dp.acyclic import Acyclic
+from dpstack.dp.class2 import ChangeAddress, ReadService
+from dpstack.dp.class2_jobs import Outcome, Service, ServiceDone
 from dpstack.fdl.active import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.guard import Guard
@@ -27,7 +28,7 @@ class Class2Bus:
 
     def __post_init__(self) -> None:
         self.bus = RingBus(mode=self.mode)
-        self.class2 = Class2(2)
+        self.class2 = Acyclic(2)
         params = BusParams.preset(500_000, address=2, gap=0)
         self.station = ActiveStation(params, [self.class2], guard=self.guard)
         self.bus.stations.append(self.station)

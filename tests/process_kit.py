@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import os
+import time
 import tty
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any, Literal
 
 from support_responder import Responder
@@ -55,9 +57,30 @@ def bus_on(path: str, driver: Driver, *slaves: dict[str, object], **more: Any) -
     return dpstack.open_bus(port=path, baud=1_500_000, slaves=slaves, gap=0, driver=driver, **more)
 
 
-def process_of(bus: dpstack.Bus) -> int:
-    """The process id of its bus process."""
+def runtime_of(bus: dpstack.Bus) -> ProcessRuntime:
     runtime = bus.runtime
     assert isinstance(runtime, ProcessRuntime)
-    assert runtime.pid is not None
-    return runtime.pid
+    return runtime
+
+
+def process_of(bus: dpstack.Bus) -> int:
+    """The process id of its bus process."""
+    pid = runtime_of(bus).pid
+    assert pid is not None
+    return pid
+
+
+def runs(pid: int) -> bool:
+    """Not ended, or not taken notice of by its parent."""
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except FileNotFoundError:
+        return False
+    return state != "Z"
+
+
+def eventually(condition: Callable[[], bool], what: str) -> None:
+    end = time.monotonic() + 20
+    while not condition():
+        assert time.monotonic() < end, f"did not happen: {what}"
+        time.sleep(0.005)

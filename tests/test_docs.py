@@ -18,7 +18,9 @@ from dpstack.params import BusParams
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
-EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+#: with a process of its own: in real time
+BUSY = ROOT / "examples" / "busy_program.py"
+EXAMPLES = sorted(set((ROOT / "examples").glob("*.py")) - {BUSY})
 _BLOCK = re.compile(r"(?:<!-- (?P<mark>[^>]*?) -->\n)?```(?P<kind>\w+)\n(?P<text>.*?)^```", re.DOTALL | re.MULTILINE)
 _LINK = re.compile(r"\[[^\]]*\]\(([^)#]+)(?:#[^)]*)?\)")
 
@@ -77,6 +79,14 @@ def test_programs_in_the_documents_run(page: Path, tmp_path: Path, capsys: pytes
         program.write_text(text, encoding="utf-8")
         runpy.run_path(str(program), run_name="__main__")
         assert capsys.readouterr().out == wanted[number]
+
+
+def test_the_example_with_a_bus_process_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    runpy.run_path(str(BUSY), run_name="__main__")
+    assert capsys.readouterr().out.splitlines() == [
+        "the bus went round while the program stood still: True",
+        "the fan runs: True",
+    ]
 
 
 @pytest.mark.usefixtures("fast")
@@ -170,7 +180,7 @@ def test_every_configuration_key_is_documented() -> None:
 
     text = (ROOT / "docs" / "configuration.md").read_text(encoding="utf-8")
     keys = (*bus_config._KEYS, *slave_config._KEYS)
-    missing = [k for k in keys if k not in slave_config._LATER and f"`{k}`" not in text]
+    missing = [k for k in keys if f"`{k}`" not in text]
     assert not missing
 
 

@@ -38,8 +38,8 @@ MAY: dict[str, set[str]] = {
     "cli": {"api", "gsd", "trace"} | PURE_BASE,
     "__init__": {"api", "errors", "profile", "dp", "trace"},
 }
-#: profile sees only these modules of dp: its public slave application and image types.
-PROFILE_MAY_OF_DP = {"dp.device", "dp.image", "dp.slaveapp", "dp.setup", "dp.diagnosis"}
+#: profile sees only these modules of dp: its public slave application and image types, and records.
+PROFILE_MAY_OF_DP = {"dp.device", "dp.image", "dp.slaveapp", "dp.setup", "dp.diagnosis", "dp.v1"}
 #: From sim and dp down.
 PURE = {"units", "errors", "trace", "stats", "params", "machine", "phy", "fdl", "gsd", "dp", "sim", "profile"}
 FORBIDDEN_IN_PURE = {

@@ -19,11 +19,11 @@ from dpstack.api.groups import Group, GroupOrders, Groups
 from dpstack.api.joining import Beside, join, what_was_heard
 from dpstack.api.livelist import scan_on
 from dpstack.api.parts import Composed
+from dpstack.api.services import Services
 from dpstack.api.slave import Slave
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.api.statistics import BusStats, collect
 from dpstack.api.streams import EventStream, Waiters
-from dpstack.dp.class2 import ServiceDone
 from dpstack.dp.commands import AddSlave, Mode, RemoveSlave, SetMode
 from dpstack.dp.events import ControlSent, DriveEvent
 from dpstack.dp.scanner import Found
@@ -78,6 +78,7 @@ class Bus(Composed):
         self._cycles = Cycles(self)
         #: the services of a class 2 master: diagnosis, configuration, inputs and outputs of any slave, its address
         self.class2 = Class2(self)
+        self.services = Services(self)
         self._slaves: dict[int, Slave] = {}
         self._drives: dict[int, Drive] = {}
         if not self.searching:
@@ -338,10 +339,9 @@ class Bus(Composed):
 
     def _on_events(self, events: list[Event]) -> None:
         for event in events:
+            if self.services.take(event):  # told to who waits for it, and to nobody else
+                continue
             match event:
-                case ServiceDone():  # told to who waits for it, and to nobody else
-                    self.class2.on_done(event)
-                    continue
                 case DriveEvent(address=address, payload=payload):
                     drive = self._drives.get(address)
                     if drive is not None:
@@ -376,7 +376,7 @@ class Bus(Composed):
             drive.end(self._over)
         self._groups.end(self._over)
         self._cycles.end()
-        self.class2.end(self._over)
+        self.services.end(self._over)
         for stream in self._streams:
             stream.end()
         self._waiters.check()

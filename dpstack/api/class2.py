@@ -6,27 +6,15 @@ request in time that is left in a token hold; it has one result or one error.
 
 from __future__ import annotations
 
-import asyncio
-import contextlib
-import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from dpstack.dp.class2 import CancelService, ChangeAddress, ReadService, ServiceDone
-from dpstack.dp.class2_jobs import Outcome, Service, ServiceFailure
+from dpstack.dp.class2 import ChangeAddress, ReadService
+from dpstack.dp.class2_jobs import Service, ServiceDone
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.fields import Value
-from dpstack.errors import (
-    BusError,
-    ConfigError,
-    DpError,
-    PduError,
-    ServiceRefused,
-    SlaveFault,
-    SlaveTimeout,
-    UsageError,
-)
+from dpstack.errors import ConfigError, PduError, UsageError
 from dpstack.gsd.identifiers import Identifier, io_lengths, parse_identifiers
 from dpstack.units import s_to_ns
 
@@ -75,8 +63,6 @@ class Class2:
 
     def __init__(self, bus: Bus) -> None:
         self._bus = bus
-        self._tokens = itertools.count(1)
-        self._waiting: dict[int, asyncio.Future[ServiceDone]] = {}
 
     async def diagnosis(self, slave: Slave | str | int, *, timeout: float = 5.0) -> Diagnosis:
         """Slave_Diag. (Of a slave in data exchange with this very master, the master takes notice of it too.)"""
@@ -121,9 +107,9 @@ class Class2:
         """
         if self._bus.config.bus.read_only:
             raise UsageError("this bus is read-only: no slave gets another address; leave read_only out")
-        token = next(self._tokens)
+        token = self._bus.services.token()
         command = ChangeAddress(token, old, new, ident, no_change, rem_slave_data, s_to_ns(timeout))
-        return _diagnosis(await self._do(token, command))
+        return _diagnosis(await self._bus.services.do(token, command, ServiceDone))
 
     # --- one service --------------------------------------------------------------------------------------------
 
@@ -133,8 +119,9 @@ class Class2:
         expected = None
         if known is not None and service in (Service.INPUTS, Service.OUTPUTS):
             expected = known.config.input_len if service is Service.INPUTS else known.config.output_len
-        token = next(self._tokens)
-        return await self._do(token, ReadService(token, address, service, expected, s_to_ns(timeout)))
+        token = self._bus.services.token()
+        command = ReadService(token, address, service, expected, s_to_ns(timeout))
+        return await self._bus.services.do(token, command, ServiceDone)
 
     def _address(self, slave: Slave | str | int) -> int:
         """Addresses 0..126, whether this bus knows the slave or not; those it knows also by name."""
@@ -145,56 +132,9 @@ class Class2:
     def _known(self, address: int) -> Slave | None:
         return next((slave for slave in self._bus.slaves if slave.address == address), None)
 
-    async def _do(self, token: int, command: ReadService | ChangeAddress) -> ServiceDone:
-        bus = self._bus
-        future: asyncio.Future[ServiceDone] = asyncio.get_running_loop().create_future()
-        self._waiting[token] = future
-        try:
-            bus.command(command)
-            done = await future
-        except asyncio.CancelledError:
-            with contextlib.suppress(DpError):  # the bus may have ended meanwhile
-                bus.command(CancelService(token))
-            raise
-        finally:
-            del self._waiting[token]
-        if done.outcome.failure is not None:
-            raise _error(done, done.outcome.failure)
-        return done
-
-    def on_done(self, done: ServiceDone) -> None:
-        """From the machine: the end of a service. One that nobody waits for any more is dropped."""
-        future = self._waiting.get(done.token)
-        if future is not None and not future.done():
-            future.set_result(done)
-
-    def end(self, error: DpError) -> None:
-        """Nothing more will come: everybody who waits is told why."""
-        for future in self._waiting.values():
-            if not future.done():
-                future.set_exception(error)
-
 
 def _diagnosis(done: ServiceDone) -> Diagnosis:
     found = Diagnosis.parse(done.outcome.data)
     if found is None:  # judged before it came here
         raise PduError(f"slave {done.address}: {len(done.outcome.data)} octets are no diagnosis")
     return found
-
-
-_LATE = (ServiceFailure.SILENT, ServiceFailure.LATE, ServiceFailure.GONE)
-_NO = (ServiceFailure.REFUSED, ServiceFailure.KEPT)
-
-
-def _error(done: ServiceDone, failure: ServiceFailure) -> DpError:
-    """The exception of a service without a result."""
-    outcome: Outcome = done.outcome
-    if failure in _LATE:
-        return SlaveTimeout(done.address, outcome.text)
-    if failure in _NO:
-        return ServiceRefused(done.address, outcome.text, service=done.service.title, status=outcome.status)
-    if failure is ServiceFailure.GUARDED:
-        return UsageError(outcome.text)
-    if failure is ServiceFailure.LINE:
-        return BusError(outcome.text)
-    return SlaveFault(done.address, outcome.text)

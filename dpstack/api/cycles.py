@@ -89,21 +89,26 @@ class _Reader:
         self._bus = bus
         self.more = asyncio.Event()
         self.data: CycleData | None = None
-        self._skipped = 0
-        self._last: CycleData | None = bus.master.cycle
+        last = bus.master.cycle
+        self._last = 0 if last is None else last.published
+        self._before: int | None = None  # published up to the one read last
 
     def on_round(self) -> None:
         data = self._bus.master.cycle
-        if data is self._last:
+        if data is None or data.published == self._last:
             return  # a round in which nobody had a turn
-        self._skipped += self.data is not None
-        self.data = self._last = data
+        if self._before is None:
+            self._before = data.published - 1
+        self.data = data
+        self._last = data.published
         self.more.set()
 
     def take(self) -> Cycle:
         data, self.data = self.data, None
         assert data is not None
-        skipped, self._skipped = self._skipped, 0
+        assert self._before is not None
+        skipped = data.published - self._before - 1
+        self._before = data.published
         slaves = {slave.address: slave for slave in self._bus.slaves}
         here = [slaves[address] for address in data.inputs if address in slaves]
         return Cycle(

@@ -90,14 +90,14 @@ async def carry_out(drive: Drive, word: str, args: Sequence[str]) -> dict[str, o
     return {**told, "status": drive.status.as_dict()}
 
 
-def find_word(word: str, known: Sequence[Spec] = WORDS) -> Spec:
+def find_word(word: str, known: Sequence[Spec] = WORDS, who: str = "a drive") -> Spec:
     """The word. Raises UsageError with the nearest, or with those there are."""
     names = [spec.name for spec in known]
     if word in names:
         return known[names.index(word)]
     near = difflib.get_close_matches(word.lower().replace("-", "_"), names, n=1)
     hint = f"did you mean {near[0]}?" if near else f"it knows {', '.join(names)}"
-    raise UsageError(f"a drive does not know {word!r}; {hint}")
+    raise UsageError(f"{who} does not know {word!r}; {hint}")
 
 
 def wrong_arguments(spec: Spec) -> str:

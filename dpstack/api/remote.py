@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.dp.commands import RemoveSlave
+from dpstack.dp.v1.unit_records import RecordQueue
 from dpstack.drivers.plugins import PluginRef
 from dpstack.errors import ConfigError
 from dpstack.profile import DriveCore, DriveStatus, ListedParam, registry
@@ -21,7 +22,8 @@ def core_of(slave: SlaveConfig, *, simulated: bool = False) -> DriveCore | None:
     """
     if slave.profile is None or slave.raw:
         return None
-    return slave.profile.core(slave.name, slave.telegram, slave.options, simulated=simulated)
+    records = None if slave.dpv1 is None else RecordQueue()
+    return slave.profile.core(slave.name, slave.telegram, slave.options, simulated=simulated, records=records)
 
 
 def plugin_of(slave: SlaveConfig) -> PluginRef | None:
@@ -35,7 +37,13 @@ def plugin_of(slave: SlaveConfig) -> PluginRef | None:
             f"program, and the bus process is handed names only; give it an entry point of the group {registry.GROUP}, "
             'or take driver = "asyncio"'
         )
-    return PluginRef(place=place, name=slave.name, telegram=slave.telegram, options=dict(slave.options))
+    return PluginRef(
+        place=place,
+        name=slave.name,
+        telegram=slave.telegram,
+        options=dict(slave.options),
+        records=slave.dpv1 is not None,
+    )
 
 
 def known_places() -> tuple[str, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from types import TracebackType
 
+from dpstack.api.served_records import AsyncRecords
 from dpstack.api.streams import Waiters
 from dpstack.dp.device import Device
 from dpstack.dp.diagnosis import Diagnosis
@@ -33,6 +34,10 @@ class ServedSlave:
 
     def __init__(self, device: Device, address: int, fixed: bool, params: BusParams, patience: Patience) -> None:
         self.device = device
+        self._records: AsyncRecords | None = None
+        if isinstance(device, DpSlave) and (device.on_read or device.on_write):
+            self._records = AsyncRecords(device.on_read, device.on_write)
+            device.serve_records(self._records)
         self._app = SlaveApp(device, address=address, address_fixed=fixed)
         self.station = PassiveStation(address, self._app, params, patience=patience)
         #: set by the server: what keeps the station running
@@ -115,6 +120,8 @@ class ServedSlave:
     def switch_off(self, why: BusError, now: int) -> None:
         """The end of serving: outputs safe."""
         self._over = why
+        if self._records is not None:
+            self._records.end()
         self.station.command(LineDown("switched off"), now)
         self._app.restart(now)
         self._waiters.check()

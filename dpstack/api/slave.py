@@ -7,6 +7,8 @@ import difflib
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, TypedDict, Unpack
 
+from dpstack.api.record_parameters import RecordParameters, over_records
+from dpstack.api.records import TIMEOUT, Records
 from dpstack.api.slave_config import SlaveConfig, refitted
 from dpstack.dp import faults
 from dpstack.dp.commands import ActivateSlave, DeactivateSlave, ReparameteriseSlave
@@ -16,6 +18,7 @@ from dpstack.dp.events import Fault, SlaveState
 from dpstack.dp.fields import Field, Value
 from dpstack.dp.scanner import Found, SlaveView
 from dpstack.dp.setup import SlaveSetup
+from dpstack.dp.v1.im import Im
 from dpstack.drivers.seen import HandlerSeen
 from dpstack.errors import SlaveFault, SlaveTimeout, UsageError
 
@@ -244,6 +247,41 @@ class Slave:
     def watchdog_ms(self) -> int:
         """The effective watchdog in ms, 0 when off."""
         return self._handler.watchdog_effective_ns // 1_000_000
+
+    # --- DP-V1 --------------------------------------------------------------------------------------------------
+
+    async def read(self, slot: int, index: int, length: int | None = None, *, timeout: float = TIMEOUT) -> bytes:
+        """Read a record of DP-V1: ``slot`` 0..254, ``index`` 0..255; up to ``length`` octets (None: all there are).
+
+        Open in data exchange, where the slave is parameterised for it (``dpv1``). One service per slave is under way,
+        others wait; the cycle goes on. ``timeout`` in seconds from the call; the slave has its C1_Response_Timeout.
+        Raises AcyclicError (the slave refuses: class, code, text), ServiceRefused (it has no Read and Write),
+        SlaveTimeout, SlaveFault (it left data exchange, or answers what cannot be), UsageError, BusError.
+        """
+        return await self._records.read(slot, index, length, timeout)
+
+    async def write(self, slot: int, index: int, data: bytes, *, timeout: float = TIMEOUT) -> None:
+        """Write a record of DP-V1, up to 240 octets; otherwise as :meth:`read`."""
+        await self._records.write(slot, index, data, timeout)
+
+    async def im(self, number: int = 0, *, slot: int = 0, timeout: float = TIMEOUT) -> Im:
+        """I&M ``number`` 0..4 of ``slot``. Raises as :meth:`read`; AcyclicError where the slave has it not."""
+        return await self._records.im(number, slot, timeout)
+
+    async def write_im(self, record: Im, *, slot: int = 0, timeout: float = TIMEOUT) -> None:
+        """Write I&M1 to I&M4. Raises as :meth:`read`."""
+        await self._records.write_im(record, slot, timeout)
+
+    def parameters(self, slot: int = 1, *, object: int = 1, timeout: float = TIMEOUT) -> RecordParameters:
+        """PROFIdrive's parameter access, record 47 of ``slot``: many parameters, arrays, the drive's own list.
+
+        ``object``: axis or drive object; ``timeout`` in seconds for each Read and Write. Make one and keep it.
+        """
+        return RecordParameters(self.name, over_records(self._records, timeout), slot, object=object)
+
+    @property
+    def _records(self) -> Records:
+        return Records(self._bus.services, self.setup)
 
     async def deactivate(self) -> None:
         """Take it out of service: safe outputs for 50 ms, Unlock, then nothing is sent to it until :meth:`activate`.

@@ -7,14 +7,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
+from dpstack.api.dpv1_config import read_dpv1
 from dpstack.api.field_config import read_fields
 from dpstack.api.slave_basis import Basis, basis_of
 from dpstack.api.tables import Table
 from dpstack.dp.diag_texts import DiagTexts
 from dpstack.dp.diagnosis import FIXED_LEN, MAX_LEN
 from dpstack.dp.fields import FieldMap
-from dpstack.dp.setup import DPV1_STATUS_LEN, INTERVAL_UNIT, MAX_WATCHDOG_MS, SlaveSetup
+from dpstack.dp.setup import INTERVAL_UNIT, MAX_WATCHDOG_MS, SlaveSetup
 from dpstack.dp.slave_description import SlaveDescription
+from dpstack.dp.v1.status import DPV1_STATUS_LEN, Dpv1
 from dpstack.errors import ConfigError
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.gsd.model import Device
@@ -52,10 +54,6 @@ _KEYS: Final = (
     "inputs",
     "outputs",
 )
-#: keys whose function comes later, with the values that ask for nothing
-_LATER: Final[dict[str, tuple[object, ...]]] = {
-    "dpv1": (False,),
-}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,6 +83,8 @@ class SlaveConfig:
     freeze: bool = False
     wd_base_1ms: bool = False
     ignore_auto_clear: bool = False
+    #: DPV1_Enable and what goes with it; None: nothing of DP-V1 is used
+    dpv1: Dpv1 | None = None
     #: what the device's GSD file says to a diagnosis
     texts: DiagTexts | None = field(default=None, compare=False, repr=False)
     #: as a slave, where its GSD file describes it
@@ -135,6 +135,7 @@ class SlaveConfig:
             freeze=self.freeze,
             wd_base_1ms=self.wd_base_1ms,
             ignore_auto_clear=self.ignore_auto_clear,
+            dpv1=self.dpv1,
             texts=self.texts,
         )
 
@@ -163,7 +164,6 @@ def read_slave(table: Table) -> SlaveConfig:
     if isinstance(named, str) and named.strip() and named.isprintable():
         table.title = f"[[slave]] {named}" if table.title.startswith("[[") else f"slave {named}"
     table.check_keys(_KEYS)
-    table.refuse_later(_LATER)
     address = table.integer("address", 0, MAX_STATION, "stations have 0..125; 126 is a slave without an address yet")
     if address is None:
         table.fail(None, "no address", "add its station address, 0..125")
@@ -186,7 +186,7 @@ def _build(table: Table, address: int, basis: Basis) -> SlaveConfig:
     device = basis.device
     octets = table.octets("user_prm") if device is None else None  # with a GSD file it was looked at there
     user_prm = basis.user_prm if octets is None else octets
-    dpv1 = device is not None and device.dpv1.slave and len(user_prm) >= DPV1_STATUS_LEN
+    told = device is not None and device.dpv1.slave and len(user_prm) >= DPV1_STATUS_LEN
     ident, ident_note = _ident(table, basis)
     input_fields, output_fields = read_fields(table, *io_lengths(basis.config))
     name = table.text("name") or f"slave{address}"
@@ -220,11 +220,12 @@ def _build(table: Table, address: int, basis: Basis) -> SlaveConfig:
         min_slave_interval_ns=interval_ns,
         max_diag_len=_max_diag_len(device),
         fail_safe=_fail_safe(table, basis),
-        fail_safe_told=dpv1 and basis.fail_safe,
+        fail_safe_told=told and basis.fail_safe,
         sync=_mode(table, "sync", None if device is None else device.sync, "Sync_Mode_supp"),
         freeze=_mode(table, "freeze", None if device is None else device.freeze, "Freeze_Mode_supp"),
-        wd_base_1ms=_wd_base_1ms(table, device, dpv1),
+        wd_base_1ms=_wd_base_1ms(table, device, told),
         ignore_auto_clear=table.flag("ignore_auto_clear", False),
+        dpv1=read_dpv1(table, device, user_prm),
         input_fields=input_fields,
         output_fields=output_fields,
         notes=tuple(notes),
@@ -256,9 +257,9 @@ def _mode(table: Table, key: str, supported: bool | None, keyword: str) -> bool:
     return wanted
 
 
-def _wd_base_1ms(table: Table, device: Device | None, dpv1: bool) -> bool:
+def _wd_base_1ms(table: Table, device: Device | None, told: bool) -> bool:
     supported = device is not None and device.dpv1.wd_base_1ms
-    wanted = table.flag("wd_base_1ms", supported and dpv1)
+    wanted = table.flag("wd_base_1ms", supported and told)
     if wanted and device is not None and not supported:
         table.fail("wd_base_1ms", "wd_base_1ms = true, but its GSD file says WD_Base_1ms_supp = 0", "leave it out")
     return wanted

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from dpstack.api.gsd import read_gsd
 from dpstack.dp.device import Leave, OnCycle
-from dpstack.dp.dp_slave import DpSlave, OnAddress
+from dpstack.dp.dp_slave import DpSlave, OnAddress, OnRead, OnWrite
 from dpstack.dp.slave_gsd import slave_description
+from dpstack.dp.v1.im import Im
 from dpstack.errors import ConfigError, GsdError
 from dpstack.gsd.configuration import configure, default_modules
 
@@ -23,6 +24,9 @@ def slave_from_gsd(
     on_prm: Callable[[bytes], str | None] | None = None,
     on_address: OnAddress | None = None,
     on_leave: Callable[[Leave], None] | None = None,
+    on_read: OnRead | None = None,
+    on_write: OnWrite | None = None,
+    im: Iterable[Im] = (),
 ) -> DpSlave:
     """The slave that the GSD file at ``path`` describes, doing what ``on_cycle(outputs, elapsed)`` does.
 
@@ -46,4 +50,7 @@ def slave_from_gsd(
         on_prm=on_prm,
         on_address=on_address,
         on_leave=on_leave,
+        on_read=on_read,
+        on_write=on_write,
+        im=im,
     )

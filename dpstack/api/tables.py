@@ -11,8 +11,6 @@ from typing import Final, NoReturn
 from dpstack.api.toml_lines import Path as KeyPath
 from dpstack.errors import ConfigError
 
-NOT_YET: Final = "not supported yet by this version"
-
 
 class Source:
     """What a configuration was read from: the name for messages, and the lines of its keys where it has any."""
@@ -64,14 +62,6 @@ class Table:
                 near = difflib.get_close_matches(key.lower(), names, n=1, cutoff=0.5)
                 todo = f"did you mean {near[0]!r}?" if near else f"known keys: {', '.join(names)}"
                 self.fail(key, f"unknown key {key!r}", todo)
-
-    def refuse_later(self, later: Mapping[str, tuple[object, ...]]) -> None:
-        """Refuse keys of functions that come later, unless their value asks for nothing (the tuple)."""
-        for key, harmless in later.items():
-            if key in self._data and not any(
-                self._data[key] == h and type(self._data[key]) is type(h) for h in harmless
-            ):
-                self.fail(key, f"{key} is {NOT_YET}", "leave it out")
 
     @property
     def folder(self) -> Path:
@@ -148,6 +138,10 @@ class Table:
         if not isinstance(value, Mapping):
             self._wrong(key, "a table, for instance { name = value }")
         return Table(self._source, (*self._path, key), value, f"{self.title}: {key}")
+
+    def inner(self, key: str, number: int, value: object) -> Table:
+        """The table ``value`` that stands at place ``number``, from 1, of the list ``key``."""
+        return Table(self._source, (*self._path, key), value, f"{self.title}: {key} {number}")
 
     def octets(self, key: str) -> bytes | None:
         """Octets as a text of hex digits, or as a list of integers 0..255."""

@@ -26,6 +26,7 @@ _COMMANDS = (
     "segment",
     "ctl",
     "drive",
+    "acyclic",
     "scan",
     "address",
     "plan",

@@ -97,7 +97,7 @@ async def ls(drive: Drive, tell: Tell, trip: Trip) -> None:
     """Its process data map over the bus, then a fault that the module's history names."""
     await drive.write("dr-03", 2.0)
     tell(f"dr-03 (acceleration time) written and read back: {await drive.read('dr-03')} s")
-    found = await drive.write_map(inputs="dr-03 In-90", outputs="dr-04")
+    found = await drive.write_map(inputs="dr-03 In-90", outputs="dr-04", timeout=60)
     tell(f"Para Status {found['inputs']}, Para Control {found['outputs']}: COM-31.., COM-51.., COM-94 = 1")
     await drive.order("output", number="dr-04", value=1.5)
     await _run(drive, tell, 0.5)

@@ -2,7 +2,8 @@
 
 With a fixed cycle the grid begins with the first request of the first round with data exchange. A round begins with the
 first token held at or after its grid time; so long the token goes round. After a delay the grid stays: what is late by
-up to half a cycle begins late, what is later is left out, so that two rounds never begin less than half a cycle apart.
+up to half a cycle begins late, what is later is left out, so that two rounds never begin less than half a cycle apart
+(but for a token and the idle time between the judgement and the first bit).
 While the master goes to a lower mode, and while nobody is in data exchange, rounds run free.
 """
 
@@ -150,6 +151,8 @@ class Cadence:
             return MissReason.OVERRUN, f"the round before took {ms_text(self._over_at - self.started_at)}"
         if self.budget.overdrawn:
             return MissReason.NO_ROOM, f"{self.budget.overdrawn} fits between no two cycles and was sent before"
+        if self.budget.silent:
+            return MissReason.SILENCE, f"{self.budget.silent} was not answered"
         if not self.budget.alone:
             return MissReason.TOKEN, "the token came late from another master"
         return MissReason.LATE, "this computer or its port was late"

@@ -18,6 +18,7 @@ from dpstack.dp.class2_jobs import (
     Steps,
     asked,
     diagnosis_of,
+    done,
     judged,
     refused,
     request,
@@ -29,6 +30,7 @@ from dpstack.dp.ms0 import positive
 from dpstack.dp.pdu import SetSlaveAdd
 from dpstack.fdl.telegram import Req, Telegram
 from dpstack.fdl.user import Failure, Request
+from dpstack.trace import Event, Notice
 from dpstack.units import NS_PER_MS
 
 _ATTEMPTS: Final = 3
@@ -53,6 +55,25 @@ class AddressChange:
     rem_slave_data: bytes = b""
     service: Service = Service.SET_ADDRESS
     aftermath: str = ""
+    lane: int | None = None
+    overdue: str = ""
+
+    @property
+    def title(self) -> str:
+        """The service's."""
+        return self.service.title
+
+    def bar(self) -> str:
+        """It is open whatever the slave's state."""
+        return ""
+
+    def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:
+        """A notice of a new address, too."""
+        events = done(self, self.service, token, outcome, now)
+        if outcome.failure is None:
+            message = f"slave {self.address} has address {self.new} now" + (" for good" if self.no_add_chg else "")
+            events.append(Notice(t_ns=now, source="class 2", message=message))
+        return events
 
     def steps(self) -> Steps[Outcome]:
         """Look, change, verify. ``data`` of a good end is the diagnosis read at the new address."""

@@ -1,4 +1,4 @@
-"""What a class 2 master asks a slave, and what the answers mean; queue and token are :mod:`dpstack.dp.class2`.
+"""What a class 2 master asks a slave, and what the answers mean; queue and token are :mod:`dpstack.dp.acyclic`.
 
 A job is a generator of :class:`Step`: it gives the next request and is sent what became of it. Its end is one
 :class:`Outcome`. Services of protocol facts B5 and B8: Slave_Diag and Get_Cfg are open in every state, RD_Inp and
@@ -27,6 +27,7 @@ from dpstack.fdl.telegram import (
     Telegram,
 )
 from dpstack.fdl.user import Failure, Request
+from dpstack.trace import Event
 from dpstack.units import NS_PER_MS
 
 T = TypeVar("T")
@@ -66,6 +67,8 @@ class ServiceFailure(Enum):
     LATE = "late"  # not in the time given
     LINE = "line"  # the port vanished
     CANCELLED = "cancelled"  # nobody wants it any more
+    CLOSED = "closed"  # the slave is not in data exchange (any more)
+    NEGATIVE = "negative"  # a negative response of DP-V1
     IDENT = "ident"  # another device
     OWNED = "owned"  # in the hands of a class 1 master
     TAKEN = "taken"  # the new address is in use
@@ -78,20 +81,25 @@ class ServiceFailure(Enum):
 class Outcome:
     """The one end of a service: ``data`` of the answer, or ``failure`` with ``text`` that says what to do.
 
-    ``status``: how a refusing slave answered.
+    ``status``: how a refusing slave answered. ``codes``: Error_Decode, Error_Code_1 and 2 of a negative response.
     """
 
     data: bytes = b""
     failure: ServiceFailure | None = None
     text: str = ""
     status: str = ""
+    codes: tuple[int, int, int] | None = None
 
 
 class Step(NamedTuple):
-    """The next request of a job, not earlier than ``pause_ns`` after the last one's end."""
+    """The next request of a job, not earlier than ``pause_ns`` after the last one's end.
+
+    ``within_ns``: from its start on the slave has so long for its answer; 0: nothing begins here.
+    """
 
     request: Request
     pause_ns: int = 0
+    within_ns: int = 0
 
 
 #: What a job is while it runs: the end of each request goes in, the result comes out.
@@ -106,15 +114,50 @@ class Job(Protocol):
         """The slave it is about."""
 
     @property
-    def service(self) -> Service:
-        """What is asked."""
+    def title(self) -> str:
+        """What is asked, by the standard's name."""
+
+    @property
+    def lane(self) -> int | None:
+        """Jobs of the same lane run one after the other, in the order they came."""
 
     @property
     def aftermath(self) -> str:
         """What has to be said of it when it is cut short now; empty when nothing has happened to the slave."""
 
+    @property
+    def overdue(self) -> str:
+        """What is to be said where ``Step.within_ns`` is over; its title stands in front."""
+
+    def bar(self) -> str:
+        """Why it can never end any more; its title stands in front. Empty while it can. Asked in every token hold."""
+
     def steps(self) -> Steps[Outcome]:
         """Its requests, one after the other."""
+
+    def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:
+        """What is told of its one end, to whom ``token`` means something."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ServiceDone(Event):
+    """The one end of the service with ``token``."""
+
+    token: int
+    address: int
+    service: Service
+    outcome: Outcome
+
+    @property
+    def text(self) -> str:
+        """What came of it."""
+        done = f"slave {self.address}: {self.service.title}, {len(self.outcome.data)} octets"
+        return done if self.outcome.failure is None else self.outcome.text
+
+
+def done(job: Job, service: Service, token: int, outcome: Outcome, now: int) -> list[Event]:
+    """What is told of the end of a class 2 master's ``job``."""
+    return [ServiceDone(t_ns=now, token=token, address=job.address, service=service, outcome=outcome)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,6 +169,21 @@ class Reading:
     expected: int | None = None
     #: it changes nothing
     aftermath: str = ""
+    lane: int | None = None
+    overdue: str = ""
+
+    @property
+    def title(self) -> str:
+        """The service's."""
+        return self.service.title
+
+    def bar(self) -> str:
+        """It is open whatever the slave's state."""
+        return ""
+
+    def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:
+        """One event."""
+        return done(self, self.service, token, outcome, now)
 
     def steps(self) -> Steps[Outcome]:
         """One request, repeated where there is hope."""

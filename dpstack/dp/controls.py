@@ -43,7 +43,7 @@ class Controls:
 
     __slots__ = (
         "_due", "_emit", "_handlers", "_length_ns", "_orders", "_period", "_release", "_restore", "cycle_freeze",
-        "cycle_sync", "frozen", "synced", "urgent",
+        "cycle_sync", "frozen", "synced", "takes_ns", "urgent",
     )  # fmt: skip
 
     def __init__(
@@ -62,7 +62,9 @@ class Controls:
         self._handlers = handlers
         self._emit = emit
         self._length_ns = params.ns(_OCTETS * BITS_PER_CHAR)
-        self._period = max(_PERIOD, _SHARE * params.ns(_OCTETS * BITS_PER_CHAR + params.t_id2))
+        #: one telegram and the idle time after it
+        self.takes_ns = params.ns(_OCTETS * BITS_PER_CHAR + params.t_id2)
+        self._period = max(_PERIOD, _SHARE * self.takes_ns)
         self._due = 0
         self._release = 0
         self._orders: deque[Order] = deque()

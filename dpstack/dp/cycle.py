@@ -15,6 +15,7 @@ class MissReason(Enum):
 
     OVERRUN = "overrun"  # the round before was not over
     NO_ROOM = "no_room"  # something that fits between no two cycles was sent before it
+    SILENCE = "silence"  # a request between two cycles was not answered, and waited for longer than there was room
     TOKEN = "token"  # another master had the token
     LATE = "late"  # none of these: this computer, or its port, was late
 
@@ -27,9 +28,15 @@ class MissReason(Enum):
 _TEXTS: Final = {
     MissReason.OVERRUN: "after a long round",
     MissReason.NO_ROOM: "after a request that fits between no two cycles",
+    MissReason.SILENCE: "after a service that was not answered",
     MissReason.TOKEN: "waiting for the token",
     MissReason.LATE: "by this computer or its port",
 }
+
+
+def tolerance_ns(cycle_ns: int) -> int:
+    """So late a cycle of ``cycle_ns`` may begin without being a deadline miss: a tenth of it."""
+    return cycle_ns // 10
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,12 +44,14 @@ class CycleData:
     """One round with data exchange, published when it is over. Times in ns.
 
     ``number`` counts fixed cycles by their due times, those that were left out included; free running the rounds.
-    ``t_ns`` is the first bit of its first request, ``due_ns`` when that was due (free running: the same). ``inputs``
-    are those of every slave in data exchange by address, all as they stood at the end of the round; ``fresh`` are the
-    slaves whose inputs came in this one. ``missed`` counts the deadline misses up to here.
+    ``published`` counts these pictures: who was handed fewer of them knows how many are missing. ``t_ns`` is the first
+    bit of its first request, ``due_ns`` when that was due (free running: the same). ``inputs`` are those of every slave
+    in data exchange by address, all as they stood at the end of the round; ``fresh`` are the slaves whose inputs came
+    in this one. ``missed`` counts the deadline misses up to here.
     """
 
     number: int
+    published: int
     t_ns: int
     due_ns: int
     inputs: Mapping[int, bytes]
@@ -72,8 +81,8 @@ class CycleBook:
 
     @property
     def tolerance_ns(self) -> int:
-        """So late a cycle may begin: a tenth of it."""
-        return self.cycle_ns // 10
+        """So late a cycle may begin."""
+        return tolerance_ns(self.cycle_ns)
 
     @property
     def missed(self) -> int:

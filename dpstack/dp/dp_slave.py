@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Awaitable, Callable, Iterable, Iterator
 from typing import Protocol
 
 from dpstack.dp.device import FunctionDevice, Leave, OnCycle
 from dpstack.dp.slave_description import SlaveDescription
 from dpstack.dp.user_diag import NO_DIAG, UserDiag
+from dpstack.dp.v1.im import Im
+from dpstack.dp.v1.serving import ImRecords, Records
 from dpstack.errors import ConfigError
 from dpstack.gsd.identifiers import io_lengths
 
@@ -18,6 +20,12 @@ class OnAddress(Protocol):
 
     def __call__(self, address: int, fixed: bool, rem_slave_data: bytes) -> None:
         """As :meth:`~dpstack.dp.device.Device.address_set`: all of it is kept."""
+
+
+#: a record's octets from slot and index; from slot, index and octets to nothing. Both may take their time, and raise
+#: :class:`~dpstack.errors.RecordRefused`.
+OnRead = Callable[[int, int], Awaitable[bytes]]
+OnWrite = Callable[[int, int, bytes], Awaitable[None]]
 
 
 class DpSlave(FunctionDevice):
@@ -34,6 +42,10 @@ class DpSlave(FunctionDevice):
     exchange ended. What any of them raises takes this slave out of data exchange, with safe outputs and Stat_Diag,
     until it is restarted; nothing else is disturbed.
 
+    ``on_read`` and ``on_write`` serve the records of DP-V1, one at a time (:func:`dpstack.serve_slave` runs them): what
+    they raise is answered and told, nothing else ends; they are cancelled when the master gives up. ``im`` is its I&M:
+    I&M0, and those of I&M1 to 4 that a master may write.
+
     Set :attr:`diag`, as a whole and whenever something changes, to what the slave shall say in its diagnosis.
     Raises ConfigError.
     """
@@ -48,6 +60,9 @@ class DpSlave(FunctionDevice):
         on_prm: Callable[[bytes], str | None] | None = None,
         on_address: OnAddress | None = None,
         on_leave: Callable[[Leave], None] | None = None,
+        on_read: OnRead | None = None,
+        on_write: OnWrite | None = None,
+        im: Iterable[Im] = (),
     ) -> None:
         first = description.configs[0] if description.configs else description.modules[0].config
         real = first if config is None else config
@@ -74,6 +89,10 @@ class DpSlave(FunctionDevice):
         self._on_prm = on_prm
         self._on_address = on_address
         self._on_leave = on_leave
+        self.on_read = on_read
+        self.on_write = on_write
+        self._im = tuple(im)
+        self.serve_records(None)
         #: one of the user's functions runs at this moment
         self.inside = False
 
@@ -93,6 +112,15 @@ class DpSlave(FunctionDevice):
     def user_diag(self) -> UserDiag:
         """The diagnosis as it was set."""
         return self._diag
+
+    @property
+    def im(self) -> tuple[Im, ...]:
+        """Its I&M as it stands now, by number; a master may have written some of it."""
+        return self.records.records if isinstance(self.records, ImRecords) else ()
+
+    def serve_records(self, others: Records | None) -> None:
+        """What serves the records beside I&M."""
+        self.records = ImRecords(self._im, others) if self._im else others
 
     # --- Device -------------------------------------------------------------------------------------------------
 

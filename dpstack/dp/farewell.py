@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -19,7 +20,9 @@ SAFE_HOLD: Final = 50 * NS_PER_MS
 
 
 @dataclass(slots=True)
-class _Leaving:
+class Leaving:
+    """Who is leaving; the tag of its requests."""
+
     handler: SlaveHandler
     until: int  # safe values until then
     held: bool  # it is in SYNC or FREEZE: safe values are to reach its outputs
@@ -32,7 +35,7 @@ class Farewells:
     __slots__ = ("_leaving", "_turns")
 
     def __init__(self) -> None:
-        self._leaving: deque[_Leaving] = deque()
+        self._leaving: deque[Leaving] = deque()
         self._turns = 0
 
     def __bool__(self) -> bool:
@@ -44,7 +47,7 @@ class Farewells:
         ``exchanging``: it has outputs. ``held``: in SYNC or FREEZE by our order.
         """
         if handler.owned and not self.awaits(handler.setup.address):
-            self._leaving.append(_Leaving(handler, now + SAFE_HOLD if exchanging else now, held and exchanging))
+            self._leaving.append(Leaving(handler, now + SAFE_HOLD if exchanging else now, held and exchanging))
 
     def awaits(self, address: int) -> bool:
         """Whether the slave at ``address`` is not unlocked yet."""
@@ -59,12 +62,19 @@ class Farewells:
         """One request to each follows."""
         self._turns = len(self._leaving)
 
-    def request(self, now: int, *, clear: bool) -> Request | None:
-        """The next request of this round, or None. ``clear``: the master is in Clear."""
-        if not self._turns:
-            return None
-        self._turns -= 1
-        leaving = self._leaving.popleft()
+    def request(self, now: int, spaced: Mapping[int, int], *, clear: bool) -> Request | None:
+        """The next request of this round, or None. ``clear``: the master is in Clear; ``spaced``: by address, no
+        Data_Exchange before this time.
+        """
+        while self._turns:
+            self._turns -= 1
+            leaving = self._leaving.popleft()
+            request = self._next(leaving, now, spaced, clear)
+            if request is not None:
+                return request
+        return None
+
+    def _next(self, leaving: Leaving, now: int, spaced: Mapping[int, int], clear: bool) -> Request | None:
         setup = leaving.handler.setup
         if leaving.held and leaving.safe:
             leaving.held = False
@@ -72,9 +82,12 @@ class Farewells:
             data = GlobalControl(clear=clear, unsync=True, unfreeze=True).build()
             return Request(setup.address, Req.SDN_HIGH, data, SAP_GLOBAL_CONTROL, SSAP_MS0)
         if now < leaving.until or leaving.held:
-            leaving.safe = True
             self._leaving.append(leaving)
-            return Request(setup.address, Req.SRD_HIGH, leaving.handler.unit.safe_outputs(), patient=True)
+            if now < spaced.get(setup.address, 0):
+                return None
+            leaving.safe = True
+            safe = leaving.handler.unit.safe_outputs()
+            return Request(setup.address, Req.SRD_HIGH, safe, patient=True, tag=leaving)
         leaving.handler.owned = False
         data = unlock_prm(setup, leaving.handler.ident)
         return Request(setup.address, Req.SRD_HIGH, data, SAP_SET_PRM, SSAP_MS0, patient=True)

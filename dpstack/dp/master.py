@@ -298,7 +298,7 @@ class Master:
         if not self._turns.exchanging:
             self._round_at = 0
         elif self.on_round is not None:
-            self.cycle = self._round.data or self.cycle
+            self.cycle = self._round.publish() or self.cycle
             self.on_round(now)
         if self._control.enabled:
             self._watch_data(now)

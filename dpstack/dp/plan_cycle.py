@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final, NamedTuple
 
+from dpstack.dp.cycle import tolerance_ns
 from dpstack.dp.durations import acyclic_bits, gap_poll_bits, global_control_bits, request_octets, vain_bits
 from dpstack.dp.rotations import Case, Figures, longest_diagnosis
 from dpstack.dp.setup import SlaveSetup
@@ -120,8 +121,30 @@ def judge_cycle(figures: Figures) -> CyclePlan:
         load=figures.work_ns(Case.TYPICAL) / cycle,
         refusals=tuple(_refusals(figures)),
         findings=(_missed(figures, verdict),) if verdict in (Verdict.POSSIBLE, Verdict.TYPICAL) else (),
-        notes=(_missed(figures, verdict),) if verdict is Verdict.UNDISTURBED else (),
+        notes=tuple(_notes(figures, verdict)),
     )
+
+
+def token_wait_ns(figures: Figures) -> int:
+    """How long after its time a cycle may begin while the other masters have the token, each for its longest normal
+    round; 0 alone on the bus.
+    """
+    normal = figures.rotations[Case.NORMAL]
+    return figures.params.ns(normal.others + normal.token) if figures.others.count else 0
+
+
+def _notes(figures: Figures, verdict: Verdict) -> Iterable[str]:
+    if verdict is Verdict.UNDISTURBED:
+        yield _missed(figures, verdict)
+    wait = token_wait_ns(figures)
+    if wait and verdict is not Verdict.IMPOSSIBLE:
+        cycle, others = figures.cycle_ns, figures.others.count
+        whom = "the other master has its normal round" if others == 1 else f"{others} other masters have their rounds"
+        missed = "; more than a tenth of it counts as missed, by token" if wait > tolerance_ns(cycle) else ""
+        yield (
+            f"cycle_ms = {cycle / NS_PER_MS:g}: a cycle begins when the token is there, up to {ms_text(wait)} late "
+            f"while {whom}{missed}"
+        )
 
 
 def _refusals(figures: Figures) -> Iterable[Refusal]:

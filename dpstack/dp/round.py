@@ -19,10 +19,10 @@ from dpstack.dp.commands import Mode
 from dpstack.dp.controls import Controls
 from dpstack.dp.cycle import CycleData
 from dpstack.dp.events import SlaveState
-from dpstack.dp.farewell import Farewells
+from dpstack.dp.farewell import Farewells, Leaving
 from dpstack.dp.slave_handler import SlaveHandler
 from dpstack.dp.turns import Turns
-from dpstack.fdl.telegram import SAP_CHK_CFG, SAP_GET_CFG, SAP_SET_PRM
+from dpstack.fdl.telegram import SAP_CHK_CFG, SAP_GET_CFG, SAP_GLOBAL_CONTROL, SAP_SET_PRM
 from dpstack.fdl.user import Request
 
 # asked in every exchange: an enum's member costs ten times a name of the module
@@ -75,9 +75,13 @@ class Round:
         self._services = 0
         self._operating = False  # it began in Operate
         self._unsent = False  # no request of it went out yet
+        self._at_once = False  # the grid was left: the next round begins within this hold
+        self._published = 0
         self._freeze = self._sync = False  # still to be sent in it
-        #: with a fixed cycle, by address of slaves that have a Min_Slave_Interval: no exchange before this time
+        #: by address of slaves that have a Min_Slave_Interval: no exchange before this time
         self._spaced: dict[int, int] = {}
+        self._paused = False  # for one of them
+        self._free_at = 0  # the last Global_Control and its idle time are over
 
     # --- the link layer's questions -----------------------------------------------------------------------------
 
@@ -91,10 +95,14 @@ class Round:
     def next_request(self, now: int) -> Request | None:
         """The next request, in the round or between two fixed cycles."""
         if not self.open:
-            if not self._cadence.fixed:
+            fixed = self._cadence.fixed
+            if not (fixed or self._at_once):
                 return None
-            if not self._cadence.due(now):
-                return self._between(now)
+            # Global_Control is told to be over when it begins, and nothing can begin before its end
+            if not self._cadence.due(max(now, self._free_at) if fixed else now):
+                return self._between(now) if fixed else None
+            if not (fixed or self._may_take_all(now)):
+                return None
             self._begin(now)
         if not self._cursor and (request := self._before_data(now)) is not None:
             return request
@@ -105,8 +113,8 @@ class Round:
         if self._sync:
             self._sync = False
             return self._controls.cyclic(self._controls.cycle_sync)
-        if self._farewells and (request := self._farewells.request(now, clear=mode is Mode.CLEAR)) is not None:
-            return request._replace(cyclic=True)
+        if self._farewells and (request := self._leave(now)) is not None:
+            return request
         fixed = self._cadence.fixed
         request = self._controls.after_data(mode, now, repeat=bool(self._turns.exchanging) and not fixed)
         if request is not None:
@@ -130,6 +138,7 @@ class Round:
         for handler in self._due:
             handler.image.latch()
         self.open = True
+        self._at_once = False
         self._cursor = 0
         self._unsent = True
         self.first_data = bool(self._due)
@@ -164,24 +173,30 @@ class Round:
     def _data(self, now: int) -> Request | None:
         """The next Data_Exchange; None when there is no more, or not yet."""
         due = self._due
+        if self._paused:
+            self._paused = False
+            self._cadence.resume()
         while self._cursor < len(due):
             handler = due[self._cursor]
             if handler.state is _DATA_EXCHANGE:
-                until = self._spaced.get(handler.setup.address) if self._cadence.fixed else None
-                if until is not None:
-                    self._cadence.resume()
-                    if now < until:
-                        if until - now <= self._cadence.book.cycle_ns // 2:
-                            self._cadence.pause(until)
-                            return None
-                        self._cursor += 1
-                        continue  # its turn comes in the next cycle
+                until = self._spaced.get(handler.setup.address) if self._spaced else None
+                if until is not None and now < until:
+                    if not self._cadence.fixed or until - now <= self._cadence.book.cycle_ns // 2:
+                        self._paused = True
+                        self._cadence.pause(until)
+                        return None
+                    self._cursor += 1
+                    continue  # its turn comes in the next cycle
                 self._cursor += 1
                 if self._turns.rates.uneven:
                     self._turns.rates.taken(handler.setup.address, self._cadence.number)
                 return handler.data_request(self._outputs(handler, now))
             self._cursor += 1
         return None
+
+    def _leave(self, now: int) -> Request | None:
+        request = self._farewells.request(now, self._spaced, clear=self._course.mode is Mode.CLEAR)
+        return None if request is None else request._replace(cyclic=True)
 
     def _outputs(self, handler: SlaveHandler, now: int) -> bytes:
         course = self._course
@@ -220,9 +235,12 @@ class Round:
         if self._unsent and request.cyclic:
             self._unsent = False
             self._cadence.started(at)
-        if request.dsap is None and self._cadence.fixed and isinstance(request.tag, SlaveHandler):
-            interval = request.tag.setup.min_slave_interval_ns
-            if interval:
+        if request.dsap == SAP_GLOBAL_CONTROL:
+            self._free_at = at + self._controls.takes_ns
+        elif request.dsap is None:
+            tag = request.tag
+            handler = tag.handler if isinstance(tag, Leaving) else tag
+            if isinstance(handler, SlaveHandler) and (interval := handler.setup.min_slave_interval_ns):
                 self._spaced[request.da] = at + interval
 
     def held_back(self, request: Request) -> None:
@@ -237,18 +255,20 @@ class Round:
     def cut(self, now: int) -> None:
         """Whatever is under way is over: a whole round follows, on no grid."""
         self.open = False
-        self._spaced.clear()
+        self._at_once = self._cadence.fixed
+        self._paused = False
         self._cadence.stop(now)
 
-    @property
-    def data(self) -> CycleData | None:
+    def publish(self) -> CycleData | None:
         """What came of it; None where nothing was sent in it."""
         if self._unsent or not self._due:
             return None
+        self._published += 1
         cadence = self._cadence
         exchanging = self._turns.exchanging
         return CycleData(
             number=cadence.number,
+            published=self._published,
             t_ns=cadence.started_at,
             due_ns=cadence.due_at,
             inputs={h.setup.address: h.image.inputs for h in exchanging},

@@ -8,6 +8,7 @@ from typing import Final, NamedTuple
 from dpstack.dp.diag_texts import DiagTexts
 from dpstack.dp.diagnosis import FIXED_LEN, MAX_LEN
 from dpstack.dp.pdu import MAX_USER_PRM
+from dpstack.dp.v1.status import DPV1_STATUS_LEN, FAIL_SAFE, WD_BASE_1MS, Dpv1, set_bit
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.identifiers import io_lengths
@@ -19,10 +20,6 @@ INTERVAL_UNIT: Final = 100 * NS_PER_US
 MAX_WATCHDOG_MS: Final = 650_250
 #: the longest watchdog with the 1 ms base
 _MAX_FINE_MS: Final = 255 * 255
-#: a DP-V1 slave's user parameters begin with DPV1_Status_1..3; bits of the first (protocol facts C1)
-DPV1_STATUS_LEN: Final = 3
-FAIL_SAFE: Final = 0x40
-WD_BASE_1MS: Final = 0x04
 
 
 class WatchdogTime(NamedTuple):
@@ -52,6 +49,7 @@ class SlaveSetup:
     ``initial`` the first ones (default ``safe``). ``groups`` are group numbers 1..8. ``every``: every n-th round.
     ``wd_base_1ms``: a DP-V1 slave with a watchdog base of 1 ms; its user parameters begin with DPV1_Status_1..3.
     ``fail_safe``: it gets empty frames in Clear; ``fail_safe_told``: DPV1_Status_1 says to a DP-V1 slave whether.
+    ``dpv1``: DPV1_Enable and what goes with it, for a slave whose user parameters begin so; None: nothing of it.
     ``max_diag_len``: octets of its longest diagnosis, 6..244, None: not known.
     ``ignore_auto_clear``: the master stays in Operate without it. ``texts``: what its GSD file says to a diagnosis.
 
@@ -78,6 +76,7 @@ class SlaveSetup:
     max_diag_len: int | None = None
     wd_base_1ms: bool = False
     ignore_auto_clear: bool = False
+    dpv1: Dpv1 | None = None
     texts: DiagTexts | None = field(default=None, compare=False, repr=False)
     #: what the drive or device does when its master stops, for people ("coasts after 200 ms")
     on_loss: str = ""
@@ -94,12 +93,15 @@ class SlaveSetup:
             raise ConfigError(f"{where}: {len(self.user_prm)} octets of user parameters; {MAX_USER_PRM} are possible")
         if self.watchdog_ms is not None and not 0 <= self.watchdog_ms <= MAX_WATCHDOG_MS:
             raise ConfigError(f"{where}: watchdog_ms {self.watchdog_ms} is outside 0 (off)..650250")
-        for key in ("wd_base_1ms", "fail_safe_told"):
+        for key in ("wd_base_1ms", "fail_safe_told", "dpv1"):
             if getattr(self, key) and len(self.user_prm) < DPV1_STATUS_LEN:
                 raise ConfigError(
                     f"{where}: {key} needs user_prm that begin with the three DPV1_Status octets, "
                     f"{len(self.user_prm)} octets are given"
                 )
+        sent = len(self.user_octets(None))
+        if sent > MAX_USER_PRM:
+            raise ConfigError(f"{where}: {sent} octets of user parameters with its blocks; {MAX_USER_PRM} are possible")
         if any(not 1 <= g <= 8 for g in self.groups):
             raise ConfigError(f"{where}: groups are numbered 1..8")
         if self.every < 1:
@@ -152,14 +154,12 @@ class SlaveSetup:
         """The user parameters as they are sent: WD_Base_1ms is the base of ``watchdog``, Fail_Safe what Clear is."""
         octets = bytearray(self.user_prm)
         if self.wd_base_1ms:
-            _put(octets, WD_BASE_1MS, watchdog is not None and watchdog.base_ms == 1)
+            set_bit(octets, 0, WD_BASE_1MS, watchdog is not None and watchdog.base_ms == 1)
         if self.fail_safe_told:
-            _put(octets, FAIL_SAFE, self.fail_safe)
+            set_bit(octets, 0, FAIL_SAFE, self.fail_safe)
+        if self.dpv1 is not None:
+            self.dpv1.apply(octets)
         return bytes(octets)
-
-
-def _put(octets: bytearray, bit: int, on: bool) -> None:
-    octets[0] = octets[0] | bit if on else octets[0] & ~bit
 
 
 def group_mask(groups: tuple[int, ...]) -> int:

@@ -15,6 +15,7 @@ from dpstack.dp.slave_prm import Watchdog
 from dpstack.dp.slave_report import Report
 from dpstack.dp.slave_states import TABLE, AppEv, SlaveAppState
 from dpstack.dp.user_diag import NO_DIAG, UserDiag
+from dpstack.dp.v1.serving import Ms1Server
 from dpstack.fdl.passive import LOWEST_TSDR
 
 
@@ -22,10 +23,22 @@ class SlaveCore:
     """One slave application, as :class:`~dpstack.dp.slaveapp.SlaveApp` and its services share it.
 
     ``master``: who has locked the slave. ``failure``: what failed in the device, None while it works. ``data``: only in
-    data exchange. ``group``: Group_Ident.
+    data exchange. ``group``: Group_Ident. ``ms1``: Read and Write of DP-V1.
     """
 
-    __slots__ = ("address", "data", "device", "diag", "failure", "group", "master", "report", "state", "watchdog")
+    __slots__ = (
+        "address",
+        "data",
+        "device",
+        "diag",
+        "failure",
+        "group",
+        "master",
+        "ms1",
+        "report",
+        "state",
+        "watchdog",
+    )
 
     def __init__(self, device: Device, address: int | None, address_fixed: bool) -> None:
         self.device = device
@@ -34,6 +47,7 @@ class SlaveCore:
         self.failure: str | None = None
         self.report = Report(device, address)
         self.diag = DiagState(device)
+        self.ms1 = Ms1Server(device.records, self.report)
         self.address = SlaveAddress(device, self.report, address_fixed)
         self.watchdog = Watchdog()
         self.data: CyclicData | None = None
@@ -89,6 +103,7 @@ class SlaveCore:
         if self.data is None:
             return True
         self.data = None
+        self.ms1.close()
         try:
             self.device.leave(reason, now)
         except Exception as error:

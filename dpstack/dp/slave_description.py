@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from dpstack.dp.diagnosis import FIXED_LEN, MAX_LEN
 from dpstack.dp.pdu import MAX_USER_PRM
 from dpstack.dp.setup import INTERVAL_UNIT
+from dpstack.dp.v1.status import DPV1_STATUS_LEN
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.identifiers import config_for, io_lengths
@@ -37,6 +38,7 @@ class SlaveDescription:
     [Max_Input_Len ...] in octets, the last for both together; ``user_prm_len``: fewest and most octets of user
     parameters [Max_User_Prm_Data_Len]; ``sync``, ``freeze``, ``fail_safe``, ``set_slave_add``, ``wd_base_1ms``
     [Sync_Mode_supp ...]; ``fail_safe_required`` [Fail_Safe_required]; ``max_diag_len`` [Max_Diag_Data_Len], 6..244;
+    ``dpv1`` [DPV1_Slave]: its user parameters begin with the three DPV1_Status octets;
     ``rates``: baud rate -> MaxTsdr in bit times, empty for all; ``min_slave_interval_ns`` [Min_Slave_Intervall], for
     the master. Raises ConfigError.
     """
@@ -56,14 +58,17 @@ class SlaveDescription:
     fail_safe_required: bool = False
     set_slave_add: bool = False
     wd_base_1ms: bool = False
+    dpv1: bool = False
     max_diag_len: int = MAX_LEN
     rates: Mapping[int, int] = field(default_factory=dict)
     min_slave_interval_ns: int = 0
 
     @classmethod
-    def simple(cls, ident: int, *, inputs: int, outputs: int, name: str = "slave") -> SlaveDescription:
+    def simple(
+        cls, ident: int, *, inputs: int, outputs: int, name: str = "slave", dpv1: bool = False
+    ) -> SlaveDescription:
         """A slave with one configuration of so many octets each way, as seen from the master. Raises ConfigError."""
-        return cls(ident=ident, name=name, configs=(config_for(inputs, outputs),))
+        return cls(ident=ident, name=name, configs=(config_for(inputs, outputs),), dpv1=dpv1)
 
     def __post_init__(self) -> None:
         if not 0 <= self.ident <= 0xFFFF:
@@ -77,6 +82,8 @@ class SlaveDescription:
         least, most = self.user_prm_len
         if not 0 <= least <= most <= MAX_USER_PRM:
             raise self._wrong(f"user_prm_len {self.user_prm_len} is not within 0..{MAX_USER_PRM}")
+        if self.dpv1 and most < DPV1_STATUS_LEN:
+            raise self._wrong(f"user_prm_len {self.user_prm_len} has no room for the three DPV1_Status octets of dpv1")
         if not FIXED_LEN <= self.max_diag_len <= MAX_LEN:
             raise self._wrong(f"max_diag_len {self.max_diag_len} is outside {FIXED_LEN}..{MAX_LEN}")
         if self.modules and self.max_modules < 1:
@@ -119,9 +126,10 @@ class SlaveDescription:
             "address": address,
             "ident": self.ident,
             "config": config.hex(" "),
-            "user_prm": bytes(self.user_prm_len[0]).hex(" "),
+            "user_prm": bytes(max(self.user_prm_len[0], DPV1_STATUS_LEN * self.dpv1)).hex(" "),
             "fail_safe": self.fail_safe,
             "min_slave_interval": -(-self.min_slave_interval_ns // INTERVAL_UNIT),
+            **({"dpv1": True} if self.dpv1 else {}),
         }
 
     # --- inside -------------------------------------------------------------------------------------------------

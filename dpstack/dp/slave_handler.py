@@ -72,6 +72,8 @@ class SlaveHandler:
         self.diagnoses = Diagnoses(setup, own, self.findings, emit)
         self.unit = UnitHost(self.image, setup.safe_outputs, setup.address, setup.name, emit, self.findings.tell)
         self.state = SlaveState.OFFLINE
+        #: in this state, in ns
+        self.since = 0
         self.exchanges: int = 0 if before is None else before.exchanges
         #: Set_Prm was sent, and no answer since says that the slave is not (or no longer) this master's
         self.owned = False
@@ -79,7 +81,6 @@ class SlaveHandler:
         self.diag_due = False
         self._emit = emit
         self._changed = changed
-        self._since = 0
         self._pacing = Pacing()
         self._silent = 0
         self._busy = 0
@@ -171,7 +172,7 @@ class SlaveHandler:
             case SlaveState.SET_PRM | SlaveState.CHK_CFG:
                 return True
             case SlaveState.WAIT_READY:
-                return self._pacing.due <= self._since
+                return self._pacing.due <= self.since
             case _:
                 return False
 
@@ -290,7 +291,7 @@ class SlaveHandler:
             self._ask_cfg = True
 
     def _wait(self, diagnosis: Diagnosis, now: int) -> None:
-        waited = now - self._since
+        waited = now - self.since
         if self._unacked and waited > _UNACKED_LIMIT:
             self._step(Ev.TOO_LONG, now, faults.silent(self._unacked))
         elif waited > _READY_LIMIT:
@@ -335,7 +336,7 @@ class SlaveHandler:
         was, self.state = self.state, state
         if was is SlaveState.DATA_EXCHANGE:
             self._leave_exchange(now, silent=state is SlaveState.OFFLINE)
-        self._since = now
+        self.since = now
         self._busy = 0
         self._odd.clear()
         if state in (SlaveState.DATA_EXCHANGE, SlaveState.DEACTIVATED):
@@ -364,7 +365,7 @@ class SlaveHandler:
         self.image.valid = False
         self.diag_due = False
         self.restart = True
-        self._pacing.left(now, now - self._since, silent=silent)
+        self._pacing.left(now, now - self.since, silent=silent)
         self.unit.lost(now)
 
     def deactivate(self, now: int) -> None:

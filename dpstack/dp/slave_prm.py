@@ -7,7 +7,8 @@ from typing import NamedTuple
 from dpstack.dp.device import Device
 from dpstack.dp.diagnosis import FIXED_LEN, MAX_LEN
 from dpstack.dp.pdu import SetPrm
-from dpstack.dp.setup import FAIL_SAFE, WD_BASE_1MS, watchdog_ns
+from dpstack.dp.setup import watchdog_ns
+from dpstack.dp.v1.status import DPV1_ENABLE, FAIL_SAFE, WD_BASE_1MS
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.identifiers import agree, io_lengths
@@ -49,6 +50,11 @@ def watchdog_time(device: Device, prm: SetPrm) -> int:
         return 0
     fine = device.wd_base_1ms and _dpv1_status(prm) & WD_BASE_1MS
     return watchdog_ns(prm.watchdog, 1) if fine else watchdog_ns(prm.watchdog)
+
+
+def dpv1_enabled(prm: SetPrm) -> bool:
+    """Whether ``prm`` opens the services of DP-V1."""
+    return bool(_dpv1_status(prm) & DPV1_ENABLE)
 
 
 def _dpv1_status(prm: SetPrm) -> int:

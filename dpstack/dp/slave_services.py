@@ -12,12 +12,13 @@ from dpstack.dp.device import Leave
 from dpstack.dp.pdu import SetPrm, SetSlaveAdd
 from dpstack.dp.slave_core import SlaveCore
 from dpstack.dp.slave_data import CyclicData
-from dpstack.dp.slave_prm import Refusal, judge_cfg, judge_prm, real_cfg, watchdog_time
+from dpstack.dp.slave_prm import Refusal, dpv1_enabled, judge_cfg, judge_prm, real_cfg, watchdog_time
 from dpstack.dp.slave_states import AppEv
 from dpstack.errors import PduError
 from dpstack.fdl.telegram import (
     SAP_CHK_CFG,
     SAP_GET_CFG,
+    SAP_MS1,
     SAP_RD_INP,
     SAP_RD_OUTP,
     SAP_SET_PRM,
@@ -48,6 +49,7 @@ class Services:
             SAP_RD_INP: self._rd_inp,
             SAP_RD_OUTP: self._rd_outp,
             SAP_SET_SLAVE_ADD: self._set_slave_add,
+            SAP_MS1: self._ms1,
         }
 
     # --- reading ------------------------------------------------------------------------------------------------
@@ -118,6 +120,7 @@ class Services:
         core.master = sa
         core.group = prm.group_mask
         core.watchdog.arm(watchdog_time(core.device, prm), now)
+        core.ms1.enabled = dpv1_enabled(prm)
         core.step(AppEv.PRM_GOOD, now, Leave.NEW_PARAMETERS)
 
     # --- Chk_Cfg ------------------------------------------------------------------------------------------------
@@ -163,6 +166,16 @@ class Services:
         core.data = data
         core.report.forget()
         core.step(AppEv.CFG_GOOD, now)
+
+    # --- DP-V1 --------------------------------------------------------------------------------------------------
+
+    def _ms1(self, request: Telegram, now: int) -> Reply:
+        core = self._core
+        if request.sa != core.master or not core.ms1.open:
+            core.report.stats.refused += 1
+            core.report.stats.foreign += request.sa != core.master
+            return RS_REPLY
+        return core.ms1.serve(request.data, request.sa, now)
 
     # --- Set_Slave_Add ------------------------------------------------------------------------------------------
 

@@ -3,7 +3,7 @@
 construct knows no types and takes some 10 us and more a PDU: it is imported here only, and never runs on the cyclic
 path. A :class:`Layout` turns octets into a NamedTuple and back; what the values mean is the business of the callers
 (:mod:`dpstack.dp.pdu`, :mod:`dpstack.dp.diagnosis`). Layouts: protocol facts B1, B2, B4, B8 (EN 50170-2, Felser,
-VPC3+).
+VPC3+); those of DP-V1 are in :mod:`dpstack.dp.v1.wire`.
 """
 
 from __future__ import annotations
@@ -57,14 +57,20 @@ def _field(error: Any) -> str:
     return str(error.path).rpartition(" -> ")[2]
 
 
-def _flags(names: str) -> tuple[Any, ...]:
+def flags(names: str) -> tuple[Any, ...]:
     """One bit each, most significant first."""
     return tuple(name / cs.Flag for name in names.split())
 
 
-_OCTET: Final[Any] = cs.BitsInteger(8)
-_WORD: Final[Any] = cs.BitsInteger(16)
-_REST: Final[Any] = cs.Bytewise(cs.GreedyBytes)
+#: what declarations are made of: ``"name" / OCTET``
+OCTET: Final[Any] = cs.BitsInteger(8)
+WORD: Final[Any] = cs.BitsInteger(16)
+REST: Final[Any] = cs.Bytewise(cs.GreedyBytes)
+
+
+def octets(count: int) -> Any:
+    """So many octets as they are."""
+    return cs.Bytewise(cs.Bytes(count))
 
 
 class SetPrmOctets(NamedTuple):
@@ -87,14 +93,14 @@ class SetPrmOctets(NamedTuple):
 SET_PRM: Final = Layout(
     "Set_Prm",
     SetPrmOctets,
-    *_flags("lock unlock sync freeze wd_on"),
+    *flags("lock unlock sync freeze wd_on"),
     "reserved" / cs.BitsInteger(3),
-    "wd_fact_1" / _OCTET,
-    "wd_fact_2" / _OCTET,
-    "min_tsdr" / _OCTET,
-    "ident" / _WORD,
-    "group_ident" / _OCTET,
-    "user_prm" / _REST,
+    "wd_fact_1" / OCTET,
+    "wd_fact_2" / OCTET,
+    "min_tsdr" / OCTET,
+    "ident" / WORD,
+    "group_ident" / OCTET,
+    "user_prm" / REST,
 )
 
 
@@ -115,9 +121,9 @@ GLOBAL_CONTROL: Final = Layout(
     "Global_Control",
     GlobalControlOctets,
     "reserved_high" / cs.BitsInteger(2),
-    *_flags("sync unsync freeze unfreeze clear_data"),
+    *flags("sync unsync freeze unfreeze clear_data"),
     "reserved_low" / cs.BitsInteger(1),
-    "group_select" / _OCTET,
+    "group_select" / OCTET,
 )
 
 
@@ -133,10 +139,10 @@ class SetSlaveAddOctets(NamedTuple):
 SET_SLAVE_ADD: Final = Layout(
     "Set_Slave_Add",
     SetSlaveAddOctets,
-    "new_address" / _OCTET,
-    "ident" / _WORD,
-    "no_add_chg" / _OCTET,
-    "rem_slave_data" / _REST,
+    "new_address" / OCTET,
+    "ident" / WORD,
+    "no_add_chg" / OCTET,
+    "rem_slave_data" / REST,
 )
 
 
@@ -154,12 +160,12 @@ class DiagnosisOctets(NamedTuple):
 DIAGNOSIS: Final = Layout(
     "Slave_Diag",
     DiagnosisOctets,
-    "status_1" / _OCTET,
-    "status_2" / _OCTET,
-    "status_3" / _OCTET,
-    "master_add" / _OCTET,
-    "ident" / _WORD,
-    "ext_diag" / _REST,
+    "status_1" / OCTET,
+    "status_2" / OCTET,
+    "status_3" / OCTET,
+    "master_add" / OCTET,
+    "ident" / WORD,
+    "ext_diag" / REST,
 )
 
 
@@ -190,7 +196,7 @@ CHANNEL: Final = Layout(
     ChannelOctets,
     "kind" / cs.BitsInteger(2),
     "identifier" / cs.BitsInteger(6),
-    *_flags("output input"),
+    *flags("output input"),
     "channel" / cs.BitsInteger(6),
     "size" / cs.BitsInteger(3),
     "error" / cs.BitsInteger(5),

@@ -16,7 +16,7 @@ from typing import Final
 
 from dpstack.drivers.collecting import Collector
 from dpstack.drivers.host import Host
-from dpstack.drivers.messages import Answer, Frames, Message, SetUp, error_pair, framed, order_of
+from dpstack.drivers.messages import FROM_TERMINALS, Answer, Frames, Message, SetUp, error_pair, framed, order_of
 from dpstack.drivers.plain_loop import PlainLoop
 from dpstack.drivers.realtime import become_real_time
 from dpstack.drivers.shared_image import SharedImage
@@ -29,8 +29,9 @@ _CHUNK: Final = 65_536
 def main(arguments: list[str]) -> int:
     """Run one bus until its end; 0 when it was an ordered one."""
     # a terminal sends these to everybody in front of it: the application's way out is this process's too
-    for sig in (signal.SIGINT, signal.SIGHUP):
+    for sig in FROM_TERMINALS:
         signal.signal(sig, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, FROM_TERMINALS)  # they waited for that since before its start
     sock_fd, memory_fd, parent = map(int, arguments)
     loop = PlainLoop()
     hosts: list[Host] = []
@@ -63,7 +64,7 @@ def main(arguments: list[str]) -> int:
 
 def _terminated(loop: PlainLoop, hosts: list[Host]) -> None:
     if hosts:
-        hosts[0].end("it was told to end (SIGTERM)")
+        hosts[0].terminated("it was told to end (SIGTERM)")
     else:
         loop.stop()
 

@@ -1,4 +1,8 @@
-"""The ordered end of a bus without an application: safe values, Clear twice, out of the ring, the last bit out."""
+"""The ordered end of a bus: safe values, Clear twice, out of the ring, the last bit out of the port.
+
+:class:`EndSteps` is the rule, for every driver; :class:`Ending` is who carries it out in a bus process whose
+application cannot (an application does it itself, :mod:`dpstack.api.ending`).
+"""
 
 from __future__ import annotations
 
@@ -9,12 +13,52 @@ from dpstack.dp.commands import Shutdown
 from dpstack.dp.events import MasterStopped
 from dpstack.drivers.base import END_LIMIT, last_bits_ns
 from dpstack.drivers.plain import PlainRuntime
-from dpstack.drivers.plain_loop import PlainLoop
+from dpstack.drivers.plain_loop import Alarm, PlainLoop
+from dpstack.drivers.seen import StationSeen
 from dpstack.drivers.stack import Stack
 from dpstack.errors import DpError
 from dpstack.fdl.commands import GoOffline
 from dpstack.fdl.events import RingLeft
 from dpstack.trace import Event
+
+
+class EndSteps:
+    """The orders of the end of ``station``'s bus, one by one, and whether the last one given was carried out.
+
+    Who gives them waits for each no longer than :data:`~dpstack.drivers.base.END_LIMIT` and ten rotations: a bus that
+    can no longer do a step is taken to the next.
+    """
+
+    def __init__(self, station: StationSeen) -> None:
+        self._station = station
+        self._orders: list[Shutdown | GoOffline] = [GoOffline(), Shutdown()]
+        self._at_ns = 0
+        #: the last order was carried out
+        self.done = False
+
+    def next_order(self) -> Shutdown | GoOffline | None:
+        """The next order; None when there is only :meth:`over_at` to be waited for."""
+        if not self._orders:
+            return None
+        order = self._orders.pop()
+        # who has no token has nothing to hand on; it may have left and come back before
+        self.done = isinstance(order, GoOffline) and not self._station.in_ring
+        return order
+
+    def on_event(self, event: Event) -> None:
+        """The master has stopped, the ring was left."""
+        match event:
+            case MasterStopped() if len(self._orders) == 1:
+                self.done = True
+            case RingLeft() if not self._orders:
+                self.done = True
+            case _:
+                return
+        self._at_ns = event.t_ns
+
+    def over_at(self, now: int) -> int:
+        """When the last bit of the last telegram is out and the port may be closed (ns)."""
+        return max(self._at_ns, now) + last_bits_ns(self._station.params)
 
 
 class Ending:
@@ -23,51 +67,45 @@ class Ending:
     def __init__(self, loop: PlainLoop, runtime: PlainRuntime, stack: Stack, finished: Callable[[str], None]) -> None:
         self._loop = loop
         self._runtime = runtime
-        self._stack = stack
+        self._master = stack.master
+        self._steps = EndSteps(stack.station)
         self._finished = finished
         self._why: str | None = None
-        self._leaving = False
-        self._through = False
+        self._limit: Alarm | None = None
 
     def begin(self, why: str) -> None:
         """Begin, because of ``why``. Further calls change nothing."""
-        if self._why is not None:
-            return
-        self._why = why
-        limit = 2 * END_LIMIT + 10 * self._stack.master.rotation.max_ns
-        self._loop.call_at(monotonic_ns() + limit, self._finish)
-        self._order(Shutdown())
+        if self._why is None:
+            self._why = why
+            self._advance()
 
     def on_event(self, event: Event) -> None:
         """How far it is."""
-        if self._why is None:
+        if self._why is not None:
+            self._steps.on_event(event)
+            self._go_on()
+
+    def _go_on(self) -> None:
+        """Once a step: not from within the machine that told of it."""
+        if self._steps.done and self._limit is not None:
+            self._limit.close()
+            self._limit = None
+            self._loop.call_soon(self._advance)
+
+    def _advance(self) -> None:
+        order = self._steps.next_order()
+        now = monotonic_ns()
+        if order is None:
+            self._limit = None
+            self._loop.call_at(self._steps.over_at(now), self._finish)
             return
-        match event:
-            case MasterStopped():
-                self._loop.call_soon(self._leave)
-            case RingLeft() if self._leaving:
-                self._last_bits(event.t_ns)
-
-    def _leave(self) -> None:
-        if self._leaving:
-            return
-        self._leaving = True
-        if self._stack.station.in_ring:
-            self._order(GoOffline())
-        else:
-            self._last_bits(monotonic_ns())
-
-    def _last_bits(self, at: int) -> None:
-        last = last_bits_ns(self._stack.station.params)
-        self._loop.call_at(max(at, monotonic_ns()) + last, self._finish)
-
-    def _order(self, command: object) -> None:
+        self._limit = self._loop.call_at(now + END_LIMIT + 10 * self._master.rotation.max_ns, self._advance)
         try:
-            self._runtime.command(command)
+            self._runtime.command(order)
         except DpError:  # the driver is down: nothing can be sent any more
-            self._loop.call_soon(self._finish)
+            self._steps.done = True
+        self._go_on()
 
     def _finish(self) -> None:
-        if not self._through and self._why is not None:
-            self._through = True
-            self._finished(self._why)
+        assert self._why is not None
+        self._finished(self._why)

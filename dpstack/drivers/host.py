@@ -9,13 +9,14 @@ from functools import partial
 from time import monotonic_ns
 from typing import Final
 
-from dpstack.dp.class2 import ServiceDone
-from dpstack.dp.commands import AddSlave, SendControl
+from dpstack.dp.class2_jobs import ServiceDone
+from dpstack.dp.commands import AddSlave, SendControl, Shutdown
 from dpstack.dp.cycle import CycleData
 from dpstack.dp.events import ControlFailed, ControlSent, DriveEvent, PictureTaken
 from dpstack.dp.image import SlaveImage
 from dpstack.dp.scanner import Scanner
 from dpstack.dp.survey import SurveyResult
+from dpstack.dp.v1.ms1 import RecordDone
 from dpstack.drivers import plugins
 from dpstack.drivers.ending import Ending
 from dpstack.drivers.messages import (
@@ -55,6 +56,8 @@ from dpstack.units import NS_PER_MS
 
 #: what changes without an event, and what was held back for an application that did not read, is told so often
 _RHYTHM: Final = 100 * NS_PER_MS
+#: SIGTERM is for the application, too, if that begins its end within this time
+_GRACE: Final = 200 * NS_PER_MS
 _CHUNK: Final = 65_536
 #: no more is read while so many orders wait
 _WAITING: Final = 32
@@ -64,7 +67,7 @@ def _owed(event: Event) -> bool:
     """Whether somebody waits for ``event``: as many as there were orders, so they need no bound of their own."""
     if isinstance(event, DriveEvent):
         return event.payload.get("type") == "result"
-    return isinstance(event, (ServiceDone, ControlSent, ControlFailed, PictureTaken))
+    return isinstance(event, (ServiceDone, RecordDone, ControlSent, ControlFailed, PictureTaken))
 
 
 def _notice(text: str) -> Notice:
@@ -106,11 +109,13 @@ class Host:
         self._watched = False
         self._dropped = 0
         self._over = False
+        self._leaving = False  # the application has begun the end
         # what was told last
         self._bus: BusNow | None = None
         self._slaves: dict[int, SlaveNow] = {}
         self._watcher: WatcherNow | None = None
         self._told_surveys: set[int] = set()
+        self._told_cycle: CycleData | None = None
 
     def open(self, notices: list[str]) -> None:
         """Open the port, say hello, listen to the application. Raises PortError, ConfigError.
@@ -129,6 +134,10 @@ class Host:
     def end(self, why: str) -> None:
         """The ordered end without an order of the application: it is gone, or somebody wants this process to end."""
         self._ending.begin(why)
+
+    def terminated(self, why: str) -> None:
+        """The same after a moment: who stops a program often tells all its processes, and its own end comes first."""
+        self._loop.call_at(monotonic_ns() + _GRACE, lambda: self.end(why) if not self._leaving else None)
 
     # --- the application's orders ---
 
@@ -192,6 +201,10 @@ class Host:
                 found = self._surveys.pop(number, None)
                 if found is not None:
                     self.runtime.command(DetachUser(found))
+            case Shutdown():
+                self._leaving = True
+                self.runtime.command(order)
+                self._tell([])
             case CloseBus():
                 self.runtime.close()
                 self._tell([])
@@ -296,7 +309,8 @@ class Host:
 
     def _tell_round(self, cycle: CycleData | None) -> None:
         if not self._outbox.full and not self._over:
-            self._outbox.send(Message(news=News(round_over=True, cycle=cycle)))
+            told, self._told_cycle = self._told_cycle, cycle
+            self._outbox.send(Message(news=News(round_over=True, cycle=None if cycle is told else cycle)))
 
     def _on_rhythm(self) -> None:
         if self._over:

@@ -10,6 +10,7 @@ import asyncio
 import contextlib
 import os
 import select
+import signal
 import socket
 import subprocess
 import sys
@@ -19,6 +20,7 @@ from time import monotonic
 from typing import Final
 
 from dpstack.drivers.messages import (
+    FROM_TERMINALS,
     Answer,
     Frames,
     Hello,
@@ -35,6 +37,8 @@ from dpstack.errors import BusError, DpError, UsageError
 
 #: an order that is not answered so long: the bus process hangs, or is stopped
 ANSWER_S: Final = 5.0
+#: and so long when it did not answer before, and has said nothing since
+_AGAIN_S: Final = 0.5
 #: the interpreter starts, the plugins are imported, the port is opened
 _START_S: Final = 30.0
 _END_S: Final = 3.0
@@ -45,13 +49,14 @@ class Link:
     """Starts the bus process and talks to it. ``on_news`` takes what it tells.
 
     ``why_gone`` makes the error of a bus process that ended unasked from its exit code (negative: a signal; None: it
-    runs on, but has hung up); from then on that is raised by every question, and ``on_gone`` is told.
+    runs on, but has hung up) and its last words; from then on that is raised by every question. ``on_gone`` is told
+    when all that came before was handed on.
     """
 
     def __init__(
         self,
         on_news: Callable[[News], None],
-        why_gone: Callable[[int | None], DpError],
+        why_gone: Callable[[int | None, News | None], DpError],
         on_gone: Callable[[DpError], None],
     ) -> None:
         self._on_news = on_news
@@ -62,12 +67,14 @@ class Link:
         self._process: subprocess.Popen[bytes] | None = None
         self._frames = Frames()
         self._hello: asyncio.Future[Hello] | None = None
-        self._inbox: deque[News] = deque()
+        self._inbox: deque[News | DpError] = deque()
+        self._last_words: News | None = None
         self._dispatching = False
         self._number = 0
         self._awaited: set[int] = set()
         self._answers: dict[int, Answer] = {}
         self._gone: DpError | None = None
+        self._silent = False  # it owes an answer, and has said nothing since
 
     @property
     def pid(self) -> int | None:
@@ -102,7 +109,7 @@ class Link:
     async def ended(self) -> None:
         """Wait until the process has ended by itself, with a limit."""
         process = self._process
-        if process is not None and self._loop is not None:
+        if process is not None and self._loop is not None and not self._silent:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 await self._loop.run_in_executor(None, process.wait, _END_S)
 
@@ -110,18 +117,20 @@ class Link:
         """Nothing more will be asked: ``error`` says why."""
         self._gone = self._gone or error
 
-    def release(self, *, kill: bool) -> None:
-        """Whatever state it is in: no process and no descriptor is left behind."""
+    def release(self, *, kill: bool) -> bool:
+        """Whatever state it is in: no process and no descriptor is left behind. Whether it had to be killed."""
         self._disconnect()
         process = self._process
         if process is None or process.poll() is not None:
-            return
-        if not kill:
+            return False
+        if not kill and not self._silent:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(_END_S)  # it ends in order when nobody is there any more
-        if process.poll() is None:
-            process.kill()
-            process.wait()
+        if process.poll() is not None:
+            return False
+        process.kill()
+        process.wait()
+        return True
 
     # --- question and answer ----------------------------------------------------------------------------------------
 
@@ -135,7 +144,7 @@ class Link:
         number = self._number
         self._awaited.add(number)
         try:
-            end = monotonic() + ANSWER_S
+            end = monotonic() + (_AGAIN_S if self._silent else ANSWER_S)
             self._send(framed(Message(question=Question(number, named(order)))), end)
             while number not in self._answers:
                 self._wait(end, reading=True)
@@ -153,8 +162,9 @@ class Link:
                 left = left[self._sock.send(left) :]
             except BlockingIOError:
                 self._wait(end, reading=False)
-            except OSError:
-                self._hung_up()
+            except OSError:  # gone, but its last words may still be here
+                while self._sock is not None:
+                    self._wait(end, reading=True)
 
     def _wait(self, end: float, *, reading: bool) -> None:
         """For octets of the bus process, or for room to write; what it says meanwhile is taken."""
@@ -165,6 +175,7 @@ class Link:
             if ready:
                 self._on_readable()
             elif not room:
+                self._silent = True
                 raise BusError(f"the bus process (pid {self.pid}) did not answer within {ANSWER_S:g} s")
         if self._gone is not None and sock is None:
             raise self._gone
@@ -181,9 +192,12 @@ class Link:
         if not octets:
             self._hung_up()
             return
+        self._silent = False
         for message in self._frames.feed(octets):
             if message.news is not None:
                 self._inbox.append(message.news)
+                if message.news.over is not None:
+                    self._last_words = message.news
             answer = message.answer
             if answer is None:
                 continue
@@ -203,7 +217,11 @@ class Link:
         self._dispatching = True
         try:
             while self._inbox:
-                self._on_news(self._inbox.popleft())
+                told = self._inbox.popleft()
+                if isinstance(told, DpError):
+                    self._on_gone(told)
+                else:
+                    self._on_news(told)
         finally:
             self._dispatching = False
 
@@ -217,12 +235,13 @@ class Link:
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(_END_S)
         asked_for = self._gone is not None
-        self._gone = self._gone or self._why_gone(process.returncode)
+        self._gone = self._gone or self._why_gone(process.returncode, self._last_words)
         self._disconnect()
         if self._hello is not None and not self._hello.done():
             self._hello.set_exception(self._gone)
         elif not asked_for:
-            self._on_gone(self._gone)
+            self._inbox.append(self._gone)
+            self._dispatch()
 
     def _disconnect(self) -> None:
         sock, self._sock = self._sock, None
@@ -233,11 +252,18 @@ class Link:
 
 
 def _started(sock: int, memory: int) -> subprocess.Popen[bytes]:
-    """The process, which is given two file descriptors by number and finds modules where this one does."""
-    return subprocess.Popen(
-        [sys.executable, "-P", "-m", "dpstack.drivers.child", str(sock), str(memory), str(os.getpid())],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        pass_fds=(sock, memory),
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
-    )
+    """The process, which is given two file descriptors by number and finds modules where this one does.
+
+    What a terminal sends to everybody waits until it has said what it does about it.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, FROM_TERMINALS)
+    try:
+        return subprocess.Popen(
+            [sys.executable, "-P", "-m", "dpstack.drivers.child", str(sock), str(memory), str(os.getpid())],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            pass_fds=(sock, memory),
+            env=os.environ | {"PYTHONPATH": os.pathsep.join(map(os.path.abspath, sys.path))},
+        )
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

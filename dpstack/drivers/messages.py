@@ -8,6 +8,7 @@ stands as a pair of the class's name and its fields.
 from __future__ import annotations
 
 import functools
+import signal
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Final, TypeVar
@@ -15,7 +16,8 @@ from typing import Final, TypeVar
 import msgspec
 
 from dpstack import errors
-from dpstack.dp.class2 import CancelService, ChangeAddress, ReadService
+from dpstack.dp.acyclic import CancelService
+from dpstack.dp.class2 import ChangeAddress, ReadService
 from dpstack.dp.commands import (
     ActivateSlave,
     AddSlave,
@@ -33,6 +35,7 @@ from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.events import Fault, SlaveState
 from dpstack.dp.scanner import Found
 from dpstack.dp.survey import SurveyOrder, SurveyResult
+from dpstack.dp.v1.ms1 import ReadRecord, WriteRecord
 from dpstack.drivers.echo import Echo
 from dpstack.drivers.plugins import PluginRef
 from dpstack.drivers.stack import StackSpec
@@ -50,6 +53,8 @@ T = TypeVar("T")
 #: a longer message is none of ours; the longest is a set-up of 125 slaves
 MAX_MESSAGE: Final = 4 * 1024 * 1024
 _LENGTH: Final = 4
+#: signals that a terminal sends to all in front of it: the application's, whose way out is the bus process's, too
+FROM_TERMINALS: Final = (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT)
 
 #: a class by name, and the fields of one of its objects
 Named = tuple[str, object]
@@ -128,7 +133,7 @@ ORDERS: Final[dict[str, type]] = {
     kind.__name__: kind
     for kind in (
         SetMode, Shutdown, AddSlave, RemoveSlave, DeactivateSlave, ActivateSlave, ReparameteriseSlave, SendControl,
-        DriveCommand, ReadService, ChangeAddress, CancelService, GoOnline, GoOffline,
+        DriveCommand, ReadService, ChangeAddress, ReadRecord, WriteRecord, CancelService, GoOnline, GoOffline,
         SetUp, AttachPlugin, WatchRounds, AskCounters, AskUnit, StartSurvey, EndSurvey, CloseBus,
     )
 }  # fmt: skip

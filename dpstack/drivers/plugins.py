@@ -8,24 +8,36 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from dpstack.dp.image import CyclicUnit
+from dpstack.dp.v1.unit_records import RecordQueue
 from dpstack.errors import ConfigError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PluginRef:
-    """The plugin at ``place`` ("package.module:name") for the slave called ``name``; ``options`` are plain data."""
+    """The plugin at ``place`` ("package.module:name") for the slave called ``name``; ``options`` are plain data.
+
+    ``records``: the slave has DP-V1, and the plugin may ask it by Read and Write.
+    """
 
     place: str
     name: str
     telegram: str | None = None
     options: Mapping[str, object] = field(default_factory=dict)
+    records: bool = False
 
 
 class UnitMaker(Protocol):
     """What stands at a plugin's place: a drive profile, or anything that makes a cyclic unit in the same way."""
 
-    def core(self, name: str, telegram: str | None = None, options: Mapping[str, object] | None = None) -> CyclicUnit:
-        """The cyclic unit of the slave called ``name``. Raises ConfigError."""
+    def core(
+        self,
+        name: str,
+        telegram: str | None = None,
+        options: Mapping[str, object] | None = None,
+        *,
+        records: RecordQueue | None = None,
+    ) -> CyclicUnit:
+        """The cyclic unit of the slave called ``name``; ``records``: takes what it asks it. Raises ConfigError."""
 
 
 def found_at(place: str) -> UnitMaker:
@@ -50,4 +62,5 @@ def found_at(place: str) -> UnitMaker:
 
 def load(ref: PluginRef) -> CyclicUnit:
     """The cyclic unit that ``ref`` means. Raises ConfigError."""
-    return found_at(ref.place).core(ref.name, ref.telegram, ref.options)
+    records = RecordQueue() if ref.records else None
+    return found_at(ref.place).core(ref.name, ref.telegram, ref.options, records=records)

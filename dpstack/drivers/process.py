@@ -38,14 +38,17 @@ from dpstack.drivers.messages import (
 )
 from dpstack.drivers.mirror import MasterMirror, Mirror, SlaveMirror, StationMirror, WatcherMirror, checked_arguments
 from dpstack.drivers.plugins import PluginRef
-from dpstack.drivers.process_end import how_it_ended
+from dpstack.drivers.process_end import how_it_ended, killed_at_the_end
 from dpstack.drivers.shared_image import Picture, SharedImage, make_memory, output_octets, read_picture
 from dpstack.errors import BusError, DpError, UsageError
 from dpstack.stats import Histogram
-from dpstack.units import NS_PER_MS
+from dpstack.trace import Notice, Severity
+from dpstack.units import NS_PER_MS, NS_PER_S
 
 #: counters asked for so shortly before are still those of this moment, unless a later picture was seen
 _FRESH_NS: Final = NS_PER_MS
+#: a bus process that did not answer is not asked for them again so soon: they are asked for many times in one go
+_AGAIN_NS: Final = NS_PER_S
 _EMPTY: Final = Picture(0, 0, {})
 _numbers = itertools.count(1)
 
@@ -70,13 +73,13 @@ class ProcessRuntime:
         self._on_failure = on_failure
         self._link = Link(self._on_news, self._why_gone, self._on_gone)
         self._image: SharedImage | None = None
-        self._last_news: News | None = None  # that it is over
         self._picture = _EMPTY
         self._outputs: dict[int, bytes] = {}
         self._loop: asyncio.AbstractEventLoop | None = None
         self._publishing: asyncio.Handle | None = None
         self._counters = Counters()
         self._counted_ns = -_FRESH_NS
+        self._unanswered_ns = -_AGAIN_NS
         self._surveys: dict[int, SurveyResult] = {}
 
     # --- Runtime ----------------------------------------------------------------------------------------------------
@@ -127,7 +130,11 @@ class ProcessRuntime:
                 link.hang_up(UsageError("the bus is closed"))
                 await link.ended()
         finally:
-            link.release(kill=False)
+            if link.release(kill=False):
+                text = killed_at_the_end(self._watchdogs())
+                self._on_events(
+                    [Notice(t_ns=monotonic_ns(), source="bus process", message=text, severity=Severity.ERROR)]
+                )
             self._close_image()
 
     def _close_image(self) -> None:
@@ -203,10 +210,12 @@ class ProcessRuntime:
         """What was counted, never less than a picture has told; the last ones when the bus is over."""
         now = monotonic_ns()
         fresh = now - self._counted_ns < _FRESH_NS and self._counters.rotation.count >= self._picture.rotations
-        if self._link.is_open and not fresh:
-            with contextlib.suppress(BusError):
+        if self._link.is_open and not fresh and now - self._unanswered_ns >= _AGAIN_NS:
+            try:
                 self._counters = typed(self._ask(AskCounters()), Counters)
                 self._counted_ns = now
+            except BusError:
+                self._unanswered_ns = monotonic_ns()
         return self._counters
 
     def put_outputs(self, address: int, octets: bytes | None) -> None:
@@ -238,8 +247,6 @@ class ProcessRuntime:
     # --- from the bus process ---------------------------------------------------------------------------------------
 
     def _on_news(self, news: News) -> None:
-        if news.over is not None:
-            self._last_news = news
         self.mirror.take(news)
         self._surveys |= news.surveys
         try:
@@ -254,13 +261,16 @@ class ProcessRuntime:
                 {"message": "the handler of bus events raised", "exception": error}
             )
 
-    def _why_gone(self, code: int | None) -> DpError:
-        watchdogs = {
+    def _why_gone(self, code: int | None, last: News | None) -> DpError:
+        return how_it_ended(code, last, self._watchdogs())
+
+    def _watchdogs(self) -> dict[str, int]:
+        """Of the slaves that are in data exchange as far as is known, in ns."""
+        return {
             slave.setup.name: slave.watchdog_effective_ns
             for slave in self.mirror.master.handlers.values()
             if slave.state is SlaveState.DATA_EXCHANGE
         }
-        return how_it_ended(code, self._last_news, watchdogs)
 
     def _on_gone(self, error: DpError) -> None:
         self.mirror.lost()

@@ -29,6 +29,11 @@ def how_it_ended(code: int | None, last: News | None, watchdogs: Mapping[str, in
     return BusError(f"the bus process {how}: nothing is sent any more. {_at_slaves(watchdogs)}; open the bus anew")
 
 
+def killed_at_the_end(watchdogs: Mapping[str, int]) -> str:
+    """It did not end when it was told to; ``watchdogs`` as in :func:`how_it_ended`."""
+    return f"it did not answer at the end of the bus and was killed: the end was not in order. {_at_slaves(watchdogs)}"
+
+
 def _signal(number: int) -> str:
     try:
         return signal.Signals(number).name

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from dpstack.dp.class2 import Class2
+from dpstack.dp.acyclic import Acyclic
 from dpstack.dp.master import Master
 from dpstack.dp.reading import reading_only
 from dpstack.dp.scanner import Scanner
@@ -65,7 +65,7 @@ def build_stack(spec: StackSpec) -> Stack:
     )
     watcher = _watcher(spec) if spec.read_only and spec.watched else None
     users: list[LinkUser] = [master] if watcher is None else [master, watcher]
-    users.append(Class2(params.address, master))
+    users.append(Acyclic(params.address, master))
     guard = reading_only if spec.read_only else None
     station = ActiveStation(params, users, patience=patience, guard=guard, budget=master.budget)
     return Stack(master, station, watcher)

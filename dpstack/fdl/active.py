@@ -358,6 +358,7 @@ class ActiveStation:
         for user in self._link.users:
             if user.command(command, now):
                 self._link.ask_times()
+                active_hold.let_go(self._link, now)
                 return
         raise UsageError(f"nobody on this bus takes the command {command!r}: its user is not attached")
 

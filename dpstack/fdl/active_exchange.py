@@ -16,6 +16,7 @@ from typing import Final, NamedTuple
 
 from dpstack.fdl.active_link import NONE, Link
 from dpstack.fdl.codec import request_octets
+from dpstack.fdl.describe import request_name
 from dpstack.fdl.events import le3_notice
 from dpstack.fdl.states import Input, State
 from dpstack.fdl.telegram import SHORT_ACK, Kind, Req, Resp, Telegram
@@ -66,6 +67,10 @@ _WITHOUT_DATA: Final = frozenset({int(Resp.OK), int(Resp.UE), int(Resp.RR), int(
 def ends_at(link: Link, request: Request, now: int) -> int:
     """When ``request``, asked for now, and the idle time after it are over at the latest, in ns: every attempt in vain
     but the last one, whose answer begins at the end of its slot time and has all the octets it may have.
+
+    Where a station that is there is given more slack than its port usually needs, it is taken to answer the first
+    attempt within what is usual: its silence costs a service what it costs a Data_Exchange. Nobody known to be there is
+    waited for as long as there is room (:func:`in_vain_until`).
     """
     service = _SERVICES[request.function]
     line, baud = link.line, link.params.baud
@@ -77,9 +82,45 @@ def ends_at(link: Link, request: Request, now: int) -> int:
     tries = link.max_retry if request.retry else 0
     if service.counted and (request.restart or not link.fcb.operational[request.da]):
         tries = 0
-    slot = (link.slot_known_ns if waits_long(link, request) else link.slot_unknown_ns) + request.extra_ns
-    answer = chars_to_ns(request.answer + _SAPS + _FRAME, baud)
-    return begins + (tries + 1) * (sending + slot) + answer + line.t_id1_ns
+    patience = link.patience
+    if not waits_long(link, request):
+        slot = link.slot_ns
+    elif patience.known_ns > patience.unknown_ns:
+        slot, tries = link.slot_unknown_ns, 0
+    else:
+        slot = link.slot_known_ns
+    # an answer that may be a late one is kept back
+    late = any(until >= now and _alike(owed, request) for owed, until in link.owed.values())
+    kept = _kept_back_ns(link) if late else 0
+    answer = _longest_answer_ns(link, request)
+    return begins + (tries + 1) * (sending + slot + request.extra_ns) + answer + kept + line.t_id1_ns
+
+
+def _alike(owed: Request, request: Request) -> bool:
+    """Whether one telegram can answer both: from the same station, or SC."""
+    return owed.da == request.da or (_SERVICES[owed.function].acknowledged and _SERVICES[request.function].acknowledged)
+
+
+def _longest_answer_ns(link: Link, request: Request) -> int:
+    return chars_to_ns(request.answer + _SAPS + _FRAME, link.params.baud)
+
+
+def _kept_back_ns(link: Link) -> int:
+    return link.line.t_sl_ns + link.patience.known_ns // 4
+
+
+def in_vain_until(link: Link, request: Request, at: int, then_ns: int = 0) -> int:
+    """How long the answer of an address where nobody is known is waited for: ``at`` is the last bit of ``request``.
+
+    A port may be late, but before a fixed cycle ``then_ns`` (what follows) and T_ID1 have to fit in: as long as there
+    is room, and never so short that an answer could still be on the wire. One that is later than that is recognised.
+    """
+    longest = at + link.slot_unknown_ns
+    next_at = link.budget.next_at
+    if next_at >= longest + then_ns + link.line.t_id1_ns:
+        return longest
+    shortest = at + link.slot_ns + link.patience.sending_ns + _longest_answer_ns(link, request)
+    return min(longest, max(shortest, next_at - then_ns - link.line.t_id1_ns))
 
 
 def waits_long(link: Link, request: Request) -> bool:
@@ -135,7 +176,7 @@ def _await(link: Link, at: int) -> None:
     link.enter(_AWAIT_DATA_RESPONSE)
     request = link.request
     patient = request.patient or request.da in link.slow
-    link.deadline = at + (link.slot_known_ns if patient else link.slot_unknown_ns) + request.extra_ns
+    link.deadline = (at + link.slot_known_ns if patient else in_vain_until(link, request, at)) + request.extra_ns
     if link.exact:
         link.early_until = at + link.early_ns
 
@@ -173,7 +214,7 @@ def _hold_back(link: Link, telegram: Telegram, now: int) -> bool:
         if owing < 0:
             return False
         link.candidate = telegram
-        link.deadline = now + link.line.t_sl_ns + link.patience.known_ns // 4
+        link.deadline = now + _kept_back_ns(link)
         return True
     link.owed.pop(first.sa if first.sa >= 0 else link.request.da, None)
     _count_late(link, first)
@@ -196,9 +237,9 @@ def _owe(link: Link, now: int) -> None:
     link.owed[link.request.da] = (link.request, now + _OWED_SLOTS * link.slot_known_ns)
 
 
-def owe_status(link: Link, address: int, now: int) -> None:
-    """A station that used to answer GAP polls did not: its answer may come while the next request waits."""
-    link.owed[address] = (Request(address, Req.FDL_STATUS), now + _OWED_SLOTS * link.slot_known_ns)
+def owe_status(link: Link, address: int, now: int, slot_ns: int) -> None:
+    """A GAP poll was given up after the slot time ``slot_ns``: its answer may come while the next request waits."""
+    link.owed[address] = (Request(address, Req.FDL_STATUS), now + _OWED_SLOTS * slot_ns)
 
 
 def _answered(link: Link, telegram: Telegram, now: int) -> None:
@@ -241,6 +282,8 @@ def timeout(link: Link, _: Telegram, now: int) -> None:
         _answered(link, candidate, now)
         return
     station = link.asked
+    if now > link.budget.next_at and not request.cyclic:
+        link.budget.silent = f"{request_name(request)} to station {request.da}"
     if link.tries_left:
         link.tries_left -= 1
         link.repeats += 1
@@ -248,6 +291,7 @@ def timeout(link: Link, _: Telegram, now: int) -> None:
         link.queue(link.frame)
         return
     link.slow.discard(request.da)
+    link.doubted.add(request.da)
     if request.patient or request.function != Req.FDL_STATUS:
         station.timeouts += 1
         _owe(link, now)

@@ -73,11 +73,14 @@ def check(link: Link, _: Telegram, now: int) -> None:
                     return
         if link.gap.enabled and _poll(link, now):
             return
-        keep_ns = link.keep_alone_ns if budget.alone else link.keep_ns
-        if 0 < budget.next_at - now <= keep_ns and (not over or link.fresh):
-            link.enter(State.USE_TOKEN)  # the next cycle begins with this token: silent until then
-            link.deadline = budget.next_at
-            return
+        if now < budget.next_at != NEVER and (not over or link.fresh):
+            keep_ns = link.keep_alone_ns if budget.alone else link.keep_ns
+            # the result of an SDN comes before its end: the token could not go on sooner than this
+            free_at = max(now, link.line.idle_since + link.after_ns)
+            if budget.next_at - free_at <= keep_ns:
+                link.enter(State.USE_TOKEN)  # the next cycle begins with this token: silent until then
+                link.deadline = budget.next_at
+                return
     passing.start(link, now)
 
 
@@ -87,10 +90,19 @@ def resume(link: Link, _: Telegram, now: int) -> None:
     link.row[Input.CHECK](link, NONE, now)
 
 
-def _admitted(link: Link, request: Request, now: int) -> bool:
-    """Whether a request that is no part of the cycle may be sent now; what never fits in is told, once for each."""
+def let_go(link: Link, now: int) -> None:
+    """A user was ordered something: where the token is kept for a cycle, ask whether that still stands."""
+    if link.state is State.USE_TOKEN and link.tx is None and link.deadline != NEVER:
+        resume(link, NONE, now)
+
+
+def _admitted(link: Link, request: Request, now: int, then_ns: int = 0) -> bool:
+    """Whether a request that is no part of the cycle may be sent now; what never fits in is told, once for each.
+
+    ``then_ns``: what has to follow it.
+    """
     budget = link.budget
-    until = exchange.ends_at(link, request, now)
+    until = exchange.ends_at(link, request, now) + then_ns
     if not budget.admits((request.function, request.da, request.dsap), until):
         return False
     if until > budget.next_at:
@@ -98,12 +110,15 @@ def _admitted(link: Link, request: Request, now: int) -> bool:
         budget.overdrawn = f"{name} to station {request.da}"
         if request.dsap not in link.told_forced:
             link.told_forced.add(request.dsap)
-            patience = link.patience
-            slack_ns = patience.known_ns if exchange.waits_long(link, request) else patience.unknown_ns
+            slack_ns = link.patience.unknown_ns if exchange.waits_long(link, request) else 0
             link.events.append(
                 DoesNotFit(t_ns=now, service=name, address=request.da, takes_ns=until - now, slack_ns=slack_ns)
             )
     return True
+
+
+def _poll_request(address: int) -> Request:
+    return Request(address, Req.FDL_STATUS, retry=False, answer=0)
 
 
 def _poll(link: Link, now: int) -> bool:
@@ -117,10 +132,8 @@ def _poll(link: Link, now: int) -> bool:
         return False
     if not link.knows(address) and not gap.allowance.allows(now):
         return False
-    if link.budget.next_at != NEVER:
-        poll = Request(address, Req.FDL_STATUS, retry=False, answer=0)
-        if not _admitted(link, poll, now):
-            return False
+    if link.budget.next_at != NEVER and not _admitted(link, _poll_request(address), now, link.pass_ns):
+        return False
     link.polling = address
     link.fresh = False
     link.enter(State.USE_TOKEN)
@@ -136,8 +149,10 @@ def sent(link: Link, _: Telegram, at: int) -> None:
     link.stats.gap_polls += 1
     link.garbled = False  # what came before the poll is no answer to it
     link.enter(State.AWAIT_STATUS_RESPONSE)
-    known = link.knows(link.polling)
-    link.deadline = at + (link.slot_known_ns if known else link.slot_unknown_ns)
+    if link.knows(link.polling):
+        link.deadline = at + link.slot_known_ns
+    else:
+        link.deadline = exchange.in_vain_until(link, _poll_request(link.polling), at, link.pass_ns)
     if link.exact:
         link.early_until = at + link.early_ns
 
@@ -152,6 +167,7 @@ def status(link: Link, telegram: Telegram, now: int) -> None:
         return
     kind = telegram.station_type
     link.polling = -1
+    link.doubted.discard(address)
     if link.gap.polled(address, kind):
         link.events.append(StationFound(t_ns=now, address=address, kind=kind))
     # 'in ring' of a station that is not in our LAS: it lost its token as we did, take it in
@@ -166,14 +182,19 @@ def status_timeout(link: Link, _: Telegram, now: int) -> None:
     link.polling = -1
     known = link.knows(address)
     link.slow.discard(address)
+    link.doubted.discard(address)
     if link.garbled:
         link.gap.passed(address)
     elif link.gap.polled(address, None):
         link.events.append(StationFound(t_ns=now, address=address, kind=None))
     if known:
-        exchange.owe_status(link, address, now)
+        exchange.owe_status(link, address, now, link.slot_known_ns)
+        if now > link.budget.next_at:
+            link.budget.silent = f"{request_name(_poll_request(address))} to station {address}"
     else:
         link.gap.allowance.charge(link.slot_unknown_ns)
+        if link.budget.next_at != NEVER and not link.exact:  # it may have had less than that
+            exchange.owe_status(link, address, now, link.slot_unknown_ns)
     passing.start(link, now)
 
 

@@ -85,6 +85,7 @@ class Link:
         "claims_left",
         "collision_told",
         "deadline",
+        "doubted",
         "early_ns",
         "early_until",
         "edge_at",
@@ -111,6 +112,7 @@ class Link:
         "owed",
         "own_token_at",
         "params",
+        "pass_ns",
         "patience",
         "polling",
         "refused",
@@ -121,6 +123,7 @@ class Link:
         "rows",
         "slot_again_ns",
         "slot_known_ns",
+        "slot_ns",
         "slot_unknown_ns",
         "slow",
         "staggered",
@@ -210,6 +213,8 @@ class Link:
         self.told_le3: set[int] = set()  # stations whose answers with LE = 3 were told
         #: stations that answered late: they are there, and given the slack of a known one until they are silent again
         self.slow: set[int] = set()
+        #: stations that left a request unanswered since their last GAP poll: no slack beyond anybody's for the next one
+        self.doubted: set[int] = set()
         #: exchanges whose answer may still come: request and until when, by address
         self.owed: dict[int, tuple[Request, int]] = {}
 
@@ -219,7 +224,7 @@ class Link:
         #: nothing is delivered late, edges are told
         self.exact = patience == EXACT
         # Octets are seen at their end: without edges the slot time counts from there.
-        slot_ns = line.t_sl_ns if self.exact else params.ns(params.t_sl + BITS_PER_CHAR)
+        self.slot_ns = slot_ns = line.t_sl_ns if self.exact else params.ns(params.t_sl + BITS_PER_CHAR)
         self.slot_known_ns = slot_ns + patience.known_ns
         self.slot_unknown_ns = slot_ns if self.exact else patience.silent_ns(params)
         # A stalled host had its time at the first pass: repetitions are for a damaged token.
@@ -233,8 +238,9 @@ class Link:
         # A fixed cycle that is due so soon begins with this token. With others in the ring a silence that is far from
         # their T_SL; alone any start is caught between two tokens to ourselves, far from anybody's T_TO (600 bits).
         self.keep_ns = line.t_sl_ns // _KEPT
-        token_ns = params.ns(TOKEN_OCTETS * BITS_PER_CHAR)
-        self.keep_alone_ns = line.t_sl_ns + 2 * (token_ns + line.t_id1_ns + patience.sending_ns)
+        # the token to ourselves, until the next request may follow it
+        self.pass_ns = params.ns(TOKEN_OCTETS * BITS_PER_CHAR) + line.t_id1_ns + patience.sending_ns
+        self.keep_alone_ns = line.t_sl_ns + 2 * self.pass_ns
         # half a bit of tolerance: telegram and pause are rounded to ns apart from each other
         self.early_ns = params.ns(params.min_tsdr) - params.ns(1) // 2
         self.gap.limit(patience, self.slot_unknown_ns, now)
@@ -252,7 +258,9 @@ class Link:
 
     def knows(self, address: int) -> bool:
         """It answered our last GAP poll, if late, or answers our requests: its silence would be news."""
-        return address in self.gap.stations or self.fcb.operational[address] or address in self.slow
+        if self.fcb.operational[address] or address in self.slow:
+            return True
+        return address in self.gap.stations and address not in self.doubted
 
     def ask_times(self) -> None:
         """A user was called that may want its tick at another time now."""

@@ -1,10 +1,10 @@
 """What may still be started before the next cycle: the one rule that keeps everything else out of a fixed cycle.
 
 The DP master says when it wants the token next (:attr:`Budget.next_at`). Whatever is no part of the cycle itself
-(diagnosis, bring-up, class 2, live list, GAP polls, repeated Global_Control) is started only when its longest course,
-with slot times, the port's slack and all repetitions, ends before that; otherwise its user is told HELD_BACK and asks
-again. What fits into no gap goes out all the same, the longest waiting first, in every eighth cycle at most: the start
-it may delay is the master's to count.
+(diagnosis, bring-up, class 2, live list, GAP polls, repeated Global_Control) is started only when its longest course
+ends before that (``ends_at`` in :mod:`dpstack.fdl.active_exchange`: slot times, repetitions, how late the port usually
+is); otherwise its user is told HELD_BACK and asks again. What fits into no gap goes out all the same, the longest
+waiting first, in every eighth cycle at most: the start it may delay is the master's to count.
 """
 
 from __future__ import annotations
@@ -26,7 +26,10 @@ class Budget:
     ``held_back`` counts the waits (once for each request and cycle), ``forced`` what was sent without fitting in.
     """
 
-    __slots__ = ("_cycle", "_forced_in", "_waiting", "alone", "forced", "held_back", "next_at", "overdrawn")
+    __slots__ = (
+        "_cycle", "_forced_in", "_waiting", "alone", "forced", "held_back", "next_at", "overdrawn",
+        "silent",
+    )  # fmt: skip
 
     def __init__(self) -> None:
         self.next_at = NEVER
@@ -36,6 +39,8 @@ class Budget:
         self.alone = True
         #: what was sent in this cycle without fitting in, for people
         self.overdrawn = ""
+        #: what ran into the next cycle because nobody answered it, for people
+        self.silent = ""
         self._cycle = 0
         self._forced_in = -PATIENCE
         #: the cycles of the first and of the last wait
@@ -45,12 +50,12 @@ class Budget:
         """A cycle begins; the next one is due at ``next_at``."""
         self._cycle += 1
         self.next_at = next_at
-        self.overdrawn = ""
+        self.overdrawn = self.silent = ""
 
     def end(self) -> None:
         """There are no cycles for now."""
         self.next_at = NEVER
-        self.overdrawn = ""
+        self.overdrawn = self.silent = ""
         self._waiting.clear()
 
     def admits(self, key: Key, ends_at: int) -> bool:

@@ -3,7 +3,7 @@
 from dpstack.dp.device import Device, Leave
 from dpstack.dp.image import CyclicUnit
 from dpstack.errors import ConfigError
-from dpstack.profile import datamap, drivecom, profidrive, standard
+from dpstack.profile import acyclic, datamap, drivecom, profidrive, standard
 from dpstack.profile.channel import CHANNEL_LEN, ChannelServer, ParameterChannel, ParamKey
 from dpstack.profile.core import OPS, DriveCore
 from dpstack.profile.declared import Declaration, DeclaredCore
@@ -15,6 +15,7 @@ from dpstack.profile.lookup import Lookup
 from dpstack.profile.mapped import MAP_OPS, MappedCore
 from dpstack.profile.motion import settled
 from dpstack.profile.motor import Motor
+from dpstack.profile.param_errors import PARAMETER_ERRORS, error_text
 from dpstack.profile.params import ParamSpec, ParamTable
 from dpstack.profile.pkw import Order, Pkw, PkwClient, PkwDialect, PkwServer, Reply
 from dpstack.profile.pkw_access import ParamRef, PkwAccess, PkwChannel
@@ -37,6 +38,7 @@ __all__ = [
     "NS_PER_S",
     "NS_PER_US",
     "OPS",
+    "PARAMETER_ERRORS",
     "PLAIN_PKW",
     "SPEED",
     "Args",
@@ -82,9 +84,11 @@ __all__ = [
     "TelegramFamily",
     "TelegramSpec",
     "Word",
+    "acyclic",
     "broken",
     "datamap",
     "drivecom",
+    "error_text",
     "find",
     "known",
     "listing",

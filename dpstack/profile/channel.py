@@ -1,4 +1,4 @@
-"""A drive's parameters as the rest of the project sees them, by PKW or by a maker's own channel."""
+"""A drive's parameters as the rest of the project sees them, by PKW, by a maker's own channel or over record 47."""
 
 from __future__ import annotations
 

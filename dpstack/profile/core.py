@@ -10,6 +10,7 @@ import struct
 from collections.abc import Callable, Mapping
 from typing import Final
 
+from dpstack.dp.v1.unit_records import RecordQueue
 from dpstack.profile import lookup, motion
 from dpstack.profile.channel import CHANNEL_LEN, ParameterChannel, ParamKey
 from dpstack.profile.drive import TelegramSpec
@@ -62,6 +63,7 @@ class DriveCore:
         #: after this time the inputs belong to the outputs sent now, in ns
         self.settle_ns = 3 * scan_ns + 20 * NS_PER_MS
         self.access: ParameterChannel | None = None
+        self.records: RecordQueue | None = None  # what it asks its slave by Read and Write
         #: what is asked over ``access`` while it stands in the status word
         self.lookups: lookup.Lookups = ()
         self.now = 0

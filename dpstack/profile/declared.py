@@ -10,6 +10,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
+from dpstack.dp.v1.unit_records import RecordQueue
+from dpstack.profile.acyclic.access import AcyclicAccess, plain_places
+from dpstack.profile.acyclic.client import PLUGIN, ParameterClient
 from dpstack.profile.channel import CHANNEL_LEN
 from dpstack.profile.core import DriveCore
 from dpstack.profile.drive import DriveProfile, TelegramSpec
@@ -34,7 +37,7 @@ class Declaration:
     has words. Control word and set point lead the outputs. ``safe``: the control word of the safe outputs, the set
     point is 0 then. ``scan_ns``: how long the drive takes to notice outputs. ``scale`` of speed and set point, in
     parts of the reference; ``current_scale`` of current and torque, in parts of the rated ones. ``faults``: texts by
-    number; ``warnings``: texts by bit. Raises ValueError.
+    number; ``warnings``: texts by bit. ``record_slot``: where record 47 is, of a drive that has it. Raises ValueError.
     """
 
     table: ControlTable
@@ -48,6 +51,7 @@ class Declaration:
     parameters: ParamTable | None = None
     dialect: PkwDialect = PLAIN_PKW
     resolver: Callable[[ParamTable, str], Resolver] = plain_resolver
+    record_slot: int = 1
 
     def __post_init__(self) -> None:
         if self.inputs[:1] != ("status",) or len(set(self.inputs)) != len(self.inputs):
@@ -58,6 +62,11 @@ class Declaration:
     ) -> DeclaredCore:
         """A ``core_factory`` for the profile of a drive that needs nothing else."""
         return DeclaredCore(self, profile, name, telegram, options)
+
+    def record_access(self, core: DriveCore, queue: RecordQueue) -> AcyclicAccess:
+        """A ``record_access`` for the profile of a drive whose parameters have the same numbers in record 47."""
+        places = plain_places(self.parameters or ParamTable(()), core.drive)
+        return AcyclicAccess(ParameterClient(self.record_slot, references=PLUGIN), queue, places, lambda: core.now)
 
 
 class DeclaredCore(DriveCore):

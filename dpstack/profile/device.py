@@ -11,6 +11,7 @@ import struct
 from functools import cache
 
 from dpstack.dp.device import Device, Leave
+from dpstack.profile.acyclic.server import ParameterServer
 from dpstack.profile.channel import CHANNEL_LEN, ChannelServer
 from dpstack.profile.drive import DriveProfile, TelegramSpec
 from dpstack.profile.motor import Motor
@@ -42,6 +43,8 @@ class DriveDevice(Device):
         self.telegram = telegram
         self.motor = motor
         self.channel: ChannelServer | None = None
+        #: record 47, for whoever makes it one of ``records``
+        self.record47: ParameterServer | None = None
         self.warning_mask = 0
         self.released = True
         self._outputs: bytes | None = None
@@ -112,6 +115,8 @@ class DriveDevice(Device):
         self._outputs = None
         if self.channel is not None:
             self.channel.reset()
+        if self.record47 is not None:
+            self.record47.reset()
         self._next = now + self.scan_ns
         self.motor.advance(now)
         self._refresh(now)

@@ -8,9 +8,12 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from dpstack.errors import ConfigError
+from dpstack.profile.acyclic.choice import ChosenAccess
 from dpstack.profile.channel import CHANNEL_LEN
 
 if TYPE_CHECKING:
+    from dpstack.dp.v1.unit_records import RecordQueue
+    from dpstack.profile.acyclic.access import AcyclicAccess
     from dpstack.profile.core import DriveCore
     from dpstack.profile.device import DriveDevice
 
@@ -70,6 +73,8 @@ class RateSetting(NamedTuple):
 
 
 CoreFactory = Callable[["DriveProfile", str, TelegramSpec, Mapping[str, "bool | float | str"]], "DriveCore"]
+#: From a core made by the factory and the queue of its slave's services to parameters over record 47.
+RecordAccessFactory = Callable[["DriveCore", "RecordQueue"], "AcyclicAccess"]
 DeviceFactory = Callable[
     ["DriveProfile", TelegramSpec, Mapping[str, "bool | float | str"], Mapping[str, object]], "DriveDevice"
 ]
@@ -83,7 +88,7 @@ class DriveProfile:
     at the factory. ``on_loss``: what the drive does when its master stops. ``notes``: what a user should know.
     ``simulated_options``: options of the core that no manual gives, as the simulated drive has them. ``gsd``: a GSD
     file of ours made from the manual's facts (not the vendor's), as ``package:file name``. ``rate_setting``: it hears
-    only the rate that it is set to.
+    only the rate that it is set to. ``record_access``: how it is reached over record 47; None where it has none.
     """
 
     name: str
@@ -108,6 +113,7 @@ class DriveProfile:
     simulated_options: Mapping[str, object] = field(default_factory=dict)
     gsd: str | None = None
     rate_setting: RateSetting | None = None
+    record_access: RecordAccessFactory | None = None
 
     def rates(self, options: Mapping[str, object]) -> tuple[int, ...]:
         """The baud rates that it hears with these options (checked before) in bit/s; empty: nothing is said of them."""
@@ -172,16 +178,23 @@ class DriveProfile:
         options: Mapping[str, object] | None = None,
         *,
         simulated: bool = False,
+        records: RecordQueue | None = None,
     ) -> DriveCore:
         """The master's end for the drive called ``name`` in the configuration. Raises ConfigError.
 
         ``simulated``: the other end is the simulated drive, so what is made up for it counts where nothing is given.
+        ``records``: the master carries out Read and Write of this slave, so parameters go over record 47 where the
+        drive has it, and over the parameter channel of its telegram where not.
         """
         given = {**(self.simulated_options if simulated else {}), **(options or {})}
         checked, extra = self._options(self.core_options, given, f"drive {name} ({self.name})")
         if extra:
             self._refuse(next(iter(extra)), self.core_options, f"drive {name} ({self.name})")
-        return self.core_factory(self, name, self.telegram(telegram), checked)
+        core = self.core_factory(self, name, self.telegram(telegram), checked)
+        if records is not None and self.record_access is not None:
+            core.records = records
+            core.access = ChosenAccess(self.record_access(core, records), core.access)
+        return core
 
     def device(self, telegram: str | None = None, options: Mapping[str, object] | None = None) -> DriveDevice:
         """A simulated drive. Options: those declared, and parameters by number or name with their value.

@@ -11,6 +11,7 @@ from typing import Final
 
 from dpstack.profile.channel import ParamKey
 from dpstack.profile.jobs import CommandError
+from dpstack.profile.param_errors import PARAMETER_ERRORS
 from dpstack.profile.params import ParamSpec, ParamTable
 from dpstack.profile.pkw import Order, Pkw, PkwDialect, PkwServer, Reply
 from dpstack.profile.pkw_access import ParamRef, Resolver
@@ -19,14 +20,7 @@ from dpstack.profile.store import ParamStore
 #: words and double words, no arrays, no data sets
 PLAIN_PKW: Final = PkwDialect(
     answers={Order.READ: (Reply.WORD, Reply.LONG), Order.WRITE_WORD: (Reply.WORD,), Order.WRITE_LONG: (Reply.LONG,)},
-    errors={
-        0: "illegal parameter number",
-        1: "the parameter cannot be changed",
-        2: "outside the limits",
-        5: "wrong data type",
-        17: "not in this operating state",
-        18: "another error",
-    },
+    errors={**PARAMETER_ERRORS, 17: "not in this operating state", 18: "another error"},  # V2 has words of its own
 )
 #: the highest PNU that PKE holds
 _MOST: Final = 0x7FF

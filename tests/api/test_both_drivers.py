@@ -17,6 +17,7 @@ from dpstack.api.simulation import Segment, Simulation
 from dpstack.dp.commands import DriveCommand, Mode, SetMode
 from dpstack.dp.events import SlaveStateChanged
 from dpstack.errors import ConfigError, DriveError, DriveFault, SlaveFault, SlaveTimeout, UsageError
+from dpstack.profile.acyclic import Address, Values
 from dpstack.trace import Event
 
 pytestmark = pytest.mark.parametrize("driver", DRIVERS)
@@ -201,6 +202,19 @@ async def test_class_2_and_scan(driver: Driver) -> None:
                 (7, 0x0696, 1, b"\xf3\xf1"),
             ]
             assert not bus.unreadable
+
+
+async def test_a_drive_over_record_47(driver: Driver, tmp_path: Path) -> None:
+    """By its plugin, wherever that works, and by a program; ST1 has no parameter channel."""
+    pump: dict[str, object] = {"name": "pump", "address": 6, "drive": "ls-s100", "telegram": "ST1"}
+    async with Segment(2, tmp_path / "bus", baud=1_500_000) as segment:
+        plant = make_config(segment.paths[1], 1_500_000, slaves=[pump])
+        async with Simulation(plant, segment.paths[1], 1_500_000), bus_on(segment.paths[0], driver, pump) as bus:
+            await bus.operate()
+            await bus.ready(20)
+            assert await bus.drive("pump").read(965, timeout=20) == 0x0328
+            assert (await bus.drive("pump").write("dr-03", 2.5, timeout=20)).unit == "s"
+            assert await bus.slave("pump").parameters().read([Address(918)]) == [Values(6, (6,))]
 
 
 async def test_a_drive(driver: Driver, tmp_path: Path) -> None:

@@ -220,7 +220,7 @@ LATER: list[tuple[str, str]] = [
     (BUS + RAW + 'gsd = "x.gsd"\n', "plant.toml:8: [[slave]] raw: config beside gsd; leave config out, or gsd"),
     (BUS + RAW + "modules = []\n", "plant.toml:9: [[slave]] raw: modules without gsd; name the GSD file, or leave"),
     (BUS + RAW + "parameters = {}\n", "plant.toml:9: [[slave]] raw: parameters without gsd; name the GSD file, or"),
-    (BUS + RAW + "dpv1 = true\n", "plant.toml:9: [[slave]] raw: dpv1 is not supported yet by this version; leave it"),
+    (BUS + RAW + "dpv1 = true\n", "plant.toml:9: [[slave]] raw: dpv1 needs user parameters that begin with the three"),
 ]
 
 

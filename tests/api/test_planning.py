@@ -192,3 +192,16 @@ def test_a_hoist_on_a_bus_with_a_cycle_is_planned_like_any_other() -> None:
             assert bus.plan.cycle.verdict is Verdict.UNDISTURBED
 
     virtual(program())
+
+
+def test_a_gsd_file_beside_the_drive_shortens_the_worst_case_by_its_diagnosis() -> None:
+    """The file that comes with the plugin says Max_Diag_Data_Len; without one 244 octets are counted."""
+    drive = BUS + '[[slave]]\nname = "hoist"\naddress = 3\ndrive = "demag-dedrive"\n'
+    alone, beside = (plan_bus(parse_config(drive + more)) for more in ("", 'gsd = "demag-dedrive"\n'))
+    said = beside.slaves[0].setup.max_diag_len
+    assert (alone.slaves[0].setup.max_diag_len, said) == (None, 6)
+    assert said is not None
+    assert alone.rotations[Case.SHORTEST] == beside.rotations[Case.SHORTEST]
+    saved = alone.rotations[Case.LONGEST].bits - beside.rotations[Case.LONGEST].bits
+    assert saved == (244 - said) * 11
+    assert beside.slaves[0].setup.config == alone.slaves[0].setup.config

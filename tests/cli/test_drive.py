@@ -15,7 +15,7 @@ from programs import PLANT, Program, Starter
 
 import dpstack
 from dpstack.api.bus import Bus
-from dpstack.api.control import drives
+from dpstack.api.control import alive
 from dpstack.api.control.client import connect
 from dpstack.api.control.drives import find_drive
 from dpstack.api.control.programs import control_run
@@ -282,7 +282,7 @@ async def test_a_run_carries_the_orders_out(plant: Path) -> None:
 
 async def test_who_hangs_up_ends_the_order(plant: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A start that waits for the bus to operate must not come true when nobody waits for it any more."""
-    monkeypatch.setattr(drives, "_SIGN_OF_LIFE_S", 0.02)
+    monkeypatch.setattr(alive, "_SIGN_OF_LIFE_S", 0.02)
     async with dpstack.open_bus(plant) as bus, control_run(bus, "virtual"):
         await bus.ready()  # in Clear
         found = await find_drive("virtual", "fan")

@@ -8,8 +8,9 @@ from class2_kit import MS, Class2Bus
 from octet_slave import NR, RR, RS, UE, OctetSlave, sd1, sd2
 from support import WorldFactory
 
-from dpstack.dp.class2 import CAPACITY, CancelService, Class2, ReadService, ServiceDone
-from dpstack.dp.class2_jobs import Service, ServiceFailure
+from dpstack.dp.acyclic import CAPACITY, Acyclic, CancelService
+from dpstack.dp.class2 import ReadService
+from dpstack.dp.class2_jobs import Service, ServiceDone, ServiceFailure
 from dpstack.dp.commands import Mode, SetMode
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.events import SlaveDiagnosis, SlaveStateChanged
@@ -240,9 +241,9 @@ def test_cancelled_ones_are_asked_no_more() -> None:
 # --- beside a class 1 master ----------------------------------------------------------------------------------------
 
 
-def class2_in(bus: SimBus, address: int, told: list[Event]) -> tuple[ActiveStation, Class2]:
+def class2_in(bus: SimBus, address: int, told: list[Event]) -> tuple[ActiveStation, Acyclic]:
     """A class 2 master of its own at ``address``."""
-    class2 = Class2(address)
+    class2 = Acyclic(address)
     station = ActiveStation(BusParams.preset(500_000, address=address), [class2], now=bus.world.now)
     bus.world.add(station, on_events=told.extend)
     bus.world.command(station, GoOnline())
@@ -301,7 +302,7 @@ def test_beside_the_class_1_master_of_its_own_station(world: WorldFactory) -> No
     w.run_for(500 * MS)
     quiet = bus.master.rotation.max_ns
     rounds = bus.master.rounds
-    class2 = Class2(2, bus.master)
+    class2 = Acyclic(2, bus.master)
     w.command(bus.station, AttachUser(class2))
     begun = w.now
     for token in range(CAPACITY):
@@ -324,7 +325,7 @@ def test_without_time_to_spare_it_ends_and_says_so(world: WorldFactory) -> None:
     params = BusParams.preset(500_000, address=2, gap=0).replace(t_tr=256)
     bus = SimBus(w, params, (3, 4))
     bus.until_exchanging()
-    class2 = Class2(2, bus.master)
+    class2 = Acyclic(2, bus.master)
     w.command(bus.station, AttachUser(class2))
     w.command(bus.station, ReadService(1, 3, Service.CONFIG, timeout_ns=300 * MS))
     w.run_for(301 * MS)
@@ -361,7 +362,7 @@ def test_its_own_master_gets_a_diagnosis_that_it_read(world: WorldFactory) -> No
     app = TellsOnce(MirrorDevice(IDENT, PPO1))
     w.add(PassiveStation(3, app, params))
     master = Master(params, [setup(3)], watchdog_ms=200)
-    class2 = Class2(2, master)
+    class2 = Acyclic(2, master)
     told: list[Event] = []
     station = ActiveStation(params, [master, class2])
     w.add(station, on_events=told.extend)

@@ -8,8 +8,9 @@ from class2_kit import MS, Class2Bus
 from octet_slave import RS, OctetSlave, sd1
 from support import WorldFactory
 
-from dpstack.dp.class2 import ChangeAddress, Class2, ServiceDone
-from dpstack.dp.class2_jobs import Outcome, ServiceFailure
+from dpstack.dp.acyclic import Acyclic
+from dpstack.dp.class2 import ChangeAddress
+from dpstack.dp.class2_jobs import Outcome, ServiceDone, ServiceFailure
 from dpstack.dp.mirror import MirrorDevice
 from dpstack.dp.reading import reading_only
 from dpstack.dp.slaveapp import SlaveApp
@@ -256,7 +257,7 @@ def test_a_slave_of_its_own_station_is_refused_at_once(world: WorldFactory) -> N
     w = world()
     bus = SimBus(w, BusParams.preset(500_000, address=2), (3,))
     bus.until_exchanging()
-    class2 = Class2(2, bus.master)
+    class2 = Acyclic(2, bus.master)
     w.command(bus.station, AttachUser(class2))
     with pytest.raises(UsageError, match="slave 3 is parameterised by this master"):
         w.command(bus.station, ChangeAddress(1, 3, 9))
@@ -287,7 +288,7 @@ def test_beside_a_running_class_1_master_nobody_loses_an_exchange(world: WorldFa
     w.add(PassiveStation(126, Addressable(MirrorDevice(IDENT, PPO1)), params))
     bus.until_exchanging()
     w.run_for(200 * MS)
-    class2 = Class2(2, bus.master)
+    class2 = Acyclic(2, bus.master)
     w.command(bus.station, AttachUser(class2))
     w.command(bus.station, ChangeAddress(1, 126, 4))
     w.command(bus.station, ChangeAddress(2, 126, 5, ident=IDENT))

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from octet_slave import RR, RS, SC, OctetSlave, Say, sd1, sd2
 from property_kit import examples
 
-from dpstack.dp.class2 import CancelService, ChangeAddress, ReadService
+from dpstack.dp.acyclic import CancelService
+from dpstack.dp.class2 import ChangeAddress, ReadService
 from dpstack.dp.class2_jobs import Service, ServiceFailure
 from dpstack.errors import UsageError
 from dpstack.fdl.commands import GoOffline, GoOnline

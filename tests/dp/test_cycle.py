@@ -10,8 +10,9 @@ from bus_kit import mirror
 from cycle_kit import CycleBus, slave
 from support import MS, US, S, WorldFactory
 
-from dpstack.dp.class2 import Class2, ReadService, ServiceDone
-from dpstack.dp.class2_jobs import Service
+from dpstack.dp.acyclic import Acyclic
+from dpstack.dp.class2 import ReadService
+from dpstack.dp.class2_jobs import Service, ServiceDone
 from dpstack.dp.commands import ActivateSlave, AddSlave, DeactivateSlave, Mode, RemoveSlave, SetMode, Shutdown
 from dpstack.dp.cycle import CycleData, MissReason
 from dpstack.dp.events import CyclesMissed, MasterStopped, SlaveState, SlaveStateChanged
@@ -249,7 +250,7 @@ def test_bring_up_beside_a_cycle_takes_several_services_a_gap(world: WorldFactor
 
 def test_what_fits_into_no_gap_goes_out_in_the_end_and_is_told_once(world: WorldFactory) -> None:
     """A diagnosis of unknown length: 11 octets twice with T_SL, 255 octets, T_ID1: 3484 bits, 7 ms; the cycle is 4."""
-    class2 = Class2(2)
+    class2 = Acyclic(2)
     bus = running(world, more=[class2])
     for token in range(3):
         bus.world.command(bus.station, ReadService(token, 5, Service.DIAGNOSIS))
@@ -267,7 +268,7 @@ def test_what_fits_into_no_gap_goes_out_in_the_end_and_is_told_once(world: World
 
 def test_a_forced_service_that_breaks_the_cycle_is_its_reason(world: WorldFactory) -> None:
     """A silent slave with the slack of a pty: nothing else can have been it."""
-    class2 = Class2(2)
+    class2 = Acyclic(2)
     bus = running(world, cycle_ns=10 * MS, patience=HOST, more=[class2])
     bus.world.run_for(200 * MS)
     bus.world.command(bus.station, ReadService(1, 5, Service.DIAGNOSIS))

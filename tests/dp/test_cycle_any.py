@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from property_kit import examples
 from support import MS, S, wire_log
 
-from dpstack.dp.class2 import Class2, ReadService, ServiceDone
-from dpstack.dp.class2_jobs import Service
+from dpstack.dp.acyclic import Acyclic as Class2
+from dpstack.dp.class2 import ReadService
+from dpstack.dp.class2_jobs import Service, ServiceDone
 from dpstack.dp.events import SlaveState
 from dpstack.params import BusParams
 from dpstack.sim.world import World

@@ -7,10 +7,13 @@ import functools
 import re
 from pathlib import Path
 
+import pytest
+
 from dpstack.dp.slave_states import ACCESS
 from tools.make_dp_v0_docs import TARGET, render
 
 ROOT = Path(__file__).resolve().parent.parent.parent
+DP_V1 = ROOT / "docs" / "dp-v1.md"
 
 
 @functools.cache
@@ -42,14 +45,15 @@ def test_every_row_names_a_test_for_each_end_it_has() -> None:
 
 
 def test_every_service_of_the_slave_has_a_row() -> None:
-    text = "\n".join(rows())
+    text = "\n".join(rows()) + DP_V1.read_text(encoding="utf-8")
     assert [a.name for a in ACCESS.values() if not re.search(rf"^\| .*{a.name}", text, re.MULTILINE)] == []
 
 
-def test_modules_and_tests_named_on_the_page_exist() -> None:
-    text = TARGET.read_text(encoding="utf-8")
+@pytest.mark.parametrize(("page", "least"), [(TARGET, 80), (DP_V1, 15)])
+def test_modules_and_tests_named_on_the_page_exist(page: Path, least: int) -> None:
+    text = page.read_text(encoding="utf-8")
     named = re.findall(r"`([\w/]+\.py)::(\w+)`", text)
-    assert len(named) > 80
+    assert len(named) > least
     assert [f"{file}::{test}" for file, test in named if test not in names_in(ROOT / "tests" / file)] == []
     modules = re.findall(r"`([\w/]+\.py)`", text)
     assert [m for m in modules if not any((base / m).exists() for base in (ROOT / "dpstack", ROOT))] == []

@@ -6,7 +6,7 @@ import pytest
 from planned_bus import IDENT, identifiers
 
 from dpstack.dp.plan import OtherMasters, Plan, make_plan
-from dpstack.dp.plan_cycle import Verdict, slowest_rates
+from dpstack.dp.plan_cycle import Verdict, slowest_rates, token_wait_ns
 from dpstack.dp.rotations import figures
 from dpstack.dp.setup import SlaveSetup
 from dpstack.params import BusParams
@@ -227,3 +227,21 @@ def test_buses_with_hardly_anything_on_them(number: int) -> None:
     assert few.cycle is not None
     assert few.cycle.verdict is Verdict.ALWAYS
     assert few.findings == ()
+
+
+def test_how_late_a_cycle_can_begin_beside_others() -> None:
+    """What the other one needs for its longest normal round, by hand, and both tokens."""
+    params = BusParams.preset(1_500_000)
+    found = make_plan(params, FIVE, cycle_ns=30 * NS_PER_MS, others=OtherMasters(alike=1))
+    token = 33 + 37
+    bits = SLOW - 70 + DIAGNOSIS + (13 * 11 + params.t_id2) + (66 + 300) + 2 * token
+    assert token_wait_ns(found.figures) == params.ns(bits)
+    (told,) = [note for note in found.notes if "token" in note]
+    assert told == (
+        f"cycle_ms = 30: a cycle begins when the token is there, up to {params.ns(bits) / 1e6:.3g} ms late while the "
+        f"other master has its normal round"
+    )
+    tight = make_plan(params, FIVE, cycle_ns=8 * NS_PER_MS, others=OtherMasters(alike=2))
+    (told,) = [note for note in tight.notes if "token" in note]
+    assert told.endswith("2 other masters have their rounds; more than a tenth of it counts as missed, by token")
+    assert not [n for n in plan(20).notes if "token" in n]

@@ -10,6 +10,7 @@ from dpstack.dp.mirror import MirrorDevice
 from dpstack.dp.slave_events import RequestRefused, SlaveAppStateChanged, WatchdogExpired
 from dpstack.dp.slave_states import ACCESS, AppEv
 from dpstack.dp.slaveapp import SlaveApp, SlaveAppState
+from dpstack.dp.v1.serving import RecordTable
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import Req, Resp
 from dpstack.fdl.user import RS_REPLY, SC_REPLY, Reply
@@ -183,10 +184,10 @@ def test_outputs_of_the_wrong_length(outputs: bytes) -> None:
 # --- who may what when ------------------------------------------------------------------------------------------
 
 
-def in_state(state: SlaveAppState, device: Device | None = None) -> Bench:
+def in_state(state: SlaveAppState, device: Device | None = None, prm: bytes = PRM) -> Bench:
     bench = Bench(device)
     if state is not WAIT_PRM:
-        bench.prm()
+        bench.prm(prm)
     if state is DATA_EXCH:
         bench.cfg()
         bench.dx()
@@ -204,7 +205,8 @@ def test_services_are_open_as_the_table_says(state: SlaveAppState, sa: int) -> N
             continue  # an SDN, below
         device = Recorder()
         device.set_slave_add = True
-        bench = in_state(state, device)
+        device.records = RecordTable({})
+        bench = in_state(state, device, PRM + b"\x80\0\0")
         access = ACCESS.get(dsap)
         is_open = access is not None and state in access.states and (sa == MASTER or not access.owner_only)
         reply = bench.ask(dsap, data.get(dsap, b""), sa)

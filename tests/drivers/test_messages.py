@@ -14,9 +14,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from property_kit import examples
 
+from dpstack.dp.class2_jobs import Outcome, ServiceFailure
 from dpstack.dp.commands import AddSlave, ReparameteriseSlave
 from dpstack.dp.diag_texts import DiagTexts
 from dpstack.dp.setup import SlaveSetup
+from dpstack.dp.v1.ms1 import ReadRecord, RecordDone, WriteRecord
+from dpstack.dp.v1.status import Dpv1, PrmBlock
 from dpstack.drivers import messages as m
 from dpstack.drivers.stack import StackSpec
 from dpstack.errors import BusError, ConfigError, PortBusyError, SlaveFault, UsageError
@@ -170,3 +173,20 @@ def test_errors_keep_their_class_and_text() -> None:
     assert type(m.error_of(m.error_pair(SlaveFault(3, "e")))) is BusError
     assert "defect in dpstack" in str(m.error_of(m.error_pair(KeyError("f"))))
     assert get_type_hints(m.Message)  # every name in the hints can be looked up
+
+
+def test_a_slave_of_dp_v1_and_its_records_survive_the_way() -> None:
+    dpv1 = Dpv1(alarms=("process",), blocks=(PrmBlock(0x81, 1, b"\x01"),), c1_response_timeout_ns=7)
+    order = AddSlave(SlaveSetup(address=3, name="v", ident=1, config=b"\x10", user_prm=bytes(3), dpv1=dpv1))
+    outcome = Outcome(b"\xff\0", ServiceFailure.NEGATIVE, "no", "", (0x80, 0xB5, 0))
+    done = RecordDone(t_ns=1, token=2, address=3, write=False, slot=4, index=5, outcome=outcome)
+    (message,) = m.Frames().feed(m.framed(m.Message(question=m.Question(1, m.named(order)))))
+    assert message.question is not None
+    assert m.order_of(message.question.order) == order
+    for record in (ReadRecord(1, 2, 3, 4), WriteRecord(1, 2, 3, 4, b"\xff")):
+        (message,) = m.Frames().feed(m.framed(m.Message(question=m.Question(1, m.named(record)))))
+        assert message.question is not None
+        assert m.order_of(message.question.order) == record
+    (message,) = m.Frames().feed(m.framed(m.Message(news=m.News(events=[m.named(done)]))))
+    assert message.news is not None
+    assert [m.event_of(event) for event in message.news.events] == [done]

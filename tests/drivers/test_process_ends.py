@@ -4,34 +4,26 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import os
 import signal
-import socket
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from far_ends import until
-from process_kit import LAMPS, LAMPS_SPEC, SPEC, VALVES, bus_on, octet_slaves, process_of
+from process_kit import LAMPS, LAMPS_SPEC, SPEC, VALVES, bus_on, eventually, octet_slaves, process_of, runs, runtime_of
+from support_responder import Responder
 
 import dpstack
-from dpstack.dp.events import DriveEvent
-from dpstack.drivers import messages as m
-from dpstack.drivers.echo import Echo
-from dpstack.drivers.host import Host
-from dpstack.drivers.outbox import FULL, Outbox
-from dpstack.drivers.plain_loop import PlainLoop
-from dpstack.drivers.shared_image import SharedImage, make_memory
-from dpstack.drivers.stack import StackSpec
+from dpstack.dp.events import MasterStopped
 from dpstack.errors import BusError, ConfigError, PortError, UsageError
-from dpstack.params import BusParams
-from dpstack.phy.patience import HOST
 from dpstack.ports import open_port
-from dpstack.trace import Notice
+from dpstack.trace import Event, Notice, Severity
 
 #: safe values reach the outputs, then Clear's zeros
 AFTER = (b"\xa5\x5a", bytes(2))
@@ -52,24 +44,30 @@ asyncio.run(main())
 """
 
 
-def runs(pid: int) -> bool:
-    """Not ended, or not taken notice of by its parent."""
-    try:
-        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
-    except FileNotFoundError:
-        return False
-    return state != "Z"
+@contextlib.contextmanager
+def recorded(there: Responder, watchdog_s: float) -> Iterator[list[str]]:
+    """What slave 4 is told from now on: outputs in hex, "clear"; and "watchdog" when there was nothing for so long."""
+    heard: list[str] = []
+    slave, take_control = there.slaves[4], there.request
+    last = time.monotonic()
 
+    def request(body: bytes) -> bytes:
+        nonlocal last
+        before, slave.control = slave.exchanges, b""
+        answer = take_control(body)
+        now = time.monotonic()
+        if slave.exchanges != before:
+            if now - last > watchdog_s:
+                heard.append("watchdog")
+            last = now
+            heard.append(slave.outputs.hex())
+        if slave.control == b"\x02\x00":
+            heard.append("clear")
+        return answer
 
-def eventually(condition: Callable[[], bool], what: str) -> None:
-    end = time.monotonic() + 20
-    while not condition():
-        assert time.monotonic() < end, f"did not happen: {what}"
-        time.sleep(0.005)
-
-
-def is_full(outbox: Outbox) -> bool:
-    return outbox.full
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(there, "request", request)
+        yield heard
 
 
 async def test_the_bus_process_is_killed() -> None:
@@ -118,12 +116,77 @@ async def test_the_bus_process_is_told_to_end() -> None:
             await bus.operate()
             bus.slave(4).outputs = b"\x11\x22"
             await until(lambda: bus.slave(4).inputs == b"\x11\x22", "its mirror")
-            os.kill(process_of(bus), signal.SIGINT)  # a terminal's Ctrl-C is the application's
+            for of_a_terminal in (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP):  # the application's
+                os.kill(process_of(bus), of_a_terminal)
             os.kill(process_of(bus), signal.SIGTERM)
             with pytest.raises(BusError, match=r"has ended: it was told to end \(SIGTERM\); outputs were set to their"):
                 await bus.rotated(None, 20)
             await until(lambda: there.slaves[4].outputs in AFTER, "safe values")
             await until(lambda: there.slaves[4].control == b"\x02\x00", "Clear")
+
+
+async def test_ctrl_c_while_the_bus_process_starts() -> None:
+    """A terminal sends it to both, before the new interpreter could say what it does about it."""
+    with octet_slaves(SPEC) as (path, _there):
+        bus = bus_on(path, "process", VALVES)
+        opening = asyncio.ensure_future(bus.open())
+        await until(lambda: runtime_of(bus).pid is not None, "its start")
+        os.kill(process_of(bus), signal.SIGINT)
+        await opening
+        await bus.ready()
+        await bus.close()
+
+
+async def test_its_last_words_are_heard_by_who_asks_in_a_handler() -> None:
+    failed: list[str] = []
+    with octet_slaves(SPEC) as (path, _there):
+
+        def on_event(event: Event) -> None:
+            if isinstance(event, MasterStopped):
+                eventually(lambda: not runs(process_of(bus)), "the end of the bus process")
+                assert bus.stats.slaves[4].exchanges  # asks for counters
+            elif isinstance(event, Notice) and event.source == "bus" and event.severity is Severity.ERROR:
+                failed.append(event.text)
+
+        bus = bus_on(path, "process", VALVES, on_event=on_event)
+        async with bus:
+            await bus.ready()
+            os.kill(process_of(bus), signal.SIGTERM)
+            with pytest.raises(BusError, match=r"has ended: it was told to end \(SIGTERM\)"):
+                await bus.rotated(None, 20)
+    assert len(failed) == 1
+    assert "told to end (SIGTERM)" in failed[0]
+
+
+async def test_a_bus_process_that_hangs_at_the_end_is_killed_and_that_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dpstack.drivers.link.ANSWER_S", 0.05)
+    monkeypatch.setattr("dpstack.drivers.link._AGAIN_S", 0.01)
+    told: list[str] = []
+    with octet_slaves(SPEC) as (path, _there):
+        async with bus_on(
+            path, "process", VALVES | {"watchdog_ms": 500}, on_event=lambda e: told.append(e.text)
+        ) as bus:
+            await bus.ready()
+            os.kill(process_of(bus), signal.SIGSTOP)
+        assert not runs(process_of(bus))
+    assert told[-1] == (
+        "bus process: it did not answer at the end of the bus and was killed: the end was not in order. The slaves' "
+        "watchdogs make their outputs safe within 500 ms"
+    )
+
+
+async def test_it_finds_modules_where_the_application_does(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Also in the working directory, which python -c and an interactive one have as an empty string."""
+    monkeypatch.setattr(sys, "path", [*sys.path, ""])
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "made_here.py").write_text(
+        "class P:\n    def core(self, *a):\n        raise ValueError('found')\nD = P()\n"
+    )
+    from dpstack.profile import registry
+
+    monkeypatch.setattr(registry, "places", lambda: {"fuji-frenic": "made_here:D"})
+    with pytest.raises(BusError, match="ValueError: found"):
+        await bus_on("/dev/null", "process", {"name": "fan", "address": 4, "drive": "fuji-frenic"}).open()
 
 
 @pytest.mark.parametrize("then", ["await asyncio.sleep(60)", "import time; time.sleep(60)"])
@@ -134,12 +197,17 @@ def test_the_application_is_killed(then: str) -> None:
             assert application.stdout is not None
             child = int(application.stdout.readline())
             assert there.slaves[4].outputs == b"\x11\x22"
-            application.kill()
-            killed = time.monotonic()
-            eventually(lambda: there.slaves[4].outputs in AFTER, "safe values")
-            assert time.monotonic() - killed < 10  # of what a watchdog of 1 s may need on a busy computer
-            eventually(lambda: there.slaves[4].control == b"\x02\x00", "Clear")
-            eventually(lambda: not runs(child), "the end of the bus process")
+            with recorded(there, watchdog_s=1.0) as heard:
+                application.kill()
+                eventually(lambda: not runs(child), "the end of the bus process")
+            # all of it before a watchdog of the slave, which is running from one exchange to the next, expires
+            values = [what for what, _ in itertools.groupby(heard)]
+            safe = values.index("a55a")
+            assert set(values[:safe]) <= {"1122"}
+            assert values.index("clear") > safe
+            assert heard.count("clear") == 2
+            assert "1122" not in values[safe:]
+            assert "watchdog" not in heard
         port = open_port(path, 1_500_000)
         asyncio.run(port.open())  # nobody holds it
         port.close()
@@ -176,149 +244,6 @@ async def test_an_application_that_does_not_read_for_a_while() -> None:
             await bus.until(lambda: not bus.slave("lamps").ready_now, 20)
             await bus.slave("lamps").ready(20)
             assert bus.slave("valves").ready_now
-
-
-def test_nobody_reads_what_the_bus_process_tells() -> None:
-    """Bounded: beyond the limit it says so, and what somebody waits for is still taken."""
-    loop = PlainLoop()
-    ours, theirs = socket.socketpair()
-    with theirs:
-        ours.setblocking(False)
-        outbox = Outbox(loop, ours)
-        event = m.named(Notice(t_ns=1, source="x" * 1000, message="y"))
-        sent = 0
-        while not is_full(outbox):
-            outbox.send(m.Message(news=m.News(events=[event])))
-            sent += 1
-            assert sent < 10 * FULL
-        outbox.send(m.Message(answer=m.Answer(7)))
-        frames = m.Frames()
-        got: list[m.Message] = []
-
-        def read() -> None:
-            got.extend(frames.feed(theirs.recv(65_536)))
-            if any(message.answer for message in got):
-                loop.stop()
-
-        loop.add_reader(theirs.fileno(), read)
-        loop.run()
-        assert len(got) == sent + 1
-        assert [message.answer for message in got if message.answer is not None] == [m.Answer(7)]
-        assert not is_full(outbox)
-        outbox.close()
-    loop.close()
-
-
-class Rig:
-    """A bus process's inside in this process: its host on a pty, and the application's end of its socket."""
-
-    def __init__(self) -> None:
-        params = BusParams.preset(1_500_000, address=2, gap=0)
-        spec = StackSpec(
-            params=params,
-            patience=HOST,
-            slaves=(),
-            watchdog_ms=1000,
-            auto_clear=False,
-            data_control_ns=10**9,
-            read_only=False,
-            watched=True,
-        )
-        self.loop = PlainLoop()
-        ours, self.sock = socket.socketpair()
-        memory = make_memory()
-        self.image = SharedImage(memory)
-        os.close(memory)
-        setup = m.SetUp(port="pty", event_char=False, rs485=True, echo=Echo.OFF, tune=False, stack=spec)
-        self.host = Host(self.loop, ours, self.image, setup)
-        self.host.open(["no real-time priority"])
-        self.got: list[m.Message] = []
-        self.frames = m.Frames()
-
-    def read(self) -> None:
-        self.got += self.frames.feed(self.sock.recv(65_536))
-
-    def close(self) -> None:
-        self.sock.close()
-        if not self.over:
-            self.loop.run()  # the ordered end of a bus without an application
-        self.loop.close()
-        self.image.close()
-
-    @property
-    def over(self) -> bool:
-        return any(message.news is not None and message.news.over is not None for message in self.got)
-
-    @property
-    def told(self) -> list[str]:
-        return [m.event_of(event).text for message in self.got if message.news for event in message.news.events]
-
-
-@pytest.fixture
-def rig() -> Iterator[Rig]:
-    made = Rig()
-    yield made
-    made.close()
-
-
-def test_events_beyond_the_bound_are_dropped_counted_and_told(rig: Rig) -> None:
-    event = Notice(t_ns=1, source="x" * 1000, message="y")
-    for _ in range(2_000):
-        rig.host.on_events([event])
-    answer = DriveEvent(t_ns=2, address=3, name="d", payload={"type": "result", "token": 9})
-    rig.host.on_events([event, answer])  # somebody waits for this one
-    rig.loop.add_reader(rig.sock.fileno(), rig.read)
-    dropped = "the application did not read for a while: "
-
-    def look() -> None:
-        if any(dropped in text for text in rig.told):
-            rig.loop.stop()
-        else:
-            rig.loop.call_at(time.monotonic_ns() + 10**6, look)
-
-    look()
-    rig.loop.run()
-    rig.loop.remove_reader(rig.sock.fileno())
-    assert rig.told[0] == "bus process: no real-time priority"
-    events = rig.told.count(event.text)
-    assert 100 < events < 1_000
-    assert f"bus process: {dropped}{2_001 - events} events were dropped" in rig.told
-    owed = [event for message in rig.got if message.news for event in message.news.events if event[0] == "DriveEvent"]
-    assert [m.event_of(event) for event in owed] == [answer]
-
-
-def test_a_flood_of_orders_is_answered_in_order_and_never_piles_up(rig: Rig) -> None:
-    count = 500
-    rig.sock.setblocking(False)
-    left = b"".join(m.framed(m.Message(question=m.Question(n, m.named(m.AskUnit(77))))) for n in range(1, count + 1))
-
-    def write() -> None:
-        nonlocal left
-        with contextlib.suppress(BlockingIOError):
-            left = left[rig.sock.send(left) :]
-        if not left:
-            rig.loop.remove_writer(rig.sock.fileno())
-
-    def read() -> None:
-        rig.read()
-        if rig.got[-1].answer is not None and rig.got[-1].answer.number == count:
-            rig.loop.stop()
-
-    rig.loop.add_writer(rig.sock.fileno(), write)
-    rig.loop.add_reader(rig.sock.fileno(), read)
-    rig.loop.run()
-    rig.loop.remove_reader(rig.sock.fileno())
-    answers = [message.answer for message in rig.got if message.answer is not None and message.answer.number]
-    assert [answer.number for answer in answers] == list(range(1, count + 1))
-    assert {answer.error for answer in answers} == {("UsageError", "no slave with address 77 in the bus process")}
-
-
-def test_garbage_from_the_application_ends_the_bus_in_order(rig: Rig) -> None:
-    rig.sock.send(b"\xff" * 8)
-    rig.loop.run()
-    rig.read()
-    assert rig.got[-1].news is not None
-    assert "a message of 4294967295 octets" in str(rig.got[-1].news.over)
 
 
 async def test_a_bus_process_that_hangs(monkeypatch: pytest.MonkeyPatch) -> None:

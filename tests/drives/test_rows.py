@@ -18,14 +18,13 @@ from typing import Final
 import pytest
 
 TESTS: Final = Path(__file__).parent.parent
-#: L8 and L10 are DP-V1's
 ROWS: Final = tuple(
     f"{letter}{number}"
     for letter, numbers in {
         "D": range(1, 23),
         "K": range(1, 13),
         "I": range(1, 6),
-        "L": (*range(1, 8), 9, 11),
+        "L": range(1, 12),
         "F": range(1, 16),
     }.items()
     for number in numbers
@@ -37,6 +36,7 @@ PAIR: Final = "PairBench"
 #: rows that have one end only, and why
 ONE_END: Final = {
     ("D22", PLUGIN): "SYNC is an order of the bus to a group of slaves, plugins know nothing of it",
+    ("L10", PLUGIN): "I&M is a matter of program and slave, plugins know nothing of it",
     ("K1", PLUGIN): "the services are those of the bus's slave handler, which every drive has",
 }
 _NAMED: Final = re.compile(r"test_((?:[dkilf]\d+_)+)")

@@ -5,9 +5,11 @@ from __future__ import annotations
 import ast
 import tomllib
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from acyclic_kit import outcome
 from drive_bench import DeviceBench, PluginBench
 
 import dpstack
@@ -192,3 +194,24 @@ def test_it_needs_the_profile_only() -> None:
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             names += [str(node.module)] if isinstance(node, ast.ImportFrom) else []
             assert all(name == "dpstack.profile" for name in names if name.startswith("dpstack")), path
+
+
+def test_its_parameters_go_over_record_47_where_it_has_it(installed: Path, acme: DriveProfile) -> None:
+    from acme_drive.table import DECLARED
+
+    queue = profile.acyclic.RecordQueue()
+    core = replace(acme, record_access=DECLARED.record_access).core("belt", "STD", records=queue)
+    assert acme.core("belt", "STD", records=queue).access is None  # it declares none
+    bench = PluginBench(core, "00 09 00 00 00 00 00 00")
+    token = bench.order("read", number=1)
+    for answer in ("", "01 01 01 01 06 01 00 01"):
+        bench.run()
+        pending = queue.take()
+        assert pending is not None
+        asked = pending.request
+        octets = asked.data if isinstance(asked, profile.acyclic.WriteReq) else b""
+        assert octets.hex(" ").upper() in ("01 01 01 01 10 00 00 01 00 00", "")
+        assert (asked.slot, asked.index) == (1, 47)
+        pending.outcome = outcome(answer)
+    bench.run()
+    assert (bench.result(token) or {})["value"] == 1

@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 from ring_bus import ListUser
 
 from dpstack.fdl.active import ActiveStation
-from dpstack.fdl.active_exchange import ends_at
+from dpstack.fdl.active_exchange import ends_at, in_vain_until
 from dpstack.fdl.budget import PATIENCE, Budget
 from dpstack.fdl.telegram import Req
 from dpstack.fdl.user import Request
 from dpstack.params import BusParams
-from dpstack.phy.patience import Patience
+from dpstack.phy.patience import Patience, slack
 from dpstack.units import NEVER
 
 A = (12, 3, 60)
@@ -120,14 +120,59 @@ def test_the_longest_course_of_a_request(request_: Request, known: bool, bits: i
     assert ends_at(link, request_, now) == now + (37 + bits) * 2_000
 
 
-def test_the_ports_slack_is_in_every_attempt() -> None:
-    patience = Patience(known_ns=50_000_000, unknown_ns=2_000_000, sending_ns=1_000_000)
+def ends_after(patience: Patience, request: Request, *, known: bool) -> int:
     station = ActiveStation(BusParams.preset(500_000, address=2), [ListUser()], patience=patience)
-    poll = Request(5, Req.FDL_STATUS, retry=False, answer=0)
-    wire = (66 + 200 + 11 + 121 + 37) * 2_000  # octets are seen at their end: one more
+    if known:
+        station._link.fcb.answered(request.da)
     now = 10_000_000
-    assert ends_at(station._link, poll, now) == now + wire + 1_000_000 + 2_000_000
+    return ends_at(station._link, request, now) - now
+
+
+POLL = Request(5, Req.FDL_STATUS, retry=False, answer=0)
+DATA = Request(5, Req.SRD_HIGH, patient=True)
+PORT = Patience(known_ns=50_000_000, unknown_ns=2_000_000, sending_ns=1_000_000)
+
+
+def test_nobody_there_is_counted_with_the_wire_alone_and_waited_for_as_long_as_there_is_room() -> None:
+    wire = (66 + 200 + 11 + 121 + 37) * 2_000  # octets are seen at their end: one more
+    assert ends_after(PORT, POLL, known=False) == wire + 1_000_000
+
+
+def test_who_is_there_is_counted_with_one_attempt_and_what_the_port_usually_needs() -> None:
+    once = (66 + 200 + 11 + 2805 + 37) * 2_000
+    assert ends_after(PORT, DATA, known=True) == once + 1_000_000 + 2_000_000
+    assert ends_after(PORT, POLL, known=True) == (66 + 200 + 11 + 121 + 37) * 2_000 + 1_000_000 + 2_000_000
+
+
+def test_the_users_own_slack_is_in_every_attempt() -> None:
     twice = (2 * (66 + 200 + 11) + 2805 + 37) * 2_000
-    station._link.fcb.answered(5)
-    data = Request(5, Req.SRD_HIGH, patient=True)
-    assert ends_at(station._link, data, now) == now + twice + 2 * (1_000_000 + 50_000_000)
+    assert ends_after(slack(3_000_000, PORT), DATA, known=True) == twice + 2 * (1_000_000 + 3_000_000)
+
+
+def test_an_answer_that_may_be_kept_back_as_a_late_one_needs_that_time_too() -> None:
+    station = ActiveStation(BusParams.preset(500_000, address=2), [ListUser()])
+    link = station._link
+    link.fcb.answered(5)
+    now = 10_000_000
+    before = ends_at(link, DATA, now)
+    link.owed[7] = (Request(7, Req.SRD_HIGH), now)
+    assert ends_at(link, DATA, now) == before + 200 * 2_000  # T_SL
+    assert ends_at(link, DATA, now + 1) == before + 1  # nothing is owed any more
+
+
+@pytest.mark.parametrize(
+    ("room_us", "waited_us"),
+    [
+        (5_000, 2_422),  # T_SL, a character (211 bits at 2 us), 2 ms: all of it
+        (2_300, 2_300 - 300 - 74),  # what follows and T_ID1 before the cycle
+        (1_000, 422 + 242),  # no less than T_SL and the answer: 11 octets, which may be on the wire
+        (-50, 422 + 242),
+    ],
+)
+def test_how_long_nobody_is_waited_for(room_us: int, waited_us: int) -> None:
+    patience = Patience(known_ns=50_000_000, unknown_ns=2_000_000)
+    station = ActiveStation(BusParams.preset(500_000, address=2), [ListUser()], patience=patience)
+    link = station._link
+    at = 10_000_000
+    link.budget.next_at = at + room_us * 1_000
+    assert in_vain_until(link, POLL, at, 300_000) == at + waited_us * 1_000

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import pytest
 from planned_bus import IDENT, identifiers
 from support import S, WorldFactory
 
 from dpstack.dp.commands import Mode, SetMode
+from dpstack.dp.cycle import MissReason
 from dpstack.dp.events import SlaveState
 from dpstack.dp.master import Master
 from dpstack.dp.mirror import MirrorDevice
 from dpstack.dp.plan import Case, OtherMasters, rotation, t_tr_needed
+from dpstack.dp.plan_cycle import token_wait_ns
+from dpstack.dp.rotations import figures
 from dpstack.dp.setup import SlaveSetup
 from dpstack.dp.slaveapp import make_slave
 from dpstack.fdl.active import ActiveStation
@@ -124,3 +127,32 @@ def test_masters_alike_need_no_list() -> None:
     for case in Case:
         assert rotation(params, slaves, case, alike).bits == 3 * rotation(params, slaves, case).bits
     assert (alike.count, listed.count) == (2, 2)
+
+
+@pytest.mark.parametrize("counts", [[5, 5], [5, 20], [3, 4, 5]])
+def test_a_fixed_cycle_begins_no_later_than_the_plan_says(world: WorldFactory, counts: list[int]) -> None:
+    """The others run free with slow slaves: they have the token nearly always when the cycle is due."""
+    w = world()
+    params = BusParams.preset(BAUD, gap=10, hsa=2 + len(counts))
+    plants = [[replace(setup, max_diag_len=6) for setup in slaves] for slaves in slaves_of(counts)]
+    others = OtherMasters(rounds=tuple(rotation(params, slaves, Case.NORMAL).bits for slaves in plants[1:]))
+    cycle_ns = 2 * params.ns(rotation(params, plants[0], Case.NORMAL, others).bits)
+    planned = token_wait_ns(figures(params, plants[0], others=others, cycle_ns=cycle_ns))
+    t_tr = t_tr_needed(params, plants[0], others)
+    masters = []
+    for number, slaves in enumerate(plants):
+        own = params.replace(address=2 + number, t_tr=t_tr)
+        for setup in slaves:
+            w.add(make_slave(setup.address, MirrorDevice(IDENT, setup.config), own, t_sdr=90))
+        masters.append(Master(own, slaves, watchdog_ms=650_000, cycle_ns=0 if number else cycle_ns))
+        station = ActiveStation(own, [masters[-1]], budget=masters[-1].budget, now=w.now)
+        w.add(station)
+        w.command(station, GoOnline())
+        w.command(station, SetMode(Mode.OPERATE))
+    w.run_for(3 * S)
+    book = masters[0].cycles
+    book.late, book.left_out = Histogram(), 0
+    w.run_for(2 * S)
+    assert book.left_out == 0
+    assert set(book.reasons) <= {MissReason.TOKEN}
+    assert planned // 2 < book.late.max_ns <= planned

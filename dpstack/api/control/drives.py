@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 from collections.abc import AsyncIterator
-from typing import Any, Final
+from typing import Any
 
 from dpstack.api.bus import Bus
+from dpstack.api.control.alive import kept_alive
 from dpstack.api.control.client import ControlClient, reach
-from dpstack.api.control.server import Result
 from dpstack.api.drive_words import carry_out
 from dpstack.api.parameter_dump import ParameterValue
 from dpstack.api.parts import SEARCHING
 from dpstack.errors import BusError, UsageError
 from dpstack.profile import ListedParam
 
-#: how often the client of an order is told that it goes on, in s: without its answer it would take us for dead
-_SIGN_OF_LIFE_S: Final = 0.5
 
-
-async def drive_order(bus: Bus, args: list[str]) -> AsyncIterator[object]:
+def drive_order(bus: Bus, args: list[str]) -> AsyncIterator[object]:
     """``NAME ORDER [ARG]...`` at the drive of a run. A client that hangs up ends the order: nothing starts then."""
     if bus.searching:
         raise BusError(f"{SEARCHING}: the drives are known once it is found")
@@ -28,15 +24,7 @@ async def drive_order(bus: Bus, args: list[str]) -> AsyncIterator[object]:
         raise BusError("this run is read only: it gives no drive an order; end it and run without read_only")
     name, word, *rest = args
     drive = bus.drive(int(name) if name.isdecimal() else name)
-    order = asyncio.ensure_future(carry_out(drive, word, rest))
-    try:
-        while not (await asyncio.wait({order}, timeout=_SIGN_OF_LIFE_S))[0]:
-            yield {"status": drive.status.as_dict()}
-        yield Result(order.result())
-    finally:
-        order.cancel()
-        with contextlib.suppress(asyncio.CancelledError, Exception):
-            await order
+    return kept_alive(carry_out(drive, word, rest), lambda: {"status": drive.status.as_dict()})
 
 
 class RemoteDrive:

@@ -8,6 +8,7 @@ from typing import Final
 from dpstack.api.bus import Bus
 from dpstack.api.control import arguments
 from dpstack.api.control.drives import drive_order
+from dpstack.api.control.records import acyclic_order
 from dpstack.api.control.server import ControlServer, Handler
 from dpstack.api.control.slaves import SlaveCommands, address_of
 from dpstack.api.control.specs import KINDS, SLAVES
@@ -31,6 +32,7 @@ def control_run(bus: Bus, port: str) -> ControlServer:
         "operate": lambda _: bus.command(SetMode(Mode.OPERATE)),
         "clear": lambda _: bus.command(SetMode(Mode.CLEAR)),
         "drive": lambda args: drive_order(bus, args),
+        "acyclic": lambda args: acyclic_order(bus, args),
         "stats": lambda _: bus.stats.summary(),
     }
     if not bus.searching and bus.bench is not None:

@@ -74,7 +74,7 @@ class Module:
             return Reply.ERROR, 0x03
         if order.id in _READS:
             return reply, self.value(spec, order.ind) & 0xFFFF
-        error = self._write(spec, order.pwe & 0xFFFF)
+        error = self.write(spec, order.pwe & 0xFFFF)
         return (reply, order.pwe & 0xFFFF) if error is None else (Reply.ERROR, error)
 
     def value(self, spec: ParamSpec, ind: int = 0) -> int:
@@ -92,8 +92,8 @@ class Module:
         live = self._live(spec.number, spec.index)
         return self.store.raw(spec) if live is None else live
 
-    def _write(self, spec: ParamSpec, raw: int) -> int | None:
-        """The error number, None where it was written."""
+    def write(self, spec: ParamSpec, raw: int) -> int | None:
+        """Over PKW or record 47: the error number, None where it was written."""
         where = spec.number << 8 | spec.index if spec.index else spec.number
         if spec.read_only:
             return 0x01

@@ -10,6 +10,7 @@ from dpstack.profile import (
     CHANNEL_LEN,
     FAULTED,
     NS_PER_MS,
+    NS_PER_S,
     SPEED,
     CommandError,
     ConfigError,
@@ -25,10 +26,11 @@ from dpstack.profile import (
     State,
     Steps,
     TelegramSpec,
+    acyclic,
     datamap,
     settled,
 )
-from dpstack_drives.ls import paramap, references, telegrams
+from dpstack_drives.ls import paramap, records, references, telegrams
 from dpstack_drives.ls import table as t
 from dpstack_drives.ls.paramap import ParaMap
 
@@ -37,6 +39,8 @@ _SAFE: Final = 0x047E
 #: of the reference: below it the output frequency counts as 0
 _STILL: Final = 0.005
 _SCAN_NS: Final = t.SCAN_MS * NS_PER_MS
+#: for one element of a lookup: record 47 takes four rotations, 1.4 s at 9.6 kbit/s beside four drives
+_ANSWER_NS: Final = 5 * NS_PER_S
 _SOURCE: Final = "set dr-06 (command source) to 4, field bus, and see that the keypad is not in local mode"
 
 
@@ -141,6 +145,11 @@ class LsCore(MappedCore[ParaMap]):
             f"address {where:04X} is not to be used beside a drive profile (manual 5.1, 5.3): take it out of "
             "COM-31.. and COM-51.. (write_map) or leave it alone"
         )
+
+    def over_records(self, queue: acyclic.RecordQueue) -> acyclic.AcyclicAccess:
+        """Parameters over record 47 (L8); trips and warnings have names in every telegram then."""
+        self.lookups = (self._trips, self._warning)
+        return records.access(self.drive, queue, lambda: self.now, self._advised)
 
     # -- process data ---------------------------------------------------------------------------------------------
 
@@ -289,23 +298,26 @@ class LsCore(MappedCore[ParaMap]):
     def _ask_trips(self, deadline: int) -> Steps[tuple[int, ...]]:
         found: list[int] = []
         for index in range(t.MESSAGES):
-            number = yield from self._value(ParamKey(t.PNU_FAULTS, index=index), deadline)
+            number = yield from self._value(ParamKey(t.PNU_FAULTS, index=index), self.now + _ANSWER_NS)
             if not isinstance(number, int) or not number:
                 break
             found.append(number)
         return tuple(found)
 
     def _ask_warning(self, deadline: int) -> Steps[int | None]:
-        word = yield from self._value(ParamKey(t.PNU_WARNING), deadline)
+        word = yield from self._value(ParamKey(t.PNU_WARNING), self.now + _ANSWER_NS)
         return word if isinstance(word, int) else None
 
     # -- parameters -----------------------------------------------------------------------------------------------
 
     def _resolve(self, key: ParamKey) -> ParamRef:
         ref, where = references.resolve(key, self.drive)
+        self._advised(where)
+        return ref
+
+    def _advised(self, where: int | None) -> None:
         if where in t.ADVISED_AGAINST:
             self._advise(where)
-        return ref
 
     # -- Para Status and Para Control -----------------------------------------------------------------------------
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from dpstack.profile import DriveProfile, OptionSpec
+from dpstack.profile import DriveCore, DriveProfile, OptionSpec, acyclic
 from dpstack_drives.ls import table as t
 from dpstack_drives.ls import telegrams
 from dpstack_drives.ls.plugin import LsCore
@@ -25,6 +25,12 @@ _COMMON: Final = {
     "swap": OptionSpec(default=False, text="COM-68: the octets of every word are swapped"),
 }
 
+
+def _record_access(core: DriveCore, queue: acyclic.RecordQueue) -> acyclic.AcyclicAccess:
+    assert isinstance(core, LsCore)
+    return core.over_records(queue)
+
+
 DRIVE: Final = DriveProfile(
     name="ls-s100",
     title="LS ELECTRIC LSLV-S100, CPDP-S100",
@@ -42,6 +48,7 @@ DRIVE: Final = DriveProfile(
     ),
     core_factory=LsCore,
     device_factory=LsDevice,
+    record_access=_record_access,
     core_options={
         **_COMMON,
         "trip_word": OptionSpec(

@@ -20,7 +20,7 @@ from dpstack.profile import (
     profidrive,
     signed16,
 )
-from dpstack_drives.ls import settings, telegrams
+from dpstack_drives.ls import records, settings, telegrams
 from dpstack_drives.ls import table as t
 from dpstack_drives.ls.lostcommand import LostCommand
 from dpstack_drives.ls.module import Module
@@ -75,6 +75,9 @@ class LsDevice(DriveDevice):
         super().__init__(profile, telegram, Motor(load=float(options["load"])))
         self.module = Module(self.store, self._live, self._changed, lambda: bool(self.motor.frequency))
         self.channel = PkwServer(t.PKW, self.module.order)
+        if not self.legacy:
+            self.record47 = records.server(self.module)
+            self.records = records.served(self.record47, lambda: self.seen_until or 0)
 
     @property
     def scan_ns(self) -> int:

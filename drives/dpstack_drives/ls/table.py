@@ -12,6 +12,7 @@ from dataclasses import replace
 from typing import Final, NamedTuple
 
 from dpstack.profile import (
+    PARAMETER_ERRORS,
     ControlTable,
     Goal,
     ParamSpec,
@@ -181,25 +182,7 @@ def code_of(number: int) -> str:
 
 PKW: Final = PkwDialect(
     answers={1: (1,), 2: (1,), 6: (4,), 7: (4,)},
-    errors={
-        0x00: "illegal parameter number",
-        0x01: "the value cannot be modified",
-        0x02: "low or high limit exceeded",
-        0x03: "invalid subindex",
-        0x04: "no array",
-        0x05: "wrong data type",
-        0x06: "can only be reset",
-        0x07: "the description cannot be changed",
-        0x09: "no description",
-        0x0B: "no operation priority",
-        0x0F: "no text array",
-        0x11: "not in this operating mode",
-        0x14: "value not permitted",
-        0x15: "response too long",
-        0x16: "parameter address not permitted",
-        0x17: "illegal format",
-        0x18: "number of values inconsistent",
-    },
+    errors={number: PARAMETER_ERRORS[number] for number in (*range(8), 0x09, 0x0B, 0x0F, 0x11, *range(0x14, 0x19))},
     zero_between=False,  # 6.2.1: an order acts once, when it changes
 )
 

@@ -1,0 +1,78 @@
+"""What the records of a slave are told from outside, in words: by ``dpstack acyclic``, over the control socket."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any, Final
+
+from dpstack.api.control.specs import Spec
+from dpstack.api.drive_words import find_word
+from dpstack.api.slave import Slave
+from dpstack.api.tables import parse_hex
+from dpstack.dp.v1.im import Im, Im0
+from dpstack.errors import UsageError
+
+WORDS: Final = (
+    Spec("read", "SLOT INDEX [LENGTH]", "a record, as hex; LENGTH: at most so many octets", "1 47"),
+    Spec("write", "SLOT INDEX HEX", "all octets of a record", "1 47 00FF"),
+    Spec("im", "[SLOT]", "I&M0, and those of I&M1 to 4 that there are", ""),
+)
+
+
+def check(word: str, args: Sequence[str]) -> None:
+    """Raises UsageError where ``word`` or what belongs to it cannot be."""
+    spec = find_word(word, WORDS, "dpstack acyclic")
+    spec.check(list(args))
+    for name, text in zip(spec.usage.split(), args, strict=False):
+        _octets(text) if name == "HEX" else _number(name.strip("[]"), text)
+
+
+async def carry_out(slave: Slave, word: str, args: Sequence[str]) -> dict[str, Any]:
+    """One word with its arguments; what came of it as plain data. Raises what :meth:`Slave.read` raises."""
+    check(word, args)
+    head = {"order": word, "slave": slave.name, "address": slave.address}
+    match word:
+        case "read":
+            slot, index, *length = (_number("SLOT", text) for text in args)
+            data = await slave.read(slot, index, *length)
+            return {**head, "slot": slot, "index": index, "length": len(data), "data": data.hex()}
+        case "write":
+            slot, index = (_number("SLOT", text) for text in args[:2])
+            octets = _octets(args[2])
+            await slave.write(slot, index, octets)
+            return {**head, "slot": slot, "index": index, "length": len(octets)}
+        case _:
+            slot = _number("SLOT", args[0]) if args else 0
+            return {**head, "slot": slot, "im": await _all_im(slave, slot)}
+
+
+async def _all_im(slave: Slave, slot: int) -> dict[str, dict[str, object]]:
+    im0 = await slave.im(0, slot=slot)
+    found: dict[str, dict[str, object]] = {"0": _plain(im0)}
+    for number in range(1, 5):
+        if isinstance(im0, Im0) and im0.supported & (1 << number):
+            found[str(number)] = _plain(await slave.im(number, slot=slot))
+    return found
+
+
+def _plain(record: Im) -> dict[str, object]:
+    fields = dataclasses.asdict(record)
+    return {name: value.hex() if isinstance(value, bytes) else value for name, value in fields.items()}
+
+
+def _number(name: str, text: str) -> int:
+    try:
+        value = int(text, 0)
+    except ValueError:
+        value = -1
+    if not 0 <= value <= 255:
+        raise UsageError(f"{text!r} is no {name}: write a number 0..255, 0x2F for instance")
+    return value
+
+
+def _octets(text: str) -> bytes:
+    try:
+        return parse_hex(text)
+    except ValueError as error:
+        raise UsageError(f"{text!r}: {error}; write octets as 00FF") from None

@@ -1,0 +1,126 @@
+"""The key ``dpv1`` of a [[slave]] table: DP-V1 on or off, and what else DPV1_Status says."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Final
+
+from dpstack.api.tables import Table
+from dpstack.dp.v1.records import MAX_RECORD
+from dpstack.dp.v1.status import ALARMS, DPV1_ENABLE, DPV1_STATUS_LEN, Dpv1, PrmBlock
+from dpstack.errors import ConfigError
+from dpstack.gsd.model import Device
+from dpstack.units import NS_PER_MS
+
+#: C1_Response_Timeout counts in 10 ms
+_TIMEOUT_UNIT: Final = 10 * NS_PER_MS
+_KEYS: Final = ("check_cfg_mode", "prm_cmd", "alarms", "alarm_mode", "blocks", "response_timeout_ms")
+_BLOCK_KEYS: Final = ("type", "slot", "data")
+#: the GSD keywords of what may be asked for, without _supp
+_IN_GSD: Final = {
+    "pull_plug": "Pull_Plug_Alarm",
+    "process": "Process_Alarm",
+    "diagnostic": "Diagnostic_Alarm",
+    "manufacturer": "Manufacturer_Specific_Alarm",
+    "status": "Status_Alarm",
+    "update": "Update_Alarm",
+}
+
+
+def read_dpv1(table: Table, device: Device | None, user_prm: bytes) -> Dpv1 | None:
+    """DP-V1 of the slave with these parameters; None where nothing of it is used. Raises ConfigError.
+
+    Left out it is on where the GSD file says DPV1_Slave and C1_Read_Write_supp, or where DPV1_Enable stands in the
+    parameters already.
+    """
+    given = table.raw("dpv1")
+    known = device is not None and device.dpv1.slave
+    if given is None:
+        reads = device.dpv1.c1_read_write if device is not None and known else device is None
+        stands = len(user_prm) >= DPV1_STATUS_LEN and (known or bool(user_prm[0] & DPV1_ENABLE))
+        return _of_gsd(device) if reads and stands else None
+    if given is False:
+        return None
+    if given is not True and table.table("dpv1") is None:
+        return None
+    if device is not None and not known:
+        table.fail("dpv1", "dpv1 is asked for, but its GSD file says DPV1_Slave = 0", "leave dpv1 out")
+    if len(user_prm) < DPV1_STATUS_LEN:
+        table.fail(
+            "dpv1",
+            f"dpv1 needs user parameters that begin with the three DPV1_Status octets, {len(user_prm)} are there",
+            'for instance user_prm = "00 00 00"; what is used is set by dpstack',
+        )
+    base = _of_gsd(device)
+    return base if given is True else _with_keys(base, table, device)
+
+
+def _of_gsd(device: Device | None) -> Dpv1:
+    if device is None:
+        return Dpv1()
+    longest = device.dpv1.c1_max_data_len
+    return Dpv1(
+        c1_response_timeout_ns=device.dpv1.c1_response_timeout * _TIMEOUT_UNIT,
+        c1_max_data_len=min(longest, MAX_RECORD) if longest else MAX_RECORD,
+    )
+
+
+def _with_keys(base: Dpv1, outer: Table, device: Device | None) -> Dpv1:
+    table = outer.table("dpv1")
+    assert table is not None
+    table.check_keys(_KEYS)
+    timeout = table.integer("response_timeout_ms", 1, 655_350)
+    try:
+        return dataclasses.replace(
+            base,
+            check_cfg_mode=_flag(
+                table, "check_cfg_mode", None if device is None else device.dpv1.check_cfg_mode, "Check_Cfg_Mode"
+            ),
+            prm_cmd=_flag(table, "prm_cmd", None, ""),
+            alarms=_alarms(table, device),
+            alarm_mode=table.integer("alarm_mode", 0, 7, "0: one of each kind at a time, 1..7: 2, 4, 8 ... 32 in all"),
+            blocks=_blocks(table, device),
+            c1_response_timeout_ns=base.c1_response_timeout_ns if timeout is None else timeout * NS_PER_MS,
+        )
+    except ConfigError as error:
+        raise outer.error("dpv1", str(error), "correct it") from None
+
+
+def _flag(table: Table, key: str, supported: bool | None, keyword: str) -> bool | None:
+    if key not in table:
+        return None
+    wanted = table.flag(key, False)
+    if wanted and supported is False:
+        table.fail(key, f"{key} = true, but its GSD file says {keyword} = 0", f"leave {key} out")
+    return wanted
+
+
+def _alarms(table: Table, device: Device | None) -> tuple[str, ...] | None:
+    given = table.raw("alarms")
+    if given is None:
+        return None
+    if not isinstance(given, (list, tuple)) or any(name not in ALARMS for name in given):
+        table.fail("alarms", f"alarms = {given!r}", f"it is a list of these: {', '.join(ALARMS)}")
+    for name in given:
+        if device is not None and _IN_GSD[name] not in device.dpv1.alarms:
+            table.fail("alarms", f"alarms holds {name}, but its GSD file says {_IN_GSD[name]}_supp = 0", "leave it out")
+    return tuple(name for name in ALARMS if name in given)
+
+
+def _blocks(table: Table, device: Device | None) -> tuple[PrmBlock, ...]:
+    given = table.raw("blocks")
+    if given is None:
+        return ()
+    if not isinstance(given, (list, tuple)):
+        table.fail("blocks", "blocks is no list of tables", 'write [{ type = 0x81, slot = 0, data = "00 01" }]')
+    if device is not None and not device.dpv1.prm_block_structure:
+        table.fail("blocks", "blocks, but its GSD file says Prm_Block_Structure_supp = 0", "leave blocks out")
+    return tuple(_block(table.inner("blocks", number, entry)) for number, entry in enumerate(given, 1))
+
+
+def _block(table: Table) -> PrmBlock:
+    table.check_keys(_BLOCK_KEYS)
+    kind = table.integer("type", 0, 255)
+    if kind is None:
+        table.fail(None, "no type", "0x81 is user parameters, 2 PrmCmd; its manual knows the others")
+    return PrmBlock(kind, table.integer("slot", 0, 254) or 0, table.octets("data") or b"")

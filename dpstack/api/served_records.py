@@ -1,0 +1,50 @@
+"""Records of a slave that async functions serve: each request is a task, whose end answers it."""
+
+from __future__ import annotations
+
+import asyncio
+
+from dpstack.dp.dp_slave import OnRead, OnWrite
+from dpstack.dp.v1.codes import Code
+from dpstack.dp.v1.records import ReadReq
+from dpstack.dp.v1.serving import Ticket
+
+
+class AsyncRecords:
+    """``on_read`` and ``on_write`` of a :class:`~dpstack.dp.dp_slave.DpSlave`; one that is not there refuses."""
+
+    def __init__(self, on_read: OnRead | None, on_write: OnWrite | None) -> None:
+        self._on_read = on_read
+        self._on_write = on_write
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    def ask(self, ticket: Ticket) -> None:
+        """Start the function; the master polls meanwhile. Where it gives up, the function is cancelled."""
+        task = asyncio.get_running_loop().create_task(self._serve(ticket), name=ticket.title)
+        self._tasks.add(task)
+        ticket.abandoned = task.cancel
+        task.add_done_callback(self._tasks.discard)
+
+    def end(self) -> None:
+        """The slave is served no more: what is under way is cancelled."""
+        for task in self._tasks:
+            task.cancel()
+
+    async def _serve(self, ticket: Ticket) -> None:
+        request = ticket.request
+        try:
+            if isinstance(request, ReadReq):
+                if self._on_read is None:
+                    ticket.refuse(Code.ACCESS_DENIED)
+                    return
+                data = await self._on_read(request.slot, request.index)
+                if not isinstance(data, (bytes, bytearray)):
+                    raise TypeError(f"on_read returned {type(data).__name__}, a record is bytes")
+                ticket.answer(bytes(data))
+            elif self._on_write is None:
+                ticket.refuse(Code.ACCESS_DENIED)
+            else:
+                await self._on_write(request.slot, request.index, request.data)
+                ticket.answer()
+        except Exception as error:  # the user's: answered, told, and nothing else is disturbed
+            ticket.fail(error)

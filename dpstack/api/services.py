@@ -1,0 +1,95 @@
+"""Acyclic services to be awaited: who waits for which, and what each failure is raised as."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import itertools
+from typing import TYPE_CHECKING, Final, TypeVar
+
+from dpstack.dp.acyclic import CancelService
+from dpstack.dp.class2_jobs import Outcome, ServiceDone, ServiceFailure
+from dpstack.dp.v1.ms1 import RecordDone
+from dpstack.errors import AcyclicError, BusError, DpError, ServiceRefused, SlaveFault, SlaveTimeout, UsageError
+from dpstack.trace import Event
+
+if TYPE_CHECKING:
+    from dpstack.api.bus import Bus
+
+Done = ServiceDone | RecordDone
+D = TypeVar("D", ServiceDone, RecordDone)
+
+
+class Services:
+    """The services under way on one bus."""
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+        self._tokens = itertools.count(1)
+        self._waiting: dict[int, asyncio.Future[Done]] = {}
+
+    def token(self) -> int:
+        """For one more service."""
+        return next(self._tokens)
+
+    async def do(self, token: int, command: object, kind: type[D]) -> D:
+        """Order it and wait for its end, a ``kind``; without a result it is raised, see :func:`error_of`."""
+        bus = self._bus
+        future: asyncio.Future[Done] = asyncio.get_running_loop().create_future()
+        self._waiting[token] = future
+        try:
+            bus.command(command)
+            done = await future
+        except asyncio.CancelledError:
+            with contextlib.suppress(DpError):  # the bus may have ended meanwhile
+                bus.command(CancelService(token))
+            raise
+        finally:
+            del self._waiting[token]
+        assert isinstance(done, kind)
+        if done.outcome.failure is not None:
+            raise error_of(done, done.outcome.failure)
+        return done
+
+    def take(self, event: Event) -> bool:
+        """From the machine: True for the end of a service. One that nobody waits for any more is dropped."""
+        if not isinstance(event, (ServiceDone, RecordDone)):
+            return False
+        future = self._waiting.get(event.token)
+        if future is not None and not future.done():
+            future.set_result(event)
+        return True
+
+    def end(self, error: DpError) -> None:
+        """Nothing more will come: everybody who waits is told why."""
+        for future in self._waiting.values():
+            if not future.done():
+                future.set_exception(error)
+
+
+_LATE: Final = (ServiceFailure.SILENT, ServiceFailure.LATE, ServiceFailure.GONE)
+_NO: Final = (ServiceFailure.REFUSED, ServiceFailure.KEPT)
+
+
+def error_of(done: Done, failure: ServiceFailure) -> DpError:
+    """The exception of a service without a result."""
+    outcome: Outcome = done.outcome
+    if isinstance(done, RecordDone) and outcome.codes is not None:
+        return AcyclicError(
+            done.address,
+            outcome.text,
+            service=done.service,
+            slot=done.slot,
+            index=done.index,
+            codes=outcome.codes,
+        )
+    if failure in _LATE:
+        return SlaveTimeout(done.address, outcome.text)
+    if failure in _NO:
+        service = done.service.title if isinstance(done, ServiceDone) else done.service
+        return ServiceRefused(done.address, outcome.text, service=service, status=outcome.status)
+    if failure is ServiceFailure.GUARDED:
+        return UsageError(outcome.text)
+    if failure is ServiceFailure.LINE:
+        return BusError(outcome.text)
+    return SlaveFault(done.address, outcome.text)

@@ -1,0 +1,249 @@
+"""Everything a station asks slaves beside the cycle: services of a class 2 master, Read and Write of DP-V1 (MS1).
+
+A user of the link layer with a low claim: one request a token hold, in time that is left, whatever service it belongs
+to; who waited longest for a turn comes first. The queue is bounded, and every service that was taken has exactly one
+end, an event, whatever happens: the slave's answer, its silence, its refusal, a lost token, a lost port. (What the
+services are is in :mod:`dpstack.dp.class2` and :mod:`dpstack.dp.v1.ms1`.)
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, field
+from typing import Final
+
+from dpstack.dp import class2
+from dpstack.dp.class2_jobs import Job, Outcome, ServiceFailure, Step, Steps
+from dpstack.dp.events import SlaveState
+from dpstack.dp.master import Master
+from dpstack.dp.ms0 import positive
+from dpstack.dp.v1 import units
+from dpstack.dp.v1.ms1 import SERVICE_TIMEOUT, Ms1
+from dpstack.errors import UsageError
+from dpstack.fdl.telegram import SAP_SLAVE_DIAG, Telegram
+from dpstack.fdl.user import Failure, Request
+from dpstack.machine import LineDown
+from dpstack.trace import Event
+from dpstack.units import NEVER, ns_to_s
+
+#: services that may wait at a time: of class 2 in all, of class 1 for each slave
+CAPACITY: Final = 32
+
+
+#: the token of services that no program ordered
+UNITS: Final = -1
+
+
+@dataclass(frozen=True, slots=True)
+class CancelService:
+    """Nobody waits for the service with ``token`` any more; one that is over already is no error."""
+
+    token: int
+
+
+@dataclass(slots=True)
+class _Entry:
+    token: int
+    job: Job
+    deadline: int
+    timeout_ns: int
+    steps: Steps[Outcome]
+    #: tokens received when it was taken
+    since: int
+    #: who has the lowest number is next
+    turn: int
+    step: Step | None = None
+    due: int = 0
+    asked: bool = False
+    #: the slave must have answered by then; looked at once more after it (Step.within_ns)
+    answer_by: int = NEVER
+    #: it must end as soon as the request under way does
+    over: tuple[ServiceFailure, str] | None = None
+
+
+@dataclass(slots=True)
+class Acyclic:
+    """A ``LinkUser``. ``own``: the station's address. ``master``: the class 1 master of the same station, if any."""
+
+    own: int
+    master: Master | None = None
+    _queue: list[_Entry] = field(default_factory=list)
+    _asked: _Entry | None = None
+    _turn: bool = False
+    _tokens: int = 0
+    #: stations whose last answer came: their silence is news, they are waited for
+    _known: set[int] = field(default_factory=set)
+    _events: list[Event] = field(default_factory=list)
+    _ms1: Ms1 = field(init=False)
+    _turns: itertools.count[int] = field(default_factory=itertools.count)
+
+    def __post_init__(self) -> None:
+        self._ms1 = Ms1(self.own, self.master)
+
+    @property
+    def waiting(self) -> int:
+        """Services that have no end yet."""
+        return len(self._queue)
+
+    # --- orders -------------------------------------------------------------------------------------------------
+    def command(self, command: object, now: int) -> bool:
+        """Take the orders of :mod:`dpstack.dp.class2` and :mod:`dpstack.dp.v1.ms1`, and CancelService.
+
+        Raises UsageError for what cannot be, or too much.
+        """
+        match command:
+            case class2.ReadService() | class2.ChangeAddress():
+                self._take(command.token, class2.job_of(command, self.own, self.master), command.timeout_ns, now)
+            case CancelService(token):
+                for entry in [entry for entry in self._queue if entry.token == token]:
+                    self._cut(entry, ServiceFailure.CANCELLED, "was cancelled", now)
+            case LineDown(reason):
+                for entry in tuple(self._queue):
+                    what = f"had no end when the port vanished ({reason}); it can be repeated when the port is back"
+                    self._cut(entry, ServiceFailure.LINE, what, now)
+                return False
+            case _:
+                order = self._ms1.job_of(command)
+                if order is None:
+                    return False
+                self._take(*order, now)
+        return True
+
+    def _take(self, token: int, job: Job, timeout_ns: int, now: int) -> None:
+        if not self._room(job.lane):
+            what = "class 2 services are" if job.lane is None else f"services for slave {job.lane} are"
+            raise UsageError(f"{CAPACITY} {what} waiting already: await their results first")
+        deadline = now + timeout_ns
+        self._queue.append(_Entry(token, job, deadline, timeout_ns, job.steps(), self._tokens, next(self._turns)))
+
+    def _room(self, lane: int | None) -> bool:
+        return sum(entry.job.lane == lane for entry in self._queue) < CAPACITY
+
+    # --- link user ----------------------------------------------------------------------------------------------
+    def token_received(self, now: int) -> None:
+        """One request a hold. What a slave cannot answer any more ends here."""
+        self._turn = True
+        self._tokens += 1
+        if self._queue:
+            self._end_barred(now)
+
+    def next_request(self, now: int, high_only: bool) -> Request | None:
+        """The next request of the service that waited longest for a turn, of those that may go on."""
+        if high_only or not self._turn:
+            return None
+        # what a unit wants since the Data_Exchange of this hold goes out in the same one
+        for handler, queue in units.asking(self._ms1):
+            if self._room(handler.setup.address) and (job := units.unit_job(self._ms1, handler, queue)) is not None:
+                self._take(UNITS, job, SERVICE_TIMEOUT, now)
+        if not self._queue:
+            return None
+        self._end_barred(now)
+        entry = self._next(now)
+        if entry is None:
+            return None
+        self._turn = False
+        if entry.step is None:
+            entry.step = next(entry.steps)
+        self._asked = entry
+        request = entry.step.request
+        return request if request.patient else request._replace(patient=request.da in self._known)
+
+    def _next(self, now: int) -> _Entry | None:
+        """Services with the same lane come one after the other: the queue is in the order of their orders."""
+        chosen: _Entry | None = None
+        lanes: set[int] = set()
+        for entry in self._queue:
+            lane = entry.job.lane
+            if lane is not None:
+                if lane in lanes:
+                    continue
+                lanes.add(lane)
+            if entry.due <= now and (chosen is None or entry.turn < chosen.turn):
+                chosen = entry
+        return chosen
+
+    def _end_barred(self, now: int) -> None:
+        for entry in tuple(self._queue):
+            bar = entry.job.bar()
+            if bar and entry is not self._asked:
+                self._cut(entry, ServiceFailure.CLOSED, bar, now)
+
+    def started(self, request: Request, at: int) -> None:
+        """It was given time."""
+        entry = self._asked
+        if entry is not None:
+            entry.asked = True
+            entry.turn = next(self._turns)
+            if entry.step is not None and entry.step.within_ns and entry.answer_by == NEVER:
+                entry.answer_by = at + entry.step.within_ns
+
+    def result(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
+        """The end of a request: on with its service, or its end."""
+        entry, self._asked = self._asked, None
+        if entry is None:
+            return
+        if isinstance(outcome, Telegram):
+            self._known.add(request.da)
+            self._share(request, outcome, now)
+        elif outcome is Failure.NO_ANSWER:
+            self._known.discard(request.da)
+        if outcome not in (Failure.ABANDONED, Failure.HELD_BACK):  # else it is asked again
+            try:
+                entry.step = entry.steps.send(outcome)
+                entry.due = now + entry.step.pause_ns
+            except StopIteration as end:
+                self._end(entry, end.value, now)
+                return
+        if entry.over is not None:
+            self._cut(entry, *entry.over, now)
+
+    def _share(self, request: Request, answer: Telegram, now: int) -> None:
+        """Some slaves show a fault in one diagnosis only (section I): their own master must not miss it."""
+        if self.master is None or request.dsap != SAP_SLAVE_DIAG or not positive(request.dsap, answer):
+            return
+        handler = self.master.handlers.get(request.da)
+        if handler is not None and handler.state is SlaveState.DATA_EXCHANGE:
+            handler.service_result(request, answer, now)
+
+    def wake_at(self) -> int:
+        """When the time of a service is over."""
+        return min((min(entry.deadline, entry.answer_by) for entry in self._queue), default=NEVER)
+
+    def tick(self, now: int) -> None:
+        """End what had its time; a request under way is waited for, and a slave's time ends with a last look."""
+        for entry in [entry for entry in self._queue if entry.deadline <= now]:
+            entry.deadline = NEVER
+            self._cut(entry, ServiceFailure.LATE, self._why_late(entry), now)
+        for entry in [entry for entry in self._queue if entry.answer_by <= now]:
+            entry.answer_by = NEVER
+            entry.over = entry.over or (ServiceFailure.LATE, entry.job.overdue)
+
+    def _why_late(self, entry: _Entry) -> str:
+        after = f"had no end after {ns_to_s(entry.timeout_ns):g} s"
+        if self._tokens == entry.since:
+            return f"{after}: this station was given no token in that time; see whether it is in the ring"
+        if not entry.asked:
+            return f"{after}: no token hold had time left for it; T_TR is too short, or too many services wait"
+        return f"{after}; give it a longer timeout"
+
+    def take_events(self) -> list[Event]:
+        """The ends of services."""
+        events, self._events = self._events, []
+        return events
+
+    # --- ends ---------------------------------------------------------------------------------------------------
+    def _cut(self, entry: _Entry, failure: ServiceFailure, what: str, now: int) -> None:
+        """An end from outside: at once, or with the request under way, whose answer may still be the better end."""
+        if entry is self._asked:
+            entry.over = (failure, what)
+            return
+        entry.steps.close()
+        job = entry.job
+        text = f"{job.title} to slave {job.address} {what}"
+        if job.aftermath:
+            text = f"{text}; {job.aftermath}"
+        self._end(entry, Outcome(failure=failure, text=text), now)
+
+    def _end(self, entry: _Entry, outcome: Outcome, now: int) -> None:
+        self._queue.remove(entry)
+        self._events += entry.job.ends(entry.token, outcome, now)

@@ -1,0 +1,1 @@
+"""The acyclic services of DP-V1."""

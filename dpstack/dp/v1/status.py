@@ -1,0 +1,110 @@
+"""What Set_Prm says to a DP-V1 slave: DPV1_Status_1 to 3, and structured parameter blocks (protocol facts C1, J).
+
+The three octets are the first of its user parameters. GSD files mostly hold them as constants, the first as 00: the
+master sets what it uses (DPV1_Enable, Fail_Safe, WD_Base_1ms) and leaves the other bits as they stand there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from dpstack.dp.v1.records import MAX_RECORD
+from dpstack.errors import ConfigError
+
+DPV1_STATUS_LEN: Final = 3
+#: DPV1_Status_1
+DPV1_ENABLE: Final = 0x80
+FAIL_SAFE: Final = 0x40
+WD_BASE_1MS: Final = 0x04
+#: DPV1_Status_2: kinds of alarms by name, and Check_Cfg_Mode
+ALARMS: Final = {
+    "pull_plug": 0x80,
+    "process": 0x40,
+    "diagnostic": 0x20,
+    "manufacturer": 0x10,
+    "status": 0x08,
+    "update": 0x04,
+}
+CHECK_CFG_MODE: Final = 0x01
+#: DPV1_Status_3
+PRM_CMD: Final = 0x80
+PRM_STRUCTURE: Final = 0x08
+_ALARM_MODE: Final = 0x07
+#: length, type, slot, reserved
+BLOCK_HEAD: Final = 4
+_MAX_BLOCK: Final = 234
+
+
+@dataclass(frozen=True, slots=True)
+class PrmBlock:
+    """A block of structured parameters: ``type`` 0..255 (0x81: user parameters), ``slot`` 0..254, ``data``.
+
+    Raises ConfigError.
+    """
+
+    type: int
+    slot: int
+    data: bytes
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.type <= 255 or not 0 <= self.slot <= 254:
+            raise ConfigError(f"parameter block of type {self.type} for slot {self.slot}: type 0..255, slot 0..254")
+        if len(self.data) > _MAX_BLOCK - BLOCK_HEAD:
+            raise ConfigError(
+                f"parameter block of type {self.type}: {len(self.data)} octets, {_MAX_BLOCK - BLOCK_HEAD} are possible"
+            )
+
+    @property
+    def octets(self) -> bytes:
+        """Its head, whose length counts itself, and the data."""
+        return bytes((BLOCK_HEAD + len(self.data), self.type, self.slot, 0)) + self.data
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Dpv1:
+    """DP-V1 of one slave: DPV1_Enable, and what else is said there; None leaves bits as the parameters have them.
+
+    ``alarms``: kinds that the slave may raise, keys of :data:`ALARMS`; ``alarm_mode`` 0 one of each kind at a time,
+    1..7 2, 4, 8, 12, 16, 24, 32 in all. ``blocks``: appended, and Prm_Structure is set. ``c1_response_timeout_ns``: in
+    which the slave answers Read and Write, 0: not known; ``c1_max_data_len``: octets of the longest record, 0..240.
+    Raises ConfigError.
+    """
+
+    check_cfg_mode: bool | None = None
+    prm_cmd: bool | None = None
+    alarms: tuple[str, ...] | None = None
+    alarm_mode: int | None = None
+    blocks: tuple[PrmBlock, ...] = ()
+    c1_response_timeout_ns: int = 0
+    c1_max_data_len: int = MAX_RECORD
+
+    def __post_init__(self) -> None:
+        unknown = [name for name in self.alarms or () if name not in ALARMS]
+        if unknown:
+            raise ConfigError(f"there is no {unknown[0]!r} alarm; there are: {', '.join(ALARMS)}")
+        if self.alarm_mode is not None and not 0 <= self.alarm_mode <= _ALARM_MODE:
+            raise ConfigError(f"alarm_mode {self.alarm_mode} is outside 0..7")
+        if not 0 <= self.c1_max_data_len <= MAX_RECORD:
+            raise ConfigError(f"records of {self.c1_max_data_len} octets; {MAX_RECORD} are possible")
+
+    def apply(self, octets: bytearray) -> None:
+        """Put it into the user parameters, whose first three octets are DPV1_Status."""
+        set_bit(octets, 0, DPV1_ENABLE, True)
+        if self.alarms is not None:
+            for name, bit in ALARMS.items():
+                set_bit(octets, 1, bit, name in self.alarms)
+        set_bit(octets, 1, CHECK_CFG_MODE, self.check_cfg_mode)
+        set_bit(octets, 2, PRM_CMD, self.prm_cmd)
+        if self.alarm_mode is not None:
+            octets[2] = octets[2] & ~_ALARM_MODE | self.alarm_mode
+        if self.blocks:
+            set_bit(octets, 2, PRM_STRUCTURE, True)
+            for block in self.blocks:
+                octets += block.octets
+
+
+def set_bit(octets: bytearray, at: int, bit: int, on: bool | None) -> None:
+    """Set or clear ``bit`` of octet ``at``; None leaves it."""
+    if on is not None:
+        octets[at] = octets[at] | bit if on else octets[at] & ~bit

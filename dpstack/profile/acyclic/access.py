@@ -1,0 +1,236 @@
+"""Parameters over record 47 as orders of a drive plugin: named, scaled, checked before anything is sent."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Final, NamedTuple, TypeVar
+
+from dpstack.dp.v1.codes import Decode
+from dpstack.dp.v1.unit_records import Outcome, ReadReq, RecordQueue, ServiceFailure, WriteReq
+from dpstack.profile.acyclic.client import ParameterClient
+from dpstack.profile.acyclic.formats import FORMATS, Raw, Value
+from dpstack.profile.acyclic.record47 import Address, ErrorValue, Values
+from dpstack.profile.acyclic.services import Answer, Pause, Refused, Talk
+from dpstack.profile.channel import ParamKey
+from dpstack.profile.jobs import CommandError, Steps
+from dpstack.profile.param_errors import error_text
+from dpstack.profile.params import ParamSpec, ParamTable
+
+T = TypeVar("T")
+#: the bus or the slave went away
+_LOST: Final = frozenset({ServiceFailure.LINE, ServiceFailure.CLOSED, ServiceFailure.CANCELLED})
+
+
+class Place(NamedTuple):
+    """A parameter as it stands in record 47, and what is known of it. ``format`` None: the drive tells it.
+
+    ``number`` is what to tell the user, ``data_set``, too, None where the drive has none or the parameter exists once.
+    """
+
+    address: Address
+    spec: ParamSpec | None
+    label: str
+    number: int
+    data_set: int | None = None
+    format: int | None = None
+
+
+#: Finds what a user named. Raises CommandError.
+Placed = Callable[[ParamKey], Place]
+
+
+def plain_places(table: ParamTable, drive: str) -> Placed:
+    """Parameters of ``table`` by name or number, elements of arrays by index; other numbers go without a scale."""
+
+    def placed(key: ParamKey) -> Place:
+        name = key.name
+        spec = table.named(name) if isinstance(name, str) else table.get(name)
+        if spec is None and isinstance(name, str):
+            near = " or ".join(table.nearest(name))
+            raise CommandError(
+                "usage", f"no parameter is called {name!r}" + (f"; did you mean {near}?" if near else "")
+            )
+        number = spec.number if spec is not None else int(name)
+        label = f"parameter {number if spec is None else spec.label}"
+        if not 1 <= number <= 0xFFFF:
+            raise CommandError("usage", f"{label}: parameter numbers are 1..65535")
+        if key.data_set is not None or key.ram:
+            what = "writes to RAM only" if key.ram else "data sets"
+            raise CommandError("usage", f"{label}: {drive} has no {what}")
+        subindex = spec.index if spec is not None and key.index is None else key.index or 0
+        if subindex > 0xFFFF:
+            raise CommandError("usage", f"{label}: indexes are 0..65535")
+        elements = 0 if key.index is None and not subindex else 1
+        return Place(Address(number, subindex, elements), spec, label, number)
+
+    return placed
+
+
+class AcyclicAccess:
+    """A :class:`~dpstack.profile.channel.ParameterChannel` over record 47; orders queue.
+
+    ``records``: where its services go. ``clock`` tells the time of the current cycle in ns. ``written`` is told after a
+    write; ``makers``: texts of the drive's own error numbers.
+    """
+
+    __slots__ = ("_clock", "_formats", "_makers", "_placed", "_records", "_turns", "_written", "client")
+
+    octets = b""
+    busy = False
+
+    def __init__(
+        self,
+        client: ParameterClient,
+        records: RecordQueue,
+        placed: Placed,
+        clock: Callable[[], int],
+        *,
+        written: Callable[[Place], None] = lambda place: None,
+        makers: Mapping[int, str] | None = None,
+    ) -> None:
+        self.client = client
+        self._records = records
+        self._placed = placed
+        self._clock = clock
+        self._written = written
+        self._makers = makers
+        self._turns: deque[object] = deque()
+        self._formats: dict[Address, int] = {}
+
+    def step(self, inputs: bytes, now: int) -> None:
+        """Nothing of it is in the process data."""
+
+    def reset(self) -> None:
+        """The slave left data exchange."""
+        self._records.clear()
+        self._formats.clear()  # it may be another drive now
+
+    def read(self, key: ParamKey, deadline: int) -> Steps[dict[str, object]]:
+        """Read one parameter."""
+        place = self._placed(key)
+        return _outcome(place, (yield from self._values(place, deadline)))
+
+    def write(self, key: ParamKey, value: float, deadline: int) -> Steps[dict[str, object]]:
+        """Write one parameter, in the format that the drive gave or gives it."""
+        place = self._placed(key)
+        spec = place.spec
+        if spec is not None:
+            if spec.read_only:
+                raise CommandError("usage", f"{place.label} is read only")
+            try:
+                spec.to_raw(value)
+            except ValueError as error:
+                raise CommandError("usage", str(error)) from None
+        number = self._formats.get(place.address, place.format)
+        if number is None:
+            number = (yield from self._values(place, deadline)).format
+        try:
+            values = Values(number, (_raw(spec, number, value),))
+            talk = self.client.change([(place.address, values)], deadline)
+            (result,) = yield from self.run(talk, deadline, place.label)
+        except ValueError as error:
+            raise CommandError("usage", f"{place.label}: {error}") from None
+        self._refused(place, result)
+        self._written(place)
+        return _outcome(place, values)
+
+    def run(self, talk: Talk[T], deadline: int, label: str) -> Steps[T]:
+        """Have a talk with the drive once those before it are over. Raises CommandError."""
+        turn = object()
+        self._turns.append(turn)
+        try:
+            while self._turns[0] is not turn:
+                self._in_time(deadline, label)
+                yield
+            service = next(talk)
+            while True:
+                if isinstance(service, Pause):
+                    until = self._clock() + service.ns
+                    while self._clock() < until:
+                        yield
+                    data: bytes | Refused = b""
+                else:
+                    data = yield from self._carried_out(service, deadline, label)
+                service = talk.send(Answer(self._clock(), data))
+        except StopIteration as end:
+            result: T = end.value
+            return result
+        except CommandError as error:
+            text = error.text if error.text.startswith(label) else f"{label}: {error.text}"
+            raise type(error)(error.kind, text, error.number) from None
+        finally:
+            talk.close()
+            self._turns.remove(turn)
+
+    def _carried_out(self, service: WriteReq | ReadReq, deadline: int, label: str) -> Steps[bytes | Refused]:
+        pending = self._records.submit(service)
+        try:
+            while pending.outcome is None:
+                self._in_time(deadline, label)
+                yield
+        finally:
+            self._records.cancel(pending)
+        return answer_of(pending.outcome)
+
+    def _in_time(self, deadline: int, label: str) -> None:
+        if self._clock() >= deadline:
+            raise CommandError("timeout", f"{label}: the drive did not answer over record 47 in time")
+
+    def _values(self, place: Place, deadline: int) -> Steps[Values]:
+        talk = self.client.read([place.address], deadline)
+        (result,) = yield from self.run(talk, deadline, place.label)
+        self._refused(place, result)
+        if not isinstance(result, Values) or not result.raws:
+            raise CommandError("parameter", f"{place.label}: the drive answered without a value")
+        self._formats[place.address] = result.format
+        return result
+
+    def _refused(self, place: Place, result: object) -> None:
+        if isinstance(result, ErrorValue):
+            text = error_text(result.number, result.info, self._makers)
+            raise CommandError("parameter", f"{place.label}: {text}", result.number)
+
+
+def answer_of(outcome: Outcome) -> bytes | Refused:
+    """What came of a service, for a talk. Raises CommandError where nothing did."""
+    if outcome.failure is None:
+        return outcome.data
+    if outcome.codes is not None and outcome.codes[0] == Decode.DPV1:
+        return Refused(outcome.codes[1])
+    if outcome.failure in (ServiceFailure.REFUSED, ServiceFailure.NEGATIVE):
+        return Refused(0, outcome.text)
+    raise CommandError("lost" if outcome.failure in _LOST else "timeout", outcome.text)
+
+
+def _raw(spec: ParamSpec | None, number: int, value: float) -> Raw:
+    """``value`` as it stands in format ``number``. Raises ValueError."""
+    form = FORMATS[number]
+    if spec is None or form.code in ("f", "d"):
+        raw = form.raw(value)
+        if isinstance(raw, float) and form.code not in ("f", "d") and raw != int(raw):
+            raise ValueError(f"its scale is unknown here, give the integer of format {form.name} on the wire")
+        return raw
+    integer = spec.to_raw(value)
+    return integer if form.low < 0 else integer & form.high
+
+
+def _outcome(place: Place, values: Values) -> dict[str, object]:
+    spec = place.spec
+    form = FORMATS[values.format]
+    first = values.raws[0]
+    value: Value = form.value(first)
+    if isinstance(value, (str, bytes)):
+        raise CommandError("parameter", f"{place.label} is no number but {form.name}: {value!r}")
+    raw = first if isinstance(first, int) else int.from_bytes(form.pack((first,)), "big")
+    if spec is not None and isinstance(first, int):
+        raw = spec.from_pwe(first)
+        value = spec.to_value(raw)
+    return {
+        "value": value,
+        "raw": raw,
+        "number": place.number,
+        "name": spec.name if spec else None,
+        "unit": spec.unit if spec else "",
+        "data_set": place.data_set,
+    }

@@ -1,0 +1,76 @@
+"""Which way a parameter goes: over record 47 where the drive has it, over the cyclic channel where not."""
+
+from __future__ import annotations
+
+from dpstack.profile.acyclic.access import AcyclicAccess
+from dpstack.profile.acyclic.client import NoRecordError
+from dpstack.profile.channel import ParameterChannel, ParamKey
+from dpstack.profile.jobs import CommandError, Steps
+
+
+class ChosenAccess:
+    """A :class:`~dpstack.profile.channel.ParameterChannel` of both; ``cyclic`` None where the telegram has none.
+
+    A drive that refuses record 47 as such is asked by the cyclic channel from then on, until it comes back.
+    """
+
+    __slots__ = ("_absent", "_acyclic", "_cyclic")
+
+    def __init__(self, acyclic: AcyclicAccess, cyclic: ParameterChannel | None) -> None:
+        self._acyclic = acyclic
+        self._cyclic = cyclic
+        self._absent = False
+
+    @property
+    def octets(self) -> bytes:
+        """Those of the cyclic channel."""
+        return b"" if self._cyclic is None else self._cyclic.octets
+
+    @property
+    def busy(self) -> bool:
+        """The cyclic channel wants to be stepped."""
+        return self._cyclic is not None and self._cyclic.busy
+
+    def step(self, inputs: bytes, now: int) -> None:
+        """One cycle of the cyclic channel."""
+        if self._cyclic is not None:
+            self._cyclic.step(inputs, now)
+
+    def reset(self) -> None:
+        """The slave left data exchange."""
+        self._absent = False
+        self._acyclic.reset()
+        if self._cyclic is not None:
+            self._cyclic.reset()
+
+    def read(self, key: ParamKey, deadline: int) -> Steps[dict[str, object]]:
+        """Read one parameter."""
+        if not self._by_cycle:
+            try:
+                return (yield from self._acyclic.read(key, deadline))
+            except NoRecordError as error:
+                self._without(error)
+        assert self._cyclic is not None
+        return (yield from self._cyclic.read(key, deadline))
+
+    def write(self, key: ParamKey, value: float, deadline: int) -> Steps[dict[str, object]]:
+        """Write one parameter."""
+        if not self._by_cycle:
+            try:
+                return (yield from self._acyclic.write(key, value, deadline))
+            except NoRecordError as error:
+                self._without(error)
+        assert self._cyclic is not None
+        return (yield from self._cyclic.write(key, value, deadline))
+
+    @property
+    def _by_cycle(self) -> bool:
+        return self._absent and self._cyclic is not None
+
+    def _without(self, error: NoRecordError) -> None:
+        """There is no record 47: on with the cyclic channel, or the end where there is none."""
+        self._absent = True
+        if self._cyclic is None:
+            raise CommandError(
+                error.kind, f"{error.text}; a telegram with a parameter channel needs none", error.number
+            ) from None

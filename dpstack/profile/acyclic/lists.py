@@ -1,0 +1,203 @@
+"""What a drive tells of itself over record 47: its limits (974), the list of its parameters (980 to 989), descriptions.
+
+Sources: PNU 974, Yaskawa Sigma-7 manual p529; the elements of a description, VACON OPT-EA manual p118 and Siemens
+SIDOOR manual p316. That 0 ends a list and that 981 to 989 among its elements are its continuation is a reading.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+from dpstack.errors import PduError
+from dpstack.profile.acyclic.client import ParameterClient, Progress
+from dpstack.profile.acyclic.formats import FORMATS, format_of
+from dpstack.profile.acyclic.record47 import Address, Attribute, ErrorValue, Result, Values
+from dpstack.profile.acyclic.services import Talk
+from dpstack.profile.acyclic.split import Item, Limits
+from dpstack.profile.jobs import CommandError
+from dpstack.profile.param_errors import BAD_ADDRESS, BAD_SUBINDEX, ILLEGAL_NUMBER, NO_ARRAY, error_text
+from dpstack.units import NEVER
+
+PNU_LIMITS: Final = 974
+FIRST_LIST, LAST_LIST = 980, 989
+TEXT_LEN: Final = 16
+#: elements of one list that are asked at a time: what fits into a response of words
+_AT_ONCE: Final = 116
+#: what a drive answers behind the last element
+_END: Final = frozenset({BAD_SUBINDEX, BAD_ADDRESS})
+#: a description: ID, elements, factor, attribute, reserved, name, low, high, reserved, ID extension, two of the scale
+_DESCRIPTION: Final = struct.Struct(">HHfH4x16s4s4s2xHHH")
+DESCRIPTION_LEN: Final = _DESCRIPTION.size
+
+READ_ONLY_BIT, TEXT_BIT, ONLY_RESET_BIT, ARRAY_BIT = 9, 10, 13, 14
+
+
+class Description(NamedTuple):
+    """A parameter as the drive describes it. ``format``: its data type; ``elements``: 1 for one that is no array.
+
+    ``factor`` and ``attribute`` (quantity and conversion) as they stand; ``low`` and ``high``: four octets each.
+    """
+
+    format: int
+    elements: int
+    name: str
+    read_only: bool
+    array: bool
+    text: bool
+    factor: float
+    attribute: int
+    low: bytes
+    high: bytes
+
+    @classmethod
+    def parse(cls, octets: bytes) -> Description:
+        """Read a whole description, 46 octets. Raises PduError."""
+        if len(octets) < DESCRIPTION_LEN:
+            raise PduError(f"a description has {DESCRIPTION_LEN} octets, there are {len(octets)}")
+        ident, elements, factor, attribute, name, low, high, *_ = _DESCRIPTION.unpack_from(octets)
+        return cls(
+            ident & 0xFF,
+            max(elements, 1),
+            name.decode("latin-1").rstrip("\0 "),
+            bool(ident >> READ_ONLY_BIT & 1),
+            bool(ident >> ARRAY_BIT & 1),
+            bool(ident >> TEXT_BIT & 1),
+            factor,
+            attribute,
+            low,
+            high,
+        )
+
+    def build(self) -> bytes:
+        """The octets."""
+        ident = self.format | self.read_only << READ_ONLY_BIT | self.array << ARRAY_BIT | self.text << TEXT_BIT
+        name = self.name.encode("latin-1", "replace")[:16].ljust(16)
+        return _DESCRIPTION.pack(ident, self.elements, self.factor, self.attribute, name, self.low, self.high, 0, 0, 0)
+
+
+class ReadParameter(NamedTuple):
+    """A parameter of the drive's own list: its description where it has one, its values or why there are none."""
+
+    pnu: int
+    description: Description | None
+    result: Result
+
+    @property
+    def values(self) -> tuple[object, ...]:
+        """For people; none where it was refused."""
+        if isinstance(self.result, ErrorValue):
+            return ()
+        form = format_of(self.result.format)
+        return tuple(form.value(raw) for raw in self.result.raws)
+
+    @property
+    def why_not(self) -> str | None:
+        """The drive's reason."""
+        return error_text(*self.result) if isinstance(self.result, ErrorValue) else None
+
+
+def read_limits(client: ParameterClient, deadline: int = NEVER) -> Talk[Limits]:
+    """What PNU 974 says is from now on respected; a drive without it keeps the client's limits. Raises CommandError."""
+    (found,) = yield from client.read([Item(Address(PNU_LIMITS, 0, 3), width=2)], deadline)
+    if isinstance(found, Values):
+        client.limits = client.limits.of_974([one for one in found.raws if isinstance(one, int)])
+    return client.limits
+
+
+def defined(client: ParameterClient, deadline: int = NEVER) -> Talk[list[int]]:
+    """The numbers in 980 to 989 without these themselves, each once, in the drive's order.
+
+    Raises CommandError where it has no such list.
+    """
+    pending, seen = [FIRST_LIST], {FIRST_LIST}
+    found: dict[int, None] = {}
+    while pending:
+        listing = pending.pop(0)
+        for pnu in (yield from _list(client, listing, deadline)):
+            if not FIRST_LIST <= pnu <= LAST_LIST:
+                found[pnu] = None
+            elif pnu not in seen:
+                seen.add(pnu)
+                pending.append(pnu)
+    return list(found)
+
+
+def _list(client: ParameterClient, pnu: int, deadline: int) -> Talk[list[int]]:
+    """One list up to its 0, or to its end where it has none."""
+    found: list[int] = []
+    (told,) = yield from describe(client, [pnu], deadline)
+    length = told.elements if told is not None and told.array else None
+    count = _AT_ONCE
+    while count:
+        if length is not None:
+            count = min(_AT_ONCE, length - len(found))
+            if count <= 0:
+                break
+        (part,) = yield from client.read([Item(Address(pnu, len(found), count), width=2)], deadline)
+        if isinstance(part, ErrorValue):
+            if (not found and part.number in (ILLEGAL_NUMBER, NO_ARRAY)) or part.number not in _END:
+                raise CommandError("parameter", f"parameter {pnu}: {error_text(*part)}", part.number)
+            length = None
+            count //= 2  # more elements than the list has: the last ones by halves
+            continue
+        numbers = [one for one in part.raws if isinstance(one, int)]
+        if 0 in numbers:
+            return found + numbers[: numbers.index(0)]
+        found += numbers
+        if len(numbers) < count:
+            break
+    return found
+
+
+def describe(
+    client: ParameterClient, pnus: Sequence[int], deadline: int = NEVER, progress: Progress | None = None
+) -> Talk[list[Description | None]]:
+    """The descriptions, None where the drive has none. Raises CommandError."""
+    items = [Item(Address(pnu, 0, 1, Attribute.DESCRIPTION), width=DESCRIPTION_LEN) for pnu in pnus]
+    found = yield from client.read(items, deadline, progress)
+    return [_description(one) for one in found]
+
+
+def _description(result: Result) -> Description | None:
+    if isinstance(result, ErrorValue):
+        return None
+    try:
+        return Description.parse(FORMATS[result.format].pack(result.raws))
+    except PduError:
+        return None
+
+
+def texts(client: ParameterClient, pnu: int, count: int, deadline: int = NEVER, *, first: int = 0) -> Talk[list[str]]:
+    """``count`` texts of 16 characters from ``first`` on, without trailing spaces. Raises CommandError."""
+    address = Address(pnu, first, count, Attribute.TEXT)
+    (found,) = yield from client.read([Item(address, width=TEXT_LEN)], deadline)
+    if isinstance(found, ErrorValue):
+        raise CommandError("parameter", f"texts of parameter {pnu}: {error_text(*found)}", found.number)
+    octets = format_of(found.format).pack(found.raws)
+    return [octets[at : at + TEXT_LEN].decode("latin-1").rstrip("\0 ") for at in range(0, count * TEXT_LEN, TEXT_LEN)]
+
+
+def read_out(
+    client: ParameterClient, deadline: int = NEVER, progress: Progress | None = None, *, described: bool = True
+) -> Talk[list[ReadParameter]]:
+    """Every parameter of the drive's list with its values, arrays whole. Raises CommandError.
+
+    ``progress`` counts values. ``described`` False: no descriptions, so of arrays only the first element.
+    """
+    pnus = yield from defined(client, deadline)
+    descriptions: list[Description | None] = [None] * len(pnus)
+    if described:
+        descriptions = yield from describe(client, pnus, deadline)
+    items = [_item(pnu, one) for pnu, one in zip(pnus, descriptions, strict=True)]
+    results = yield from client.read(items, deadline, progress)
+    return [ReadParameter(*one) for one in zip(pnus, descriptions, results, strict=True)]
+
+
+def _item(pnu: int, description: Description | None) -> Item:
+    if description is None:
+        return Item(Address(pnu))
+    form = FORMATS.get(description.format)
+    elements = description.elements if description.array or (form is not None and form.string) else 0
+    return Item(Address(pnu, 0, elements), width=4 if form is None else max(form.octets, 1))

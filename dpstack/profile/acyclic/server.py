@@ -1,0 +1,196 @@
+"""The drive's end of record 47: takes a request by Write, carries it out, gives the response by Read.
+
+Source: LS CPDP-S100 manual 6.2.2: 0xB5 while a request is carried out. Readings: a response is given once, after that,
+and before any request, a Read is answered 0xB5; a new request drops a response that nobody read; what is no request is
+answered 0xB7.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Final, Protocol
+
+from dpstack.dp.v1.codes import Code
+from dpstack.dp.v1.records import WriteReq
+from dpstack.dp.v1.serving import Ticket
+from dpstack.errors import PduError
+from dpstack.profile.acyclic.formats import ZERO
+from dpstack.profile.acyclic.record47 import (
+    HEADER_LEN,
+    INDEX,
+    Address,
+    Attribute,
+    ErrorValue,
+    Request,
+    RequestId,
+    Response,
+    Result,
+    Values,
+)
+from dpstack.profile.acyclic.services import Refused
+from dpstack.profile.acyclic.split import Limits
+from dpstack.profile.param_errors import BAD_ADDRESS, BAD_COUNT, NO_OBJECT, TOO_LONG
+
+_BUSY: Final = Refused(Code.STATE_CONFLICT)
+
+
+class RecordServer(Protocol):
+    """The drive's end of Read and Write, asked by whoever has the bus. ``now`` in ns."""
+
+    def write_record(self, slot: int, index: int, data: bytes, now: int) -> Refused | None:
+        """None when it was taken."""
+
+    def read_record(self, slot: int, index: int, length: int, now: int) -> bytes | Refused:
+        """At most ``length`` octets."""
+
+
+class TimedRecords:
+    """Records of a slave application (:class:`~dpstack.dp.v1.serving.Records`) over a server; ``clock`` in ns."""
+
+    def __init__(self, server: RecordServer, clock: Callable[[], int]) -> None:
+        self._server = server
+        self._clock = clock
+
+    def ask(self, ticket: Ticket) -> None:
+        """At once: what is not ready is refused, and asked again."""
+        request, now = ticket.request, self._clock()
+        if isinstance(request, WriteReq):
+            answer = self._server.write_record(request.slot, request.index, request.data, now) or b""
+        else:
+            answer = self._server.read_record(request.slot, request.index, request.length, now)
+        if isinstance(answer, Refused):
+            ticket.refuse(answer.code)
+        else:
+            ticket.answer(answer)
+
+
+class ParameterModel(Protocol):
+    """What a drive has: one call for each parameter of a request."""
+
+    def read(self, address: Address) -> Result:
+        """The values from ``address.subindex`` on."""
+
+    def change(self, address: Address, values: Values) -> ErrorValue | None:
+        """None when all are written; else none is."""
+
+    def describe(self, address: Address) -> Result:
+        """The description, or one element of it."""
+
+    def text(self, address: Address) -> Result:
+        """Texts of 16 characters."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rules:
+    """What the server takes. ``slots``: None for any; ``attributes``: others are answered with error 16 hex.
+
+    ``busy_ns``: what a request takes.
+    """
+
+    slots: frozenset[int] | None = None
+    objects: frozenset[int] = frozenset({0, 1})
+    attributes: frozenset[int] = frozenset(Attribute)
+    limits: Limits = field(default_factory=Limits)
+    busy_ns: int = 0
+
+
+class ParameterServer:
+    """A :class:`RecordServer` for record 47 over what the drive has."""
+
+    __slots__ = ("_model", "_ready_at", "_response", "rules")
+
+    def __init__(self, model: ParameterModel, rules: Rules | None = None) -> None:
+        self.rules = Rules() if rules is None else rules
+        self._model = model
+        self._response: bytes | None = None
+        self._ready_at = 0
+
+    def reset(self) -> None:
+        """Data exchange begins or ends: nothing was asked."""
+        self._response = None
+
+    def write_record(self, slot: int, index: int, data: bytes, now: int) -> Refused | None:
+        """Take a request."""
+        wrong = self._elsewhere(slot, index)
+        if wrong is not None:
+            return wrong
+        if self._response is not None and now < self._ready_at:
+            return _BUSY
+        if len(data) > self.rules.limits.octets:
+            return Refused(Code.WRITE_LENGTH)
+        try:
+            request = Request.parse(data)
+        except PduError:
+            return Refused(Code.INVALID_RANGE)
+        if not request.reference or not request.addresses or len(request.addresses) > self.rules.limits.parameters:
+            return Refused(Code.INVALID_RANGE)
+        self._response = self._carried_out(request).build()
+        self._ready_at = now + self.rules.busy_ns
+        return None
+
+    def read_record(self, slot: int, index: int, length: int, now: int) -> bytes | Refused:
+        """The response once it is ready."""
+        wrong = self._elsewhere(slot, index)
+        if wrong is not None:
+            return wrong
+        response = self._response
+        if response is None or now < self._ready_at:
+            return _BUSY
+        if len(response) > length:
+            return Refused(Code.INVALID_RANGE)
+        self._response = None
+        return response
+
+    def _elsewhere(self, slot: int, index: int) -> Refused | None:
+        if self.rules.slots is not None and slot not in self.rules.slots:
+            return Refused(Code.INVALID_SLOT)
+        return None if index == INDEX else Refused(Code.INVALID_INDEX)
+
+    def _carried_out(self, request: Request) -> Response:
+        results: Sequence[Result]
+        if request.object not in self.rules.objects:
+            results = [ErrorValue(NO_OBJECT)] * len(request.addresses)
+        elif request.id == RequestId.READ:
+            results = self._fitting([self._read(one) for one in request.addresses])
+        else:
+            changes = zip(request.addresses, request.values, strict=True)
+            results = [self._change(*one) for one in changes]
+        negative = any(isinstance(one, ErrorValue) for one in results)
+        if request.id == RequestId.CHANGE and not negative:
+            results = ()
+        return Response(request.reference, request.id, request.object, len(request.addresses), tuple(results), negative)
+
+    def _fitting(self, results: list[Result]) -> list[Result]:
+        """What is beyond the longest block becomes an error; the others keep room for theirs."""
+        short = ErrorValue(TOO_LONG)
+        error = len(short.build())
+        room = self.rules.limits.octets - HEADER_LEN - error * len(results)
+        fitting: list[Result] = []
+        for one in results:
+            more = len(one.build()) - error
+            if more > room and more > 0:
+                fitting.append(short)
+                continue
+            room -= more
+            fitting.append(one)
+        return fitting
+
+    def _read(self, address: Address) -> Result:
+        if not self._permitted(address):
+            return ErrorValue(BAD_ADDRESS)
+        if address.attribute == Attribute.VALUE:
+            return self._model.read(address)
+        return (
+            self._model.describe(address) if address.attribute == Attribute.DESCRIPTION else self._model.text(address)
+        )
+
+    def _change(self, address: Address, values: Values) -> Result:
+        if not self._permitted(address) or address.attribute != Attribute.VALUE:
+            return ErrorValue(BAD_ADDRESS)
+        if len(values.raws) != max(address.elements, 1):
+            return ErrorValue(BAD_COUNT)
+        return self._model.change(address, values) or Values(ZERO)
+
+    def _permitted(self, address: Address) -> bool:
+        return address.attribute in self.rules.attributes and address.elements <= self.rules.limits.elements

@@ -1,0 +1,64 @@
+"""The error numbers of PROFIdrive's parameter access and their texts, for PKW and for record 47 alike.
+
+Sources: LS CPDP-S100 manual 6.2.1; ABB RETA-02 manual p87 and p88; Siemens G130 manual p230 (16, of its own; what goes
+with a number). 101 and above are the maker's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final, NamedTuple
+
+#: what follows a number in record 47 where anything does
+SUBINDEX: Final = "subindex"
+
+
+class ErrorText(NamedTuple):
+    """``text``; ``info``: what the additional information is, "" where the sources name none."""
+
+    text: str
+    info: str = ""
+
+
+ILLEGAL_NUMBER, READ_ONLY, LIMITS, BAD_SUBINDEX, NO_ARRAY, BAD_TYPE, ONLY_RESET = range(7)
+NO_DESCRIPTION, NO_RIGHTS, NO_TEXT, OPERATING_STATE = 0x09, 0x0B, 0x0F, 0x11
+NOT_PERMITTED, TOO_LONG, BAD_ADDRESS, BAD_FORMAT, BAD_COUNT, NO_OBJECT = 0x14, 0x15, 0x16, 0x17, 0x18, 0x19
+
+_ROWS: Final[Mapping[int, ErrorText]] = {
+    ILLEGAL_NUMBER: ErrorText("illegal parameter number"),
+    READ_ONLY: ErrorText("the value cannot be modified", SUBINDEX),
+    LIMITS: ErrorText("low or high limit exceeded", SUBINDEX),
+    BAD_SUBINDEX: ErrorText("invalid subindex", SUBINDEX),
+    NO_ARRAY: ErrorText("no array"),
+    BAD_TYPE: ErrorText("wrong data type"),
+    ONLY_RESET: ErrorText("can only be reset", SUBINDEX),
+    0x07: ErrorText("the description cannot be changed", SUBINDEX),
+    NO_DESCRIPTION: ErrorText("no description"),
+    NO_RIGHTS: ErrorText("no operation priority"),
+    NO_TEXT: ErrorText("no text array"),
+    0x10: ErrorText("reading is refused, the parameter is protected"),
+    OPERATING_STATE: ErrorText("not in this operating mode"),
+    NOT_PERMITTED: ErrorText("value not permitted", SUBINDEX),
+    TOO_LONG: ErrorText("response too long"),
+    BAD_ADDRESS: ErrorText("parameter address not permitted"),
+    BAD_FORMAT: ErrorText("illegal format"),
+    BAD_COUNT: ErrorText("number of values inconsistent"),
+    NO_OBJECT: ErrorText("there is no such drive object"),
+    0x20: ErrorText("the text cannot be changed", SUBINDEX),
+}
+
+#: texts by number
+PARAMETER_ERRORS: Final[Mapping[int, str]] = {number: row.text for number, row in _ROWS.items()}
+#: from here on a number means what the maker says
+MAKERS_FROM: Final = 0x65
+
+
+def error_text(number: int, info: int | None = None, makers: Mapping[int, str] | None = None) -> str:
+    """For people: ``error 2, low or high limit exceeded (subindex 3)``. ``makers``: texts of the drive's own."""
+    own = {} if makers is None else makers
+    row = ErrorText(own[number]) if number in own else _ROWS.get(number)
+    if row is None:
+        row = ErrorText("the maker's own" if number >= MAKERS_FROM else "which the profile does not define")
+    if info is None:
+        return f"error {number}, {row.text}"
+    return f"error {number}, {row.text} ({row.info or 'additional information'} {info})"

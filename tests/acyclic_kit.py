@@ -1,0 +1,102 @@
+"""What tests of record 47 share: a drive of literal octets, and a bus that knows only octets between both ends."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TypeVar
+
+from dpstack.dp.v1.records import ReadReq, WriteReq
+from dpstack.dp.v1.unit_records import Outcome, ServiceFailure
+from dpstack.profile.acyclic.server import RecordServer
+from dpstack.profile.acyclic.services import Answer, Pause, Refused, Service, Talk
+
+T = TypeVar("T")
+MS = 1_000_000
+BUSY = Refused(0xB5)
+
+
+def octets(text: str) -> bytes:
+    return bytes.fromhex(text)
+
+
+def outcome(answer: str | Refused | ServiceFailure) -> Outcome:
+    """What a service comes to: octets, a negative answer, or none (with the failure's name as text)."""
+    match answer:
+        case str():
+            return Outcome(octets(answer))
+        case Refused(code, why):
+            codes = (0x80, code, 0) if code else None
+            return Outcome(failure=ServiceFailure.NEGATIVE if code else ServiceFailure.REFUSED, text=why, codes=codes)
+        case failure:
+            return Outcome(failure=failure, text=f"slave 6 {failure.value}")
+
+
+class Script:
+    """A drive that says what the test says: what comes of each service, in order; ``said`` is what it was asked."""
+
+    def __init__(self, *answers: str | Refused) -> None:
+        self._answers = list(answers)
+        self.said: list[str] = []
+        self.now = 0
+        self.service_ns = MS
+
+    def __call__(self, service: Service) -> Answer:
+        if isinstance(service, Pause):
+            self.said.append(f"pause {service.ns // MS} ms")
+            self.now += service.ns
+            return Answer(self.now)
+        self.now += self.service_ns
+        if isinstance(service, WriteReq):
+            self.said.append(f"5F {service.slot:02X} {service.index:02X} {len(service.data):02X} " + _hex(service.data))
+        else:
+            self.said.append(f"5E {service.slot:02X} {service.index:02X} {service.length:02X}")
+        if not self._answers:
+            raise AssertionError(f"nobody expects {self.said[-1]}")
+        answer = self._answers.pop(0)
+        return Answer(self.now, answer if isinstance(answer, Refused) else octets(answer))
+
+
+class Wire:
+    """Both ends joined: ``server`` answers; ``service_ns`` a service. ``seen`` are the services in octets."""
+
+    def __init__(self, server: RecordServer, service_ns: int = MS) -> None:
+        self.server = server
+        self.now = 0
+        self.service_ns = service_ns
+        self.longest = 0
+
+    def __call__(self, service: Service) -> Answer:
+        if isinstance(service, Pause):
+            self.now += service.ns
+            return Answer(self.now)
+        self.now += self.service_ns
+        if isinstance(service, WriteReq):
+            self.longest = max(self.longest, len(service.data))
+            refused = self.server.write_record(service.slot, service.index, service.data, self.now)
+            return Answer(self.now, b"" if refused is None else refused)
+        data = self.server.read_record(service.slot, service.index, service.length, self.now)
+        if isinstance(data, bytes):
+            self.longest = max(self.longest, len(data))
+        return Answer(self.now, data)
+
+
+def talk(talk: Talk[T], far_end: Callable[[Service], Answer]) -> T:
+    """Have a talk to its end."""
+    try:
+        service = next(talk)
+        while True:
+            service = talk.send(far_end(service))
+    except StopIteration as end:
+        result: T = end.value
+        return result
+
+
+def _hex(data: bytes) -> str:
+    return data.hex(" ").upper()
+
+
+def hexes(parts: Sequence[bytes]) -> list[str]:
+    return [_hex(part) for part in parts]
+
+
+__all__ = ["BUSY", "MS", "ReadReq", "Script", "Wire", "hexes", "octets", "outcome", "talk"]

@@ -1,0 +1,152 @@
+"""The parameter channel over MS1 on a bus: a drive read by name, a whole list, both at once; times on the wire."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+from api_kit import virtual
+from support import WorldFactory
+
+import dpstack
+from dpstack import DpSlave, RecordRefused, SlaveDescription
+from dpstack.profile import ParamSpec, ParamStore, ParamTable
+from dpstack.profile.acyclic import Address, ErrorValue, ParameterServer, Refused, StoreParameters, Values
+from dpstack.units import s_to_ns
+
+PUMP: dict[str, object] = {"name": "pump", "address": 6, "drive": "ls-s100", "telegram": "ST1"}
+MIXER = SlaveDescription.simple(0x1234, inputs=4, outputs=4, name="mixer", dpv1=True)
+
+
+def mixer() -> DpSlave:
+    """1000 parameters: 975 words from 1 on, 25 with eight data sets from 2000 on."""
+    words = [ParamSpec(number=n, name=f"p{n}", title="Word", factory=n % 1000) for n in range(1, 976)]
+    arrays = [
+        ParamSpec(number=n, name=f"p{n}", title="Sets", long=True, per_set=True, factory=7) for n in range(2000, 2025)
+    ]
+    server = ParameterServer(StoreParameters(ParamStore(ParamTable((*words, *arrays)), {}, sets=8)))
+
+    def now() -> int:
+        return s_to_ns(asyncio.get_running_loop().time())
+
+    async def read(slot: int, index: int) -> bytes:
+        answer = server.read_record(slot, index, 240, now())
+        if isinstance(answer, Refused):
+            raise RecordRefused(answer.code)
+        return answer
+
+    async def write(slot: int, index: int, data: bytes) -> None:
+        refused = server.write_record(slot, index, data, now())
+        if refused is not None:
+            raise RecordRefused(refused.code)
+
+    return DpSlave(MIXER, lambda outputs, elapsed: outputs, on_read=read, on_write=write)
+
+
+@pytest.mark.parametrize(
+    ("baud", "described", "seconds"),
+    [
+        (500_000, False, 0.58),
+        (1_500_000, False, 0.195),
+        pytest.param(500_000, True, 3.76, marks=pytest.mark.soak),
+        pytest.param(1_500_000, True, 1.06, marks=pytest.mark.soak),
+    ],
+)
+def test_1000_parameters_with_progress(world: WorldFactory, baud: int, described: bool, seconds: float) -> None:
+    """``described``: with 1000 descriptions and whole arrays; else the first values alone."""
+    took: list[float] = []
+
+    async def main() -> None:
+        bench = world()
+        async with (
+            dpstack.serve_slave(mixer(), world=bench, address=9, baud=baud),
+            dpstack.open_bus(port="virtual", baud=baud, slaves=[MIXER.table(9)], world=bench) as bus,
+        ):
+            await bus.operate()
+            await bus.slave(9).ready()
+            parameters = bus.slave(9).parameters()
+            await parameters.limits()
+            told: list[tuple[int, int]] = []
+            loop = asyncio.get_running_loop()
+            begin = loop.time()
+            found = await parameters.read_out(described=described, progress=lambda *one: told.append(one))
+            took.append(loop.time() - begin)
+            assert len(found) == 1000
+            assert found[-1].values == (7,) * (8 if described else 1)
+            assert told[-1] == (1000, 1000)
+            assert parameters.counters.busy == parameters.counters.strays == 0
+            assert bus.slave(9).retries == bus.slave(9).timeouts == 0
+
+    virtual(main())
+    assert took == [pytest.approx(seconds, rel=0.05)]
+
+
+def test_a_drive_by_name_in_a_telegram_without_a_channel() -> None:
+    async def main() -> None:
+        async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[PUMP]) as bus:
+            pump = bus.drive("pump")
+            await bus.operate()
+            assert await pump.read(965) == 0x0328
+            assert await pump.read(918) == 6
+            written = await pump.write("dr-03", 2.5)
+            assert (written.value, written.unit, written.raw) == (2.5, "s", 25)
+            assert await pump.read(964, index=6) == 0x0A6C
+            with pytest.raises(dpstack.ParameterError, match="drive pump: dr-99: error 0, illegal parameter number"):
+                await pump.read("dr-99")
+            im0 = await bus.slave("pump").im()
+            assert isinstance(im0, dpstack.Im0)
+            assert (im0.manufacturer_id, im0.order_id, im0.supported) == (0x0351, "CPDP-S100", 1)
+            several = await bus.slave("pump").parameters().read([Address(n) for n in (918, 922, 930, 1, 963)])
+            assert several == [Values(6, (6,)), Values(6, (1,)), Values(6, (1,)), ErrorValue(0), Values(6, (4,))]
+
+    dpstack.run_virtual(main())
+
+
+def test_plugin_and_program_ask_at_the_same_time() -> None:
+    """Each gets its own, whoever's request the drive took in between."""
+
+    async def main() -> None:
+        async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[PUMP]) as bus:
+            pump = bus.drive("pump")
+            await bus.operate()
+            await bus.ready()
+            parameters = bus.slave("pump").parameters()
+            for _ in range(5):
+                by_name = asyncio.gather(pump.read(965), pump.read("dr-20"))
+                by_number = asyncio.gather(parameters.read([Address(918)]), parameters.read([Address(930)]))
+                assert list(await by_name) == [0x0328, 60.0]
+                assert list(await by_number) == [[Values(6, (6,))], [Values(6, (1,))]]
+
+    dpstack.run_virtual(main())
+
+
+def test_without_dp_v1_it_goes_by_pkw_or_says_what_to_do() -> None:
+    async def main() -> None:
+        slaves = [PUMP | {"telegram": "PPO1", "dpv1": False}, PUMP | {"name": "old", "address": 7, "dpv1": False}]
+        async with dpstack.open_bus(port="virtual", baud=500_000, slaves=slaves) as bus:
+            await bus.operate()
+            assert await bus.drive("pump").read(965) == 0x0328
+            with pytest.raises(dpstack.UsageError, match="ST1 of ls-s100 has no parameter channel"):
+                await bus.drive("old").read(965)
+
+    dpstack.run_virtual(main())
+
+
+def test_the_drive_goes_and_comes_in_between() -> None:
+    async def main() -> None:
+        async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[PUMP]) as bus:
+            pump = bus.drive("pump")
+            await bus.operate()
+            await bus.slave(6).ready()
+            assert bus.bench is not None
+            reading = asyncio.ensure_future(pump.read(965))
+            await asyncio.sleep(0.002)
+            bus.bench.power(6, False)
+            with pytest.raises(dpstack.DriveError):
+                await reading
+            await bus.until(lambda: not bus.slave(6).ready_now, 5)
+            bus.bench.power(6, True)
+            await bus.slave(6).ready()
+            assert await pump.read(965) == 0x0328
+
+    dpstack.run_virtual(main())

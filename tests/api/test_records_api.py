@@ -1,0 +1,268 @@
+"""``slave.read``, ``slave.write``, ``slave.im``: both ends in one world, every error typed; the key ``dpv1``."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Coroutine
+from typing import Any, cast
+
+import pytest
+from api_kit import RAW, bus_of, virtual
+from support import WorldFactory
+
+import dpstack
+from dpstack import AcyclicError, DpSlave, Im0, Im1, Im3, RecordRefused, SlaveDescription
+from dpstack.api.config import parse_config
+from dpstack.api.serving import ServedSlave
+from dpstack.dp.v1.status import Dpv1, PrmBlock
+from dpstack.errors import ConfigError
+from dpstack.sim.world import World
+
+RIG = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True)
+Program = Callable[[dpstack.Bus, ServedSlave], Coroutine[Any, Any, None]]
+
+
+class Store:
+    """Records that take their time; what is odd is by index."""
+
+    def __init__(self) -> None:
+        self.records = {(1, 2): b"\x11\x22\x33"}
+
+    async def read(self, slot: int, index: int) -> bytes:
+        await asyncio.sleep(0.02)
+        match index:
+            case 9:
+                raise RecordRefused(0xB5, 3)
+            case 10:
+                raise ZeroDivisionError("broken")
+            case 11:
+                await asyncio.sleep(60)
+            case 12:
+                return cast(bytes, "text")
+        if (slot, index) not in self.records:
+            raise RecordRefused(0xB0)
+        return self.records[slot, index]
+
+    async def write(self, slot: int, index: int, data: bytes) -> None:
+        await asyncio.sleep(0.02)
+        self.records[slot, index] = data
+
+
+def rig(world: World, program: Program, *, slave: DpSlave | None = None, **keys: object) -> list[str]:
+    """``program`` with a bus and the slave at address 9; what the slave told."""
+    told: list[str] = []
+    store = Store()
+    served = slave or DpSlave(
+        RIG, lambda outputs, elapsed: outputs, on_read=store.read, on_write=store.write, im=[Im0(order_id="RIG"), Im1()]
+    )
+
+    async def main() -> None:
+        async with (
+            dpstack.serve_slave(served, world=world, address=9, on_event=lambda e: told.append(e.text)) as server,
+            bus_of(RIG.table(9) | keys, world=world) as bus,
+        ):
+            await bus.operate()
+            await bus.slave(9).ready()
+            await program(bus, server.slave)
+
+    virtual(main())
+    return told
+
+
+def test_read_write_and_im(world: WorldFactory) -> None:
+    async def program(bus: dpstack.Bus, served: ServedSlave) -> None:
+        slave = bus.slave("rig")
+        assert await slave.read(1, 2) == b"\x11\x22\x33"
+        assert await slave.read(1, 2, 2) == b"\x11\x22"
+        await slave.write(3, 4, bytes(range(240)))
+        assert await slave.read(3, 4) == bytes(range(240))
+        im0 = await slave.im()
+        assert isinstance(im0, Im0)
+        assert (im0.order_id, im0.supported) == ("RIG", 0b10)
+        await slave.write_im(Im1("pump", "cellar"), slot=2)
+        assert await slave.im(1) == Im1("pump", "cellar")
+        assert isinstance(served.device, DpSlave)
+        assert served.device.im == (im0, Im1("pump", "cellar"))
+        # many at once: each gets its own
+        found = await asyncio.gather(*(slave.read(1, 2, n) for n in range(4)), slave.read(3, 4, 1))
+        assert found == [b"", b"\x11", b"\x11\x22", b"\x11\x22\x33", b"\0"]
+        assert slave.ready_now
+        assert slave.retries == slave.timeouts == 0
+
+    assert not [text for text in rig(world(), program) if "refused" in text]
+
+
+@pytest.mark.parametrize(
+    ("index", "code", "text"),
+    [
+        (9, (0x80, 0xB5, 3), r"slave 9 refuses Read of slot 1, index 9: state conflict \(80 B5 03.*ask again"),
+        (10, (0x80, 0xA0, 0), r"read error"),
+        (12, (0x80, 0xA0, 0), r"read error"),
+        (99, (0x80, 0xB0, 0), r"invalid index"),
+    ],
+)
+def test_negative_answers(world: WorldFactory, index: int, code: tuple[int, int, int], text: str) -> None:
+    async def program(bus: dpstack.Bus, served: ServedSlave) -> None:
+        with pytest.raises(AcyclicError, match=text) as caught:
+            await bus.slave(9).read(1, index)
+        error = caught.value
+        assert (error.address, error.service, error.slot, error.index) == (9, "Read", 1, index)
+        assert (error.error_decode, error.code_1, error.code_2) == code
+        assert (error.error_class, error.error_code) == divmod(code[1], 16)
+        assert await bus.slave(9).read(1, 2) == b"\x11\x22\x33"
+        assert served.failure is None
+
+    told = " ".join(rig(world(), program))
+    assert ("ZeroDivisionError: broken" in told) is (index == 10)
+    assert ("on_read returned str, a record is bytes" in told) is (index == 12)
+
+
+def test_other_errors(world: WorldFactory) -> None:
+    async def program(bus: dpstack.Bus, served: ServedSlave) -> None:
+        slave = bus.slave(9)
+        with pytest.raises(dpstack.SlaveTimeout, match=r"had no answer within 0\.05 s \(its C1_Response_Timeout\)"):
+            await slave.read(1, 11)
+        with pytest.raises(dpstack.UsageError, match="slot 255 does not exist"):
+            await slave.read(255, 0)
+        with pytest.raises(dpstack.UsageError, match="241 octets"):
+            await slave.write(0, 0, bytes(241))
+        with pytest.raises(dpstack.UsageError, match="I&M0 is what the device is"):
+            await slave.write_im(Im0())
+        with pytest.raises(dpstack.UsageError, match="descriptor"):
+            await slave.write_im(Im3("x" * 55))
+        with pytest.raises(dpstack.UsageError, match="there is no I&M5"):
+            await slave.im(5)
+        with pytest.raises(AcyclicError, match="invalid range"):
+            await slave.im(4)
+        served.restart()
+        await asyncio.sleep(0.05)
+        if not slave.ready_now:
+            with pytest.raises(dpstack.SlaveFault, match="not in data exchange"):
+                await slave.read(1, 2)
+        await slave.ready()
+        assert await slave.read(1, 2) == b"\x11\x22\x33"
+
+    rig(world(), program, dpv1={"response_timeout_ms": 50})
+
+
+def test_the_slave_goes_while_it_is_read(world: WorldFactory) -> None:
+    async def program(bus: dpstack.Bus, served: ServedSlave) -> None:
+        reading = asyncio.create_task(bus.slave(9).read(1, 11))
+        await asyncio.sleep(0.1)
+        served.restart()
+        with pytest.raises(dpstack.SlaveFault, match=r"left data exchange|not in data exchange"):
+            await reading
+        cancelled = asyncio.create_task(bus.slave(9).read(1, 2))
+        await asyncio.sleep(0)
+        cancelled.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await cancelled
+
+    rig(world(), program)
+
+
+def test_a_slave_without_dpv1(world: WorldFactory) -> None:
+    async def program() -> None:
+        async with bus_of(RAW) as bus:
+            await bus.ready()
+            with pytest.raises(dpstack.UsageError, match=r"slave 9 \(raw\) is not parameterised for DP-V1"):
+                await bus.slave(9).read(0, 0)
+        with pytest.raises(dpstack.UsageError, match="the bus is not open"):
+            await bus.slave(9).read(0, 0)
+        # asked for, but the (simulated) slave has none of it
+        async with bus_of(RAW | {"dpv1": True, "user_prm": "00 00 00"}) as bus:
+            await bus.ready()
+            with pytest.raises(dpstack.ServiceRefused, match="SAP 51 is closed") as caught:
+                await bus.slave(9).read(0, 0)
+            assert (caught.value.service, caught.value.status) == ("Read", "RS")
+
+    virtual(program())
+
+
+def test_only_what_is_served(world: WorldFactory) -> None:
+    async def program(bus: dpstack.Bus, served: ServedSlave) -> None:
+        assert await bus.slave(9).read(0, 0) == b""
+        with pytest.raises(AcyclicError, match="access denied"):
+            await bus.slave(9).write(0, 0, b"\1")
+        with pytest.raises(AcyclicError):
+            await bus.slave(9).im()
+
+    async def nothing(slot: int, index: int) -> bytes:
+        return b""
+
+    rig(world(), program, slave=DpSlave(RIG, lambda outputs, elapsed: outputs, on_read=nothing))
+
+
+# --- the key dpv1 ---------------------------------------------------------------------------------------------------
+
+HEAD = '[bus]\nport = "virtual"\nbaud = 500000\n[[slave]]\nname = "io"\naddress = 9\n'
+OCTETS = 'ident = 1\nconfig = "10"\nuser_prm = "00 00 00 07"\n'
+
+
+def setup(keys: str) -> tuple[Dpv1 | None, str]:
+    slave = parse_config(HEAD + keys, "tests/gsd/files/plant.toml").slaves[0].setup(500_000)
+    return slave.dpv1, slave.user_octets(None).hex(" ")
+
+
+@pytest.mark.parametrize(
+    ("keys", "octets"),
+    [
+        ("", "00 00 00 07"),
+        ("dpv1 = false\n", "00 00 00 07"),
+        ("dpv1 = true\n", "80 00 00 07"),
+        ("dpv1 = { check_cfg_mode = true, prm_cmd = true }\n", "80 01 80 07"),
+        ('dpv1 = { alarms = ["process", "pull_plug"], alarm_mode = 2 }\n', "80 c0 02 07"),
+        ("fail_safe = true\nwatchdog_ms = 5\nwd_base_1ms = true\ndpv1 = true\n", "80 00 00 07"),
+        (
+            'dpv1 = { blocks = [{ type = 0x81, data = "01 02" }, { type = 2, slot = 3 }] }\n',
+            "80 00 08 07 06 81 00 00 01 02 04 02 03 00",
+        ),
+    ],
+)
+def test_what_is_sent(keys: str, octets: str) -> None:
+    assert setup(OCTETS + keys)[1] == octets
+
+
+def test_bits_that_stand_in_the_parameters_stay() -> None:
+    assert setup(OCTETS.replace("00 00 00", "04 C1 8F") + "dpv1 = true\n")[1] == "84 c1 8f 07"
+    off = "dpv1 = { check_cfg_mode = false, alarms = [], alarm_mode = 0, prm_cmd = false }\n"
+    assert setup(OCTETS.replace("00 00 00", "00 FD 8F") + off)[1] == "80 00 08 07"
+
+
+def test_left_out_it_is_on_where_the_parameters_say_so() -> None:
+    assert setup(OCTETS)[0] is None
+    assert setup(OCTETS.replace("00 00 00", "80 00 00"))[0] == Dpv1()
+    assert setup(OCTETS.replace("00 00 00", "80 00 00") + "dpv1 = false\n")[0] is None
+
+
+@pytest.mark.parametrize(
+    ("keys", "text"),
+    [
+        ('ident = 1\nconfig = "10"\ndpv1 = true\n', "three DPV1_Status octets, 0 are there"),
+        (OCTETS + "dpv1 = 1\n", "dpv1 = 1 is an integer; it must be a table"),
+        (OCTETS + "dpv1 = { alarm = 1 }\n", "unknown key 'alarm'; did you mean 'alarms'?"),
+        (OCTETS + 'dpv1 = { alarms = ["fire"] }\n', "it is a list of these: pull_plug, process"),
+        (OCTETS + "dpv1 = { alarm_mode = 8 }\n", "alarm_mode = 8 is outside 0..7"),
+        (OCTETS + "dpv1 = { blocks = 1 }\n", "blocks is no list of tables"),
+        (OCTETS + "dpv1 = { blocks = [{ slot = 1 }] }\n", "blocks 1: no type"),
+        (OCTETS + "dpv1 = { blocks = [{ type = 1, slot = 255 }] }\n", "slot = 255 is outside 0..254"),
+        (OCTETS + f'dpv1 = {{ blocks = [{{ type = 1, data = "{"00" * 231}" }}] }}\n', "231 octets, 230 are possible"),
+        (OCTETS + f'dpv1 = {{ blocks = [{{ type = 1, data = "{"00" * 230}" }}] }}\n', "238 octets of user parameters"),
+    ],
+)
+def test_refused(keys: str, text: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        setup(keys)
+    assert text in str(caught.value)
+
+
+def test_a_block_that_cannot_be() -> None:
+    for kind, slot, data in ((256, 0, b""), (0, 255, b""), (0, 0, bytes(231))):
+        with pytest.raises(ConfigError):
+            PrmBlock(kind, slot, data)
+    with pytest.raises(ConfigError, match="there is no 'fire' alarm"):
+        Dpv1(alarms=("fire",))
+    with pytest.raises(ConfigError, match="alarm_mode 8"):
+        Dpv1(alarm_mode=8)
+    with pytest.raises(ConfigError, match="241 octets"):
+        Dpv1(c1_max_data_len=241)

@@ -1,0 +1,170 @@
+"""``dpstack acyclic``: every form, as master in the foreground and through a run; what it says and how it ends."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from api_kit import slave_in
+
+import dpstack
+from dpstack import DpSlave, Im0, Im1, SlaveDescription
+from dpstack.api.bus import OnEvent
+from dpstack.api.config import Config
+from dpstack.api.control.programs import control_run
+from dpstack.api.control.records import through_run
+from dpstack.cli import acyclic
+from dpstack.cli.main import main
+from dpstack.dp.mirror import MirrorDevice
+from dpstack.dp.v1.serving import RecordTable
+from dpstack.errors import BusError, UsageError
+
+Out = pytest.CaptureFixture[str]
+RIG = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True)
+PLANT = """
+[bus]
+port = "PORT"
+baud = 500000
+
+[[slave]]
+name = "rig"
+address = 8
+ident = 0x1234
+config = "10 20"
+user_prm = "00 00 00"
+dpv1 = true
+
+[[slave]]
+name = "old"
+address = 9
+ident = 0x1234
+config = "10 20"
+"""
+
+
+@pytest.fixture(autouse=True)
+def alone(monkeypatch: pytest.MonkeyPatch, runtime_directory: str) -> Iterator[None]:
+    """No run of another test is there."""
+    with tempfile.TemporaryDirectory(prefix="d", dir=runtime_directory) as path:
+        monkeypatch.setenv("XDG_RUNTIME_DIR", path)
+        yield
+
+
+@pytest.fixture
+def plant(tmp_path: Path) -> Path:
+    path = tmp_path / "plant.toml"
+    path.write_text(PLANT.replace("PORT", "virtual"), encoding="utf-8")
+    return path
+
+
+def rig() -> DpSlave:
+    slave = DpSlave(RIG, lambda outputs, elapsed: outputs, im=[Im0(order_id="RIG", serial_number="7"), Im1("fan")])
+    slave.serve_records(RecordTable({(1, 2): bytes(range(0x30, 0x44)), (1, 3): b"\0\0"}, [(1, 3)]))
+    return slave
+
+
+@pytest.fixture
+def world(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The foreground in virtual time, with :func:`rig` at 8 and an old one at 9 in its world."""
+    monkeypatch.setattr(acyclic, "open_bus", open_bus)
+    monkeypatch.setattr("asyncio.run", dpstack.run_virtual)
+
+
+def open_bus(config: Config, on_event: OnEvent | None = None) -> dpstack.Bus:
+    made = dpstack.World()
+    slave_in(made, rig(), 8)
+    slave_in(made, MirrorDevice(0x1234, b"\x10\x20"), 9)
+    return dpstack.open_bus(config, on_event=on_event, world=made)
+
+
+def run(capsys: Out, *args: str, code: int = 0) -> tuple[str, str]:
+    assert main(["acyclic", *args]) == code, capsys.readouterr()
+    printed = capsys.readouterr()
+    return printed.out, printed.err
+
+
+# -- as master in the foreground -----------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("world")
+def test_read_and_write(plant: Path, capsys: Out) -> None:
+    out, err = run(capsys, str(plant), "8", "read", "1", "2")
+    assert err == ""
+    assert out.splitlines() == [
+        "slave 8 (rig): slot 1, index 2, 20 octets",
+        "  0  30 31 32 33 34 35 36 37 38 39 3A 3B 3C 3D 3E 3F  0123456789:;<=>?",
+        " 16  40 41 42 43                                      @ABC",
+    ]
+    out, _ = run(capsys, str(plant), "rig", "read", "1", "0x2", "4", "--json")
+    told = json.loads(out)
+    assert (told["data"], told["through"], told["address"]) == ("30313233", "master", 8)
+    out, _ = run(capsys, str(plant), "8", "write", "1", "3", "12 34")
+    assert out == "slave 8 (rig): slot 1, index 3: 2 octets written\n"
+
+
+@pytest.mark.usefixtures("world")
+def test_im(plant: Path, capsys: Out) -> None:
+    out, _ = run(capsys, str(plant), "8", "im")
+    assert "I&M0    order_id           RIG" in out
+    assert "I&M1    tag_function       fan" in out
+    assert "I&M2" not in out
+    told = json.loads(run(capsys, str(plant), "8", "im", "--json")[0])
+    assert told["im"]["0"]["serial_number"] == "7"
+    assert told["im"]["1"] == {"tag_function": "fan", "tag_location": ""}
+
+
+@pytest.mark.usefixtures("world")
+@pytest.mark.parametrize(
+    ("args", "code", "text"),
+    [
+        (["8", "read", "1", "9"], 1, "slave 8 refuses Read of slot 1, index 9: invalid index (80 B0 00"),
+        (["8", "write", "1", "3", "12"], 1, "write length error"),
+        (["8", "im", "3", "--class", "2"], 2, "class 2 (MS2) is not supported yet"),
+        (["9", "read", "1", "2"], 2, "put dpv1 = true into its [[slave]] table"),
+        (["7", "read", "1", "2"], 2, "no slave '7' in this configuration; there are: 8 (rig), 9 (old)"),
+        (["8", "red", "1", "2"], 2, "dpstack acyclic does not know 'red'; did you mean read?"),
+        (["8", "read", "1"], 2, "read takes SLOT INDEX [LENGTH], for instance: read 1 47"),
+        (["8", "read", "1", "256"], 2, "'256' is no INDEX: write a number 0..255"),
+        (["8", "write", "1", "2", "0G"], 2, "'0G': 'G' is no hex digit"),
+    ],
+)
+def test_refusals(plant: Path, capsys: Out, args: list[str], code: int, text: str) -> None:
+    out, err = run(capsys, str(plant), *args, code=code)
+    assert out == ""
+    assert text in err
+
+
+def test_a_read_only_configuration(plant: Path, capsys: Out) -> None:
+    plant.write_text(plant.read_text(encoding="utf-8").replace("[bus]", "[bus]\nread_only = true"), encoding="utf-8")
+    assert "records need data exchange" in run(capsys, str(plant), "8", "read", "1", "2", code=2)[1]
+
+
+# -- through a run -------------------------------------------------------------------------------------------------
+
+
+async def through() -> None:
+    told = await through_run("virtual", 8, "read", ["1", "2", "3"])
+    assert told is not None
+    assert told["data"] == "303132"
+    assert await through_run("virtual", 8, "write", ["1", "3", "0102"]) is not None
+    im = await through_run("virtual", 8, "im", [])
+    assert im is not None
+    assert im["im"]["0"]["order_id"] == "RIG"
+    with pytest.raises(BusError, match="invalid index"):
+        await through_run("virtual", 8, "read", ["1", "9"])
+    with pytest.raises(UsageError, match="no slave 7 on this bus"):
+        await through_run("virtual", 7, "read", ["1", "9"])
+    with pytest.raises(UsageError, match="dpv1 = true"):
+        await through_run("virtual", 9, "read", ["1", "9"])
+
+
+async def test_a_run_carries_the_orders_out(plant: Path) -> None:
+    async with open_bus(dpstack.load_config(plant)) as bus, control_run(bus, "virtual"):
+        await bus.ready()
+        await asyncio.to_thread(asyncio.run, through())
+        assert bus.mode is dpstack.Mode.CLEAR
+    assert await through_run("virtual", 8, "read", ["1", "2"]) is None

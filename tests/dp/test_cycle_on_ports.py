@@ -1,0 +1,186 @@
+"""The fixed cycle with a port's patience, in virtual time: what may come between two cycles, what silence costs.
+
+What a port delivers late is the adapter's part here; beside that the wire is exact, so a start that is not on the grid
+was put there by the stack.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import pytest
+from bus_kit import mirror
+from cycle_kit import CycleBus, slave
+from support import MS, US, S, WorldFactory
+
+from dpstack.dp.acyclic import Acyclic
+from dpstack.dp.class2 import ReadService
+from dpstack.dp.class2_jobs import Service, ServiceDone
+from dpstack.dp.commands import Mode, SetMode, Shutdown
+from dpstack.dp.cycle import MissReason
+from dpstack.dp.events import CyclesMissed, SlaveState
+from dpstack.dp.master import Master
+from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.commands import GoOnline
+from dpstack.fdl.events import DoesNotFit, StationFound
+from dpstack.params import BusParams
+from dpstack.phy.patience import HOST, measured
+from dpstack.sim.adapter import FTDI_LOW_LATENCY, Adapter
+
+P1500 = BusParams.preset(1_500_000, address=2)
+P500 = BusParams.preset(500_000, address=2)
+
+
+def gap_polls(bus: CycleBus) -> list[tuple[int, int]]:
+    """Begin of each FDL_Status of the master, and its address."""
+    return [(e.start_ns, e.octets[1]) for e in bus.wire if e.octets[0] == 0x10 and e.octets[2:4] == b"\x02\x49"]
+
+
+@pytest.mark.parametrize("cycle_ms", [2, 5])
+def test_silent_addresses_on_a_pty_never_break_a_cycle(world: WorldFactory, cycle_ms: int) -> None:
+    """Three slaves of 1 ms together; an absent one, the GAP. 2 ms of patience are more than a cycle of 2 ms has."""
+    setups = [slave(3), slave(4), slave(5), slave(6)]
+    bus = CycleBus(world(), P1500, setups, cycle_ms * MS, silent=(6,), patience=HOST, options={"absent_share": 100})
+    bus.until_exchanging()
+    bus.world.run_for(S)
+    bus.quiet()
+    missed, forced = bus.master.cycles.missed, bus.master.budget.forced
+    bus.world.run_for(2 * S)
+    starts = bus.exchanges(3)
+    assert {later - earlier for earlier, later in itertools.pairwise(starts)} == {cycle_ms * MS}
+    assert bus.master.cycles.missed == missed
+    polled = [address for _, address in gap_polls(bus)]
+    assert len(set(polled)) > 50
+    # those who are there get 2 ms, more than a cycle of 2 ms has to spare: their polls are sent all the same
+    assert bus.master.budget.forced - forced == (len(set(polled) & {3, 4, 5}) if cycle_ms == 2 else 0)
+    assert len(bus.requests(60)) >= 2  # the absent one is asked for all the time
+    told = [(e.service, e.address) for e in bus.events if isinstance(e, DoesNotFit)]
+    assert told == ([("FDL_Status", 3)] if cycle_ms == 2 else [])
+
+
+def test_a_poll_has_all_the_time_there_is(world: WorldFactory) -> None:
+    """A silent poll ends 2.4 ms after it at the latest, sooner where the next cycle needs it."""
+    bus = CycleBus(world(), P1500, [slave(3), slave(4), slave(5)], 5 * MS, patience=HOST)
+    bus.until_exchanging()
+    bus.world.run_for(S)
+    bus.quiet()
+    bus.world.run_for(S)
+    starts = [e.start_ns for e in bus.wire]
+    silent = [
+        min(s for s in starts if s > begin) - begin
+        for begin, address in gap_polls(bus)
+        if address not in (3, 4, 5) and begin < starts[-1]
+    ]
+    assert max(silent) <= P1500.ns(66 + 300 + 11 + 37) + 2 * MS + US
+    assert min(silent) >= P1500.ns(66 + 300 + 11 + 121)  # an answer could still be on the line before
+    assert len(silent) > 30
+
+
+def test_a_diagnosis_on_a_pty_does_not_wait_eight_cycles(world: WorldFactory) -> None:
+    """50 ms for the silence of a slave in data exchange fit into no cycle of 10 ms; 2 ms, which a pty needs, do."""
+    class2 = Acyclic(2)
+    bus = CycleBus(world(), P1500, [slave(3), slave(4)], 10 * MS, patience=HOST, more=[class2])
+    bus.until_exchanging()
+    bus.world.run_for(200 * MS)
+    bus.quiet()
+    began = bus.world.now
+    for token in range(5):
+        bus.world.command(bus.station, ReadService(token, 3, Service.DIAGNOSIS))
+    bus.world.run_for(150 * MS)
+    done = [e for e in bus.events if isinstance(e, ServiceDone)]
+    assert len(done) == 5
+    assert done[-1].t_ns - began < 60 * MS
+    assert bus.master.budget.forced == 0
+
+
+def test_a_slave_that_dies_at_a_service_costs_cycles_and_is_the_reason(world: WorldFactory) -> None:
+    """The GAP asks for it when it is known: 50 ms, as in a Data_Exchange."""
+    bus = CycleBus(world(), P1500, [slave(3), slave(4)], 10 * MS, patience=HOST)
+    bus.until_exchanging()
+    bus.world.run_for(4 * S)
+    bus.quiet()
+    origin = bus.world.now
+    while tuple(bus.wire[-1].octets[1:4] if bus.wire else ()) != (4, 2, 0x49):
+        bus.world.run_for(20 * US)
+    bus.world.silence(bus.slaves[4], 20 * MS, deaf=True)
+    bus.world.run_for(200 * MS)
+    missed = [e for e in bus.events if isinstance(e, CyclesMissed)]
+    assert missed[0].reason == "FDL_Status to station 4 was not answered"
+    book = bus.master.cycles
+    assert book.reasons == {MissReason.SILENCE: book.missed}
+    assert 4 <= book.missed <= 6
+    starts = [start for start in bus.exchanges(3) if start > origin]
+    late = [(start - starts[0]) % (10 * MS) for start in starts]
+    assert sum(map(bool, late)) <= 1  # the first one after it
+    assert bus.master.handlers[4].state is SlaveState.DATA_EXCHANGE
+
+
+def test_a_slave_that_went_is_waited_for_once(world: WorldFactory) -> None:
+    """Its last exchange with all slack; after that it is an address where nobody is known to be, for the GAP too."""
+    bus = CycleBus(world(), P1500, [slave(3), slave(4)], 10 * MS, patience=HOST, options={"absent_share": 100})
+    bus.until_exchanging()
+    bus.world.run_for(4 * S)  # the GAP has found it
+    assert 4 in {e.address for e in bus.events if isinstance(e, StationFound)}
+    bus.world.remove(bus.slaves[4])
+    bus.world.run_for(200 * MS)
+    missed = bus.master.cycles.missed
+    assert missed >= 10
+    bus.quiet()
+    bus.world.run_for(8 * S)
+    assert 4 in {e.address for e in bus.events if isinstance(e, StationFound) and e.kind is None}
+    assert bus.master.cycles.missed == missed
+
+
+@pytest.mark.parametrize("offset", range(60, 560, 20))
+def test_a_control_just_before_a_cycle_does_not_make_it_late(world: WorldFactory, offset: int) -> None:
+    """The mode is repeated so many bits before a cycle is due."""
+    bus = CycleBus(world(), P500, [slave(5)], 10 * MS)
+    bus.until_exchanging()
+    bus.world.run_for(100 * MS)
+    bus.quiet()
+    bus.world.run_for(10 * MS + 5 * MS)
+    start = bus.exchanges(5)[-1]
+    bus.master.controls._due = start + 10 * MS - P500.ns(offset)
+    bus.world.run_for(30 * MS)
+    assert {(begin - start) % (10 * MS) for begin in bus.exchanges(5)} == {0}
+    assert bus.master.cycles.missed == 0
+
+
+@pytest.mark.parametrize("before_us", [100, 300, 500, 700, 1000])
+def test_the_end_does_not_wait_for_a_cycle_that_the_token_is_kept_for(world: WorldFactory, before_us: int) -> None:
+    bus = CycleBus(world(), P500, [slave(5, safe=bytes([9]) * 12)], 20 * MS)
+    bus.until_exchanging()
+    bus.world.run_for(200 * MS)
+    due = bus.exchanges(5)[-1] + 20 * MS
+    while due - bus.world.now > before_us * US:
+        bus.world.run_for(10 * US)
+    bus.quiet()
+    ordered = bus.world.now
+    bus.world.command(bus.station, Shutdown())
+    bus.world.run_for(5 * MS)
+    assert bus.data(5)[0].octets[7:19] == bytes([9]) * 12
+    # what was under way (a silent poll of 532 us and the token to itself), and T_ID1
+    assert bus.exchanges(5)[0] - ordered <= 1100 * US
+
+
+def test_behind_an_adapter_a_slave_that_comes_later_is_taken_in(world: WorldFactory) -> None:
+    """Answers are 1 to 2 ms late; a poll of the GAP has less time than that in some cycles, and is found out."""
+    w = world()
+    setups = [slave(5, watchdog_ms=1000), slave(6, watchdog_ms=1000)]
+    stations = {s.address: mirror(s.address, P500) for s in setups}
+    w.add(stations[5])
+    master = Master(P500, setups, cycle_ns=30 * MS, absent_share=100)
+    station = ActiveStation(P500, [master], patience=measured(2 * MS), budget=master.budget)
+    plugged = Adapter(station, FTDI_LOW_LATENCY)
+    w.add(plugged)
+    w.command(plugged, GoOnline())
+    w.command(plugged, SetMode(Mode.OPERATE))
+    w.run_for(3 * S)
+    assert master.handlers[5].state is SlaveState.DATA_EXCHANGE
+    w.add(stations[6])
+    w.run_for(3 * S)
+    assert master.handlers[6].state is SlaveState.DATA_EXCHANGE
+    missed = master.cycles.missed
+    w.run_for(3 * S)
+    assert master.cycles.missed == missed
+    assert master.budget.forced == 0

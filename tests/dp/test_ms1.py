@@ -1,0 +1,384 @@
+"""MS1 of the master against slaves of octets: literal telegrams, every kind of answer, one end each."""
+
+from __future__ import annotations
+
+import pytest
+from ms1_kit import MS, Ms1Bus, OctetMs1Slave, answer, status
+from octet_slave import NR, RR, RS, SC, UE
+
+from dpstack.dp.acyclic import CAPACITY, CancelService
+from dpstack.dp.class2 import ReadService
+from dpstack.dp.class2_jobs import Service, ServiceDone, ServiceFailure
+from dpstack.dp.commands import Mode, RemoveSlave, SetMode
+from dpstack.dp.v1.ms1 import ReadRecord, RecordDone, WriteRecord
+from dpstack.dp.v1.status import Dpv1
+from dpstack.errors import UsageError
+from dpstack.machine import LineDown
+
+RDL = 0x0C
+
+
+def polled(slave: OctetMs1Slave, octets: str, after: int = 1) -> None:
+    """It acknowledges, and has its answer at poll number ``after``."""
+
+    def ms1(data: bytes) -> bytes:
+        if data:
+            slave.asked.clear()
+            slave.asked.append(data)
+            return SC
+        return answer(slave.address, octets) if len(slave.asked) > after else SC
+
+    slave.ms1 = ms1
+
+
+def test_literal_telegrams_of_a_read() -> None:
+    kit = Ms1Bus()
+    polled(kit.slave, "5E 01 02 03 AA BB CC")
+    start = len(kit.bus.log)
+    done = kit.read(1, 2, 8)
+    assert done.outcome.data == bytes.fromhex("AA BB CC")
+    assert done.text == "slave 4: Read of slot 1, index 2, 3 octets"
+    ms1 = [sent.octets.hex(" ") for sent in kit.bus.log[start:] if len(sent.octets) > 8 and sent.octets[7] == 51]
+    # SRD high, DSAP 51, SSAP 51; the FCB of the station goes on with each of its requests
+    assert ms1[0] == "68 09 09 68 84 82 5d 33 33 5e 01 02 08 32 16"
+    assert ms1[1] == "68 05 05 68 84 82 5d 33 33 c9 16"  # data were exchanged between them
+    assert ms1[2] == "68 0c 0c 68 82 84 08 33 33 5e 01 02 03 aa bb cc 09 16"
+
+
+def test_a_write_and_the_parameters_that_open_it() -> None:
+    kit = Ms1Bus()
+    assert kit.slave.prm[7:] == b"\x80\0\0"
+    polled(kit.slave, "5F 00 2F 02")
+    done = kit.write(0, 47, b"\x12\x34")
+    assert (done.outcome.failure, done.outcome.data) == (None, b"")
+    assert kit.slave.asked[0] == bytes.fromhex("5F 00 2F 02 12 34")
+    assert done.text == "slave 4: Write of slot 0, index 47 done"
+
+
+def test_answered_in_the_request_itself() -> None:
+    kit = Ms1Bus()
+    kit.slave.ms1 = lambda data: answer(4, "5E 01 02 01 55")
+    assert kit.read().outcome.data == b"\x55"
+    assert len(kit.slave.asked) == 1
+
+
+@pytest.mark.parametrize("not_yet", [SC, status(4, NR), status(4, 0x00), status(4, RR), status(4, UE)])
+def test_not_yet(not_yet: bytes) -> None:
+    kit = Ms1Bus()
+
+    def ms1(data: bytes) -> bytes:
+        if data:
+            return SC
+        return answer(4, "5E 01 02 01 55") if len(kit.slave.asked) > 20 else not_yet
+
+    kit.slave.ms1 = ms1
+    assert kit.read().outcome.data == b"\x55"
+
+
+@pytest.mark.parametrize("busy", [RR, UE])
+def test_a_request_that_is_not_taken_now_is_repeated(busy: int) -> None:
+    kit = Ms1Bus()
+    kit.slave.ms1 = lambda data: status(4, busy) if len(kit.slave.asked) < 4 else answer(4, "5E 01 02 01 55")
+    assert kit.read().outcome.data == b"\x55"
+    assert kit.slave.asked == [bytes.fromhex("5E 01 02 F0")] * 4
+
+
+@pytest.mark.parametrize(
+    ("octets", "failure", "text"),
+    [
+        ("DE 80 B5 00", ServiceFailure.NEGATIVE, "slave 4 refuses Read of slot 1, index 2: state conflict (80 B5 00"),
+        ("DE 80 B0 07", ServiceFailure.NEGATIVE, "invalid index (80 B0 07"),
+        ("DE FE 01 02", ServiceFailure.NEGATIVE, "codes of FMS"),
+        ("5E 01 02 05 55", ServiceFailure.LENGTH, "octet 4 says 5 octets of data, 1 came"),
+        ("5E 01 02 09 01 02 03 04 05 06 07 08 09", ServiceFailure.LENGTH, "with 9 octets, 8 were asked for"),
+        ("00 01 02 03", ServiceFailure.LENGTH, "octet 1 is 0x00"),
+        ("5E", ServiceFailure.LENGTH, "octet 2 (slot) is missing"),
+    ],
+)
+def test_answers_that_are_an_end(octets: str, failure: ServiceFailure, text: str) -> None:
+    kit = Ms1Bus()
+    polled(kit.slave, octets)
+    done = kit.read(1, 2, 8)
+    assert done.outcome.failure is failure
+    assert text in done.outcome.text
+    kit.slave.ms1 = lambda data: answer(4, "5E 01 02 01 55")
+    assert kit.read().outcome.data == b"\x55"  # and the next is served
+
+
+def test_codes_of_a_negative_answer() -> None:
+    kit = Ms1Bus()
+    polled(kit.slave, "DF 80 B6 11")
+    outcome = kit.write(1, 2, b"\1").outcome
+    assert outcome.codes == (0x80, 0xB6, 0x11)
+    assert outcome.text.endswith("; the record is read-only, write-only, or locked")
+
+
+def test_a_write_that_took_another_length() -> None:
+    kit = Ms1Bus()
+    polled(kit.slave, "5F 01 02 01")
+    outcome = kit.write(1, 2, b"\1\2").outcome
+    assert outcome.failure is ServiceFailure.LENGTH
+    assert outcome.text == "slave 4 says it took 1 octets by Write of slot 1, index 2, 2 were given"
+
+
+def test_answers_to_other_requests_are_dropped_and_counted() -> None:
+    kit = Ms1Bus()
+    others = ["5E 01 03 01 11", "5E 02 02 01 22", "5F 01 02 01", "DF 80 B0 00", "5E 01 02 01 55"]
+
+    def ms1(data: bytes) -> bytes:
+        return SC if data else answer(4, others.pop(0))
+
+    kit.slave.ms1 = ms1
+    done = kit.read()
+    assert (done.outcome.data, done.stale) == (b"\x55", 4)
+
+
+def test_old_data_that_come_instead_of_taking_the_request() -> None:
+    kit = Ms1Bus()
+    kit.slave.ms1 = lambda data: (
+        answer(4, "5E 09 09 01 11", RDL) if len(kit.slave.asked) == 1 else answer(4, "5E 01 02 01 55")
+    )
+    done = kit.read()
+    assert (done.outcome.data, done.stale) == (b"\x55", 1)
+    assert kit.slave.asked == [bytes.fromhex("5E 01 02 F0")] * 2
+
+
+def test_a_slave_without_ms1() -> None:
+    kit = Ms1Bus()
+    kit.slave.ms1 = lambda data: status(4, RS)
+    outcome = kit.read().outcome
+    assert (outcome.failure, outcome.status) == (ServiceFailure.REFUSED, "RS")
+    assert "C1_Read_Write_supp" in outcome.text
+
+
+@pytest.mark.parametrize(
+    ("dpv1", "ms", "of"),
+    [(Dpv1(), 1_000, "no C1_Response_Timeout"), (Dpv1(c1_response_timeout_ns=70 * MS), 70, "its C1_Response_Timeout)")],
+)
+def test_a_slave_that_never_answers(dpv1: Dpv1, ms: int, of: str) -> None:
+    kit = Ms1Bus(dpv1=dpv1)
+    begun = kit.bus.now
+    done = kit.read()
+    assert done.outcome.failure is ServiceFailure.LATE
+    assert f"had no answer within {ms / 1000:g} s (" in done.outcome.text
+    assert of in done.outcome.text
+    assert ms <= (kit.bus.now - begun) // MS <= ms + 30
+
+
+def test_a_slave_that_is_busy_all_the_time() -> None:
+    kit = Ms1Bus()
+    kit.slave.ms1 = lambda data: status(4, RR)
+    assert "it was busy all the time; try again" in kit.read().outcome.text
+
+
+def test_what_was_not_fetched_is_fetched_before_the_next_request() -> None:
+    """The answer comes after its time-out: it is not taken for the next one, though it looks the same."""
+    kit = Ms1Bus(dpv1=Dpv1(c1_response_timeout_ns=100 * MS))
+    assert kit.read().outcome.failure is ServiceFailure.LATE
+    old = ["5E 01 02 01 11"]
+
+    def ms1(data: bytes) -> bytes:
+        if data:
+            return answer(4, "5E 01 02 01 22")
+        return answer(4, old.pop()) if old else SC
+
+    kit.slave.ms1 = ms1
+    done = kit.read()
+    assert (done.outcome.data, done.stale, old) == (b"\x22", 1, [])
+    assert kit.read().stale == 0
+
+
+def test_what_is_owed_outlives_a_service_that_was_cancelled_while_it_fetched() -> None:
+    kit = Ms1Bus(dpv1=Dpv1(c1_response_timeout_ns=100 * MS))
+    assert kit.read().outcome.failure is ServiceFailure.LATE
+    token = kit.order_read()
+    kit.bus.run(20 * MS)
+    kit.send(CancelService(token))
+    assert kit.end(token).outcome.failure is ServiceFailure.CANCELLED
+    old = ["5E 01 02 01 11"]
+
+    def ms1(data: bytes) -> bytes:
+        if data:
+            return answer(4, "5E 01 02 01 22")
+        return answer(4, old.pop()) if old else SC
+
+    kit.slave.ms1 = ms1
+    assert (kit.read().outcome.data, old) == (b"\x22", [])
+
+
+def test_nothing_comes_of_what_was_owed_and_the_next_is_asked_all_the_same() -> None:
+    kit = Ms1Bus(dpv1=Dpv1(c1_response_timeout_ns=100 * MS))
+    assert kit.read().outcome.failure is ServiceFailure.LATE
+    kit.slave.ms1 = lambda data: answer(4, "5E 01 02 01 22") if data else SC
+    assert kit.read().outcome.data == b"\x22"
+
+
+def test_one_service_for_a_slave_at_a_time_in_order_and_several_slaves_at_once() -> None:
+    kit = Ms1Bus((4, 5))
+    busy = {4: 0, 5: 0}
+    most = {4: 0, 5: 0}
+    together = [0]
+
+    def ms1_of(slave: OctetMs1Slave) -> None:
+        state: dict[str, bytes] = {}
+
+        def ms1(data: bytes) -> bytes:
+            here = slave.address
+            if data:
+                busy[here] += 1
+                most[here] = max(most[here], busy[here])
+                state["for"] = data
+                state["polls"] = b""
+                together[0] = max(together[0], sum(busy.values()))
+                return SC
+            state["polls"] += b"."
+            if len(state["polls"]) < 5:
+                return SC
+            busy[here] -= 1
+            return answer(here, f"5E {state['for'][1]:02X} {state['for'][2]:02X} 01 {state['for'][2]:02X}")
+
+        slave.ms1 = ms1
+
+    for slave in kit.slaves.values():
+        ms1_of(slave)
+    tokens = [kit.order_read(1, index, address=address) for index in range(5) for address in (4, 5)]
+    for token in tokens:
+        kit.end(token)
+    assert most == {4: 1, 5: 1}
+    assert together == [2]
+    for address in (4, 5):
+        mine = [done for done in kit.done if done.address == address]
+        assert [done.outcome.data[0] for done in mine] == [0, 1, 2, 3, 4]
+
+
+def test_a_slow_slave_holds_no_other_one_up() -> None:
+    """Slave 4 never answers; meanwhile 5 is read, and class 2 asks too: everybody has a turn."""
+    kit = Ms1Bus((4, 5))
+    kit.slaves[5].ms1 = lambda data: answer(5, "5E 01 02 01 22")
+    kit.order_read()
+    begun = kit.bus.now
+    for _ in range(10):
+        assert kit.read(address=5).outcome.data == b"\x22"
+    kit.send(ReadService(99, 4, Service.CONFIG))
+    while not any(isinstance(event, ServiceDone) for event in kit.bus.events):
+        kit.bus.run(MS)
+    assert kit.bus.now - begun < 200 * MS
+    assert kit.acyclic.waiting == 1
+
+
+def test_data_exchange_goes_on_with_one_request_at_most_between() -> None:
+    kit = Ms1Bus()
+    start = len(kit.bus.log)
+    for _ in range(8):
+        kit.order_read()
+    kit.bus.run(300 * MS)
+    kinds = [
+        "data" if sent.octets[0] == 0x10 and sent.octets[3] != 0x49 else "ms1"
+        for sent in kit.bus.log[start:]
+        if sent.sender == 2 and (sent.octets[0] == 0x10 or (sent.octets[0] == 0x68 and sent.octets[7] == 51))
+    ]
+    assert kinds.count("ms1") > 20
+    assert "ms1 ms1" not in " ".join(kinds)
+
+
+# --- ends from outside --------------------------------------------------------------------------------------------
+
+
+def test_the_slave_leaves_data_exchange() -> None:
+    kit = Ms1Bus()
+    tokens = [kit.order_read(), kit.order_read(2, 2)]
+    kit.bus.run(20 * MS)
+    kit.slave.mute = True
+    for token in tokens:
+        outcome = kit.end(token, 500 * MS).outcome
+        assert outcome.failure in (ServiceFailure.CLOSED, ServiceFailure.SILENT), outcome
+    assert "has no end: the slave is not in data exchange but in " in kit.end(tokens[1]).outcome.text
+    kit.slave.mute = False
+    kit.slave.ms1 = lambda data: answer(4, "5E 01 02 01 22") if data else SC
+    kit.until_exchanging()
+    assert kit.read().outcome.data == b"\x22"  # nothing is owed: it has forgotten everything
+
+
+def test_a_slave_that_is_not_in_data_exchange() -> None:
+    kit = Ms1Bus()
+    kit.slave.mute = True
+    kit.bus.run(200 * MS)
+    outcome = kit.read().outcome
+    assert outcome.failure is ServiceFailure.CLOSED
+    assert "not in data exchange but in offline" in outcome.text
+
+
+def test_the_slave_is_removed_the_master_stops_the_port_vanishes() -> None:
+    kit = Ms1Bus((4, 5))
+    first = kit.order_read()
+    kit.bus.run(10 * MS)
+    kit.send(RemoveSlave(4))
+    assert "removed from this bus" in kit.end(first).outcome.text
+    second = kit.order_read(address=5)
+    kit.bus.run(10 * MS)
+    kit.send(LineDown("unplugged"))
+    outcome = kit.end(second).outcome
+    assert (outcome.failure, "unplugged" in outcome.text) == (ServiceFailure.LINE, True)
+
+
+def test_stop_leaves_a_service_without_data_exchange() -> None:
+    kit = Ms1Bus()
+    token = kit.order_read()
+    kit.bus.run(10 * MS)
+    kit.send(SetMode(Mode.STOP))
+    outcome = kit.end(token).outcome
+    assert outcome.failure is ServiceFailure.CLOSED
+    assert outcome.text.endswith("has no end: the master is in Stop, where nothing is sent to slaves")
+
+
+def test_cancelled_under_way_its_answer_is_fetched_later() -> None:
+    kit = Ms1Bus()
+    token = kit.order_read()
+    kit.bus.run(20 * MS)
+    kit.send(CancelService(token))
+    assert kit.end(token).outcome.failure is ServiceFailure.CANCELLED
+    old = ["5E 01 02 01 11"]
+    kit.slave.ms1 = lambda data: answer(4, "5E 01 02 01 22") if data else answer(4, old.pop()) if old else SC
+    assert kit.read().outcome.data == b"\x22"
+
+
+def test_silence_a_read_is_repeated_a_write_is_not() -> None:
+    kit = Ms1Bus()
+
+    def silent_twice(data: bytes) -> bytes | None:
+        return None if len(kit.slave.asked) <= 4 else answer(4, "5E 01 02 01 22")  # each time with its repetition
+
+    kit.slave.ms1 = silent_twice
+    assert kit.read().outcome.data == b"\x22"
+    kit.slave.ms1 = lambda data: None
+    outcome = kit.write(1, 2, b"\1").outcome
+    assert outcome.failure is ServiceFailure.SILENT
+    assert outcome.text.endswith("does not answer Write of slot 1, index 2; it may have been carried out: read it back")
+    assert kit.read().outcome.failure is ServiceFailure.SILENT
+
+
+def test_misuse_raises_at_once() -> None:
+    kit = Ms1Bus()
+    for wrong, what in [
+        (ReadRecord(1, 4, 255, 0), "slot 255 does not exist"),
+        (ReadRecord(1, 4, 0, 256), "index 256 does not exist"),
+        (ReadRecord(1, 4, 0, 0, 241), "241 octets of data, 240 are possible"),
+        (WriteRecord(1, 4, 0, 0, bytes(241)), "241 octets of data, 240 are possible"),
+        (ReadRecord(1, 9, 0, 0), "station 9 is no slave of this master"),
+    ]:
+        with pytest.raises(UsageError, match=what):
+            kit.send(wrong)
+    with pytest.raises(UsageError, match="dpv1 = true"):
+        Ms1Bus(dpv1=None).order_read()
+    for _ in range(CAPACITY):
+        kit.order_read()
+    with pytest.raises(UsageError, match="32 services for slave 4 are waiting already"):
+        kit.order_read()
+
+
+def test_each_event_has_its_end_once() -> None:
+    kit = Ms1Bus()
+    polled(kit.slave, "5E 01 02 00")
+    for _ in range(3):
+        kit.read()
+    assert [done.token for done in kit.bus.events if isinstance(done, RecordDone)] == [1, 2, 3]

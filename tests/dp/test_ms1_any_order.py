@@ -1,0 +1,225 @@
+"""Whatever happens on the wire and at the slave, in whatever order: every Read and Write has exactly one end.
+
+Against a slave of octets that answers anything; and with a slave of ours in a world with lost and damaged telegrams.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from bus_kit import IDENT, PPO1
+from hypothesis import given, note
+from hypothesis import strategies as st
+from ms1_kit import MS, Ms1Bus, answer, status
+from octet_slave import NR, RR, RS, SC, UE
+from property_kit import examples
+from support import wire_log
+
+from dpstack.dp.acyclic import Acyclic, CancelService
+from dpstack.dp.class2_jobs import ServiceFailure
+from dpstack.dp.commands import Mode, SetMode
+from dpstack.dp.events import SlaveState
+from dpstack.dp.master import Master
+from dpstack.dp.mirror import MirrorDevice
+from dpstack.dp.setup import SlaveSetup
+from dpstack.dp.slaveapp import make_slave
+from dpstack.dp.v1.codes import Code
+from dpstack.dp.v1.ms1 import ReadRecord, RecordDone, WriteRecord
+from dpstack.dp.v1.serving import Ticket
+from dpstack.dp.v1.status import Dpv1
+from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.commands import GoOffline, GoOnline
+from dpstack.machine import LineDown, LineUp
+from dpstack.params import BusParams
+from dpstack.sim.transmission import Transmission
+from dpstack.sim.world import World
+from dpstack.trace import Event
+
+S = 1_000 * MS
+LIMIT = 60 * MS
+
+#: telegrams, or parts of one: lengths that lie, functions that do not exist, answers to others, too many octets
+_ODD = st.sampled_from(
+    [
+        None,
+        SC,
+        *(status(4, code) for code in (0x00, NR, RR, UE, RS, 0x0C, 0x07)),
+        *(
+            answer(4, text)
+            for text in (
+                "5E 01 02 01 55",
+                "5E 01 03 01 55",
+                "5F 01 02 02",
+                "5F 01 02 00",
+                "5E 01 02 F0 55",
+                "DE 80 B5 00",
+                "DF 80 C2 00",
+                "DC 80 B5 00",
+                "57 00",
+                "00",
+                "5E 01 02 F1" + " 55" * 240,
+            )
+        ),
+        answer(4, "5E 01 02 01 66", 0x0C),
+        answer(4, "5E 01 02 01 77", 0x0A),
+        b"\x68\x00\xff",
+    ]
+)
+
+
+@examples(30)
+@given(st.lists(_ODD, max_size=30), st.lists(st.sampled_from("rrrwcmu..."), max_size=14))
+def test_a_slave_that_answers_anything(answers: list[bytes | None], steps: list[str]) -> None:
+    kit = Ms1Bus((4, 5), dpv1=Dpv1(c1_response_timeout_ns=LIMIT))
+    kit.slaves[5].ms1 = lambda data: answer(5, "5E 01 02 01 22")
+    queue = list(answers)
+    kit.slaves[4].ms1 = lambda data: queue.pop(0) if queue else SC
+    taken = 0
+    for step in steps:
+        match step:
+            case "r" | "w":
+                taken += 1
+                kit.send(
+                    ReadRecord(taken, 4, 1, 2, 8, timeout_ns=S)
+                    if step == "r"
+                    else WriteRecord(taken, 4, 1, 2, b"\1\2", timeout_ns=S)
+                )
+            case "c":
+                kit.send(CancelService(taken))
+            case "m" | "u":
+                kit.slaves[4].mute = step == "m"
+            case _:
+                kit.bus.run(15 * MS)
+    end = kit.bus.now + 1_100 * MS
+    while kit.acyclic.waiting and kit.bus.now < end:
+        kit.bus.run(10 * MS)
+    assert Counter(done.token for done in kit.done) == Counter(range(1, taken + 1))
+    assert kit.acyclic.waiting == 0
+    for done in kit.done:
+        failure = done.outcome.failure
+        assert failure is None or done.outcome.text.startswith(("slave 4 ", "Read of slot 1", "Write of slot 1"))
+        assert failure is not None or done.write or done.outcome.data in (b"\x55", b"\x77", b"\x66")
+    kit.tokens = taken
+    # the other slave noticed nothing, and the bus goes on
+    assert kit.master.handlers[5].state is SlaveState.DATA_EXCHANGE
+    assert kit.read(address=5).outcome.data == b"\x22"
+
+
+class Patient(MirrorDevice):
+    """Answers a record after so many exchanges (its index), 99: never, 98: no. The data begin with a serial number."""
+
+    def __init__(self) -> None:
+        super().__init__(IDENT, PPO1)
+        self.records = self
+        self.serial = 0
+        self.working: list[tuple[Ticket, int, int]] = []
+
+    def ask(self, ticket: Ticket) -> None:
+        self.serial += 1
+        if ticket.request.index == 98:
+            ticket.refuse(Code.INVALID_INDEX, self.serial)
+        else:
+            self.working.append((ticket, ticket.request.index, self.serial))
+
+    def exchange(self, outputs: bytes, now: int) -> bytes:
+        for at, (ticket, left, serial) in enumerate(self.working):
+            if left == 0:
+                ticket.answer(bytes((serial, ticket.request.slot, ticket.request.index)))
+            self.working[at] = (ticket, left - 1, serial)
+        return super().exchange(outputs, now)
+
+
+_orders = st.tuples(
+    st.sampled_from("rrw"), st.sampled_from((3, 4)), st.integers(0, 2), st.sampled_from((0, 1, 5, 98, 99))
+)
+_runs = st.tuples(st.just("run"), st.integers(1, 120), st.just(0), st.just(0))
+_faults = st.tuples(
+    st.sampled_from(("lose", "damage", "lose all", "noise", "quiet", "cancel", "line", "off")),
+    st.integers(1, 4),
+    st.just(0),
+    st.just(0),
+)
+
+
+def _ms1(sent: Transmission) -> bool:
+    return sent.octets[0] == 0x68 and 51 in sent.octets[7:9]
+
+
+@examples(14)
+@given(st.lists(st.one_of(_orders, _orders, _runs, _faults), max_size=25), st.integers(0, 10_000))
+def test_both_ends_with_loss(steps: list[tuple[str, int, int, int]], seed: int) -> None:
+    world = World(seed=seed)
+    params = BusParams.preset(187_500, address=2, gap=0)
+    devices = {address: Patient() for address in (3, 4)}
+    for address, device in devices.items():
+        world.add(make_slave(address, device, params))
+    dpv1 = Dpv1(c1_response_timeout_ns=LIMIT)
+    master = Master(
+        params,
+        [SlaveSetup(address=a, name=f"s{a}", ident=IDENT, config=PPO1, user_prm=bytes(3), dpv1=dpv1) for a in devices],
+    )
+    acyclic = Acyclic(2, master)
+    station = ActiveStation(params, [master, acyclic], now=world.now)
+    events: list[Event] = []
+    world.add(station, on_events=events.extend)
+    world.command(station, GoOnline())
+    world.command(station, SetMode(Mode.OPERATE))
+    world.run_for(200 * MS)
+    taken = 0
+    for what, number, slot, index in steps:
+        match what:
+            case "r":
+                taken += 1
+                world.command(station, ReadRecord(taken, number, slot, index, 3, timeout_ns=S))
+            case "w":
+                taken += 1
+                world.command(station, WriteRecord(taken, number, slot, index, b"\1", timeout_ns=S))
+            case "run":
+                world.run_for(number * MS // 4)
+            case "lose":
+                world.faults.drop(_ms1, times=number)
+            case "damage":
+                world.faults.damage(_ms1, times=number)
+            case "lose all":
+                world.faults.drop(lambda sent: len(sent.octets) > 3, times=number)
+            case "noise":
+                world.faults.noise(number * 1e-4)
+            case "quiet":
+                world.faults.noise(0)
+            case "cancel":
+                world.command(station, CancelService(taken))
+            case "line":
+                world.command(station, LineDown("out"))
+                world.command(station, LineUp())
+            case "off":
+                world.command(station, GoOffline())
+                world.run_for(number * 20 * MS)
+                world.command(station, GoOnline())
+    world.faults.noise(0)
+    end = world.now + 1_100 * MS
+    while acyclic.waiting and world.now < end:
+        world.run_for(10 * MS)
+    note(wire_log(world, 80))
+    done = [event for event in events if isinstance(event, RecordDone)]
+    assert Counter(one.token for one in done) == Counter(range(1, taken + 1))
+    assert acyclic.waiting == 0
+    orders = [step for step in steps if step[0] in "rw"]
+    for address in devices:
+        given_out = []
+        for one in sorted((one for one in done if one.address == address), key=lambda one: one.token):
+            what, _, slot, index = orders[one.token - 1]
+            assert (one.write, one.slot, one.index) == (what == "w", slot, index)
+            outcome = one.outcome
+            if outcome.failure is ServiceFailure.NEGATIVE:
+                assert index == 98
+                assert outcome.codes is not None
+                given_out.append(outcome.codes[2])
+            elif outcome.failure is None:
+                assert index not in (98, 99)
+                if not one.write:
+                    assert outcome.data[1:] == bytes((slot, index))
+                    given_out.append(outcome.data[0])
+        # no answer was taken for two services, or for one that was asked before it
+        assert given_out == sorted(set(given_out))
+    world.run_for(300 * MS)
+    assert all(handler.state is SlaveState.DATA_EXCHANGE for handler in master.handlers.values())

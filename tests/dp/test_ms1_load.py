@@ -1,0 +1,115 @@
+"""Permanent Read of 64 octets from all of eight slaves: what it costs the rotation, in exact bus time."""
+
+from __future__ import annotations
+
+import pytest
+from bus_kit import IDENT, PPO1
+from support import MS, WorldFactory
+
+from dpstack.dp.acyclic import Acyclic
+from dpstack.dp.commands import Mode, SetMode
+from dpstack.dp.durations import acyclic_bits
+from dpstack.dp.events import SlaveState
+from dpstack.dp.master import Master
+from dpstack.dp.mirror import MirrorDevice
+from dpstack.dp.setup import SlaveSetup
+from dpstack.dp.slaveapp import make_slave
+from dpstack.dp.v1.ms1 import ReadRecord, RecordDone
+from dpstack.dp.v1.serving import RecordTable
+from dpstack.dp.v1.status import Dpv1
+from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.commands import GoOnline
+from dpstack.fdl.user import LinkUser
+from dpstack.params import BusParams
+from dpstack.sim.world import World
+from dpstack.stats import Histogram
+from dpstack.trace import Event
+
+COUNT, OCTETS = 8, 64
+
+
+class Loaded:
+    """A master with eight slaves; ``asking``: each is read again and again."""
+
+    def __init__(self, world: World, baud: int, cycle_ns: int = 0, octets: int = OCTETS) -> None:
+        self.world = world
+        self.octets = octets
+        self.asking = False
+        self.ends: list[RecordDone] = []
+        self._token = 0
+        params = BusParams.preset(baud, address=2, gap=0)
+        self.slaves = range(3, 3 + COUNT)
+        for address in self.slaves:
+            device = MirrorDevice(IDENT, PPO1)
+            device.records = RecordTable({(1, 2): bytes(octets)})
+            world.add(make_slave(address, device, params, t_sdr=60))
+        setups = [
+            SlaveSetup(address=a, name=f"s{a}", ident=IDENT, config=PPO1, user_prm=bytes(3), dpv1=Dpv1())
+            for a in self.slaves
+        ]
+        self.master = Master(params, setups, cycle_ns=cycle_ns)
+        users: list[LinkUser] = [self.master, Acyclic(2, self.master)]
+        self.station = ActiveStation(params, users, now=world.now, budget=self.master.budget)
+        world.add(self.station, on_events=self._on_events)
+        world.command(self.station, GoOnline())
+        world.command(self.station, SetMode(Mode.OPERATE))
+        while any(h.state is not SlaveState.DATA_EXCHANGE for h in self.master.handlers.values()):
+            world.run_for(5 * MS)
+        world.run_for(20 * MS)
+
+    def _on_events(self, events: list[Event]) -> None:
+        self.ends += [event for event in events if isinstance(event, RecordDone)]
+
+    def rotation(self, for_ns: int) -> Histogram:
+        """What rotations took in that time."""
+        self.master.rotation = Histogram()
+        self.ends.clear()
+        end = self.world.now + for_ns
+        told = 0
+        if self.asking:
+            for address in self.slaves:
+                self._ask(address)
+        while self.world.now < end:
+            self.world.run_for(MS // 5)
+            if self.asking:
+                for done in self.ends[told:]:
+                    self._ask(done.address)
+                told = len(self.ends)
+        return self.master.rotation
+
+    def _ask(self, address: int) -> None:
+        self._token += 1
+        self.world.command(self.station, ReadRecord(self._token, address, 1, 2, self.octets))
+
+
+@pytest.mark.parametrize("baud", [500_000, 1_500_000])
+def test_the_rotation_is_at_most_a_third_longer(world: WorldFactory, baud: int) -> None:
+    bus = Loaded(world(), baud)
+    quiet = bus.rotation(200 * MS)
+    bus.asking = True
+    loaded = bus.rotation(500 * MS)
+    assert all(done.outcome.failure is None for done in bus.ends)
+    assert loaded.quantile_ns(0.99) <= 1.3 * quiet.quantile_ns(0.99)
+    by_slave = [sum(done.address == address for done in bus.ends) for address in bus.slaves]
+    assert max(by_slave) - min(by_slave) <= 1
+
+
+def test_the_longest_records_cost_no_more_than_the_plan_says(world: WorldFactory) -> None:
+    bus = Loaded(world(), 1_500_000, octets=240)
+    quiet = bus.rotation(100 * MS)
+    bus.asking = True
+    loaded = bus.rotation(300 * MS)
+    params = bus.master.params
+    assert 0 < loaded.max_ns - quiet.max_ns <= params.ns(acyclic_bits(params))
+
+
+def test_no_cycle_is_missed(world: WorldFactory) -> None:
+    bus = Loaded(world(), 1_500_000, 6 * MS)
+    bus.asking = True
+    book = bus.master.cycles
+    begun, missed = book.begun, book.missed
+    bus.rotation(300 * MS)
+    assert book.begun - begun in (49, 50, 51)
+    assert book.missed == missed
+    assert len(bus.ends) > 24
+    assert all(done.outcome.failure is None for done in bus.ends)

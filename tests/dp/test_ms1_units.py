@@ -1,0 +1,107 @@
+"""What a cyclic unit asks its slave by Read and Write, against octets; beside the services of a program."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from ms1_kit import DL, MS, SC, Ms1Bus, answer
+
+from dpstack.dp.acyclic import CAPACITY
+from dpstack.dp.commands import Mode, SetMode
+from dpstack.dp.v1.unit_records import Outcome, PendingRecord, ReadReq, RecordQueue, ServiceFailure, WriteReq
+
+
+class Unit:
+    """A cyclic unit that only asks."""
+
+    def __init__(self) -> None:
+        self.records = RecordQueue()
+
+    def cyclic(self, inputs: bytes, now: int) -> bytes:
+        return b""
+
+    def safe(self, configured: bytes) -> bytes:
+        return configured
+
+    def lost(self, now: int) -> None:
+        self.records.clear()
+
+    def command(self, op: str, args: Mapping[str, object], token: int, now: int) -> None:
+        raise AssertionError
+
+    def take_events(self) -> list[dict[str, object]]:
+        return []
+
+
+def bus_with_unit() -> tuple[Ms1Bus, RecordQueue]:
+    bus = Ms1Bus()
+    unit = Unit()
+    bus.master.handlers[4].image.unit = unit
+    bus.send(SetMode(Mode.OPERATE))
+    return bus, unit.records
+
+
+def end(bus: Ms1Bus, pending: PendingRecord) -> Outcome:
+    for _ in range(20_000):
+        if pending.outcome is not None:
+            return pending.outcome
+        bus.bus.run(MS)
+    raise AssertionError("no end")
+
+
+def said(bus: Ms1Bus) -> list[str]:
+    """The requests of MS1 without polls."""
+    return [data.hex(" ").upper() for data in bus.slave.asked if data]
+
+
+def test_write_and_read_are_no_events() -> None:
+    bus, queue = bus_with_unit()
+    bus.slave.ms1 = lambda data: answer(4, {b"\x5f": "5F 01 2F 02", b"\x5e": "5E 01 2F 03 0A 0B 0C"}[data[:1]])
+    written = queue.submit(WriteReq(1, 47, b"\x11\x22"))
+    read = queue.submit(ReadReq(1, 47, 240))
+    assert end(bus, written) == Outcome()
+    assert end(bus, read) == Outcome(b"\x0a\x0b\x0c")
+    assert said(bus) == ["5F 01 2F 02 11 22", "5E 01 2F F0"]
+    assert bus.done == []
+
+
+def test_a_negative_answer_and_what_cannot_be() -> None:
+    bus, queue = bus_with_unit()
+    bus.slave.ms1 = lambda data: answer(4, "DE 80 B5 00", DL)
+    refused = end(bus, queue.submit(ReadReq(1, 47, 240)))
+    assert (refused.failure, refused.codes) == (ServiceFailure.NEGATIVE, (0x80, 0xB5, 0))
+    wrong = end(bus, queue.submit(ReadReq(1, 300, 240)))
+    assert wrong.failure is ServiceFailure.LENGTH
+    assert said(bus) == ["5E 01 2F F0"]
+
+
+def test_it_waits_for_its_turn_when_a_program_has_many() -> None:
+    bus, queue = bus_with_unit()
+    bus.slave.ms1 = lambda data: answer(4, "5E 01 02 01 07") if data else SC
+    tokens = [bus.order_read(1, 2) for _ in range(CAPACITY)]
+    pending = queue.submit(ReadReq(1, 2, 5))
+    assert end(bus, pending) == Outcome(b"\x07")
+    assert said(bus)[0] == "5E 01 02 F0"
+    assert "5E 01 02 05" in said(bus)
+    assert len({bus.end(token).token for token in tokens}) == CAPACITY
+
+
+def test_cancelled_and_lost_before_it_was_sent() -> None:
+    bus, queue = bus_with_unit()
+    given_up = queue.submit(ReadReq(1, 2, 5))
+    queue.cancel(given_up)
+    queue.cancel(given_up)
+    assert not queue
+    bus.bus.run(20 * MS)
+    assert given_up.outcome is None
+    assert said(bus) == []
+
+
+def test_the_slave_falls_silent() -> None:
+    bus, queue = bus_with_unit()
+    pending = queue.submit(ReadReq(1, 2, 5))
+    bus.slave.mute = True
+    assert end(bus, pending).failure in (ServiceFailure.SILENT, ServiceFailure.CLOSED)
+    later = queue.submit(ReadReq(1, 2, 5))
+    bus.bus.run(200 * MS)
+    assert later.outcome is None  # it waits for data exchange, unless the unit gives it up

@@ -1,0 +1,188 @@
+"""The bus process from the inside: its host on a pty, told by octets on its socket."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from dpstack.dp.commands import Shutdown
+from dpstack.dp.events import DriveEvent
+from dpstack.drivers import messages as m
+from dpstack.drivers.echo import Echo
+from dpstack.drivers.host import Host
+from dpstack.drivers.outbox import FULL, Outbox
+from dpstack.drivers.plain_loop import PlainLoop
+from dpstack.drivers.shared_image import SharedImage, make_memory
+from dpstack.drivers.stack import StackSpec
+from dpstack.params import BusParams
+from dpstack.phy.patience import HOST
+from dpstack.trace import Notice
+
+
+def is_full(outbox: Outbox) -> bool:
+    return outbox.full
+
+
+def test_nobody_reads_what_the_bus_process_tells() -> None:
+    """Bounded: beyond the limit it says so, and what somebody waits for is still taken."""
+    loop = PlainLoop()
+    ours, theirs = socket.socketpair()
+    with theirs:
+        ours.setblocking(False)
+        outbox = Outbox(loop, ours)
+        event = m.named(Notice(t_ns=1, source="x" * 1000, message="y"))
+        sent = 0
+        while not is_full(outbox):
+            outbox.send(m.Message(news=m.News(events=[event])))
+            sent += 1
+            assert sent < 10 * FULL
+        outbox.send(m.Message(answer=m.Answer(7)))
+        frames = m.Frames()
+        got: list[m.Message] = []
+
+        def read() -> None:
+            got.extend(frames.feed(theirs.recv(65_536)))
+            if any(message.answer for message in got):
+                loop.stop()
+
+        loop.add_reader(theirs.fileno(), read)
+        loop.run()
+        assert len(got) == sent + 1
+        assert [message.answer for message in got if message.answer is not None] == [m.Answer(7)]
+        assert not is_full(outbox)
+        outbox.close()
+    loop.close()
+
+
+class Rig:
+    """A bus process's inside in this process: its host on a pty, and the application's end of its socket."""
+
+    def __init__(self) -> None:
+        params = BusParams.preset(1_500_000, address=2, gap=0)
+        spec = StackSpec(
+            params=params,
+            patience=HOST,
+            slaves=(),
+            watchdog_ms=1000,
+            auto_clear=False,
+            data_control_ns=10**9,
+            read_only=False,
+            watched=True,
+        )
+        self.loop = PlainLoop()
+        ours, self.sock = socket.socketpair()
+        memory = make_memory()
+        self.image = SharedImage(memory)
+        os.close(memory)
+        setup = m.SetUp(port="pty", event_char=False, rs485=True, echo=Echo.OFF, tune=False, stack=spec)
+        self.host = Host(self.loop, ours, self.image, setup)
+        self.host.open(["no real-time priority"])
+        self.got: list[m.Message] = []
+        self.closed = False  # by order
+        self.frames = m.Frames()
+
+    def read(self) -> None:
+        self.got += self.frames.feed(self.sock.recv(65_536))
+
+    def close(self) -> None:
+        self.sock.close()
+        if not (self.over or self.closed):
+            self.loop.run()  # the ordered end of a bus without an application
+        self.loop.close()
+        self.image.close()
+
+    @property
+    def over(self) -> bool:
+        return any(message.news is not None and message.news.over is not None for message in self.got)
+
+    @property
+    def told(self) -> list[str]:
+        return [m.event_of(event).text for message in self.got if message.news for event in message.news.events]
+
+
+@pytest.fixture
+def rig() -> Iterator[Rig]:
+    made = Rig()
+    yield made
+    made.close()
+
+
+def test_sigterm_to_both_leaves_the_end_to_the_application(rig: Rig) -> None:
+    """As a service manager sends it: the end that the application has begun goes on, and is no failure."""
+    rig.host.terminated("it was told to end (SIGTERM)")
+    for number, order in enumerate((Shutdown(), m.AskCounters()), 1):
+        rig.sock.send(m.framed(m.Message(question=m.Question(number, m.named(order)))))
+    rig.loop.call_at(time.monotonic_ns() + 400_000_000, rig.loop.stop)
+    rig.loop.run()
+    rig.sock.send(m.framed(m.Message(question=m.Question(3, m.named(m.CloseBus())))))
+    rig.loop.run()
+    rig.sock.setblocking(True)
+    rig.read()
+    assert not rig.over
+    assert [message.answer.number for message in rig.got if message.answer is not None] == [0, 1, 2, 3]
+    rig.closed = True
+
+
+def test_events_beyond_the_bound_are_dropped_counted_and_told(rig: Rig) -> None:
+    event = Notice(t_ns=1, source="x" * 1000, message="y")
+    for _ in range(2_000):
+        rig.host.on_events([event])
+    answer = DriveEvent(t_ns=2, address=3, name="d", payload={"type": "result", "token": 9})
+    rig.host.on_events([event, answer])  # somebody waits for this one
+    rig.loop.add_reader(rig.sock.fileno(), rig.read)
+    dropped = "the application did not read for a while: "
+
+    def look() -> None:
+        if any(dropped in text for text in rig.told):
+            rig.loop.stop()
+        else:
+            rig.loop.call_at(time.monotonic_ns() + 10**6, look)
+
+    look()
+    rig.loop.run()
+    rig.loop.remove_reader(rig.sock.fileno())
+    assert rig.told[0] == "bus process: no real-time priority"
+    events = rig.told.count(event.text)
+    assert 100 < events < 1_000
+    assert f"bus process: {dropped}{2_001 - events} events were dropped" in rig.told
+    owed = [event for message in rig.got if message.news for event in message.news.events if event[0] == "DriveEvent"]
+    assert [m.event_of(event) for event in owed] == [answer]
+
+
+def test_a_flood_of_orders_is_answered_in_order_and_never_piles_up(rig: Rig) -> None:
+    count = 500
+    rig.sock.setblocking(False)
+    left = b"".join(m.framed(m.Message(question=m.Question(n, m.named(m.AskUnit(77))))) for n in range(1, count + 1))
+
+    def write() -> None:
+        nonlocal left
+        with contextlib.suppress(BlockingIOError):
+            left = left[rig.sock.send(left) :]
+        if not left:
+            rig.loop.remove_writer(rig.sock.fileno())
+
+    def read() -> None:
+        rig.read()
+        if rig.got[-1].answer is not None and rig.got[-1].answer.number == count:
+            rig.loop.stop()
+
+    rig.loop.add_writer(rig.sock.fileno(), write)
+    rig.loop.add_reader(rig.sock.fileno(), read)
+    rig.loop.run()
+    rig.loop.remove_reader(rig.sock.fileno())
+    answers = [message.answer for message in rig.got if message.answer is not None and message.answer.number]
+    assert [answer.number for answer in answers] == list(range(1, count + 1))
+    assert {answer.error for answer in answers} == {("UsageError", "no slave with address 77 in the bus process")}
+
+
+def test_garbage_from_the_application_ends_the_bus_in_order(rig: Rig) -> None:
+    rig.sock.send(b"\xff" * 8)
+    rig.loop.run()
+    rig.read()
+    assert rig.got[-1].news is not None
+    assert "a message of 4294967295 octets" in str(rig.got[-1].news.over)

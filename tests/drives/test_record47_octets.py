@@ -1,0 +1,243 @@
+"""Record 47 in octets: the manuals' examples both ways, construct as the judge, lengths that lie."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from typing import Any
+
+import construct as cs
+import pytest
+from acyclic_kit import octets
+from hypothesis import given
+from hypothesis import strategies as st
+from property_kit import examples
+
+from dpstack.errors import PduError
+from dpstack.profile.acyclic.formats import FORMATS, Format, Raw, format_of
+from dpstack.profile.acyclic.record47 import Address, ErrorValue, Request, Response, Values
+
+# -- the manuals' octets ---------------------------------------------------------------------------------------------
+
+REQUESTS = {
+    # LS CPDP-S100 (row L8): read 965; Baumer GE/GB p26 with the subindex that the page leaves out
+    "01 01 01 01 10 00 03 C5 00 00": Request(1, 1, 1, (Address(965),)),
+    "AA 01 00 01 10 01 03 C5 00 00": Request(0xAA, 1, 0, (Address(965, 0, 1),)),
+    # SINAMICS S150 p185: read r0002
+    "80 01 01 01 10 01 00 02 00 00": Request(0x80, 1, 1, (Address(2, 0, 1),)),
+    # Toshiba PDP003Z p32: 927 := 0
+    "01 02 01 01 10 01 03 9F 00 00 06 01 00 00": Request(1, 2, 1, (Address(927, 0, 1),), (Values(6, (0,)),)),
+    # all addresses, then all values (SINAMICS p96)
+    "05 02 01 02 10 00 04 51 00 00 10 02 02 58 00 01 08 01 41 F0 00 00 05 02 07 09": Request(
+        5, 2, 1, (Address(1105), Address(600, 1, 2)), (Values(8, (30.0,)), Values(5, (7, 9)))
+    ),
+    # an odd value is padded; description and text
+    "06 02 00 01 10 01 00 10 00 00 05 01 2A 00": Request(6, 2, 0, (Address(16, 0, 1),), (Values(5, (42,)),)),
+    "07 01 00 02 20 01 03 C5 00 00 30 03 03 C5 00 02": Request(
+        7, 1, 0, (Address(965, 0, 1, 0x20), Address(965, 2, 3, 0x30))
+    ),
+}
+RESPONSES = {
+    "01 01 01 01 06 01 03 28": Response(1, 1, 1, 1, (Values(6, (0x328,)),)),
+    "AA 01 00 01 06 01 03 02": Response(0xAA, 1, 0, 1, (Values(6, (0x302,)),)),
+    "80 01 01 01 03 01 00 1F": Response(0x80, 1, 1, 1, (Values(3, (31,)),)),
+    "01 02 01 01": Response(1, 2, 1, 1),
+    "01 82 01 01 44 01 00 02": Response(1, 2, 1, 1, (ErrorValue(2),), negative=True),
+    # Lenze i550 p474: the second word is additional information
+    "01 82 01 02 40 00 44 02 00 03 00 07": Response(1, 2, 1, 2, (Values(0x40), ErrorValue(3, 7)), negative=True),
+    "02 81 01 02 06 01 00 05 44 01 00 00": Response(2, 1, 1, 2, (Values(6, (5,)), ErrorValue(0)), negative=True),
+    "03 01 00 02 05 01 2A 00 09 03 41 42 43 00": Response(3, 1, 0, 2, (Values(5, (42,)), Values(9, (b"ABC",)))),
+    "03 01 00 01 03 02 FF FE 7F FF": Response(3, 1, 0, 1, (Values(3, (-2, 32767)),)),
+}
+
+
+@pytest.mark.parametrize(("text", "request_"), REQUESTS.items())
+def test_l8_requests_of_the_manuals(text: str, request_: Request) -> None:
+    assert request_.build() == octets(text)
+    assert Request.parse(octets(text)) == request_
+
+
+@pytest.mark.parametrize(("text", "response"), RESPONSES.items())
+def test_l8_responses_of_the_manuals(text: str, response: Response) -> None:
+    assert response.build() == octets(text)
+    assert Response.parse(octets(text)) == response
+
+
+# -- construct as the judge ------------------------------------------------------------------------------------------
+
+_GROUP: Any = cs.Struct(
+    "format" / cs.Byte,
+    "count" / cs.Byte,
+    "octets" / cs.Bytes(lambda this: FORMATS[this.format].octets * this.count),
+    "pad" / cs.Bytes(lambda this: len(this.octets) & 1),
+)
+_ADDRESS: Any = cs.Struct("attribute" / cs.Byte, "elements" / cs.Byte, "pnu" / cs.Int16ub, "subindex" / cs.Int16ub)
+_HEADER: Any = ("reference" / cs.Byte, "id" / cs.Byte, "object" / cs.Byte, "count" / cs.Byte)
+_CHANGE: Any = cs.Struct(
+    *_HEADER, "addresses" / _ADDRESS[cs.this.count], "values" / _GROUP[cs.this.count], cs.Terminated
+)
+_RESPONSE: Any = cs.Struct(*_HEADER, "values" / _GROUP[cs.this.count], cs.Terminated)
+
+
+def raws_of(form: Format) -> st.SearchStrategy[tuple[Raw, ...]]:
+    """1 to 8 values of a format."""
+    if form.string:
+        return st.binary(min_size=1, max_size=8).map(lambda one: (one,))
+    if not form.code:
+        return st.lists(st.binary(min_size=form.octets, max_size=form.octets), min_size=1, max_size=8).map(tuple)
+    if form.code in "fd":
+        floats = st.floats(width=64 if form.octets == 8 else 32, allow_nan=False, allow_infinity=False)
+        return st.lists(floats, min_size=1, max_size=8).map(tuple)
+    return st.lists(st.integers(form.low, form.high), min_size=1, max_size=8).map(tuple)
+
+
+VALUE_FORMATS = [form for form in FORMATS.values() if form.octets and form.name != "Error"]
+VALUES = st.sampled_from(VALUE_FORMATS).flatmap(lambda form: raws_of(form).map(lambda raws: Values(form.number, raws)))
+ADDRESSES = st.builds(
+    Address, st.integers(0, 0xFFFF), st.integers(0, 0xFFFF), st.integers(0, 234), st.sampled_from((0x10, 0x20, 0x30))
+)
+WORDS = st.integers(0, 0xFFFF)
+ERRORS = st.builds(ErrorValue, WORDS, st.none() | WORDS)
+
+
+@examples(60)
+@given(st.integers(1, 255), st.lists(st.tuples(ADDRESSES, VALUES), min_size=1, max_size=6))
+def test_changes_as_construct_reads_them(reference: int, parts: list[tuple[Address, Values]]) -> None:
+    request = Request(reference, 2, 1, tuple(one for one, _ in parts), tuple(one for _, one in parts))
+    built = request.build()
+    judged = _CHANGE.parse(built)
+    assert len(built) % 2 == 0
+    assert [(one.pnu, one.subindex, one.elements, one.attribute) for one in judged.addresses] == [
+        tuple(one) for one in request.addresses
+    ]
+    assert [one.octets for one in judged["values"]] == [FORMATS[one.format].pack(one.raws) for one in request.values]
+    assert Request.parse(built) == request
+
+
+@examples(60)
+@given(st.integers(1, 255), st.lists(VALUES | ERRORS, min_size=1, max_size=6))
+def test_responses_as_construct_reads_them(reference: int, results: list[Values | ErrorValue]) -> None:
+    negative = any(isinstance(one, ErrorValue) for one in results)
+    response = Response(reference, 1, 1, len(results), tuple(results), negative)
+    judged = _RESPONSE.parse(response.build())
+    assert [one.format for one in judged["values"]] == [
+        0x44 if isinstance(one, ErrorValue) else one.format for one in results
+    ]
+    assert Response.parse(response.build()) == response
+
+
+# -- what cannot be --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("", "at least 4 octets, there are 0"),
+        ("01 01 01", "at least 4 octets, there are 3"),
+        ("01 01 01 01 06", "the number of values is missing"),
+        ("01 01 01 01 06 02 03 28", "2 values of format Unsigned16 are 4 octets, from octet 7 on there are 2"),
+        ("01 01 01 01 06 01 03 28 06 01 00 00", "4 octets too many from octet 9 on"),
+        ("01 01 01 01 99 01 03 28", "format 0x99 is none"),
+        ("01 81 01 01 44 00", "an error without its number"),
+    ],
+)
+def test_responses_that_lie(text: str, why: str) -> None:
+    with pytest.raises(PduError, match=why):
+        Response.parse(octets(text))
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("01 03 01 01 10 00 03 C5 00 00", "request id 0x03"),
+        ("01 01 01 02 10 00 03 C5 00 00", "2 parameters need 16 octets, there are 10"),
+        ("01 01 01 01 10 00 03 C5 00 00 00", "1 octets too many"),
+        ("01 02 01 01 10 00 03 C5 00 00", "values of 1 parameters announced, there are 0"),
+        ("01 02 01 01 10 00 03 C5 00 00 06 02 00 01", "2 values of format Unsigned16 are 4 octets"),
+    ],
+)
+def test_requests_that_lie(text: str, why: str) -> None:
+    with pytest.raises(PduError, match=why):
+        Request.parse(octets(text))
+
+
+def test_a_record_filled_up_with_zeros_is_read() -> None:
+    assert Response.parse(octets("01 01 01 01 06 01 03 28") + bytes(232)).results == (Values(6, (0x328,)),)
+
+
+@examples(150)
+@given(st.sampled_from([*REQUESTS, *RESPONSES]), st.data())
+def test_garbage_is_a_pdu_error_or_read(text: str, data: st.DataObject) -> None:
+    whole = bytearray(octets(text))
+    for _ in range(data.draw(st.integers(0, 3))):
+        whole[data.draw(st.integers(0, len(whole) - 1))] ^= 1 << data.draw(st.integers(0, 7))
+    cut = bytes(whole[: data.draw(st.integers(0, len(whole)))])
+    for parse in (Request.parse, Response.parse):
+        with contextlib.suppress(PduError):
+            parse(cut)
+
+
+def test_what_does_not_fit_is_refused_at_once() -> None:
+    with pytest.raises(ValueError, match=r"0\.\.65535"):
+        Request(1, 1, 1, (Address(70000),)).build()
+    with pytest.raises(ValueError, match=r"whole numbers 0\.\.65535"):
+        Values(6, (65536,)).build()
+    with pytest.raises(ValueError, match="234 are possible"):
+        Values(5, (0,) * 235).build()
+    with pytest.raises(ValueError, match="takes a number"):
+        Values(6, (b"ab",)).build()
+    with pytest.raises(ValueError, match="takes octets"):
+        Values(9, (65,)).build()
+    with pytest.raises(ValueError, match="takes 6 octets"):
+        Values(12, (b"ab",)).build()
+    with pytest.raises(ValueError, match="finite"):
+        Values(8, (math.nan,)).build()
+    with pytest.raises(ValueError, match="1 groups of values for 2"):
+        Request(1, 2, 1, (Address(1), Address(2)), (Values(6, (1,)),)).build()
+
+
+# -- formats ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("number", "text", "value"),
+    [
+        (1, "01", True),
+        (2, "FF", -1),
+        (3, "80 00", -32768),
+        (4, "FF FF FF FE", -2),
+        (5, "FF", 255),
+        (6, "FF FF", 65535),
+        (7, "FF FF FF FF", 4294967295),
+        (8, "41 F0 00 00", 30.0),
+        (9, "4C 53 20 00", "LS"),
+        (10, "01 02", b"\x01\x02"),
+        (13, "00 00 13 6B", 4971),  # Eaton DS7 p202: 100 ms
+        (15, "3F F8 00 00 00 00 00 00", 1.5),
+        (54, "00 00 00 64", 100),
+        (33, "40 00", 1.0),  # N2 and N4: TR-Electronic p195, Eaton p202
+        (113, "C0 00", -1.0),
+        (34, "40 00 00 00", 1.0),
+        (114, "C0 00 00 00", -1.0),
+        (115, "80 01", 0x8001),
+        (121, "00 80", 1.0),
+        (42, "00 12 D6 87", pytest.approx(123.4567)),  # C4: TR-Electronic p195
+        (122, "00 00 27 10", pytest.approx(1.0)),
+        (0x42, "80 00", 0x8000),
+        (0x43, "80 00 00 00", 0x80000000),
+    ],
+)
+def test_values_of_each_format(number: int, text: str, value: object) -> None:
+    form = format_of(number)
+    (raw,) = form.unpack(octets(text))
+    assert form.value(raw) == value
+    assert form.pack((raw,)) == octets(text)
+    if number != 9:
+        assert form.pack((form.raw(form.value(raw)),)) == octets(text)
+
+
+def test_dates_stay_octets() -> None:
+    assert format_of(50).unpack(bytes(range(14))) == (bytes(range(7)), bytes(range(7, 14)))
+    assert format_of(9).raw("LS") == b"LS"
+    with pytest.raises(ValueError, match="takes no text"):
+        format_of(6).raw("LS")
