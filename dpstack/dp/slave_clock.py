@@ -9,7 +9,7 @@ from dpstack.units import NEVER, NOW
 class DeviceClock:
     """Asks ``device`` when it wants its time, and gives it. Exceptions come out of :meth:`tick` only."""
 
-    __slots__ = ("_device", "_due", "_error")
+    __slots__ = ("_device", "_due", "_error", "idle")
 
     def __init__(self, device: Device) -> None:
         self._device = device
@@ -17,6 +17,8 @@ class DeviceClock:
         # a device that leaves wake_at as it is need not be asked in every step
         plain = getattr(device.wake_at, "__func__", None) is Device.wake_at
         self._due = None if plain else device.wake_at
+        #: it never wants its time
+        self.idle = plain
 
     def wake_at(self) -> int:
         """When :meth:`tick` is wanted, in ns; NOW when asking failed: the time of that is known in tick only."""

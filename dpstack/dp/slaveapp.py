@@ -8,6 +8,7 @@ It answers Data_Exchange and heeds Global_Control and time; the other services a
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Final
 
 from dpstack.dp.device import Device, Leave
@@ -44,7 +45,7 @@ class SlaveApp:
     Raises ConfigError where ident number or configurations of the device cannot be.
     """
 
-    __slots__ = ("_clock", "_core", "_services", "device", "stats", "watchdog")
+    __slots__ = ("_clock", "_core", "_services", "device", "stats", "take_events", "watchdog")
 
     def __init__(self, device: Device, *, address: int | None = None, address_fixed: bool = False) -> None:
         check_device(device)
@@ -53,6 +54,8 @@ class SlaveApp:
         self._services = Services(core).by_sap
         self._clock = DeviceClock(device)
         self.stats: SlaveAppStats = core.report.stats
+        #: what there is to tell, oldest first; asked in every step of the station
+        self.take_events: Callable[[], list[Event]] = core.report.take
         self.watchdog: Watchdog = core.watchdog
 
     def __repr__(self) -> str:
@@ -187,7 +190,7 @@ class SlaveApp:
     def wake_at(self) -> int:
         """The watchdog, or what the device wants."""
         at = self.watchdog.at
-        if self._core.failure is not None:
+        if self._clock.idle or self._core.failure is not None:
             return at
         due = self._clock.wake_at()
         return due if due < at else at
@@ -203,10 +206,6 @@ class SlaveApp:
                 self._clock.tick(now)
             except Exception as error:
                 core.fail("its own time", error, now)
-
-    def take_events(self) -> list[Event]:
-        """What there is to tell, oldest first."""
-        return self._core.report.take()
 
     # --- inside -------------------------------------------------------------------------------------------------
 

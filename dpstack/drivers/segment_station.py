@@ -65,7 +65,7 @@ class SegmentStation:
         stats, telegrams = self.stats, self._telegrams
         if not flips and not telegrams.pending:
             stats.telegrams += len(telegrams.feed(octets, 0))
-            self._damaged, self._arrived = False, telegrams.pending
+            self._damaged, self._arrived = False, bool(telegrams.pending)
             return octets
         arrived = bytearray()
         for number, octet in enumerate(octets):

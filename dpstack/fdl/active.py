@@ -159,7 +159,7 @@ class ActiveStation:
             link.edge_at = now - chars_to_ns(len(chunk), self.baud) if link.exact else now
         decoder = self._decoder
         found = decoder.feed(chunk, now)
-        self._arriving(decoder.pending)
+        self._arriving(bool(decoder.pending))
         for telegram in found:
             self._heard(telegram, now)
         if not found:
@@ -245,7 +245,7 @@ class ActiveStation:
 
     def _stalled(self, now: int) -> None:
         found = self._decoder.stalled(now)
-        self._arriving(self._decoder.pending)
+        self._arriving(bool(self._decoder.pending))
         for telegram in found:
             self._heard(telegram, now)
 

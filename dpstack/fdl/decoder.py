@@ -67,26 +67,22 @@ class Decoder:
     An SD2 with LE = 3 comes out as a telegram without data and SAPs (``Telegram.empty_le3`` tells it) and is counted.
     """
 
-    __slots__ = ("_doubt", "_held", "_last", "_tail", "on_bad", "stall_ns", "stats")
+    __slots__ = ("_doubt", "_last", "_tail", "on_bad", "pending", "stall_ns", "stats")
 
     def __init__(self, *, stall_ns: int) -> None:
         self.stall_ns = stall_ns
         self.stats = DecoderStats()
         #: told the counter's name of every damaged telegram, for whoever knows whose it may have been
         self.on_bad: Callable[[str], None] | None = None
-        self._held = bytearray()  # octets of an unfinished telegram
+        #: octets of an unfinished telegram; for others to look whether there are any
+        self.pending = bytearray()
         self._doubt = 0  # so many of the octets held or to come lie inside a rejected frame
         self._tail = b""  # of the octets skipped just before: LE and LEr, if a second SD follows
         self._last = 0  # when octets came last; kept only while octets are held or in doubt
 
-    @property
-    def pending(self) -> bool:
-        """Octets of an unfinished telegram are held."""
-        return bool(self._held)
-
     def feed(self, chunk: bytes, now: int) -> list[Telegram]:
         """The telegrams that end within ``chunk``, in order; ``now`` in ns. Never raises."""
-        if not self._held and not self._doubt and not self._tail:
+        if not self.pending and not self._doubt and not self._tail:
             # the fast path: one read, one telegram
             telegram = decode(chunk)
             if telegram is not None:
@@ -101,11 +97,11 @@ class Decoder:
 
     def stall_at(self) -> int:
         """When the pending telegram counts as stalled, in ns; NEVER when nothing is pending."""
-        return self._last + self.stall_ns if self._held else NEVER
+        return self._last + self.stall_ns if self.pending else NEVER
 
     def stalled(self, now: int) -> list[Telegram]:
         """Give up the pending telegram; returns those found in the rest of its octets (``now`` in ns)."""
-        held = self._held
+        held = self.pending
         if not held:
             return []
         if not self._doubt:  # else a start inside a damaged frame, which is counted already
@@ -124,12 +120,12 @@ class Decoder:
 
     def reset(self) -> None:
         """Forget what is pending (the line went away); counters stay."""
-        self._held.clear()
+        self.pending.clear()
         self._doubt = 0
         self._tail = b""
 
     def _feed_slowly(self, chunk: bytes, now: int) -> list[Telegram]:
-        held = self._held
+        held = self.pending
         if not held and now - self._last >= self.stall_ns:
             self._doubt = 0
             self._tail = b""
@@ -144,7 +140,7 @@ class Decoder:
 
     def _scan(self, at: int, found: list[Telegram]) -> int:
         """Find telegrams from ``at`` on; returns where the first unfinished one begins (or the end)."""
-        held = self._held
+        held = self.pending
         stats = self.stats
         end = len(held)
         while at < end:
@@ -189,7 +185,7 @@ class Decoder:
     def _reject(self, flaw: Flaw, at: int) -> None:
         self._count(flaw.value)
         if flaw is not Flaw.BAD_START:
-            self._doubt = at + claimed(self._held, at, len(self._held))
+            self._doubt = at + claimed(self.pending, at, len(self.pending))
 
     def _count(self, name: str) -> None:
         stats = self.stats

@@ -188,7 +188,7 @@ class PassiveStation:
 
     def wake(self, now: int) -> None:
         """Judge a stalled telegram, and let the application have its time."""
-        if self.decoder.stall_at() <= now:
+        if self.decoder.pending and self.decoder.stall_at() <= now:
             for telegram in self.decoder.stalled(now):
                 self.take(telegram, now)
             self.drop_if_late(now)

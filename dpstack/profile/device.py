@@ -8,6 +8,7 @@ not depend on how often it is asked.
 from __future__ import annotations
 
 import struct
+from functools import cache
 
 from dpstack.dp.device import Device, Leave
 from dpstack.profile.acyclic.server import ParameterServer
@@ -144,8 +145,10 @@ class DriveDevice(Device):
 
     def advance(self, now: int) -> None:
         """Catch up with the bus's clock: every scan up to ``now``. For whoever looks at the drive between exchanges."""
-        scan_ns = self.scan_ns
         at = self._next
+        if at is not None and now < at:
+            return
+        scan_ns = self.scan_ns
         if at is None:  # switched on
             self._next = now + scan_ns
             self.motor.advance(now)
@@ -173,8 +176,8 @@ class DriveDevice(Device):
     def refresh(self, process: bytes | None, now: int) -> bytes:
         """One internal scan over octets, which hands words to :meth:`scan`; ``process`` None: void."""
         telegram = self.telegram
-        words = None if process is None else struct.unpack(f">{telegram.outputs // 2}H", process)
-        return struct.pack(f">{telegram.inputs // 2}H", *self.scan(words, now))
+        words = None if process is None else _layout(telegram.outputs).unpack(process)
+        return _layout(telegram.inputs).pack(*self.scan(words, now))
 
     def scan(self, words: tuple[int, ...] | None, now: int) -> tuple[int, ...]:
         """One internal scan: process data from the master (None: void) -> process data to it."""
@@ -198,3 +201,9 @@ class DriveDevice(Device):
             order = bytes(lead) if outputs is None else outputs[:lead]
             reply = bytes(lead) if self.channel is None else self.channel.step(order)
         self._inputs = reply + self.refresh(None if outputs is None else outputs[lead:], now)
+
+
+@cache
+def _layout(octets: int) -> struct.Struct:
+    """Process data of so many octets as words."""
+    return struct.Struct(f">{octets // 2}H")

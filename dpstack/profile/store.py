@@ -14,7 +14,7 @@ class ParamStore:
     Construction takes presets by name or number in engineering units. Raises ConfigError.
     """
 
-    __slots__ = ("_eeprom", "_ram", "eeprom_writes", "sets", "table")
+    __slots__ = ("_eeprom", "_ram", "_values", "eeprom_writes", "sets", "table")
 
     def __init__(
         self, table: ParamTable, presets: Mapping[str, object], *, sets: int = 1, where: str = "drive"
@@ -22,6 +22,7 @@ class ParamStore:
         self.table = table
         self.sets = sets
         self.eeprom_writes = 0
+        self._values: dict[tuple[str, int], float] = {}  # asked for since the RAM changed: a drive does in every scan
         self._ram: dict[str, list[int]] = {}
         for spec in table:
             if not spec.text:
@@ -51,10 +52,14 @@ class ParamStore:
 
     def value(self, name: str, data_set: int = 1) -> float:
         """The value of the parameter called ``name`` in its unit."""
+        known = self._values.get((name, data_set))
+        if known is not None:
+            return known
         spec = self.table.named(name)
         if spec is None:
             raise KeyError(name)
-        return spec.to_value(self.raw(spec, data_set))
+        value = self._values[name, data_set] = spec.to_value(self.raw(spec, data_set))
+        return value
 
     def unequal(self, spec: ParamSpec) -> bool:
         """True when the data sets hold different values."""
@@ -62,6 +67,7 @@ class ParamStore:
 
     def write(self, spec: ParamSpec, raw: int, data_set: int = 0, *, ram_only: bool = False) -> None:
         """Set the value in ``data_set``, 0 for all of them; an EEPROM write is counted once for each set."""
+        self._values.clear()
         stores = [self._ram[spec.name]] if ram_only else [self._ram[spec.name], self._eeprom[spec.name]]
         count = len(stores[0])
         places = range(count) if data_set == 0 or count == 1 else (data_set - 1,)
@@ -74,6 +80,7 @@ class ParamStore:
         """What whoever set the drive up has stored: RAM and EEPROM, not counted; out of the limits nothing."""
         spec = self.table.named(name)
         if spec is not None and spec.low <= value <= spec.high:
+            self._values.clear()
             for stores in (self._ram, self._eeprom):
                 stores[spec.name] = [spec.to_raw(value)] * len(stores[spec.name])
 
@@ -91,4 +98,5 @@ class ParamStore:
 
     def power_up(self) -> None:
         """RAM is what the EEPROM holds."""
+        self._values.clear()
         self._ram = {name: list(values) for name, values in self._eeprom.items()}

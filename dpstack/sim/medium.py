@@ -255,11 +255,15 @@ class Medium:
         nodes = self._nodes
         da = telegram.da
         others = nodes.by_rate.get(baud, []) if da == BROADCAST else nodes.by_address.get(da, [])
-        heard = [n for n in nodes.listeners if n.hears_from <= start and n.baud == baud]
-        # the sender hears from its own end on; listeners have it already
-        heard += [n for n in others if n.hears_from <= start and n.baud == baud and not n.hears_all]
-        for node in heard:
-            node.station.telegram(telegram, end)
+        heard: list[Node] = []
+        for node in nodes.listeners:
+            if node.hears_from <= start and node.baud == baud:
+                heard.append(node)
+                node.station.telegram(telegram, end)
+        for node in others:  # the sender hears from its own end on; listeners have it already
+            if node.hears_from <= start and node.baud == baud and not node.hears_all:
+                heard.append(node)
+                node.station.telegram(telegram, end)
         settle = self._scheduler.settle
         for node in heard:
             settle(node, b"")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum, auto
+from functools import lru_cache
 from typing import Final, NamedTuple
 
 from dpstack.errors import DpError
@@ -29,6 +30,8 @@ _SHOWN_ENTRIES: Final = 60
 _IDLE: Final = Rule.IDLE
 _SD4: Final = Kind.SD4
 _UNANSWERED: Final = frozenset((Req.TIME_EVENT, Req.SDN_LOW, Req.SDN_HIGH))
+#: the same few times are asked for with every transmission
+_ns: Final = lru_cache(256)(bits_to_ns)
 
 
 class RefereeError(DpError):
@@ -67,6 +70,15 @@ _ANSWER: Final = _After.ANSWER
 _TOKEN: Final = _After.TOKEN
 
 
+class _Times(NamedTuple):
+    """A master's own times in bit times."""
+
+    t_sl: int
+    t_id1: int
+    t_id2: int
+    t_to: int
+
+
 class _Pending(NamedTuple):
     sa: int
     da: int
@@ -85,7 +97,7 @@ class Referee:
         self.token_rules = True
         self.tokens = TokenWatch()
         self._log = log
-        self._masters: dict[int, BusParams] = {}
+        self._masters: dict[int, _Times] = {}
         self._allow: dict[Rule, int | None] = {}
         self._expect: set[Rule] = set()
         self._after = _After.NOTHING
@@ -99,7 +111,7 @@ class Referee:
     # --- what tests say ---
     def know(self, params: BusParams) -> None:
         """Judge the master ``params.address`` by its own T_SL, T_ID1, T_ID2 and T_TO."""
-        self._masters[params.address] = params
+        self._masters[params.address] = _Times(params.t_sl, params.t_id1, params.t_id2, params.t_to)
 
     def allow(self, *rules: Rule, times: int | None = None) -> None:
         """Breaking ``rules`` is no violation, each the next ``times`` times (None = always)."""
@@ -163,8 +175,8 @@ class Referee:
     def _request(self, tx: Transmission, telegram: Telegram) -> _After:
         sa = telegram.sa
         self._idle(tx, sa)
-        if self.token_rules:
-            self._found(tx, self.tokens.request(sa, tx.node))
+        if self.token_rules and (finding := self.tokens.request(sa, tx.node)) is not None:
+            self._found(tx, finding)
         if telegram.da == BROADCAST or telegram.fc & FC_FUNCTION in _UNANSWERED:
             self._pending = None
             return _QUIET
@@ -173,16 +185,16 @@ class Referee:
 
     def _token(self, tx: Transmission, telegram: Telegram) -> _After:
         sa = telegram.sa
-        params = self._masters.get(sa)
+        times = self._masters.get(sa)
         lacks = None
-        if params is not None:
+        if times is not None:
             silence = tx.start_ns - self._last_end
             lacks = ""
-            if silence < bits_to_ns(params.t_to, tx.baud):
-                lacks = f"after {ns_to_bits(silence, tx.baud)} bits of silence; its T_TO is {params.t_to}"
+            if silence < _ns(times.t_to, tx.baud):
+                lacks = f"after {ns_to_bits(silence, tx.baud)} bits of silence; its T_TO is {times.t_to}"
         self._idle(tx, sa)
-        if self.token_rules:
-            self._found(tx, self.tokens.token(sa, telegram.da, tx.node, lacks))
+        if self.token_rules and (finding := self.tokens.token(sa, telegram.da, tx.node, lacks)) is not None:
+            self._found(tx, finding)
         self._pending = None
         return _TOKEN
 
@@ -197,12 +209,12 @@ class Referee:
             self._found(tx, Finding(Rule.UNASKED, text))
             return _ANSWER
         waited = tx.start_ns - pending.end_ns
-        if waited < bits_to_ns(MIN_TSDR, tx.baud):
+        if waited < _ns(MIN_TSDR, tx.baud):
             text = f"{ns_to_bits(waited, tx.baud)} bits after the request; min T_SDR is {MIN_TSDR}"
             self._found(tx, Finding(Rule.EARLY, text))
-        params = self._masters.get(pending.sa)
-        if params is not None and waited >= bits_to_ns(params.t_sl, tx.baud):
-            text = f"{ns_to_bits(waited, tx.baud)} bits after the request; T_SL of {pending.sa} is {params.t_sl}"
+        times = self._masters.get(pending.sa)
+        if times is not None and waited >= _ns(times.t_sl, tx.baud):
+            text = f"{ns_to_bits(waited, tx.baud)} bits after the request; T_SL of {pending.sa} is {times.t_sl}"
             self._found(tx, Finding(Rule.LATE, text))
         return _ANSWER
 
@@ -212,16 +224,16 @@ class Referee:
         if after is _NOTHING:
             return
         rule, need, name = _IDLE, T_SYN, "T_SYN"
-        params = self._masters.get(sa)
-        if params is not None:
+        times = self._masters.get(sa)
+        if times is not None:
             if self._waits(sa):
-                rule, need, name = Rule.SLOT, params.t_sl, "T_SL"
+                rule, need, name = Rule.SLOT, times.t_sl, "T_SL"
             elif after is _ANSWER or after is _TOKEN:
-                need, name = params.t_id1, "T_ID1"
+                need, name = times.t_id1, "T_ID1"
             elif after is _QUIET and sa == self._last_sa:
-                need, name = params.t_id2, "T_ID2"
+                need, name = times.t_id2, "T_ID2"
         silence = tx.start_ns - self._last_end
-        if silence < bits_to_ns(need, tx.baud):
+        if silence < _ns(need, tx.baud):
             text = f"begins after {ns_to_bits(silence, tx.baud)} bits of silence; {name} is {need}"
             self._found(tx, Finding(rule, text))
 
@@ -236,12 +248,12 @@ class Referee:
         octets = bytes(octet for _, octet in uart.receive(tx.octets, tx.baud, tx.flips))
         heard = decode(octets)
         if heard is not None and heard.kind is Kind.SD4 and heard != tx.telegram:
-            t_sl = max((params.t_sl for params in self._masters.values()), default=1_000)
+            t_sl = max((times.t_sl for times in self._masters.values()), default=1_000)
             self._excused_until = tx.end_ns + bits_to_ns(_DISORDER * t_sl, tx.baud)
             tx.notes.append(f"heard as the token {heard.sa} -> {heard.da}")
 
-    def _found(self, tx: Transmission, finding: Finding | None) -> None:
-        if finding is None or tx.forced or tx.start_ns < self._excused_until:
+    def _found(self, tx: Transmission, finding: Finding) -> None:
+        if tx.forced or tx.start_ns < self._excused_until:
             return
         rule, text = finding
         violation = Violation(tx.start_ns, rule, tx.sender, text)

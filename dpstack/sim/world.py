@@ -168,7 +168,9 @@ class World:
             if station.baud != node.baud:
                 node.hears_from = max(node.hears_from, self.now)  # what is under way was begun for another receiver
             self._nodes.renew(node)
-        self._arm(node, deadline)
+        node.deadline = deadline
+        if deadline < node.due:
+            self._arm(node)
         if self._medium.starting:
             self._announce()
         events = station.take_events()
@@ -177,23 +179,26 @@ class World:
 
     def rearm(self, node: Node) -> None:
         """The station was told something that sends nothing: only its deadline may have changed."""
-        self._arm(node, node.station.wake_at())
+        node.deadline = node.station.wake_at()
+        if node.deadline < node.due:
+            self._arm(node)
 
     # --- inside ---
-    def _arm(self, node: Node, deadline: int) -> None:
-        """Look at the station at its deadline. A new heap entry only where it has none that comes before that.
+    def _arm(self, node: Node) -> None:
+        """Look at the station earlier: at its deadline. A new heap entry only where it has none before that.
 
         What it has for later stays: a watchdog that every exchange puts off has one entry, not one an exchange.
         """
-        if deadline < self.now:
-            deadline = self.now
-        node.deadline = deadline
-        if deadline < node.due:
-            node.due = deadline
-            self._count += 1
-            node.order = TIMERS + self._count
-            if deadline < node.entry:
-                self._enter(node)
+        due = node.deadline
+        if due < self.now:
+            due = self.now
+        if due >= node.due:
+            return
+        node.due = due
+        self._count += 1
+        node.order = TIMERS + self._count
+        if due < node.entry:
+            self._enter(node)
 
     def _enter(self, node: Node) -> None:
         node.later.append(node.entry)
@@ -210,7 +215,8 @@ class World:
             return
         node.due = NEVER
         if node.deadline > self.now:
-            self._arm(node, node.deadline)
+            if node.deadline < NEVER:
+                self._arm(node)
         else:
             self.settle(node, b"")
 

@@ -69,6 +69,7 @@ class DemagCore(MappedCore[OutMap]):
         self._fault_word = 0
         self._writes: Counter[str] = Counter()
         self._toggles = False
+        self._trace = Trace(channel=telegram.channel)
         self._toggle_time = Lookup(lambda: self._toggles, self._ask_toggle_time)
         self.inputs_map = None
         self.outputs_map: OutMap = _map(name, profile, telegram, options)
@@ -87,17 +88,9 @@ class DemagCore(MappedCore[OutMap]):
         self._set_412 = bool(options["set_412"])
         self._wide = telegram.inputs == 12
         if telegram.channel:
-            self.access = PkwAccess(t.PKW, self._resolve, lambda: self.now, self.settle_ns, self._written)
+            self.access = _Watched(t.PKW, self._resolve, lambda: self.now, self.settle_ns, self._written)
+            self.access.trace = self._trace
             self.lookups = (self._toggle_time,)
-        self._trace = Trace(channel=telegram.channel)
-
-    def cyclic(self, inputs: bytes, now: int) -> bytes:
-        """The parameter channel is kept for the trace while it is used."""
-        channel = self.access
-        if channel is not None and channel.busy and len(inputs) == self.telegram.input_octets:
-            self._trace.watch("in", inputs)
-            self._trace.watch("out", channel.octets)
-        return super().cyclic(inputs, now)
 
     def encode(self, control: int, setpoint: int) -> bytes:
         """PZD1 and PZD2, and what was given for PZD3 to PZD6."""
@@ -270,6 +263,20 @@ class DemagCore(MappedCore[OutMap]):
             raise CommandError("usage", f"{label} exists once, not in data sets")
         ind = (data_set or 0) + (t.RAM_ONLY if ram else 0)
         return ParamRef(number, ind, array, spec, label, (data_set or 0) if array else None)
+
+
+class _Watched(PkwAccess):
+    """Kept for the trace while it is used."""
+
+    __slots__ = ("trace",)
+
+    trace: Trace
+
+    def step(self, inputs: bytes, now: int) -> None:
+        """One cycle of the handshake, and what it was about."""
+        self.trace.watch("in", inputs)
+        self.trace.watch("out", self.octets)
+        super().step(inputs, now)
 
 
 def _map(name: str, profile: DriveProfile, telegram: TelegramSpec, options: Mapping[str, bool | float | str]) -> OutMap:
