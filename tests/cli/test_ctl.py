@@ -224,11 +224,11 @@ async def test_a_simulation_and_its_segment(tmp_path: Path) -> None:
             await until(lambda: not bus.slave(9).ready_now)
             await ask(server, "power-on", "9")
             await until(lambda: bus.slave(9).ready_now)
-            await ask(server, "silence", "3", "200ms")
+            await ask(server, "silence", "3", "1s")
             await until(lambda: not bus.slave(3).ready_now)
             await until(lambda: bus.slave(3).ready_now)
             before = segment.stats()
-            await ask(wire, "silence", "0", "300ms")
+            await ask(wire, "silence", "0", "1s")  # a computer that stalls for part of it
             await until(lambda: not bus.slave(3).ready_now)
             await until(lambda: bus.slave(3).ready_now)
             assert before != segment.stats()
