@@ -36,9 +36,9 @@ run() {
 
 run mkdir -p "$(dirname "$rules")" "$(dirname "$limits")"
 run cp "$here/99-dpstack.rules" "$rules"
-echo "+ write $limits: @dialout rtprio 50, memlock unlimited"
+echo "+ write $limits: @dialout rtprio 50, nice -20, memlock unlimited"
 if [ "$print" = no ]; then
-    printf '%s\n' '@dialout - rtprio 50' '@dialout - memlock unlimited' >"$limits"
+    printf '%s\n' '@dialout - rtprio 50' '@dialout - nice -20' '@dialout - memlock unlimited' >"$limits"
 fi
 if [ -z "$root" ]; then
     getent group dialout >/dev/null || run groupadd -r dialout # some distributions have it not

@@ -21,6 +21,7 @@ from dpstack.drivers.plain_loop import PlainLoop
 from dpstack.drivers.realtime import become_real_time
 from dpstack.drivers.shared_image import SharedImage
 from dpstack.errors import BusError
+from dpstack.ports.tty import is_pty_path
 
 _PR_SET_PDEATHSIG: Final = 1
 _CHUNK: Final = 65_536
@@ -48,7 +49,7 @@ def main(arguments: list[str]) -> int:
         if setup is None:
             return 1
         host = Host(loop, sock, image, setup)
-        host.open(become_real_time())
+        host.open(become_real_time(pty=is_pty_path(setup.port)))
     except Exception as error:
         with contextlib.suppress(OSError):
             sock.sendall(framed(Message(answer=Answer(0, error=error_pair(error)))))

@@ -197,7 +197,7 @@ def test_the_set_up_script(tmp_path: Path) -> None:
     rules = tmp_path / "etc/udev/rules.d/99-dpstack.rules"
     assert rules.read_text() == (ROOT / "tools" / "99-dpstack.rules").read_text()
     limits = tmp_path / "etc/security/limits.d/99-dpstack.conf"
-    assert limits.read_text() == "@dialout - rtprio 50\n@dialout - memlock unlimited\n"
+    assert limits.read_text() == "@dialout - rtprio 50\n@dialout - nice -20\n@dialout - memlock unlimited\n"
     assert call("--wrong").returncode == 2
 
 

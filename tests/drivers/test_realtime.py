@@ -138,6 +138,24 @@ def test_refusals_of_the_system_in_spite_of_the_limits(monkeypatch: pytest.Monke
     assert "0 refused (Operation not permitted)" in stay_on([0])
 
 
+def test_in_front_of_a_pty_it_is_preferred_and_stays_an_ordinary_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[int, int, int]] = []
+    monkeypatch.setattr(os, "setpriority", lambda *given: asked.append(given))
+    monkeypatch.setattr(realtime, "set_priority", lambda: "not to be asked for")
+    monkeypatch.setattr(realtime, "lock_memory", lambda: "")
+    monkeypatch.setattr(realtime, "exact_timers", lambda: "")
+    assert become_real_time(pty=True) == []
+    assert asked == [(os.PRIO_PROCESS, 0, -20)]
+
+    def refuse(*_args: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(os, "setpriority", refuse)
+    (notice,) = become_real_time(pty=True)
+    assert "no niceness of -20 ([Errno 13] Permission denied)" in notice
+    assert "tools/setup_adapter.sh" in notice
+
+
 def test_elsewhere_each_says_that_it_needs_linux(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "platform", "darwin")
     monkeypatch.delattr(os, "sched_setaffinity")
