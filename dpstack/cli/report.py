@@ -121,7 +121,7 @@ def _traffic(stats: BusStats) -> str:
         **{f"bad: {cause.replace('_', ' ')}": count for cause, count in stats.bad.items()},
     }
     wrong = [f"{count} {name}" for name, count in counters.items() if count]
-    return f"{stats.telegrams} telegrams" + (f" ({', '.join(wrong)})" if wrong else ", nothing went wrong")
+    return f"{stats.telegrams} telegrams" + (f" ({', '.join(wrong)})" if wrong else ", none of them failed")
 
 
 def not_exchanging(bus: Bus) -> list[str]:

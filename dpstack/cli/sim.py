@@ -113,4 +113,4 @@ def _summary(simulation: Simulation, json: bool) -> None:
     rows = [(s.address, s.name, s.state.value, s.exchanges, s.watchdogs) for s in simulation.slaves]
     output.table("Slaves", ("address", "name", "state", "exchanges", "watchdog expired"), rows)
     bad = ", ".join(f"{count} {cause.replace('_', ' ')}" for cause, count in simulation.bad.items())
-    output.line(f"{simulation.telegrams} telegrams heard" + (f", bad: {bad}" if bad else ", nothing went wrong"))
+    output.line(f"{simulation.telegrams} telegrams heard" + (f", bad: {bad}" if bad else ", none of them bad"))

@@ -76,7 +76,7 @@ _TEXTS: Final = {
     Code.UNAVAILABLE: "resource unavailable",
 }
 #: what the user can do about it, by class or code
-_TODO: Final[dict[int, str]] = {
+_REMEDIES: Final[dict[int, str]] = {
     Code.INVALID_INDEX: "its manual lists the records it has",
     Code.INVALID_SLOT: "slots count from 0 (the station itself); its manual lists them",
     Code.WRITE_LENGTH: "give the record exactly the octets its manual names",
@@ -109,7 +109,7 @@ def code_text(code_1: int) -> str:
 
 def remedy(code_1: int) -> str:
     """What to do about it; empty where nothing general can be said."""
-    return _TODO.get(code_1, "")
+    return _REMEDIES.get(code_1, "")
 
 
 def negative_text(decode: int, code_1: int, code_2: int) -> str:
