@@ -115,6 +115,8 @@ class DriveDevice(Device):
         self._outputs = None
         if self.channel is not None:
             self.channel.reset()
+        if self.record47 is not None:
+            self.record47.reset()
         self._next = now + self.scan_ns
         self.motor.advance(now)
         self._refresh(now)

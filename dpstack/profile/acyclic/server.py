@@ -127,6 +127,10 @@ class ParameterServer:
         self._response: bytes | None = None
         self._ready_at = 0
 
+    def reset(self) -> None:
+        """Data exchange begins or ends: nothing was asked."""
+        self._response = None
+
     def write_record(self, slot: int, index: int, data: bytes, now: int) -> Refused | None:
         """Take a request."""
         wrong = self._elsewhere(slot, index)
