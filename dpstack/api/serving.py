@@ -11,7 +11,7 @@ from dpstack.dp.device import Device
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.dp_slave import DpSlave
 from dpstack.dp.slaveapp import SlaveApp, SlaveAppState, SlaveAppStats
-from dpstack.dp.v1.ms2_server import OpenConnection
+from dpstack.dp.v1.ms2_server import ServedConnection
 from dpstack.drivers.aio import AsyncioRuntime, patience_of
 from dpstack.drivers.base import Runtime
 from dpstack.drivers.virtual import VirtualRuntime
@@ -88,7 +88,7 @@ class ServedSlave:
         return self._app.failure
 
     @property
-    def connections(self) -> tuple[OpenConnection, ...]:
+    def connections(self) -> tuple[ServedConnection, ...]:
         """Its open connections of class 2."""
         return self._app.connections
 

@@ -22,7 +22,7 @@ from dpstack.dp.slave_report import SlaveAppStats
 from dpstack.dp.slave_services import Services
 from dpstack.dp.slave_states import ACCESS, CONNECTION, AppEv, SlaveAppState
 from dpstack.dp.v1.connection import SERVER_SAPS
-from dpstack.dp.v1.ms2_server import Ms2Server, OpenConnection
+from dpstack.dp.v1.ms2_server import Ms2Server, ServedConnection
 from dpstack.errors import PduError
 from dpstack.fdl.passive import PassiveStation
 from dpstack.fdl.telegram import SAP_GLOBAL_CONTROL, Resp, Telegram
@@ -110,7 +110,7 @@ class SlaveApp:
         return data is None or data.void
 
     @property
-    def connections(self) -> tuple[OpenConnection, ...]:
+    def connections(self) -> tuple[ServedConnection, ...]:
         """The connections of class 2 that are open."""
         return self._ms2.connections
 

@@ -19,8 +19,8 @@ from dataclasses import dataclass
 from typing import Final
 
 from dpstack.dp.v1.connection import SERVER_SAPS, ResourceManagerRes
-from dpstack.dp.v1.ms2_connection import Connection, Served, ServerReport
-from dpstack.dp.v1.ms2_states import State
+from dpstack.dp.v1.ms2_server_connection import Connection, Served, ServerReport
+from dpstack.dp.v1.ms2_server_states import State
 from dpstack.dp.v1.tickets import Asker
 from dpstack.fdl.telegram import Resp
 from dpstack.fdl.user import SC_REPLY, Reply
@@ -39,7 +39,7 @@ def least_send_timeout(baud: int) -> int:
 
 
 @dataclass(frozen=True, slots=True)
-class OpenConnection:
+class ServedConnection:
     """A connection as it stands: its ``master``, the server ``sap``, the send time-out in ns, services asked for."""
 
     master: int
@@ -82,10 +82,10 @@ class Ms2Server:
         self._offers: dict[tuple[int, int | None], _Offer] = {}
 
     @property
-    def connections(self) -> tuple[OpenConnection, ...]:
+    def connections(self) -> tuple[ServedConnection, ...]:
         """Those that are open, by server SAP from the highest down."""
         return tuple(
-            OpenConnection(one.asker.master, sap, one.send_timeout_ns, one.services)
+            ServedConnection(one.asker.master, sap, one.send_timeout_ns, one.services)
             for sap, one in sorted(self._connections.items(), reverse=True)
             if one.state is not State.OVER
         )

@@ -7,7 +7,8 @@ Decisions where they are silent:
 
 - Every request is acknowledged with SC and answered when polled, as slave chips do (a slave can be told to answer in
   the request itself); a poll before that gets SC, from half the send time-out on Idle: the master hears that it lives.
-- An answer that was given stays until the next request: a poll whose answer was lost gets it again.
+- An answer is given once; what is lost on the way the link layer asks for again. A poll after that gets SC: were it
+  the last answer, it could be taken for that to a request which never arrived.
 - A request while another one is under way, or before its answer was fetched, ends the connection (sequence error).
 - Idle while a service is under way is acknowledged only: it asks for nothing.
 - Whatever the master sends to its server SAP, polls included, says that it lives.
@@ -64,7 +65,7 @@ class Row(NamedTuple):
 _O, _W, _A, _V = State.OPEN, State.WORKING, State.ANSWERED, State.OVER
 
 TABLE: Final[dict[tuple[State, Ev], Row]] = {
-    (_O, Ev.POLL): Row(Act.GIVE, "decision: the last answer again, SC where there is none"),
+    (_O, Ev.POLL): Row(Act.ACKNOWLEDGE, "VPC3+: nothing is there any more"),
     (_O, Ev.SERVICE): Row(Act.SERVE, "C3"),
     (_O, Ev.IDLE): Row(Act.ANSWER_IDLE, "C3; VPC3+"),
     (_O, Ev.ABORT): Row(Act.FREE, "C3; VPC3+"),

@@ -1,4 +1,4 @@
-"""One class 2 connection at the slave, from Initiate to whatever ends it. The table is in ms2_states."""
+"""One class 2 connection at the slave, from Initiate to whatever ends it. The table is in ms2_server_states."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Protocol
 
 from dpstack.dp.v1.codes import Code
 from dpstack.dp.v1.connection import IDLE, Abort, AbortReason, DataTransport, InitiateReq, InitiateRes, Instance
-from dpstack.dp.v1.ms2_states import TABLE, Act, Ev, State
+from dpstack.dp.v1.ms2_server_states import TABLE, Act, Ev, State
 from dpstack.dp.v1.records import MAX_SLOT, Function, Negative, ReadReq, UnacceptableError, parse_request
 from dpstack.dp.v1.tickets import (
     AnyTicket,
@@ -147,7 +147,8 @@ class Connection:
         match TABLE[self.state, Ev.POLL].act:
             case Act.GIVE:
                 self.state = State.OPEN
-                return self._answer
+                answer, self._answer = self._answer, None
+                return answer
             case Act.LOOK:
                 if now - self._said >= self.send_timeout_ns // 2:
                     self._said = now
