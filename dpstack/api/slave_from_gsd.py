@@ -7,7 +7,7 @@ from pathlib import Path
 
 from dpstack.api.gsd import read_gsd
 from dpstack.dp.device import Leave, OnCycle
-from dpstack.dp.dp_slave import DpSlave, OnAddress, OnRead, OnWrite
+from dpstack.dp.dp_slave import DpSlave, OnAddress, OnRead, OnTransport, OnWrite
 from dpstack.dp.slave_gsd import slave_description
 from dpstack.dp.v1.im import Im
 from dpstack.errors import ConfigError, GsdError
@@ -26,6 +26,7 @@ def slave_from_gsd(
     on_leave: Callable[[Leave], None] | None = None,
     on_read: OnRead | None = None,
     on_write: OnWrite | None = None,
+    on_transport: OnTransport | None = None,
     im: Iterable[Im] = (),
 ) -> DpSlave:
     """The slave that the GSD file at ``path`` describes, doing what ``on_cycle(outputs, elapsed)`` does.
@@ -52,5 +53,6 @@ def slave_from_gsd(
         on_leave=on_leave,
         on_read=on_read,
         on_write=on_write,
+        on_transport=on_transport,
         im=im,
     )
