@@ -1,4 +1,4 @@
-"""The fixed cycle on the simulated wire: what waits between the rounds, misses and what is said, beginnings and ends."""
+"""The fixed cycle on the simulated wire: what waits between the rounds, what is missed and said, beginnings, ends."""
 
 from __future__ import annotations
 
