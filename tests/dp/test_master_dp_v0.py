@@ -1,4 +1,4 @@
-"""The bring-up for every bit of the diagnosis, and what the master makes of each in data exchange, in literal octets."""
+"""The bring-up for every bit of the diagnosis, and what the master makes of it in data exchange, in literal octets."""
 
 from __future__ import annotations
 
