@@ -16,6 +16,7 @@ Decisions where the sources are silent:
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -170,7 +171,7 @@ class RecordJob:
 
     def __init__(self, address: int, request: RecordReq, octets: bytes, handler: SlaveHandler, ms1: Ms1) -> None:
         self.address = address
-        self.lane: int | None = address
+        self.lane: Hashable | None = address
         self._request = request
         self._octets = octets
         self._handler = handler
