@@ -247,8 +247,9 @@ class Acyclic:
 
     def tick(self, now: int) -> None:
         """End what had its time; a request under way is waited for, and a slave's time ends with a last look."""
-        self._ms2.tick(now)
-        self._take_wanted(now)
+        if self._ms2.tick(now):
+            self._end_barred(now)
+            self._take_wanted(now)
         for entry in [entry for entry in self._queue if entry.deadline <= now]:
             entry.deadline = NEVER
             self._cut(entry, ServiceFailure.LATE, self._why_late(entry), now)

@@ -227,12 +227,14 @@ class Ms2:
             (c.heard_at + c.send_timeout_ns for c in self.connections.values() if c.phase is Phase.OPEN), default=NEVER
         )
 
-    def tick(self, now: int) -> None:
-        """End the connections that were."""
+    def tick(self, now: int) -> bool:
+        """End the connections that were; whether there were any."""
         self.clock.now = now
-        for connection in tuple(self.connections.values()):
-            if connection.phase is Phase.OPEN and now >= connection.heard_at + connection.send_timeout_ns:
-                self.end(connection, connection.silent_text, TIMED_OUT)
+        open_ones = [c for c in self.connections.values() if c.phase is Phase.OPEN]
+        silent = [c for c in open_ones if now >= c.heard_at + c.send_timeout_ns]
+        for connection in silent:
+            self.end(connection, connection.silent_text, TIMED_OUT)
+        return bool(silent)
 
     def take_events(self) -> list[Event]:
         """Ends of connections."""

@@ -1,9 +1,9 @@
-"""How a class 2 connection is opened: Initiate at the resource manager (SAP 49), which gives out a server SAP; its polls
-bring the slave's answer (Felser; protocol facts J).
+"""How a class 2 connection is opened: Initiate at the resource manager (SAP 49), which gives out a server SAP; polls of
+that one bring the slave's answer (Felser; protocol facts J).
 
 Decisions where the sources are silent: an Initiate that had no answer may have been taken, so the resource manager is
-asked for what it gave out before Initiate is sent again; a second connection that a slave might set up for that one ends
-by the slave's own time-out.
+asked for what it gave out before Initiate is sent again; a second connection that a slave might set up for that one
+ends by the slave's own time-out.
 """
 
 from __future__ import annotations
