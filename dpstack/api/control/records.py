@@ -26,7 +26,7 @@ def acyclic_order(bus: Bus, args: list[str]) -> AsyncIterator[object]:
 async def through_run(port: str, slave: int, word: str, args: Sequence[str]) -> dict[str, Any] | None:
     """As :func:`~dpstack.api.acyclic_words.carry_out`, by the run on ``port``; None where no run answers for it.
 
-    Raises UsageError where the run has no such slave, BusError where it fails there, PortError.
+    Raises what it raises there, UsageError where the run has no such slave, PortError.
     """
     client = reach(port, kind="run")  # at once: there is a socket or there is none
     if client is None:
