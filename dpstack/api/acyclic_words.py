@@ -11,12 +11,12 @@ from dpstack.api.drive_words import find_word
 from dpstack.api.slave import Slave
 from dpstack.api.tables import parse_hex
 from dpstack.dp.v1.im import Im, Im0
-from dpstack.errors import UsageError
+from dpstack.errors import AcyclicError, SlaveFault, UsageError
 
 WORDS: Final = (
     Spec("read", "SLOT INDEX [LENGTH]", "a record, as hex; LENGTH: at most so many octets", "1 47"),
     Spec("write", "SLOT INDEX HEX", "all octets of a record", "1 47 00FF"),
-    Spec("im", "[SLOT]", "I&M0, and those of I&M1 to 4 that there are", ""),
+    Spec("im", "[SLOT]", "I&M0, and those of I&M1 to 4 that it says there are", ""),
 )
 
 
@@ -52,7 +52,10 @@ async def _all_im(slave: Slave, slot: int) -> dict[str, dict[str, object]]:
     found: dict[str, dict[str, object]] = {"0": _plain(im0)}
     for number in range(1, 5):
         if isinstance(im0, Im0) and im0.supported & (1 << number):
-            found[str(number)] = _plain(await slave.im(number, slot=slot))
+            try:
+                found[str(number)] = _plain(await slave.im(number, slot=slot))
+            except (AcyclicError, SlaveFault) as error:  # it says that it has it
+                found[str(number)] = {"error": str(error)}
     return found
 
 

@@ -117,6 +117,11 @@ def test_im(plant: Path, capsys: Out) -> None:
     assert told["im"]["1"] == {"tag_function": "fan", "tag_location": ""}
 
 
+def test_a_text_that_is_no_text(capsys: Out) -> None:
+    acyclic._show({"order": "im", "address": 8, "slave": "rig", "slot": 0, "im": {"0": {"order_id": "A\x1b[2J\0é"}}})
+    assert r"I&M0    order_id  A\x1b[2J\x00é" in capsys.readouterr().out
+
+
 @pytest.mark.usefixtures("world")
 @pytest.mark.parametrize(
     ("args", "code", "text"),
