@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import socket
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -38,13 +38,19 @@ class ControlClient:
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
 
-    def call(self, command: str, *args: str) -> Any:
-        """The result of ``command``.
+    def call(self, command: str, *args: str, on_item: Callable[[Any], None] | None = None) -> Any:
+        """The result of ``command``; ``on_item`` is told what came before it.
 
         Raises what it raised there: UsageError or ConfigError where the request is wrong, one of the others with all
         that it carries where it failed (a BusError that tells a defect, too). PortError when nobody answers.
         """
-        return list(self._answers(command, args))[-1].get("result")
+        result = None
+        for answer in self._answers(command, args):
+            if "item" not in answer:
+                result = answer.get("result")
+            elif on_item is not None:
+                on_item(answer["item"])
+        return result
 
     def items(self, command: str, *args: str) -> Iterator[Any]:
         """What a command that goes on tells, one by one. Raises like :meth:`call`."""
