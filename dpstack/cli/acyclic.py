@@ -174,14 +174,11 @@ def _show(told: Mapping[str, Any]) -> None:
             output.line(f"{who}: slot {told['slot']}, index {told['index']}: {told['length']} octets written")
         case _:
             rows = [
-                (f"I&M{n}", name, _visible(value)) for n, record in told["im"].items() for name, value in record.items()
+                (f"I&M{n}", name, output.visible(str(value)))
+                for n, record in told["im"].items()
+                for name, value in record.items()
             ]
             output.table(f"{who}: slot {told['slot']}", ("record", "what", "value"), rows)
-
-
-def _visible(value: object) -> str:
-    """A device's own text, its control characters in hex: they are nothing for a terminal."""
-    return "".join(letter if letter.isprintable() else f"\\x{ord(letter):02x}" for letter in str(value))
 
 
 def _slave_of(config: Config, name: str) -> SlaveConfig:
