@@ -24,7 +24,8 @@
         +-- ParameterError              a negative answer of the parameter channel: number and the manual's text
 
 Misuse and configuration raise at once; what a peer does wrong on the wire never raises in the core, it becomes an
-event and a counter, and one of the lower branches where a caller waits for it.
+event and a counter, and one of the lower branches where a caller waits for it. Every argument of a constructor is an
+attribute of the same name: so an error crosses the control socket as what it is (``dpstack.api.control.failures``).
 """
 
 from __future__ import annotations
@@ -111,6 +112,8 @@ class AcyclicError(SlaveError):
         self.service = service
         self.slot = slot
         self.index = index
+        #: as answered: Error_Decode, Error_Code_1, Error_Code_2
+        self.codes = codes
         self.error_decode, self.code_1, self.code_2 = codes
 
     @property

@@ -90,12 +90,19 @@ class RecordParameters:
         return await self._run(lambda deadline: texts(self._client, pnu, count, deadline, first=first), timeout)
 
     async def read_out(
-        self, *, described: bool = True, timeout: float | None = None, progress: Progress | None = None
+        self,
+        *,
+        described: bool = True,
+        timeout: float | None = None,
+        progress: Progress | None = None,
+        describing: Progress | None = None,
     ) -> list[ReadParameter]:
-        """Every parameter of the drive's list with its values."""
-        return await self._run(
-            lambda deadline: read_out(self._client, deadline, progress, described=described), timeout
-        )
+        """Every parameter of the drive's list with its values; ``progress`` of these, ``describing`` what is before."""
+
+        def begin(deadline: int) -> Talk[list[ReadParameter]]:
+            return read_out(self._client, deadline, progress, described=described, describing=describing)
+
+        return await self._run(begin, timeout)
 
     async def _run(self, begin: Callable[[int], Talk[T]], timeout: float | None) -> T:
         loop = asyncio.get_running_loop()

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import dataclasses
 import difflib
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, TypedDict, Unpack
+from typing import TYPE_CHECKING, Unpack
 
 from dpstack.api.record_parameters import RecordParameters, over_records
 from dpstack.api.records import TIMEOUT, Records
-from dpstack.api.slave_config import SlaveConfig, refitted
+from dpstack.api.slave_changes import Changes, changed
+from dpstack.api.slave_config import SlaveConfig
 from dpstack.dp import faults
 from dpstack.dp.commands import ActivateSlave, DeactivateSlave, ReparameteriseSlave
 from dpstack.dp.diag_texts import block_texts
@@ -24,24 +24,6 @@ from dpstack.errors import SlaveFault, SlaveTimeout, UsageError
 
 if TYPE_CHECKING:
     from dpstack.api.bus import Bus
-
-
-class Changes(TypedDict, total=False):
-    """What :meth:`Slave.reparameterise` can change; ``config`` are the identifier octets."""
-
-    user_prm: bytes
-    config: bytes
-    ident: int | None
-    watchdog_ms: int | None
-    groups: tuple[int, ...]
-    sync: bool
-    freeze: bool
-    fail_safe: bool
-    safe: bytes
-    every: int
-    min_slave_interval_ns: int
-    wd_base_1ms: bool
-    ignore_auto_clear: bool
 
 
 class Slave:
@@ -303,11 +285,7 @@ class Slave:
         lengths under a drive plugin, SlaveFault or SlaveTimeout as :meth:`ready`. A drive's pending orders end with
         DriveError. ``timeout`` in seconds.
         """
-        unknown = sorted(set(changes) - set(Changes.__annotations__))
-        if unknown:
-            known = ", ".join(sorted(Changes.__annotations__))
-            raise UsageError(f"{unknown[0]!r} cannot be changed; these can: {known}")
-        config = refitted(dataclasses.replace(self.config, **changes))
+        config = changed(self.config, changes)
         self._bus.command(ReparameteriseSlave(self._bus.fitting(config)))
         self.config = config
         self._handler = self._bus.master.handlers[self.address]

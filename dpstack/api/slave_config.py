@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
@@ -89,6 +88,8 @@ class SlaveConfig:
     texts: DiagTexts | None = field(default=None, compare=False, repr=False)
     #: as a slave, where its GSD file describes it
     description: SlaveDescription | None = field(default=None, compare=False, repr=False)
+    #: what its GSD file says
+    device: Device | None = field(default=None, compare=False, repr=False)
     #: names for what is in the process data
     input_fields: FieldMap = field(default_factory=FieldMap)
     output_fields: FieldMap = field(default_factory=FieldMap)
@@ -138,24 +139,6 @@ class SlaveConfig:
             dpv1=self.dpv1,
             texts=self.texts,
         )
-
-
-def refitted(slave: SlaveConfig) -> SlaveConfig:
-    """``slave`` after a change, held against its names for process data and its GSD file. Raises ConfigError."""
-    where, told = f"slave {slave.address} ({slave.name})", slave.description
-    if told is not None:
-        for key, supported in (("sync", told.sync), ("freeze", told.freeze)):
-            if getattr(slave, key) and not supported:
-                raise ConfigError(f"{where}: its GSD file says {key.capitalize()}_Mode_supp = 0; leave {key} out")
-        reason = told.check_prm(slave.user_prm) if slave.config in told.configs else None
-        if reason is not None:
-            raise ConfigError(f"{where}: {reason}")
-    try:
-        inputs = slave.input_fields.fitted(slave.input_len, "inputs")
-        outputs = slave.output_fields.fitted(slave.output_len, "outputs")
-    except ConfigError as error:
-        raise ConfigError(f"{where}: {error}; a named field would be lost") from None
-    return dataclasses.replace(slave, input_fields=inputs, output_fields=outputs)
 
 
 def read_slave(table: Table) -> SlaveConfig:
@@ -213,6 +196,7 @@ def _build(table: Table, address: int, basis: Basis) -> SlaveConfig:
         baud_rates=basis.baud_rates,
         texts=basis.texts,
         description=basis.description,
+        device=device,
         watchdog_ms=watchdog,
         groups=table.integers("groups", 1, 8),
         every=1 if every is None else every,

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from dpstack.api.gsd import read_gsd
 from dpstack.dp.device import Leave, OnCycle
-from dpstack.dp.dp_slave import DpSlave, OnAddress, OnRead, OnWrite
+from dpstack.dp.dp_slave import DpSlave, OnAddress, OnIm, OnRead, OnWrite
 from dpstack.dp.slave_gsd import slave_description
-from dpstack.dp.v1.im import Im
+from dpstack.dp.v1.serving import ImOf
 from dpstack.errors import ConfigError, GsdError
 from dpstack.gsd.configuration import configure, default_modules
 
@@ -26,7 +26,8 @@ def slave_from_gsd(
     on_leave: Callable[[Leave], None] | None = None,
     on_read: OnRead | None = None,
     on_write: OnWrite | None = None,
-    im: Iterable[Im] = (),
+    im: ImOf = (),
+    on_im: OnIm | None = None,
 ) -> DpSlave:
     """The slave that the GSD file at ``path`` describes, doing what ``on_cycle(outputs, elapsed)`` does.
 
@@ -53,4 +54,5 @@ def slave_from_gsd(
         on_read=on_read,
         on_write=on_write,
         im=im,
+        on_im=on_im,
     )
