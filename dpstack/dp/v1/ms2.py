@@ -45,6 +45,8 @@ from dpstack.params import UNADDRESSED
 from dpstack.trace import Event
 from dpstack.units import NEVER
 
+#: how the refusal of a service over a connection that is over begins
+NO_CONNECTION: Final = "there is no open class 2 connection"
 #: connections at a time, to all slaves
 CAPACITY: Final = 64
 #: Idle after this share of the send time-out
@@ -123,7 +125,7 @@ class Ms2:
         )
         connection = Connection(order.token, address, order.send_timeout_ns, order.response_ns, self.clock)
         try:
-            job = InitiateJob(connection, self, request)
+            job = InitiateJob(connection, self, request, order.channels)
         except PduError as error:
             raise UsageError(str(error)) from None
         self.connections[order.token] = connection
@@ -133,7 +135,7 @@ class Ms2:
         connection = self.connections.get(ref)
         if connection is None or connection.phase is not Phase.OPEN:
             why = f": {connection.reason}" if connection is not None and connection.reason else ""
-            raise UsageError(f"there is no open class 2 connection {ref}{why}; open a new one")
+            raise UsageError(f"{NO_CONNECTION} {ref}{why}; open a new one")
         try:
             octets = service.build()
         except PduError as error:

@@ -39,8 +39,9 @@ class InitiateJob(ConnectionJob):
 
     title = "Initiate"
 
-    def __init__(self, connection: Connection, ms2: Ms2, request: InitiateReq) -> None:
+    def __init__(self, connection: Connection, ms2: Ms2, request: InitiateReq, channels: int) -> None:
         super().__init__(connection, ms2)
+        self._channels = channels
         self._octets = request.build()
         self._answer = _INITIATE_RES + len(request.source.build()) + len(request.destination.build())
         self._response: InitiateRes | None = None
@@ -159,10 +160,11 @@ class InitiateJob(ConnectionJob):
         self.connection.taken = False
         status = refusal_text(answer)
         own = self.ms2.count(self.address) - 1
-        mine = f" ({own} of them from here)" if own else ""
+        facts = (f"C2_Max_Count_Channels = {self._channels}", f"{own} of them from here")
+        mine = ", ".join(fact for fact, known in zip(facts, (self._channels, own), strict=True) if known)
         text = (
             f"slave {self.address} refuses Initiate ({status} at SAP {SAP_MS2_RM}): all its class 2 connections are in "
-            f"use{mine}, or it has none (C2_Read_Write_supp of its GSD file)"
+            f"use{f' ({mine})' if mine else ''}, or it has none (C2_Read_Write_supp of its GSD file)"
         )
         return Outcome(failure=ServiceFailure.REFUSED, text=text, status=status)
 

@@ -12,7 +12,7 @@ from typing import Final
 from dpstack.dp.class2_jobs import Outcome
 from dpstack.dp.v1.connection import FEATURES
 from dpstack.dp.v1.ms1 import SERVICE_TIMEOUT
-from dpstack.dp.v1.records import MAX_RECORD
+from dpstack.dp.v1.records import MAX_RECORD, Function
 from dpstack.trace import Event
 from dpstack.units import NS_PER_S
 
@@ -26,7 +26,8 @@ class OpenConnection:
 
     ``send_timeout_ns``: asked for (the slave may have a longer one); ``response_ns``: in which the slave answers a
     service (C2_Response_Timeout), 0: not known. ``profile_features``, ``profile_ident``, ``source`` and ``destination``
-    (API, access level, then up to 6 octets of network address and the MAC address) as in Initiate.
+    (API, access level, then up to 6 octets of network address and the MAC address) as in Initiate. ``channels``: how
+    many connections the slave has (C2_Max_Count_Channels), 0: not known.
     """
 
     token: int
@@ -38,6 +39,7 @@ class OpenConnection:
     profile_ident: int = 0
     source: bytes = bytes(2)
     destination: bytes = bytes(2)
+    channels: int = 0
     timeout_ns: int = SERVICE_TIMEOUT
 
 
@@ -105,6 +107,11 @@ class InitiateDone(Event):
     profile_ident: int = 0
 
     @property
+    def service(self) -> str:
+        """The standard's name."""
+        return Function.INITIATE.title
+
+    @property
     def text(self) -> str:
         """What came of it."""
         if self.outcome.failure is not None:
@@ -122,6 +129,11 @@ class TransportDone(Event):
     index: int
     outcome: Outcome
     stale: int = 0
+
+    @property
+    def service(self) -> str:
+        """The standard's name."""
+        return Function.DATA_TRANSPORT.title
 
     @property
     def text(self) -> str:
