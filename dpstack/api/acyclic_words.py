@@ -3,21 +3,33 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 from dpstack.api.control.specs import Spec
 from dpstack.api.drive_words import find_word
+from dpstack.api.record_list import ListedValues
 from dpstack.api.slave import Slave
 from dpstack.api.tables import parse_hex
 from dpstack.dp.v1.im import Im, Im0
-from dpstack.errors import UsageError
+from dpstack.errors import AcyclicError, SlaveFault, UsageError
+from dpstack.profile.acyclic import Progress
 
+PARAMETERS: Final = "parameters"
 WORDS: Final = (
     Spec("read", "SLOT INDEX [LENGTH]", "a record, as hex; LENGTH: at most so many octets", "1 47"),
     Spec("write", "SLOT INDEX HEX", "all octets of a record", "1 47 00FF"),
-    Spec("im", "[SLOT]", "I&M0, and those of I&M1 to 4 that there are", ""),
+    Spec(
+        PARAMETERS, "[SLOT] [OBJECT]", "the device's own list of parameters (PROFIdrive, 980 to 989), all values", "1"
+    ),
+    Spec("im", "[SLOT]", "I&M0, and those of I&M1 to 4 that it says there are", ""),
 )
+
+
+#: what is being read, how many of it, of how many
+OnProgress = Callable[[str, int, int], None]
+#: slot and object where nothing is said
+_FIRST_OBJECT: Final = (1, 1)
 
 
 def check(word: str, args: Sequence[str]) -> None:
@@ -28,8 +40,12 @@ def check(word: str, args: Sequence[str]) -> None:
         _octets(text) if name == "HEX" else _number(name.strip("[]"), text)
 
 
-async def carry_out(slave: Slave, word: str, args: Sequence[str]) -> dict[str, Any]:
-    """One word with its arguments; what came of it as plain data. Raises what :meth:`Slave.read` raises."""
+async def carry_out(slave: Slave, word: str, args: Sequence[str], progress: OnProgress | None = None) -> dict[str, Any]:
+    """One word with its arguments; what came of it as plain data. Raises what :meth:`Slave.read` raises.
+
+    ``parameters`` raises what :class:`~dpstack.api.record_parameters.RecordParameters` raises, too, and tells how far
+    it is.
+    """
     check(word, args)
     head = {"order": word, "slave": slave.name, "address": slave.address}
     match word:
@@ -42,9 +58,26 @@ async def carry_out(slave: Slave, word: str, args: Sequence[str]) -> dict[str, A
             octets = _octets(args[2])
             await slave.write(slot, index, octets)
             return {**head, "slot": slot, "index": index, "length": len(octets)}
+        case "parameters":
+            slot, axis = (*(_number("SLOT", text) for text in args), *_FIRST_OBJECT[len(args) :])
+            return {**head, "slot": slot, "object": axis, **await _all_parameters(slave, slot, axis, progress)}
         case _:
             slot = _number("SLOT", args[0]) if args else 0
             return {**head, "slot": slot, "im": await _all_im(slave, slot)}
+
+
+async def _all_parameters(slave: Slave, slot: int, axis: int, progress: OnProgress | None) -> dict[str, object]:
+    parameters = slave.parameters(slot, object=axis)
+
+    def told(what: str) -> Progress | None:
+        return None if progress is None else lambda done, of: progress(what, done, of)
+
+    await parameters.limits()
+    found = await parameters.read_out(progress=told("values"), describing=told("descriptions"))
+    ident = slave.setup.ident
+    if ident is None:  # "ask": it is in data exchange, so it has told
+        ident = 0 if slave.diagnosis is None else slave.diagnosis.ident
+    return {"ident": ident, "parameters": [ListedValues.of(one).as_dict() for one in found]}
 
 
 async def _all_im(slave: Slave, slot: int) -> dict[str, dict[str, object]]:
@@ -52,7 +85,10 @@ async def _all_im(slave: Slave, slot: int) -> dict[str, dict[str, object]]:
     found: dict[str, dict[str, object]] = {"0": _plain(im0)}
     for number in range(1, 5):
         if isinstance(im0, Im0) and im0.supported & (1 << number):
-            found[str(number)] = _plain(await slave.im(number, slot=slot))
+            try:
+                found[str(number)] = _plain(await slave.im(number, slot=slot))
+            except (AcyclicError, SlaveFault) as error:  # it says that it has it
+                found[str(number)] = {"error": str(error)}
     return found
 
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from dpstack.api.gsd import read_gsd
 from dpstack.dp.device import Leave, OnCycle
-from dpstack.dp.dp_slave import DpSlave, OnAddress, OnRead, OnTransport, OnWrite
+from dpstack.dp.dp_slave import DpSlave, OnAddress, OnIm, OnRead, OnTransport, OnWrite
 from dpstack.dp.slave_gsd import slave_description
-from dpstack.dp.v1.im import Im
+from dpstack.dp.v1.serving import ImOf
 from dpstack.errors import ConfigError, GsdError
 from dpstack.gsd.configuration import configure, default_modules
 
@@ -27,7 +27,8 @@ def slave_from_gsd(
     on_read: OnRead | None = None,
     on_write: OnWrite | None = None,
     on_transport: OnTransport | None = None,
-    im: Iterable[Im] = (),
+    im: ImOf = (),
+    on_im: OnIm | None = None,
 ) -> DpSlave:
     """The slave that the GSD file at ``path`` describes, doing what ``on_cycle(outputs, elapsed)`` does.
 
@@ -55,4 +56,5 @@ def slave_from_gsd(
         on_write=on_write,
         on_transport=on_transport,
         im=im,
+        on_im=on_im,
     )

@@ -6,21 +6,35 @@ import argparse
 import asyncio
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
-from dpstack.api.acyclic_words import WORDS, carry_out, check
+from dpstack.api.acyclic_words import PARAMETERS, WORDS, OnProgress, carry_out, check
 from dpstack.api.config import Config, load_config
 from dpstack.api.control.records import through_run
+from dpstack.api.drive_words import find_word
 from dpstack.api.events import Event, Notice, Severity, severity_of
 from dpstack.api.opening import open_bus
+from dpstack.api.parameter_list import FileToBe
+from dpstack.api.record_dump import list_of
+from dpstack.api.record_list import RecordList
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.cli import options, output
+from dpstack.cli.acyclic_lists import COMPARE, FILES, show_comparison, show_dump, show_list
+from dpstack.cli.progress import progress_bar
 from dpstack.cli.signals import StopSignal
 from dpstack.cli.streams import warn
 from dpstack.errors import UsageError
 
 #: a slave that searches for the baud rate takes its time
 _READY_S: Final = 10.0
+_WORDS: Final = (*WORDS, *FILES)
+
+
+class Order(NamedTuple):
+    """One word and what belongs to it."""
+
+    word: str
+    args: tuple[str, ...]
 
 
 def add_to(commands: options.Commands) -> None:
@@ -32,12 +46,13 @@ def add_to(commands: options.Commands) -> None:
         "dpstack acyclic plant.toml 8 read 1 47\n"
         "         dpstack acyclic plant.toml valves write 1 47 00FF\n"
         "         dpstack acyclic plant.toml 8 im\n\norders:\n"
-        + "\n".join(f"  {f'{spec.name} {spec.usage}':26} {spec.text}" for spec in WORDS),
+        + "\n".join(f"  {f'{spec.name} {spec.usage}':29} {spec.text}" for spec in _WORDS),
     )
     parser.add_argument("config", metavar="CONFIG", help="configuration file")
     parser.add_argument("slave", metavar="ADDRESS", help="the slave, by its address or its name there")
-    parser.add_argument("order", metavar="ORDER", help="read, write or im, see below")
+    parser.add_argument("order", metavar="ORDER", help="read, write, im ..., see below")
     parser.add_argument("args", metavar="ARG", nargs="*", help="what belongs to it; numbers 47 or 0x2F")
+    parser.add_argument("--all", action="store_true", help="compare: what is read only, too")
     parser.add_argument("--class", dest="master", metavar="1|2", choices=("1", "2"), default="1", help="of master")
     parser.add_argument("--port", metavar="P", help="another port")
     parser.add_argument("--baud", metavar="B|auto", type=options.baud_or_auto, help='another rate; "auto": listens')
@@ -50,35 +65,83 @@ def execute(args: argparse.Namespace) -> int:
     config = load_config(args.config).with_bus(port=args.port, baud=args.baud)
     if args.master == "2":
         raise UsageError("class 2 (MS2) is not supported yet by this version; leave --class out")
-    check(args.order, args.args)
-    slave = _slave_of(config, args.slave)
-    return asyncio.run(_run(config, slave, args))
+    spec = find_word(args.order, _WORDS, "dpstack acyclic")
+    spec.check(args.args)
+    in_file = spec in FILES
+    order = Order(PARAMETERS, tuple(args.args[1:])) if in_file else Order(args.order, tuple(args.args))
+    check(*order)
+    if args.all and args.order != COMPARE:
+        raise UsageError(f"--all is for {COMPARE}: leave it out")
+    asked = _Asked(config, _slave_of(config, args.slave), order, args.order)
+    match args.order:
+        case "dump":
+            return _dump(asked, args.args[0], json=args.json)
+        case "compare":
+            return _compare(asked, args.args[0], read_only=args.all, json=args.json)
+        case _:
+            return _tell(asked, json=args.json)
 
 
-async def _run(config: Config, slave: SlaveConfig, args: argparse.Namespace) -> int:
-    found: list[Mapping[str, Any]] = []
+class _Asked(NamedTuple):
+    """``order`` of a slave; ``word``: as it was typed."""
 
-    async def order() -> None:
-        told = await through_run(config.port, slave.address, args.order, args.args)
-        if told is not None:
-            found.append({**told, "through": "run"})
-        else:
-            found.append({**await _as_master(config, slave, args), "through": "master"})
+    config: Config
+    slave: SlaveConfig
+    order: Order
+    word: str
 
-    with StopSignal() as stop:
-        await stop.or_done(order())
-    if not found:
-        warn(f"ended before {args.order} was done")
+    def told(self) -> Mapping[str, Any] | None:
+        """What came of it; None where a signal ended it before."""
+        told = asyncio.run(_run(self.config, self.slave, self.order))
+        if told is None:
+            warn(f"ended before {self.word} was done")
+        return told
+
+
+def _tell(asked: _Asked, *, json: bool) -> int:
+    told = asked.told()
+    if told is None:
         return 1
-    (told,) = found
-    if args.json:
+    if json:
         output.json_line(told)
     else:
         _show(told)
     return 0
 
 
-async def _as_master(config: Config, slave: SlaveConfig, args: argparse.Namespace) -> Mapping[str, Any]:
+def _dump(asked: _Asked, path: str, *, json: bool) -> int:
+    with FileToBe(path) as file:
+        told = asked.told()
+        if told is None:
+            return 1
+        file.keep(list_of(told))
+    show_dump(told, path, json=json)
+    return 0
+
+
+def _compare(asked: _Asked, path: str, *, read_only: bool, json: bool) -> int:
+    saved = RecordList.load(path)
+    told = asked.told()
+    return 1 if told is None else show_comparison(told, path, saved, read_only=read_only, json=json)
+
+
+async def _run(config: Config, slave: SlaveConfig, order: Order) -> Mapping[str, Any] | None:
+    """What came of it; None where a signal ended it before."""
+    found: list[Mapping[str, Any]] = []
+
+    async def done(progress: OnProgress) -> None:
+        told = await through_run(config.port, slave.address, *order, progress)
+        if told is not None:
+            found.append({**told, "through": "run"})
+        else:
+            found.append({**await _as_master(config, slave, order, progress), "through": "master"})
+
+    with StopSignal() as stop, progress_bar(f"{order.word} of {slave.name}") as progress:
+        await stop.or_done(done(progress))
+    return found[0] if found else None
+
+
+async def _as_master(config: Config, slave: SlaveConfig, order: Order, progress: OnProgress) -> Mapping[str, Any]:
     """The master stays in Clear: records are open, and no output is set."""
     if config.bus.read_only:
         raise UsageError("the configuration is read only: records need data exchange; leave read_only out")
@@ -87,7 +150,7 @@ async def _as_master(config: Config, slave: SlaveConfig, args: argparse.Namespac
     async with open_bus(config, on_event=_event) as bus:
         found = bus.slave(slave.address)
         await found.ready(_READY_S)
-        return await carry_out(found, args.order, args.args)
+        return await carry_out(found, *order, progress)
 
 
 def _event(event: Event) -> None:
@@ -105,10 +168,16 @@ def _show(told: Mapping[str, Any]) -> None:
                 line = octets[at : at + 16]
                 text = "".join(chr(octet) if 32 <= octet < 127 else "." for octet in line)
                 output.line(f"{at:3}  {line.hex(' ').upper():47}  {text}")
+        case "parameters":
+            show_list(told)
         case "write":
             output.line(f"{who}: slot {told['slot']}, index {told['index']}: {told['length']} octets written")
         case _:
-            rows = [(f"I&M{n}", name, value) for n, record in told["im"].items() for name, value in record.items()]
+            rows = [
+                (f"I&M{n}", name, output.visible(str(value)))
+                for n, record in told["im"].items()
+                for name, value in record.items()
+            ]
             output.table(f"{who}: slot {told['slot']}", ("record", "what", "value"), rows)
 
 

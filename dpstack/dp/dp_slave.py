@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Awaitable, Callable, Iterable, Iterator
+from collections.abc import Awaitable, Callable, Iterator, Mapping
 from typing import Protocol
 
 from dpstack.dp.device import FunctionDevice, Leave, OnCycle
 from dpstack.dp.slave_description import SlaveDescription
 from dpstack.dp.user_diag import NO_DIAG, UserDiag
 from dpstack.dp.v1.im import Im
-from dpstack.dp.v1.serving import ImRecords
+from dpstack.dp.v1.serving import ImOf, ImRecords
 from dpstack.dp.v1.tickets import Records
 from dpstack.errors import ConfigError
 from dpstack.gsd.identifiers import io_lengths
@@ -21,6 +21,13 @@ class OnAddress(Protocol):
 
     def __call__(self, address: int, fixed: bool, rem_slave_data: bytes) -> None:
         """As :meth:`~dpstack.dp.device.Device.address_set`: all of it is kept."""
+
+
+class OnIm(Protocol):
+    """Keeps what a master wrote of I&M1 to I&M4 where it survives a restart."""
+
+    def __call__(self, slot: int, record: Im) -> None:
+        """``record`` as it is to stand from now on, at the slot that was addressed."""
 
 
 #: a record's octets from slot and index; from slot, index and octets to nothing. Both may take their time, and raise
@@ -47,8 +54,10 @@ class DpSlave(FunctionDevice):
 
     ``on_read`` and ``on_write`` serve the records of DP-V1, ``on_transport`` the Data_Transport of class 2
     (:func:`dpstack.serve_slave` runs them), one at a time for each who asks: what they raise is answered and told,
-    nothing else ends; they are cancelled when the master gives up. ``im`` is its I&M: I&M0, and those of I&M1 to 4 that
-    a master may write. ``ms2``: so many connections of class 2, default the description's.
+    nothing else ends; they are cancelled when the master gives up. ``ms2``: so many connections of class 2, default the
+    description's. ``im`` is its I&M: I&M0, and those of I&M1 to 4 that a master may write, for every slot alike or as a
+    table slot -> I&M. ``on_im(slot, record)`` keeps what a master writes of it where it survives a restart; what it
+    raises is answered (RecordRefused: as it says), and nothing is changed.
 
     Set :attr:`diag`, as a whole and whenever something changes, to what the slave shall say in its diagnosis.
     Raises ConfigError.
@@ -67,7 +76,8 @@ class DpSlave(FunctionDevice):
         on_read: OnRead | None = None,
         on_write: OnWrite | None = None,
         on_transport: OnTransport | None = None,
-        im: Iterable[Im] = (),
+        im: ImOf = (),
+        on_im: OnIm | None = None,
         ms2: int | None = None,
     ) -> None:
         first = description.configs[0] if description.configs else description.modules[0].config
@@ -100,7 +110,9 @@ class DpSlave(FunctionDevice):
         self.on_transport = on_transport
         self.ms2 = description.ms2 if ms2 is None else ms2
         self.ms2_max_len = description.ms2_max_len
-        self._im = tuple(im)
+        self._on_im = on_im
+        given = im if isinstance(im, Mapping) else tuple(im)
+        self._im = ImRecords(given, changed=self._im_written) if given else None
         self.serve_records(None)
         #: one of the user's functions runs at this moment
         self.inside = False
@@ -124,12 +136,18 @@ class DpSlave(FunctionDevice):
 
     @property
     def im(self) -> tuple[Im, ...]:
-        """Its I&M as it stands now, by number; a master may have written some of it."""
-        return self.records.records if isinstance(self.records, ImRecords) else ()
+        """Its I&M, that of slot 0, as it stands now, by number; a master may have written some of it."""
+        return self.im_of(0)
+
+    def im_of(self, slot: int) -> tuple[Im, ...]:
+        """I&M of ``slot`` as it stands now, by number; empty where it has none."""
+        return () if self._im is None else self._im.of(slot)
 
     def serve_records(self, others: Records | None) -> None:
         """What serves the records beside I&M."""
-        self.records = ImRecords(self._im, others) if self._im else others
+        if self._im is not None:
+            self._im.others = others
+        self.records = others if self._im is None else self._im
 
     # --- Device -------------------------------------------------------------------------------------------------
 
@@ -178,6 +196,11 @@ class DpSlave(FunctionDevice):
         with self._called():
             self._on_address(address, fixed, rem_slave_data)
         return True
+
+    def _im_written(self, slot: int, record: Im) -> None:
+        if self._on_im is not None:
+            with self._called():
+                self._on_im(slot, record)
 
     @contextlib.contextmanager
     def _called(self) -> Iterator[None]:

@@ -21,7 +21,7 @@ from dpstack.cli import acyclic
 from dpstack.cli.main import main
 from dpstack.dp.mirror import MirrorDevice
 from dpstack.dp.v1.serving import RecordTable
-from dpstack.errors import BusError, UsageError
+from dpstack.errors import AcyclicError, UsageError
 
 Out = pytest.CaptureFixture[str]
 RIG = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True)
@@ -117,6 +117,11 @@ def test_im(plant: Path, capsys: Out) -> None:
     assert told["im"]["1"] == {"tag_function": "fan", "tag_location": ""}
 
 
+def test_a_text_that_is_no_text(capsys: Out) -> None:
+    acyclic._show({"order": "im", "address": 8, "slave": "rig", "slot": 0, "im": {"0": {"order_id": "A\x1b[2J\0é"}}})
+    assert r"I&M0    order_id  A\x1b[2J\x00é" in capsys.readouterr().out
+
+
 @pytest.mark.usefixtures("world")
 @pytest.mark.parametrize(
     ("args", "code", "text"),
@@ -154,8 +159,9 @@ async def through() -> None:
     im = await through_run("virtual", 8, "im", [])
     assert im is not None
     assert im["im"]["0"]["order_id"] == "RIG"
-    with pytest.raises(BusError, match="invalid index"):
+    with pytest.raises(AcyclicError, match="invalid index") as caught:
         await through_run("virtual", 8, "read", ["1", "9"])
+    assert (caught.value.address, caught.value.service, caught.value.code_1) == (8, "Read", 0xB0)
     with pytest.raises(UsageError, match="no slave 7 on this bus"):
         await through_run("virtual", 7, "read", ["1", "9"])
     with pytest.raises(UsageError, match="dpv1 = true"):

@@ -11,12 +11,13 @@ Decisions where the sources are silent:
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Iterable, Mapping
 from weakref import WeakKeyDictionary
 
 from dpstack.dp.v1.codes import Code
 from dpstack.dp.v1.im import IM_FI, IM_INDEX, IM_LEN, RECORDS, Im, Im0, build_call, number_of, parse_call
-from dpstack.dp.v1.records import ReadReq, UnacceptableError, WriteReq, parse_request
+from dpstack.dp.v1.records import MAX_SLOT, ReadReq, UnacceptableError, WriteReq, parse_request
 from dpstack.dp.v1.tickets import Asker, Records, Ticket, Told, put
 from dpstack.errors import PduError
 from dpstack.fdl.telegram import SAP_MS1, Resp
@@ -98,33 +99,41 @@ class RecordTable:
             ticket.answer()
 
 
-class ImRecords:
-    """I&M at index 255 of every slot, everything else handed on to ``others``.
+#: I&M of every slot alike, or slot -> those of this one
+ImOf = Iterable[Im] | Mapping[int, Iterable[Im]]
 
-    ``records``: I&M0 and whichever else there are, I&M1 to 4 can be written; ``changed`` is told what was. The bits of
-    ``Im0.supported`` follow from what there is.
+
+class ImRecords:
+    """I&M at index 255, everything else handed on to ``others``.
+
+    ``records``: I&M0 and whichever else there are, for every slot alike or by slot (0..254; others are refused). I&M1
+    to 4 can be written: ``changed`` is told slot and record first, and refuses by raising. The bits of
+    ``Im0.supported`` follow from what there is. Raises PduError for what does not fit.
     """
 
     def __init__(
-        self, records: Iterable[Im], others: Records | None = None, changed: Callable[[Im], None] | None = None
+        self, records: ImOf, others: Records | None = None, changed: Callable[[int, Im], None] | None = None
     ) -> None:
-        found = {number_of(record): record for record in records}
-        bits = sum(1 << number for number in found if number)
-        known = found.get(0, Im0())
-        assert isinstance(known, Im0)
-        fields = {name: getattr(known, name) for name in Im0.__dataclass_fields__}
-        found[0] = Im0(**(fields | {"supported": known.supported | bits}))
-        for record in found.values():
-            record.build()  # raises PduError here, not when it is read
-        self._found: dict[int, Im] = found
-        self._others = others
+        #: None: of all slots
+        self._slots: dict[int | None, dict[int, Im]] = {}
+        if isinstance(records, Mapping):
+            for slot, found in records.items():
+                if not 0 <= slot <= MAX_SLOT:
+                    raise PduError(f"I&M of slot {slot}: slots are 0..{MAX_SLOT}")
+                self._slots[slot] = _of_one_slot(found)
+        else:
+            self._slots[None] = _of_one_slot(records)
+        self.others = others
         self._changed = changed
         self._called: WeakKeyDictionary[Asker, dict[int, int]] = WeakKeyDictionary()
 
-    @property
-    def records(self) -> tuple[Im, ...]:
-        """As they stand now, by number."""
-        return tuple(self._found[number] for number in sorted(self._found))
+    def of(self, slot: int = 0) -> tuple[Im, ...]:
+        """Those of ``slot`` as they stand now, by number; none where it has none."""
+        found = self._found(slot)
+        return tuple(found[number] for number in sorted(found))
+
+    def _found(self, slot: int) -> dict[int, Im]:
+        return self._slots.get(None) or self._slots.get(slot) or {}
 
     def ask(self, ticket: Ticket) -> None:
         """I&M at once; what is no call goes on."""
@@ -136,7 +145,7 @@ class ImRecords:
             self._call(ticket, request, called)
         elif request.slot in called:
             number = called[request.slot]
-            ticket.answer(build_call(number, self._found[number]))
+            ticket.answer(build_call(number, self._found(request.slot)[number]))
         else:
             self._hand_on(ticket)
 
@@ -148,8 +157,9 @@ class ImRecords:
             self._hand_on(ticket)
             return
         number = fi_index - IM_FI.start
-        if number not in self._found:
-            ticket.refuse(Code.INVALID_RANGE)
+        found = self._found(request.slot)
+        if number not in found:
+            ticket.refuse(Code.INVALID_RANGE if found else Code.INVALID_SLOT)
             return
         if data:
             if not number:
@@ -158,14 +168,26 @@ class ImRecords:
             if len(data) != IM_LEN:
                 ticket.refuse(Code.WRITE_LENGTH)
                 return
-            record = self._found[number] = RECORDS[number].parse(data)
+            record = RECORDS[number].parse(data)
             if self._changed is not None:
-                self._changed(record)
+                self._changed(request.slot, record)
+            found[number] = record
         called[request.slot] = number
         ticket.answer()
 
     def _hand_on(self, ticket: Ticket) -> None:
-        if self._others is None:
+        if self.others is None:
             ticket.refuse(Code.STATE_CONFLICT if ticket.request.index == IM_INDEX else Code.INVALID_INDEX)
         else:
-            self._others.ask(ticket)
+            self.others.ask(ticket)
+
+
+def _of_one_slot(records: Iterable[Im]) -> dict[int, Im]:
+    found = {number_of(record): record for record in records}
+    bits = sum(1 << number for number in found if number)
+    known = found.get(0, Im0())
+    assert isinstance(known, Im0)
+    found[0] = dataclasses.replace(known, supported=known.supported | bits)
+    for record in found.values():
+        record.build()  # raises PduError here, not when it is read
+    return found

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 from dpstack.errors import PduError
 from dpstack.profile.acyclic.client import ParameterClient, Progress
-from dpstack.profile.acyclic.formats import FORMATS, format_of
+from dpstack.profile.acyclic.formats import BYTE, DOUBLE_WORD, FORMATS, WORD, Format, Value, format_of
 from dpstack.profile.acyclic.record47 import Address, Attribute, ErrorValue, Result, Values
 from dpstack.profile.acyclic.services import Talk
 from dpstack.profile.acyclic.split import Item, Limits
@@ -30,6 +30,8 @@ _END: Final = frozenset({BAD_SUBINDEX, BAD_ADDRESS})
 #: a description: ID, elements, factor, attribute, reserved, name, low, high, reserved, ID extension, two of the scale
 _DESCRIPTION: Final = struct.Struct(">HHfH4x16s4s4s2xHHH")
 DESCRIPTION_LEN: Final = _DESCRIPTION.size
+#: substitutes that say nothing of the meaning
+_PLAIN: Final = frozenset({BYTE, WORD, DOUBLE_WORD})
 
 READ_ONLY_BIT, TEXT_BIT, ONLY_RESET_BIT, ARRAY_BIT = 9, 10, 13, 14
 
@@ -85,12 +87,26 @@ class ReadParameter(NamedTuple):
     result: Result
 
     @property
-    def values(self) -> tuple[object, ...]:
-        """For people; none where it was refused."""
+    def format(self) -> Format | None:
+        """Of its values: the drive's, or as described where it answers with plain bytes, words, double words.
+
+        None where it was refused.
+        """
         if isinstance(self.result, ErrorValue):
+            return None
+        told = format_of(self.result.format)
+        described = None if self.description is None else FORMATS.get(self.description.format)
+        as_described = told.number in _PLAIN and described is not None and described.octets == told.octets
+        return described if as_described else told
+
+    @property
+    def values(self) -> tuple[Value, ...]:
+        """For people; none where it was refused."""
+        form = self.format
+        if form is None or isinstance(self.result, ErrorValue):
             return ()
-        form = format_of(self.result.format)
-        return tuple(form.value(raw) for raw in self.result.raws)
+        octets = format_of(self.result.format).pack(self.result.raws)
+        return tuple(form.value(raw) for raw in form.unpack(octets)) if octets else ()
 
     @property
     def why_not(self) -> str | None:
@@ -138,7 +154,9 @@ def _list(client: ParameterClient, pnu: int, deadline: int) -> Talk[list[int]]:
         (part,) = yield from client.read([Item(Address(pnu, len(found), count), width=2)], deadline)
         if isinstance(part, ErrorValue):
             if (not found and part.number in (ILLEGAL_NUMBER, NO_ARRAY)) or part.number not in _END:
-                raise CommandError("parameter", f"parameter {pnu}: {error_text(*part)}", part.number)
+                missing = pnu == FIRST_LIST and part.number in (ILLEGAL_NUMBER, NO_ARRAY)
+                todo = "; it has no list of its parameters: read them by number" if missing else ""
+                raise CommandError("parameter", f"parameter {pnu}: {error_text(*part)}{todo}", part.number)
             length = None
             count //= 2  # more elements than the list has: the last ones by halves
             continue
@@ -180,16 +198,22 @@ def texts(client: ParameterClient, pnu: int, count: int, deadline: int = NEVER, 
 
 
 def read_out(
-    client: ParameterClient, deadline: int = NEVER, progress: Progress | None = None, *, described: bool = True
+    client: ParameterClient,
+    deadline: int = NEVER,
+    progress: Progress | None = None,
+    *,
+    described: bool = True,
+    describing: Progress | None = None,
 ) -> Talk[list[ReadParameter]]:
     """Every parameter of the drive's list with its values, arrays whole. Raises CommandError.
 
-    ``progress`` counts values. ``described`` False: no descriptions, so of arrays only the first element.
+    ``progress`` counts values, ``describing`` the descriptions before them. ``described`` False: no descriptions, so
+    of arrays only the first element.
     """
     pnus = yield from defined(client, deadline)
     descriptions: list[Description | None] = [None] * len(pnus)
     if described:
-        descriptions = yield from describe(client, pnus, deadline)
+        descriptions = yield from describe(client, pnus, deadline, describing)
     items = [_item(pnu, one) for pnu, one in zip(pnus, descriptions, strict=True)]
     results = yield from client.read(items, deadline, progress)
     return [ReadParameter(*one) for one in zip(pnus, descriptions, results, strict=True)]
