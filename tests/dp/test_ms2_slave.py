@@ -213,12 +213,30 @@ def test_all_server_saps() -> None:
     assert slave.all_free()
 
 
-def test_initiate_again_before_the_answer_was_fetched_takes_the_place_of_the_first() -> None:
+def test_initiates_before_an_answer_was_fetched_are_named_one_after_the_other() -> None:
+    slave = Slave(count=3)
+    for _ in range(3):
+        assert slave.master.ask(49, INITIATE) == SC
+    assert [slave.master.manager() for _ in range(5)] == [48, 47, 46, 46, 46]
+    assert [slave.master.ask(sap) for sap in (46, 47, 48)] == [OPENED] * 3
+    assert slave.master.ask(49) == SC
+    assert len(slave.app.connections) == 3
+
+
+def test_where_none_is_free_the_next_initiate_takes_the_place_of_one_that_was_not_fetched() -> None:
     slave = Slave(count=1)
     assert slave.master.ask(49, INITIATE) == SC
     assert slave.master.connect() == 48
     assert slave.texts()[1].endswith("0 services: another Initiate of its master came before the answer was fetched")
     assert len(slave.app.connections) == 1
+
+
+def test_one_that_was_fetched_is_not_taken_away() -> None:
+    slave = Slave(count=1)
+    assert slave.master.initiate() == 48
+    assert slave.master.ask(49, INITIATE) == RS
+    assert slave.master.ask(49) == "56 30 00 C8"
+    assert slave.master.ask(48) == OPENED
 
 
 def test_initiate_again_after_it_was_fetched_opens_a_second_one() -> None:
