@@ -64,7 +64,7 @@ def test_everything_over_one_connection_beside_the_slaves_own_master() -> None:
             assert await connection.transport(3, 4, b"\5\6") == b"\5\6"
             assert await asyncio.gather(*(connection.read(1, n) for n in range(9))) == [bytes((1, n)) for n in range(9)]
             assert await connection.ident() == 0x1234
-            await asyncio.sleep(10)  # Idle keeps it
+            await asyncio.sleep(2.5)  # Idle keeps it
             assert await connection.read(1, 2) == b"\1\2"
             assert bus.class2.connections == 1
         assert (connection.is_open, connection.reason, bus.class2.connections) == (False, "it was closed here", 0)
