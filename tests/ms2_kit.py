@@ -279,11 +279,11 @@ class Ms2App(SlaveApp):
         return Reply(Resp.DL, answer) if answer else RS_REPLY
 
 
-def ms2_in(world: World, address: int = 9) -> Ms2Server:
+def ms2_in(world: World, address: int = 9, baud: int = 500_000) -> Ms2Server:
     """Such a slave in ``world``: ident 0x1234, an octet of inputs and one of outputs."""
     app = Ms2App(MirrorDevice(0x1234, bytes.fromhex("20 10")))
     app.server = Ms2Server()
-    world.add(PassiveStation(address, app, BusParams.preset(500_000)))
+    world.add(PassiveStation(address, app, BusParams.preset(baud)))
     return app.server
 
 
