@@ -21,6 +21,7 @@ from dpstack.api.ms2_config import Ms2Limits
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.dp.v1.ms2_orders import ConnectionOver
 from dpstack.gsd.model import Device, DpV1
+from dpstack.profile.acyclic import Address, Values
 from dpstack.sim.world import World
 
 Program = Callable[[dpstack.Bus, Ms2Server], Coroutine[Any, Any, None]]
@@ -289,5 +290,24 @@ def test_a_read_only_bus_opens_none() -> None:
         async with dpstack.open_bus(config, world=world) as bus:
             with pytest.raises(UsageError, match="this bus is read-only: no connection is opened"):
                 await bus.class2.connect(9)
+
+    virtual(main())
+
+
+def test_the_parameter_channel_over_a_connection() -> None:
+    """Record 47 of the simulated LS S100, while its own master uses it over MS1."""
+
+    async def main() -> None:
+        pump = {"name": "pump", "address": 6, "drive": "ls-s100", "telegram": "ST1"}
+        async with bus_of(pump) as bus:
+            await bus.ready()
+            async with bus.class2.connect("pump") as connection:
+                parameters = connection.parameters()
+                address, own = Address(965, 0, 0), await bus.slave("pump").parameters().read([Address(965, 0, 0)])
+                assert await parameters.read([address]) == own
+                assert isinstance(own[0], Values)
+                assert (await connection.im()) == await bus.slave("pump").im()
+                assert await connection.ident() == bus.slave("pump").setup.ident
+            assert bus.class2.connections == 0
 
     virtual(main())
