@@ -7,12 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from octet_slave import DL, RS, SC, OctetSlave, sd1, sd2
 from ring_bus import RingBus
 
 from dpstack.dp.acyclic import Acyclic
+from dpstack.dp.mirror import MirrorDevice
+from dpstack.dp.slaveapp import SlaveApp
 from dpstack.dp.v1.ms1 import RecordDone
 from dpstack.dp.v1.ms2_orders import (
     CloseConnection,
@@ -27,7 +29,11 @@ from dpstack.dp.v1.ms2_orders import (
 from dpstack.fdl.active import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.guard import Guard
+from dpstack.fdl.passive import PassiveStation
+from dpstack.fdl.telegram import Resp, Telegram
+from dpstack.fdl.user import RS_REPLY, SC_REPLY, Reply
 from dpstack.params import BusParams
+from dpstack.sim.world import World
 from dpstack.trace import Event
 
 MS = 1_000_000
@@ -59,12 +65,12 @@ class Session:
     closing: bool = False
 
 
-@dataclass
-class OctetMs2Slave(OctetSlave):
-    """Server SAPs from 48 down, ``free`` of them; each answer is there at poll number ``polls`` + 1.
+@dataclass(kw_only=True)
+class Ms2Server:
+    """Server SAPs from 48 down, ``free`` of them; each answer is there at poll number ``polls``, or in the request
+    itself (``direct``).
 
-    ``serve`` answers PDUs; ``initiate`` answers at the server SAP; ``manager`` replaces the resource manager;
-    ``says`` (of the base class) whole SAPs. ``mute``: it answers nothing any more. ``heard``: PDUs by SAP.
+    ``serve`` answers PDUs, ``initiate`` answers at the server SAP. ``heard``: PDUs by SAP.
     """
 
     free: list[int] = field(default_factory=lambda: [48, 47])
@@ -73,29 +79,14 @@ class OctetMs2Slave(OctetSlave):
     direct: bool = False
     serve: Serve = served
     initiate: bytes = bytes.fromhex("57 F0 01 00 00 00 00 00 00 02 00 02 00 00 00 00")
-    mute: bool = False
     sessions: dict[int, Session] = field(default_factory=dict)
     given_out: list[bytes] = field(default_factory=list)
     heard: list[tuple[int, bytes]] = field(default_factory=list)
-    last: bytes = b""
 
-    def __call__(self, octets: bytes, now: int) -> tuple[int, bytes] | None:
-        if self.mute:
-            return None
-        if self.kept is None or octets != self.last:  # the same FCB: the kept answer once more
-            self.kept, self.last = super().__call__(octets, now), octets
-        return self.kept
-
-    def service(self, octets: bytes) -> bytes | None:
-        sa, dsap, ssap, pdu = octets[5] & 0x7F, octets[7], octets[8], octets[9:-2]
-        if dsap > 49 or dsap in self.says:
-            return super().service(octets)
-        assert ssap == 50
-        self.heard.append((dsap, pdu))
-        answer = self.manage(pdu) if dsap == 49 else self.session(dsap, pdu)
-        if answer is None:
-            return SC
-        return sd2(sa, self.address, DL, 50, dsap, answer) if answer else sd1(sa, self.address, RS)
+    def ms2(self, sap: int, pdu: bytes) -> bytes | None:
+        """What SAP 0..49 answers: data, None for SC, empty for RS."""
+        self.heard.append((sap, pdu))
+        return self.manage(pdu) if sap == 49 else self.session(sap, pdu)
 
     def manage(self, pdu: bytes) -> bytes | None:
         """The resource manager; empty is RS."""
@@ -151,6 +142,31 @@ class OctetMs2Slave(OctetSlave):
 
 
 @dataclass
+class OctetMs2Slave(OctetSlave, Ms2Server):
+    """On a :class:`RingBus`; ``says`` (of the base class) replaces whole SAPs. ``mute``: it answers nothing."""
+
+    mute: bool = False
+    last: bytes = b""
+
+    def __call__(self, octets: bytes, now: int) -> tuple[int, bytes] | None:
+        if self.mute:
+            return None
+        if self.kept is None or octets != self.last:  # the same FCB: the kept answer once more
+            self.kept, self.last = super().__call__(octets, now), octets
+        return self.kept
+
+    def service(self, octets: bytes) -> bytes | None:
+        sa, dsap, ssap = octets[5] & 0x7F, octets[7], octets[8]
+        if dsap > 49 or dsap in self.says:
+            return super().service(octets)
+        assert ssap == 50
+        answer = self.ms2(dsap, octets[9:-2])
+        if answer is None:
+            return SC
+        return sd2(sa, self.address, DL, 50, dsap, answer) if answer else sd1(sa, self.address, RS)
+
+
+@dataclass
 class Ms2Bus:
     """Station 2 with nothing but class 2, its slaves at ``addresses``."""
 
@@ -180,23 +196,23 @@ class Ms2Bus:
         self.tokens += 1
         return self.tokens
 
-    def order_open(self, address: int = 4, send_timeout_ns: int = 200 * MS, **more: int) -> int:
+    def order_open(self, address: int = 4, send_timeout_ns: int = 200 * MS, **more: Any) -> int:
         """Ordered only."""
         token = self.token()
         self.send(OpenConnection(token, address, send_timeout_ns, **more))
         return token
 
-    def open(self, address: int = 4, **more: int) -> InitiateDone:
+    def open(self, address: int = 4, **more: Any) -> InitiateDone:
         """The end of one Initiate."""
         return self.end(self.order_open(address, **more), InitiateDone)
 
-    def order_read(self, connection: int, slot: int = 1, index: int = 2, length: int = 240, **more: int) -> int:
+    def order_read(self, connection: int, slot: int = 1, index: int = 2, length: int = 240, **more: Any) -> int:
         """Ordered only."""
         token = self.token()
         self.send(ReadOver(token, connection, slot, index, length, **more))
         return token
 
-    def read(self, connection: int, slot: int = 1, index: int = 2, length: int = 240, **more: int) -> RecordDone:
+    def read(self, connection: int, slot: int = 1, index: int = 2, length: int = 240, **more: Any) -> RecordDone:
         """The end of one Read."""
         return self.end(self.order_read(connection, slot, index, length, **more), RecordDone)
 
@@ -246,4 +262,42 @@ class Ms2Bus:
             assert slave.mute or not slave.sessions, "the slave keeps a connection"
 
 
-__all__ = ["DL", "MS", "RS", "SC", "Ms2Bus", "OctetMs2Slave", "Session", "sd1", "sd2", "served"]
+class Ms2App(SlaveApp):
+    """A slave of ours whose SAPs 0..49 are a :class:`Ms2Server`."""
+
+    __slots__ = ("server",)
+
+    server: Ms2Server
+
+    def serve(self, request: Telegram, now: int) -> Reply | None:
+        if request.dsap is None or request.dsap > 49:
+            return super().serve(request, now)
+        assert request.ssap == 50
+        answer = self.server.ms2(request.dsap, request.data)
+        if answer is None:
+            return SC_REPLY
+        return Reply(Resp.DL, answer) if answer else RS_REPLY
+
+
+def ms2_in(world: World, address: int = 9, baud: int = 500_000) -> Ms2Server:
+    """Such a slave in ``world``: ident 0x1234, an octet of inputs and one of outputs."""
+    app = Ms2App(MirrorDevice(0x1234, bytes.fromhex("20 10")))
+    app.server = Ms2Server()
+    world.add(PassiveStation(address, app, BusParams.preset(baud)))
+    return app.server
+
+
+__all__ = [
+    "DL",
+    "MS",
+    "RS",
+    "SC",
+    "Ms2Bus",
+    "Ms2Server",
+    "OctetMs2Slave",
+    "Session",
+    "ms2_in",
+    "sd1",
+    "sd2",
+    "served",
+]
