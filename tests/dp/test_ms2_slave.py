@@ -323,6 +323,7 @@ def test_data_that_is_longer_than_the_slave_takes() -> None:
     slave = Slave(max_len=2)
     sap = slave.master.initiate()
     assert slave.master.ask(sap)[:5] == "57 02"
+    assert slave.master.service(sap, READ) == "5E 00 01 02 11 22"
     assert slave.master.service(sap, "5F 01 02 03 01 02 03") == "DF 80 B1 00"
     assert slave.texts()[-1] == "MS2 of master 1 refused: 3 octets of data, 2 are possible"
 
