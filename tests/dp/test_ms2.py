@@ -451,6 +451,28 @@ def test_a_slave_that_never_answers_a_service() -> None:
     kit.freed()
 
 
+def test_a_write_without_an_answer_may_have_been_carried_out() -> None:
+    kit = Ms2Bus()
+    kit.open(response_ns=100 * MS)
+    kit.slave.serve = lambda pdu: None
+    assert kit.write(1, 1, 2, b"\1").text.endswith("; it may have been carried out")
+    kit.over(1)
+    ref = kit.open().token
+    kit.slave.serve = lambda pdu: b"\x58\x00\x11"
+    assert kit.transport(ref, 1, 2, b"\1").text.endswith("(ABT_SE); it may have been carried out")
+    ref = kit.open().token
+    kit.slave.serve = lambda pdu: None
+    tokens = [kit.token(), kit.token()]
+    for token in tokens:
+        kit.send(WriteOver(token, ref, 1, 2, b"\1"))
+    kit.bus.run(5 * MS)
+    kit.send(CloseConnection(ref))
+    under_way, waiting = (kit.end(token, RecordDone).text for token in tokens)
+    assert under_way.endswith("is over: it was closed here; it may have been carried out")
+    assert waiting.endswith("is over: it was closed here")  # it was never sent
+    kit.freed()
+
+
 def test_the_slave_vanishes() -> None:
     kit = Ms2Bus()
     kit.open()

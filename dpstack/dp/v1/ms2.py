@@ -23,9 +23,9 @@ from typing import Final
 
 from dpstack.dp.class2_jobs import Job
 from dpstack.dp.master import Master
-from dpstack.dp.v1.connection import Abort, Address, DataTransport, InitiateReq, Instance
+from dpstack.dp.v1.connection import Abort, Address, DataTransport, InitiateReq
 from dpstack.dp.v1.judging import Service
-from dpstack.dp.v1.ms2_connection import TIMED_OUT, Clock, Connection, Phase
+from dpstack.dp.v1.ms2_connection import NOT_WANTED, TIMED_OUT, Clock, Connection, Phase
 from dpstack.dp.v1.ms2_initiate import InitiateJob
 from dpstack.dp.v1.ms2_jobs import GiveBackJob, IdleJob, ServiceJob
 from dpstack.dp.v1.ms2_orders import (
@@ -52,8 +52,6 @@ CAPACITY: Final = 64
 #: Idle after this share of the send time-out
 _QUIET: Final = 3
 _ADDRESS: Final = 2
-#: the program does not want the connection any more
-_CLOSED: Final = Abort(0, Instance.USER)
 
 
 @dataclass(slots=True)
@@ -79,11 +77,11 @@ class Ms2:
             case CloseConnection(ref):
                 connection = self.connections.get(ref)
                 if connection is not None:
-                    self.end(connection, "it was closed here", _CLOSED)
+                    self.end(connection, "it was closed here", NOT_WANTED)
             case CloseConnections():
                 self._closing = True
                 for connection in tuple(self.connections.values()):
-                    self.end(connection, "the bus was closed here", _CLOSED)
+                    self.end(connection, "the bus was closed here", NOT_WANTED)
                 self._closed_all(now)
             case _:
                 return False
@@ -221,7 +219,7 @@ class Ms2:
         """The port vanished. Slaves are told when it is back before they give the connections up themselves."""
         self.clock.now = now
         for connection in tuple(self.connections.values()):
-            self.end(connection, f"the port vanished ({reason})", _CLOSED)
+            self.end(connection, f"the port vanished ({reason})", NOT_WANTED)
 
     def wake_at(self) -> int:
         """When a connection was silent for too long."""
