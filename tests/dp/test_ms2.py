@@ -72,7 +72,7 @@ def test_literal_telegrams() -> None:
     start = len(kit.bus.log)
     over = kit.close(1)
     assert said(kit, start) == ["68 08 08 68 84 82 5d 30 32 58 00 20 3d 16", "e5"]
-    assert (over.reason, over.abort, over.server_sap) == ("it was closed here", (0, 2, 0), 48)
+    assert (over.reason, over.abort, over.server_sap, over.ordered) == ("it was closed here", (0, 2, 0), 48, True)
     kit.freed()
 
 
@@ -362,7 +362,7 @@ def test_the_slave_aborts(abort: str, text: str) -> None:
     assert "Read of slot 1, index 2 has no answer, the class 2 connection is over: the slave aborted it: " in done.text
     assert kit.end(second, RecordDone).outcome == done.outcome
     over = kit.over(1)
-    assert over.abort == codes
+    assert (over.abort, over.ordered) == (codes, False)
     assert text in over.text
     assert kit.slave.heard[-1][1][:1] != b"\x58"  # it knows
     kit.freed()
@@ -448,6 +448,28 @@ def test_a_slave_that_never_answers_a_service() -> None:
     )
     assert kit.over(1).reason == "Read of slot 1, index 2 had no answer in time"
     assert kit.slave.heard[-1] == (48, b"\x58\x00\x13")
+    kit.freed()
+
+
+def test_a_write_without_an_answer_may_have_been_carried_out() -> None:
+    kit = Ms2Bus()
+    kit.open(response_ns=100 * MS)
+    kit.slave.serve = lambda pdu: None
+    assert kit.write(1, 1, 2, b"\1").text.endswith("; it may have been carried out")
+    kit.over(1)
+    ref = kit.open().token
+    kit.slave.serve = lambda pdu: b"\x58\x00\x11"
+    assert kit.transport(ref, 1, 2, b"\1").text.endswith("(ABT_SE); it may have been carried out")
+    ref = kit.open().token
+    kit.slave.serve = lambda pdu: None
+    tokens = [kit.token(), kit.token()]
+    for token in tokens:
+        kit.send(WriteOver(token, ref, 1, 2, b"\1"))
+    kit.bus.run(5 * MS)
+    kit.send(CloseConnection(ref))
+    under_way, waiting = (kit.end(token, RecordDone).text for token in tokens)
+    assert under_way.endswith("is over: it was closed here; it may have been carried out")
+    assert waiting.endswith("is over: it was closed here")  # it was never sent
     kit.freed()
 
 

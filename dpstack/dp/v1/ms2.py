@@ -23,9 +23,9 @@ from typing import Final
 
 from dpstack.dp.class2_jobs import Job
 from dpstack.dp.master import Master
-from dpstack.dp.v1.connection import Abort, Address, DataTransport, InitiateReq, Instance
+from dpstack.dp.v1.connection import Abort, Address, DataTransport, InitiateReq
 from dpstack.dp.v1.judging import Service
-from dpstack.dp.v1.ms2_connection import TIMED_OUT, Clock, Connection, Phase
+from dpstack.dp.v1.ms2_connection import NOT_WANTED, TIMED_OUT, Clock, Connection, Phase
 from dpstack.dp.v1.ms2_initiate import InitiateJob
 from dpstack.dp.v1.ms2_jobs import GiveBackJob, IdleJob, ServiceJob
 from dpstack.dp.v1.ms2_orders import (
@@ -52,8 +52,6 @@ CAPACITY: Final = 64
 #: Idle after this share of the send time-out
 _QUIET: Final = 3
 _ADDRESS: Final = 2
-#: the program does not want the connection any more
-_CLOSED: Final = Abort(0, Instance.USER)
 
 
 @dataclass(slots=True)
@@ -79,11 +77,11 @@ class Ms2:
             case CloseConnection(ref):
                 connection = self.connections.get(ref)
                 if connection is not None:
-                    self.end(connection, "it was closed here", _CLOSED)
+                    self._close(connection, "it was closed here")
             case CloseConnections():
                 self._closing = True
                 for connection in tuple(self.connections.values()):
-                    self.end(connection, "the bus was closed here", _CLOSED)
+                    self._close(connection, "the bus was closed here")
                 self._closed_all(now)
             case _:
                 return False
@@ -147,6 +145,10 @@ class Ms2:
             )
         return ServiceJob(connection, self, service, octets)
 
+    def _close(self, connection: Connection, reason: str) -> None:
+        connection.ordered |= connection.phase is Phase.OPEN
+        self.end(connection, reason, NOT_WANTED)
+
     # --- one connection -------------------------------------------------------------------------------------------
 
     def end(self, connection: Connection, reason: str, abort: Abort | None) -> None:
@@ -177,6 +179,7 @@ class Ms2:
                     address=connection.address,
                     server_sap=connection.server_sap or 0,
                     reason=connection.reason,
+                    ordered=connection.ordered,
                     abort=None if told is None else (told.subnet, told.instance, told.reason),
                 )
             )
@@ -221,7 +224,7 @@ class Ms2:
         """The port vanished. Slaves are told when it is back before they give the connections up themselves."""
         self.clock.now = now
         for connection in tuple(self.connections.values()):
-            self.end(connection, f"the port vanished ({reason})", _CLOSED)
+            self.end(connection, f"the port vanished ({reason})", NOT_WANTED)
 
     def wake_at(self) -> int:
         """When a connection was silent for too long."""

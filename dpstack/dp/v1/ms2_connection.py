@@ -18,12 +18,12 @@ from enum import Enum
 from typing import Final, NamedTuple
 
 from dpstack.dp.class2_jobs import Outcome, ServiceFailure, Step, Steps
-from dpstack.dp.ms0 import DATA_STATUS, refusal_text
-from dpstack.dp.v1.connection import HEAD, Abort, AbortReason
-from dpstack.dp.v1.judging import BUSY_PAUSE, NO_ANSWERS, NOT_NOW, NOT_TAKEN, NOT_YET, pause_before
+from dpstack.dp.ms0 import refusal_text
+from dpstack.dp.v1.connection import HEAD, Abort, AbortReason, Instance
+from dpstack.dp.v1.judging import BUSY_PAUSE, NO_ANSWERS, NOT_TAKEN, Said, pause_before, said
 from dpstack.dp.v1.records import Function
 from dpstack.errors import PduError
-from dpstack.fdl.telegram import SSAP_MS2, Kind, Req, Telegram
+from dpstack.fdl.telegram import SSAP_MS2, Req, Telegram
 from dpstack.fdl.user import Failure, Request
 from dpstack.units import NS_PER_MS, NS_PER_S, ns_to_s
 
@@ -34,6 +34,8 @@ _SILENT_PAUSE: Final = 10 * NS_PER_MS
 _SILENT_PAUSE_MAX: Final = 160 * NS_PER_MS
 #: what a slave is told that was not heard, or not in time
 TIMED_OUT: Final = Abort(AbortReason.TIMEOUT)
+#: the program does not want the connection any more
+NOT_WANTED: Final = Abort(0, Instance.USER)
 _SILENT: Final = {
     Failure.NO_ANSWER: "does not answer",
     Failure.GARBLED: "gives no readable answer to",
@@ -88,6 +90,8 @@ class Connection:
     outstanding: bool = False
     #: it was open once: its end is told
     opened: bool = False
+    #: its end was ordered
+    ordered: bool = False
     reason: str = ""
     abort: Abort | None = None
     #: answers to requests that nobody waited for any more
@@ -154,24 +158,25 @@ class Connection:
                 continue
             unanswered = 0
             self.heard_at = now
-            if outcome.kind is not Kind.SC and outcome.data and outcome.function in DATA_STATUS | NOT_TAKEN:
-                pdu = self._read(outcome.data, title, idle=idle)
-                self.outstanding &= pdu is None
-                if octets and outcome.function in NOT_TAKEN and not isinstance(pdu, Ended):
-                    self.stale += 1  # of an earlier request: this one was not taken
+            match said(outcome):
+                case Said.CLOSED:
+                    return self._closed(title, outcome)
+                case Said.WAIT:
+                    octets, pause = b"", pause_before(polls)
+                    polls += 1
+                case Said.AGAIN:
+                    self.outstanding &= not octets
+                    pause = BUSY_PAUSE
+                case Said.DATA:
+                    pdu = self._read(outcome.data, title, idle=idle)
+                    self.outstanding &= pdu is None
+                    if octets and outcome.function in NOT_TAKEN and not isinstance(pdu, Ended):
+                        self.stale += 1  # of an earlier request: this one was not taken
+                    elif pdu is not None:
+                        return pdu
+                    else:
+                        octets, begun = b"", now
                     pause = 0
-                elif pdu is not None:
-                    return pdu
-                else:
-                    octets, begun, pause = b"", now, 0
-            elif outcome.kind is Kind.SC or outcome.function in NOT_YET or outcome.function in DATA_STATUS:
-                octets, pause = b"", pause_before(polls)
-                polls += 1
-            elif outcome.function in NOT_NOW or outcome.function in NOT_TAKEN:
-                self.outstanding &= not octets
-                pause = BUSY_PAUSE
-            else:
-                return self._closed(title, outcome)
             if now - begun >= self.limit_ns:
                 return self._late(title)
 
@@ -230,4 +235,4 @@ class Connection:
         return Ended(Outcome(failure=ServiceFailure.GUARDED, text=text))
 
 
-__all__ = ["TIMED_OUT", "Clock", "Connection", "Ended", "Phase"]
+__all__ = ["NOT_WANTED", "TIMED_OUT", "Clock", "Connection", "Ended", "Phase"]

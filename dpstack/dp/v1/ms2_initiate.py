@@ -12,15 +12,15 @@ import dataclasses
 from typing import TYPE_CHECKING, Final
 
 from dpstack.dp.class2_jobs import ATTEMPTS, Outcome, ServiceFailure, Step, Steps
-from dpstack.dp.ms0 import DATA_STATUS, refusal_text
+from dpstack.dp.ms0 import refusal_text
 from dpstack.dp.v1.connection import HEAD, AbortReason, InitiateReq, InitiateRes, Instance, ResourceManagerRes
-from dpstack.dp.v1.judging import BUSY_PAUSE, NO_ANSWERS, NOT_NOW, NOT_TAKEN, pause_before
-from dpstack.dp.v1.ms2_connection import TIMED_OUT, Connection, Ended, Phase
-from dpstack.dp.v1.ms2_jobs import WAIT_FOR, ConnectionJob
+from dpstack.dp.v1.judging import BUSY_PAUSE, NO_ANSWERS, NOT_TAKEN, Said, pause_before, said
+from dpstack.dp.v1.ms2_connection import NOT_WANTED, TIMED_OUT, Connection, Ended, Phase
+from dpstack.dp.v1.ms2_jobs import ConnectionJob
 from dpstack.dp.v1.ms2_orders import InitiateDone
 from dpstack.dp.v1.records import MAX_RECORD, Function, Negative, parse_response
 from dpstack.errors import PduError
-from dpstack.fdl.telegram import SAP_MS2_RM, Kind, Telegram
+from dpstack.fdl.telegram import SAP_MS2_RM, Telegram
 from dpstack.fdl.user import Failure
 from dpstack.trace import Event
 from dpstack.units import NS_PER_MS
@@ -28,6 +28,8 @@ from dpstack.units import NS_PER_MS
 if TYPE_CHECKING:
     from dpstack.dp.v1.ms2 import Ms2
 
+#: by whoever wanted it
+_GIVEN_UP: Final = (ServiceFailure.CANCELLED, ServiceFailure.ABORTED)
 _PAUSE: Final = 10 * NS_PER_MS
 _NEGATIVE: Final = 0x80
 #: octets of Initiate, response, without addresses
@@ -117,25 +119,24 @@ class InitiateJob(ConnectionJob):
                 octets, pause = b"" if octets else self._octets, _PAUSE << unanswered
                 continue
             sent, octets, pause = octets, b"", 0
-            again = unanswered and not sent
-            if answer.kind is not Kind.SC and answer.data and answer.function in DATA_STATUS | NOT_TAKEN:
-                if sent and answer.function in NOT_TAKEN:
+            # a poll for the answer to an Initiate that had none: nothing there, so it was not taken
+            not_taken = unanswered and not sent
+            match said(answer):
+                case Said.DATA if sent and answer.function in NOT_TAKEN:
                     octets = sent
-                else:
+                case Said.DATA:
                     found = self._managed(answer.data)
                     if found is not None:
                         return found
-            elif answer.kind is not Kind.SC and answer.function in NOT_NOW | NOT_TAKEN:
-                octets, pause = sent, BUSY_PAUSE
-            elif answer.kind is not Kind.SC and answer.function not in WAIT_FOR:
-                if not again:
+                case Said.AGAIN:
+                    octets, pause = sent, BUSY_PAUSE
+                case Said.CLOSED if not not_taken:
                     return Ended(self._no_service(answer))
-                octets, unanswered = self._octets, 0
-            elif again:  # nothing of the Initiate before: it was not taken
-                octets, unanswered = self._octets, 0
-            else:
-                pause = pause_before(polls)
-                polls += 1
+                case _ if not_taken:
+                    octets, unanswered = self._octets, 0
+                case _:
+                    pause = pause_before(polls)
+                    polls += 1
             if clock.now - begun >= connection.limit_ns:
                 text = f"slave {self.address}: its resource manager has no answer to Initiate within"
                 return Ended(Outcome(failure=ServiceFailure.LATE, text=f"{text} {connection.limit_text}"))
@@ -180,10 +181,11 @@ class InitiateJob(ConnectionJob):
 
     def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:
         """One event; what the slave may have given is given back where it is not to be used."""
-        outcome = self.left(outcome)
         connection = self.connection
+        if outcome.failure is ServiceFailure.CLOSED:
+            outcome = connection.ended(self.title)
         if outcome.failure is not None:
-            self.ms2.end(connection, outcome.text, TIMED_OUT)
+            self.ms2.end(connection, outcome.text, NOT_WANTED if outcome.failure in _GIVEN_UP else TIMED_OUT)
             return [InitiateDone(t_ns=now, token=token, address=self.address, outcome=outcome)]
         response = self._response
         assert response is not None

@@ -5,11 +5,11 @@ How one is opened is :mod:`dpstack.dp.v1.ms2_initiate`.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Hashable
 from typing import TYPE_CHECKING, Final
 
 from dpstack.dp.class2_jobs import ATTEMPTS, Outcome, ServiceFailure, Step, Steps
-from dpstack.dp.ms0 import DATA_STATUS
 from dpstack.dp.v1.connection import (
     HEAD,
     IDLE,
@@ -17,20 +17,13 @@ from dpstack.dp.v1.connection import (
     DataTransport,
     ResourceManagerRes,
 )
-from dpstack.dp.v1.judging import (
-    NOT_NOW,
-    NOT_YET,
-    Service,
-    pause_before,
-    service_outcome,
-    title_of,
-)
+from dpstack.dp.v1.judging import Said, Service, pause_before, said, service_outcome, title_of
 from dpstack.dp.v1.ms1 import RecordDone
 from dpstack.dp.v1.ms2_connection import Connection, Ended, Phase
 from dpstack.dp.v1.ms2_orders import TransportDone
 from dpstack.dp.v1.records import MAX_RECORD, Function, ReadReq, WriteReq
 from dpstack.errors import PduError
-from dpstack.fdl.telegram import SAP_MS2_RM, Kind, Telegram
+from dpstack.fdl.telegram import SAP_MS2_RM, Telegram
 from dpstack.fdl.user import Failure
 from dpstack.trace import Event
 from dpstack.units import NS_PER_MS
@@ -42,14 +35,9 @@ if TYPE_CHECKING:
 _PAUSE: Final = 10 * NS_PER_MS
 
 
-#: what keeps a poll of the resource manager going: not yet, not now
-WAIT_FOR: Final = NOT_YET | NOT_NOW | DATA_STATUS
-
-
 class ConnectionJob:
     """What the jobs of a connection share. The lane is the connection's: one service at a time, others wait."""
 
-    aftermath = ""
     overdue = ""
     title = ""
 
@@ -58,6 +46,11 @@ class ConnectionJob:
         self.address = connection.address
         self.lane: Hashable | None = connection.lane
         self.ms2 = ms2
+
+    @property
+    def aftermath(self) -> str:
+        """Nothing is known to have happened to the slave."""
+        return ""
 
     def bar(self) -> str:
         """Nothing goes over a connection that is over."""
@@ -72,12 +65,6 @@ class ConnectionJob:
             self.ms2.end(self.connection, ended.reason, ended.abort)
         return ended.outcome
 
-    def left(self, outcome: Outcome) -> Outcome:
-        """What has become of it, also where the connection's end barred it."""
-        if outcome.failure is not ServiceFailure.CLOSED:
-            return outcome
-        return self.connection.ended(self.title)
-
 
 class ServiceJob(ConnectionJob):
     """Read, Write or Data_Transport over an open connection."""
@@ -87,6 +74,7 @@ class ServiceJob(ConnectionJob):
         self._service = service
         self._octets = octets
         self._stale = 0
+        self._sent = False
         self.title = title_of(service)
         match service:
             case ReadReq(length=length):
@@ -96,6 +84,19 @@ class ServiceJob(ConnectionJob):
             case _:
                 self._answer = HEAD
 
+    @property
+    def aftermath(self) -> str:
+        """What changes something in the slave may have done so without an answer."""
+        return "it may have been carried out" if self._sent and not isinstance(self._service, ReadReq) else ""
+
+    def over(self, ended: Ended) -> Outcome:
+        """With what has to be said of it."""
+        return self._with_aftermath(super().over(ended))
+
+    def _with_aftermath(self, outcome: Outcome) -> Outcome:
+        after = self.aftermath
+        return dataclasses.replace(outcome, text=f"{outcome.text}; {after}") if after else outcome
+
     def steps(self) -> Steps[Outcome]:
         """What an earlier service left behind, the request, then polls."""
         connection = self.connection
@@ -104,6 +105,7 @@ class ServiceJob(ConnectionJob):
         if drained is not None:
             return self.over(drained)
         octets, begun = self._octets, connection.clock.now
+        self._sent = True
         while True:
             found = yield from connection.asked(octets, self.title, answer=self._answer, begun=begun)
             self._stale = connection.stale - before
@@ -120,7 +122,8 @@ class ServiceJob(ConnectionJob):
 
     def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:
         """One event."""
-        outcome = self.left(outcome)
+        if outcome.failure is ServiceFailure.CLOSED:
+            outcome = self._with_aftermath(self.connection.ended(self.title))
         service = self._service
         if isinstance(service, DataTransport):
             return [
@@ -211,10 +214,10 @@ class GiveBackJob(ConnectionJob):
             polls += 1
             if not isinstance(answer, Telegram):
                 unanswered += 1
-            elif answer.kind is not Kind.SC and answer.data:
+            elif said(answer) is Said.DATA:
                 connection.server_sap = _server_sap(answer.data)
                 return
-            elif answer.kind is not Kind.SC and answer.function not in WAIT_FOR:
+            elif said(answer) is Said.CLOSED:
                 return
 
     def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:
