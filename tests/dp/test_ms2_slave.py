@@ -231,6 +231,13 @@ def test_where_none_is_free_the_next_initiate_takes_the_place_of_one_that_was_no
     assert len(slave.app.connections) == 1
 
 
+def test_what_was_wrong_with_an_earlier_initiate_is_no_answer_to_the_next() -> None:
+    slave = Slave(count=3)
+    assert slave.master.ask(49, "57") == SC
+    assert slave.master.connect() == 47
+    assert slave.app.connections_free == 2
+
+
 def test_one_that_was_fetched_is_not_taken_away() -> None:
     slave = Slave(count=1)
     assert slave.master.initiate() == 48

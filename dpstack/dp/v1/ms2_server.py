@@ -104,6 +104,9 @@ class Ms2Server:
             return None
         if not octets:
             return self._offered(sa, ssap)
+        for offer in list(self._offers.get((sa, ssap), ())):
+            if offer.connection.state is State.OVER:
+                self._take_back(offer.connection, now)  # what was wrong with an earlier Initiate is no answer to this
         sap = self._next(sa, ssap, now)
         if sap is None:
             return None
@@ -129,9 +132,12 @@ class Ms2Server:
             unused = [one for one in self._connections.values() if one.state is State.OVER]
             unused += [offer.connection for offer in self._offers.get((sa, ssap), ()) if not offer.fetched]
             for one in unused[:1]:
-                one.end("another Initiate of its master came before the answer was fetched", now)
-                self._tidy(one)
+                self._take_back(one, now)
         return self._free.popleft() if self._free else None
+
+    def _take_back(self, connection: Connection, now: int) -> None:
+        connection.end("another Initiate of its master came before the answer was fetched", now)
+        self._tidy(connection)
 
     # --- server SAPs ------------------------------------------------------------------------------------------------
 
