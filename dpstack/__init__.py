@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from dpstack.dp.slaveapp import SlaveApp, SlaveAppState
     from dpstack.dp.user_diag import UserDiag, channel_block, device_block, identifier_block, revision_block
     from dpstack.dp.v1.im import Im0, Im1, Im2, Im3, Im4
+    from dpstack.dp.v1.prm_blocks import PrmBlock
     from dpstack.errors import (
         AcyclicError,
         BaudError,
@@ -87,6 +88,7 @@ __all__ = [
     "ParameterError",
     "PortBusyError",
     "PortError",
+    "PrmBlock",
     "RecordRefused",
     "ServiceRefused",
     "Slave",
@@ -148,6 +150,7 @@ _WHERE: Final = {
     "device_block": "dp.user_diag",
     "identifier_block": "dp.user_diag",
     "revision_block": "dp.user_diag",
+    "PrmBlock": "dp.v1.prm_blocks",
     "Im0": "dp.v1.im",
     "Im1": "dp.v1.im",
     "Im2": "dp.v1.im",

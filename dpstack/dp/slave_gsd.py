@@ -54,6 +54,7 @@ def slave_description(
         set_slave_add=device.set_slave_add,
         wd_base_1ms=device.dpv1.wd_base_1ms,
         dpv1=device.dpv1.slave and (prm or _within(most, MAX_USER_PRM)) >= DPV1_STATUS_LEN,
+        prm_blocks=device.dpv1.prm_block_structure or device.dpv1.prm_block_structure_required,
         max_diag_len=max(FIXED_LEN, _within(device.max_diag_data_len, MAX_LEN)),
         rates={speed.baud: speed.max_tsdr or 0 for speed in device.speeds},
         min_slave_interval_ns=(device.min_slave_interval or 0) * INTERVAL_UNIT,

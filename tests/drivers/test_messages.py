@@ -19,7 +19,8 @@ from dpstack.dp.commands import AddSlave, ReparameteriseSlave
 from dpstack.dp.diag_texts import DiagTexts
 from dpstack.dp.setup import SlaveSetup
 from dpstack.dp.v1.ms1 import ReadRecord, RecordDone, WriteRecord
-from dpstack.dp.v1.status import Dpv1, PrmBlock
+from dpstack.dp.v1.prm_blocks import PrmBlock
+from dpstack.dp.v1.status import Dpv1
 from dpstack.drivers import messages as m
 from dpstack.drivers.stack import StackSpec
 from dpstack.errors import BusError, ConfigError, PortBusyError, SlaveFault, UsageError
