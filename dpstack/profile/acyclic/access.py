@@ -94,7 +94,7 @@ class AcyclicAccess:
         self._placed = placed
         self._clock = clock
         self._written = written
-        self._makers = makers
+        self._makers = {} if makers is None else makers
         self._turns: deque[object] = deque()
         self._formats: dict[Address, int] = {}
 

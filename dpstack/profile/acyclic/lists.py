@@ -12,7 +12,19 @@ from typing import Final, NamedTuple
 
 from dpstack.errors import PduError
 from dpstack.profile.acyclic.client import ParameterClient, Progress
-from dpstack.profile.acyclic.formats import BYTE, DOUBLE_WORD, FORMATS, WORD, Format, Value, format_of
+from dpstack.profile.acyclic.formats import (
+    BYTE,
+    DOUBLE_WORD,
+    FLOAT,
+    FORMATS,
+    OCTET_STRING,
+    UNSIGNED16,
+    VISIBLE_STRING,
+    WORD,
+    Format,
+    Value,
+    format_of,
+)
 from dpstack.profile.acyclic.record47 import Address, Attribute, ErrorValue, Result, Values
 from dpstack.profile.acyclic.services import Talk
 from dpstack.profile.acyclic.split import Item, Limits
@@ -30,6 +42,21 @@ _END: Final = frozenset({BAD_SUBINDEX, BAD_ADDRESS})
 #: a description: ID, elements, factor, attribute, reserved, name, low, high, reserved, ID extension, two of the scale
 _DESCRIPTION: Final = struct.Struct(">HHfH4x16s4s4s2xHHH")
 DESCRIPTION_LEN: Final = _DESCRIPTION.size
+#: the elements of a description by subindex, 1 to 12: format and octets (Danfoss VLT manual MG.33.C4 p51, VACON p118)
+_ELEMENTS: Final = (
+    (UNSIGNED16, 2),  # identifier
+    (UNSIGNED16, 2),  # number of array elements
+    (FLOAT, 4),  # standardisation factor
+    (OCTET_STRING, 2),  # variable attribute
+    (OCTET_STRING, 4),
+    (VISIBLE_STRING, TEXT_LEN),  # name
+    (OCTET_STRING, 4),  # low limit
+    (OCTET_STRING, 4),  # high limit
+    (OCTET_STRING, 2),
+    (UNSIGNED16, 2),  # ID extension
+    (UNSIGNED16, 2),  # reference parameter of the normalisation
+    (UNSIGNED16, 2),  # its bit
+)
 #: substitutes that say nothing of the meaning
 _PLAIN: Final = frozenset({BYTE, WORD, DOUBLE_WORD})
 
@@ -71,6 +98,14 @@ class Description(NamedTuple):
             low,
             high,
         )
+
+    def element(self, subindex: int) -> Values | None:
+        """One element of it, 1 to 12; None for others."""
+        if not 1 <= subindex <= len(_ELEMENTS):
+            return None
+        number, size = _ELEMENTS[subindex - 1]
+        at = sum(octets for _, octets in _ELEMENTS[: subindex - 1])
+        return Values(number, FORMATS[number].unpack(self.build()[at : at + size]))
 
     def build(self) -> bytes:
         """The octets."""
