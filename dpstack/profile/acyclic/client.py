@@ -189,7 +189,7 @@ class ParameterClient:
         Raises CommandError: ``timeout`` after ``deadline`` (ns) or the drive's patience, ``parameter`` for a refusal.
         """
         self.counters.requests += 1
-        now = yield from self._written(octets, deadline)
+        now = yield from self._written(octets, deadline, several=len(request.addresses) > 1)
         if now is None:
             return None
         patience = self._patience
@@ -216,15 +216,15 @@ class ParameterClient:
     def _patience(self) -> int:
         return max(2 * self.limits.latency_ns, PATIENCE_NS)
 
-    def _written(self, octets: bytes, deadline: int) -> Talk[int | None]:
-        """When the request was taken; None where it is too long."""
+    def _written(self, octets: bytes, deadline: int, *, several: bool = False) -> Talk[int | None]:
+        """When the request was taken; None where it is too long, or has too many parameters (``several``)."""
         until: int | None = None
         pause = _FIRST_PAUSE
         while True:
             now, data = yield from self._service(WriteReq(self.slot, INDEX, octets))
             if not isinstance(data, Refused):
                 return now
-            if data.code == Code.WRITE_LENGTH:
+            if data.code == Code.WRITE_LENGTH or (several and data.code == Code.INVALID_RANGE):
                 return None
             self._again(data, "the request")
             until = min(deadline, now + self._patience) if until is None else until

@@ -6,6 +6,7 @@ SIDOOR manual p316. That 0 ends a list and that 981 to 989 among its elements ar
 
 from __future__ import annotations
 
+import dataclasses
 import struct
 from collections.abc import Sequence
 from typing import Final, NamedTuple
@@ -29,12 +30,14 @@ from dpstack.profile.acyclic.record47 import Address, Attribute, ErrorValue, Res
 from dpstack.profile.acyclic.services import Talk
 from dpstack.profile.acyclic.split import Item, Limits
 from dpstack.profile.jobs import CommandError
-from dpstack.profile.param_errors import BAD_ADDRESS, BAD_SUBINDEX, ILLEGAL_NUMBER, NO_ARRAY, error_text
-from dpstack.units import NEVER
+from dpstack.profile.param_errors import BAD_ADDRESS, BAD_SUBINDEX, ILLEGAL_NUMBER, NO_ARRAY, TOO_LONG, error_text
+from dpstack.units import NEVER, NS_PER_S
 
 PNU_LIMITS: Final = 974
 FIRST_LIST, LAST_LIST = 980, 989
 TEXT_LEN: Final = 16
+#: what a drive may take to say how long it takes
+_UNTOLD_LATENCY: Final = 5 * NS_PER_S
 #: elements of one list that are asked at a time: what fits into a response of words
 _AT_ONCE: Final = 116
 #: what a drive answers behind the last element
@@ -151,9 +154,15 @@ class ReadParameter(NamedTuple):
 
 def read_limits(client: ParameterClient, deadline: int = NEVER) -> Talk[Limits]:
     """What PNU 974 says is from now on respected; a drive without it keeps the client's limits. Raises CommandError."""
-    (found,) = yield from client.read([Item(Address(PNU_LIMITS, 0, 3), width=2)], deadline)
+    limits = client.limits
+    # a slow drive is as slow with this one
+    client.limits = dataclasses.replace(limits, latency_ns=max(limits.latency_ns, _UNTOLD_LATENCY))
+    try:
+        (found,) = yield from client.read([Item(Address(PNU_LIMITS, 0, 3), width=2)], deadline)
+    finally:
+        client.limits = limits
     if isinstance(found, Values):
-        client.limits = client.limits.of_974([one for one in found.raws if isinstance(one, int)])
+        client.limits = limits.of_974([one for one in found.raws if isinstance(one, int)])
     return client.limits
 
 
@@ -210,7 +219,25 @@ def describe(
     """The descriptions, None where the drive has none. Raises CommandError."""
     items = [Item(Address(pnu, 0, 1, Attribute.DESCRIPTION), width=DESCRIPTION_LEN) for pnu in pnus]
     found = yield from client.read(items, deadline, progress)
-    return [_description(one) for one in found]
+    described: list[Description | None] = []
+    for pnu, one in zip(pnus, found, strict=True):
+        too_long = isinstance(one, ErrorValue) and one.number == TOO_LONG
+        described.append((yield from _by_elements(client, pnu, deadline)) if too_long else _description(one))
+    return described
+
+
+def _by_elements(client: ParameterClient, pnu: int, deadline: int) -> Talk[Description | None]:
+    """A description that is longer than the drive's blocks, element by element; those it does not have are zeros."""
+    items = [
+        Item(Address(pnu, subindex, 1, Attribute.DESCRIPTION), width=size)
+        for subindex, (_, size) in enumerate(_ELEMENTS, 1)
+    ]
+    found = yield from client.read(items, deadline)
+    octets = b""
+    for one, (_, size) in zip(found, _ELEMENTS, strict=True):
+        part = b"" if isinstance(one, ErrorValue) else format_of(one.format).pack(one.raws)
+        octets += part if len(part) == size else bytes(size)
+    return None if isinstance(found[0], ErrorValue) else Description.parse(octets)
 
 
 def _description(result: Result) -> Description | None:
