@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from dpstack.api.drive import Drive
     from dpstack.api.events import Event, Mode, SlaveState
     from dpstack.api.opening import open_bus
+    from dpstack.api.parameter_dump import ParameterPlace
     from dpstack.api.serving import SlaveServer, serve_slave, serve_slaves
     from dpstack.api.slave import Slave
     from dpstack.api.slave_from_gsd import slave_from_gsd
@@ -86,6 +87,7 @@ __all__ = [
     "Mode",
     "ParamError",
     "ParameterError",
+    "ParameterPlace",
     "PortBusyError",
     "PortError",
     "PrmBlock",
@@ -150,6 +152,7 @@ _WHERE: Final = {
     "device_block": "dp.user_diag",
     "identifier_block": "dp.user_diag",
     "revision_block": "dp.user_diag",
+    "ParameterPlace": "api.parameter_dump",
     "PrmBlock": "dp.v1.prm_blocks",
     "Im0": "dp.v1.im",
     "Im1": "dp.v1.im",
