@@ -24,7 +24,7 @@ from dpstack.profile.words import SPEED, Scale
 from dpstack.units import NS_PER_MS
 
 #: The orders every drive knows, with the ones that move it first.
-OPS: Final = (*motion.OPS, "speed", "frequency", "reached", "read", "read_many", "write")
+OPS: Final = (*motion.OPS, "speed", "frequency", "reached", "read_many", "read", "write")
 
 _LOST: Final = "the drive left data exchange"
 
