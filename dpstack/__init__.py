@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from dpstack.api.baud import BaudReport, find_baud
     from dpstack.api.bus import Bus
     from dpstack.api.config import Config, load_config
+    from dpstack.api.connection import Connection
     from dpstack.api.cycles import Cycle
     from dpstack.api.drive import Drive
     from dpstack.api.events import Event, Mode, SlaveState
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
         BaudError,
         BusError,
         ConfigError,
+        ConnectionEnded,
         DpError,
         DriveError,
         DriveFault,
@@ -70,6 +72,8 @@ __all__ = [
     "BusError",
     "Config",
     "ConfigError",
+    "Connection",
+    "ConnectionEnded",
     "Cycle",
     "DpError",
     "DpSlave",
@@ -129,6 +133,7 @@ _WHERE: Final = {
     "open_bus": "api.opening",
     "Config": "api.config",
     "load_config": "api.config",
+    "Connection": "api.connection",
     "Cycle": "api.cycles",
     "Drive": "api.drive",
     "Event": "api.events",

@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Awaitable, Callable, Sequence
 from typing import TypeVar
 
-from dpstack.api.records import Records
+from dpstack.api.records import RecordAccess
 from dpstack.dp.v1.codes import Decode
 from dpstack.errors import AcyclicError, DriveError, DriveTimeout, ParameterError, ServiceRefused
 from dpstack.profile import CommandError
@@ -136,14 +136,14 @@ class RecordParameters:
                 return DriveError(self._name, text)
 
 
-def over_records(records: Records, timeout: float) -> CarryOut:
-    """By MS1: what the slave refuses is an answer, other failures are raised as Read and Write raise them."""
+def over_records(records: RecordAccess, timeout: float) -> CarryOut:
+    """What the slave refuses is an answer, other failures are raised as Read and Write raise them."""
 
     async def carry_out(request: ReadReq | WriteReq) -> bytes | Refused:
         try:
             if isinstance(request, ReadReq):
-                return await records.read(request.slot, request.index, request.length, timeout)
-            await records.write(request.slot, request.index, request.data, timeout)
+                return await records.read(request.slot, request.index, request.length, timeout=timeout)
+            await records.write(request.slot, request.index, request.data, timeout=timeout)
         except AcyclicError as error:
             if error.error_decode != Decode.DPV1:
                 raise

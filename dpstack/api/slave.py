@@ -240,19 +240,19 @@ class Slave:
         Raises AcyclicError (the slave refuses: class, code, text), ServiceRefused (it has no Read and Write),
         SlaveTimeout, SlaveFault (it left data exchange, or answers what cannot be), UsageError, BusError.
         """
-        return await self._records.read(slot, index, length, timeout)
+        return await self._records.read(slot, index, length, timeout=timeout)
 
     async def write(self, slot: int, index: int, data: bytes, *, timeout: float = TIMEOUT) -> None:
         """Write a record of DP-V1, up to 240 octets; otherwise as :meth:`read`."""
-        await self._records.write(slot, index, data, timeout)
+        await self._records.write(slot, index, data, timeout=timeout)
 
     async def im(self, number: int = 0, *, slot: int = 0, timeout: float = TIMEOUT) -> Im:
         """I&M ``number`` 0..4 of ``slot``. Raises as :meth:`read`; AcyclicError where the slave has it not."""
-        return await self._records.im(number, slot, timeout)
+        return await self._records.im(number, slot=slot, timeout=timeout)
 
     async def write_im(self, record: Im, *, slot: int = 0, timeout: float = TIMEOUT) -> None:
         """Write I&M1 to I&M4. Raises as :meth:`read`."""
-        await self._records.write_im(record, slot, timeout)
+        await self._records.write_im(record, slot=slot, timeout=timeout)
 
     def parameters(self, slot: int = 1, *, object: int = 1, timeout: float = TIMEOUT) -> RecordParameters:
         """PROFIdrive's parameter access, record 47 of ``slot``: many parameters, arrays, the drive's own list.

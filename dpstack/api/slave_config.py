@@ -8,6 +8,7 @@ from typing import Final
 
 from dpstack.api.dpv1_config import read_dpv1
 from dpstack.api.field_config import read_fields
+from dpstack.api.ms2_config import Ms2Limits
 from dpstack.api.slave_basis import Basis, basis_of
 from dpstack.api.tables import Table
 from dpstack.dp.diag_texts import DiagTexts
@@ -84,6 +85,8 @@ class SlaveConfig:
     ignore_auto_clear: bool = False
     #: DPV1_Enable and what goes with it; None: nothing of DP-V1 is used
     dpv1: Dpv1 | None = None
+    #: what its GSD file says about class 2 connections
+    ms2: Ms2Limits = field(default_factory=Ms2Limits)
     #: what the device's GSD file says to a diagnosis
     texts: DiagTexts | None = field(default=None, compare=False, repr=False)
     #: as a slave, where its GSD file describes it
@@ -210,6 +213,7 @@ def _build(table: Table, address: int, basis: Basis) -> SlaveConfig:
         wd_base_1ms=_wd_base_1ms(table, device, told),
         ignore_auto_clear=table.flag("ignore_auto_clear", False),
         dpv1=read_dpv1(table, device, user_prm),
+        ms2=Ms2Limits.of(device),
         input_fields=input_fields,
         output_fields=output_fields,
         notes=tuple(notes),

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from dpstack.api.gsd import read_gsd
 from dpstack.dp.device import Leave, OnCycle
-from dpstack.dp.dp_slave import DpSlave, OnAddress, OnIm, OnRead, OnWrite
+from dpstack.dp.dp_slave import DpSlave, OnAddress, OnIm, OnRead, OnTransport, OnWrite
 from dpstack.dp.slave_gsd import slave_description
 from dpstack.dp.v1.prm_blocks import PrmBlock
 from dpstack.dp.v1.serving import ImOf
@@ -28,6 +28,7 @@ def slave_from_gsd(
     on_leave: Callable[[Leave], None] | None = None,
     on_read: OnRead | None = None,
     on_write: OnWrite | None = None,
+    on_transport: OnTransport | None = None,
     im: ImOf = (),
     on_im: OnIm | None = None,
 ) -> DpSlave:
@@ -56,6 +57,7 @@ def slave_from_gsd(
         on_leave=on_leave,
         on_read=on_read,
         on_write=on_write,
+        on_transport=on_transport,
         im=im,
         on_im=on_im,
     )

@@ -8,7 +8,8 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
-from dpstack.api.acyclic_words import PARAMETERS, WORDS, OnProgress, carry_out, check
+from dpstack.api.acyclic_words import PARAMETERS, TRANSPORT, WORDS, OnProgress, carry_out, check
+from dpstack.api.bus import Bus
 from dpstack.api.config import Config, load_config
 from dpstack.api.control.records import through_run
 from dpstack.api.drive_words import find_word
@@ -18,6 +19,7 @@ from dpstack.api.parameter_list import FileToBe
 from dpstack.api.record_dump import list_of
 from dpstack.api.record_list import RecordList
 from dpstack.api.slave_config import SlaveConfig
+from dpstack.api.visiting import joined
 from dpstack.cli import options, output
 from dpstack.cli.acyclic_lists import COMPARE, FILES, show_comparison, show_dump, show_list
 from dpstack.cli.progress import progress_bar
@@ -27,7 +29,7 @@ from dpstack.errors import UsageError
 
 #: a slave that searches for the baud rate takes its time
 _READY_S: Final = 10.0
-_WORDS: Final = (*WORDS, *FILES)
+_WORDS: Final = (*WORDS, TRANSPORT, *FILES)
 
 
 class Order(NamedTuple):
@@ -45,7 +47,8 @@ def add_to(commands: options.Commands) -> None:
         "records of a slave (DP-V1): through the run that holds the port, otherwise as master in the foreground",
         "dpstack acyclic plant.toml 8 read 1 47\n"
         "         dpstack acyclic plant.toml valves write 1 47 00FF\n"
-        "         dpstack acyclic plant.toml 8 im\n\norders:\n"
+        "         dpstack acyclic plant.toml 8 im\n"
+        "         dpstack acyclic plant.toml 8 im --class 2\n\norders:\n"
         + "\n".join(f"  {f'{spec.name} {spec.usage}':29} {spec.text}" for spec in _WORDS),
     )
     parser.add_argument("config", metavar="CONFIG", help="configuration file")
@@ -53,7 +56,21 @@ def add_to(commands: options.Commands) -> None:
     parser.add_argument("order", metavar="ORDER", help="read, write, im ..., see below")
     parser.add_argument("args", metavar="ARG", nargs="*", help="what belongs to it; numbers 47 or 0x2F")
     parser.add_argument("--all", action="store_true", help="compare: what is read only, too")
-    parser.add_argument("--class", dest="master", metavar="1|2", choices=("1", "2"), default="1", help="of master")
+    parser.add_argument(
+        "--class",
+        dest="master",
+        metavar="1|2",
+        type=int,
+        choices=(1, 2),
+        default=1,
+        help="of master; 2: over a connection of its own (MS2), beside the slave's master, without parameterising it",
+    )
+    parser.add_argument(
+        "--address",
+        metavar="A",
+        type=options.address,
+        help="class 2 in the foreground: ask from this address (default: the lowest not heard)",
+    )
     parser.add_argument("--port", metavar="P", help="another port")
     parser.add_argument("--baud", metavar="B|auto", type=options.baud_or_auto, help='another rate; "auto": listens')
     options.add_json(parser)
@@ -63,16 +80,16 @@ def add_to(commands: options.Commands) -> None:
 def execute(args: argparse.Namespace) -> int:
     """1 where the slave refuses or does not answer."""
     config = load_config(args.config).with_bus(port=args.port, baud=args.baud)
-    if args.master == "2":
-        raise UsageError("class 2 (MS2) is not supported yet by this version; leave --class out")
+    if args.address is not None and args.master == 1:
+        raise UsageError("--address is for --class 2; a master of class 1 has that of the configuration")
     spec = find_word(args.order, _WORDS, "dpstack acyclic")
     spec.check(args.args)
     in_file = spec in FILES
     order = Order(PARAMETERS, tuple(args.args[1:])) if in_file else Order(args.order, tuple(args.args))
-    check(*order)
+    check(*order, class2=args.master == 2)
     if args.all and args.order != COMPARE:
         raise UsageError(f"--all is for {COMPARE}: leave it out")
-    asked = _Asked(config, _slave_of(config, args.slave), order, args.order)
+    asked = _Asked(config, _slave_of(config, args.slave), order, args.order, args.master, args.address)
     match args.order:
         case "dump":
             return _dump(asked, args.args[0], json=args.json)
@@ -83,16 +100,18 @@ def execute(args: argparse.Namespace) -> int:
 
 
 class _Asked(NamedTuple):
-    """``order`` of a slave; ``word``: as it was typed."""
+    """``order`` of a slave; ``word``: as it was typed. ``master``: class 1 or 2; ``own``: its address, None: any."""
 
     config: Config
     slave: SlaveConfig
     order: Order
     word: str
+    master: int
+    own: int | None
 
     def told(self) -> Mapping[str, Any] | None:
         """What came of it; None where a signal ended it before."""
-        told = asyncio.run(_run(self.config, self.slave, self.order))
+        told = asyncio.run(_run(self))
         if told is None:
             warn(f"ended before {self.word} was done")
         return told
@@ -125,24 +144,27 @@ def _compare(asked: _Asked, path: str, *, read_only: bool, json: bool) -> int:
     return 1 if told is None else show_comparison(told, path, saved, read_only=read_only, json=json)
 
 
-async def _run(config: Config, slave: SlaveConfig, order: Order) -> Mapping[str, Any] | None:
+async def _run(asked: _Asked) -> Mapping[str, Any] | None:
     """What came of it; None where a signal ended it before."""
     found: list[Mapping[str, Any]] = []
+    slave, order = asked.slave, asked.order
 
     async def done(progress: OnProgress) -> None:
-        told = await through_run(config.port, slave.address, *order, progress)
+        told = await through_run(asked.config.port, slave.address, *order, progress, master=asked.master)
         if told is not None:
             found.append({**told, "through": "run"})
-        else:
-            found.append({**await _as_master(config, slave, order, progress), "through": "master"})
+            return
+        in_foreground = _as_master if asked.master == 1 else _as_class2
+        found.append({**await in_foreground(asked, progress), "through": "master"})
 
     with StopSignal() as stop, progress_bar(f"{order.word} of {slave.name}") as progress:
         await stop.or_done(done(progress))
     return found[0] if found else None
 
 
-async def _as_master(config: Config, slave: SlaveConfig, order: Order, progress: OnProgress) -> Mapping[str, Any]:
+async def _as_master(asked: _Asked, progress: OnProgress) -> Mapping[str, Any]:
     """The master stays in Clear: records are open, and no output is set."""
+    config, slave = asked.config, asked.slave
     if config.bus.read_only:
         raise UsageError("the configuration is read only: records need data exchange; leave read_only out")
     # the other slaves are not this command's: a master that takes them up would put their outputs to their safe values
@@ -150,7 +172,26 @@ async def _as_master(config: Config, slave: SlaveConfig, order: Order, progress:
     async with open_bus(config, on_event=_event) as bus:
         found = bus.slave(slave.address)
         await found.ready(_READY_S)
-        return await carry_out(found, *order, progress)
+        return await carry_out(found, *asked.order, progress)
+
+
+async def _as_class2(asked: _Asked, progress: OnProgress) -> Mapping[str, Any]:
+    """A station without slaves, at an address that nobody uses: neither the slave nor its master notices.
+
+    On the port "virtual" the slave is simulated, which takes a master.
+    """
+    config, slave = asked.config, asked.slave
+    if config.bus.read_only:
+        raise UsageError("the configuration is read only: a connection is to be opened; leave read_only out")
+
+    def make_bus(address: int) -> Bus:
+        settings = dataclasses.replace(config.bus, address=address, cycle_ms=None, cycle_freeze=(), cycle_sync=())
+        slaves = (slave,) if config.virtual else ()
+        return open_bus(dataclasses.replace(config, bus=settings, slaves=slaves), on_event=_event)
+
+    taken = {config.bus.address, *(one.address for one in config.slaves)}
+    async with joined(make_bus, asked.own, avoid=taken) as bus, bus.class2.connect(slave) as connection:
+        return await carry_out(connection, *asked.order, progress)
 
 
 def _event(event: Event) -> None:
@@ -161,7 +202,7 @@ def _event(event: Event) -> None:
 def _show(told: Mapping[str, Any]) -> None:
     who = f"slave {told['address']} ({told['slave']})"
     match told["order"]:
-        case "read":
+        case "read" | "transport":
             octets = bytes.fromhex(told["data"])
             output.line(f"{who}: slot {told['slot']}, index {told['index']}, {len(octets)} octets")
             for at in range(0, len(octets), 16):

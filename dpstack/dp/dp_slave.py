@@ -11,7 +11,8 @@ from dpstack.dp.slave_description import SlaveDescription
 from dpstack.dp.user_diag import NO_DIAG, UserDiag
 from dpstack.dp.v1.im import Im
 from dpstack.dp.v1.prm_blocks import PrmBlock
-from dpstack.dp.v1.serving import ImOf, ImRecords, Records
+from dpstack.dp.v1.serving import ImOf, ImRecords
+from dpstack.dp.v1.tickets import Records
 from dpstack.errors import ConfigError
 from dpstack.gsd.identifiers import io_lengths
 
@@ -34,6 +35,8 @@ class OnIm(Protocol):
 #: :class:`~dpstack.errors.RecordRefused`.
 OnRead = Callable[[int, int], Awaitable[bytes]]
 OnWrite = Callable[[int, int, bytes], Awaitable[None]]
+#: what Data_Transport brings, from slot, index and octets to octets, up to 240 each way
+OnTransport = Callable[[int, int, bytes], Awaitable[bytes]]
 
 
 class DpSlave(FunctionDevice):
@@ -51,11 +54,12 @@ class DpSlave(FunctionDevice):
     ``on_leave(reason)`` is told why data exchange ended. What any of them raises takes this slave out of data exchange,
     with safe outputs and Stat_Diag, until it is restarted; nothing else is disturbed.
 
-    ``on_read`` and ``on_write`` serve the records of DP-V1, one at a time (:func:`dpstack.serve_slave` runs them): what
-    they raise is answered and told, nothing else ends; they are cancelled when the master gives up. ``im`` is its I&M:
-    I&M0, and those of I&M1 to 4 that a master may write, for every slot alike or as a table slot -> I&M.
-    ``on_im(slot, record)`` keeps what a master writes of it where it survives a restart; what it raises is answered
-    (RecordRefused: as it says), and nothing is changed.
+    ``on_read`` and ``on_write`` serve the records of DP-V1, ``on_transport`` the Data_Transport of class 2
+    (:func:`dpstack.serve_slave` runs them), one at a time for each who asks: what they raise is answered and told,
+    nothing else ends; they are cancelled when the master gives up. ``ms2``: so many connections of class 2, default the
+    description's. ``im`` is its I&M: I&M0, and those of I&M1 to 4 that a master may write, for every slot alike or as a
+    table slot -> I&M. ``on_im(slot, record)`` keeps what a master writes of it where it survives a restart; what it
+    raises is answered (RecordRefused: as it says), and nothing is changed.
 
     Set :attr:`diag`, as a whole and whenever something changes, to what the slave shall say in its diagnosis.
     Raises ConfigError.
@@ -74,8 +78,10 @@ class DpSlave(FunctionDevice):
         on_leave: Callable[[Leave], None] | None = None,
         on_read: OnRead | None = None,
         on_write: OnWrite | None = None,
+        on_transport: OnTransport | None = None,
         im: ImOf = (),
         on_im: OnIm | None = None,
+        ms2: int | None = None,
     ) -> None:
         first = description.configs[0] if description.configs else description.modules[0].config
         real = first if config is None else config
@@ -105,6 +111,9 @@ class DpSlave(FunctionDevice):
         self._on_leave = on_leave
         self.on_read = on_read
         self.on_write = on_write
+        self.on_transport = on_transport
+        self.ms2 = description.ms2 if ms2 is None else ms2
+        self.ms2_max_len = description.ms2_max_len
         self._on_im = on_im
         given = im if isinstance(im, Mapping) else tuple(im)
         self._im = ImRecords(given, changed=self._im_written) if given else None

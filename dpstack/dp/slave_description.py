@@ -12,7 +12,9 @@ from typing import Final
 from dpstack.dp.diagnosis import FIXED_LEN, MAX_LEN
 from dpstack.dp.pdu import MAX_USER_PRM
 from dpstack.dp.setup import INTERVAL_UNIT
+from dpstack.dp.v1.ms2_server import MAX_CONNECTIONS
 from dpstack.dp.v1.prm_blocks import PrmBlock, parse_blocks
+from dpstack.dp.v1.records import MAX_RECORD
 from dpstack.dp.v1.status import DPV1_STATUS_LEN, PRM_STRUCTURE
 from dpstack.errors import ConfigError, PduError
 from dpstack.fdl.telegram import MAX_DATA
@@ -45,6 +47,8 @@ class SlaveDescription:
     [Sync_Mode_supp ...]; ``fail_safe_required`` [Fail_Safe_required]; ``max_diag_len`` [Max_Diag_Data_Len], 6..244;
     ``dpv1`` [DPV1_Slave]: its user parameters begin with the three DPV1_Status octets; ``prm_blocks``
     [Prm_Block_Structure_supp]: of such a slave, structured parameters may follow, otherwise Prm_Structure is refused;
+    ``ms2``: connections of class 2 [C2_Read_Write_supp, C2_Max_Count_Channels], ``ms2_max_len``: octets in one of their
+    services [C2_Max_Data_Len];
     ``rates``: baud rate -> MaxTsdr in bit times, empty for all; ``min_slave_interval_ns`` [Min_Slave_Intervall], for
     the master. Raises ConfigError.
     """
@@ -66,16 +70,18 @@ class SlaveDescription:
     wd_base_1ms: bool = False
     dpv1: bool = False
     prm_blocks: bool = True
+    ms2: int = 0
+    ms2_max_len: int = MAX_RECORD
     max_diag_len: int = MAX_LEN
     rates: Mapping[int, int] = field(default_factory=dict)
     min_slave_interval_ns: int = 0
 
     @classmethod
     def simple(
-        cls, ident: int, *, inputs: int, outputs: int, name: str = "slave", dpv1: bool = False
+        cls, ident: int, *, inputs: int, outputs: int, name: str = "slave", dpv1: bool = False, ms2: int = 0
     ) -> SlaveDescription:
         """A slave with one configuration of so many octets each way, as seen from the master. Raises ConfigError."""
-        return cls(ident=ident, name=name, configs=(config_for(inputs, outputs),), dpv1=dpv1)
+        return cls(ident=ident, name=name, configs=(config_for(inputs, outputs),), dpv1=dpv1, ms2=ms2)
 
     def __post_init__(self) -> None:
         if not 0 <= self.ident <= 0xFFFF:
@@ -93,6 +99,10 @@ class SlaveDescription:
             raise self._wrong(f"user_prm_len {self.user_prm_len} has no room for the three DPV1_Status octets of dpv1")
         if not FIXED_LEN <= self.max_diag_len <= MAX_LEN:
             raise self._wrong(f"max_diag_len {self.max_diag_len} is outside {FIXED_LEN}..{MAX_LEN}")
+        if not 0 <= self.ms2 <= MAX_CONNECTIONS:
+            raise self._wrong(f"ms2 = {self.ms2} connections of class 2; 0 to {MAX_CONNECTIONS} are possible")
+        if not 0 < self.ms2_max_len <= MAX_RECORD:
+            raise self._wrong(f"ms2_max_len {self.ms2_max_len} is outside 1..{MAX_RECORD}")
         if self.modules and self.max_modules < 1:
             raise self._wrong(f"max_modules {self.max_modules}: a modular slave has room for 1 at least")
 

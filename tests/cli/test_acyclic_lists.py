@@ -122,7 +122,7 @@ def device(monkeypatch: pytest.MonkeyPatch) -> Device:
 def open_bus(device: Device, config: Config, on_event: OnEvent | None = None) -> dpstack.Bus:
     world = dpstack.World()
     slave = DpSlave(RIG, lambda outputs, elapsed: outputs)
-    slave.serve_records(TimedRecords(ParameterServer(device), lambda: 0))
+    slave.serve_records(TimedRecords(ParameterServer(device), lambda at: 0))
     slave_in(world, slave, 8)
     return dpstack.open_bus(config, on_event=on_event, world=world)
 

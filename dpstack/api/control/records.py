@@ -7,7 +7,7 @@ import contextlib
 from collections.abc import AsyncGenerator, Sequence
 from typing import Any, Final
 
-from dpstack.api.acyclic_words import PARAMETERS, OnProgress, carry_out
+from dpstack.api.acyclic_words import PARAMETERS, OnProgress, carry_out, check
 from dpstack.api.bus import Bus
 from dpstack.api.control.alive import kept_alive
 from dpstack.api.control.client import reach
@@ -19,8 +19,13 @@ from dpstack.errors import BusError
 _IN_A_LINE: Final = 100
 
 
-async def acyclic_order(bus: Bus, args: list[str]) -> AsyncGenerator[object, None]:
-    """``SLAVE ORDER [ARG]...`` at a slave of a run. A client that hangs up ends the order.
+#: the commands of a run, by class of master
+COMMANDS: Final = {1: "acyclic", 2: "class2"}
+
+
+async def acyclic_order(bus: Bus, args: list[str], *, class2: bool = False) -> AsyncGenerator[object, None]:
+    """``SLAVE ORDER [ARG]...`` at a slave of a run, with ``class2`` over a connection of its own, which is closed
+    afterwards. A client that hangs up ends the order.
 
     Items tell its ``state`` and, where it takes its time, ``progress``; a long list comes in items before its result.
     """
@@ -28,6 +33,7 @@ async def acyclic_order(bus: Bus, args: list[str]) -> AsyncGenerator[object, Non
         raise BusError(f"{SEARCHING}: the slaves are known once it is found")
     name, word, *rest = args
     slave = bus.slave(int(name) if name.isdecimal() else name)
+    check(word, rest, class2=class2)
     progress: list[object] = []
 
     def sign() -> dict[str, object]:
@@ -36,7 +42,13 @@ async def acyclic_order(bus: Bus, args: list[str]) -> AsyncGenerator[object, Non
     def told(*one: object) -> None:
         progress[:] = one
 
-    async with contextlib.aclosing(kept_alive(carry_out(slave, word, rest, told), sign)) as items:
+    async def work() -> dict[str, Any]:
+        if not class2:
+            return await carry_out(slave, word, rest, told)
+        async with bus.class2.connect(slave) as connection:
+            return await carry_out(connection, word, rest, told)
+
+    async with contextlib.aclosing(kept_alive(work(), sign)) as items:
         async for item in items:
             if isinstance(item, Result) and isinstance(item.value, dict) and PARAMETERS in item.value:
                 found = item.value[PARAMETERS]
@@ -47,9 +59,10 @@ async def acyclic_order(bus: Bus, args: list[str]) -> AsyncGenerator[object, Non
 
 
 async def through_run(
-    port: str, slave: int, word: str, args: Sequence[str], progress: OnProgress | None = None
+    port: str, slave: int, word: str, args: Sequence[str], progress: OnProgress | None = None, *, master: int = 1
 ) -> dict[str, Any] | None:
     """As :func:`~dpstack.api.acyclic_words.carry_out`, by the run on ``port``; None where no run answers for it.
+    ``master``: class 1 or 2.
 
     Raises what it raises there, UsageError where the run has no such slave, PortError. ``progress`` is called by
     another thread.
@@ -65,5 +78,5 @@ async def through_run(
             progress(*item["progress"])
 
     with client:
-        told = await asyncio.to_thread(client.call, "acyclic", str(slave), word, *args, on_item=on_item)
+        told = await asyncio.to_thread(client.call, COMMANDS[master], str(slave), word, *args, on_item=on_item)
     return {**told, **({PARAMETERS: found} if word == PARAMETERS else {})}
