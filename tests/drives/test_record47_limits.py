@@ -114,6 +114,45 @@ def test_a_drive_that_says_no_latency_has_its_2_s_and_one_that_says_5_s_has_10()
             talk(master.read([Address(1)]), drive(limits, busy_ns))
 
 
+class Bare:
+    """A drive without descriptions: arrays by number; ``sloppy`` numbers answer to any subindex."""
+
+    def __init__(self, sloppy: frozenset[int] = frozenset()) -> None:
+        self.values = {980: (1, 2, 3, 4, 0), 1: (7,), 2: tuple(range(300)), 3: (5, 6), 4: (9,)}
+        self.sloppy = sloppy
+
+    def read(self, address: Address) -> Values | ErrorValue:
+        found = self.values.get(address.pnu)
+        if found is None:
+            return ErrorValue(0)
+        if address.pnu in self.sloppy:
+            return Values(6, found[:1] * max(address.elements, 1))
+        end = address.subindex + max(address.elements, 1)
+        if len(found) == 1 and address.subindex:
+            return ErrorValue(4)
+        return Values(6, found[address.subindex : end]) if end <= len(found) else ErrorValue(3, address.subindex)
+
+    def describe(self, address: Address) -> Values | ErrorValue:
+        return ErrorValue(9)
+
+    def text(self, address: Address) -> Values | ErrorValue:
+        return ErrorValue(15)
+
+    def change(self, address: Address, values: Values) -> ErrorValue | None:
+        return ErrorValue(1)
+
+
+@pytest.mark.parametrize("limits", [Limits(), Limits(octets=32, parameters=1, elements=5)])
+def test_arrays_whole_where_nothing_is_described(limits: Limits) -> None:
+    wire = Watched(ParameterServer(Bare(frozenset({4})), Rules(limits=limits)))
+    found = talk(read_out(ParameterClient(1, limits=limits)), wire)
+    assert [one.values for one in found] == [(7,), tuple(range(300)), (5, 6), (9,)]
+    assert all(one.description is None for one in found)
+    assert wire.longest <= limits.octets
+    first = talk(read_out(ParameterClient(1, limits=limits), described=False), wire)
+    assert [one.values for one in first] == [(7,), (0,), (5,), (9,)]
+
+
 def test_limits_that_nobody_asked_for_are_met_by_trying() -> None:
     wire = drive(Limits(octets=32, parameters=1))
     master = ParameterClient(1)

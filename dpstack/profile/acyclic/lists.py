@@ -267,7 +267,9 @@ def read_out(
     described: bool = True,
     describing: Progress | None = None,
 ) -> Talk[list[ReadParameter]]:
-    """Every parameter of the drive's list with its values, arrays whole. Raises CommandError.
+    """Every parameter of the drive's list with its values, arrays whole (also where nothing is described).
+
+    Raises CommandError.
 
     ``progress`` counts values, ``describing`` the descriptions before them. ``described`` False: no descriptions, so
     of arrays only the first element.
@@ -278,7 +280,40 @@ def read_out(
         descriptions = yield from describe(client, pnus, deadline, describing)
     items = [_item(pnu, one) for pnu, one in zip(pnus, descriptions, strict=True)]
     results = yield from client.read(items, deadline, progress)
-    return [ReadParameter(*one) for one in zip(pnus, descriptions, results, strict=True)]
+    found = [ReadParameter(*one) for one in zip(pnus, descriptions, results, strict=True)]
+    if described:
+        yield from _find_arrays(client, found, deadline)
+    return found
+
+
+def _find_arrays(client: ParameterClient, found: list[ReadParameter], deadline: int) -> Talk[None]:
+    """Arrays of which there is no description: those that have a second element, and do not have any you like."""
+    told = [at for at, one in enumerate(found) if one.description is None and _is_number(one.result)]
+    probes = [Address(found[at].pnu, subindex, 1) for at in told for subindex in (1, 0xFFFF)]
+    answers = yield from client.read(probes, deadline)
+    for at, second, last in zip(told, answers[::2], answers[1::2], strict=True):
+        if isinstance(second, Values) and isinstance(last, ErrorValue):
+            found[at] = found[at]._replace(result=(yield from _array(client, found[at], deadline)))
+
+
+def _is_number(result: Result) -> bool:
+    return isinstance(result, Values) and bool(result.raws) and not format_of(result.format).string
+
+
+def _array(client: ParameterClient, first: ReadParameter, deadline: int) -> Talk[Result]:
+    """All elements, as many as there are until the drive says that there are no more."""
+    assert isinstance(first.result, Values)
+    form, raws, count = first.result.format, first.result.raws, _AT_ONCE
+    while count:
+        item = Item(Address(first.pnu, len(raws), count), width=format_of(form).octets)
+        (part,) = yield from client.read([item], deadline)
+        if not isinstance(part, Values) or part.format != form:
+            count //= 2
+            continue
+        raws += part.raws
+        if len(part.raws) < count:
+            break
+    return Values(form, raws)
 
 
 def _item(pnu: int, description: Description | None) -> Item:
