@@ -36,7 +36,7 @@ class UnitJob(RecordJob):
     """One that a cyclic unit waits for: its end is not an event."""
 
     def __init__(self, pending: PendingRecord, octets: bytes, handler: SlaveHandler, ms1: Ms1) -> None:
-        super().__init__(handler.setup.address, pending.request, octets, handler, ms1)
+        super().__init__(pending.request, octets, handler, ms1)
         self._pending = pending
 
     def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:
