@@ -130,7 +130,9 @@ class Slave:
     def diagnosis_texts(self) -> tuple[str, ...]:
         """What :attr:`diagnosis` says, one line each: its bits, then its blocks in the words of the GSD file."""
         diagnosis = self.diagnosis
-        return () if diagnosis is None else diagnosis.texts + block_texts(diagnosis, self.setup.texts)
+        if diagnosis is None:
+            return ()
+        return diagnosis.texts + block_texts(diagnosis, self.setup.texts, dpv1=self.setup.dpv1 is not None)
 
     @property
     def inputs(self) -> bytes:

@@ -18,6 +18,7 @@ from dpstack.dp.commands import Mode
 from dpstack.dp.events import SlaveState
 from dpstack.dp.master import Master
 from dpstack.dp.slave_handler import SlaveHandler
+from dpstack.dp.v1.alarm_handler import AlarmHandler
 from dpstack.dp.v1.judging import service_outcome, title_of
 from dpstack.dp.v1.ms1_job import Ms1Job, Owed
 from dpstack.dp.v1.records import MAX_RECORD, Function, ReadReq, RecordReq, WriteReq
@@ -110,6 +111,10 @@ class Ms1:
             raise UsageError(str(error)) from None
         return token, RecordJob(request, octets, self.handler(address), self), timeout_ns
 
+    def speaking(self) -> list[SlaveHandler]:
+        """Those that are parameterised for DP-V1."""
+        return [] if self.master is None else [h for h in self.master.handlers.values() if h.alarms is not None]
+
     def handler(self, address: int) -> SlaveHandler:
         """The slave's, where it is parameterised for DP-V1. Raises UsageError."""
         handlers = {} if self.master is None else self.master.handlers
@@ -124,6 +129,12 @@ class Ms1:
                 f"if it has them put dpv1 = true into its [[slave]] table"
             )
         return handler
+
+    def alarms(self, address: int) -> AlarmHandler:
+        """The slave's. Raises UsageError as for a service."""
+        alarms = self.handler(address).alarms
+        assert alarms is not None
+        return alarms
 
     def bar(self, handler: SlaveHandler, since: int) -> str:
         """Why no service to the slave of ``handler``, in data exchange ``since`` then, can end: MS1 closes on leaving
@@ -180,5 +191,7 @@ class RecordJob(Ms1Job):
         ]
 
     def judged(self, octets: bytes) -> Outcome | None:
-        """See :func:`~dpstack.dp.v1.judging.service_outcome`."""
+        """See :func:`~dpstack.dp.v1.judging.service_outcome`; a response to Alarm_Ack is one to an earlier request."""
+        if octets[0] == Function.ALARM_ACK:
+            return None
         return service_outcome(self.address, self._request, octets)

@@ -14,7 +14,7 @@ from dpstack.trace import Event
 
 def asking(ms1: Ms1) -> Iterator[tuple[SlaveHandler, RecordQueue]]:
     """Slaves whose cyclic units ask them something now."""
-    for handler in () if ms1.master is None else ms1.master.handlers.values():
+    for handler in ms1.speaking():
         queue = queue_of(handler)
         if queue is not None:
             yield handler, queue
