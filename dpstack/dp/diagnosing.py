@@ -21,7 +21,7 @@ class Diagnoses:
     the same slave under other parameters.
     """
 
-    __slots__ = ("_emit", "_findings", "_own", "_setup", "alarms", "ident", "last")
+    __slots__ = ("_emit", "_findings", "_own", "_setup", "alarms", "flagged", "ident", "last")
 
     def __init__(
         self,
@@ -38,6 +38,8 @@ class Diagnoses:
         self._own = own
         self._findings = findings
         self._emit = emit
+        #: the slave wants to be read: DH since the last one
+        self.flagged = False
         self.alarms = None if setup.dpv1 is None else AlarmHandler(setup, findings, emit, ask, earlier)
 
     def read(self, octets: bytes, now: int) -> Diagnosis | None:
@@ -73,7 +75,8 @@ class Diagnoses:
     def exchanging(self, diagnosis: Diagnosis, now: int) -> None:
         """``diagnosis`` was read in data exchange, and is of our slave."""
         if self.alarms is not None:
-            self.alarms.take(diagnosis, now)
+            self.alarms.take(diagnosis, self.flagged, now)
+        self.flagged = False
 
     def closed(self, now: int) -> None:
         """Data exchange is over."""

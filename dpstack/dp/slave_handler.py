@@ -139,6 +139,7 @@ class SlaveHandler:
                     if not self._odd.none:
                         self._odd.clear()
                     if status == _DH:
+                        self.diagnoses.flagged = True
                         self._want_diagnosis(now)
                     return
         self._odd_data(outcome, now)

@@ -8,8 +8,10 @@ that fits no open alarm, and closes the SAP: so one is never repeated while its 
 
 Decisions where the sources are silent:
 
-- Type, slot and sequence number are one alarm while it is open. In a diagnosis read while its acknowledgement is under
-  way it may be the old one or the next with the same number: the diagnosis is read again after the response.
+- Type, slot and sequence number are one alarm while it is open.
+- A block that was not in the last diagnosis, or is in one that the slave asks to be read (DH) though it is as before,
+  is one raised just now. With the numbers of an alarm whose acknowledgement has no answer yet it is the next one, and
+  says that the slave has had the acknowledgement; otherwise the diagnosis is read again after the response.
 - With the same octets right after the response the slave may not have taken the block away yet: it is the next one only
   when it stands there after :data:`SETTLE`; in sequence mode, where numbers count on, never before it was gone.
 - An acknowledgement without an answer is sent again as long as the slave is in data exchange. When another alarm has
@@ -94,7 +96,7 @@ class OpenAlarm:
     #: acknowledgements begun
     attempts: int = 0
     not_before: int = 0
-    #: it stood in a diagnosis read while its acknowledgement was under way
+    #: it stood in a diagnosis read since then
     shown: bool = False
     #: the response came after its acknowledgement was over
     answered: bool = False
@@ -130,6 +132,9 @@ class AlarmHandler:
         self._settling: dict[Key, tuple[bytes, int]] = {}
         self._look_at = NEVER
         self._dropped = False
+        self._last: Diagnosis | None = None
+        #: blocks that say nothing new
+        self._before: set[bytes] = set()
         self._statuses: dict[tuple[int, int], bytes] = {}
 
     # --- from the diagnosis -------------------------------------------------------------------------------------
@@ -142,8 +147,11 @@ class AlarmHandler:
             else:
                 self._ask(now)
 
-    def take(self, diagnosis: Diagnosis, now: int) -> None:
-        """A diagnosis of the slave in data exchange."""
+    def take(self, diagnosis: Diagnosis, flagged: bool, now: int) -> None:
+        """A diagnosis of the slave in data exchange; ``flagged``: it had asked to be read (DH)."""
+        last, self._last = self._last, diagnosis
+        before = () if last is None or (flagged and diagnosis == last) else last.blocks
+        self._before = {block.octets for block in before}
         messages = self._messages(diagnosis, now)
         statuses = {}
         standing = set()
@@ -186,11 +194,16 @@ class AlarmHandler:
         key = Key.of(alarm)
         self._conclude(alarm, octets, now)
         known = self._open.get(key)
+        fresh = octets not in self._before
         if known is not None:
-            known.shown = known.shown or known.stage is Stage.ASKED
-            return
-        before, until = self._settling.get(key, (b"", 0))
-        if before == octets and (self._limit or now < until):
+            if not known.attempts:
+                return
+            if not fresh:
+                known.shown = True
+                return
+            self._over(known, Outcome(), now)
+        settled, until = self._settling.get(key, (b"", 0))
+        if settled == octets and not fresh and (self._limit or now < until):
             if not self._limit:
                 self._look_at = min(self._look_at, until)
             return
@@ -328,7 +341,7 @@ class AlarmHandler:
         self._open.clear()
         self._settling.clear()
         self._statuses.clear()
-        self._asked = None
+        self._last = self._asked = None
         self._look_at = NEVER
         self._dropped = False
 
