@@ -52,6 +52,8 @@ class AlarmSlave(OctetMs1Slave):
     shown: bytes = b""
     diagnosed: int = 0
     acks: list[bytes] = field(default_factory=list)
+    #: codes of negative responses to the next acknowledgements
+    refuses: list[str] = field(default_factory=list)
     left: list[bytes] = field(default_factory=list)
     wait: int = 0
     last: tuple[int, bytes, tuple[int, bytes] | None] | None = None
@@ -98,6 +100,8 @@ class AlarmSlave(OctetMs1Slave):
 
     def service(self, octets: bytes) -> bytes | None:
         match octets[7]:
+            case sap if sap in self.says:
+                return self.says[sap](octets)
             case 60 if self.master != 255:
                 self.flag = False
                 self.diagnosed += 1
@@ -125,6 +129,8 @@ class AlarmSlave(OctetMs1Slave):
         return sd2(2, self.address, DL, 51, self.sap, self.left.pop())
 
     def acknowledged(self, ack: bytes) -> bytes | None:
+        if self.refuses:
+            return refusing(self.refuses.pop(0))(ack)
         for entry in self.open:
             if (entry[2], entry[1], entry[3]) == tuple(ack[1:4]):
                 self.open.remove(entry)
@@ -132,15 +138,10 @@ class AlarmSlave(OctetMs1Slave):
                 if self.shown is entry and not self.keeps:
                     self.shown = b""
                     self.flag = True
-                    self.shown_next()
-                else:
-                    self.next_one()
+                self.next_one()
                 return ack
         self.strays.append(ack)
         return self.on_stray(ack)
-
-    def shown_next(self) -> None:
-        self.next_one()
 
 
 def refusing(code: str = "B5") -> Callable[[bytes], bytes | None]:
@@ -202,9 +203,13 @@ class AlarmBus(Ms1Bus):
     @property
     def counts(self) -> AlarmCounts:
         """Of the first slave."""
-        counts = self.master.handlers[self.addresses[0]].alarm_counts
+        counts = self.counts_of(self.addresses[0])
         assert counts is not None
         return counts
+
+    def counts_of(self, address: int) -> AlarmCounts | None:
+        """Of one slave."""
+        return self.master.handlers[address].alarm_counts
 
     def until(self, condition: Callable[[], bool], ms: int = 20_000) -> None:
         """Run until it holds."""

@@ -79,7 +79,8 @@ class Dpv1:
     ``alarms``: kinds that the slave may raise, keys of :data:`ALARMS`; ``alarm_mode`` 0 one of each kind at a time,
     1..7 2, 4, 8, 12, 16, 24, 32 in all. ``blocks``: appended, and Prm_Structure is set. ``c1_response_timeout_ns``: in
     which the slave answers Read and Write, 0: not known; ``c1_max_data_len``: octets of the longest record, 0..240.
-    ``extra_alarm_sap``: alarms are acknowledged at SAP 50, not 51. Raises ConfigError.
+    ``extra_alarm_sap``: alarms are acknowledged at SAP 50, not 51. ``required_alarms``: kinds that are enabled where
+    ``alarms`` is None, beside those that the parameters enable. Raises ConfigError.
     """
 
     check_cfg_mode: bool | None = None
@@ -90,6 +91,7 @@ class Dpv1:
     c1_response_timeout_ns: int = 0
     c1_max_data_len: int = MAX_RECORD
     extra_alarm_sap: bool = False
+    required_alarms: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         unknown = [name for name in self.alarms or () if name not in ALARMS]
@@ -103,7 +105,10 @@ class Dpv1:
     def apply(self, octets: bytearray) -> None:
         """Put it into the user parameters, whose first three octets are DPV1_Status."""
         set_bit(octets, 0, DPV1_ENABLE, True)
-        if self.alarms is not None:
+        if self.alarms is None:
+            for name in self.required_alarms:
+                set_bit(octets, 1, ALARMS[name], True)
+        else:
             for name, bit in ALARMS.items():
                 set_bit(octets, 1, bit, name in self.alarms)
         set_bit(octets, 1, CHECK_CFG_MODE, self.check_cfg_mode)
