@@ -7,7 +7,7 @@ from typing import Final
 
 from dpstack.api.tables import Table
 from dpstack.dp.v1.records import MAX_RECORD
-from dpstack.dp.v1.status import ALARMS, DPV1_ENABLE, DPV1_STATUS_LEN, Dpv1, PrmBlock
+from dpstack.dp.v1.status import ALARM_KEYWORDS, ALARMS, DPV1_ENABLE, DPV1_STATUS_LEN, Dpv1, PrmBlock
 from dpstack.errors import ConfigError
 from dpstack.gsd.model import Device
 from dpstack.units import NS_PER_MS
@@ -16,15 +16,6 @@ from dpstack.units import NS_PER_MS
 _TIMEOUT_UNIT: Final = 10 * NS_PER_MS
 _KEYS: Final = ("check_cfg_mode", "prm_cmd", "alarms", "alarm_mode", "blocks", "response_timeout_ms")
 _BLOCK_KEYS: Final = ("type", "slot", "data")
-#: the GSD keywords of what may be asked for, without _supp
-_IN_GSD: Final = {
-    "pull_plug": "Pull_Plug_Alarm",
-    "process": "Process_Alarm",
-    "diagnostic": "Diagnostic_Alarm",
-    "manufacturer": "Manufacturer_Specific_Alarm",
-    "status": "Status_Alarm",
-    "update": "Update_Alarm",
-}
 
 
 def read_dpv1(table: Table, device: Device | None, user_prm: bytes) -> Dpv1 | None:
@@ -102,8 +93,9 @@ def _alarms(table: Table, device: Device | None) -> tuple[str, ...] | None:
     if not isinstance(given, (list, tuple)) or any(name not in ALARMS for name in given):
         table.fail("alarms", f"alarms = {given!r}", f"it is a list of these: {', '.join(ALARMS)}")
     for name in given:
-        if device is not None and _IN_GSD[name] not in device.dpv1.alarms:
-            table.fail("alarms", f"alarms holds {name}, but its GSD file says {_IN_GSD[name]}_supp = 0", "leave it out")
+        if device is not None and ALARM_KEYWORDS[name] not in device.dpv1.alarms:
+            keyword = f"{ALARM_KEYWORDS[name]}_supp"
+            table.fail("alarms", f"alarms holds {name}, but its GSD file says {keyword} = 0", "leave it out")
     return tuple(name for name in ALARMS if name in given)
 
 

@@ -26,11 +26,22 @@ ALARMS: Final = {
     "status": 0x08,
     "update": 0x04,
 }
+#: the GSD keywords of those kinds, without _supp and _required
+ALARM_KEYWORDS: Final = {
+    "pull_plug": "Pull_Plug_Alarm",
+    "process": "Process_Alarm",
+    "diagnostic": "Diagnostic_Alarm",
+    "manufacturer": "Manufacturer_Specific_Alarm",
+    "status": "Status_Alarm",
+    "update": "Update_Alarm",
+}
 CHECK_CFG_MODE: Final = 0x01
 #: DPV1_Status_3
 PRM_CMD: Final = 0x80
 PRM_STRUCTURE: Final = 0x08
 _ALARM_MODE: Final = 0x07
+#: alarms at a time by Alarm_Mode; 0: one of each type
+ALARM_LIMITS: Final = (0, 2, 4, 8, 12, 16, 24, 32)
 #: length, type, slot, reserved
 BLOCK_HEAD: Final = 4
 _MAX_BLOCK: Final = 234
