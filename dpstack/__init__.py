@@ -35,9 +35,11 @@ if TYPE_CHECKING:
     from dpstack.dp.slave_description import SlaveDescription, SlaveModule
     from dpstack.dp.slaveapp import SlaveApp, SlaveAppState
     from dpstack.dp.user_diag import UserDiag, channel_block, device_block, identifier_block, revision_block
+    from dpstack.dp.v1.alarms import AlarmType, ModuleState, Specifier, StatusType
     from dpstack.dp.v1.im import Im0, Im1, Im2, Im3, Im4
     from dpstack.errors import (
         AcyclicError,
+        AlarmError,
         BaudError,
         BusError,
         ConfigError,
@@ -62,6 +64,8 @@ __version__ = "0.1.0"
 
 __all__ = [
     "AcyclicError",
+    "AlarmError",
+    "AlarmType",
     "BaudError",
     "BaudReport",
     "Bus",
@@ -83,6 +87,7 @@ __all__ = [
     "Im3",
     "Im4",
     "Mode",
+    "ModuleState",
     "ParamError",
     "ParameterError",
     "PortBusyError",
@@ -99,6 +104,8 @@ __all__ = [
     "SlaveServer",
     "SlaveState",
     "SlaveTimeout",
+    "Specifier",
+    "StatusType",
     "UsageError",
     "UserDiag",
     "World",
@@ -148,6 +155,10 @@ _WHERE: Final = {
     "device_block": "dp.user_diag",
     "identifier_block": "dp.user_diag",
     "revision_block": "dp.user_diag",
+    "AlarmType": "dp.v1.alarms",
+    "ModuleState": "dp.v1.alarms",
+    "Specifier": "dp.v1.alarms",
+    "StatusType": "dp.v1.alarms",
     "Im0": "dp.v1.im",
     "Im1": "dp.v1.im",
     "Im2": "dp.v1.im",

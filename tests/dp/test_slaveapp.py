@@ -10,6 +10,7 @@ from dpstack.dp.mirror import MirrorDevice
 from dpstack.dp.slave_events import RequestRefused, SlaveAppStateChanged, WatchdogExpired
 from dpstack.dp.slave_states import ACCESS, AppEv
 from dpstack.dp.slaveapp import SlaveApp, SlaveAppState
+from dpstack.dp.v1.alarm_server import AlarmServer, AlarmSupport
 from dpstack.dp.v1.serving import RecordTable
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import Req, Resp
@@ -206,6 +207,7 @@ def test_services_are_open_as_the_table_says(state: SlaveAppState, sa: int) -> N
         device = Recorder()
         device.set_slave_add = True
         device.records = RecordTable({})
+        device.alarms = AlarmServer(AlarmSupport(extra_sap=True), 63)
         bench = in_state(state, device, PRM + b"\x80\0\0")
         access = ACCESS.get(dsap)
         is_open = access is not None and state in access.states and (sa == MASTER or not access.owner_only)
