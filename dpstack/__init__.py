@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from dpstack.api.serving import SlaveServer, serve_slave, serve_slaves
     from dpstack.api.slave import Slave
     from dpstack.api.slave_from_gsd import slave_from_gsd
-    from dpstack.api.virtual import World, run_virtual, simulate
+    from dpstack.api.virtual import IoStation, World, run_virtual, simulate
     from dpstack.dp.dp_slave import DpSlave
     from dpstack.dp.slave_description import SlaveDescription, SlaveModule
     from dpstack.dp.slaveapp import SlaveApp, SlaveAppState
@@ -86,6 +86,7 @@ __all__ = [
     "Im2",
     "Im3",
     "Im4",
+    "IoStation",
     "Mode",
     "ModuleState",
     "ParamError",
@@ -165,6 +166,7 @@ _WHERE: Final = {
     "Im3": "dp.v1.im",
     "Im4": "dp.v1.im",
     "DriveStatus": "profile",
+    "IoStation": "api.virtual",
 }
 
 

@@ -25,7 +25,7 @@ class AlarmBench(Bench):
     def __init__(self, *, sequence: int = 0, extra_sap: bool = False, room: int = 238) -> None:
         device = Recorder()
         device.max_diag_len = 6 + room
-        self.alarms = device.alarms = AlarmServer(AlarmSupport(KINDS, sequence, extra_sap), room, device.name)
+        self.alarms = device.alarm_server = AlarmServer(AlarmSupport(KINDS, sequence, extra_sap), room, device.name)
         super().__init__(device)
         self.fcb = 0
 

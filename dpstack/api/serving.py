@@ -44,7 +44,7 @@ class ServedSlave:
         self.station = PassiveStation(address, self._app, params, patience=patience)
         #: set by the server: what keeps the station running
         self.runtime: Runtime | None = None
-        self._alarms = ServedAlarms(device.alarms, device.name)
+        self._alarms = ServedAlarms(device.alarm_server, device.name)
         self._waiters = Waiters()
         self._over: BusError | None = None
 

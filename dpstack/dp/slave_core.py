@@ -47,7 +47,7 @@ class SlaveCore:
         self.failure: str | None = None
         self.report = Report(device, address)
         self.diag = DiagState(device)
-        self.ms1 = Ms1Server(device.records, self.report, device.alarms)
+        self.ms1 = Ms1Server(device.records, self.report, device.alarm_server)
         self.address = SlaveAddress(device, self.report, address_fixed)
         self.watchdog = Watchdog()
         self.data: CyclicData | None = None

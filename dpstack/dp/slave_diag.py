@@ -50,7 +50,7 @@ class DiagState:
             for name in ("user_diag", "ext_diag")
         ):
             self.user = None
-        self.alarms = device.alarms
+        self.alarms = device.alarm_server
         self.silent = self.user is None and self.alarms is None
 
     def clear_faults(self) -> None:

@@ -207,7 +207,7 @@ def test_services_are_open_as_the_table_says(state: SlaveAppState, sa: int) -> N
         device = Recorder()
         device.set_slave_add = True
         device.records = RecordTable({})
-        device.alarms = AlarmServer(AlarmSupport(extra_sap=True), 63)
+        device.alarm_server = AlarmServer(AlarmSupport(extra_sap=True), 63)
         bench = in_state(state, device, PRM + b"\x80\0\0")
         access = ACCESS.get(dsap)
         is_open = access is not None and state in access.states and (sa == MASTER or not access.owner_only)
