@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from slave_kit import MASTER, PRM, Bench, Recorder, srd
+from slave_kit import CFG, MASTER, PRM, Bench, Recorder, srd
 
 from dpstack.dp.v1.alarm_server import AlarmServer, AlarmSupport, Raised
 from dpstack.dp.v1.alarms import Alarm
@@ -19,24 +19,19 @@ def prm(enabled: int = ALL, mode: int = 0) -> bytes:
     return PRM + bytes((0x80, enabled, mode))
 
 
-class AlarmBench(Bench):
+class OctetMaster(Bench):
     """Requests alternate their frame count bit, as a master's do."""
 
-    def __init__(self, *, sequence: int = 0, extra_sap: bool = False, room: int = 238) -> None:
-        device = Recorder()
-        device.max_diag_len = 6 + room
-        self.alarms = device.alarm_server = AlarmServer(AlarmSupport(KINDS, sequence, extra_sap), room, device.name)
-        super().__init__(device)
-        self.fcb = 0
+    fcb = 0
 
-    def start(self, octets: bytes | None = None) -> AlarmBench:
-        """In data exchange, with everything enabled where no parameters are given."""
-        self.prm(prm() if octets is None else octets)
-        self.cfg()
+    def start_with(self, parameters: bytes, config: bytes, outputs: bytes) -> None:
+        """In data exchange."""
+        self.prm(parameters)
+        self.cfg(config)
         self.diag()
-        self.dx()
+        self.outputs = outputs
+        self.dx(outputs)
         self.app.take_events()
-        return self
 
     def ask(self, dsap: int | None, data: bytes = b"", sa: int = MASTER, *, fresh: bool = False) -> Reply:
         """``fresh``: the master takes the station up afresh, as after an answer that was lost."""
@@ -49,15 +44,10 @@ class AlarmBench(Bench):
         assert reply is not None
         return reply
 
-    def raise_(self, text: str, *, add_ack: bool = False) -> Raised:
-        """Type, slot, specifier and data in hex."""
-        octets = bytes.fromhex(text)
-        return self.alarms.alarm(Alarm(octets[0], octets[1], octets[2], data=octets[3:], add_ack=add_ack))
-
     @property
     def must_fetch(self) -> bool:
         """The next Data_Exchange says so (DH)."""
-        return bool(self.dx().status is Resp.DH)
+        return self.dx(self.outputs).status is Resp.DH
 
     def ext(self, sa: int = MASTER) -> str:
         """What follows the fixed octets of the diagnosis."""
@@ -76,4 +66,24 @@ class AlarmBench(Bench):
     def poll(self, sap: int = 51) -> str:
         """An empty request."""
         reply = self.ask(sap)
-        return str(reply.data.hex(" ").upper()) if reply.status is Resp.DL else ""
+        return reply.data.hex(" ").upper() if reply.status is Resp.DL else ""
+
+
+class AlarmBench(OctetMaster):
+    """With a slave that raises every kind of alarm."""
+
+    def __init__(self, *, sequence: int = 0, extra_sap: bool = False, room: int = 238) -> None:
+        device = Recorder()
+        device.max_diag_len = 6 + room
+        self.alarms = device.alarm_server = AlarmServer(AlarmSupport(KINDS, sequence, extra_sap), room, device.name)
+        super().__init__(device)
+
+    def start(self, octets: bytes | None = None) -> AlarmBench:
+        """In data exchange, with everything enabled where no parameters are given."""
+        self.start_with(prm() if octets is None else octets, CFG, b"\x55")
+        return self
+
+    def raise_(self, text: str, *, add_ack: bool = False) -> Raised:
+        """Type, slot, specifier and data in hex."""
+        octets = bytes.fromhex(text)
+        return self.alarms.alarm(Alarm(octets[0], octets[1], octets[2], data=octets[3:], add_ack=add_ack))

@@ -46,8 +46,8 @@ class DpSlave(FunctionDevice):
 
     ``on_read`` and ``on_write`` serve the records of DP-V1, one at a time (:func:`dpstack.serve_slave` runs them): what
     they raise is answered and told, nothing else ends; they are cancelled when the master gives up. ``im`` is its I&M:
-    I&M0, and those of I&M1 to 4 that a master may write. ``alarm_server`` is where a slave with DP-V1 raises its alarms and
-    tells its status messages (:class:`~dpstack.dp.v1.alarm_server.AlarmServer`); served, it has them as async calls.
+    I&M0, and those of I&M1 to 4 that a master may write. ``alarm_server`` is where a slave with DP-V1 raises alarms and
+    tells status messages (:class:`~dpstack.dp.v1.alarm_server.AlarmServer`); served, it has them as async calls.
 
     Set :attr:`diag`, as a whole and whenever something changes, to what the slave shall say in its diagnosis.
     Raises ConfigError.

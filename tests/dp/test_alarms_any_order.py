@@ -21,7 +21,7 @@ LIMITS = {0: 1, 1: 2, 3: 8, 7: 32}
 _WIRE = st.sampled_from(("good", "good", "good", "request lost", "answer lost"))
 
 
-class OctetMaster:
+class LossyMaster:
     """Polls, fetches, acknowledges; ``delivered`` are blocks without their headers, ``loss`` the fate of requests."""
 
     def __init__(self, bench: AlarmBench, sap: int, loss: list[str]) -> None:
@@ -86,7 +86,7 @@ _steps = st.lists(
 @given(_steps, st.sampled_from(tuple(LIMITS)), st.sampled_from((50, 51)), st.lists(_WIRE, max_size=80))
 def test_each_alarm_ends_once_and_in_order(steps: list[tuple[str, int]], mode: int, sap: int, loss: list[str]) -> None:
     bench = AlarmBench(sequence=32, extra_sap=True).start(prm(mode=mode))
-    master = OctetMaster(bench, sap, loss)
+    master = LossyMaster(bench, sap, loss)
     raised: list[Raised] = []
     ends: list[int] = []
     for number, (step, value) in enumerate(steps):
