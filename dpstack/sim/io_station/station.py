@@ -247,6 +247,7 @@ def _described(config: bytes, name: str, parameters: int) -> SlaveDescription:
         ident=IDENT,
         name=name,
         configs=(config,),
+        max_modules=MAX_MODULES,
         max_input_len=32,
         max_output_len=32,
         max_data_len=64,
