@@ -100,7 +100,7 @@ def test_an_acknowledgement_of_something_else_is_refused(ack: str) -> None:
     bench = AlarmBench().start()
     alarm = bench.raise_("01 01 01")
     bench.fetch()
-    assert bench.ack(ack) == "DC 80 B5 00"
+    assert bench.ack(ack) == "DC 80 B8 00"
     slot, kind, specifier = bytes.fromhex(ack)
     assert bench.texts() == [
         f"slave 8 (recorder): Alarm_Ack of master 2 refused: no alarm of type {kind}, slot {slot}, "
@@ -121,9 +121,9 @@ def test_an_acknowledgement_of_the_wrong_length(octets: str) -> None:
 def test_it_is_not_acknowledged_before_it_was_shown() -> None:
     bench = AlarmBench().start()
     alarm = bench.raise_("01 01 01")
-    assert bench.ack("01 01 01") == "DC 80 B5 00"
+    assert bench.ack("01 01 01") == "DC 80 B8 00"
     assert bench.ext(OTHER) == "04 01 01 01"
-    assert bench.ack("01 01 01") == "DC 80 B5 00"  # another master read it
+    assert bench.ack("01 01 01") == "DC 80 B8 00"  # another master read it
     assert alarm.end is None
 
 

@@ -11,7 +11,7 @@ alarm in Alarm_Ack. Decisions where they are silent or differ:
 
 - Sequence numbers count 0..31 in both modes (those stacks leave them to their user): so a late or repeated Alarm_Ack
   can never be taken for that of the next alarm of the same type.
-- An Alarm_Ack for what is not on its way is answered negatively (0xB5, state conflict). Those stacks leave data
+- An Alarm_Ack for what is not on its way is answered negatively (0xB8, invalid parameter; 0xB5 would say: again). Those stacks leave data
   exchange or go silent: a doubled acknowledgement would cost the cycle.
 - Of the last 31 alarms that were acknowledged every further Alarm_Ack is answered positively, without effect: the
   master repeats one whose answer was lost.
@@ -262,7 +262,7 @@ class AlarmServer:
             if key in self._acknowledged:
                 return ack, None
             what = f"type {ack.type}, slot {ack.slot}, sequence number {ack.sequence}"
-            return Negative(Function.ALARM_ACK, Code.STATE_CONFLICT), f"no alarm of {what} is on its way"
+            return Negative(Function.ALARM_ACK, Code.INVALID_PARAMETER), f"no alarm of {what} is on its way"
         del self._on_its_way[key]
         self._acknowledged.append(key)
         if raised is self._current:
