@@ -11,8 +11,8 @@ alarm in Alarm_Ack. Decisions where they are silent or differ:
 
 - Sequence numbers count 0..31 in both modes (those stacks leave them to their user): so a late or repeated Alarm_Ack
   can never be taken for that of the next alarm of the same type.
-- An Alarm_Ack for what is not on its way is answered negatively (0xB8, invalid parameter; 0xB5 would say: again). Those stacks leave data
-  exchange or go silent: a doubled acknowledgement would cost the cycle.
+- An Alarm_Ack for what is not on its way is answered negatively: 0xB8, invalid parameter (0xB5 would say: again).
+  Those stacks leave data exchange or go silent: a doubled acknowledgement would cost the cycle.
 - Of the last 31 alarms that were acknowledged every further Alarm_Ack is answered positively, without effect: the
   master repeats one whose answer was lost.
 - Nothing is shown before the first Data_Exchange: masters read diagnoses of the bring-up for their fault bits only.
