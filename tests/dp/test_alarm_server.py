@@ -312,6 +312,15 @@ def test_status_messages_are_shown_once_each() -> None:
     assert bench.ext() == ""
 
 
+def test_between_two_that_are_the_same_there_is_a_diagnosis_without() -> None:
+    bench = AlarmBench().start()
+    for status in (Status(1, 3), Status(1, 3), Status(1, 4), Status(1, 3)):
+        bench.alarms.status(status)
+    for block in ("04 81 03 00", "", "04 81 03 00", "04 81 04 00", "04 81 03 00"):
+        assert bench.fetch() == block
+    assert not bench.must_fetch
+
+
 @pytest.mark.parametrize("kind", [0, 4, 29, 127])
 def test_a_status_that_does_not_exist(kind: int) -> None:
     with pytest.raises(PduError):

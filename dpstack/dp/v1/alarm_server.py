@@ -18,7 +18,7 @@ alarm in Alarm_Ack. Decisions where they are silent or differ:
 - Nothing is shown before the first Data_Exchange: masters read diagnoses of the bring-up for their fault bits only.
 - The alarm fetched last stays in the diagnosis until it is acknowledged or another one is shown; that it goes is no
   news, and the master is not told.
-- A status message is shown once. Where it has no room beside the alarm, a new alarm goes first, a fetched one last.
+- A status message is shown once, and between two that are the same a diagnosis without. Where one has no room beside the alarm, a new alarm goes first, a fetched one last.
 - Whatever ends data exchange ends what is on its way or waits; who raised it is told.
 """
 
@@ -136,6 +136,7 @@ class AlarmServer:
         self._started = False
         self._waiting: deque[Raised] = deque()
         self._statuses: deque[Status] = deque()
+        self._told: Status | None = None  # fetched with the last diagnosis
         self._current: Raised | None = None  # stands in the diagnosis
         self._fetched = True  # the master has it
         self._on_its_way: dict[_Key, Raised] = {}
@@ -211,6 +212,7 @@ class AlarmServer:
         self._statuses.clear()
         self._on_its_way.clear()
         self._acknowledged.clear()
+        self._told = None
         self._current, self._fetched = None, True
         self._sequence = 0
         for raised in over:
@@ -228,7 +230,7 @@ class AlarmServer:
         if not self._started:
             return _NOTHING
         alarm = self._current
-        status = self._statuses[0] if self._statuses else None
+        status = self._statuses[0] if self._statuses and self._statuses[0] != self._told else None
         alarm_octets = b"" if alarm is None else alarm.alarm.build()
         status_octets = b"" if status is None else status.build()
         if len(alarm_octets) + len(status_octets) > self._room:
@@ -248,6 +250,7 @@ class AlarmServer:
             self._fetched = True
         if shown.status is not None and self._statuses and self._statuses[0] is shown.status:
             self._statuses.popleft()
+        self._told = shown.status
         self._advance()
 
     def acknowledge(self, octets: bytes) -> tuple[AlarmAck | Negative, str | None]:
