@@ -18,7 +18,8 @@ alarm in Alarm_Ack. Decisions where they are silent or differ:
 - Nothing is shown before the first Data_Exchange: masters read diagnoses of the bring-up for their fault bits only.
 - The alarm fetched last stays in the diagnosis until it is acknowledged or another one is shown; that it goes is no
   news, and the master is not told.
-- A status message is shown once, and between two that are the same a diagnosis without. Where one has no room beside the alarm, a new alarm goes first, a fetched one last.
+- A status message is shown once, and between two that are the same there is a diagnosis without. Where one has no
+  room beside the alarm, a new alarm goes first, a fetched one last.
 - Whatever ends data exchange ends what is on its way or waits; who raised it is told.
 """
 
