@@ -7,8 +7,8 @@ from collections.abc import Callable, Coroutine
 from typing import Any
 
 import pytest
-from alarm_kit import OctetMaster, prm
 from api_kit import virtual
+from slave_alarm_kit import OctetMaster, prm
 
 import dpstack
 from dpstack import AlarmError, AlarmType, DpSlave, ModuleState, SlaveDescription, Specifier, StatusType

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from alarm_kit import AlarmBench, prm
+from slave_alarm_kit import AlarmBench, prm
 from slave_kit import CFG, OTHER, PRM, UNLOCK
 
 from dpstack.dp.slaveapp import SlaveAppState

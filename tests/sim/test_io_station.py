@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
-from alarm_kit import OctetMaster
+from slave_alarm_kit import OctetMaster
 from slave_kit import Bench
 
 import dpstack

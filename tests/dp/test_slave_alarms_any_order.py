@@ -6,10 +6,10 @@ The master knows octets only. A request of its that nobody answers is followed b
 
 from __future__ import annotations
 
-from alarm_kit import KINDS, AlarmBench, prm
 from hypothesis import given
 from hypothesis import strategies as st
 from property_kit import examples
+from slave_alarm_kit import KINDS, AlarmBench, prm
 from slave_kit import UNLOCK
 
 from dpstack.dp.v1.alarm_server import AlarmEnd, Raised, kind_of
