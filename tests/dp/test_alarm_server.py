@@ -140,7 +140,8 @@ def test_repeated_acknowledgements_are_answered_and_do_nothing() -> None:
     assert bench.alarms.pending == (second,)
     assert bench.ack("01 01 09") == "5C 01 01 09"
     assert second.end is AlarmEnd.ACKNOWLEDGED
-    assert bench.texts() == []
+    what = "slave 8 (recorder): diagnosis alarm, slot 1, appears, slot disturbed"
+    assert bench.texts() == [f"{what}: acknowledged by master 2"] * 2
 
 
 def test_an_answer_to_a_poll_that_was_lost_is_given_again() -> None:

@@ -158,7 +158,9 @@ def test_parameters_changed_at_the_device() -> None:
 
 def test_only_what_is_enabled_and_nothing_without_dpv1() -> None:
     bench = Station(PRM[:7] + b"\x80\x00\x00" + PRM[10:])
-    bench.io.pull(1)
+    assert bench.io.pull(1) == "slave io: pull alarm, slot 1, appears, slot disturbed: its master did not enable " + (
+        "pull_plug alarms in Set_Prm"
+    )
     assert bench.fetch() == "06 82 00 00 03 00 42 01"
     bench = Station(PRM[:7] + b"\x00\xfc\x00" + PRM[10:])
     bench.io.pull(1)
@@ -287,7 +289,7 @@ def test_switched_off_and_on_it_keeps_what_is_plugged() -> None:
 def test_orders_that_cannot_be() -> None:
     io = IoStation.of(ROW)
     io.pull(1)
-    misuse: list[tuple[Callable[[], None], str]] = [
+    misuse: list[tuple[Callable[[], object], str]] = [
         (lambda: io.pull(4), "no module in slot 4; there are: slot 1"),
         (lambda: io.pull(0), "no module in slot 0"),
         (lambda: io.pull(1), "no module is plugged"),

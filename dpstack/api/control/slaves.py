@@ -73,13 +73,14 @@ class SlaveCommands:
 
         return command
 
-    def _station(self, act: Callable[[IoStation, int, list[str]], None]) -> Handler:
-        def command(args: list[str]) -> None:
+    def _station(self, act: Callable[[IoStation, int, list[str]], str | None]) -> Handler:
+        def command(args: list[str]) -> str | None:
             address = self._address(args[0])
             device = self._bench.device(address)
             if not isinstance(device, IoStation):
                 raise UsageError(f'slave {address} ({device.name}) is no I/O station; one has gsd = "io-station"')
-            act(device, arguments.whole(args[1]), args[2:])
+            left_out = act(device, arguments.whole(args[1]), args[2:])
+            return None if left_out is None else f"done, without an alarm: {left_out}"
 
         return command
 

@@ -119,6 +119,14 @@ class Shown(NamedTuple):
     octets: bytes
 
 
+class Acknowledged(NamedTuple):
+    """What came of an Alarm_Ack: its answer, the alarm that is over with it, why the answer is a negative one."""
+
+    answer: AlarmAck | Negative
+    alarm: Alarm | None = None
+    reason: str | None = None
+
+
 _NOTHING: Final = Shown(None, None, b"")
 _Key = tuple[int, int, int]
 
@@ -254,26 +262,27 @@ class AlarmServer:
         self._told = shown.status
         self._advance()
 
-    def acknowledge(self, octets: bytes) -> tuple[AlarmAck | Negative, str | None]:
-        """Alarm_Ack: its answer, and why it is a negative one."""
+    def acknowledge(self, octets: bytes) -> Acknowledged:
+        """Alarm_Ack."""
         try:
             ack = AlarmAck.parse(octets)
         except PduError as error:
-            return Negative(Function.ALARM_ACK, Code.INVALID_PARAMETER), str(error)
+            return Acknowledged(Negative(Function.ALARM_ACK, Code.INVALID_PARAMETER), reason=str(error))
         key = (ack.slot, ack.type, ack.sequence)
         raised = self._on_its_way.get(key)
         if raised is None or not raised.offered:
             if key in self._acknowledged:
-                return ack, None
+                return Acknowledged(ack)
             what = f"type {ack.type}, slot {ack.slot}, sequence number {ack.sequence}"
-            return Negative(Function.ALARM_ACK, Code.INVALID_PARAMETER), f"no alarm of {what} is on its way"
+            reason = f"no alarm of {what} is on its way"
+            return Acknowledged(Negative(Function.ALARM_ACK, Code.INVALID_PARAMETER), reason=reason)
         del self._on_its_way[key]
         self._acknowledged.append(key)
         if raised is self._current:
             self._current, self._fetched = None, True
         raised.finish(AlarmEnd.ACKNOWLEDGED)
         self._advance()
-        return ack, None
+        return Acknowledged(ack, raised.alarm)
 
     # --- inside -------------------------------------------------------------------------------------------------
 

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Protocol
 
 from dpstack.dp.v1.alarm_server import AlarmServer
-from dpstack.dp.v1.alarms import AlarmAck
+from dpstack.dp.v1.alarms import Alarm, AlarmAck
 from dpstack.dp.v1.codes import Code
 from dpstack.dp.v1.im import IM_FI, IM_INDEX, IM_LEN, RECORDS, Im, Im0, build_call, number_of, parse_call
 from dpstack.dp.v1.records import (
@@ -98,6 +98,9 @@ class Told(Protocol):
     def refused(self, service: str, master: int, reason: str, now: int) -> None:
         """Once for the same reason."""
 
+    def acknowledged(self, alarm: Alarm, master: int, now: int) -> None:
+        """An alarm is over."""
+
 
 class Ms1Server:
     """MS1 of one slave application: ``records`` and ``alarms``, None where the device has none; without both the SAP is
@@ -175,10 +178,12 @@ class Ms1Server:
         if octets[0] != Function.ALARM_ACK:
             self._report.refused("Alarm_Ack", sa, f"octet 1: no service 0x{octets[0]:02X} at SAP 50", now)
             return Negative(octets[0], Code.NOT_SUPPORTED)
-        answer, reason = alarms.acknowledge(octets)
-        if reason is not None:
-            self._report.refused("Alarm_Ack", sa, reason, now)
-        return answer
+        done = alarms.acknowledge(octets)
+        if done.reason is not None:
+            self._report.refused("Alarm_Ack", sa, done.reason, now)
+        if done.alarm is not None:
+            self._report.acknowledged(done.alarm, sa, now)
+        return done.answer
 
     def _answer_at_once(self, answer: RecordRes | AlarmAck) -> None:
         ticket = self._ticket = Ticket(ReadReq(0, 0))

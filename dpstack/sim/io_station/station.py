@@ -12,7 +12,8 @@ begins with a fault; and these alarms, where the master enabled them:
 | plug | the right module is plugged, a wrong one | disappears, disappears with others left | its identifier octet |
 | update | parameters are changed at the device | none | the parameter octet |
 
-An alarm that cannot go out (not enabled, not in data exchange, too many) is left out: the diagnosis says the rest.
+An alarm that cannot go out (not enabled, not in data exchange, too many) is left out: the diagnosis says the rest, and
+the order returns why.
 """
 
 from __future__ import annotations
@@ -43,7 +44,8 @@ _LINE_BREAK: Final = 6
 class IoStation(DpSlave):
     """A station with ``config`` plugged: an identifier octet a slot, 0 for an empty one. Raises ConfigError.
 
-    ``description``: what its GSD file says, None: as the project's own has it. Faults in its orders raise ValueError.
+    ``description``: what its GSD file says, None: as the project's own has it. Faults in its orders raise ValueError;
+    what they return is why an alarm was left out, or None.
     """
 
     def __init__(self, config: bytes, description: SlaveDescription | None = None, *, name: str = "io-station") -> None:
@@ -86,7 +88,7 @@ class IoStation(DpSlave):
 
     # --- what happens to it from outside --------------------------------------------------------------------------
 
-    def set_input(self, slot: int, octets: bytes) -> None:
+    def set_input(self, slot: int, octets: bytes) -> str | None:
         """The process changes: all inputs of a module, octets as the master reads them."""
         place = self._slot(slot)
         if not place.module.inputs or len(octets) != place.module.inputs:
@@ -95,35 +97,36 @@ class IoStation(DpSlave):
         if not place.module.analogue_inputs and place.present:
             changed = edges(before, place.inputs, place.prm)
             if any(changed):
-                self._alarm(AlarmType.PROCESS, place, Specifier.NONE, changed + place.inputs)
+                return self._alarm(AlarmType.PROCESS, place, Specifier.NONE, changed + place.inputs)
+        return None
 
-    def wire_break(self, slot: int, channel: int, broken: bool) -> None:
+    def wire_break(self, slot: int, channel: int, broken: bool) -> str | None:
         """The wire of an analogue input channel, 0 or 1, breaks or is whole again."""
         place = self._slot(slot)
         if not place.module.analogue_inputs or not 0 <= channel < place.module.channels:
             raise ValueError(f"{place.text} has no analogue input channel {channel}; channels count from 0")
         before = place.faults
         place.broken = place.broken | {channel} if broken else place.broken - {channel}
-        self._diagnosed(place, before)
+        return self._diagnosed(place, before)
 
-    def set_parameter(self, slot: int, octet: int) -> None:
+    def set_parameter(self, slot: int, octet: int) -> str | None:
         """The parameters of a module are changed at the device itself: an update alarm."""
         place = self._slot(slot)
         reason = self._change_parameter(place, octet)
         if reason is not None:
             raise ValueError(reason)
-        self._alarm(AlarmType.UPDATE, place, Specifier.NONE, bytes((octet,)))
+        return self._alarm(AlarmType.UPDATE, place, Specifier.NONE, bytes((octet,)))
 
-    def pull(self, slot: int) -> None:
+    def pull(self, slot: int) -> str | None:
         """The module is taken out: its inputs are zero, its outputs off."""
         place = self._slot(slot)
         if place.plugged is None:
             raise ValueError(f"{place.text}: no module is plugged")
         was, place.plugged = place.plugged, None
         self._tell()
-        self._alarm(AlarmType.PULL, place, Specifier.APPEARS, bytes((was.config,)))
+        return self._alarm(AlarmType.PULL, place, Specifier.APPEARS, bytes((was.config,)))
 
-    def plug(self, slot: int, module: str = "") -> None:
+    def plug(self, slot: int, module: str = "") -> str | None:
         """A module is put in: the one it is configured for, or ``module`` by name. It has the parameters of Set_Prm."""
         place = self._slot(slot)
         if place.plugged is not None:
@@ -133,7 +136,7 @@ class IoStation(DpSlave):
         self._tell()
         well = place.present and not place.faults
         how = Specifier.DISAPPEARS if well else Specifier.DISAPPEARS_OTHERS
-        self._alarm(AlarmType.PLUG, place, how, bytes((place.plugged.config,)))
+        return self._alarm(AlarmType.PLUG, place, how, bytes((place.plugged.config,)))
 
     def inherit(self, before: IoStation) -> None:
         """Switched on again: what is plugged and the process are as they were."""
@@ -206,17 +209,19 @@ class IoStation(DpSlave):
             self._diagnosed(place, before)
         return reason
 
-    def _diagnosed(self, place: Slot, before: frozenset[int]) -> None:
+    def _diagnosed(self, place: Slot, before: frozenset[int]) -> str | None:
         """Faults of a module came or went."""
         after = place.faults
         if after == before:
-            return
+            return None
         self._tell()
+        left_out = None
         for channel in sorted(before - after):
             how = Specifier.DISAPPEARS_OTHERS if after else Specifier.DISAPPEARS
-            self._alarm(AlarmType.DIAGNOSIS, place, how, bytes((channel, _LINE_BREAK)))
+            left_out = self._alarm(AlarmType.DIAGNOSIS, place, how, bytes((channel, _LINE_BREAK)))
         for channel in sorted(after - before):
-            self._alarm(AlarmType.DIAGNOSIS, place, Specifier.APPEARS, bytes((channel, _LINE_BREAK)))
+            left_out = self._alarm(AlarmType.DIAGNOSIS, place, Specifier.APPEARS, bytes((channel, _LINE_BREAK)))
+        return left_out
 
     def _tell(self) -> None:
         """The diagnosis of this moment, and the module status where it is another one than before."""
@@ -234,10 +239,15 @@ class IoStation(DpSlave):
             with contextlib.suppress(AlarmError):
                 self.alarm_server.status(module_status(states))
 
-    def _alarm(self, kind: AlarmType, place: Slot, how: Specifier, data: bytes) -> None:
-        if self.alarm_server is not None:
-            with contextlib.suppress(AlarmError):
-                self.alarm_server.alarm(Alarm(kind, place.number, how, data=data))
+    def _alarm(self, kind: AlarmType, place: Slot, how: Specifier, data: bytes) -> str | None:
+        """Raise one; why it was left out, or None."""
+        if self.alarm_server is None:
+            return f"{self.name}: its description has no dpv1"
+        try:
+            self.alarm_server.alarm(Alarm(kind, place.number, how, data=data))
+        except AlarmError as error:
+            return str(error)
+        return None
 
 
 def _described(config: bytes, name: str, parameters: int) -> SlaveDescription:
