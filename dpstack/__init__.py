@@ -31,14 +31,16 @@ if TYPE_CHECKING:
     from dpstack.api.serving import SlaveServer, serve_slave, serve_slaves
     from dpstack.api.slave import Slave
     from dpstack.api.slave_from_gsd import slave_from_gsd
-    from dpstack.api.virtual import World, run_virtual, simulate
+    from dpstack.api.virtual import IoStation, World, run_virtual, simulate
     from dpstack.dp.dp_slave import DpSlave
     from dpstack.dp.slave_description import SlaveDescription, SlaveModule
     from dpstack.dp.slaveapp import SlaveApp, SlaveAppState
     from dpstack.dp.user_diag import UserDiag, channel_block, device_block, identifier_block, revision_block
+    from dpstack.dp.v1.alarms import AlarmType, ModuleState, Specifier, StatusType
     from dpstack.dp.v1.im import Im0, Im1, Im2, Im3, Im4
     from dpstack.errors import (
         AcyclicError,
+        AlarmError,
         BaudError,
         BusError,
         ConfigError,
@@ -63,6 +65,8 @@ __version__ = "0.1.0"
 
 __all__ = [
     "AcyclicError",
+    "AlarmError",
+    "AlarmType",
     "BaudError",
     "BaudReport",
     "Bus",
@@ -83,7 +87,9 @@ __all__ = [
     "Im2",
     "Im3",
     "Im4",
+    "IoStation",
     "Mode",
+    "ModuleState",
     "ParamError",
     "ParameterError",
     "PortBusyError",
@@ -101,6 +107,8 @@ __all__ = [
     "SlaveServer",
     "SlaveState",
     "SlaveTimeout",
+    "Specifier",
+    "StatusType",
     "UsageError",
     "UserDiag",
     "World",
@@ -151,12 +159,17 @@ _WHERE: Final = {
     "device_block": "dp.user_diag",
     "identifier_block": "dp.user_diag",
     "revision_block": "dp.user_diag",
+    "AlarmType": "dp.v1.alarms",
+    "ModuleState": "dp.v1.alarms",
+    "Specifier": "dp.v1.alarms",
+    "StatusType": "dp.v1.alarms",
     "Im0": "dp.v1.im",
     "Im1": "dp.v1.im",
     "Im2": "dp.v1.im",
     "Im3": "dp.v1.im",
     "Im4": "dp.v1.im",
     "DriveStatus": "profile",
+    "IoStation": "api.virtual",
 }
 
 

@@ -18,6 +18,7 @@
     |   +-- SlaveTimeout (TimeoutError) did not reach what was awaited in time
     |   +-- AcyclicError                a negative answer of DP-V1: class, code and text
     +-- RecordRefused                   raised by a function of one's own slave: its negative answer
+    +-- AlarmError                      an alarm of one's own slave that its master does not acknowledge; says why
     +-- DriveError                      one drive; carries its name
         +-- DriveFault                  tripped, or refuses to do what was asked: names fault and remedy
         +-- DriveTimeout (TimeoutError) did not reach the wanted state in time: names what is missing
@@ -139,6 +140,18 @@ class RecordRefused(DpError):
         super().__init__(f"record refused: Error_Code_1 0x{code_1:02X}, Error_Code_2 0x{code_2:02X}")
         self.code_1 = code_1
         self.code_2 = code_2
+
+
+class AlarmError(DpError):
+    """An alarm or status of one's own slave that does not reach its master, or is not acknowledged.
+
+    ``reason``: "not supported" (by this slave), "not enabled" (by its master), "not in data exchange", "queue full",
+    "data exchange ended", "not acknowledged" (in time).
+    """
+
+    def __init__(self, message: str, reason: str) -> None:
+        super().__init__(message)
+        self.reason = reason
 
 
 class DriveError(DpError):

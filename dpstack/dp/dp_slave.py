@@ -7,8 +7,10 @@ from collections.abc import Awaitable, Callable, Iterable, Iterator
 from typing import Protocol
 
 from dpstack.dp.device import FunctionDevice, Leave, OnCycle
+from dpstack.dp.diagnosis import FIXED_LEN
 from dpstack.dp.slave_description import SlaveDescription
 from dpstack.dp.user_diag import NO_DIAG, UserDiag
+from dpstack.dp.v1.alarm_server import AlarmServer
 from dpstack.dp.v1.im import Im
 from dpstack.dp.v1.serving import ImRecords, Records
 from dpstack.errors import ConfigError
@@ -44,7 +46,8 @@ class DpSlave(FunctionDevice):
 
     ``on_read`` and ``on_write`` serve the records of DP-V1, one at a time (:func:`dpstack.serve_slave` runs them): what
     they raise is answered and told, nothing else ends; they are cancelled when the master gives up. ``im`` is its I&M:
-    I&M0, and those of I&M1 to 4 that a master may write.
+    I&M0, and those of I&M1 to 4 that a master may write. ``alarm_server`` is where a slave with DP-V1 raises alarms and
+    tells status messages (:class:`~dpstack.dp.v1.alarm_server.AlarmServer`); served, it has them as async calls.
 
     Set :attr:`diag`, as a whole and whenever something changes, to what the slave shall say in its diagnosis.
     Raises ConfigError.
@@ -83,6 +86,8 @@ class DpSlave(FunctionDevice):
         self.set_slave_add = description.set_slave_add
         self.wd_base_1ms = description.wd_base_1ms
         self.max_diag_len = description.max_diag_len
+        if description.dpv1:
+            self.alarm_server = AlarmServer(description.alarm_support, self.max_diag_len - FIXED_LEN, self.name)
         self._diag = NO_DIAG
         self.safe = safe or b""
         self._safe = b""  # in the length of the configuration in use

@@ -47,7 +47,7 @@ class SlaveCore:
         self.failure: str | None = None
         self.report = Report(device, address)
         self.diag = DiagState(device)
-        self.ms1 = Ms1Server(device.records, self.report)
+        self.ms1 = Ms1Server(device.records, self.report, device.alarm_server)
         self.address = SlaveAddress(device, self.report, address_fixed)
         self.watchdog = Watchdog()
         self.data: CyclicData | None = None
@@ -104,6 +104,7 @@ class SlaveCore:
             return True
         self.data = None
         self.ms1.close()
+        self.diag.left()
         try:
             self.device.leave(reason, now)
         except Exception as error:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from dpstack.dp.slave_states import AppEv, SlaveAppState
+from dpstack.dp.v1.alarms import Alarm
 from dpstack.trace import Event
 from dpstack.units import NS_PER_MS
 
@@ -62,6 +63,19 @@ class RequestRefused(SlaveAppEvent):
     def text(self) -> str:
         """What and why."""
         return f"{self.who}: {self.service} of master {self.master} refused: {self.reason}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AlarmAcknowledged(SlaveAppEvent):
+    """``master`` acknowledged ``alarm``, which is over with it."""
+
+    alarm: Alarm
+    master: int
+
+    @property
+    def text(self) -> str:
+        """Which, by whom."""
+        return f"{self.who}: {self.alarm.text}: acknowledged by master {self.master}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
