@@ -115,7 +115,7 @@ def event_json(event: Event, t: float) -> dict[str, object] | None:
             more = {"sequence": alarm.sequence, "user_ack": alarm.add_ack, "texts": list(event.texts)}
             return {"event": "alarm", **line, **_message_json(alarm), **more, "text": event.text}
         case StatusTold(status=status):
-            return {"event": "status", **line, **_message_json(status), "text": event.text}
+            return {"event": "status_message", **line, **_message_json(status), "text": event.text}
         case SlaveFaulted(fault=fault):
             return {"event": "fault", **line, "kind": fault.kind.value, "text": fault.text}
         case SlaveRemark(message=message):

@@ -262,7 +262,7 @@ def test_statuses(world: WorldFactory) -> None:
     told = rig(world(), program)
     line = event_json(next(event for event in told if isinstance(event, StatusTold)), 0)
     assert line is not None
-    assert (line["event"], line["title"], line["data"]) == ("status", "status message", "01")
+    assert (line["event"], line["title"], line["data"]) == ("status_message", "status message", "01")
 
 
 def test_misuse(world: WorldFactory) -> None:
