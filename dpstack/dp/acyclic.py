@@ -204,6 +204,7 @@ class Acyclic:
             self._share(request, outcome, now)
         elif outcome is Failure.NO_ANSWER:
             self._known.discard(request.da)
+        self._ms1.heard(request.da, outcome)
         if outcome not in (Failure.ABANDONED, Failure.HELD_BACK):  # else it is asked again
             try:
                 entry.step = entry.steps.send(outcome)
