@@ -99,7 +99,7 @@ class OpenAlarm:
     #: acknowledgements begun
     attempts: int = 0
     not_before: int = 0
-    #: it stood in a diagnosis read since then
+    #: the diagnosis may hold the next one with its numbers: read again when it is over
     shown: bool = False
     #: the response came after its acknowledgement was over
     answered: bool = False
@@ -204,10 +204,10 @@ class AlarmHandler:
         known = self._open.get(key)
         fresh = octets not in self._before
         if known is not None:
-            if not known.attempts:
-                return
-            if not fresh:
-                known.shown = True
+            if not (fresh and known.attempts):
+                if fresh and known.octets != octets:  # over the one that nobody has acknowledged
+                    self._too_many(now)
+                known.shown = known.shown or bool(known.attempts) or known.octets != octets
                 return
             self._over(known, Outcome(), now)
         settled, until = self._settling.get(key, (b"", 0))
@@ -229,9 +229,7 @@ class AlarmHandler:
         setup = self._setup
         unanswered = [known.alarm.type for known in self._open.values() if not known.attempts]
         if len(unanswered) >= self._limit if self._limit else alarm.type in unanswered:
-            self._count("too_many")
-            agreed = f"{self._limit} at a time (alarm_mode)" if self._limit else "one of each type at a time"
-            self._findings.remark(f"raises more alarms than agreed, which is {agreed}; see its counters", now)
+            self._too_many(now)
         if len(self._open) + len(self._untaken) >= MAX_OPEN:
             self._count("dropped")
             self._dropped = True
@@ -253,6 +251,11 @@ class AlarmHandler:
                 texts=texts_beside(diagnosis, alarm, setup.texts),
             )
         )
+
+    def _too_many(self, now: int) -> None:
+        self._count("too_many")
+        agreed = f"{self._limit} at a time (alarm_mode)" if self._limit else "one of each type at a time"
+        self._findings.remark(f"raises more alarms than agreed, which is {agreed}; see its counters", now)
 
     # --- from the application -----------------------------------------------------------------------------------
 
@@ -297,7 +300,6 @@ class AlarmHandler:
         """Its acknowledgement begins."""
         self._asked = known
         known.stage = Stage.ASKED
-        known.shown = False
         if known.attempts:
             self._count("repeated")
         known.attempts += 1

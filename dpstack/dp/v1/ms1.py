@@ -127,7 +127,7 @@ class Ms1:
             raise UsageError("this bus is read-only: its slaves are not in data exchange with it; leave read_only out")
         if handler.setup.dpv1 is None:
             raise UsageError(
-                f"slave {address} ({handler.setup.name}) is not parameterised for DP-V1, Read and Write are closed; "
+                f"slave {address} ({handler.setup.name}) is not parameterised for DP-V1: no Read, Write, alarms; "
                 f"if it has them put dpv1 = true into its [[slave]] table"
             )
         return handler
