@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from dpstack import profile
+    from dpstack.api.alarms import SlaveAlarm
     from dpstack.api.baud import BaudReport, find_baud
     from dpstack.api.bus import Bus
     from dpstack.api.config import Config, load_config
@@ -32,15 +33,17 @@ if TYPE_CHECKING:
     from dpstack.api.serving import SlaveServer, serve_slave, serve_slaves
     from dpstack.api.slave import Slave
     from dpstack.api.slave_from_gsd import slave_from_gsd
-    from dpstack.api.virtual import World, run_virtual, simulate
+    from dpstack.api.virtual import IoStation, World, run_virtual, simulate
     from dpstack.dp.dp_slave import DpSlave
     from dpstack.dp.slave_description import SlaveDescription, SlaveModule
     from dpstack.dp.slaveapp import SlaveApp, SlaveAppState
     from dpstack.dp.user_diag import UserDiag, channel_block, device_block, identifier_block, revision_block
+    from dpstack.dp.v1.alarms import AlarmType, ModuleState, Specifier, StatusType
     from dpstack.dp.v1.im import Im0, Im1, Im2, Im3, Im4
     from dpstack.dp.v1.prm_blocks import PrmBlock
     from dpstack.errors import (
         AcyclicError,
+        AlarmError,
         BaudError,
         BusError,
         ConfigError,
@@ -66,6 +69,8 @@ __version__ = "0.1.0"
 
 __all__ = [
     "AcyclicError",
+    "AlarmError",
+    "AlarmType",
     "BaudError",
     "BaudReport",
     "Bus",
@@ -88,7 +93,9 @@ __all__ = [
     "Im2",
     "Im3",
     "Im4",
+    "IoStation",
     "Mode",
+    "ModuleState",
     "ParamError",
     "ParameterError",
     "ParameterPlace",
@@ -98,6 +105,7 @@ __all__ = [
     "RecordRefused",
     "ServiceRefused",
     "Slave",
+    "SlaveAlarm",
     "SlaveApp",
     "SlaveAppState",
     "SlaveDescription",
@@ -107,6 +115,8 @@ __all__ = [
     "SlaveServer",
     "SlaveState",
     "SlaveTimeout",
+    "Specifier",
+    "StatusType",
     "UsageError",
     "UserDiag",
     "World",
@@ -140,6 +150,7 @@ _WHERE: Final = {
     "Mode": "api.events",
     "SlaveState": "api.events",
     "Slave": "api.slave",
+    "SlaveAlarm": "api.alarms",
     "slave_from_gsd": "api.slave_from_gsd",
     "run_virtual": "api.virtual",
     "simulate": "api.virtual",
@@ -159,12 +170,17 @@ _WHERE: Final = {
     "revision_block": "dp.user_diag",
     "ParameterPlace": "api.parameter_dump",
     "PrmBlock": "dp.v1.prm_blocks",
+    "AlarmType": "dp.v1.alarms",
+    "ModuleState": "dp.v1.alarms",
+    "Specifier": "dp.v1.alarms",
+    "StatusType": "dp.v1.alarms",
     "Im0": "dp.v1.im",
     "Im1": "dp.v1.im",
     "Im2": "dp.v1.im",
     "Im3": "dp.v1.im",
     "Im4": "dp.v1.im",
     "DriveStatus": "profile",
+    "IoStation": "api.virtual",
 }
 
 

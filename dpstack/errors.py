@@ -19,6 +19,7 @@
     |   +-- AcyclicError                a negative answer of DP-V1: class, code and text
     |   +-- ConnectionEnded             a class 2 connection is over: who ended it, and why
     +-- RecordRefused                   raised by a function of one's own slave: its negative answer
+    +-- AlarmError                      an alarm of one's own slave that its master does not acknowledge; says why
     +-- DriveError                      one drive; carries its name
         +-- DriveFault                  tripped, or refuses to do what was asked: names fault and remedy
         +-- DriveTimeout (TimeoutError) did not reach the wanted state in time: names what is missing
@@ -154,6 +155,18 @@ class RecordRefused(DpError):
         super().__init__(f"record refused: Error_Code_1 0x{code_1:02X}, Error_Code_2 0x{code_2:02X}")
         self.code_1 = code_1
         self.code_2 = code_2
+
+
+class AlarmError(DpError):
+    """An alarm or status of one's own slave that does not reach its master, or is not acknowledged.
+
+    ``reason``: "not supported" (by this slave), "not enabled" (by its master), "not in data exchange", "queue full",
+    "data exchange ended", "not acknowledged" (in time).
+    """
+
+    def __init__(self, message: str, reason: str) -> None:
+        super().__init__(message)
+        self.reason = reason
 
 
 class DriveError(DpError):

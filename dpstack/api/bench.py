@@ -17,12 +17,14 @@ from dpstack.machine import LineDown
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT, Patience
 from dpstack.profile import DriveDevice
+from dpstack.sim.io_station import IDENT, IoStation
 from dpstack.sim.world import World
 from dpstack.units import BAUD_RATES
 
 
 def device_of(slave: SlaveConfig) -> Device:
-    """What simulates ``slave``: the drive's simulated device, or a mirror of outputs to inputs.
+    """What simulates ``slave``: the drive's simulated device, the I/O station by its ident number, or a mirror of
+    outputs to inputs.
 
     A mirror has the lengths, limits and services of the GSD file, where there is one.
     """
@@ -32,6 +34,9 @@ def device_of(slave: SlaveConfig) -> Device:
             device.ident = slave.ident
         device.name = slave.name
         return device
+    if slave.ident == IDENT:
+        described = None if slave.description is None else _own(slave, slave.description)
+        return IoStation(slave.config, described, name=slave.name)
     if slave.description is not None:
         return mirror_of(_own(slave, slave.description))
     return MirrorDevice(slave.ident or 0, slave.config, slave.name, fail_safe=slave.fail_safe)
@@ -58,7 +63,8 @@ def set_rate(slave: SlaveConfig) -> int | None:
 class Unit:
     """One simulated slave as it stands: station, application and device, made anew by :meth:`renew`.
 
-    A drive keeps what it has stored in its EEPROM, and stands at the address that this gives.
+    A drive keeps what it has stored in its EEPROM, and stands at the address that this gives; an I/O station what is
+    plugged into it.
 
     ``searching``: it finds the baud rate by itself, among those that
     the device knows. One that cannot stays at the rate it is set to, whatever the bus has.
@@ -82,6 +88,8 @@ class Unit:
             self.device.inherit(before)
             own = self.device.own_address
             self._address = self._address if own is None else own
+        if isinstance(before, IoStation) and isinstance(self.device, IoStation):
+            self.device.inherit(before)
         self._stand(params)
 
     def _stand(self, params: BusParams) -> None:

@@ -13,11 +13,16 @@ from dpstack.gsd.parser import load_gsd, parse_gsd
 from dpstack.gsd.prm import Reading, UserPrm
 from dpstack.gsd.text import MAX_OCTETS
 from dpstack.profile import registry
+from dpstack.sim import io_station
 
 
 def bundled() -> dict[str, str]:
-    """Drives whose package brings a GSD file (written by its authors, not the vendor's): name -> ``package:file``."""
-    return {name: drive.gsd for name, drive in registry.known().items() if drive.gsd is not None}
+    """Devices whose GSD file is here (written by its authors, not the vendor's): name -> ``package:file``.
+
+    Drives that bring one, and the simulated I/O station.
+    """
+    drives = {name: drive.gsd for name, drive in registry.known().items() if drive.gsd is not None}
+    return drives | {io_station.NAME: io_station.GSD}
 
 
 def read_octets(path: str | Path, folder: Path = Path()) -> bytes:

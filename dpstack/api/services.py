@@ -7,6 +7,7 @@ import contextlib
 import itertools
 from typing import TYPE_CHECKING, Final, TypeVar
 
+from dpstack.api.alarms import AlarmDesk
 from dpstack.dp.acyclic import CancelService
 from dpstack.dp.class2_jobs import Outcome, ServiceDone, ServiceFailure
 from dpstack.dp.v1.ms1 import RecordDone
@@ -40,7 +41,7 @@ class Ending:
 
 
 class Services:
-    """The services under way on one bus."""
+    """The services under way on one bus, and the alarms that are listened for."""
 
     def __init__(self, bus: Bus) -> None:
         self._bus = bus
@@ -48,6 +49,7 @@ class Services:
         self._waiting: dict[int, asyncio.Future[Done]] = {}
         #: class 2 connections by the token that opened them
         self.connections: dict[int, Ending] = {}
+        self.alarms = AlarmDesk(bus)
 
     def token(self) -> int:
         """For one more service."""
@@ -86,7 +88,7 @@ class Services:
         if isinstance(event, ConnectionsClosed):
             return True
         if not isinstance(event, (ServiceDone, RecordDone, InitiateDone, TransportDone)):
-            return False
+            return self.alarms.take(event)
         future = self._waiting.get(event.token)
         if future is not None and not future.done():
             future.set_result(event)
@@ -101,6 +103,7 @@ class Services:
             ending.lost = error
             ending.told.set()
         self.connections.clear()
+        self.alarms.end(error)
 
 
 _LATE: Final = (ServiceFailure.SILENT, ServiceFailure.LATE, ServiceFailure.GONE)

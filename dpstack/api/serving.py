@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
 
+from dpstack.api.served_alarms import ServedAlarms
 from dpstack.api.served_records import AsyncRecords
 from dpstack.api.streams import Waiters
 from dpstack.dp.device import Device
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.dp_slave import DpSlave
 from dpstack.dp.slaveapp import SlaveApp, SlaveAppState, SlaveAppStats
+from dpstack.dp.v1.alarms import Alarm, ModuleState, Specifier, Status
 from dpstack.dp.v1.ms2_server import ServedConnection
 from dpstack.drivers.aio import AsyncioRuntime, patience_of
 from dpstack.drivers.base import Runtime
@@ -44,6 +46,7 @@ class ServedSlave:
         self.station = PassiveStation(address, self._app, params, patience=patience)
         #: set by the server: what keeps the station running
         self.runtime: Runtime | None = None
+        self._alarms = ServedAlarms(device.alarm_server, device.name)
         self._waiters = Waiters()
         self._over: BusError | None = None
 
@@ -124,6 +127,35 @@ class ServedSlave:
         except TimeoutError:
             text = f"is still in {self.state.value} after {timeout} s, not in {state.value}"
             raise SlaveTimeout(self.address, f"slave {self.address} ({self.name}) {text}: {self._hint()}") from None
+
+    async def alarm(
+        self,
+        type: int,
+        slot: int,
+        specifier: int = Specifier.NONE,
+        data: bytes = b"",
+        *,
+        add_ack: bool = False,
+        timeout: float | None = None,
+    ) -> None:
+        """Raise an alarm and wait, up to ``timeout`` seconds, until its master has acknowledged it.
+
+        ``type`` 1..6 (:class:`~dpstack.AlarmType`) or 32..126, ``slot`` 0..254, ``specifier`` 0..3
+        (:class:`~dpstack.Specifier`), ``data`` 0..59 octets; ``add_ack``: the master's user has to acknowledge it in
+        addition. It may be called at any time, any number of times at once; up to 32 alarms wait. Raises AlarmError
+        where it cannot go out or ends otherwise, SlaveTimeout, UsageError, PduError where it cannot be.
+        """
+        alarm = Alarm(type, slot, specifier, data=bytes(data), add_ack=add_ack)
+        await self._alarms.alarm(alarm, self.address, timeout)
+
+    def status(self, type: int, slot: int = 0, specifier: int = Specifier.NONE, data: bytes = b"") -> None:
+        """Tell a status once, which nobody acknowledges: ``type`` 1..3, 30, 31 (:class:`~dpstack.StatusType`) or
+        32..126, the rest as of an alarm. Raises AlarmError where it cannot go out, UsageError, PduError."""
+        self._alarms.status(Status(type, slot, specifier, bytes(data)))
+
+    def module_status(self, states: Sequence[ModuleState]) -> None:
+        """Tell the state of its modules, slot 1 first; otherwise as :meth:`status`."""
+        self._alarms.module_status(states)
 
     def check(self) -> None:
         """Something was told: let those who wait look."""

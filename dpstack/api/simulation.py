@@ -23,6 +23,7 @@ from dpstack.errors import BusError, ConfigError
 from dpstack.fdl.multidrop import Multidrop
 from dpstack.params import BusParams
 from dpstack.phy.neighbours import t_sl_of_answers
+from dpstack.sim.io_station import NAME, IoStation
 from dpstack.trace import Event
 from dpstack.units import BAUD_RATES, NEVER, ns_to_s
 
@@ -48,7 +49,8 @@ class SimulatedSlave:
         self.name = unit.config.name
         self.address = unit.config.address
         profile, description = unit.config.profile, unit.config.description
-        self.kind = profile.name if profile else f"mirror, {description.name}" if description else "mirror"
+        what = f"mirror, {description.name}" if description else "mirror"
+        self.kind = profile.name if profile else NAME if isinstance(unit.device, IoStation) else what
 
     @property
     def state(self) -> SlaveAppState:

@@ -11,9 +11,10 @@ from dpstack.api.config import AUTO, slave_config
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.drivers import virtual_loop
 from dpstack.params import BusParams
+from dpstack.sim.io_station import IoStation
 from dpstack.sim.world import World
 
-__all__ = ["World", "run_virtual", "simulate"]
+__all__ = ["IoStation", "World", "run_virtual", "simulate"]
 
 T = TypeVar("T")
 

@@ -19,6 +19,8 @@ from dpstack.dp.events import SlaveState
 from dpstack.dp.master import Master
 from dpstack.dp.ms0 import positive
 from dpstack.dp.v1 import units
+from dpstack.dp.v1.alarm_ack import ack_jobs
+from dpstack.dp.v1.alarm_events import AcknowledgeAlarm, HoldAlarms
 from dpstack.dp.v1.ms1 import SERVICE_TIMEOUT, Ms1
 from dpstack.dp.v1.ms2 import Ms2
 from dpstack.errors import UsageError
@@ -32,8 +34,9 @@ from dpstack.units import NEVER, ns_to_s
 CAPACITY: Final = 32
 
 
-#: the token of services that no program ordered
+#: the token of services that no program ordered: of cyclic units and connections; acknowledgements of alarms
 UNORDERED: Final = -1
+ACKS: Final = -2
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +117,10 @@ class Acyclic:
                 self._ms2.line_down(reason, now)
                 self._take_wanted(now)
                 return False
+            case HoldAlarms(address, on):
+                self._ms1.alarms(address).hold(on)
+            case AcknowledgeAlarm(address, number):
+                self._ms1.alarms(address).acknowledge(number, now)
             case _:
                 order = self._ms1.job_of(command) or self._ms2.job_of(command, now)
                 if order is not None:
@@ -127,21 +134,26 @@ class Acyclic:
         if not self._room(job.lane):
             what = "class 2 services are" if job.lane is None else f"services for slave {job.address} are"
             raise UsageError(f"{CAPACITY} {what} waiting already: await their results first")
-        self._enter(token, job, timeout_ns, now)
+        self._queue.append(self._entry(token, job, timeout_ns, now))
 
-    def _enter(self, token: int, job: Job, timeout_ns: int, now: int) -> None:
-        steps = job.steps()
-        self._queue.append(_Entry(token, job, now + timeout_ns, timeout_ns, steps, self._tokens, next(self._turns)))
+    def _entry(self, token: int, job: Job, timeout_ns: int, now: int) -> _Entry:
+        return _Entry(token, job, now + timeout_ns, timeout_ns, job.steps(), self._tokens, next(self._turns))
 
     def _take_wanted(self, now: int) -> None:
         """What connections have to say that nobody ordered."""
         wanted = self._ms2.wanted
         while wanted:
             job, timeout_ns = wanted.pop(0)
-            self._enter(UNORDERED, job, timeout_ns, now)
+            self._queue.append(self._entry(UNORDERED, job, timeout_ns, now))
+
+    def _put_first(self, job: Job, now: int) -> None:
+        """Before those in its lane that have not begun: a slave may have no further alarm until it is acknowledged."""
+        begun = [entry.job.lane == job.lane and entry.step is not None for entry in self._queue]
+        at = begun.index(True) + 1 if True in begun else 0
+        self._queue.insert(at, self._entry(ACKS, job, SERVICE_TIMEOUT, now))
 
     def _room(self, lane: Hashable | None) -> bool:
-        return sum(entry.job.lane == lane for entry in self._queue) < CAPACITY
+        return sum(entry.job.lane == lane and entry.token != ACKS for entry in self._queue) < CAPACITY
 
     # --- link user ----------------------------------------------------------------------------------------------
     def token_received(self, now: int) -> None:
@@ -155,6 +167,8 @@ class Acyclic:
         """The next request of the service that waited longest for a turn, of those that may go on."""
         if high_only or not self._turn:
             return None
+        for ack in ack_jobs(self._ms1, now):
+            self._put_first(ack, now)
         # what a unit wants since the Data_Exchange of this hold goes out in the same one
         for handler, queue in units.asking(self._ms1):
             if self._room(handler.setup.address) and (job := units.unit_job(self._ms1, handler, queue)) is not None:
@@ -177,7 +191,7 @@ class Acyclic:
     def _keep_alive(self, now: int) -> None:
         self._ms2.clock.now = now
         for job in tuple(self._ms2.quiet({entry.job.lane for entry in self._queue}, now)):
-            self._enter(UNORDERED, job, SERVICE_TIMEOUT, now)
+            self._queue.append(self._entry(UNORDERED, job, SERVICE_TIMEOUT, now))
 
     def _next(self, now: int) -> _Entry | None:
         """Services with the same lane come one after the other: the queue is in the order of their orders."""
@@ -222,6 +236,7 @@ class Acyclic:
             self._known.discard(request.da)
         elif outcome is Failure.ABANDONED and self._ms2.may_be_taken(request):
             outcome = Failure.NO_ANSWER
+        self._ms1.heard(request.da, outcome)
         if outcome not in (Failure.ABANDONED, Failure.HELD_BACK):  # else it is asked again
             try:
                 entry.step = entry.steps.send(outcome)

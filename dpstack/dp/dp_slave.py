@@ -7,8 +7,10 @@ from collections.abc import Awaitable, Callable, Iterator, Mapping
 from typing import Protocol
 
 from dpstack.dp.device import FunctionDevice, Leave, OnCycle
+from dpstack.dp.diagnosis import FIXED_LEN
 from dpstack.dp.slave_description import SlaveDescription
 from dpstack.dp.user_diag import NO_DIAG, UserDiag
+from dpstack.dp.v1.alarm_server import AlarmServer
 from dpstack.dp.v1.im import Im
 from dpstack.dp.v1.prm_blocks import PrmBlock
 from dpstack.dp.v1.serving import ImOf, ImRecords
@@ -59,7 +61,9 @@ class DpSlave(FunctionDevice):
     nothing else ends; they are cancelled when the master gives up. ``ms2``: so many connections of class 2, default the
     description's. ``im`` is its I&M: I&M0, and those of I&M1 to 4 that a master may write, for every slot alike or as a
     table slot -> I&M. ``on_im(slot, record)`` keeps what a master writes of it where it survives a restart; what it
-    raises is answered (RecordRefused: as it says), and nothing is changed.
+    raises is answered (RecordRefused: as it says), and nothing is changed. ``alarm_server`` is where a slave with DP-V1
+    raises alarms and tells status messages (:class:`~dpstack.dp.v1.alarm_server.AlarmServer`); served, it has them as
+    async calls.
 
     Set :attr:`diag`, as a whole and whenever something changes, to what the slave shall say in its diagnosis.
     Raises ConfigError.
@@ -102,6 +106,8 @@ class DpSlave(FunctionDevice):
         self.set_slave_add = description.set_slave_add
         self.wd_base_1ms = description.wd_base_1ms
         self.max_diag_len = description.max_diag_len
+        if description.dpv1:
+            self.alarm_server = AlarmServer(description.alarm_support, self.max_diag_len - FIXED_LEN, self.name)
         self._diag = NO_DIAG
         self.safe = safe or b""
         self._safe = b""  # in the length of the configuration in use

@@ -54,7 +54,7 @@ class SlaveCore:
         self.failure: str | None = None
         self.report = Report(device, address)
         self.diag = DiagState(device)
-        self.ms1 = Ms1Server(device.records, self.report)
+        self.ms1 = Ms1Server(device.records, self.report, device.alarm_server)
         self.ms2 = Ms2Server(device, device.ms2, self.report, self._send_timeout, device.ms2_at_once)
         self.address = SlaveAddress(device, self.report, address_fixed)
         self.watchdog = Watchdog()
@@ -113,6 +113,7 @@ class SlaveCore:
             return True
         self.data = None
         self.ms1.close()
+        self.diag.left()
         try:
             self.device.leave(reason, now)
         except Exception as error:

@@ -12,10 +12,12 @@ from typing import Final
 from dpstack.dp.diagnosis import FIXED_LEN, MAX_LEN
 from dpstack.dp.pdu import MAX_USER_PRM
 from dpstack.dp.setup import INTERVAL_UNIT
+from dpstack.dp.v1.alarm_server import AlarmSupport
+from dpstack.dp.v1.alarms import HEAD as ALARM_HEAD
 from dpstack.dp.v1.ms2_server import MAX_CONNECTIONS
 from dpstack.dp.v1.prm_blocks import PrmBlock, parse_blocks
 from dpstack.dp.v1.records import MAX_RECORD
-from dpstack.dp.v1.status import DPV1_STATUS_LEN, PRM_STRUCTURE
+from dpstack.dp.v1.status import ALARM_LIMITS, DPV1_STATUS_LEN, PRM_STRUCTURE
 from dpstack.errors import ConfigError, PduError
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.identifiers import config_for, io_lengths
@@ -45,7 +47,10 @@ class SlaveDescription:
     [Max_Input_Len ...] in octets, the last for both together; ``user_prm_len``: fewest and most octets of user
     parameters [Max_User_Prm_Data_Len]; ``sync``, ``freeze``, ``fail_safe``, ``set_slave_add``, ``wd_base_1ms``
     [Sync_Mode_supp ...]; ``fail_safe_required`` [Fail_Safe_required]; ``max_diag_len`` [Max_Diag_Data_Len], 6..244;
-    ``dpv1`` [DPV1_Slave]: its user parameters begin with the three DPV1_Status octets; ``prm_blocks``
+    ``dpv1`` [DPV1_Slave]: its user parameters begin with the three DPV1_Status octets; ``alarms``: kinds that it may
+    raise, of "pull_plug", "process", "diagnostic", "manufacturer", "status", "update" [Pull_Plug_Alarm_supp ...];
+    ``alarm_sequence``: 2..32 of them at a time in sequence mode, 0 for one of each type only
+    [Alarm_Sequence_Mode_Count]; ``extra_alarm_sap`` [Extra_Alarm_SAP_supp]; ``prm_blocks``
     [Prm_Block_Structure_supp]: of such a slave, structured parameters may follow, otherwise Prm_Structure is refused;
     ``ms2``: connections of class 2 [C2_Read_Write_supp, C2_Max_Count_Channels], ``ms2_max_len``: octets in one of their
     services [C2_Max_Data_Len];
@@ -72,16 +77,28 @@ class SlaveDescription:
     prm_blocks: bool = True
     ms2: int = 0
     ms2_max_len: int = MAX_RECORD
+    alarms: tuple[str, ...] = ()
+    alarm_sequence: int = 0
+    extra_alarm_sap: bool = False
     max_diag_len: int = MAX_LEN
     rates: Mapping[int, int] = field(default_factory=dict)
     min_slave_interval_ns: int = 0
 
     @classmethod
     def simple(
-        cls, ident: int, *, inputs: int, outputs: int, name: str = "slave", dpv1: bool = False, ms2: int = 0
+        cls,
+        ident: int,
+        *,
+        inputs: int,
+        outputs: int,
+        name: str = "slave",
+        dpv1: bool = False,
+        ms2: int = 0,
+        alarms: tuple[str, ...] = (),
     ) -> SlaveDescription:
         """A slave with one configuration of so many octets each way, as seen from the master. Raises ConfigError."""
-        return cls(ident=ident, name=name, configs=(config_for(inputs, outputs),), dpv1=dpv1, ms2=ms2)
+        config = config_for(inputs, outputs)
+        return cls(ident=ident, name=name, configs=(config,), dpv1=dpv1, ms2=ms2, alarms=alarms)
 
     def __post_init__(self) -> None:
         if not 0 <= self.ident <= 0xFFFF:
@@ -97,6 +114,14 @@ class SlaveDescription:
             raise self._wrong(f"user_prm_len {self.user_prm_len} is not within 0..{MAX_USER_PRM}")
         if self.dpv1 and most < DPV1_STATUS_LEN:
             raise self._wrong(f"user_prm_len {self.user_prm_len} has no room for the three DPV1_Status octets of dpv1")
+        if not self.dpv1 and (self.alarms or self.alarm_sequence or self.extra_alarm_sap):
+            raise self._wrong("alarms without dpv1: they are a part of DP-V1")
+        try:
+            support = self.alarm_support
+        except ConfigError as error:
+            raise self._wrong(str(error)) from None
+        if support.kinds and self.max_diag_len < FIXED_LEN + ALARM_HEAD:
+            raise self._wrong(f"max_diag_len {self.max_diag_len} has no room for an alarm of {ALARM_HEAD} octets")
         if not FIXED_LEN <= self.max_diag_len <= MAX_LEN:
             raise self._wrong(f"max_diag_len {self.max_diag_len} is outside {FIXED_LEN}..{MAX_LEN}")
         if not 0 <= self.ms2 <= MAX_CONNECTIONS:
@@ -110,6 +135,11 @@ class SlaveDescription:
         return ConfigError(f"slave {self.name}: {what}")
 
     # --- what follows from it -----------------------------------------------------------------------------------
+
+    @property
+    def alarm_support(self) -> AlarmSupport:
+        """Its alarms. Raises ConfigError."""
+        return AlarmSupport(frozenset(self.alarms), self.alarm_sequence, self.extra_alarm_sap)
 
     def check_prm(self, user_prm: bytes) -> str | None:
         """A reason to refuse the user parameters of Set_Prm, or None: their length, the lengths of their blocks."""
@@ -143,6 +173,8 @@ class SlaveDescription:
     def table(self, address: int, config: bytes | None = None) -> dict[str, object]:
         """The [[slave]] table of a master for this slave at ``address``, as ``open_bus(slaves=[...])`` takes it.
 
+        Its alarms are enabled there, as many at a time as it can.
+
         ``config``: identifier octets, default the first of ``configs``. Raises ConfigError for a modular slave without.
         """
         if config is None:
@@ -157,10 +189,16 @@ class SlaveDescription:
             "user_prm": bytes(max(self.user_prm_len[0], DPV1_STATUS_LEN * self.dpv1)).hex(" "),
             "fail_safe": self.fail_safe,
             "min_slave_interval": -(-self.min_slave_interval_ns // INTERVAL_UNIT),
-            **({"dpv1": True} if self.dpv1 else {}),
+            **({"dpv1": self._dpv1_table()} if self.dpv1 else {}),
         }
 
     # --- inside -------------------------------------------------------------------------------------------------
+
+    def _dpv1_table(self) -> object:
+        if not self.alarms:
+            return True
+        mode = max(mode for mode, limit in enumerate(ALARM_LIMITS) if limit <= self.alarm_sequence)
+        return {"alarms": list(self.alarms), "alarm_mode": mode}
 
     def _too_long(self, config: bytes) -> str | None:
         inputs, outputs = io_lengths(config)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from dpstack.dp.slave_states import AppEv, SlaveAppState
+from dpstack.dp.v1.alarms import Alarm
 from dpstack.trace import Event
 from dpstack.units import NS_PER_MS
 
@@ -93,6 +94,19 @@ class ConnectionClosed(SlaveAppEvent):
         """Whose and why."""
         which = f"class 2 connection of master {self.master} (server SAP {self.sap})"
         return f"{self.who}: {which} is over after {self.services} services: {self.reason}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AlarmAcknowledged(SlaveAppEvent):
+    """``master`` acknowledged ``alarm``, which is over with it."""
+
+    alarm: Alarm
+    master: int
+
+    @property
+    def text(self) -> str:
+        """Which, by whom."""
+        return f"{self.who}: {self.alarm.text}: acknowledged by master {self.master}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

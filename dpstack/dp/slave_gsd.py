@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Any, Final
 
 from dpstack.dp.diagnosis import FIXED_LEN, MAX_LEN
 from dpstack.dp.pdu import MAX_USER_PRM
 from dpstack.dp.setup import INTERVAL_UNIT
 from dpstack.dp.slave_description import SlaveDescription, SlaveModule
+from dpstack.dp.v1.alarms import HEAD, SEQUENCES
 from dpstack.dp.v1.ms2_server import MAX_CONNECTIONS
 from dpstack.dp.v1.records import MAX_RECORD
-from dpstack.dp.v1.status import DPV1_STATUS_LEN
+from dpstack.dp.v1.status import ALARM_KEYWORDS, ALARM_LIMITS, DPV1_STATUS_LEN
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.configuration import Configuration
@@ -38,6 +39,7 @@ def slave_description(
     compact = not device.modular
     most = device.user_prm_data_len if device.max_user_prm_data_len is None else device.max_user_prm_data_len
     prm = 0 if chosen is None else len(chosen.user_prm().octets())
+    dpv1 = device.dpv1.slave and (prm or _within(most, MAX_USER_PRM)) >= DPV1_STATUS_LEN
     return SlaveDescription(
         ident=number,
         name=name or device.model or "slave",
@@ -55,14 +57,30 @@ def slave_description(
         fail_safe_required=device.dpv1.fail_safe_required,
         set_slave_add=device.set_slave_add,
         wd_base_1ms=device.dpv1.wd_base_1ms,
-        dpv1=device.dpv1.slave and (prm or _within(most, MAX_USER_PRM)) >= DPV1_STATUS_LEN,
         prm_blocks=device.dpv1.prm_block_structure or device.dpv1.prm_block_structure_required,
         ms2=_within(device.dpv1.c2_max_count_channels or 1, MAX_CONNECTIONS) if device.dpv1.c2_read_write else 0,
         ms2_max_len=_within(device.dpv1.c2_max_data_len or None, MAX_RECORD),
+        dpv1=dpv1,
+        **(_alarms(device) if dpv1 else {}),
         max_diag_len=max(FIXED_LEN, _within(device.max_diag_data_len, MAX_LEN)),
         rates={speed.baud: speed.max_tsdr or 0 for speed in device.speeds},
         min_slave_interval_ns=(device.min_slave_interval or 0) * INTERVAL_UNIT,
     )
+
+
+def _alarms(device: Device) -> dict[str, Any]:
+    """What it raises; a count of alarms at a time that cannot be is no sequence mode, or the most there is.
+
+    Nothing where the file leaves its diagnosis no room for one.
+    """
+    if _within(device.max_diag_data_len, MAX_LEN) < FIXED_LEN + HEAD:
+        return {}
+    count = device.dpv1.alarm_sequence_mode_count
+    return {
+        "alarms": tuple(kind for kind, keyword in ALARM_KEYWORDS.items() if keyword in device.dpv1.alarms),
+        "alarm_sequence": min(count, SEQUENCES) if count >= ALARM_LIMITS[1] else 0,
+        "extra_alarm_sap": device.dpv1.extra_alarm_sap,
+    }
 
 
 def _modules(device: Device) -> tuple[SlaveModule, ...]:

@@ -10,7 +10,7 @@ from dpstack.dp.pdu import SetPrm
 from dpstack.dp.setup import watchdog_ns
 from dpstack.dp.v1.ms2_server import MAX_CONNECTIONS
 from dpstack.dp.v1.records import MAX_RECORD
-from dpstack.dp.v1.status import DPV1_ENABLE, FAIL_SAFE, WD_BASE_1MS
+from dpstack.dp.v1.status import DPV1_ENABLE, DPV1_STATUS_LEN, FAIL_SAFE, WD_BASE_1MS
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.identifiers import agree, io_lengths
@@ -57,6 +57,12 @@ def watchdog_time(device: Device, prm: SetPrm) -> int:
 def dpv1_enabled(prm: SetPrm) -> bool:
     """Whether ``prm`` opens the services of DP-V1."""
     return bool(_dpv1_status(prm) & DPV1_ENABLE)
+
+
+def alarm_octets(prm: SetPrm) -> tuple[int, int]:
+    """DPV1_Status_2 and 3: what alarms the master takes, and how many at a time (C1); zeros without DPV1_Enable."""
+    octets = prm.user_prm[:DPV1_STATUS_LEN].ljust(DPV1_STATUS_LEN, b"\0")
+    return (octets[1], octets[2]) if dpv1_enabled(prm) else (0, 0)
 
 
 def _dpv1_status(prm: SetPrm) -> int:

@@ -8,6 +8,7 @@ from typing import Final
 from dpstack.dp.device import Device
 from dpstack.dp.slave_events import (
     AddressChanged,
+    AlarmAcknowledged,
     ConnectionClosed,
     ConnectionOpened,
     DeviceFailed,
@@ -16,6 +17,7 @@ from dpstack.dp.slave_events import (
     WatchdogExpired,
 )
 from dpstack.dp.slave_states import AppEv, SlaveAppState
+from dpstack.dp.v1.alarms import Alarm
 from dpstack.dp.v1.tickets import Asker
 from dpstack.fdl.user import StationControl
 from dpstack.trace import Event
@@ -132,6 +134,11 @@ class Report:
         self._events.append(
             DeviceFailed(t_ns=now, address=self.address, name=name, during=during, error=text, origin=origin)
         )
+
+    def acknowledged(self, alarm: Alarm, master: int, now: int) -> None:
+        """An alarm is over."""
+        name = self._device.name
+        self._events.append(AlarmAcknowledged(t_ns=now, address=self.address, name=name, alarm=alarm, master=master))
 
     def refused(self, service: str, master: int, reason: str, now: int) -> None:
         """A refusal; told once until :meth:`forget`."""

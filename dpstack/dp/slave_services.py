@@ -12,7 +12,7 @@ from dpstack.dp.device import Leave
 from dpstack.dp.pdu import SetPrm, SetSlaveAdd
 from dpstack.dp.slave_core import SlaveCore
 from dpstack.dp.slave_data import CyclicData
-from dpstack.dp.slave_prm import Refusal, dpv1_enabled, judge_cfg, judge_prm, real_cfg, watchdog_time
+from dpstack.dp.slave_prm import Refusal, alarm_octets, dpv1_enabled, judge_cfg, judge_prm, real_cfg, watchdog_time
 from dpstack.dp.slave_states import AppEv
 from dpstack.dp.v1.connection import SERVER_SAPS
 from dpstack.errors import PduError
@@ -20,6 +20,7 @@ from dpstack.fdl.telegram import (
     SAP_CHK_CFG,
     SAP_GET_CFG,
     SAP_MS1,
+    SAP_MS1_ALARM,
     SAP_MS2_RM,
     SAP_RD_INP,
     SAP_RD_OUTP,
@@ -54,6 +55,7 @@ class Services:
             SAP_RD_OUTP: self._rd_outp,
             SAP_SET_SLAVE_ADD: self._set_slave_add,
             SAP_MS1: self._ms1,
+            SAP_MS1_ALARM: self._ms1_alarm,
         }
 
     # --- reading ------------------------------------------------------------------------------------------------
@@ -125,6 +127,7 @@ class Services:
         core.group = prm.group_mask
         core.watchdog.arm(watchdog_time(core.device, prm), now)
         core.ms1.enabled = dpv1_enabled(prm)
+        core.diag.agree(*alarm_octets(prm))
         core.step(AppEv.PRM_GOOD, now, Leave.NEW_PARAMETERS)
 
     # --- Chk_Cfg ------------------------------------------------------------------------------------------------
@@ -168,6 +171,7 @@ class Services:
             return
         core.diag.cfg_fault = False
         core.data = data
+        core.diag.entered(core.ms1.enabled)
         core.report.forget()
         core.step(AppEv.CFG_GOOD, now)
 
@@ -175,9 +179,7 @@ class Services:
 
     def _ms1(self, request: Telegram, now: int) -> Reply:
         core = self._core
-        if request.sa != core.master or not core.ms1.open:
-            core.report.stats.refused += 1
-            core.report.stats.foreign += request.sa != core.master
+        if self._closed(request.sa, core.ms1.open):
             return RS_REPLY
         return core.ms1.serve(request.data, request.sa, now)
 
@@ -195,6 +197,21 @@ class Services:
     def _refused(self) -> Reply:
         self._core.report.stats.refused += 1
         return RS_REPLY
+
+    def _ms1_alarm(self, request: Telegram, now: int) -> Reply:
+        core = self._core
+        if self._closed(request.sa, core.ms1.extra_sap):
+            return RS_REPLY
+        return core.ms1.serve_alarm(request.data, request.sa, now)
+
+    def _closed(self, sa: int, is_open: bool) -> bool:
+        """To all but the owner, and as the parameters say."""
+        core = self._core
+        if sa == core.master and is_open:
+            return False
+        core.report.stats.refused += 1
+        core.report.stats.foreign += sa != core.master
+        return True
 
     # --- Set_Slave_Add ------------------------------------------------------------------------------------------
 

@@ -173,7 +173,7 @@ class SlaveApp:
                 inputs = data.exchange(octets, now)
             else:
                 return self._wrong_length(request.sa, len(octets), data.output_len, now)
-            waiting = core.diag.user is not None and core.diag.waiting(request.fc)
+            waiting = not core.diag.silent and core.diag.waiting(request.fc)
         except Exception as error:
             core.fail("Data_Exchange", error, now)
             return RS_REPLY

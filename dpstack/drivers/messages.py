@@ -24,6 +24,7 @@ from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.events import Fault, SlaveState
 from dpstack.dp.scanner import Found
 from dpstack.dp.survey import SurveyOrder, SurveyResult
+from dpstack.dp.v1.alarm_events import AlarmCounts
 from dpstack.drivers.echo import Echo
 from dpstack.drivers.orders import MACHINE_ORDERS
 from dpstack.drivers.plugins import PluginRef
@@ -136,6 +137,7 @@ class SlaveNow:
     fault: Fault | None
     diagnosis: Diagnosis | None
     watchdog_ns: int
+    alarms: AlarmCounts | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,6 +17,7 @@ from dpstack.dp.commands import (
     SetMode,
     Shutdown,
 )
+from dpstack.dp.v1.alarm_events import AcknowledgeAlarm, HoldAlarms
 from dpstack.dp.v1.ms1 import ReadRecord, WriteRecord
 from dpstack.dp.v1.ms2_orders import (
     CloseConnection,
@@ -43,6 +44,8 @@ MACHINE_ORDERS: Final[tuple[type, ...]] = (
     ReadRecord,
     WriteRecord,
     CancelService,
+    HoldAlarms,
+    AcknowledgeAlarm,
     OpenConnection,
     ReadOver,
     WriteOver,

@@ -184,7 +184,7 @@ def test_answers_that_end_too_early(monkeypatch: pytest.MonkeyPatch, capsys: pyt
 def test_the_files_of_bundled_drives_by_name(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert main(["gsd", "show", "demag-dedrive", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["ident"] == "0x0696"
-    assert main(["gsd", "check", "demag-dedrive", "keb-f5"]) == 0
+    assert main(["gsd", "check", "demag-dedrive", "keb-f5", "io-station"]) == 0
     capsys.readouterr()
     target = tmp_path / "hoist.gsd"
     assert main(["gsd", "copy", "demag-dedrive", str(target)]) == 0
@@ -193,5 +193,6 @@ def test_the_files_of_bundled_drives_by_name(capsys: pytest.CaptureFixture[str],
     assert main(["gsd", "copy", "fuji-frenic", str(target)]) == 2
     assert capsys.readouterr().err == (
         f"dpstack: {target}: File exists; give the name of a new file\n"
-        "dpstack: no GSD file was written for 'fuji-frenic'; there is one for demag-dedrive, keb-f5, ls-s100\n"
+        "dpstack: no GSD file was written for 'fuji-frenic'; there is one for demag-dedrive, keb-f5, ls-s100, "
+        "io-station\n"
     )

@@ -7,6 +7,7 @@ from slave_kit import CFG, DATA_EXCH, KEEP, MASTER, OTHER, PRM, UNLOCK, WAIT_PRM
 
 from dpstack.dp.slave_states import ACCESS
 from dpstack.dp.slaveapp import SlaveApp, SlaveAppState
+from dpstack.dp.v1.alarm_server import AlarmServer, AlarmSupport
 from dpstack.dp.v1.serving import RecordTable
 from dpstack.fdl.telegram import Req, Resp
 from dpstack.fdl.user import RS_REPLY, SC_REPLY, Reply
@@ -35,6 +36,7 @@ def test_services_are_open_as_the_table_says(state: SlaveAppState, sa: int) -> N
         device.set_slave_add = True
         device.records = RecordTable({})
         device.ms2 = 2
+        device.alarm_server = AlarmServer(AlarmSupport(extra_sap=True), 63)
         bench = in_state(state, device, PRM + b"\x80\0\0")
         access = ACCESS.get(dsap)
         is_open = access is not None and state in access.states and (sa == MASTER or not access.owner_only)

@@ -79,3 +79,26 @@ def octets(text: str) -> tuple[str, bytes]:
     except ValueError as error:
         raise UsageError(f"{text!r}: {error}; write it as 9=00FF") from None
     raise UsageError(f"{text!r} is not SLAVE=HEX; write it as 9=00FF")
+
+
+def whole(text: str) -> int:
+    """A whole number from 0 (slots, channels)."""
+    if not text.isdecimal() or len(text) > 5:
+        raise UsageError(f"{text!r} is no whole number; write for instance 1")
+    return int(text)
+
+
+def hex_octets(text: str, example: str) -> bytes:
+    """Octets in hex."""
+    try:
+        return parse_hex(text)
+    except ValueError as error:
+        raise UsageError(f"{text!r}: {error}; write for instance {example}") from None
+
+
+def octet(text: str) -> int:
+    """One octet in hex."""
+    found = hex_octets(text, "03")
+    if len(found) != 1:
+        raise UsageError(f"{text!r} is not one octet; write for instance 03")
+    return found[0]

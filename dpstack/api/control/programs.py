@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from typing import Final
 
@@ -98,6 +99,8 @@ def run_status(bus: Bus) -> dict[str, object]:
             entry["fields"] = as_json(fields)
         if slave.fault is not None:
             entry["fault"] = slave.fault.text
+        if slave.alarm_counts is not None:
+            entry["alarms"] = dataclasses.asdict(slave.alarm_counts)
         if slave.address in drives:
             entry["drive"] = drives[slave.address].status.as_dict()
         slaves[str(slave.address)] = entry

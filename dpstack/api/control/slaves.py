@@ -10,6 +10,7 @@ from dpstack.api.control.server import Handler
 from dpstack.dp.device import Device
 from dpstack.errors import UsageError
 from dpstack.profile.device import DriveDevice
+from dpstack.sim.io_station import IoStation
 
 
 class Bench(Protocol):
@@ -45,6 +46,13 @@ class SlaveCommands:
             "load": self._drive(lambda drive, text: drive.set_load(arguments.number(text, -10, 10, "0.6"))),
             "release": self._drive(lambda drive, text: drive.release(arguments.switch(text))),
             "jog": self._drive(lambda drive, text: drive.jog(arguments.direction(text))),
+            "input": self._station(lambda io, slot, args: io.set_input(slot, arguments.hex_octets(args[0], "01"))),
+            "wire-break": self._station(
+                lambda io, slot, args: io.wire_break(slot, arguments.whole(args[0]), arguments.switch(args[1]))
+            ),
+            "pull": self._station(lambda io, slot, args: io.pull(slot)),
+            "plug": self._station(lambda io, slot, args: io.plug(slot, args[0] if args else "")),
+            "parameter": self._station(lambda io, slot, args: io.set_parameter(slot, arguments.octet(args[0]))),
             "silence": self._silence,
             "resume": lambda args: self._bench.resume(self._address(args[0])),
             "power-off": lambda args: self._bench.power(self._address(args[0]), False),
@@ -59,8 +67,20 @@ class SlaveCommands:
             address = self._address(args[0])
             device = self._bench.device(address)
             if not isinstance(device, DriveDevice):
-                raise UsageError(f"slave {address} ({device.name}) is no simulated drive: it mirrors its outputs")
+                what = "the I/O station" if isinstance(device, IoStation) else "it mirrors its outputs"
+                raise UsageError(f"slave {address} ({device.name}) is no simulated drive: {what}")
             act(device, args[1])
+
+        return command
+
+    def _station(self, act: Callable[[IoStation, int, list[str]], str | None]) -> Handler:
+        def command(args: list[str]) -> str | None:
+            address = self._address(args[0])
+            device = self._bench.device(address)
+            if not isinstance(device, IoStation):
+                raise UsageError(f'slave {address} ({device.name}) is no I/O station; one has gsd = "io-station"')
+            left_out = act(device, arguments.whole(args[1]), args[2:])
+            return None if left_out is None else f"done, without an alarm: {left_out}"
 
         return command
 

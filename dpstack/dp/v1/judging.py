@@ -88,7 +88,7 @@ def service_outcome(address: int, service: Service, octets: bytes) -> Outcome | 
     except PduError as error:
         return Outcome(failure=ServiceFailure.LENGTH, text=f"{who} answers {title} with what cannot be read: {error}")
     if isinstance(response, Negative):
-        return _negative(who, service, response) if response.function == function_of(service) else None
+        return negative_outcome(who, title, response) if response.function == function_of(service) else None
     if (response.slot, response.index) != (service.slot, service.index):
         return None
     match service, response:
@@ -107,8 +107,9 @@ def service_outcome(address: int, service: Service, octets: bytes) -> Outcome | 
     return None
 
 
-def _negative(who: str, service: Service, response: Negative) -> Outcome:
+def negative_outcome(who: str, title: str, response: Negative) -> Outcome:
+    """The end of the service ``title`` by a negative response of ``who``."""
     codes = (response.decode, response.code_1, response.code_2)
     todo = remedy(response.code_1) if response.decode == Decode.DPV1 else ""
-    text = f"{who} refuses {title_of(service)}: {response.text}" + (f"; {todo}" if todo else "")
+    text = f"{who} refuses {title}: {response.text}" + (f"; {todo}" if todo else "")
     return Outcome(failure=ServiceFailure.NEGATIVE, text=text, codes=codes)

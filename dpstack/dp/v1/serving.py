@@ -7,30 +7,44 @@ Decisions where the sources are silent:
   given that one up, and whoever works at it is told.
 - An answer stays until the next request: a poll whose answer was lost gets it again.
 - Leaving data exchange ends everything; an answer that comes after that is dropped.
+- Alarm_Ack is answered here, and where the device has the extra SAP also there, which then keeps an answer of its own.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping
+from typing import Protocol
 from weakref import WeakKeyDictionary
 
+from dpstack.dp.v1.alarm_server import AlarmServer
+from dpstack.dp.v1.alarms import Alarm, AlarmAck
 from dpstack.dp.v1.codes import Code
 from dpstack.dp.v1.im import IM_FI, IM_INDEX, IM_LEN, RECORDS, Im, Im0, build_call, number_of, parse_call
-from dpstack.dp.v1.records import MAX_SLOT, ReadReq, UnacceptableError, WriteReq, parse_request
+from dpstack.dp.v1.records import MAX_SLOT, Function, Negative, ReadReq, UnacceptableError, WriteReq, parse_request
 from dpstack.dp.v1.tickets import Asker, Records, Ticket, Told, put
 from dpstack.errors import PduError
 from dpstack.fdl.telegram import SAP_MS1, Resp
 from dpstack.fdl.user import SC_REPLY, Reply
 
 
+class Ms1Told(Told, Protocol):
+    """Where MS1 tells what it refused, and which alarm is over."""
+
+    def acknowledged(self, alarm: Alarm, master: int, now: int) -> None:
+        """An alarm is over."""
+
+
 class Ms1Server:
-    """MS1 of one slave application. ``records`` None: the device has none, the SAP is closed."""
+    """MS1 of one slave application: ``records`` and ``alarms``, None where the device has none; without both the SAP is
+    closed."""
 
-    __slots__ = ("_asker", "_report", "_ticket", "enabled", "records")
+    __slots__ = ("_alarm_answer", "_alarms", "_asker", "_report", "_ticket", "enabled", "records")
 
-    def __init__(self, records: Records | None, report: Told) -> None:
+    def __init__(self, records: Records | None, report: Ms1Told, alarms: AlarmServer | None = None) -> None:
         self.records = records
+        self._alarms = alarms
+        self._alarm_answer: AlarmAck | Negative | None = None  # at the extra SAP
         #: DPV1_Enable was in Set_Prm
         self.enabled = False
         self._report = report
@@ -40,10 +54,17 @@ class Ms1Server:
     @property
     def open(self) -> bool:
         """The SAP is open, as far as parameters go."""
-        return self.enabled and self.records is not None
+        alarms = self._alarms is not None and bool(self._alarms.support.kinds)
+        return self.enabled and (alarms or self.records is not None)
+
+    @property
+    def extra_sap(self) -> bool:
+        """The extra SAP of alarms is open."""
+        return self.enabled and self._alarms is not None and self._alarms.support.extra_sap
 
     def close(self) -> None:
         """Data exchange is over."""
+        self._alarm_answer = None
         self._drop()
         if self._asker is not None:
             self._asker.open = False
@@ -57,16 +78,41 @@ class Ms1Server:
         self._drop()
         if self._asker is None or self._asker.master != sa:
             self._asker = Asker(sa, SAP_MS1)
+        if octets[0] == Function.ALARM_ACK and self._alarms is not None:
+            self._answer_at_once(self._acknowledge(self._alarms, octets, sa, now), self._asker)
+            return SC_REPLY
         try:
             request = parse_request(octets)
         except UnacceptableError as error:
-            self._ticket = Ticket(ReadReq(0, 0), self._asker)
-            self._ticket.response = error.negative
+            self._answer_at_once(error.negative, self._asker)
             self._report.refused("MS1", sa, str(error), now)
             return SC_REPLY
         self._ticket = Ticket(request, self._asker, now)
         put(self._ticket, self.records)
         return SC_REPLY
+
+    def serve_alarm(self, octets: bytes, sa: int, now: int) -> Reply:
+        """A request at the extra SAP of alarms, or a poll."""
+        if self._alarms is not None and octets:
+            self._alarm_answer = self._acknowledge(self._alarms, octets, sa, now)
+            return SC_REPLY
+        answer = self._alarm_answer
+        return SC_REPLY if answer is None else Reply(Resp.DL, answer.build())
+
+    def _acknowledge(self, alarms: AlarmServer, octets: bytes, sa: int, now: int) -> AlarmAck | Negative:
+        if octets[0] != Function.ALARM_ACK:
+            self._report.refused("Alarm_Ack", sa, f"octet 1: no service 0x{octets[0]:02X} at SAP 50", now)
+            return Negative(octets[0], Code.NOT_SUPPORTED)
+        done = alarms.acknowledge(octets)
+        if done.reason is not None:
+            self._report.refused("Alarm_Ack", sa, done.reason, now)
+        if done.alarm is not None:
+            self._report.acknowledged(done.alarm, sa, now)
+        return done.answer
+
+    def _answer_at_once(self, answer: Negative | AlarmAck, asker: Asker) -> None:
+        self._ticket = Ticket(ReadReq(0, 0), asker)
+        self._ticket.response = answer
 
     def _drop(self) -> None:
         ticket, self._ticket = self._ticket, None

@@ -1,0 +1,122 @@
+"""The modules of the I/O station as its GSD file has them, and one slot with what is plugged into it."""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+from dpstack.dp.v1.alarms import ModuleState
+
+#: what an analogue channel reads when its wire is broken (overflow, as such modules show it)
+BROKEN: Final = 0x7FFF
+_BIT, _WORD = 1, 5
+
+
+class IoModule(NamedTuple):
+    """A type of module. ``config``: its identifier octet; ``inputs``, ``outputs`` in octets; ``channels``.
+
+    ``prm``: its parameter octet as delivered, None where it has none; ``mask``: the bits that have a meaning.
+    ``size``: of a channel, as in channel related diagnosis.
+    """
+
+    name: str
+    config: int
+    inputs: int
+    outputs: int
+    channels: int
+    size: int
+    prm: int | None = None
+    mask: int = 0
+
+    @property
+    def analogue_inputs(self) -> bool:
+        """Its channels are wires that can break."""
+        return bool(self.inputs) and self.size == _WORD
+
+
+#: bits of the parameter octet of a digital input module
+RISING: Final = 0x01
+FALLING: Final = 0x02
+#: of an analogue one
+WIRE_BREAK: Final = 0x01
+
+#: by identifier octet
+MODULES: Final = {
+    module.config: module
+    for module in (
+        IoModule("8 DI", 0x10, 1, 0, 8, _BIT, RISING, RISING | FALLING),
+        IoModule("16 DI", 0x11, 2, 0, 16, _BIT, RISING, RISING | FALLING),
+        IoModule("8 DO", 0x20, 0, 1, 8, _BIT),
+        IoModule("16 DO", 0x21, 0, 2, 16, _BIT),
+        IoModule("2 AI", 0x51, 4, 0, 2, _WORD, WIRE_BREAK, WIRE_BREAK),
+        IoModule("2 AO", 0x61, 0, 4, 2, _WORD),
+    )
+}
+#: the identifier octet of an empty slot
+EMPTY: Final = 0x00
+
+
+def module_named(name: str) -> IoModule:
+    """By name, blanks and case aside. Raises ValueError naming those there are."""
+    for module in MODULES.values():
+        if module.name.replace(" ", "").lower() == name.replace(" ", "").lower():
+            return module
+    raise ValueError(f"there is no module {name!r}; there are: {', '.join(m.name for m in MODULES.values())}")
+
+
+class Slot:
+    """One slot: the module it is configured for, and the one that is plugged (None: none)."""
+
+    def __init__(self, number: int, module: IoModule) -> None:
+        self.number = number
+        self.module = module
+        self.plugged: IoModule | None = module
+        #: what the process gives, whether the module is there or not
+        self.process = bytes(module.inputs)
+        self.outputs = bytes(module.outputs)
+        self.prm = module.prm or 0
+        #: channels whose wire is broken, as it is in the process
+        self.broken: frozenset[int] = frozenset()
+
+    @property
+    def present(self) -> bool:
+        """The right module is plugged."""
+        return self.plugged is self.module
+
+    @property
+    def faults(self) -> frozenset[int]:
+        """Broken channels that the module diagnoses."""
+        return self.broken if self.present and self.prm & WIRE_BREAK else frozenset()
+
+    @property
+    def state(self) -> ModuleState:
+        """As in a module status."""
+        if self.plugged is None:
+            return ModuleState.MISSING
+        if not self.present:
+            return ModuleState.WRONG
+        return ModuleState.INVALID if self.faults else ModuleState.OK
+
+    @property
+    def inputs(self) -> bytes:
+        """What the master reads: zeros without the right module, BROKEN where a wire is."""
+        if not self.present:
+            return bytes(len(self.process))
+        if not self.broken:
+            return self.process
+        octets = bytearray(self.process)
+        for channel in self.broken:
+            octets[2 * channel : 2 * channel + 2] = BROKEN.to_bytes(2, "big")
+        return bytes(octets)
+
+    @property
+    def text(self) -> str:
+        """For people."""
+        return f"slot {self.number} ({self.module.name})"
+
+
+def edges(before: bytes, after: bytes, prm: int) -> bytes:
+    """The bits of digital inputs that changed in a way that raises a process alarm; all zeros for none."""
+    was, now = int.from_bytes(before, "big"), int.from_bytes(after, "big")
+    rising = now & ~was if prm & RISING else 0
+    falling = was & ~now if prm & FALLING else 0
+    return (rising | falling).to_bytes(len(after), "big")

@@ -1,0 +1,96 @@
+"""The records of the I/O station: parameters and state of a module, I&M of every slot.
+
+| slot | index | |
+|---|---|---|
+| 0 (the head) | 2 | the state of every slot, an octet each: 0 ok, 1 channel fault, 2 wrong module, 3 no module |
+| 1 .. | 1 | the parameter octet of the module; written, it counts until the next Set_Prm |
+| 1 .. | 2 | its state, the identifier octet configured, the one that is plugged (0: none), a bit for each broken wire |
+| all | 255 | I&M0; at the head also I&M1 to 4, which can be written |
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Final
+
+from dpstack.dp.v1.codes import Code
+from dpstack.dp.v1.im import IM_INDEX, Im0, Im1, Im2, Im3, Im4
+from dpstack.dp.v1.records import WriteReq
+from dpstack.dp.v1.serving import ImRecords
+from dpstack.dp.v1.tickets import Ticket
+from dpstack.sim.io_station.modules import EMPTY, Slot
+
+PARAMETERS: Final = 1
+STATE: Final = 2
+
+
+class StationRecords:
+    """``slots`` by their order; ``set_prm`` takes what is written. Everything is answered at once."""
+
+    def __init__(self, slots: Sequence[Slot | None], set_prm: Callable[[Slot, int], str | None]) -> None:
+        self._slots = slots
+        self._set_prm = set_prm
+        self._head = ImRecords([_im0("IO-STATION", 0), Im1(), Im2(), Im3(), Im4()])
+        self._modules = {
+            slot.number: ImRecords([_im0(slot.module.name, slot.number)]) for slot in slots if slot is not None
+        }
+
+    def ask(self, ticket: Ticket) -> None:
+        """A request."""
+        request = ticket.request
+        if request.slot == 0:
+            self._ask_head(ticket)
+            return
+        slot = self._slots[request.slot - 1] if request.slot <= len(self._slots) else None
+        if slot is None:
+            ticket.refuse(Code.INVALID_SLOT)
+        elif not slot.present:
+            self._ask_without_module(ticket, slot)
+        elif request.index == IM_INDEX:
+            self._modules[slot.number].ask(ticket)
+        elif request.index == PARAMETERS and slot.module.prm is not None:
+            self._parameters(ticket, slot)
+        elif request.index == STATE:
+            _read_only(ticket, _state(slot))
+        else:
+            ticket.refuse(Code.INVALID_INDEX)
+
+    def _ask_head(self, ticket: Ticket) -> None:
+        if ticket.request.index == STATE:
+            _read_only(ticket, bytes(0 if slot is None else slot.state for slot in self._slots))
+        else:
+            self._head.ask(ticket)
+
+    def _ask_without_module(self, ticket: Ticket, slot: Slot) -> None:
+        """The state is the head's business, all else is the module's."""
+        if ticket.request.index == STATE:
+            _read_only(ticket, _state(slot))
+        else:
+            ticket.refuse(Code.MODULE_FAILURE)
+
+    def _parameters(self, ticket: Ticket, slot: Slot) -> None:
+        request = ticket.request
+        if not isinstance(request, WriteReq):
+            ticket.answer(bytes((slot.prm,)))
+        elif len(request.data) != 1:
+            ticket.refuse(Code.WRITE_LENGTH)
+        elif self._set_prm(slot, request.data[0]) is not None:
+            ticket.refuse(Code.INVALID_RANGE)
+        else:
+            ticket.answer()
+
+
+def _im0(order_id: str, number: int) -> Im0:
+    return Im0(order_id=order_id, serial_number=f"{number:04}", hardware_revision=1, software_revision="V1.0.0")
+
+
+def _state(slot: Slot) -> bytes:
+    plugged = EMPTY if slot.plugged is None else slot.plugged.config
+    return bytes((slot.state, slot.module.config, plugged, sum(1 << channel for channel in slot.faults)))
+
+
+def _read_only(ticket: Ticket, octets: bytes) -> None:
+    if isinstance(ticket.request, WriteReq):
+        ticket.refuse(Code.ACCESS_DENIED)
+    else:
+        ticket.answer(octets)

@@ -1,0 +1,279 @@
+"""The I/O station: a head and up to eight modules. What happens to it from outside is a method each.
+
+What it says: identifier related diagnosis for every slot with a fault, channel related diagnosis for every broken wire
+(modules count from 0 there, slots from 1); a module status whenever a slot's state changes, and when data exchange
+begins with a fault; and these alarms, where the master enabled them:
+
+| alarm | when | specifier | data |
+|---|---|---|---|
+| diagnosis | a wire breaks or is whole again | appears, disappears, disappears with others left | channel, error (6) |
+| process | edges of digital inputs, as parameters say | none | edges, then the inputs |
+| pull | a module is pulled | appears | the identifier octet it had |
+| plug | the right module is plugged, a wrong one | disappears, disappears with others left | its identifier octet |
+| update | parameters are changed at the device | none | the parameter octet |
+
+An alarm that cannot go out (not enabled, not in data exchange, too many) is left out: the diagnosis says the rest, and
+the order returns why.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Sequence
+from typing import Final
+
+from dpstack.dp.dp_slave import DpSlave
+from dpstack.dp.slave_description import SlaveDescription
+from dpstack.dp.user_diag import UserDiag, channel_block, identifier_block
+from dpstack.dp.v1.alarms import Alarm, AlarmType, ModuleState, Specifier, module_status
+from dpstack.dp.v1.status import DPV1_STATUS_LEN
+from dpstack.errors import AlarmError, ConfigError
+from dpstack.gsd.identifiers import io_lengths
+from dpstack.sim.io_station.modules import EMPTY, MODULES, Slot, edges, module_named
+from dpstack.sim.io_station.records import StationRecords
+
+IDENT: Final = 0x10D5
+MAX_MODULES: Final = 8
+ALARMS: Final = ("pull_plug", "process", "diagnostic", "update")
+SEQUENCE: Final = 8
+MAX_DIAG: Final = 64
+#: of channel related diagnosis
+_LINE_BREAK: Final = 6
+
+
+class IoStation(DpSlave):
+    """A station with ``config`` plugged: an identifier octet a slot, 0 for an empty one. Raises ConfigError.
+
+    ``description``: what its GSD file says, None: as the project's own has it. Faults in its orders raise ValueError;
+    what they return is why an alarm was left out, or None.
+    """
+
+    def __init__(self, config: bytes, description: SlaveDescription | None = None, *, name: str = "io-station") -> None:
+        unknown = [octet for octet in config if octet not in MODULES and octet != EMPTY]
+        if unknown or not 1 <= len(config) <= MAX_MODULES or not any(config):
+            what = f"identifier octet {unknown[0]:02X}" if unknown else f"{len(config)} slots"
+            raise ConfigError(
+                f"I/O station {name}: {what}; it has 1 to {MAX_MODULES} slots, with the modules of its GSD file"
+            )
+        #: by their order; None where a slot is configured to be empty
+        self.slots: tuple[Slot | None, ...] = tuple(
+            None if octet == EMPTY else Slot(number, MODULES[octet]) for number, octet in enumerate(config, 1)
+        )
+        self._all_well = (ModuleState.OK,) * len(self.slots)
+        self._states = self._all_well  # as told in the last module status
+        self._entered = False
+        self._prm = self._defaults = bytes(slot.prm for slot in self._with_parameters)
+        super().__init__(description or _described(config, name, len(self._prm)), self._cycle, config=config)
+        self.records = StationRecords(self.slots, self._change_parameter)
+
+    @classmethod
+    def of(cls, modules: Sequence[str], name: str = "io-station") -> IoStation:
+        """A station with these modules plugged, by name from slot 1 on, "" for an empty slot. Raises ConfigError."""
+        try:
+            config = bytes(module_named(module).config if module else EMPTY for module in modules)
+        except ValueError as error:
+            raise ConfigError(f"I/O station {name}: {error}") from None
+        return cls(config, name=name)
+
+    def table(self, address: int) -> dict[str, object]:
+        """Its [[slave]] table with its modules and all its alarms, as ``open_bus(slaves=[...])`` takes it."""
+        modules = ["" if slot is None else slot.module.name for slot in self.slots]
+        return {
+            "name": self.name,
+            "address": address,
+            "gsd": "io-station",
+            "modules": modules,
+            "dpv1": {"alarms": list(ALARMS), "alarm_mode": 0},
+        }
+
+    # --- what happens to it from outside --------------------------------------------------------------------------
+
+    def set_input(self, slot: int, octets: bytes) -> str | None:
+        """The process changes: all inputs of a module, octets as the master reads them."""
+        place = self._slot(slot)
+        if not place.module.inputs or len(octets) != place.module.inputs:
+            raise ValueError(f"{place.text} has {place.module.inputs} octets of inputs, {len(octets)} were given")
+        before, place.process = place.inputs, bytes(octets)
+        if not place.module.analogue_inputs and place.present:
+            changed = edges(before, place.inputs, place.prm)
+            if any(changed):
+                return self._alarm(AlarmType.PROCESS, place, Specifier.NONE, changed + place.inputs)
+        return None
+
+    def wire_break(self, slot: int, channel: int, broken: bool) -> str | None:
+        """The wire of an analogue input channel, 0 or 1, breaks or is whole again."""
+        place = self._slot(slot)
+        if not place.module.analogue_inputs or not 0 <= channel < place.module.channels:
+            raise ValueError(f"{place.text} has no analogue input channel {channel}; channels count from 0")
+        before = place.faults
+        place.broken = place.broken | {channel} if broken else place.broken - {channel}
+        return self._diagnosed(place, before)
+
+    def set_parameter(self, slot: int, octet: int) -> str | None:
+        """The parameters of a module are changed at the device itself: an update alarm."""
+        place = self._slot(slot)
+        reason = self._change_parameter(place, octet)
+        if reason is not None:
+            raise ValueError(reason)
+        return self._alarm(AlarmType.UPDATE, place, Specifier.NONE, bytes((octet,)))
+
+    def pull(self, slot: int) -> str | None:
+        """The module is taken out: its inputs are zero, its outputs off."""
+        place = self._slot(slot)
+        if place.plugged is None:
+            raise ValueError(f"{place.text}: no module is plugged")
+        was, place.plugged = place.plugged, None
+        self._tell()
+        return self._alarm(AlarmType.PULL, place, Specifier.APPEARS, bytes((was.config,)))
+
+    def plug(self, slot: int, module: str = "") -> str | None:
+        """A module is put in: the one it is configured for, or ``module`` by name. It has the parameters of Set_Prm."""
+        place = self._slot(slot)
+        if place.plugged is not None:
+            raise ValueError(f"{place.text}: a module is plugged; pull it first")
+        place.plugged = module_named(module) if module else place.module
+        self._parameterise()
+        self._tell()
+        well = place.present and not place.faults
+        how = Specifier.DISAPPEARS if well else Specifier.DISAPPEARS_OTHERS
+        return self._alarm(AlarmType.PLUG, place, how, bytes((place.plugged.config,)))
+
+    def inherit(self, before: IoStation) -> None:
+        """Switched on again: what is plugged and the process are as they were."""
+        for place, was in zip(self.slots, before.slots, strict=True):
+            if place is not None and was is not None:
+                place.plugged, place.process, place.broken = was.plugged, was.process, was.broken
+        self._tell()
+
+    # --- Device ---------------------------------------------------------------------------------------------------
+
+    def check_prm(self, user_prm: bytes) -> str | None:
+        """DPV1_Status, then an octet for each module that has parameters."""
+        reason = super().check_prm(user_prm)
+        octets = user_prm[DPV1_STATUS_LEN:]
+        places = self._with_parameters
+        if reason is None and octets and len(octets) != len(places):
+            reason = f"{len(octets)} octets of module parameters, {len(places)} are expected"
+        if reason is None:
+            reasons = (_unknown_bits(place, octet) for place, octet in zip(places, octets, strict=False))
+            reason = next((found for found in reasons if found), None)
+        if reason is None:
+            self._prm = octets or self._defaults
+        return reason
+
+    def enter(self, config: bytes, now: int) -> None:
+        """The parameters count from here on."""
+        super().enter(config, now)
+        self._parameterise()
+        self._states = self._all_well
+        self._entered = True
+
+    # --- inside ---------------------------------------------------------------------------------------------------
+
+    @property
+    def _with_parameters(self) -> tuple[Slot, ...]:
+        return tuple(place for place in self.slots if place is not None and place.module.prm is not None)
+
+    def _cycle(self, outputs: bytes, elapsed: int) -> bytes:
+        if self._entered:  # before, no status message goes out
+            self._entered = False
+            self._tell()
+        inputs = b""
+        at = 0
+        for place in self.slots:
+            if place is None:
+                continue
+            size = place.module.outputs
+            if size:
+                place.outputs = outputs[at : at + size] if place.present else bytes(size)
+                at += size
+            inputs += place.inputs
+        return inputs
+
+    def _slot(self, number: int) -> Slot:
+        place = self.slots[number - 1] if 1 <= number <= len(self.slots) else None
+        if place is None:
+            known = ", ".join(place.text for place in self.slots if place is not None)
+            raise ValueError(f"there is no module in slot {number}; there are: {known}")
+        return place
+
+    def _parameterise(self) -> None:
+        for place, octet in zip(self._with_parameters, self._prm, strict=True):
+            place.prm = octet
+
+    def _change_parameter(self, place: Slot, octet: int) -> str | None:
+        """At the device, or by a record: a reason why it cannot be, or None."""
+        reason = _unknown_bits(place, octet)
+        if reason is None:
+            before, place.prm = place.faults, octet
+            self._diagnosed(place, before)
+        return reason
+
+    def _diagnosed(self, place: Slot, before: frozenset[int]) -> str | None:
+        """Faults of a module came or went."""
+        after = place.faults
+        if after == before:
+            return None
+        self._tell()
+        left_out = None
+        for channel in sorted(before - after):
+            how = Specifier.DISAPPEARS_OTHERS if after else Specifier.DISAPPEARS
+            left_out = self._alarm(AlarmType.DIAGNOSIS, place, how, bytes((channel, _LINE_BREAK)))
+        for channel in sorted(after - before):
+            left_out = self._alarm(AlarmType.DIAGNOSIS, place, Specifier.APPEARS, bytes((channel, _LINE_BREAK)))
+        return left_out
+
+    def _tell(self) -> None:
+        """The diagnosis of this moment, and the module status where it is another one than before."""
+        states = tuple(ModuleState.OK if place is None else place.state for place in self.slots)
+        faulty = [number for number, state in enumerate(states) if state]
+        broken = [
+            channel_block(place.number - 1, channel, _LINE_BREAK, size=place.module.size, input=True)
+            for place in self.slots
+            if place is not None
+            for channel in sorted(place.faults)
+        ]
+        self.diag = UserDiag.of(identifier_block(faulty, len(states)), *broken) if faulty else UserDiag()
+        if states != self._states and self.alarm_server is not None:
+            self._states = states
+            with contextlib.suppress(AlarmError):
+                self.alarm_server.status(module_status(states))
+
+    def _alarm(self, kind: AlarmType, place: Slot, how: Specifier, data: bytes) -> str | None:
+        """Raise one; why it was left out, or None."""
+        if self.alarm_server is None:
+            return f"{self.name}: its description has no dpv1"
+        try:
+            self.alarm_server.alarm(Alarm(kind, place.number, how, data=data))
+        except AlarmError as error:
+            return str(error)
+        return None
+
+
+def _described(config: bytes, name: str, parameters: int) -> SlaveDescription:
+    """As its GSD file has it."""
+    io_lengths(config)
+    return SlaveDescription(
+        ident=IDENT,
+        name=name,
+        configs=(config,),
+        max_modules=MAX_MODULES,
+        max_input_len=32,
+        max_output_len=32,
+        max_data_len=64,
+        user_prm_len=(DPV1_STATUS_LEN + parameters, DPV1_STATUS_LEN + parameters),
+        fail_safe=True,
+        wd_base_1ms=True,
+        dpv1=True,
+        alarms=ALARMS,
+        alarm_sequence=SEQUENCE,
+        max_diag_len=MAX_DIAG,
+    )
+
+
+def _unknown_bits(place: Slot, octet: int) -> str | None:
+    if place.module.prm is None:
+        return f"{place.text} has no parameters"
+    if octet & ~place.module.mask:
+        return f"parameters {octet:02X} of {place.text}: bits {octet & ~place.module.mask:02X} have no meaning"
+    return None

@@ -1,0 +1,128 @@
+"""The simulated I/O station on a bus: by its GSD file's name, told what happens by the commands of ``dpstack ctl``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Coroutine
+from typing import Any
+
+import pytest
+from api_kit import RAW, bus_of, virtual
+
+import dpstack
+from dpstack import Im0
+from dpstack.api.bench import Unit
+from dpstack.api.config import slave_config
+from dpstack.api.control.server import Handler
+from dpstack.api.control.slaves import SlaveCommands
+from dpstack.api.control.specs import KINDS, find
+from dpstack.api.simulation import SimulatedSlave
+from dpstack.errors import UsageError
+from dpstack.params import BusParams
+
+IO: dict[str, object] = {
+    "name": "io",
+    "address": 8,
+    "gsd": "io-station",
+    "modules": ["8 DI", "8 DO", "2 AI"],
+    "inputs": {"level": "i16@1"},
+    "dpv1": {"alarms": []},
+}
+Program = Callable[[dpstack.Bus, "dict[str, Handler]"], Coroutine[Any, Any, None]]
+
+
+def plant(program: Program) -> None:
+    async def main() -> None:
+        async with bus_of(IO, RAW) as bus:
+            await bus.operate()
+            await bus.ready()
+            assert bus.bench is not None
+            await program(bus, SlaveCommands(bus.bench).handlers())
+
+    virtual(main())
+
+
+async def settled(bus: dpstack.Bus) -> dpstack.Slave:
+    await bus.rotated(bus.stats.rotations + 5)
+    return bus.slave("io")
+
+
+def ext(slave: dpstack.Slave) -> str:
+    assert slave.diagnosis is not None
+    return slave.diagnosis.ext.hex(" ").upper()
+
+
+def test_what_happens_to_it_reaches_the_master() -> None:
+    async def program(bus: dpstack.Bus, handlers: dict[str, Handler]) -> None:
+        left_out = "done, without an alarm: slave io: process alarm, slot 1: its master did not enable process alarms"
+        assert handlers["input"](["io", "1", "05"]) == f"{left_out} in Set_Prm"
+        assert handlers["input"](["8", "3", "01 02 03 04"]) is None
+        slave = await settled(bus)
+        assert slave.inputs.hex() == "0501020304"
+        handlers["wire-break"](["io", "3", "0", "on"])
+        slave = await settled(bus)
+        assert slave.inputs.hex() == "057fff0304"
+        assert ext(slave) == "05 82 00 00 10 42 04 82 40 A6"
+        handlers["wire-break"](["io", "3", "0", "off"])
+        handlers["pull"](["io", "1"])
+        slave = await settled(bus)
+        assert slave.inputs.hex() == "0001020304"
+        handlers["plug"](["io", "1", "16 DO"])
+        slave = await settled(bus)
+        assert ext(slave).endswith("42 01")
+        handlers["pull"](["io", "1"])
+        handlers["plug"](["io", "1"])
+        handlers["parameter"](["io", "1", "02"])
+        slave = await settled(bus)
+        assert await slave.read(1, 1) == b"\x02"
+        im = await slave.im(slot=2)
+        assert isinstance(im, Im0)
+        assert im.order_id == "8 DO"
+        await slave.write(3, 1, b"\x00")
+        assert await slave.read(3, 1) == b"\x00"
+
+    plant(program)
+
+
+def test_switched_off_it_keeps_what_is_plugged() -> None:
+    async def program(bus: dpstack.Bus, handlers: dict[str, Handler]) -> None:
+        handlers["pull"](["io", "2"])
+        handlers["power-off"](["io"])
+        await bus.until(lambda: not bus.slave("io").ready_now, 5)
+        handlers["power-on"](["io"])
+        await bus.slave("io").ready(5)
+        assert ext(await settled(bus)).endswith("42 02")
+
+    plant(program)
+
+
+@pytest.mark.parametrize(
+    ("order", "says"),
+    [
+        ("pull raw 1", 'slave 9 (raw) is no I/O station; one has gsd = "io-station"'),
+        ("trip io F1", "slave 8 (io) is no simulated drive: the I/O station"),
+        ("pull io one", "'one' is no whole number"),
+        ("pull io 4", "there is no module in slot 4; there are: slot 1 (8 DI), slot 2 (8 DO), slot 3 (2 AI)"),
+        ("plug io 1", "slot 1 (8 DI): a module is plugged; pull it first"),
+        ("input io 1 5", "write for instance 01"),
+        ("input io 1 0505", "slot 1 (8 DI) has 1 octets of inputs, 2 were given"),
+        ("wire-break io 3 0 yes", "'yes' is neither on nor off"),
+        ("wire-break io 1 0 on", "slot 1 (8 DI) has no analogue input channel 0"),
+        ("parameter io 1 0102", "'0102' is not one octet"),
+        ("parameter io 1 80", "bits 80 have no meaning"),
+    ],
+)
+def test_orders_that_cannot_be(order: str, says: str) -> None:
+    async def program(bus: dpstack.Bus, handlers: dict[str, Handler]) -> None:
+        name, *args = order.split()
+        find("sim", KINDS["sim"], name).check(args)
+        with pytest.raises((UsageError, ValueError)) as caught:
+            handlers[name](args)
+        assert says in str(caught.value)
+
+    plant(program)
+
+
+def test_what_the_simulation_calls_it() -> None:
+    params = BusParams.preset(500_000)
+    kinds = [SimulatedSlave(Unit(slave_config(table), params)).kind for table in (IO, RAW)]
+    assert kinds == ["io-station", "mirror"]
