@@ -85,7 +85,7 @@ def least_ns(figures: Figures) -> dict[Verdict, int]:
     params, normal = figures.params, figures.rotations[Case.NORMAL]
     beside = max(
         longest_diagnosis(params, figures.setups),
-        acyclic_bits(params),
+        acyclic_bits(params, figures.setups),
         global_control_bits(params),
         gap_poll_bits(params),
     )
@@ -227,7 +227,7 @@ def _costs(figures: Figures) -> list[str]:
     pieces = (
         ("repeated request", params.ns(vain) + figures.host_slack_ns),
         ("diagnosis", params.ns(longest_diagnosis(params, figures.setups))),
-        ("acyclic service", params.ns(acyclic_bits(params))),
+        ("acyclic service", params.ns(acyclic_bits(params, figures.setups))),
         ("GAP poll", params.ns(gap_poll_bits(params))),
     )
     told = [f"rounds in which all slaves need their max T_SDR ({ms_text(slow)})"] if slow > cycle else []

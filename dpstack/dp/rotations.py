@@ -125,7 +125,7 @@ def _beside(params: BusParams, setups: Sequence[SlaveSetup], case: Case) -> int:
     if case is not Case.TYPICAL:
         retries = params.max_retry if case is Case.LONGEST else 0
         bits += longest_diagnosis(params, setups, retries) + global_control_bits(params)
-        bits += acyclic_bits(params, retries) if case is Case.LONGEST else 0
+        bits += acyclic_bits(params, setups, retries) if case is Case.LONGEST else 0
     return bits
 
 
