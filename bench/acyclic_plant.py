@@ -81,7 +81,7 @@ class Seen:
         return self.done * NS_PER_S / self.ns
 
 
-class _Device(MirrorDevice):
+class RecordDevice(MirrorDevice):
     """Records of every length at slot 1, index = length; slow ones are answered later."""
 
     def __init__(self, answers: Answers) -> None:
@@ -117,7 +117,7 @@ class _Device(MirrorDevice):
         self._waiting, self._answer_at = None, NEVER
 
 
-class _AtOnce(SlaveApp):
+class AnswersAtOnce(SlaveApp):
     """Answers in the request itself, as slaves may: what a poll would fetch."""
 
     def serve(self, request: Telegram, now: int) -> Reply | None:
@@ -144,9 +144,9 @@ class Plant:
     def __post_init__(self) -> None:
         self.params = BusParams.preset(self.baud, address=_OWN, gap=0)
         self.addresses = range(_FIRST, _FIRST + self.slaves)
-        app = _AtOnce if self.answers is Answers.AT_ONCE else SlaveApp
+        app = AnswersAtOnce if self.answers is Answers.AT_ONCE else SlaveApp
         for address in self.addresses:
-            responder = app(_Device(self.answers), address=address)
+            responder = app(RecordDevice(self.answers), address=address)
             self.world.add(PassiveStation(address, responder, self.params, t_sdr=self.t_sdr))
         self.setups = setups(self.slaves)
         self.master = Master(self.params, self.setups, cycle_ns=self.cycle_ns, watchdog_ms=2_000)

@@ -17,6 +17,7 @@ from dpstack.dp.class2_jobs import Job, Outcome, ServiceFailure, Step, Steps
 from dpstack.dp.events import SlaveState
 from dpstack.dp.master import Master
 from dpstack.dp.ms0 import positive
+from dpstack.dp.unheard import Unheard
 from dpstack.dp.v1 import units
 from dpstack.dp.v1.ms1 import SERVICE_TIMEOUT, Ms1
 from dpstack.errors import UsageError
@@ -75,10 +76,12 @@ class Acyclic:
     _known: set[int] = field(default_factory=set)
     _events: list[Event] = field(default_factory=list)
     _ms1: Ms1 = field(init=False)
+    _unheard: Unheard = field(init=False)
     _turns: itertools.count[int] = field(default_factory=itertools.count)
 
     def __post_init__(self) -> None:
         self._ms1 = Ms1(self.own, self.master)
+        self._unheard = Unheard(self.master)
 
     @property
     def waiting(self) -> int:
@@ -159,7 +162,7 @@ class Acyclic:
                     continue
                 lanes.add(lane)
             if entry.due <= now and (chosen is None or entry.turn < chosen.turn):
-                chosen = entry
+                chosen = chosen if self._unheard.bars(entry.job.address) else entry
         return chosen
 
     def _end_barred(self, now: int) -> None:
@@ -182,6 +185,7 @@ class Acyclic:
         entry, self._asked = self._asked, None
         if entry is None:
             return
+        self._unheard.ended(request.da, outcome)
         if isinstance(outcome, Telegram):
             self._known.add(request.da)
             self._share(request, outcome, now)
