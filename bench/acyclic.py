@@ -17,7 +17,6 @@ from bench.masters import DRIVERS
 from bench.records import fetched, rotations
 from bench.report import Report, quantile
 from bench.rig import Processors, Taken, available, bench, note_disturbance, one_round, pinned
-from dpstack.dp.durations import acyclic_bits
 from dpstack.dp.plan_cycle import Verdict, least_ns
 from dpstack.dp.rotations import Case, figures
 from dpstack.params import BusParams
@@ -69,7 +68,7 @@ def _rotations(report: Report, baud: int, lengths: Sequence[int], count: int) ->
     params = BusParams.preset(baud, gap=0)
     counted = figures(params, setups(_SLAVES))
     ns = count * counted.ns(Case.TYPICAL)
-    service_ns = params.ns(acyclic_bits(params, counted.setups))
+    service_ns = params.ns(counted.acyclic_bits)
     at = baud_text(baud)
     report.exact(f"{at}: the plan's acyclic service", service_ns / NS_PER_US, "us")
     longer: dict[int, float] = {}

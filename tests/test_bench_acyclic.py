@@ -18,9 +18,7 @@ def values(report: Report) -> dict[str, float]:
 
 @pytest.mark.parametrize("baud", [500_000, 12_000_000])
 def test_the_rotation_beside_records_of_64_octets(baud: int) -> None:
-    report = acyclic.run(
-        ["--bauds", str(baud), "--lengths", "64", "--rotations", "80", "--cycles", "0", "--pty-bauds"]
-    )
+    report = acyclic.run(["--bauds", str(baud), "--lengths", "64", "--rotations", "80", "--cycles", "0", "--pty-bauds"])
     ratios = [figure for figure in report.figures if figure.name.endswith("rotation p99 to that without")]
     assert len(ratios) == 6  # Read and Write, answered in three ways
     assert all(figure.goal == 1.3 and figure.met for figure in ratios), ratios

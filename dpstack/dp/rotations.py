@@ -182,6 +182,11 @@ class Figures:
         return self.params.ns(self.rotations[case].work - self.rotations[case].beside)
 
     @property
+    def acyclic_bits(self) -> int:
+        """By how much one acyclic service makes a rotation longer at the most, nothing repeated."""
+        return acyclic_bits(self.params, self.setups)
+
+    @property
     def spacing_ns(self) -> int:
         """The longest time from round to round: with a fixed cycle whole cycles."""
         longest = self.ns(Case.LONGEST)
