@@ -8,6 +8,7 @@ be given up although it exchanges data.
 
 from __future__ import annotations
 
+from dpstack.dp.commands import Mode
 from dpstack.dp.events import SlaveState
 from dpstack.dp.master import Master
 from dpstack.fdl.telegram import Telegram
@@ -36,8 +37,8 @@ class Unheard:
             self._exchanges.pop(address, None)
 
     def bars(self, address: int) -> bool:
-        """Whether ``address`` is not to be asked now."""
-        if not self._exchanges or self._master is None:
+        """Whether ``address`` is not to be asked now. In Stop nobody has an exchange to wait for."""
+        if not self._exchanges or self._master is None or self._master.mode <= Mode.STOP:
             return False
         handler = self._master.handlers.get(address)
         if handler is None or handler.state is not SlaveState.DATA_EXCHANGE:

@@ -270,3 +270,15 @@ def test_on_a_port_that_delivers_late_silence_costs_what_a_dying_slave_costs(cla
     plan = planned(plant)
     assert plant.master.rotation.max_ns <= plan.ns(Case.LONGEST) + plan.dying_ns
     assert plant.exchanging
+
+
+def test_in_stop_a_silent_slave_is_asked_as_often_as_otherwise(world: WorldFactory) -> None:
+    """There is no Data_Exchange to wait for: four attempts, and an end that says so."""
+    w = world()
+    plant = silent(w)
+    w.command(plant.station, SetMode(Mode.STOP))
+    w.run_for(S // 2)
+    w.command(plant.station, ReadService(1, 20, Service.INPUTS))
+    w.run_for(S)
+    (done,) = plant.others
+    assert done.outcome.failure is ServiceFailure.SILENT
