@@ -13,6 +13,7 @@ from functools import partial
 from typing import Final
 
 from bench.acyclic_plant import LENGTHS, Answers, Load, Plant, Seen, setups
+from bench.jitter import Lateness
 from bench.masters import DRIVERS
 from bench.records import fetched, rotations
 from bench.report import Report, quantile
@@ -24,6 +25,8 @@ from dpstack.units import NS_PER_MS, NS_PER_S, NS_PER_US, baud_text
 
 _BAUDS: Final = (187_500, 500_000, 1_500_000, 3_000_000, 12_000_000)
 _PTY_BAUDS: Final = (500_000, 1_500_000)
+#: fixed cycles there in ms: what the plan calls undisturbed, and 4 ms for what a pty adds
+_PTY_CYCLES: Final = {500_000: 20.0, 1_500_000: 10.0}
 _SLAVES: Final = 8
 #: rotation p99 with records of so many octets to that without
 _GOAL_OCTETS: Final = 64
@@ -132,17 +135,21 @@ def _cycles(report: Report, baud: int, count: int) -> None:
 
 def _on_a_pty(report: Report, baud: int, args: argparse.Namespace, kinds: Sequence[str], where: Processors) -> None:
     """With and without in turn, each with a master of its own."""
-    octets = _GOAL_OCTETS
+    octets, cycle_ms = _GOAL_OCTETS, _PTY_CYCLES.get(baud)
 
-    def measure(records: int, kind: str, slaves: int) -> Taken:
-        with bench(kind, slaves, baud, where, gap=0, records=records) as running:
+    def measure(records: int, cycle_ms: float | None, kind: str, slaves: int) -> Taken:
+        with bench(kind, slaves, baud, where, gap=0, records=records, cycle_ms=cycle_ms) as running:
             return running.measure(args.seconds)
 
-    quiet: dict[tuple[str, int], list[Taken]] = {(kind, _SLAVES): [] for kind in kinds}
-    loaded: dict[tuple[str, int], list[Taken]] = {(kind, _SLAVES): [] for kind in kinds}
+    quiet, loaded, quiet_cycle, loaded_cycle = (
+        {(kind, _SLAVES): list[Taken]() for kind in kinds} for _ in ("", "loaded", "cycle", "loaded cycle")
+    )
     for _ in range(args.rounds):
-        one_round(quiet, partial(measure, 0), report.notes)
-        one_round(loaded, partial(measure, octets), report.notes)
+        one_round(quiet, partial(measure, 0, None), report.notes)
+        one_round(loaded, partial(measure, octets, None), report.notes)
+        if cycle_ms is not None:
+            one_round(quiet_cycle, partial(measure, 0, cycle_ms), report.notes)
+            one_round(loaded_cycle, partial(measure, octets, cycle_ms), report.notes)
     at = baud_text(baud)
     for (kind, _), runs in loaded.items():
         title = f"{at}, pty, {kind}, Read of {octets}"
@@ -158,7 +165,14 @@ def _on_a_pty(report: Report, baud: int, args: argparse.Namespace, kinds: Sequen
         report.measured(f"{title}: octets of records", [s * octets for s in services], "octets/s", more=True)
         cpu = [t.cpu / (t.seconds * NS_PER_S) for t in runs]
         report.measured(f"{title}: the master's share of a processor", cpu, "ratio")
-    note_disturbance(report, (t for taken in (quiet, loaded) for runs in taken.values() for t in runs), at)
+        if cycle_ms is not None:
+            for name, cycles in (("without", quiet_cycle), (f"Read of {octets}", loaded_cycle)):
+                missed = [float(Lateness(t.records, cycle_ms).missed) for t in cycles[kind, _SLAVES]]
+                report.measured(f"{at}, pty, {kind}, cycle_ms = {cycle_ms:g}, {name}: missed rounds", missed, "")
+            services = [fetched(t.records, octets) / t.seconds for t in loaded_cycle[kind, _SLAVES]]
+            report.measured(f"{title}, cycle_ms = {cycle_ms:g}: services", services, "1/s", more=True)
+    everything = (quiet, loaded, quiet_cycle, loaded_cycle)
+    note_disturbance(report, (t for taken in everything for runs in taken.values() for t in runs), at)
 
 
 def _took(taken: Taken, baud: int) -> list[int]:

@@ -196,9 +196,21 @@ class Plant:
         found = Seen(ns, self.master.rotation, done, failed, book.begun - begun, book.missed - missed, reasons)
         for order in waiting:
             self.world.command(self._station, CancelService(order))
+        if load is not None and not self.cycle_ns:
+            self._fetch_what_is_left(load)
         self.world.run_for(20 * NS_PER_MS)
         self._ends.clear()
         return found
+
+    def _fetch_what_is_left(self, load: Load) -> None:
+        """Answers that nobody waits for any more are fetched with the next service: they shall not count as its own."""
+        self._ends.clear()
+        for address in self.addresses:
+            self._orders += 1
+            self.world.command(self._station, self._order(address, load._replace(write=False, octets=LENGTHS[0])))
+        last = self._orders
+        while not any(done.token == last for done in self._ends):
+            self.world.run_for(5 * NS_PER_MS)
 
     def _keep_busy(self, waiting: dict[int, int], load: Load | None) -> None:
         if load is None:

@@ -82,7 +82,7 @@ def test_rotations_with_services_and_the_records_fetched() -> None:
 
 
 def test_over_a_pty() -> None:
-    words = ["--bauds", "--pty-bauds", "500000", "--rounds", "1", "--seconds", "0.2", "--kinds", "asyncio"]
+    words = ["--bauds", "--pty-bauds", "3000000", "--rounds", "1", "--seconds", "0.2", "--kinds", "asyncio"]
     found = values(acyclic.run(words))
-    assert found["500 kbit/s, pty, asyncio, Read of 64: services"] > 0
-    assert found["500 kbit/s, pty, asyncio, Read of 64: rotation p50 to that without"] > 0
+    assert found["3 Mbit/s, pty, asyncio, Read of 64: services"] > 0
+    assert found["3 Mbit/s, pty, asyncio, Read of 64: rotation p50 to that without"] > 0
