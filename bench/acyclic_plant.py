@@ -204,12 +204,11 @@ class Plant:
 
     def _fetch_what_is_left(self, load: Load) -> None:
         """Answers that nobody waits for any more are fetched with the next service: they shall not count as its own."""
-        self._ends.clear()
+        before = self._orders
         for address in self.addresses:
             self._orders += 1
             self.world.command(self._station, self._order(address, load._replace(write=False, octets=LENGTHS[0])))
-        last = self._orders
-        while not any(done.token == last for done in self._ends):
+        while sum(done.token > before for done in self._ends) < self.slaves:
             self.world.run_for(5 * NS_PER_MS)
 
     def _keep_busy(self, waiting: dict[int, int], load: Load | None) -> None:

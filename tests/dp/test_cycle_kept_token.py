@@ -41,10 +41,9 @@ def test_the_token_is_kept_and_outputs_are_taken_for_each_cycle(baud: int, world
     cycles = bus.master.cycles.begun - begun
     assert cycles >= CYCLES - 1
     assert bus.station.stats.tokens - tokens < cycles // 2
-    # at the cycle's own time: what a program set up to then goes out in it; with a token that just came, that long before
+    # as it begins: what a program set up to then goes out in it; its first bit may wait for a Global_Control to end
     early = [start - max(at for at in asked if at <= start) for start in bus.exchanges(3)]
-    assert max(early) <= bus.params.ns(33 + bus.params.t_id1)
-    assert early.count(0) > len(early) // 2
+    assert max(early) <= bus.params.ns(13 * 11 + bus.params.t_id2)
 
 
 @pytest.mark.parametrize("baud", [500_000, 12_000_000])
