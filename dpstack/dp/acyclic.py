@@ -18,6 +18,7 @@ from dpstack.dp.class2_jobs import Job, Outcome, ServiceFailure, Step, Steps
 from dpstack.dp.events import SlaveState
 from dpstack.dp.master import Master
 from dpstack.dp.ms0 import positive
+from dpstack.dp.unheard import Unheard
 from dpstack.dp.v1 import units
 from dpstack.dp.v1.alarm_ack import ack_jobs
 from dpstack.dp.v1.alarm_events import AcknowledgeAlarm, HoldAlarms
@@ -81,11 +82,13 @@ class Acyclic:
     _events: list[Event] = field(default_factory=list)
     _ms1: Ms1 = field(init=False)
     _ms2: Ms2 = field(init=False)
+    _unheard: Unheard = field(init=False)
     _turns: itertools.count[int] = field(default_factory=itertools.count)
 
     def __post_init__(self) -> None:
         self._ms1 = Ms1(self.own, self.master)
         self._ms2 = Ms2(self.own, self.master)
+        self._unheard = Unheard(self.master)
 
     @property
     def waiting(self) -> int:
@@ -204,7 +207,7 @@ class Acyclic:
                     continue
                 lanes.add(lane)
             if entry.due <= now and (chosen is None or entry.turn < chosen.turn):
-                chosen = entry
+                chosen = chosen if self._unheard.bars(entry.job.address) else entry
         return chosen
 
     def _end_barred(self, now: int) -> None:
@@ -229,6 +232,7 @@ class Acyclic:
         if entry is None:
             return
         self._ms2.clock.now = now
+        self._unheard.ended(request.da, outcome)
         if isinstance(outcome, Telegram):
             self._known.add(request.da)
             self._share(request, outcome, now)

@@ -82,7 +82,7 @@ class LinkUser(Protocol):
     """A user of an active station's link layer. All calls come from within the station's pump."""
 
     def token_received(self, now: int) -> None:
-        """A token hold begins. (Token receipt to token receipt is the token rotation.)"""
+        """A token hold begins, or the next cycle in one that was kept for it (:mod:`dpstack.fdl.budget`)."""
 
     def next_request(self, now: int, high_only: bool) -> Request | None:
         """The next request of this token hold, or None when there is nothing more in this hold.
