@@ -138,6 +138,13 @@ class Port(ABC):
         if loop is not None and not loop.is_closed():
             self._stop(loop)
 
+    def hush(self) -> bool:
+        """Hand over nothing until :meth:`listen`: the system keeps what arrives. False: this kind of port cannot."""
+        return False
+
+    def listen(self) -> None:
+        """Hand over again, what has arrived meanwhile first. May be called at any time."""
+
     def _lose(self, reason: str) -> None:
         """The line vanished: tell it once."""
         on_lost = self._on_lost
