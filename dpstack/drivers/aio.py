@@ -42,12 +42,12 @@ class AsyncioRuntime(Stepping):
 
     def _expect(self, at: int, quiet_until: int) -> None:
         if quiet_until:
-            if not self._quiet_until and not self._port.hush():
+            if not self._quiet_until and not self._port.hush(True):
                 return
             if quiet_until < self._armed:
                 self._arm(quiet_until)
         elif self._quiet_until:
-            self._port.listen()
+            self._port.hush(False)
         self._quiet_until = quiet_until
 
     def _timer_due(self) -> None:
@@ -59,7 +59,7 @@ class AsyncioRuntime(Stepping):
         elif quiet_until < self._deadline:
             self._armed = NEVER  # before the step: whatever it leads to may arm afresh
             self._quiet_until = 0
-            self._port.listen()
+            self._port.hush(False)
             self._step(self._drain())
         else:
             super()._timer_due()

@@ -1,11 +1,10 @@
 """When an answer is to be expected: requests that begin alike were answered after so long.
 
 Between a request and its answer there is time for what can wait, but not for more than that. And what comes of an
-answer before its end need not wake anybody up: a line hands over an answer in pieces, and who wakes up for each of them
-pays six times for 21 octets at 500 kbit/s. So where the answers to a kind of request are known (of one length, in
-several pieces, at a steady time), nobody listens until shortly before the end of the next one. It is a matter of when to
-look only: what arrives is kept by the system, deadlines are met as ever, and an answer that is another one than expected
-is met at the same look.
+answer before its end need not wake anybody up: a line hands an answer over in pieces, and a wake-up for each of them is
+paid six times for 21 octets at 500 kbit/s. So where the answers to a kind of request are known (of one length and in
+several pieces), nobody listens until the next one should be over. That says when to look and nothing else: the system
+keeps what arrives, deadlines are met as ever, and what is not the answer that was expected is met with the same look.
 """
 
 from __future__ import annotations
@@ -24,18 +23,18 @@ _SHIFT: Final = 3
 
 #: An answer that comes in fewer pieces is listened for: the look before its end costs a wake-up of its own.
 _PIECES: Final = 4
-#: So many answers alike say what the next one will be like ...
+#: So many answers alike say what the next one will be like; the soonest of them says when.
 _ALIKE_ANSWERS: Final = 4
-#: ... and after so many that were not listened for all is learned anew: the soonest of them is taken for the usual one.
+#: After so many it is learned anew: what comes sooner than before a look cannot see, nor what is in fewer pieces.
 _AFRESH: Final = 250
 #: A shorter time is not worth it.
 _LEAST_NS: Final = 100 * NS_PER_US
-#: So much before the end one listens: at first, at least, at most. It is what nine of ten looks are late.
-_EARLY_NS: Final = 60 * NS_PER_US
-_LEAST_EARLY_NS: Final = 20 * NS_PER_US
+#: The wake-up is asked for so much before the end: at first, at least, at most. It is what half of all wake-ups are
+#: late: as often as not the answer is whole then, and sooner seen than by somebody who was woken up by its last octet.
+_EARLY_NS: Final = 40 * NS_PER_US
+_LEAST_EARLY_NS: Final = 15 * NS_PER_US
 _MOST_EARLY_NS: Final = 150 * NS_PER_US
-_LESSON_NS: Final = NS_PER_US // 2
-_LESSONS: Final = 9
+_LESSON_NS: Final = NS_PER_US
 
 _SD1: Final = int(Kind.SD1)
 _SD2: Final = int(Kind.SD2)
@@ -128,7 +127,7 @@ class Answers:
         delay = self._heard_at - self._end
         if self.quiet_until:
             if self._first_at - self.quiet_until > self._early:
-                self._early = min(self._early + _LESSONS * _LESSON_NS, _MOST_EARLY_NS)
+                self._early = min(self._early + _LESSON_NS, _MOST_EARLY_NS)
             else:
                 self._early = max(self._early - _LESSON_NS, _LEAST_EARLY_NS)
             usual.alike = usual.alike + 1 if usual.alike < _AFRESH else 0

@@ -177,8 +177,10 @@ class PlainLoop:
         return Alarm(self._alarms, callback, NEVER, lasts=True)
 
     def hush(self, fd: int | None, until: int) -> None:
-        """Sleep up to ``until`` (ns) although octets arrive at ``fd``; 0: wake up for all. It stands for one descriptor,
-        and what is looked at in between anyway is told."""
+        """Sleep up to ``until`` (ns) although octets arrive at ``fd``, one descriptor; 0: wake up for all.
+
+        Who is awake anyway is told of them.
+        """
         self._quiet_fd = fd
         self._quiet_until = until
 

@@ -138,12 +138,9 @@ class Port(ABC):
         if loop is not None and not loop.is_closed():
             self._stop(loop)
 
-    def hush(self) -> bool:
-        """Hand over nothing until :meth:`listen`: the system keeps what arrives. False: this kind of port cannot."""
-        return False
-
-    def listen(self) -> None:
-        """Hand over again, what has arrived meanwhile first. May be called at any time."""
+    def hush(self, quiet: bool) -> bool:
+        """Hand over nothing for a while (the system keeps what arrives), or again; whether this port does as asked."""
+        return not quiet
 
     def _lose(self, reason: str) -> None:
         """The line vanished: tell it once."""

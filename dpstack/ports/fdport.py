@@ -89,17 +89,12 @@ class FdPort(Port):
         if self._fd >= 0:
             loop.remove_reader(self._fd)
 
-    def hush(self) -> bool:
-        """Not a reader of the loop meanwhile."""
+    def hush(self, quiet: bool) -> bool:
+        """No reader of the loop meanwhile."""
         if self._loop is None:
             return False
-        self._stop(self._loop)
+        (self._stop if quiet else self._start)(self._loop)
         return True
-
-    def listen(self) -> None:
-        """A reader again."""
-        if self._loop is not None:
-            self._start(self._loop)
 
     def _readable(self) -> None:
         try:
