@@ -13,6 +13,9 @@ from dpstack.profile.acyclic.services import Answer, Pause, Refused, Service, Ta
 T = TypeVar("T")
 MS = 1_000_000
 BUSY = Refused(0xB5)
+#: the manual's request for parameter 965, written to record 47, and its response
+READ_965 = "5F 01 2F 0A 01 01 01 01 10 00 03 C5 00 00"
+IS_965 = "01 01 01 01 06 01 03 28"
 
 
 def octets(text: str) -> bytes:
@@ -99,4 +102,4 @@ def hexes(parts: Sequence[bytes]) -> list[str]:
     return [_hex(part) for part in parts]
 
 
-__all__ = ["BUSY", "MS", "ReadReq", "Script", "Wire", "hexes", "octets", "outcome", "talk"]
+__all__ = ["BUSY", "IS_965", "MS", "READ_965", "ReadReq", "Script", "Wire", "hexes", "octets", "outcome", "talk"]

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from bus_kit import IDENT, PPO1, mirror
-from support import MS, S
+from support import MS, S, WorldFactory
 
 from dpstack.dp.commands import Mode, SetMode
 from dpstack.dp.events import SlaveState
@@ -20,6 +21,8 @@ from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT, Patience
 from dpstack.sim.world import World
 from dpstack.trace import Event, WireEntry
+
+P500 = BusParams.preset(500_000, address=2)
 
 
 def slave(address: int, **changes: Any) -> SlaveSetup:
@@ -92,3 +95,16 @@ class CycleBus:
             for e in self.wire
             if len(e.octets) > 8 and e.octets[0] == 0x68 and e.octets[5] == ts | 0x80 and e.octets[7] == dsap
         ]
+
+
+def steps(times: list[int]) -> set[int]:
+    return {later - earlier for earlier, later in itertools.pairwise(times)}
+
+
+def running(world: WorldFactory, *setups: Any, cycle_ns: int = 4 * MS, **more: Any) -> CycleBus:
+    """A bus whose slaves are in data exchange, a little later."""
+    bus = CycleBus(world(), P500, setups or (slave(5), slave(6)), cycle_ns, **more)
+    bus.until_exchanging()
+    bus.world.run_for(20 * MS)
+    bus.quiet()
+    return bus

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
-from dpstack.dp.events import SlaveFaulted, SlaveRemark, SlaveStateChanged
+from dpstack.dp.commands import Mode, SetMode
+from dpstack.dp.events import SlaveFaulted, SlaveRemark, SlaveState, SlaveStateChanged
 from dpstack.dp.master import Master
+from dpstack.dp.setup import SlaveSetup
 from dpstack.fdl.telegram import SHORT_ACK, Kind, Telegram
 from dpstack.fdl.user import Expect, Failure, Request
+from dpstack.params import BusParams
 from dpstack.trace import Event
 
 MS = 1_000_000
@@ -16,6 +20,16 @@ MS = 1_000_000
 #: Slave_Diag of an unparameterised device with ident 0696, and of the same one ready for master 2 (octets by hand)
 DIAG_FREE = bytes.fromhex("02 05 00 FF 06 96")
 DIAG_READY = bytes.fromhex("00 0C 00 02 06 96")
+
+#: outputs of a drive: a safe word (OFF1) and a run
+SAFE = b"\x04\x7e\x00\x00"
+RUN = b"\x04\x7f\x40\x00"
+
+#: what was sent: DSAP and octets; and the bring-up of :func:`setup`'s slave
+Entry = tuple[int | None, str]
+DIAG: Entry = (60, "")
+SET_PRM: Entry = (61, "88 01 14 0B 06 96 00")
+CHK_CFG: Entry = (62, "71")
 
 Answer = Callable[[Request], Telegram | Failure]
 
@@ -103,3 +117,50 @@ class ScriptedLink:
     def remarks(self, address: int) -> list[str]:
         """The remarks told of the slave."""
         return [e.message for e in self.events if isinstance(e, SlaveRemark) and e.address == address]
+
+
+def setup(address: int = 3, **changes: Any) -> SlaveSetup:
+    """A slave with four octets each way, as :class:`ScriptedSlave` is."""
+    values: dict[str, Any] = {"address": address, "name": f"s{address}", "ident": 0x0696, "config": b"\x71"}
+    return SlaveSetup(**(values | changes))
+
+
+def link(*setups: SlaveSetup, slaves: dict[int, ScriptedSlave] | None = None, **options: Any) -> ScriptedLink:
+    """A master (its ``options``) at the start; all slaves are there unless ``slaves`` says which."""
+    master = Master(BusParams.preset(500_000, address=2), setups, **options)
+    given = {s.address: ScriptedSlave() for s in setups} if slaves is None else slaves
+    return ScriptedLink(master, given)
+
+
+def exchanging(*setups: SlaveSetup, **options: Any) -> ScriptedLink:
+    """All slaves are in data exchange, in Clear."""
+    bus = link(*setups, **options)
+    bus.run(5 * MS)
+    assert all(h.state is SlaveState.DATA_EXCHANGE for h in bus.master.handlers.values())
+    return bus
+
+
+def operating(*setups: SlaveSetup, **options: Any) -> ScriptedLink:
+    """All slaves are in data exchange, in Operate; what was said until then is forgotten."""
+    bus = link(*setups, **options)
+    bus.run(20 * MS)
+    bus.master.command(SetMode(Mode.OPERATE), bus.now)
+    bus.run(5 * MS)
+    assert mode_of(bus) is Mode.OPERATE
+    bus.requests.clear()
+    bus.events.clear()
+    return bus
+
+
+def mode_of(bus: ScriptedLink) -> Mode:
+    return bus.master.mode
+
+
+def wire(bus: ScriptedLink, address: int = 3) -> list[Entry]:
+    """What was sent to one slave."""
+    return [(r.dsap, r.data.hex(" ").upper()) for r in bus.requests if r.da == address]
+
+
+def squeezed(entries: list[Entry]) -> list[Entry]:
+    """Without repetitions."""
+    return [entry for at, entry in enumerate(entries) if not at or entry != entries[at - 1]]

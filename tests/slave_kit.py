@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dpstack.dp.device import Device, Leave
-from dpstack.dp.slaveapp import SlaveApp
+from dpstack.dp.slaveapp import SlaveApp, SlaveAppState
 from dpstack.fdl.telegram import Kind, Req, Telegram
 from dpstack.fdl.user import Reply
 
@@ -19,6 +19,8 @@ UNLOCK = bytes.fromhex("40 01 01 00 0A 35 00")
 KEEP = bytes.fromhex("00 01 01 37 FF FF 00")
 #: 1 octet in, 1 octet out
 CFG = bytes.fromhex("10 20")
+
+WAIT_PRM, WAIT_CFG, DATA_EXCH = SlaveAppState.WAIT_PRM, SlaveAppState.WAIT_CFG, SlaveAppState.DATA_EXCH
 
 CLEAR, OPERATE = b"\x02\x00", b"\x00\x00"
 SYNC, UNSYNC, FREEZE, UNFREEZE = b"\x20\x00", b"\x10\x00", b"\x08\x00", b"\x04\x00"
@@ -151,3 +153,16 @@ class Bench:
 
     def texts(self) -> list[str]:
         return [event.text for event in self.app.take_events()]
+
+
+def in_state(state: SlaveAppState, device: Device | None = None, prm: bytes = PRM) -> Bench:
+    """A bench whose slave is in ``state``; what was told until then is forgotten."""
+    bench = Bench(device)
+    if state is not WAIT_PRM:
+        bench.prm(prm)
+    if state is DATA_EXCH:
+        bench.cfg()
+        bench.dx()
+    assert bench.app.state is state
+    bench.app.take_events()
+    return bench

@@ -68,6 +68,11 @@ WORD: Final[Any] = cs.BitsInteger(16)
 REST: Final[Any] = cs.Bytewise(cs.GreedyBytes)
 
 
+def bits(count: int) -> Any:
+    """A number of so many bits."""
+    return cs.BitsInteger(count)
+
+
 def octets(count: int) -> Any:
     """So many octets as they are."""
     return cs.Bytewise(cs.Bytes(count))
@@ -94,7 +99,7 @@ SET_PRM: Final = Layout(
     "Set_Prm",
     SetPrmOctets,
     *flags("lock unlock sync freeze wd_on"),
-    "reserved" / cs.BitsInteger(3),
+    "reserved" / bits(3),
     "wd_fact_1" / OCTET,
     "wd_fact_2" / OCTET,
     "min_tsdr" / OCTET,
@@ -120,9 +125,9 @@ class GlobalControlOctets(NamedTuple):
 GLOBAL_CONTROL: Final = Layout(
     "Global_Control",
     GlobalControlOctets,
-    "reserved_high" / cs.BitsInteger(2),
+    "reserved_high" / bits(2),
     *flags("sync unsync freeze unfreeze clear_data"),
-    "reserved_low" / cs.BitsInteger(1),
+    "reserved_low" / bits(1),
     "group_select" / OCTET,
 )
 
@@ -176,7 +181,7 @@ class BlockHeader(NamedTuple):
     value: int
 
 
-BLOCK_HEADER: Final = Layout("diagnosis block", BlockHeader, "kind" / cs.BitsInteger(2), "value" / cs.BitsInteger(6))
+BLOCK_HEADER: Final = Layout("diagnosis block", BlockHeader, "kind" / bits(2), "value" / bits(6))
 
 
 class ChannelOctets(NamedTuple):
@@ -194,10 +199,10 @@ class ChannelOctets(NamedTuple):
 CHANNEL: Final = Layout(
     "channel related diagnosis",
     ChannelOctets,
-    "kind" / cs.BitsInteger(2),
-    "identifier" / cs.BitsInteger(6),
+    "kind" / bits(2),
+    "identifier" / bits(6),
     *flags("output input"),
-    "channel" / cs.BitsInteger(6),
-    "size" / cs.BitsInteger(3),
-    "error" / cs.BitsInteger(5),
+    "channel" / bits(6),
+    "size" / bits(3),
+    "error" / bits(5),
 )

@@ -1,33 +1,33 @@
-"""The slave application: bring-up, services, lock, diagnosis, watchdog."""
+"""The slave application: bring-up, diagnosis, watchdog, restart."""
 
 from __future__ import annotations
 
 import pytest
-from slave_kit import CFG, KEEP, MASTER, MS, OTHER, PRM, PRM_NO_WD, SLAVE, UNLOCK, Bench, Recorder, srd
+from slave_kit import (
+    CFG,
+    DATA_EXCH,
+    KEEP,
+    MASTER,
+    MS,
+    OTHER,
+    PRM,
+    PRM_NO_WD,
+    SLAVE,
+    WAIT_CFG,
+    WAIT_PRM,
+    Bench,
+    Recorder,
+    in_state,
+)
 
-from dpstack.dp.device import Device
 from dpstack.dp.mirror import MirrorDevice
 from dpstack.dp.slave_events import RequestRefused, SlaveAppStateChanged, WatchdogExpired
-from dpstack.dp.slave_states import ACCESS, AppEv
+from dpstack.dp.slave_states import AppEv
 from dpstack.dp.slaveapp import SlaveApp, SlaveAppState
-from dpstack.dp.v1.serving import RecordTable
 from dpstack.errors import ConfigError
-from dpstack.fdl.telegram import Req, Resp
+from dpstack.fdl.telegram import Resp
 from dpstack.fdl.user import RS_REPLY, SC_REPLY, Reply
 from dpstack.units import NEVER
-
-WAIT_PRM, WAIT_CFG, DATA_EXCH = SlaveAppState.WAIT_PRM, SlaveAppState.WAIT_CFG, SlaveAppState.DATA_EXCH
-
-
-class Station:
-    """What a passive station lets its application change."""
-
-    def __init__(self) -> None:
-        self.address = 17
-        self.min_tsdr: list[int] = []
-
-    def set_min_tsdr(self, bits: int) -> None:
-        self.min_tsdr.append(bits)
 
 
 def test_the_bring_up_octet_by_octet() -> None:
@@ -179,116 +179,6 @@ def test_outputs_of_the_wrong_length(outputs: bytes) -> None:
     assert bench.diag() == bytes.fromhex("06 05 00 FF 0A 35")
     assert bench.recorder.take() == ["operate", "exchange 55", "leave wrong length"]
     assert f"{len(outputs)} output octets, the configuration has 1" in bench.texts()[0]
-
-
-# --- who may what when ------------------------------------------------------------------------------------------
-
-
-def in_state(state: SlaveAppState, device: Device | None = None, prm: bytes = PRM) -> Bench:
-    bench = Bench(device)
-    if state is not WAIT_PRM:
-        bench.prm(prm)
-    if state is DATA_EXCH:
-        bench.cfg()
-        bench.dx()
-    assert bench.app.state is state
-    bench.app.take_events()
-    return bench
-
-
-@pytest.mark.parametrize("sa", [MASTER, OTHER])
-@pytest.mark.parametrize("state", list(SlaveAppState))
-def test_services_are_open_as_the_table_says(state: SlaveAppState, sa: int) -> None:
-    data = {None: b"\x55", 61: PRM, 62: CFG}
-    for dsap in [None, *range(64)]:
-        if dsap == 58:
-            continue  # an SDN, below
-        device = Recorder()
-        device.set_slave_add = True
-        device.records = RecordTable({})
-        bench = in_state(state, device, PRM + b"\x80\0\0")
-        access = ACCESS.get(dsap)
-        is_open = access is not None and state in access.states and (sa == MASTER or not access.owner_only)
-        reply = bench.ask(dsap, data.get(dsap, b""), sa)
-        assert (reply != RS_REPLY) is is_open, (dsap, access)
-
-
-@pytest.mark.parametrize("function", [f for f in Req if f not in (Req.SRD_LOW, Req.SRD_HIGH, Req.CLOCK_VALUE)])
-def test_everything_but_srd_is_refused(function: Req) -> None:
-    bench = Bench().up()
-    for dsap in (None, 60, 61, 62):
-        assert bench.app.serve(srd(dsap, b"\x55", function=function), 0) == RS_REPLY
-    assert bench.app.state is DATA_EXCH
-    assert bench.recorder.calls == []
-
-
-def test_low_priority_is_served_like_high() -> None:
-    bench = Bench().up()
-    assert bench.app.serve(srd(None, b"\x55", function=Req.SRD_LOW), 0) == Reply(Resp.DL, b"\x01")
-
-
-def test_the_lock() -> None:
-    """B2: locked to its master; another one's requests change nothing, and are told."""
-    bench = Bench().up()
-    bench.dx(b"\x11")
-    assert bench.prm(sa=OTHER) == SC_REPLY
-    assert bench.cfg(sa=OTHER) == SC_REPLY
-    assert bench.prm(UNLOCK, sa=OTHER) == SC_REPLY
-    assert bench.prm(b"rubbish", sa=OTHER) == SC_REPLY
-    assert bench.dx(b"\x22", sa=OTHER) == RS_REPLY
-    assert (bench.app.state, bench.app.master, bench.app.outputs) == (DATA_EXCH, MASTER, b"\x11")
-    assert bench.diag(sa=OTHER) == bytes.fromhex("00 0C 00 02 0A 35")
-    assert bench.app.stats.foreign == 5
-    assert bench.texts() == [
-        "slave 8 (recorder): Set_Prm of master 9 refused: it is locked by master 2",
-        "slave 8 (recorder): Chk_Cfg of master 9 refused: it is locked by master 2",
-    ]
-
-
-def test_unlock_gives_it_to_others() -> None:
-    bench = Bench().up()
-    bench.dx()
-    assert bench.prm(UNLOCK) == SC_REPLY
-    assert (bench.app.state, bench.app.master) == (WAIT_PRM, None)
-    assert bench.recorder.take()[-1] == "leave unlock"
-    bench.prm(sa=OTHER)
-    bench.cfg(sa=OTHER)
-    assert bench.dx(sa=OTHER).data == b"\x02"
-    assert bench.app.master == OTHER
-
-
-def test_chk_cfg_before_set_prm_changes_nothing() -> None:
-    bench = Bench()
-    assert bench.cfg() == SC_REPLY
-    assert bench.app.state is WAIT_PRM
-    assert "nobody has parameterised the slave" in bench.texts()[0]
-
-
-def test_min_tsdr_goes_to_the_station() -> None:
-    """p734: also when Lock_Req = Unlock_Req = 0, with any ident number; not with a refused Set_Prm."""
-    bench = Bench()
-    station = Station()
-    bench.app.attached(station)
-    assert bench.app.address == 17
-    bench.prm(KEEP)
-    assert bench.app.state is WAIT_PRM
-    bench.prm(PRM[:3] + b"\x99" + b"\x00\x00\x00")
-    bench.up()
-    bench.dx()
-    bench.prm(KEEP)
-    assert bench.app.state is DATA_EXCH
-    bench.prm(KEEP, sa=OTHER)
-    bench.prm(UNLOCK)
-    assert station.min_tsdr == [0x37, 0x0B, 0x37]
-    assert bench.recorder.calls[-1] == "leave unlock"
-
-
-def test_addresses_in_texts() -> None:
-    app = SlaveApp(Recorder())
-    app.serve(srd(61, PRM), 0)
-    assert app.take_events()[0].text.startswith("recorder: wait_cfg")
-    assert app.take_events() == []
-    assert repr(app) == "<SlaveApp recorder at None: wait_cfg>"
 
 
 # --- diagnosis ----------------------------------------------------------------------------------------------------

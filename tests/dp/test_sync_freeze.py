@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 from bus_kit import IDENT
-from scripted_link import MS, ScriptedLink, ScriptedSlave, data
+from scripted_link import MS, ScriptedLink, data, operating
+from scripted_link import setup as slave
 from support import US, WorldFactory
 
 from dpstack.dp.commands import Mode, RemoveSlave, SendControl, SetMode, Shutdown
@@ -31,21 +32,7 @@ PARAMS = BusParams.preset(500_000, address=2)
 
 
 def setup(address: int, **changes: Any) -> SlaveSetup:
-    values: dict[str, Any] = {
-        "address": address, "name": f"s{address}", "ident": 0x0696, "config": b"\x71", "groups": (1,),
-        "sync": True, "freeze": True,
-    }  # fmt: skip
-    return SlaveSetup(**(values | changes))
-
-
-def operating(*setups: SlaveSetup) -> ScriptedLink:
-    bus = ScriptedLink(Master(PARAMS, setups), {s.address: ScriptedSlave() for s in setups})
-    bus.run(20 * MS)
-    bus.master.command(SetMode(Mode.OPERATE), bus.now)
-    bus.run(5 * MS)
-    bus.requests.clear()
-    bus.events.clear()
-    return bus
+    return slave(address, **({"groups": (1,), "sync": True, "freeze": True} | changes))
 
 
 def controls(bus: ScriptedLink) -> list[tuple[int, str]]:

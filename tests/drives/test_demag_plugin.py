@@ -1,22 +1,13 @@
-"""Demag, the master's end alone: fed with literal octets of the manual (D3, D4, D6, D7, D11, D13)."""
+"""Demag, the master's end alone: fed with literal octets of the manual (D2, D7 to D9, D11, D13, D15, D18, D21)."""
 
 from __future__ import annotations
 
 import pytest
+from demag_kit import ZERO, ppo1, ppo3
 from drive_bench import MS, PluginBench, S, as_mapping
 
 from dpstack.profile import State
 from dpstack_drives.demag import DRIVE
-
-NO_PKW = "00 00 00 00 00 00 00 00 "
-
-
-def ppo3(inputs: str = "02 40 00 00", **options: object) -> PluginBench:
-    return PluginBench(DRIVE.core("hoist", "PPO3", options), inputs)
-
-
-def ppo1(inputs: str = NO_PKW + "02 40 00 00", **options: object) -> PluginBench:
-    return PluginBench(DRIVE.core("hoist", "PPO1", options), inputs)
 
 
 def running() -> PluginBench:
@@ -206,13 +197,13 @@ def test_d18_ppo3_start_without_remote_says_412() -> None:
 
 
 def test_d18_ppo1_start_reads_412_and_tells() -> None:
-    bench = ppo1(NO_PKW + "00 23 00 00")
+    bench = ppo1(ZERO + "00 23 00 00")
     token = bench.order("start")
     bench.run(60)
     assert bench.out() == "10 F9 00 00 00 00 00 00 00 00 00 00"  # 249, the active data set
     bench.see("10 F9 00 00 00 00 00 02 00 23 00 00")
     assert bench.out() == "00 00 00 00 00 00 00 00 00 00 00 00"
-    bench.see(NO_PKW + "00 23 00 00")
+    bench.see(ZERO + "00 23 00 00")
     assert bench.out() == "61 9C 02 00 00 00 00 00 00 00 00 00"  # 412 in data set 2
     bench.see("41 9C 02 00 00 00 00 2C 00 23 00 00", 2)
     result = as_mapping(bench.result(token))
@@ -221,159 +212,29 @@ def test_d18_ppo1_start_reads_412_and_tells() -> None:
 
 
 def test_set_412_writes_ram_and_goes_on() -> None:
-    bench = ppo1(NO_PKW + "00 23 00 00", set_412=True)
+    bench = ppo1(ZERO + "00 23 00 00", set_412=True)
     token = bench.order("start")
     bench.run(60)
     bench.see("10 F9 00 00 00 00 00 01 00 23 00 00", 2)
-    bench.see(NO_PKW + "00 23 00 00", 2)
+    bench.see(ZERO + "00 23 00 00", 2)
     bench.see("41 9C 01 00 00 00 00 2C 00 23 00 00", 2)
-    assert bench.see(NO_PKW + "00 23 00 00", 2) == "71 9C 06 00 00 00 00 01 00 00 00 00"  # data set 1 + 5
+    assert bench.see(ZERO + "00 23 00 00", 2) == "71 9C 06 00 00 00 00 01 00 00 00 00"  # data set 1 + 5
     bench.see("41 9C 06 00 00 00 00 01 00 23 00 00", 2)
-    assert bench.see(NO_PKW + "02 40 00 00", 2).endswith("00 06 00 00")
+    assert bench.see(ZERO + "02 40 00 00", 2).endswith("00 06 00 00")
     for word in ("02 21", "02 23", "02 27"):
-        bench.see(NO_PKW + word + " 00 00", 60)
+        bench.see(ZERO + word + " 00 00", 60)
     assert as_mapping(bench.result(token))["value"] == "running"
     assert any("412 was 44" in text for text in bench.notices())
 
 
 def test_412_is_1_but_no_release() -> None:
-    bench = ppo1(NO_PKW + "00 40 00 00")
+    bench = ppo1(ZERO + "00 40 00 00")
     token = bench.order("start")
     bench.run(60)
     bench.see("10 F9 00 00 00 00 00 01 00 40 00 00", 2)
-    bench.see(NO_PKW + "00 40 00 00", 2)
+    bench.see(ZERO + "00 40 00 00", 2)
     bench.see("41 9C 01 00 00 00 00 01 00 40 00 00", 2)
     assert "no hardware release" in str(as_mapping(bench.result(token))["text"])
-
-
-def test_d6_read_400() -> None:
-    bench = ppo1()
-    token = bench.order("read", number=400)
-    bench.run()
-    assert bench.out() == "11 90 00 00 00 00 00 00 00 00 00 00"
-    bench.see("11 90 00 00 00 00 00 02 02 40 00 00")
-    result = as_mapping(bench.result(token))
-    assert (result["value"], result["unit"], result["name"]) == (2, "kHz", "switching_frequency")
-    assert bench.out() == NO_PKW + "00 00 00 00"
-
-
-def test_d6_write_480_in_data_set_3() -> None:
-    bench = ppo1()
-    token = bench.order("write", number=480, value=-300.0, data_set=3)
-    bench.run()
-    assert bench.out() == "81 E0 03 00 FF FF 8A D0 00 00 00 00"
-    bench.see("51 E0 03 00 FF FF 8A D0 02 40 00 00")
-    result = as_mapping(bench.result(token))
-    assert (result["value"], result["raw"], result["data_set"]) == (-300.0, -30000, 3)
-
-
-def test_d16_value_of_the_example() -> None:
-    bench = ppo1()
-    token = bench.order("read", number="fixed_frequency_1", data_set=3)
-    bench.run()
-    assert bench.out() == "61 E0 03 00 00 00 00 00 00 00 00 00"
-    bench.see("51 E0 03 00 FF FF EA 84 02 40 00 00")
-    assert as_mapping(bench.result(token))["value"] == -55.0
-
-
-def test_d3_negative_replies() -> None:
-    bench = ppo1()
-    token = bench.order("read", number=412)
-    bench.run(2)
-    bench.see("71 9C 00 00 00 00 00 6B 02 40 00 00")
-    result = as_mapping(bench.result(token))
-    assert (result["error"], result["number"]) == ("parameter", 107)
-    assert "different values" in str(result["text"])
-    bench.see(NO_PKW + "02 40 00 00")
-    token = bench.order("write", number=414, value=2)
-    bench.run(2)
-    bench.see("81 9E 00 00 00 00 00 00 02 40 00 00")
-    result = as_mapping(bench.result(token))
-    assert (result["error"], result["number"]) == ("parameter", None)
-    assert "no control" in str(result["text"])
-
-
-def test_a_reply_that_does_not_fit_the_order() -> None:
-    bench = ppo1()
-    token = bench.order("write", number=414, value=2)
-    bench.run(2)
-    bench.see("21 9E 00 00 00 00 00 02 02 40 00 00")
-    assert "reply 2 does not answer order 2" in str(as_mapping(bench.result(token))["text"])
-
-
-def test_d4_d17_a_second_request_waits_and_a_silent_drive_times_out() -> None:
-    bench = ppo1()
-    first = bench.order("read", number=400, timeout_s=0.1)
-    second = bench.order("read", number=414)
-    bench.run(60)
-    result = as_mapping(bench.result(first))
-    assert (result["error"], "did not answer" in str(result["text"])) == ("timeout", True)
-    assert bench.out().startswith(NO_PKW)  # the drive may take the first one up yet: three scans and more
-    bench.run(58)
-    assert bench.out().startswith("11 9E 00 00")
-    bench.see("11 9E 00 00 00 00 00 03 02 40 00 00")
-    assert as_mapping(bench.result(second))["value"] == 3
-
-
-def test_an_answer_for_another_number_is_named() -> None:
-    bench = ppo1("11 91 00 00 00 00 00 01 02 40 00 00")
-    token = bench.order("read", number=400, timeout_s=0.05)
-    bench.run(60)
-    assert "answered for parameter 401" in str(as_mapping(bench.result(token))["text"])
-
-
-def test_d20_an_unknown_parameter_is_read_raw_and_its_type_found_before_a_write() -> None:
-    bench = ppo1()
-    token = bench.order("write", number=700, value=-2)
-    bench.run()
-    assert bench.out().startswith("12 BC 00 00 00 00 00 00")
-    bench.see("22 BC 00 00 00 00 00 05 02 40 00 00", 2)
-    assert bench.see(NO_PKW + "02 40 00 00", 2).startswith("32 BC 00 00 FF FF FF FE")
-    bench.see("22 BC 00 00 FF FF FF FE 02 40 00 00")
-    assert as_mapping(bench.result(token))["raw"] == 0xFFFFFFFE
-
-
-@pytest.mark.parametrize(
-    ("op", "args", "text"),
-    [
-        ("write", {"number": 480, "value": 1000.0}, "-999..999 Hz"),
-        ("write", {"number": 249, "value": 1}, "read only"),
-        ("read", {"number": 281}, "text"),
-        ("read", {"number": 1000}, "1..999"),
-        ("read", {"number": "fixed_frequency"}, "did you mean fixed_frequency_1"),
-        ("read", {"number": 400, "data_set": 2}, "exists once"),
-        ("read", {"number": 480, "data_set": 5}, "1..4"),
-        ("read", {"number": 1.5}, "number or name"),
-        ("read", {"number": 400, "data_set": -1}, "whole number"),
-        ("read", {"number": 400, "set": 1}, "unknown argument 'set'"),
-        ("write", {"number": 400, "value": "2"}, "value must be a number"),
-        ("write", {"number": 400, "value": 2, "ram": 1}, "true or false"),
-        ("speed", {}, "value must be a number"),
-        ("start", {"timeout_s": -1}, "negative"),
-        ("fly", {}, "no order 'fly'"),
-    ],
-)
-def test_misuse_is_refused_before_anything_is_sent(op: str, args: dict[str, object], text: str) -> None:
-    bench = ppo1()
-    result = as_mapping(bench.result(bench.order(op, **args)))
-    assert result["error"] == "usage"
-    assert text in str(result["text"])
-    assert bench.out() == NO_PKW + "00 00 00 00"
-
-
-def test_ppo3_has_no_parameters() -> None:
-    bench = ppo3()
-    assert "no parameter channel" in str(as_mapping(bench.result(bench.order("read", number=400)))["text"])
-
-
-def test_d5_eeprom_writes_in_a_loop_are_told() -> None:
-    bench = ppo1()
-    for _ in range(10):
-        bench.order("write", number=414, value=1)
-        bench.run(2)
-        bench.see("11 9E 00 00 00 00 00 01 02 40 00 00", 2)
-        bench.see(NO_PKW + "02 40 00 00", 2)
-    assert sum("10 times" in text for text in bench.notices()) == 1
 
 
 def test_lost_ends_what_is_pending_and_forgets_the_goal() -> None:
@@ -396,7 +257,7 @@ def test_lost_ends_what_is_pending_and_forgets_the_goal() -> None:
     reading.core.lost(reading.now)
     reading.events += reading.core.take_events()
     assert as_mapping(reading.result(token))["error"] == "lost"
-    assert reading.out() == NO_PKW + "00 00 00 00"
+    assert reading.out() == ZERO + "00 00 00 00"
 
 
 def test_an_order_before_data_exchange_waits_for_it() -> None:

@@ -6,13 +6,12 @@ from itertools import pairwise
 from typing import Any
 
 import pytest
+from demag_kit import ZERO, pkw
 from drive_bench import MS, DeviceBench, S
 
 from dpstack.profile import Leave
 from dpstack_drives.demag import DRIVE
 from dpstack_drives.demag.simulator import DemagDevice
-
-ZERO = "00 00 00 00 00 00 00 00 "
 
 
 def drive(**presets: Any) -> DemagDevice:
@@ -27,12 +26,6 @@ def ppo3(**presets: Any) -> DeviceBench:
 
 def ppo1(**presets: Any) -> DeviceBench:
     return DeviceBench(drive(**presets), "F3 71")
-
-
-def pkw(bench: DeviceBench, order: str) -> str:
-    """One order with the handshake of D4 in PPO1; the reply's eight octets."""
-    assert bench.send(ZERO + "00 00 00 00")[:23] == ZERO.strip()
-    return bench.send(order + " 00 00 00 00")[:23]
 
 
 def running(bench: DeviceBench, reference: str = "20 00") -> None:

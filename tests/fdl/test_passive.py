@@ -1,168 +1,48 @@
-"""The passive station, spoken to in literal octets and in whole telegrams: both must come to the same."""
+"""The passive station, spoken to in literal octets and in whole telegrams: what it answers, what its user is asked."""
 
 from __future__ import annotations
-
-from collections.abc import Iterable
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from passive_kit import (
+    BAUD,
+    BIT,
+    DIAG_FIRST,
+    DX_5D,
+    DX_7D,
+    DX_ANSWER,
+    DX_FIRST,
+    DX_TO_5,
+    GC_ALL,
+    HOWS,
+    SC,
+    STATUS,
+    TOKEN,
+    build,
+    times,
+)
 
-from dpstack.errors import ConfigError, UsageError
+from dpstack.errors import ConfigError
 from dpstack.fdl.codec import decode
-from dpstack.fdl.commands import AtStation
 from dpstack.fdl.passive import PassiveStation
-from dpstack.fdl.station import BusStation
-from dpstack.fdl.telegram import Req, Resp, Telegram
-from dpstack.fdl.user import RS_REPLY, SC_REPLY, Reply, StationControl
-from dpstack.machine import LineDown, LineUp, pump
+from dpstack.fdl.telegram import Req, Resp
+from dpstack.fdl.user import RS_REPLY, SC_REPLY, Reply
 from dpstack.params import BusParams
-from dpstack.phy.patience import EXACT, Patience
-from dpstack.trace import Event, Notice
-from dpstack.units import BAUD_RATES, NEVER
+from dpstack.trace import Notice
+from dpstack.units import NEVER
 
-BAUD = 500_000
-BIT = 2_000  # ns at 500 kbit/s
-
-# master 2 to station 3, by hand: DX with one octet, FC 6D first request, then 5D / 7D
-DX_FIRST = "68 04 04 68 03 02 6D 11 83 16"
-DX_5D = "68 04 04 68 03 02 5D 11 73 16"
-DX_7D = "68 04 04 68 03 02 7D 11 93 16"
 DX_7D_FROM_4 = "68 04 04 68 03 04 7D 11 95 16"
 DX_4D = "68 04 04 68 03 02 4D 11 63 16"  # no frame count at all
-DX_TO_5 = "68 04 04 68 05 02 5D 11 75 16"
-DX_ANSWER = "68 04 04 68 02 03 08 99 A6 16"
 DX_SD3_5D = "A2 03 02 5D 01 02 03 04 05 06 07 08 86 16"
-DIAG_FIRST = "68 05 05 68 83 82 6D 3C 3E EC 16"
 DIAG_ANSWER = "68 06 06 68 82 83 08 3E 3C 77 FE 16"
 PRM_5D = "68 06 06 68 83 82 5D 3D 3E 88 65 16"
-GC_ALL = "68 07 07 68 FF 82 46 3A 3E 02 00 41 16"
 GC_TO_3 = "68 07 07 68 83 82 46 3A 3E 02 00 C5 16"
-STATUS = "10 03 02 49 4E 16"
 STATUS_ANSWER = "10 02 03 00 05 16"
 IDENT = "10 03 02 4E 53 16"
 LSAP = "10 03 02 4F 54 16"
 MSRD_57 = "10 03 02 57 5C 16"
 RS_ANSWER = "10 02 03 03 08 16"
-TOKEN = "DC 04 02"
-SC = "E5"
-
-
-class Application:
-    """Answers from a table and writes down what it was asked."""
-
-    def __init__(self, replies: Iterable[Reply | None] = ()) -> None:
-        self.replies = list(replies)
-        self.served: list[Telegram] = []
-        self.indicated: list[Telegram] = []
-        self.ticks: list[int] = []
-        self.due = NEVER
-        self.station: StationControl | None = None
-        self.events: list[Event] = []
-        self.move_to: int | None = None
-
-    def attached(self, station: StationControl) -> None:
-        self.station = station
-
-    def serve(self, request: Telegram, now: int) -> Reply | None:
-        self.served.append(request)
-        if self.move_to is not None and self.station is not None:
-            self.station.address = self.move_to
-        return self.replies.pop(0) if self.replies else Reply(Resp.DL, b"\x99")
-
-    def indicate(self, telegram: Telegram, now: int) -> None:
-        self.indicated.append(telegram)
-
-    def wake_at(self) -> int:
-        return self.due
-
-    def tick(self, now: int) -> None:
-        self.ticks.append(now)
-        self.due = NEVER
-
-    def take_events(self) -> list[Event]:
-        events, self.events = self.events, []
-        return events
-
-
-class Bench:
-    """Delivers requests at chosen times and pumps between them; ``sent`` are (start in ns, hex)."""
-
-    def __init__(self, station: PassiveStation, how: str) -> None:
-        self.station = station
-        self.how = how
-        self.now = 0
-        self.sent: list[tuple[int, str]] = []
-        self.octet_ns = station.line.t_stall_ns // 3
-
-    def _transmit(self, octets: bytes, now: int) -> int:
-        self.sent.append((now, octets.hex(" ").upper()))
-        return now + len(octets) * self.octet_ns
-
-    def _pump(self, chunk: bytes, now: int) -> None:
-        deadline = pump(self.station, chunk, now, self._transmit)
-        while deadline <= now:
-            deadline = pump(self.station, b"", now, self._transmit)
-
-    def run_until(self, at: int) -> None:
-        while (deadline := self.station.wake_at()) <= at:
-            self.now = max(self.now, deadline)
-            self._pump(b"", self.now)
-        self.now = at
-
-    def say(self, octets: str, at: int) -> None:
-        """``octets`` whose last bit is on the line at ``at``."""
-        raw = bytes.fromhex(octets)
-        if self.how == "telegram":
-            telegram = decode(raw)
-            assert telegram is not None
-            self.run_until(at)
-            self.station.telegram(telegram, at)
-            self._pump(b"", at)
-        elif self.how == "octets":
-            self.run_until(at)
-            self._pump(raw, at)
-        else:
-            for left in range(len(raw) - 1, -1, -1):
-                when = at - left * self.octet_ns
-                self.run_until(when)
-                self._pump(raw[len(raw) - 1 - left :][:1], when)
-
-    def answers(self, octets: str, at: int, until: int | None = None) -> list[str]:
-        """What comes after ``octets`` until the line has been quiet for a long time."""
-        before = len(self.sent)
-        self.say(octets, at)
-        self.run_until(at + 10_000 * BIT if until is None else until)
-        return [text for _, text in self.sent[before:]]
-
-
-HOWS = ["octets", "bytewise", "telegram"]
-
-
-@pytest.fixture(params=HOWS)
-def how(request: pytest.FixtureRequest) -> str:
-    return str(request.param)
-
-
-def build(
-    how: str,
-    replies: Iterable[Reply | None] = (),
-    *,
-    t_sdr: int | None = None,
-    baud: int = BAUD,
-    patience: Patience = EXACT,
-) -> tuple[Bench, Application]:
-    application = Application(replies)
-    station = PassiveStation(3, application, BusParams.preset(baud), t_sdr=t_sdr, patience=patience)
-    bus_station: BusStation = station  # the contract holds
-    assert bus_station.address == 3
-    return Bench(station, how), application
-
-
-def times(start: int = 100_000) -> Iterable[int]:
-    while True:
-        start += 20_000 * BIT
-        yield start
 
 
 # --- what is answered how ---------------------------------------------------------------------------------------------
@@ -351,190 +231,6 @@ def test_any_conversation_goes_by_the_standard(talk: list[tuple[int, int, int, i
             body = bytes((sa, 3, 8, expected))
             assert bytes.fromhex(answers[0]) == b"\x68\x04\x04\x68" + body + bytes((sum(body), 0x16))
         assert len(application.served) == model.count
-
-
-# --- time -------------------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("baud", BAUD_RATES)
-@pytest.mark.parametrize("t_sdr", [None, 11, 12, 37, 60])
-@pytest.mark.parametrize("octets", [DX_FIRST, STATUS, DIAG_FIRST])
-def test_the_gate_opens_to_the_nanosecond(how: str, baud: int, t_sdr: int | None, octets: str) -> None:
-    bench, _ = build(how, t_sdr=t_sdr, baud=baud)
-    end = 10**9
-    bench.say(octets, end)
-    exact = end + round((t_sdr or 11) * 10**9 / baud)
-    assert bench.station.wake_at() == exact
-    assert bench.station.answer_at() == exact
-    assert bench.station.take_tx(exact - 1) is None
-    bench.run_until(end + 10**8)
-    assert [at for at, _ in bench.sent] == [exact]
-
-
-def test_a_wake_too_early_does_nothing(how: str) -> None:
-    bench, _ = build(how)
-    bench.say(DX_FIRST, 10**6)
-    for early in (0, 1, 11 * BIT - 1):
-        bench.station.wake(10**6 + early)
-        assert bench.station.take_tx(10**6 + early) is None
-    assert bench.station.take_tx(10**6 + 11 * BIT) is not None
-    assert bench.station.take_tx(10**6 + 11 * BIT) is None
-    assert bench.station.wake_at() == NEVER
-
-
-def test_set_prm_moves_the_gate(how: str) -> None:
-    bench, application = build(how, t_sdr=20)
-    control = application.station
-    assert control is bench.station
-    expected = {0: 20, 11: 20, 20: 20, 21: 21, 255: 255, 1: 20}
-    for (bits, gate), at in zip(expected.items(), times(), strict=False):
-        control.set_min_tsdr(bits)
-        bench.say(DX_FIRST, at)
-        assert bench.station.answer_at() == at + gate * BIT
-        if bits == 21:
-            control.set_min_tsdr(0)  # keeps
-            assert bench.station.answer_at() == at + 21 * BIT
-        bench.run_until(at + 1_000 * BIT)
-
-
-def test_a_response_time_under_11_bits_is_misuse() -> None:
-    with pytest.raises(ConfigError, match="t_sdr = 10"):
-        build("octets", t_sdr=10)
-
-
-# --- answers that are not sent ----------------------------------------------------------------------------------------
-@pytest.mark.parametrize("second", [TOKEN, DX_TO_5, SC, "10 02 05 00 07 16", GC_ALL])
-def test_whoever_sends_has_given_up_waiting(how: str, second: str) -> None:
-    bench, application = build(how, t_sdr=500)
-    bench.say(DX_FIRST, 10**6)
-    assert bench.answers(second, 10**6 + 400 * BIT) == []
-    assert len(application.served) == 1
-    assert bench.station.stats.dropped == 1
-
-
-def test_a_repetition_before_the_answer_is_answered_once(how: str) -> None:
-    bench, application = build(how, t_sdr=500)
-    bench.say(DX_7D, 10**6)
-    bench.say(DX_7D, 10**6 + 400 * BIT)
-    bench.run_until(10**8)
-    assert bench.sent == [(10**6 + 900 * BIT, DX_ANSWER)]
-    assert len(application.served) == 1
-    assert bench.station.stats.repeats == 1
-
-
-def test_a_chunk_with_several_telegrams_is_answered_once() -> None:
-    bench, application = build("octets", [Reply(Resp.DL, b"\x98"), Reply(Resp.DL, b"\x99")])
-    assert bench.answers(f"{DX_5D} {DX_7D}", 10**6) == [DX_ANSWER]
-    assert len(application.served) == 2
-    assert bench.answers(f"{DX_5D} {TOKEN}", 10**8) == []
-
-
-def test_a_start_edge_before_the_answer_drops_it(how: str) -> None:
-    bench, _ = build(how, t_sdr=500)
-    bench.say(DX_7D, 10**6)
-    bench.station.activity(10**6 + 400 * BIT)
-    bench.run_until(10**8)
-    assert bench.sent == []
-    # the kept answer is there when it is asked for again
-    assert bench.answers(DX_7D, 2 * 10**8) == [DX_ANSWER]
-
-
-def test_a_start_edge_before_a_request_means_nothing(how: str) -> None:
-    bench, _ = build(how)
-    bench.station.activity(10**6 - 110 * BIT)
-    assert bench.answers(DX_7D, 10**6) == [DX_ANSWER]
-
-
-def test_the_line_going_down_forgets_the_answer_and_the_frame_count(how: str) -> None:
-    bench, application = build(how)
-    for command, at in ((LineDown("gone"), 10**6), (LineUp(), 10**8)):
-        bench.say(DX_7D, at)
-        bench.station.command(command, at + 1)
-        bench.run_until(at + 10**7)
-    assert bench.sent == []
-    assert bench.answers(DX_7D, 2 * 10**8) == [DX_ANSWER]
-    assert len(application.served) == 3
-    with pytest.raises(UsageError, match="knows no str"):
-        bench.station.command("jump", 0)
-
-
-def test_what_is_done_at_the_station_keeps_answer_and_frame_count(how: str) -> None:
-    bench, application = build(how)
-    times: list[int] = []
-    bench.say(DX_7D, 10**6)
-    bench.station.command(AtStation(times.append), 10**6 + 1)
-    bench.run_until(10**7)
-    assert [octets for _, octets in bench.sent] == [DX_ANSWER]
-    assert bench.answers(DX_7D, 2 * 10**7) == [DX_ANSWER]  # repeated, not done again
-    assert len(application.served) == 1
-    assert times == [10**6 + 1]
-
-
-# --- noise ------------------------------------------------------------------------------------------------------------
-def test_noise_behind_the_request_moves_the_gate() -> None:
-    bench, _ = build("octets")
-    bench.say(DX_7D, 10**6)
-    bench.say("00", 10**6 + 5 * BIT)
-    bench.run_until(10**8)
-    assert bench.sent == [(10**6 + 16 * BIT, DX_ANSWER)]
-
-
-def test_the_start_of_something_holds_the_answer_until_it_stalls() -> None:
-    bench, _ = build("octets")
-    bench.say(DX_7D, 10**6)
-    bench.say("68", 10**6 + 5 * BIT)
-    bench.run_until(10**8)
-    assert bench.sent == [(10**6 + (5 + 33) * BIT, DX_ANSWER)]
-    assert bench.station.decoder.stats.stalled == 1
-
-
-def test_an_answer_held_longer_than_the_slot_time_is_not_sent() -> None:
-    bench, _ = build("octets", patience=Patience(stall_ns=50_000_000))
-    bench.say(DX_7D, 10**6)
-    bench.say("68", 10**6 + 5 * BIT)
-    bench.run_until(10**9)
-    assert bench.sent == []
-    assert bench.station.stats.dropped == 1
-
-
-def test_a_request_found_when_what_stood_before_it_stalls() -> None:
-    bench, _ = build("octets")
-    bench.say("68 C8 C8 68 " + DX_7D, 10**6)
-    bench.run_until(10**8)
-    assert bench.sent == [(10**6 + 33 * BIT, DX_ANSWER)]  # T_SDR is over when it is found
-
-
-def test_a_whole_telegram_ends_what_came_in_octets_before() -> None:
-    bench, application = build("telegram")
-    bench.station.receive(bytes.fromhex("68 C8 C8"), 10**6)
-    assert bench.answers(DX_7D, 10**6 + 10 * BIT) == [DX_ANSWER]
-    assert bench.station.decoder.stats.stalled == 1
-    bench.station.receive(bytes.fromhex("68 C8 C8 68 " + DX_5D), 10**9)
-    assert bench.answers(DX_7D, 10**9 + 10 * BIT) == [DX_ANSWER]
-    assert len(application.served) == 3
-
-
-def test_receiving_while_sending_implies_sent(how: str) -> None:
-    bench, _ = build(how)
-    bench.say(DX_5D, 10**6)
-    bench.run_until(10**6 + 11 * BIT)
-    assert len(bench.sent) == 1
-    bench.station.sent(10**12)  # a port that guesses badly
-    at = 10**6 + 1_000 * BIT
-    assert bench.answers(DX_7D, at) == [DX_ANSWER]
-    assert bench.sent[-1][0] == at + 11 * BIT
-
-
-def test_damaged_requests_are_not_answered(how: str) -> None:
-    if how == "telegram":
-        return  # a medium never hands those over whole
-    raw = bytes.fromhex(DX_7D)
-    for bit in range(len(raw) * 8):
-        damaged = bytearray(raw)
-        damaged[bit // 8] ^= 1 << bit % 8
-        bench, application = build(how)
-        assert bench.answers(damaged.hex(), 10**6) == []
-        assert application.served == []
-        assert bench.station.decoder.stats.bad > 0
-        assert bench.answers(DX_7D, 10**8) == [DX_ANSWER]
 
 
 # --- the rest ---------------------------------------------------------------------------------------------------------

@@ -1,121 +1,100 @@
-"""Fuji: telegrams (F1), words (F2, F4, F12), PCD (F5), PNUs (F7), address (F11), errors (F13, F14), supply (F15).
-
-Each end against literal octets.
-"""
+"""Fuji's parameters and words of PCD, each end against literal octets (F5 to F8, F11, F13, F14)."""
 
 from __future__ import annotations
 
-from typing import Any
-
 import pytest
-from drive_bench import DeviceBench, PluginBench, S, as_mapping
+from drive_bench import as_mapping
+from fuji_kit import IDLE, WIDE, ZERO, again, pkw, plugin, sim
 
 from dpstack.errors import ConfigError
-from dpstack.profile import State
 from dpstack_drives.fuji import DRIVE
-from dpstack_drives.fuji.simulator import FujiDevice
 
-ZERO = "00 00 00 00 00 00 00 00 "
-IDLE = ZERO + "02 40 00 00"
-#: PPO2: PCV, two words, PCD1 to PCD4
-WIDE = " 00 00 00 00 00 00 00 00"
-
-
-def device(telegram: str = "PPO1", **presets: Any) -> FujiDevice:
-    found = DRIVE.device(telegram, presets)
-    assert isinstance(found, FujiDevice)
-    return found
-
-
-def sim(telegram: str = "PPO1", **presets: Any) -> DeviceBench:
-    found = device(telegram, **presets)
-    return DeviceBench(found, found.own.config.hex())
+REPLIES = [
+    ("21 04 1A 00 00 00 00 0F", "11 04 1A 00 00 00 00 0F"),
+    ("21 04 1A 00 00 00 00 10", "71 04 1A 00 00 00 00 02"),
+    ("11 0F 62 00 00 00 00 00", "11 0F 62 00 00 00 00 03"),
+    ("11 0F 64 00 00 00 00 00", "71 0F 64 00 00 00 00 00"),
+    ("61 0F 62 00 00 00 00 00", "71 0F 62 00 00 00 00 04"),
+    ("13 B3 01 00 00 00 00 00", "73 B3 01 00 00 00 00 03"),
+    ("93 B3 00 00 00 00 00 00", "63 B3 00 00 00 00 00 20"),
+    ("13 C5 00 00 00 00 00 00", "13 C5 00 00 00 00 00 02"),
+    ("23 C5 00 00 00 00 00 01", "73 C5 00 00 00 00 00 01"),
+    ("13 C8 00 00 00 00 00 00", "13 C8 00 00 00 00 02 40"),
+]
 
 
-def again(bench: DeviceBench, seconds: float = 0.1, **presets: Any) -> DeviceBench:
-    """Power off and on."""
-    after = device("PPO2", **presets)
-    after.inherit(bench.device)
-    other = DeviceBench.__new__(DeviceBench)
-    other.device, other.rotation = after, bench.rotation
-    other.now = bench.now + round(seconds * S)
-    after.enter(after.own.config, other.now)
-    return other
+@pytest.mark.parametrize(("order", "reply"), REPLIES)
+def test_f6_orders_and_replies(order: str, reply: str) -> None:
+    assert pkw(sim("PPO1"), order) == reply
 
 
-def pkw(bench: DeviceBench, order: str) -> str:
-    rest = "00 00 00 00" + (WIDE if bench.device.telegram.name == "PPO2" else "")
-    bench.send(ZERO + rest, 10)
-    return bench.send(f"{order} {rest}", 10)[:23]
+def test_f6_f7_f9_malfunction_history() -> None:
+    bench = sim("PPO1")
+    bench.device.trip("OC1")
+    bench.send(ZERO + "04 00 00 00")
+    bench.send(ZERO + "04 80 00 00")
+    bench.device.trip("Er5")
+    assert pkw(bench, "63 B3 01 00 00 00 00 00") == "43 B3 01 00 00 00 75 11"
+    assert pkw(bench, "63 B3 09 00 00 00 00 00") == "43 B3 09 00 00 00 23 01"
+    assert pkw(bench, "63 B3 02 00 00 00 00 00") == "43 B3 02 00 00 00 00 00"
+    assert pkw(bench, "63 B3 11 00 00 00 00 00") == "43 B3 11 00 00 00 00 00"
 
 
-def plugin(telegram: str = "PPO1", inputs: str = IDLE, **options: object) -> PluginBench:
-    return PluginBench(DRIVE.core("fan", telegram, options), inputs)
+def test_f7_927_forbids_every_other_write() -> None:
+    bench = sim("PPO1")
+    assert pkw(bench, "23 9F 00 00 00 00 00 00") == "13 9F 00 00 00 00 00 00"
+    assert pkw(bench, "21 04 1A 00 00 00 00 0F") == "71 04 1A 00 00 00 00 01"
+    assert pkw(bench, "23 9F 00 00 00 00 00 01") == "13 9F 00 00 00 00 00 01"
+    assert pkw(bench, "21 04 1A 00 00 00 00 0F") == "11 04 1A 00 00 00 00 0F"
 
 
-# -- F1, F2, F4, F12 ---------------------------------------------------------------------------------------------------
+def test_f6_the_plugin_to_the_byte() -> None:
+    bench = plugin("PPO1", IDLE)
+    token = bench.order("write", number="F26", value=15)
+    bench.run()
+    assert bench.out() == "21 04 1A 00 00 00 00 0F 04 7E 00 00"
+    bench.see("11 04 1A 00 00 00 00 0F 02 31 00 00")
+    assert as_mapping(bench.result(token))["value"] == 15
+    token = bench.order("read", number="y98")
+    assert bench.see(ZERO + "02 31 00 00", 2).startswith("11 0F 62 00 00 00 00 00")
+    bench.see("11 0F 62 00 00 00 00 03 02 31 00 00", 2)
+    assert as_mapping(bench.result(token))["value"] == 3
+    token = bench.order("read", number="y100")
+    assert bench.see(ZERO + "02 31 00 00", 2).startswith("11 0F 64 00 00 00 00 00")
+    bench.see("71 0F 64 00 00 00 00 00 02 31 00 00", 2)
+    result = as_mapping(bench.result(token))
+    assert (result["error"], result["number"]) == ("parameter", 0)
+    assert "nonexistent" in str(result["text"])
+    token = bench.order("read", number=947, index=1)
+    assert bench.see(ZERO + "02 31 00 00", 2).startswith("63 B3 01 00 00 00 00 00")
+    bench.see("43 B3 01 00 00 00 75 11 02 31 00 00", 2)
+    assert as_mapping(bench.result(token))["value"] == 0x7511
 
 
 @pytest.mark.parametrize(
-    ("telegram", "inputs", "safe"),
+    ("args", "text"),
     [
-        ("PPO1", IDLE, ZERO + "04 7E 00 00"),
-        ("PPO2", IDLE + WIDE, ZERO + "04 7E 00 00" + WIDE),
-        ("PPO3", "02 40 00 00", "04 7E 00 00"),
-        ("PPO4", "02 40 00 00" + WIDE, "04 7E 00 00" + WIDE),
+        ({"number": "F26", "index": 2}, "no index"),
+        ({"number": "Q26"}, "neither a function code"),
+        ({"number": 2048}, "2047"),
+        ({"number": 947, "index": 256}, "0..255"),
     ],
 )
-def test_f1_telegrams_of_the_plugin(telegram: str, inputs: str, safe: str) -> None:
-    bench = plugin(telegram, inputs)
-    assert bench.out() == safe
-    assert bench.core.status().state is State.SWITCH_ON_INHIBITED
-    assert len(sim(telegram).send(safe)) == len(inputs)
+def test_misuse_of_parameters(args: dict[str, object], text: str) -> None:
+    bench = plugin("PPO1", IDLE)
+    result = as_mapping(bench.result(bench.order("read", **args)))
+    assert result["error"] == "usage"
+    assert text in str(result["text"])
 
 
-@pytest.mark.parametrize(
-    ("stw", "state"),
-    [
-        ("02 40", State.SWITCH_ON_INHIBITED),
-        ("02 31", State.READY_TO_SWITCH_ON),
-        ("02 33", State.STOPPING),
-        ("03 37", State.STOPPING),
-        ("07 37", State.STOPPING),
-        ("02 78", State.FAULT),
-    ],
-)
-def test_f2_states_of_the_plugin(stw: str, state: State) -> None:
-    """Its own CTW is 047E: S3 and S4 are on their way to S2."""
-    assert plugin("PPO3", stw + " 00 00").core.status().state is state
-
-
-def test_f2_bit_6_of_the_drive_is_not_bit_0_of_ctw_state() -> None:
-    bench = sim("PPO3", E31=30)
-    assert bench.send("00 00 00 00") == "02 40 00 00"
-    assert bench.send("04 7E 40 00") == "02 31 00 00"
-    bench.until("04 7F 40 00", "07 37 40 00", 3000)  # 10: the output is at E31 and above
-    assert bench.send("04 77 40 00")[:5] == "02 33"  # b3 = 0: S3
-
-
-@pytest.mark.parametrize(("speed", "mrv"), [(1.0, "40 00"), (-1.0, "C0 00"), (0.5, "20 00"), (-0.25, "F0 00")])
-def test_f4_mrv_of_the_plugin(speed: float, mrv: str) -> None:
-    """4000 is F03; MAV likewise."""
-    bench = plugin("PPO3", "03 37 " + mrv, reference_hz=60)
-    bench.order("speed", value=speed)
-    assert bench.out() == "04 7E " + mrv
-    assert bench.core.status().frequency_hz == 60 * speed
-
-
-@pytest.mark.parametrize(
-    ("op", "ctw"), [("stop", "04 7E"), ("quick_stop", "04 7A"), ("coast", "04 7C"), ("start", "04 7F")]
-)
-def test_f12_words_of_the_plugin(op: str, ctw: str) -> None:
-    """OFF1, OFF3, OFF2; bits 4 to 6 and 10 always 1."""
-    bench = plugin("PPO3", "02 31 00 00")
-    bench.order(op)
-    assert bench.out() == ctw + " 00 00"
-
-
-# -- F5 ----------------------------------------------------------------------------------------------------------------
+def test_misuse_of_writes() -> None:
+    bench = plugin("PPO1", IDLE)
+    for args, text in (
+        ({"number": "F26", "value": 1, "ram": True}, "RAM"),
+        ({"number": "F26", "value": 16}, "0..15"),
+        ({"number": 965, "value": 1}, "read only"),
+    ):
+        assert text in str(as_mapping(bench.result(bench.order("write", **args)))["text"])
 
 
 def test_f5_words_of_the_plugin() -> None:
@@ -202,8 +181,6 @@ def test_f5_the_drive_takes_them_at_power_on() -> None:
     assert bench.send(ZERO + "04 7E 00 00 00 10 00 06 00 07 FF FF")[36:41] == "00 05"  # beyond F26's range
 
 
-# -- F7, F8, F11, F13, F14 ---------------------------------------------------------------------------------------------
-
 READS = [
     ({"number": 918}, "13 96 00 00 00 00 00 00", "13 96 00 00 00 00 00 1B", 27),
     ({"number": 963}, "13 C3 00 00 00 00 00 00", "13 C3 00 00 00 00 00 06", 6),
@@ -226,7 +203,7 @@ READS = [
 
 @pytest.mark.parametrize(("args", "order", "reply", "value"), READS)
 def test_f7_f8_f11_f13_reads_of_the_plugin(args: dict[str, object], order: str, reply: str, value: float) -> None:
-    bench = plugin()
+    bench = plugin("PPO1", IDLE)
     token = bench.order("read", **args)
     bench.run()
     assert bench.out().startswith(order)
@@ -246,7 +223,7 @@ def test_f7_f8_f11_f13_reads_of_the_plugin(args: dict[str, object], order: str, 
     ],
 )
 def test_f7_f8_f11_writes_of_the_plugin(args: dict[str, object], order: str) -> None:
-    bench = plugin()
+    bench = plugin("PPO1", IDLE)
     bench.order("write", **args)
     bench.run()
     assert bench.out().startswith(order)
@@ -267,7 +244,7 @@ def test_f7_f8_f11_writes_of_the_plugin(args: dict[str, object], order: str) -> 
     ],
 )
 def test_f14_errors_by_their_text(number: str, text: str) -> None:
-    bench = plugin()
+    bench = plugin("PPO1", IDLE)
     token = bench.order("write", number="F26", value=1)
     bench.run(2)
     bench.see(f"71 04 1A 00 00 00 {number} 02 40 00 00", 2)
@@ -277,7 +254,7 @@ def test_f14_errors_by_their_text(number: str, text: str) -> None:
 
 
 def test_f13_f14_errors_and_groups_of_the_drive() -> None:
-    bench = sim()
+    bench = sim("PPO1")
     for order, reply in (
         ("11 03 10 00 00 00 00 00", "11 03 10 00 00 00 00 00"),  # M16
         ("11 10 5A 00 00 00 00 00", "11 10 5A 00 00 00 00 7B"),  # W90
@@ -296,7 +273,7 @@ def test_f13_f14_errors_and_groups_of_the_drive() -> None:
 
 
 def test_f7_970_initialises_when_it_falls() -> None:
-    bench = sim(F26=15)
+    bench = sim("PPO1", F26=15)
     assert pkw(bench, "23 CA 00 00 00 00 00 00") == "13 CA 00 00 00 00 00 00"
     assert pkw(bench, "11 04 1A 00 00 00 00 00") == "11 04 1A 00 00 00 00 0F"
     assert pkw(bench, "23 CA 00 00 00 00 00 01") == "13 CA 00 00 00 00 00 01"
@@ -312,7 +289,7 @@ def test_f7_970_initialises_when_it_falls() -> None:
     [(None, "00"), (9_600, "01"), (45_450, "03"), (93_750, "04"), (1_500_000, "07"), (12_000_000, "0A")],
 )
 def test_f7_963_and_918_tell_rate_and_address(baud: int | None, index: str) -> None:
-    bench = sim()
+    bench = sim("PPO1")
     bench.device.installed(27, baud)
     assert pkw(bench, "13 C3 00 00 00 00 00 00") == f"13 C3 00 00 00 00 00 {index}"
     assert pkw(bench, "13 96 00 00 00 00 00 00") == "13 96 00 00 00 00 00 1B"
@@ -335,77 +312,3 @@ def test_f11_switches_and_o31() -> None:
     assert pkw(tripped, "63 B3 01 00 00 00 00 00") == "43 B3 01 00 00 00 75 11"  # Er5
     with pytest.raises(ConfigError, match="whole number"):
         DRIVE.device("PPO1", {"switches": 1.5})
-
-
-# -- F15 ---------------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("supply", ["24v", "inverter"])
-def test_f15_on_the_bus_without_the_inverter(supply: str) -> None:
-    bench = sim(supply=supply)
-    bench.send(ZERO + "04 7E 40 00")
-    bench.send(ZERO + "04 7F 40 00", 500)
-    bench.device.release(False)
-    assert bench.send(ZERO + "04 7F 40 00") == ZERO + "00 00 00 00"
-    assert pkw(bench, "11 0F 62 00 00 00 00 00") == "71 0F 62 00 00 00 00 11"
-    bench.device.release(True)
-    assert bench.send(ZERO + "00 00 00 00") == ZERO + "02 40 00 00"  # as after power-up
-
-
-@pytest.mark.parametrize(
-    ("seconds", "supply", "stw"), [(0.9, "24v", "02 40"), (1.5, "24v", "02 48"), (1.5, "inverter", "02 40")]
-)
-def test_f15_an_option_that_was_off_under_a_live_inverter_is_er4(seconds: float, supply: str, stw: str) -> None:
-    bench = sim("PPO2", supply=supply)
-    bench.send(ZERO + "00 00 00 00" + WIDE)
-    bench = again(bench, seconds, supply=supply)
-    assert bench.send(ZERO + "00 00 00 00" + WIDE)[24:29] == stw
-    if stw == "02 48":  # CTW is 0: its copies are
-        assert pkw(bench, "63 B3 01 00 00 00 00 00") == "43 B3 01 00 00 00 75 10"
-
-
-def test_f15_the_plugin_says_that_the_inverter_has_no_power() -> None:
-    bench = plugin("PPO1", ZERO + "00 00 00 00")
-    token = bench.order("start")
-    bench.run(100)
-    result = as_mapping(bench.result(token))
-    assert result["error"] == "fault"
-    assert "the inverter has no power" in str(result["text"])
-
-
-# -- a name that was asked for while the bus was lost ------------------------------------------------------------------
-
-
-def test_f9_an_alarm_whose_name_was_lost_is_asked_again() -> None:
-    bench = plugin("PPO1", ZERO + "02 78 00 00")
-    bench.run(2)
-    assert bench.out().startswith("63 B3 01 00")
-    bench.core.lost(bench.now)
-    assert bench.see(ZERO + "02 78 00 01", 3).startswith("63 B3 01 00")
-    bench.see("43 B3 01 00 00 00 75 11 02 78 00 01", 2)
-    assert bench.core.status().faults == ("Er5 field bus communications error",)
-    bench.core.lost(bench.now)  # it may be another one when the drive returns
-    bench.see(ZERO + "02 78 00 00")
-    assert bench.core.status().faults == ("not yet named",)
-
-
-def test_f9_an_answer_does_not_name_the_next_alarm() -> None:
-    """Acknowledged and tripped again while the question was under way."""
-    bench = plugin("PPO1", ZERO + "02 78 00 00")
-    bench.run(2)
-    bench.see(ZERO + "02 40 00 00")
-    bench.see(ZERO + "02 78 00 00")
-    bench.see("43 B3 01 00 00 00 75 11 02 78 00 00", 2)
-    assert bench.core.status().faults == ("not yet named",)
-    bench.see(ZERO + "02 78 00 00", 2)
-    assert bench.out().startswith("63 B3 01 00")
-    bench.see("43 B3 01 00 00 00 23 01 02 78 00 00", 2)
-    assert bench.core.status().faults == ("OC1 overcurrent during acceleration",)
-
-
-def test_f9_a_question_without_an_answer_is_asked_again() -> None:
-    bench = plugin("PPO1", ZERO + "02 78 00 00")
-    bench.run(700)
-    assert bench.core.status().faults == ("not yet named",)
-    bench.see(ZERO + "02 78 00 01", 60)
-    assert bench.out().startswith("63 B3 01 00")

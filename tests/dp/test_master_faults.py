@@ -1,0 +1,231 @@
+"""Every way a slave can be missing, refuse, fall silent or lie, and what the master says of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from scripted_link import DIAG_FREE, DIAG_READY, MS, ScriptedSlave, data, exchanging, link, setup
+
+from dpstack.dp.events import SlaveFaulted, SlaveState
+from dpstack.fdl.telegram import Kind, Telegram
+from dpstack.fdl.user import Failure, Request
+
+
+def test_absent_slave_backs_off_is_told_once_and_the_other_goes_on() -> None:
+    bus = link(setup(3), setup(4), slaves={4: ScriptedSlave()})
+    bus.run(10_000 * MS)
+    polls = [r for r in bus.requests if r.da == 3]
+    # 0.1, 0.2, 0.4, 0.8, 1, 1 ... seconds
+    assert 11 <= len(polls) <= 13
+    assert bus.faults(3) == ["absent"]
+    assert bus.master.handlers[4].state is SlaveState.DATA_EXCHANGE
+    fault = next(e for e in bus.events if isinstance(e, SlaveFaulted))
+    assert "no answer from address 3 at 500 kbit/s" in fault.text
+    assert "check power" in fault.text
+
+
+def test_absent_polls_keep_their_share_of_the_bus() -> None:
+    bus = link(*(setup(a) for a in range(3, 20)), slaves={3: ScriptedSlave()}, absent_share=100)
+    bus.run(20 * MS)
+    bus.requests.clear()
+    bus.run(2000 * MS)
+    silent = sum(r.da != 3 and r.da != 127 for r in bus.requests)
+    assert silent * bus.step <= 2000 * MS / 100 + 2 * bus.step
+
+
+def test_wrong_ident_names_both() -> None:
+    bus = link(setup(ident=0x1234))
+    bus.run(5 * MS)
+    fault = bus.master.handlers[3].fault
+    assert fault is not None
+    assert fault.kind.value == "wrong_ident"
+    assert "0x0696 instead of 0x1234" in fault.message
+    assert not any(r.dsap == 61 for r in bus.requests)
+
+
+def test_ident_ask_takes_and_tells_what_is_found() -> None:
+    bus = exchanging(setup(ident=None))
+    assert bus.remarks(3) == ["its ident number is 0x0696 (taken from its diagnosis)"]
+    assert next(r for r in bus.requests if r.dsap == 61).data[4:6] == b"\x06\x96"
+
+
+def test_slave_of_another_master_is_never_parameterised() -> None:
+    bus = link(setup(), slaves={3: ScriptedSlave(free=bytes.fromhex("00 0C 00 07 06 96"))})
+    bus.run(30_000 * MS)
+    assert bus.faults(3) == ["locked"]
+    assert not any(r.dsap in (61, 62, None) for r in bus.requests if r.da == 3)
+    fault = bus.master.handlers[3].fault
+    assert fault is not None
+    assert "owned by master 7" in fault.message
+
+
+def test_own_address_plus_128_is_no_other_master() -> None:
+    bus = exchanging(setup(), slaves={3: ScriptedSlave(ready=bytes.fromhex("00 0C 00 82 06 96"))})
+    assert bus.remarks(3) == ["its diagnosis gives the master address as 130; tolerated"]
+
+
+@pytest.mark.parametrize(
+    ("status", "kind", "words"),
+    [
+        ("42 05 00 FF 06 96", "prm_fault", "Set_Prm was 88 01 14 0b 06 96 00"),
+        ("06 05 00 FF 06 96", "cfg_fault", "Chk_Cfg was 71, it has f1: octet 1 differs"),
+        ("12 05 00 FF 06 96", "not_supported", "Not_Supported"),
+    ],
+)
+def test_refusals_name_the_reason_and_are_retried_with_back_off(status: str, kind: str, words: str) -> None:
+    slave = ScriptedSlave(ready=bytes.fromhex(status))
+    slave.answers[59] = lambda r: data(r, b"\xf1")
+    bus = link(setup(), slaves={3: slave})
+    bus.run(500 * MS)
+    assert bus.faults(3) == [kind]
+    fault = bus.master.handlers[3].fault
+    assert fault is not None
+    assert words in fault.message
+    assert fault.remedy
+    bus.run(40_000 * MS)
+    attempts = sum(r.dsap == 61 for r in bus.requests)
+    assert 5 <= attempts <= 8  # after 1, 2, 4, 8, 10, 10 s
+    assert bus.faults(3) == [kind]  # told once
+    slave.ready = DIAG_READY
+    bus.run(11_000 * MS)
+    assert bus.master.handlers[3].state is SlaveState.DATA_EXCHANGE
+
+
+def test_fault_shown_in_one_diagnosis_only_is_kept() -> None:
+    slave = ScriptedSlave(ready=bytes.fromhex("42 05 00 FF 06 96"))
+    bus = link(setup(), slaves={3: slave})
+    bus.run(2 * MS)
+    slave.configured, slave.ready = False, DIAG_READY
+    assert bus.master.handlers[3].fault is not None
+    assert bus.master.handlers[3].findings.fault_at > 0
+
+
+@pytest.mark.parametrize("sap", [61, 62])
+def test_silence_to_set_prm_or_chk_cfg_asks_the_diagnosis_first(sap: int) -> None:
+    slave = ScriptedSlave(answers={sap: lambda _r: Failure.NO_ANSWER})
+    bus = link(setup(), slaves={3: slave})
+    refused = bytes.fromhex("42 05 00 FF 06 96")
+    slave.answers[60] = lambda r: data(r, refused if any(q.dsap == sap for q in bus.requests) else DIAG_FREE)
+    bus.run(2 * MS)
+    made = [r.dsap for r in bus.requests if r.da == 3]
+    assert made[made.index(sap) + 1] == 60
+    assert bus.faults(3) == ["prm_fault"]
+
+
+def test_silence_that_is_never_explained() -> None:
+    bus = link(setup(), slaves={3: ScriptedSlave(answers={61: lambda _r: Failure.NO_ANSWER})})
+    bus.run(500 * MS)
+    assert bus.faults(3) == ["refused"]
+    fault = bus.master.handlers[3].fault
+    assert fault is not None
+    assert "does not acknowledge Set_Prm" in fault.message
+
+
+def test_lost_acknowledgement_of_set_prm_goes_on_with_chk_cfg() -> None:
+    slave = ScriptedSlave(answers={61: lambda _r: Failure.NO_ANSWER})
+    bus = link(setup(), slaves={3: slave})
+    slave.answers[60] = lambda r: data(
+        r,
+        DIAG_READY
+        if slave.configured
+        else bytes.fromhex("02 0C 00 02 06 96")
+        if any(q.dsap == 61 for q in bus.requests)
+        else DIAG_FREE,
+    )
+    bus.run(5 * MS)
+    assert bus.states(3) == ["set_prm", "wait_ready", "chk_cfg", "wait_ready", "data_exchange"]
+
+
+def test_never_ready() -> None:
+    bus = link(setup(), slaves={3: ScriptedSlave(ready=bytes.fromhex("02 0C 00 02 06 96"))})
+    bus.run(10_500 * MS)
+    assert bus.faults(3) == ["not_ready"]
+
+
+def test_slave_dies_and_comes_back_with_a_fresh_start() -> None:
+    bus = exchanging(setup(3), setup(4))
+    gone = bus.slaves.pop(3)
+    bus.run(300 * MS)
+    assert bus.faults(3) == ["lost"]
+    assert bus.master.handlers[4].state is SlaveState.DATA_EXCHANGE
+    assert not bus.master.images[3].valid
+    gone.configured = False
+    bus.slaves[3] = gone
+    bus.requests.clear()
+    bus.run(1500 * MS)
+    first = next(r for r in bus.requests if r.da == 3)
+    assert (first.dsap, first.restart) == (60, False) or first.restart
+    assert bus.master.handlers[3].state is SlaveState.DATA_EXCHANGE
+
+
+def test_slave_that_was_reset_is_taken_up_afresh() -> None:
+    bus = exchanging(setup())
+    bus.run(1500 * MS)
+    bus.slaves[3].configured = False
+    bus.requests.clear()
+    bus.run(20 * MS)
+    assert bus.faults(3) == ["left"]
+    made = [r for r in bus.requests if r.da == 3]
+    assert [r.dsap for r in made[:5]] == [None, 60, 61, 62, 60]
+    assert made[1].restart
+    assert bus.master.handlers[3].state is SlaveState.DATA_EXCHANGE
+
+
+def test_slave_that_flaps_is_not_reinitialised_for_ever() -> None:
+    slave = ScriptedSlave()
+
+    def refuse(request: Request) -> Telegram | Failure:
+        slave.configured = False
+        return Telegram(Kind.SD1, 2, request.da, 0x03)
+
+    slave.answers[None] = refuse
+    bus = link(setup(), slaves={3: slave})
+    bus.run(30_000 * MS)
+    assert 4 <= sum(r.dsap == 61 for r in bus.requests) <= 7
+
+
+def test_wrong_length_is_a_fault_with_both_lengths() -> None:
+    bus = exchanging(setup())
+    bus.slaves[3].inputs = b"\x01\x02"
+    bus.run(5 * MS)
+    fault = bus.master.handlers[3].fault
+    assert fault is not None
+    assert "2 octets instead of 4" in fault.message
+    assert bus.master.images[3].inputs == bytes(4)
+
+
+def test_high_priority_answer_fetches_the_diagnosis_in_the_same_round() -> None:
+    bus = exchanging(setup())
+    bus.slaves[3].answers[None] = lambda r: data(r, bytes(4), fc=0x0A)
+    bus.slaves[3].ready = bytes.fromhex("08 0C 00 02 06 96 07 0A")
+    bus.hold()
+    bus.slaves[3].answers.clear()
+    made = [r.dsap for r in bus.hold() if r.da == 3]
+    assert made == [None, 60]
+    assert bus.master.handlers[3].diagnosis is not None
+    assert bus.master.handlers[3].diagnosis.ext == b"\x07\x0a"
+    assert [r.dsap for r in bus.hold() if r.da == 3] == [None]
+
+
+def test_static_diagnosis_makes_inputs_invalid_until_it_is_over() -> None:
+    bus = exchanging(setup())
+    bus.slaves[3].ready = bytes.fromhex("00 0E 00 02 06 96")
+    bus.slaves[3].answers[None] = lambda r: data(r, bytes(4), fc=0x0A)
+    bus.hold()
+    bus.slaves[3].answers.clear()
+    bus.run(20 * MS)
+    assert not bus.master.images[3].valid
+    bus.slaves[3].ready = DIAG_READY
+    bus.run(200 * MS)
+    assert bus.master.images[3].valid
+
+
+def test_garbage_in_answers_never_raises() -> None:
+    def answering(junk: bytes) -> Callable[[Request], Telegram]:
+        return lambda request: data(request, junk)
+
+    for junk in (b"", b"\x00", bytes(5), bytes(244)):
+        for sap in (60, 61, 62, None):
+            bus = link(setup(), slaves={3: ScriptedSlave(answers={sap: answering(junk)})})
+            bus.run(100 * MS)

@@ -1,0 +1,96 @@
+"""Drive plugins at the master: called in Operate, their defects their own, told of losses and new parameters."""
+
+from __future__ import annotations
+
+import pytest
+from scripted_link import MS, exchanging, operating, setup
+
+from dpstack.dp.commands import DriveCommand, Mode, ReparameteriseSlave, SetMode
+from dpstack.dp.events import DriveEvent, SlaveState
+from dpstack.errors import UsageError
+
+
+class Unit:
+    """A cyclic unit under the test's control."""
+
+    def __init__(self) -> None:
+        self.outputs = b"\x05\x06\x07\x08"
+        self.error: Exception | None = None
+        self.losses = 0
+        self.events: list[dict[str, object]] = []
+
+    def cyclic(self, inputs: bytes, now: int) -> bytes:
+        if self.error is not None:
+            raise self.error
+        return self.outputs
+
+    def lost(self, now: int) -> None:
+        self.losses += 1
+
+    def safe(self, configured: bytes) -> bytes:
+        return configured
+
+    def command(self, op: str, args: object, token: int, now: int) -> None:
+        self.events.append({"type": "result", "token": token, "ok": True, "value": op})
+
+    def take_events(self) -> list[dict[str, object]]:
+        events, self.events = self.events, []
+        return events
+
+
+def test_unit_runs_in_operate_only_and_its_defect_stays_its_own() -> None:
+    bus = exchanging(setup(3, safe=b"\x00\x00\x00\x01"), setup(4))
+    unit = Unit()
+    bus.master.images[3].unit = unit
+    assert bus.hold()[0].data == bytes(4)
+    bus.master.command(SetMode(Mode.OPERATE), bus.now)
+    assert bus.hold()[0].data == unit.outputs
+    bus.master.command(DriveCommand(3, "start", {}, 7), bus.now)
+    bus.hold()
+    results = [e.payload for e in bus.events if isinstance(e, DriveEvent)]
+    assert results == [{"type": "result", "token": 7, "ok": True, "value": "start"}]
+    unit.error = ZeroDivisionError("by the test")
+    made = bus.hold()
+    assert made[0].data == b"\x00\x00\x00\x01"
+    assert made[1].da == 4
+    assert bus.faults(3) == ["plugin"]
+    assert bus.master.handlers[3].state is SlaveState.DATA_EXCHANGE
+    bus.master.command(DriveCommand(3, "start", {}, 8), bus.now)
+    last = [e for e in bus.master.take_events() if isinstance(e, DriveEvent)][-1]
+    assert last.payload["ok"] is False
+
+
+def test_unit_of_the_wrong_length_is_a_defect_of_the_unit() -> None:
+    bus = exchanging(setup(3))
+    unit = Unit()
+    unit.outputs = b"\x01"
+    bus.master.images[3].unit = unit
+    bus.master.command(SetMode(Mode.OPERATE), bus.now)
+    assert bus.hold()[0].data == bytes(4)
+    assert bus.faults(3) == ["plugin"]
+
+
+def test_unit_is_told_when_the_slave_is_lost() -> None:
+    bus = exchanging(setup(3))
+    unit = Unit()
+    bus.master.images[3].unit = unit
+    bus.slaves.clear()
+    bus.hold()
+    assert unit.losses == 1
+
+
+def test_a_plugin_is_told_and_nothing_is_half_applied() -> None:
+    bus = operating(setup(3))
+    unit = bus.master.images[3].unit = Unit()
+    before = bus.master.handlers[3]
+    with pytest.raises(UsageError, match="its drive plugin is made for 4 octets of inputs"):
+        bus.master.command(ReparameteriseSlave(setup(3, config=b"\x10")), bus.now)
+    with pytest.raises(UsageError, match="no slave with address 9"):
+        bus.master.command(ReparameteriseSlave(setup(9)), bus.now)
+    bus.run(10 * MS)
+    assert bus.master.handlers[3] is before
+    assert before.state is SlaveState.DATA_EXCHANGE
+    assert unit.losses == 0
+    bus.master.command(ReparameteriseSlave(setup(3, groups=(1,))), bus.now)
+    assert unit.losses == 1
+    assert bus.master.images[3].unit is unit

@@ -1,0 +1,129 @@
+"""IMO's PKW zone, the plugin's end against literal octets (I3, I5)."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from drive_bench import PluginBench, as_mapping
+from imo_kit import NOTHING, READY, RUNS, Card
+
+from dpstack.errors import ConfigError
+from dpstack_drives.imo import DRIVE
+
+# -- PKW -----------------------------------------------------------------------------------------------------------
+
+
+def pkw(bench: PluginBench, reply: str) -> str:
+    """The request under way while the drive shows ``reply``."""
+    return bench.see(reply + " " + READY + NOTHING, 2)[:23]
+
+
+def quiet() -> PluginBench:
+    return Card(RUNS)
+
+
+def test_i3_the_read_of_the_manual() -> None:
+    bench = quiet()
+    token = bench.order("read", number="P00.10")
+    assert pkw(bench, "00 00 00 00 00 00 00 00") == "00 01 00 0A 00 00 00 00"
+    assert pkw(bench, "00 01 00 0A 00 00 13 88") == "00 00 00 00 00 00 00 00"
+    result = as_mapping(bench.result(token))
+    assert (result["value"], result["raw"], result["unit"]) == (50.0, 0x1388, "Hz")
+    by_number = bench.order("read", number=10)
+    bench.run(60)
+    pkw(bench, "00 00 00 00 00 00 00 00")
+    pkw(bench, "00 01 00 0A 00 00 00 64")
+    assert as_mapping(bench.result(by_number))["value"] == 1.0
+
+
+def test_i3_a_long_response() -> None:
+    bench = quiet()
+    token = bench.order("read", number="P07.20")
+    assert pkw(bench, "00 00 00 00 00 00 00 00") == "00 01 07 14 00 00 00 00"
+    pkw(bench, "00 02 07 14 00 01 E2 40")
+    assert as_mapping(bench.result(token))["value"] == 123456
+
+
+def test_i3_a_write_is_request_4_with_cw_bit_8() -> None:
+    bench = quiet()
+    bench.order("write", number="P00.10", value=12.5)
+    assert bench.see("00 00 00 00 00 00 00 00 " + READY + NOTHING, 2)[:29] == "00 04 00 0A 00 00 04 E2 01 05"
+    assert bench.see("00 01 00 0A 00 00 04 E2 " + READY + NOTHING, 2)[:29] == "00 00 00 00 00 00 00 00 00 05"
+    assert any("request 4" in text for text in bench.notices())
+
+
+@pytest.mark.parametrize(
+    ("reply", "says", "number"),
+    [
+        ("00 03 00 0A 00 01 00 00", "error 1, invalid command", 1),
+        ("00 03 00 0A 00 02 00 00", "error 2, invalid data address", 2),
+        ("00 03 00 0A 00 03 00 00", "error 3, invalid data value", 3),
+        ("00 03 00 0A 00 04 00 00", "error 4, operation failure", 4),
+        ("00 03 00 0A 00 05 00 00", "error 5, password error", 5),
+        ("00 03 00 0A 00 06 00 00", "error 6, data frame error", 6),
+        ("00 03 00 0A 00 07 00 00", "error 7, the parameter is read only", 7),
+        ("00 03 00 0A 00 08 00 00", "error 8, the parameter cannot be changed while the drive runs", 8),
+        ("00 03 00 0A 00 09 00 00", "error 9, protected by password", 9),
+        ("00 03 00 0A 00 63 00 00", "error 99, error without a text", 99),
+        ("00 04 00 0A 00 00 00 00", "no right to change parameters (response 4)", None),
+    ],
+)
+def test_i3_refusals(reply: str, says: str, number: int | None) -> None:
+    bench = quiet()
+    token = bench.order("write", number="P00.10", value=1)
+    pkw(bench, "00 00 00 00 00 00 00 00")
+    pkw(bench, reply)
+    result = as_mapping(bench.result(token))
+    assert (result["error"], result["number"]) == ("parameter", number)
+    assert says in str(result["text"])
+
+
+@pytest.mark.parametrize(
+    ("op", "args", "says"),
+    [
+        ("write", {"number": "P00.10", "value": 1, "ram": True}, "does not support writes to RAM only (request 2)"),
+        ("write", {"number": "P07.20", "value": 70_000}, "does not write parameters of two words, request 5"),
+        ("write", {"number": "P15.01", "value": 126}, "outside 0..125"),
+        ("write", {"number": "P15.02", "value": 19}, "outside 0..18"),
+        ("write", {"number": "P15.13", "value": 27}, "outside 0..26"),
+        ("write", {"number": "P15.00", "value": 1}, "read only"),
+        ("read", {"number": "412.1"}, "neither a function code such as P15.02 nor an address"),
+        ("read", {"number": 65_536}, "0..65535"),
+        ("read", {"number": "P15.02", "index": 1}, "neither data sets nor indexes"),
+    ],
+)
+def test_i3_i5_misuse_is_refused_before_anything_is_sent(op: str, args: dict[str, object], says: str) -> None:
+    bench = Card(RUNS)
+    bench.seen.clear()
+    result = bench.ask(op, **args)
+    assert result["error"] == "usage"
+    assert says in str(result["text"])
+    assert bench.seen == ["00 00 00 00 00 00 00 00"]
+
+
+def test_i3_a_drive_that_is_silent_or_answers_for_another_address() -> None:
+    bench = quiet()
+    token = bench.order("read", number="P00.10", timeout_s=0.1)
+    pkw(bench, "00 01 00 0B 00 00 00 00")
+    bench.run(60)
+    assert "answered for P00.11 (response 1) instead" in str(as_mapping(bench.result(token))["text"])
+    bench = quiet()
+    token = bench.order("read", number="P00.10", timeout_s=0.1)
+    pkw(bench, "00 00 00 00 00 00 00 00")
+    bench.run(60)
+    assert "did not answer in its parameter channel in time" in str(as_mapping(bench.result(token))["text"])
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"baud_index": 9}, "9 Mbit/s in the card's table, a rate that PROFIBUS does not have"),
+        ({"baud_index": 6.5}, "must be a whole number"),
+        ({"fault_names": "OC1"}, "write each code once with its name"),
+        ({"map_outputs": "speed"}, "no process data of the drive"),
+    ],
+)
+def test_i5_options_that_cannot_be(options: dict[str, object], says: str) -> None:
+    with pytest.raises(ConfigError, match=re.escape(says)):
+        DRIVE.core("pump", options=options)

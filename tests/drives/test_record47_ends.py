@@ -1,0 +1,169 @@
+"""Both ends of record 47 against each other, for what has too many cases, and what a whole list takes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from acyclic_kit import IS_965, MS, READ_965, Wire, octets, talk
+from hypothesis import given
+from hypothesis import strategies as st
+from property_kit import examples
+
+from dpstack.profile.acyclic.client import ParameterClient
+from dpstack.profile.acyclic.formats import FORMATS
+from dpstack.profile.acyclic.lists import Description, ReadParameter, read_limits, read_out
+from dpstack.profile.acyclic.record47 import Address, ErrorValue, Request, Response, Result, Values
+from dpstack.profile.acyclic.server import ParameterServer, Rules
+from dpstack.profile.acyclic.services import Refused
+from dpstack.profile.acyclic.split import Item, Limits
+
+# -- both ends ---------------------------------------------------------------------------------------------------------
+
+
+class Model:
+    """Parameters of any format; arrays by number."""
+
+    def __init__(self, parameters: dict[int, Values]) -> None:
+        self.parameters = parameters
+
+    def read(self, address: Address) -> Result:
+        here = self.parameters.get(address.pnu)
+        if here is None:
+            return ErrorValue(0)
+        if FORMATS[here.format].string:
+            return here
+        end = address.subindex + max(address.elements, 1)
+        return Values(here.format, here.raws[address.subindex : end]) if end <= len(here.raws) else ErrorValue(3, end)
+
+    def change(self, address: Address, values: Values) -> ErrorValue | None:
+        here = self.parameters.get(address.pnu)
+        if here is None:
+            return ErrorValue(0)
+        if here.format != values.format:
+            return ErrorValue(5)
+        end = address.subindex + len(values.raws)
+        raws = here.raws[: address.subindex] + values.raws + here.raws[end:]
+        self.parameters[address.pnu] = Values(here.format, raws)
+        return None
+
+    def describe(self, address: Address) -> Result:
+        here = self.parameters[address.pnu]
+        told = Description(here.format, len(here.raws), "", False, len(here.raws) > 1, False, 1, 0, bytes(4), bytes(4))
+        return Values(10, (told.build(),))
+
+    def text(self, address: Address) -> Result:
+        return ErrorValue(15)
+
+
+NUMBERS = [form for form in FORMATS.values() if form.code and form.octets and form.name != "Error"]
+
+
+@st.composite
+def arrays(draw: st.DrawFn) -> Values:
+    form = draw(st.sampled_from(NUMBERS))
+    length = draw(st.integers(1, 300))
+    seed = draw(st.integers(0, 255))
+    size = form.octets * length
+    raws = form.unpack(bytes((seed + 7 * n) % 120 for n in range(size)))
+    return Values(form.number, raws)
+
+
+@examples(40)
+@given(
+    st.lists(arrays(), min_size=1, max_size=60),
+    st.builds(Limits, st.integers(20, 240), st.integers(1, 39), st.integers(1, 234)),
+    st.integers(0, 30),
+)
+def test_any_set_split_and_joined_gives_the_same_values(wanted: list[Values], limits: Limits, busy_ms: int) -> None:
+    """Whatever the drive's limits are: no request and no response is longer, and nothing gets lost or doubled."""
+    there = dict(enumerate(wanted, 1))
+    model = Model(dict(there))
+    wire = Wire(ParameterServer(model, Rules(limits=limits, busy_ns=busy_ms * MS)))
+    master = ParameterClient(3, limits=limits)
+    items = [Item(Address(pnu, 0, len(one.raws)), width=FORMATS[one.format].octets) for pnu, one in there.items()]
+    told: list[tuple[int, int]] = []
+    assert talk(master.read(items, progress=lambda *one: told.append(one)), wire) == wanted
+    assert wire.longest <= limits.octets
+    assert told == sorted(told)
+    assert told[-1] == (len(wanted), len(wanted))
+    backwards = [
+        (one.address, Values(there[one.address.pnu].format, there[one.address.pnu].raws[::-1])) for one in items
+    ]
+    assert all(one == Values(0x40) for one in talk(master.change(backwards), wire))
+    assert {pnu: one.raws[::-1] for pnu, one in model.parameters.items()} == {
+        pnu: one.raws for pnu, one in there.items()
+    }
+    assert wire.longest <= limits.octets
+
+
+@examples(30)
+@given(st.lists(arrays(), min_size=1, max_size=8), st.integers(20, 240))
+def test_a_drive_that_hides_its_limits_is_met_by_trying(wanted: list[Values], most: int) -> None:
+    wire = Wire(ParameterServer(Model(dict(enumerate(wanted, 1))), Rules(limits=Limits(octets=most))))
+    items = [
+        Item(Address(pnu, 0, len(one.raws)), width=FORMATS[one.format].octets) for pnu, one in enumerate(wanted, 1)
+    ]
+    assert talk(ParameterClient(3).read(items), wire) == wanted
+
+
+@examples(80)
+@given(st.binary(max_size=24), st.integers(0, 60))
+def test_the_server_takes_any_octets(data: bytes, length: int) -> None:
+    server = ParameterServer(Model({965: Values(6, (0x328,))}))
+    taken = server.write_record(1, 47, data, 0)
+    answer = server.read_record(1, 47, length, 0)
+    if taken is not None:
+        assert answer == Refused(0xB5)
+    elif isinstance(answer, bytes):
+        assert Response.parse(answer).reference == data[0]
+
+
+# -- the figure --------------------------------------------------------------------------------------------------------
+
+
+def thousand() -> Wire:
+    model = Model({980 + n: Values(6, _list(n)) for n in range(4)} | {pnu: Values(6, (pnu,)) for pnu in range(1, 976)})
+    model.parameters |= {pnu: Values(8, tuple(float(one) for one in range(8))) for pnu in range(2000, 2025)}
+    model.parameters[974] = Values(6, (240, 39, 0))
+    return Wire(ParameterServer(model))
+
+
+def _list(n: int) -> tuple[int, ...]:
+    numbers = (*range(1, 976), *range(2000, 2025))
+    here = numbers[299 * n : 299 * (n + 1)]
+    return (*here, *(0,) * (299 - len(here)), 981 + n if n < 3 else 0)
+
+
+def test_a_list_of_1000_parameters_whole_with_progress() -> None:
+    """What it takes in services and octets: the time on a bus follows from them."""
+    wire = thousand()
+    master = ParameterClient(1)
+    told: list[tuple[int, int]] = []
+
+    def run() -> list[ReadParameter]:
+        talk(read_limits(master), wire)
+        return talk(read_out(master, progress=lambda *one: told.append(one)), wire)
+
+    found = run()
+    assert len(found) == 1000
+    assert [one.pnu for one in found] == [*range(1, 976), *range(2000, 2025)]
+    assert found[0].values == (1,)
+    assert found[-1].values == tuple(float(one) for one in range(8))
+    assert told[-1] == (1000, 1000)
+    # by Write and Read: 974; four lists of 300 with their descriptions; descriptions of 46 octets, four a response;
+    # words, 39 a request; arrays of 32 octets, six a response
+    assert master.counters.requests == 1 + (4 + 10) + 250 + (25 + 5)
+    assert master.counters.services == 2 * master.counters.requests
+    assert master.counters.octets == 69_456
+    short = ParameterClient(1)
+    talk(read_out(short, described=False), thousand())
+    assert short.counters.services == 2 * ((4 + 10) + 26)
+    assert short.counters.octets == 12_698
+
+
+def test_the_servers_request_is_the_manuals() -> None:
+    server = ParameterServer(Model({965: Values(6, (0x328,))}))
+    assert server.write_record(1, 47, octets(READ_965)[4:], 0) is None
+    assert server.read_record(1, 47, 240, 0) == octets(IS_965)
+    assert Request.parse(octets(READ_965)[4:]).addresses == (Address(965),)
+    assert replace(Limits(), octets=20).of_974([240]).octets == 20

@@ -1,0 +1,250 @@
+"""What an active station takes for an answer: wrong, garbled, early and late ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from exchange_kit import DIAG, DIAG_ANSWER, DX, DX_ANSWER, Slave, bus_with
+from ring_bus import ListUser, RingBus
+
+from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.active_exchange import answers
+from dpstack.fdl.commands import GoOnline
+from dpstack.fdl.states import State
+from dpstack.fdl.telegram import SHORT_ACK, Kind, Req, Telegram
+from dpstack.fdl.user import Failure, Request
+from dpstack.machine import pump
+from dpstack.params import BusParams
+from dpstack.phy.patience import HOST, Patience
+from dpstack.trace import Notice, WireEntry
+from dpstack.units import NEVER, NS_PER_MS
+
+# --- what is an answer -----------------------------------------------------------------------------------------------
+RS = Telegram(Kind.SD1, 2, 3, 0x03)
+
+
+@pytest.mark.parametrize(
+    ("request_", "telegram", "fits"),
+    [
+        (DX, Telegram(Kind.SD2, 2, 3, 0x08, data=b"\xaa"), True),
+        (DX, Telegram(Kind.SD2, 2, 3, 0x0A, data=b"\xaa"), True),
+        (DX, SHORT_ACK, True),
+        (DX, Telegram(Kind.SD2, 2, 4, 0x08, data=b"\xaa"), False),
+        (DX, Telegram(Kind.SD2, 2, 3, 0x08, 62, 60, b"\xaa"), False),
+        (DX, RS, True),
+        (DIAG, Telegram(Kind.SD2, 2, 3, 0x08, 62, 60, b"\xaa"), True),
+        (DIAG, Telegram(Kind.SD2, 2, 3, 0x08, 60, 62, b"\xaa"), False),
+        (DIAG, Telegram(Kind.SD2, 2, 3, 0x08, 62, 59, b"\xaa"), False),
+        (DIAG, Telegram(Kind.SD2, 2, 3, 0x08, data=b"\xaa"), False),
+        (DIAG, Telegram(Kind.SD1, 2, 3, 0x08), False),
+        (DIAG, SHORT_ACK, True),
+        (DIAG, RS, True),
+        (Request(3, Req.SRD_LOW, b"", 0, 0), Telegram(Kind.SD2, 2, 3, 0x08, 0, 0, b"\xaa"), True),
+        (Request(3, Req.SRD_LOW, b"", 0, 0), Telegram(Kind.SD2, 2, 3, 0x08, data=b"\xaa"), False),
+        (Request(3, Req.FDL_STATUS), Telegram(Kind.SD1, 2, 3, 0x00), True),
+        (Request(3, Req.FDL_STATUS), Telegram(Kind.SD2, 2, 3, 0x08, data=b"\xaa"), False),
+        (Request(3, Req.FDL_STATUS), SHORT_ACK, False),
+        (Request(3, Req.IDENT), SHORT_ACK, False),
+    ],
+)
+def test_what_answers(request_: Request, telegram: Telegram, fits: bool) -> None:
+    assert answers(request_, telegram) is fits
+
+
+def test_a_wrong_answer_is_told_as_such() -> None:
+    slave = Slave(DIAG_ANSWER)
+    bus, user, station = bus_with(slave, DX)
+    bus.run(20 * NS_PER_MS)
+    assert user.outcomes == [Failure.WRONG]
+    assert station.stats.stations[3].wrong == 1
+
+
+def test_a_garbled_answer_is_told_as_such() -> None:
+    for mode in ("octets", "chunk"):
+        bus, user, station = bus_with(Slave(), DX, mode=mode)
+        bus.drop = lambda sent: sent.sender == 3
+        bus.run(20 * NS_PER_MS)
+        assert user.outcomes == [Failure.GARBLED]
+        assert station.stats.garbled == 1
+
+
+@pytest.mark.parametrize("octet", [b"\xe5", b"\x00", b"\xdc"])
+def test_a_lone_octet_too_early_is_no_answer(octet: bytes) -> None:
+    slave = Slave()
+    slave.plan = [(5, octet)]
+    bus, user, station = bus_with(slave, DX, mode="octets")
+    bus.run(20 * NS_PER_MS)
+    assert len(user.outcomes) == 1
+    assert isinstance(user.outcomes[0], Failure)
+    assert station.stats.stray == (1 if octet == b"\xe5" else 0)
+
+
+@pytest.mark.parametrize("mode", ["whole", "octets", "chunk"])
+def test_a_late_answer_is_not_taken_for_that_of_another_station(mode: str) -> None:
+    slave = Slave()
+    slave.plan = [(330, DX_ANSWER)]
+    bus, user, station = bus_with(slave, DX, DX._replace(da=4), mode=mode)
+    bus.run(20 * NS_PER_MS)
+    assert user.outcomes == [Failure.NO_ANSWER, Failure.NO_ANSWER]
+    assert station.stats.late == 1
+    assert station.stats.stations[3].late == 1
+
+
+def late_by_one(bus: RingBus, slave: Slave, lateness: Callable[[int], int | None]) -> None:
+    """The slave answers request n with the octet n; ``lateness(n)`` in bits, None = at once."""
+    count = 0
+
+    def say(octets: bytes, now: int) -> tuple[int, bytes]:
+        nonlocal count
+        slave.heard.append(octets)
+        body = bytes((0x02, 0x03, 0x08, count))
+        telegram = b"\x68\x04\x04\x68" + body + bytes((sum(body) & 0xFF, 0x16))
+        delay = lateness(count)
+        count += 1
+        return (11 if delay is None else delay), telegram
+
+    bus.slaves[3] = say
+
+
+def test_a_late_answer_is_never_taken_for_the_next_one_of_the_same_station() -> None:
+    """On a port that delivers late by more than the patience: the answer to n arrives while n + 1 is waiting."""
+    patience = Patience(known_ns=2 * NS_PER_MS, unknown_ns=2 * NS_PER_MS, unknown_share=100, stall_ns=NS_PER_MS)
+    bus, user, station = bus_with(Slave(), mode="chunk", patience=patience)
+    user.high = [DX._replace(retry=False)] * 8
+    slave = Slave()
+    # request 2 is answered 3 ms late: it arrives after request 3 went out and before that one's own answer
+    late_by_one(bus, slave, lambda n: 1340 if n == 2 else 200 if n == 3 else None)
+    bus.run(60 * NS_PER_MS)
+    got = [o.data[0] if isinstance(o, Telegram) else None for o in user.outcomes]
+    assert got == [0, 1, None, 3, 4, 5, 6, 7]
+    assert station.stats.late == 1
+
+
+def test_the_answer_to_both_attempts_is_not_taken_for_the_next_one() -> None:
+    patience = Patience(known_ns=2 * NS_PER_MS, unknown_ns=2 * NS_PER_MS, unknown_share=100, stall_ns=NS_PER_MS)
+    bus, user, station = bus_with(Slave(), mode="chunk", patience=patience)
+    user.high = [DX] * 6
+    slave = Slave()
+    # 2 is late; its repetition (3) is answered while 4, the next request, waits; 4's answer follows
+    late_by_one(bus, slave, lambda n: {2: 1350, 3: 350, 4: 250}.get(n))
+    bus.run(60 * NS_PER_MS)
+    got = [o.data[0] if isinstance(o, Telegram) else None for o in user.outcomes]
+    assert got == [0, 1, 2, 4, 5, 6]
+    assert station.stats.late == 1
+
+
+def test_who_answered_late_is_waited_for_longer() -> None:
+    """A simulated slave on a busy machine needs 5 ms: its first answer is late, which shows that it is there."""
+    user = ListUser()
+    station = ActiveStation(BusParams.preset(500_000, address=2, gap=0), [user], patience=HOST)
+    answer_at, answers_now, asked = NEVER, True, 0
+
+    def port(octets: bytes, at: int) -> int:
+        nonlocal answer_at
+        if octets[0] == 0x68 and answers_now:
+            answer_at = at + 5 * NS_PER_MS
+        return at
+
+    now = 0
+    station.command(GoOnline(), now)
+    due = now
+    while len(user.results) < 5:
+        if answer_at == NEVER and asked == len(user.results):
+            asked += 1
+            answers_now = asked <= 3
+            user.high = [DIAG._replace(restart=True)]
+        now = max(now, min(due, answer_at))
+        chunk = b""
+        if answer_at <= now:
+            chunk, answer_at = DIAG_ANSWER, NEVER
+        due = pump(station, chunk, now, port)
+    assert [isinstance(o, Telegram) for o in user.outcomes] == [False, True, True, False, False]
+    assert station.stats.late == 1
+    waited = [ended - started for (_, _, ended), (_, started) in zip(user.results, user.starts, strict=True)]
+    assert waited[0] < 3 * NS_PER_MS
+    assert waited[3] > 50 * NS_PER_MS
+    assert waited[4] < 3 * NS_PER_MS  # silent once, it is as any other address
+
+
+def test_a_kept_back_answer_counts_when_nothing_follows() -> None:
+    bus, user, station = bus_with(Slave(), mode="chunk", patience=HOST)
+    slave = Slave()
+    slave.plan = [DX_ANSWER, None, None]
+    bus.slaves[3] = slave
+    user.high = [DX] * 5
+    bus.run(400 * NS_PER_MS)
+    assert [isinstance(o, Telegram) for o in user.outcomes] == [True, False, True, True, True]
+    first, second = (user.results[i][2] - user.starts[i][1] for i in (2, 3))
+    assert first > 10 * NS_PER_MS  # kept back once
+    assert second < 2 * NS_PER_MS
+    assert station.stats.late == 0
+
+
+def test_a_late_gap_answer_is_not_taken_for_an_empty_data_exchange() -> None:
+    patience = Patience(known_ns=NS_PER_MS, unknown_ns=NS_PER_MS, stall_ns=NS_PER_MS)
+    bus = RingBus(mode="chunk")
+    late = [False]
+
+    def say(octets: bytes, now: int) -> tuple[int, bytes]:
+        if octets[0] != 0x10:
+            return (200 if late[0] else 11), DX_ANSWER
+        return (910 if late[0] else 11), bytes.fromhex("10 02 03 00 05 16")
+
+    bus.slaves[3] = say
+    user = ListUser(per_hold=[DX])
+    station = bus.master(2, user, patience=patience, hsa=3, t_tr=5000)
+    bus.run(100 * NS_PER_MS)
+    assert 3 in station.stations
+    late[0] = True
+    bus.run(100 * NS_PER_MS)
+    assert station.stats.late >= 1
+    assert all(isinstance(o, Telegram) and o.data == b"\xaa\xbb" for o in user.outcomes)
+
+
+def test_patience_can_be_changed_while_running() -> None:
+    bus, user, station = bus_with(Slave(delay=300), mode="chunk")
+    bus.run(20 * NS_PER_MS)
+    station.set_patience(HOST, bus.now)
+    user.high = [DX]
+    bus.run(20 * NS_PER_MS)
+    assert isinstance(user.outcomes[-1], Telegram)
+
+
+def test_octets_before_the_request_are_no_garbled_answer_to_it() -> None:
+    bus, user, station = bus_with(Slave(), mode="chunk", patience=HOST)
+    bus.slaves.clear()
+    bus.until(station, State.PASS_TOKEN)
+    user.high = [DIAG]
+    bus.until(station, State.USE_TOKEN)
+    bus.pump(station, b"\x55")
+    bus.run(20 * NS_PER_MS)
+    assert user.outcomes == [Failure.NO_ANSWER]
+    assert station.stats.garbled == 0
+
+
+def test_answers_with_le_3_are_taken_as_empty_and_told_once() -> None:
+    slave = Slave(bytes.fromhex("68 03 03 68 02 03 08 0D 16"))
+    bus, user, _ = bus_with(slave, DX, DX, DX)
+    bus.run(20 * NS_PER_MS)
+    assert [o.data for o in user.outcomes if isinstance(o, Telegram)] == [b"", b"", b""]
+    (told,) = [e for e in bus.told(Notice) if "LE = 3" in e.text]
+    assert "station 3 " in told.text
+
+
+@pytest.mark.parametrize(
+    "octets",
+    [
+        "68 03 03 68 09 03 08 14 16",  # LE = 3
+        "68 04 04 68 89 03 08 41 D5 16",  # a region/segment address and no data unit
+        "68 04 04 68 09 83 08 41 D5 16",
+        "68 06 06 68 89 83 08 C1 3C 05 16 16",  # and a SAP behind it
+        "A2 09 03 08 01 02 03 04 05 06 07 08 38 16",
+    ],
+)
+def test_whoever_listens_is_told_the_octets_as_they_were(octets: str) -> None:
+    bus, _, station = bus_with(Slave())
+    heard: list[WireEntry] = []
+    station.wire = heard.append
+    bus.pump(station, bytes.fromhex(octets))
+    assert [entry.octets for entry in heard] == [bytes.fromhex(octets)]
