@@ -7,58 +7,22 @@ from itertools import pairwise
 from typing import Final
 
 import pytest
+from asker_kit import ANSWER, BAUD, SHORT, Asker
 from kernel_kit import LATE_NS, Driven, Kernel
 
 from dpstack.drivers import expecting
 from dpstack.drivers.expecting import Answers, is_answered
 from dpstack.fdl.active import ActiveStation
 from dpstack.fdl.commands import GoOnline
-from dpstack.fdl.telegram import Req, Telegram
-from dpstack.fdl.user import Failure, Request
 from dpstack.params import BusParams
 from dpstack.phy.patience import HOST
-from dpstack.trace import Event
-from dpstack.units import NEVER, NS_PER_MS, NS_PER_US, chars_to_ns
+from dpstack.units import NS_PER_MS, NS_PER_US, chars_to_ns
 
-BAUD: Final = 500_000
-ANSWER: Final = bytes.fromhex("68 0F 0F 68 02 03 08 00 00 00 00 00 00 00 00 00 00 00 00 0D 16")
-SHORT: Final = bytes.fromhex("10 02 03 03 08 16")  # RS: the service is not activated
 LONG: Final = bytes.fromhex("68 13 13 68 02 03 08" + " 00" * 16 + " 0D 16")
 TOKEN: Final = bytes.fromhex("DC 02 02")
 BITS_11_NS: Final = 22 * NS_PER_US
 #: wake-ups that are one more or one less move what follows by this much
 SAME_NS: Final = 3 * LATE_NS
-
-
-class Asker:
-    """Asks station 3 once a token hold."""
-
-    def __init__(self) -> None:
-        self.outcomes: list[Telegram | Failure] = []
-        self._asks = False
-
-    def token_received(self, now: int) -> None:
-        self._asks = True
-
-    def next_request(self, now: int, high_only: bool) -> Request | None:
-        asks, self._asks = self._asks, False
-        return Request(3, Req.SRD_HIGH, bytes(12), patient=True) if asks else None
-
-    def started(self, request: Request, at: int) -> None: ...
-
-    def result(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
-        self.outcomes.append(outcome)
-
-    def command(self, command: object, now: int) -> bool:
-        return False
-
-    def wake_at(self) -> int:
-        return NEVER
-
-    def tick(self, now: int) -> None: ...
-
-    def take_events(self) -> list[Event]:
-        return []
 
 
 class Scene:

@@ -6,9 +6,9 @@ import asyncio
 from time import monotonic_ns
 
 import pytest
+from asker_kit import ANSWER, BAUD, SHORT, Asker
 from driver_rig import driver_on
 from far_ends import PtyFarEnd, until
-from test_quiet import ANSWER, BAUD, SHORT, Asker
 
 from dpstack.drivers.echo import Echo
 from dpstack.fdl.active import ActiveStation
