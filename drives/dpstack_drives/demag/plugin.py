@@ -88,7 +88,7 @@ class DemagCore(MappedCore[OutMap]):
         self._set_412 = bool(options["set_412"])
         self._wide = telegram.inputs == 12
         if telegram.channel:
-            self.access = _Watched(t.PKW, self._resolve, lambda: self.now, self.settle_ns, self._written)
+            self.access = _Watched(t.PKW, self._resolve, lambda: self.now, lambda: self.settle_ns, self._written)
             self.access.trace = self._trace
             self.lookups = (self._toggle_time,)
 
