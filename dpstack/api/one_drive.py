@@ -18,7 +18,7 @@ from dpstack.profile import MOVING, ListedParam
 from dpstack.sim.world import World
 
 #: a slave that searches for the baud rate takes its time
-_READY_S: Final = 10.0
+READY_S: Final = 10.0
 _TOLD_S: Final = 2.0
 
 
@@ -54,7 +54,7 @@ class OneDrive:
         bus = self._bus
         await bus.open()
         await bus.operate()
-        await bus.slave(self._slave.address).ready(_READY_S)
+        await bus.slave(self._slave.address).ready(READY_S)
         with contextlib.suppress(DriveError):  # one that tells nothing is still there to be told something
             await self.drive.settled(_TOLD_S)
 

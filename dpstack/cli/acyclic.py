@@ -4,23 +4,20 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import dataclasses
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Any
 
 from dpstack.api.acyclic_words import WORDS, carry_out, check
 from dpstack.api.config import Config, load_config
 from dpstack.api.control.records import through_run
 from dpstack.api.events import Event, Notice, Severity, severity_of
+from dpstack.api.one_drive import READY_S
 from dpstack.api.opening import open_bus
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.cli import options, output
 from dpstack.cli.signals import StopSignal
 from dpstack.cli.streams import warn
 from dpstack.errors import UsageError
-
-#: a slave that searches for the baud rate takes its time
-_READY_S: Final = 10.0
 
 
 def add_to(commands: options.Commands) -> None:
@@ -82,11 +79,9 @@ async def _as_master(config: Config, slave: SlaveConfig, args: argparse.Namespac
     """The master stays in Clear: records are open, and no output is set."""
     if config.bus.read_only:
         raise UsageError("the configuration is read only: records need data exchange; leave read_only out")
-    # the other slaves are not this command's: a master that takes them up would put their outputs to their safe values
-    config = dataclasses.replace(config, slaves=(slave,))
-    async with open_bus(config, on_event=_event) as bus:
+    async with open_bus(config.only(slave), on_event=_event) as bus:
         found = bus.slave(slave.address)
-        await found.ready(_READY_S)
+        await found.ready(READY_S)
         return await carry_out(found, args.order, args.args)
 
 
@@ -114,8 +109,8 @@ def _show(told: Mapping[str, Any]) -> None:
 
 def _slave_of(config: Config, name: str) -> SlaveConfig:
     """Raises UsageError naming the slaves there are."""
-    for slave in config.slaves:
-        if name in (slave.name, str(slave.address)):
-            return slave
+    slave = config.find(name)
+    if slave is not None:
+        return slave
     known = ", ".join(f"{slave.address} ({slave.name})" for slave in config.slaves) or "none"
     raise UsageError(f"no slave {name!r} in this configuration; there are: {known}")
