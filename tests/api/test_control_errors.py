@@ -34,7 +34,8 @@ from dpstack.errors import (
 #: every class of the tree
 TREE = [kind for _, kind in inspect.getmembers(errors, inspect.isclass) if issubclass(kind, DpError)]
 #: arguments by their type, as annotated
-SAMPLES = {"int": 7, "str": "Read", "bool": True, "tuple[int, int, int]": (0x80, 0xB5, 3)}
+CODES = (0x80, 0xB5, 3)
+SAMPLES = {"int": 7, "str": "Read", "bool": True, "tuple[int, int, int]": CODES, "tuple[int, int, int] | None": CODES}
 FAIL = Spec("fail", "", "fails", "")
 
 
