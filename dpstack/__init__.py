@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from dpstack.api.drive import Drive
     from dpstack.api.events import Event, Mode, SlaveState
     from dpstack.api.opening import open_bus
+    from dpstack.api.parameter_dump import ParameterPlace
     from dpstack.api.serving import SlaveServer, serve_slave, serve_slaves
     from dpstack.api.slave import Slave
     from dpstack.api.slave_from_gsd import slave_from_gsd
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
     from dpstack.dp.slaveapp import SlaveApp, SlaveAppState
     from dpstack.dp.user_diag import UserDiag, channel_block, device_block, identifier_block, revision_block
     from dpstack.dp.v1.im import Im0, Im1, Im2, Im3, Im4
+    from dpstack.dp.v1.prm_blocks import PrmBlock
     from dpstack.errors import (
         AcyclicError,
         BaudError,
@@ -89,8 +91,10 @@ __all__ = [
     "Mode",
     "ParamError",
     "ParameterError",
+    "ParameterPlace",
     "PortBusyError",
     "PortError",
+    "PrmBlock",
     "RecordRefused",
     "ServiceRefused",
     "Slave",
@@ -153,6 +157,8 @@ _WHERE: Final = {
     "device_block": "dp.user_diag",
     "identifier_block": "dp.user_diag",
     "revision_block": "dp.user_diag",
+    "ParameterPlace": "api.parameter_dump",
+    "PrmBlock": "dp.v1.prm_blocks",
     "Im0": "dp.v1.im",
     "Im1": "dp.v1.im",
     "Im2": "dp.v1.im",

@@ -9,6 +9,7 @@ from dpstack.api.gsd import read_gsd
 from dpstack.dp.device import Leave, OnCycle
 from dpstack.dp.dp_slave import DpSlave, OnAddress, OnIm, OnRead, OnTransport, OnWrite
 from dpstack.dp.slave_gsd import slave_description
+from dpstack.dp.v1.prm_blocks import PrmBlock
 from dpstack.dp.v1.serving import ImOf
 from dpstack.errors import ConfigError, GsdError
 from dpstack.gsd.configuration import configure, default_modules
@@ -22,6 +23,7 @@ def slave_from_gsd(
     name: str = "",
     safe: bytes | None = None,
     on_prm: Callable[[bytes], str | None] | None = None,
+    on_blocks: Callable[[tuple[PrmBlock, ...]], str | None] | None = None,
     on_address: OnAddress | None = None,
     on_leave: Callable[[Leave], None] | None = None,
     on_read: OnRead | None = None,
@@ -50,6 +52,7 @@ def slave_from_gsd(
         config=None if preset is None else preset.config,
         safe=safe,
         on_prm=on_prm,
+        on_blocks=on_blocks,
         on_address=on_address,
         on_leave=on_leave,
         on_read=on_read,

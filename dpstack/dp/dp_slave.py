@@ -10,6 +10,7 @@ from dpstack.dp.device import FunctionDevice, Leave, OnCycle
 from dpstack.dp.slave_description import SlaveDescription
 from dpstack.dp.user_diag import NO_DIAG, UserDiag
 from dpstack.dp.v1.im import Im
+from dpstack.dp.v1.prm_blocks import PrmBlock
 from dpstack.dp.v1.serving import ImOf, ImRecords
 from dpstack.dp.v1.tickets import Records
 from dpstack.errors import ConfigError
@@ -47,10 +48,11 @@ class DpSlave(FunctionDevice):
     out of data exchange. ``safe``: these octets, default zeros; only where all configurations have that length.
     ``config``: what Get_Cfg says until a master has configured the slave: the modules that are plugged in.
 
-    ``on_prm(user_prm)`` judges user parameters: a reason to refuse them, or None. ``on_address`` keeps the address that
-    Set_Slave_Add gives; without it the slave has its old one after a restart. ``on_leave(reason)`` is told why data
-    exchange ended. What any of them raises takes this slave out of data exchange, with safe outputs and Stat_Diag,
-    until it is restarted; nothing else is disturbed.
+    ``on_prm(user_prm)`` judges user parameters: a reason to refuse them, or None; ``on_blocks(blocks)`` does so with
+    the structured ones of a DP-V1 slave (empty where there are none; lengths that lie are refused before).
+    ``on_address`` keeps the address that Set_Slave_Add gives; without it the slave has its old one after a restart.
+    ``on_leave(reason)`` is told why data exchange ended. What any of them raises takes this slave out of data exchange,
+    with safe outputs and Stat_Diag, until it is restarted; nothing else is disturbed.
 
     ``on_read`` and ``on_write`` serve the records of DP-V1, ``on_transport`` the Data_Transport of class 2
     (:func:`dpstack.serve_slave` runs them), one at a time for each who asks: what they raise is answered and told,
@@ -71,6 +73,7 @@ class DpSlave(FunctionDevice):
         config: bytes | None = None,
         safe: bytes | None = None,
         on_prm: Callable[[bytes], str | None] | None = None,
+        on_blocks: Callable[[tuple[PrmBlock, ...]], str | None] | None = None,
         on_address: OnAddress | None = None,
         on_leave: Callable[[Leave], None] | None = None,
         on_read: OnRead | None = None,
@@ -103,6 +106,7 @@ class DpSlave(FunctionDevice):
         self.safe = safe or b""
         self._safe = b""  # in the length of the configuration in use
         self._on_prm = on_prm
+        self._on_blocks = on_blocks
         self._on_address = on_address
         self._on_leave = on_leave
         self.on_read = on_read
@@ -152,12 +156,14 @@ class DpSlave(FunctionDevice):
     # --- Device -------------------------------------------------------------------------------------------------
 
     def check_prm(self, user_prm: bytes) -> str | None:
-        """Length by the description, the rest by the user's own check."""
+        """Lengths by the description, the rest by the user's own checks."""
         reason = self.description.check_prm(user_prm)
-        if reason is not None or self._on_prm is None:
-            return reason
         with self._called():
-            return self._on_prm(user_prm)
+            if reason is None and self._on_prm is not None:
+                reason = self._on_prm(user_prm)
+            if reason is None and self._on_blocks is not None:
+                reason = self._on_blocks(self.description.blocks(user_prm))
+        return reason
 
     def check_cfg(self, config: bytes) -> str | None:
         """By the description."""

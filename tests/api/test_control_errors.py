@@ -34,8 +34,13 @@ from dpstack.errors import (
 #: every class of the tree
 TREE = [kind for _, kind in inspect.getmembers(errors, inspect.isclass) if issubclass(kind, DpError)]
 #: arguments by their type, as annotated
-CODES = (0x80, 0xB5, 3)
-SAMPLES = {"int": 7, "str": "Read", "bool": True, "tuple[int, int, int]": CODES, "tuple[int, int, int] | None": CODES}
+SAMPLES = {
+    "int": 7,
+    "str": "Read",
+    "bool": True,
+    "tuple[int, int, int]": (0x80, 0xB5, 3),
+    "tuple[int, int, int] | None": (2, 1, 7),
+}
 FAIL = Spec("fail", "", "fails", "")
 
 

@@ -121,7 +121,7 @@ def device(monkeypatch: pytest.MonkeyPatch) -> Device:
 
 def open_bus(device: Device, config: Config, on_event: OnEvent | None = None) -> dpstack.Bus:
     world = dpstack.World()
-    slave = DpSlave(RIG, lambda outputs, elapsed: outputs)
+    slave = DpSlave(RIG, lambda outputs, elapsed: outputs, ms2=1)
     slave.serve_records(TimedRecords(ParameterServer(device), lambda at: 0))
     slave_in(world, slave, 8)
     return dpstack.open_bus(config, on_event=on_event, world=world)
@@ -180,6 +180,17 @@ def test_the_list_as_a_table_and_as_json(plant: Path, capsys: Out) -> None:
         8,
     )
     assert told["parameters"][1] == {"number": 12, "name": "Ramps", "format": "Integer16", "values": [1, -2, 3]}
+
+
+@pytest.mark.usefixtures("device")
+def test_over_a_class_2_connection_it_is_the_same(plant: Path, capsys: Out, tmp_path: Path) -> None:
+    table = run(capsys, str(plant), "8", "parameters")[0]
+    assert run(capsys, str(plant), "8", "parameters", "--class", "2")[0] == table
+    path = tmp_path / "pump.toml"
+    run(capsys, str(plant), "8", "dump", str(path), "--class", "2")
+    assert run(capsys, str(plant), "8", "compare", str(path), "--all", "--class", "2")[0].splitlines()[-1] == (
+        f"slave 8 (pump): 7 parameters are as in {path}, 0 differ"
+    )
 
 
 def test_into_a_file_and_against_it(plant: Path, capsys: Out, device: Device, tmp_path: Path) -> None:

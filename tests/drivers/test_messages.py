@@ -31,7 +31,8 @@ from dpstack.dp.v1.ms2_orders import (
     TransportOver,
     WriteOver,
 )
-from dpstack.dp.v1.status import Dpv1, PrmBlock
+from dpstack.dp.v1.prm_blocks import PrmBlock
+from dpstack.dp.v1.status import Dpv1
 from dpstack.drivers import messages as m
 from dpstack.drivers.stack import StackSpec
 from dpstack.errors import BusError, ConfigError, PortBusyError, SlaveFault, UsageError
