@@ -83,6 +83,8 @@ def severity_of(event: Event) -> Severity:
             return Severity.WARNING
         case DriveEvent(payload={"type": "failed"}):
             return Severity.ERROR
+        case ConnectionOver(ordered=False):
+            return Severity.WARNING
     return Severity.INFO
 
 

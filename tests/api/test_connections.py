@@ -16,7 +16,7 @@ import dpstack
 from dpstack import AcyclicError, Connection, ConnectionEnded, Im0, ServiceRefused, SlaveFault, SlaveTimeout, UsageError
 from dpstack.api.config import make_config
 from dpstack.api.connection import send_timeout_of
-from dpstack.api.events import event_json
+from dpstack.api.events import Severity, event_json, severity_of
 from dpstack.api.ms2_config import Ms2Limits
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.dp.v1.ms2_orders import ConnectionOver
@@ -77,6 +77,8 @@ def test_everything_over_one_connection_beside_the_slaves_own_master() -> None:
 
     told = beside(program)
     (over,) = [event for event in told if isinstance(event, ConnectionOver)]
+    assert severity_of(over) is Severity.INFO
+    assert severity_of(dataclasses.replace(over, ordered=False)) is Severity.WARNING
     assert event_json(over, 1.0) == {
         "event": "connection_over",
         "t": 1.0,

@@ -9,6 +9,7 @@ import pytest
 from gsd_kit import FILES, device
 from octet_class2 import ABORT, INITIATE, RS, SC, Class2
 from octet_wire import PARAMS, Wire
+from support import WorldFactory
 
 import dpstack
 from dpstack import DpSlave, Im0, RecordRefused, SlaveDescription
@@ -142,3 +143,61 @@ def test_from_a_gsd_file() -> None:
     assert (description.ms2, description.ms2_max_len) == (2, 240)
     slave = dpstack.slave_from_gsd(FILES / "whole.gsd", lambda outputs, elapsed: outputs, ["8 DO", "8 DI"])
     assert slave.ms2 == 2
+
+
+def test_three_masters_at_once_beside_its_own(world: WorldFactory) -> None:
+    """Both ends of ours: connections of two stations and of its class 1 master, MS1 beside them; the cycle goes on."""
+    plant = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True, ms2=3)
+    told: list[str] = []
+    at_work = most = 0
+
+    async def read(slot: int, index: int) -> bytes:
+        nonlocal at_work, most
+        at_work += 1
+        most = max(most, at_work)
+        await asyncio.sleep(0.05)
+        at_work -= 1
+        return bytes((slot, index))
+
+    made = world()
+
+    async def busy(bus: dpstack.Bus, slot: int) -> None:
+        async with bus.class2.connect(9) as connection:
+            for index in range(5):
+                assert await connection.read(slot, index) == bytes((slot, index))
+
+    async def records(bus: dpstack.Bus) -> None:
+        for index in range(5):
+            assert await bus.slave(9).read(7, index) == bytes((7, index))
+
+    async def main() -> None:
+        slave = DpSlave(plant, lambda outputs, elapsed: outputs, on_read=read)
+        async with (
+            dpstack.serve_slave(slave, world=made, address=9, on_event=lambda event: told.append(event.text)) as server,
+            dpstack.open_bus(world=made, baud=500_000, gap=1, slaves=[plant.table(9)]) as owner,
+        ):
+            await owner.ready()
+            await owner.operate()
+            owner.slave(9).outputs = b"\x55"
+            async with (
+                dpstack.open_bus(world=made, baud=500_000, address=5) as one,
+                dpstack.open_bus(world=made, baud=500_000, address=6) as two,
+            ):
+                await asyncio.gather(busy(owner, 1), busy(one, 2), busy(two, 3), records(owner))
+                with pytest.raises(dpstack.ServiceRefused):
+                    async with (
+                        one.class2.connect(9),
+                        one.class2.connect(9),
+                        two.class2.connect(9),
+                        owner.class2.connect(9),
+                    ):
+                        raise AssertionError("there are three connections")
+            assert most == 4  # side by side
+            found = owner.slave(9)
+            assert (found.ready_now, found.retries, found.timeouts, found.inputs) == (True, 0, 0, b"\x55")
+            assert server.slave.connections == ()
+            assert server.slave.connections_free == 3
+            assert server.slave.stats.connections == server.slave.stats.closed == 6
+
+    dpstack.run_virtual(main())
+    assert sum("its master aborted it: its user" in text for text in told) == 6

@@ -72,7 +72,7 @@ def test_literal_telegrams() -> None:
     start = len(kit.bus.log)
     over = kit.close(1)
     assert said(kit, start) == ["68 08 08 68 84 82 5d 30 32 58 00 20 3d 16", "e5"]
-    assert (over.reason, over.abort, over.server_sap) == ("it was closed here", (0, 2, 0), 48)
+    assert (over.reason, over.abort, over.server_sap, over.ordered) == ("it was closed here", (0, 2, 0), 48, True)
     kit.freed()
 
 
@@ -362,7 +362,7 @@ def test_the_slave_aborts(abort: str, text: str) -> None:
     assert "Read of slot 1, index 2 has no answer, the class 2 connection is over: the slave aborted it: " in done.text
     assert kit.end(second, RecordDone).outcome == done.outcome
     over = kit.over(1)
-    assert over.abort == codes
+    assert (over.abort, over.ordered) == (codes, False)
     assert text in over.text
     assert kit.slave.heard[-1][1][:1] != b"\x58"  # it knows
     kit.freed()

@@ -213,12 +213,37 @@ def test_all_server_saps() -> None:
     assert slave.all_free()
 
 
-def test_initiate_again_before_the_answer_was_fetched_takes_the_place_of_the_first() -> None:
+def test_initiates_before_an_answer_was_fetched_are_named_one_after_the_other() -> None:
+    slave = Slave(count=3)
+    for _ in range(3):
+        assert slave.master.ask(49, INITIATE) == SC
+    assert [slave.master.manager() for _ in range(5)] == [48, 47, 46, 46, 46]
+    assert [slave.master.ask(sap) for sap in (46, 47, 48)] == [OPENED] * 3
+    assert slave.master.ask(49) == SC
+    assert len(slave.app.connections) == 3
+
+
+def test_where_none_is_free_the_next_initiate_takes_the_place_of_one_that_was_not_fetched() -> None:
     slave = Slave(count=1)
     assert slave.master.ask(49, INITIATE) == SC
     assert slave.master.connect() == 48
     assert slave.texts()[1].endswith("0 services: another Initiate of its master came before the answer was fetched")
     assert len(slave.app.connections) == 1
+
+
+def test_what_was_wrong_with_an_earlier_initiate_is_no_answer_to_the_next() -> None:
+    slave = Slave(count=3)
+    assert slave.master.ask(49, "57") == SC
+    assert slave.master.connect() == 47
+    assert slave.app.connections_free == 2
+
+
+def test_one_that_was_fetched_is_not_taken_away() -> None:
+    slave = Slave(count=1)
+    assert slave.master.initiate() == 48
+    assert slave.master.ask(49, INITIATE) == RS
+    assert slave.master.ask(49) == "56 30 00 C8"
+    assert slave.master.ask(48) == OPENED
 
 
 def test_initiate_again_after_it_was_fetched_opens_a_second_one() -> None:
@@ -305,6 +330,7 @@ def test_data_that_is_longer_than_the_slave_takes() -> None:
     slave = Slave(max_len=2)
     sap = slave.master.initiate()
     assert slave.master.ask(sap)[:5] == "57 02"
+    assert slave.master.service(sap, READ) == "5E 00 01 02 11 22"
     assert slave.master.service(sap, "5F 01 02 03 01 02 03") == "DF 80 B1 00"
     assert slave.texts()[-1] == "MS2 of master 1 refused: 3 octets of data, 2 are possible"
 

@@ -77,11 +77,11 @@ class Ms2:
             case CloseConnection(ref):
                 connection = self.connections.get(ref)
                 if connection is not None:
-                    self.end(connection, "it was closed here", NOT_WANTED)
+                    self._close(connection, "it was closed here")
             case CloseConnections():
                 self._closing = True
                 for connection in tuple(self.connections.values()):
-                    self.end(connection, "the bus was closed here", NOT_WANTED)
+                    self._close(connection, "the bus was closed here")
                 self._closed_all(now)
             case _:
                 return False
@@ -145,6 +145,10 @@ class Ms2:
             )
         return ServiceJob(connection, self, service, octets)
 
+    def _close(self, connection: Connection, reason: str) -> None:
+        connection.ordered |= connection.phase is Phase.OPEN
+        self.end(connection, reason, NOT_WANTED)
+
     # --- one connection -------------------------------------------------------------------------------------------
 
     def end(self, connection: Connection, reason: str, abort: Abort | None) -> None:
@@ -175,6 +179,7 @@ class Ms2:
                     address=connection.address,
                     server_sap=connection.server_sap or 0,
                     reason=connection.reason,
+                    ordered=connection.ordered,
                     abort=None if told is None else (told.subnet, told.instance, told.reason),
                 )
             )

@@ -90,6 +90,8 @@ class Connection:
     outstanding: bool = False
     #: it was open once: its end is told
     opened: bool = False
+    #: its end was ordered
+    ordered: bool = False
     reason: str = ""
     abort: Abort | None = None
     #: answers to requests that nobody waited for any more

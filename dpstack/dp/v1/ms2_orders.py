@@ -149,6 +149,7 @@ class ConnectionOver(Event):
     """The one end of a connection that was open, told when it is given back: ``reason`` says who ended it and why.
 
     ``abort``: subnet, instance and reason of the Abort that the slave sent, or that it was sent; None without any.
+    ``ordered``: by whoever opened it.
     """
 
     connection: int
@@ -156,6 +157,7 @@ class ConnectionOver(Event):
     server_sap: int
     reason: str
     abort: tuple[int, int, int] | None = None
+    ordered: bool = False
 
     @property
     def text(self) -> str:

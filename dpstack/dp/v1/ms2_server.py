@@ -6,8 +6,9 @@ class 2 needs no parameters (C3). Decisions where the sources are silent:
 
 - No connection free: RS at SAP 49 (J). A connection that is over, whose Abort nobody has fetched, is given to who asks.
 - What is no Initiate, or cannot be read, gets a server SAP like any other and the Abort there (VPC3+).
-- The Resource_Manager PDU stays until its master uses the server SAP. Another Initiate of the same master before it was
-  fetched takes the place of the first one: that one was given up.
+- The Resource_Manager PDU stays until its master uses the server SAP. Another Initiate of the same master before that
+  has a connection of its own, polls name the oldest that was not fetched yet; where no connection is free it takes the
+  place of one that was not fetched: that one was given up.
 - The connection that has been free for longest is given out, so that a late poll of the last user meets RS.
 """
 
@@ -79,7 +80,7 @@ class Ms2Server:
         self._send_timeout = send_timeout
         self._connections: dict[int, Connection] = {}
         self._free = deque(list(reversed(SERVER_SAPS))[:count])
-        self._offers: dict[tuple[int, int | None], _Offer] = {}
+        self._offers: dict[tuple[int, int | None], list[_Offer]] = {}
 
     @property
     def connections(self) -> tuple[ServedConnection, ...]:
@@ -103,36 +104,40 @@ class Ms2Server:
             return None
         if not octets:
             return self._offered(sa, ssap)
-        before = self._offers.pop((sa, ssap), None)
-        if before is not None and not before.fetched:
-            before.connection.end("another Initiate of its master came before the answer was fetched", now)
-            self._tidy(before.connection)
-        sap = self._next(now)
+        for offer in list(self._offers.get((sa, ssap), ())):
+            if offer.connection.state is State.OVER:
+                self._take_back(offer.connection, now)  # what was wrong with an earlier Initiate is no answer to this
+        sap = self._next(sa, ssap, now)
         if sap is None:
             return None
         connection = Connection(Asker(sa, sap), ssap, self._send_timeout(), self._device, self._report, now)
         self._connections[sap] = connection
-        self._offers[sa, ssap] = _Offer(connection)
+        self._offers.setdefault((sa, ssap), []).append(_Offer(connection))
         connection.initiate(octets, now)
         self._watch(connection)
         return self._offered(sa, ssap) if self.at_once else SC_REPLY
 
     def _offered(self, sa: int, ssap: int | None) -> Reply:
-        offer = self._offers.get((sa, ssap))
-        if offer is None:
+        offers = self._offers.get((sa, ssap))
+        if not offers:
             return SC_REPLY
+        offer = next((one for one in offers if not one.fetched), offers[-1])
         offer.fetched = True
         manager = ResourceManagerRes(offer.connection.asker.sap, self._send_timeout())
         return Reply(Resp.DL, manager.build())
 
-    def _next(self, now: int) -> int | None:
-        """A server SAP that is free, or whose connection is over and nobody has fetched the Abort."""
+    def _next(self, sa: int, ssap: int | None, now: int) -> int | None:
+        """A server SAP that is free, or one that nobody uses: its Abort, or what the manager said, was not fetched."""
         if not self._free:
-            over = [one for one in self._connections.values() if one.state is State.OVER]
-            for one in over[:1]:
-                one.end("", now)
-                self._tidy(one)
+            unused = [one for one in self._connections.values() if one.state is State.OVER]
+            unused += [offer.connection for offer in self._offers.get((sa, ssap), ()) if not offer.fetched]
+            for one in unused[:1]:
+                self._take_back(one, now)
         return self._free.popleft() if self._free else None
+
+    def _take_back(self, connection: Connection, now: int) -> None:
+        connection.end("another Initiate of its master came before the answer was fetched", now)
+        self._tidy(connection)
 
     # --- server SAPs ------------------------------------------------------------------------------------------------
 
@@ -141,9 +146,7 @@ class Ms2Server:
         connection = self._connections.get(sap)
         if connection is None or not connection.is_of(sa, ssap):
             return None
-        offer = self._offers.get((sa, ssap))
-        if offer is not None and offer.connection is connection:
-            del self._offers[sa, ssap]  # the Resource_Manager PDU has arrived
+        self._arrived(connection)
         if octets:
             connection.take(octets, now)
         answer = connection.poll(now) if not octets or (self.at_once and not connection.free) else None
@@ -180,6 +183,14 @@ class Ms2Server:
             return
         del self._connections[sap]
         self._free.append(sap)
-        for whose, offer in list(self._offers.items()):
-            if offer.connection is connection:
-                del self._offers[whose]
+        self._arrived(connection)
+
+    def _arrived(self, connection: Connection) -> None:
+        """Its Resource_Manager PDU is not wanted any more."""
+        whose = (connection.asker.master, connection.ssap)
+        offers = self._offers.get(whose)
+        if offers is None:
+            return
+        offers[:] = [one for one in offers if one.connection is not connection]
+        if not offers:
+            del self._offers[whose]

@@ -20,6 +20,7 @@ from dpstack.dp.v1.tickets import (
     put_transport,
 )
 from dpstack.errors import PduError
+from dpstack.units import NS_PER_MS
 
 
 class Served(Protocol):
@@ -165,7 +166,7 @@ class Connection:
         if TABLE[self.state, Ev.SILENCE].act is Act.FREE:
             self._answer = None
             return
-        waited = (now - self.heard) // 1_000_000
+        waited = (now - self.heard) // NS_PER_MS
         self.heard = now
         self._end_with(AbortReason.TIMEOUT, f"nothing was heard of its master for {waited} ms", now)
 
@@ -204,8 +205,11 @@ class Connection:
         self.state = State.WORKING
         try:
             request = parse_transport(octets) if octets[0] == Function.DATA_TRANSPORT else parse_request(octets)
-            if not isinstance(request, ReadReq) and len(request.data) > self._device.ms2_max_len:
-                reason = f"{len(request.data)} octets of data, {self._device.ms2_max_len} are possible"
+            longest = self._device.ms2_max_len
+            if isinstance(request, ReadReq):
+                request = ReadReq(request.slot, request.index, min(request.length, longest))
+            elif len(request.data) > longest:
+                reason = f"{len(request.data)} octets of data, {longest} are possible"
                 raise UnacceptableError(reason, Negative(octets[0], Code.WRITE_LENGTH))
         except UnacceptableError as error:
             self._negative(error.negative, str(error), now)

@@ -91,7 +91,7 @@ class Ticket(AnyTicket):
         if isinstance(request, WriteReq):
             self._respond(WriteRes(request.slot, request.index, len(request.data)))
         else:
-            self._respond(ReadRes(request.slot, request.index, data[: request.length]))
+            self._respond(ReadRes(request.slot, request.index, bytes(data[: request.length])))
 
 
 class TransportTicket(AnyTicket):
