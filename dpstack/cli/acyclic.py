@@ -47,7 +47,8 @@ def add_to(commands: options.Commands) -> None:
         "dpstack acyclic plant.toml 8 read 1 47\n"
         "         dpstack acyclic plant.toml valves write 1 47 00FF\n"
         "         dpstack acyclic plant.toml 8 im\n"
-        "         dpstack acyclic plant.toml 8 im --class 2\n\norders:\n"
+        "         dpstack acyclic plant.toml 8 im --class 2\n"
+        "         dpstack acyclic plant.toml 8 dump pump.toml\n\norders:\n"
         + "\n".join(f"  {f'{spec.name} {spec.usage}':29} {spec.text}" for spec in _WORDS),
     )
     parser.add_argument("config", metavar="CONFIG", help="configuration file")
