@@ -43,7 +43,7 @@ from dpstack.errors import PduError, UsageError
 from dpstack.fdl.user import Request
 from dpstack.params import UNADDRESSED
 from dpstack.trace import Event
-from dpstack.units import NEVER
+from dpstack.units import NEVER, ns_to_s
 
 #: how the refusal of a service over a connection that is over begins
 NO_CONNECTION: Final = "there is no open class 2 connection"
@@ -113,6 +113,10 @@ class Ms2:
             raise UsageError("the bus is being closed: no connection is opened any more")
         if len(self.connections) >= CAPACITY:
             raise UsageError(f"{CAPACITY} class 2 connections are open already: close one first")
+        if order.send_timeout_ns <= 0:
+            raise UsageError("a send time-out of 0 s or less ends a connection at once: 0.01 s is the least")
+        if order.response_ns < 0:
+            raise UsageError(f"{ns_to_s(order.response_ns):g} s is no time for an answer: 0 for as long as is usual")
         request = InitiateReq(
             order.send_timeout_ns,
             order.features,

@@ -131,7 +131,6 @@ class Connection:
         """The first bit of one of its requests is on the wire."""
         if request.data:
             self.outstanding = request.data[0] != Function.ABORT
-            self.taken |= request.data[0] == Function.INITIATE
 
     # --- the course of a service ----------------------------------------------------------------------------------
 
