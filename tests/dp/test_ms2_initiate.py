@@ -15,6 +15,8 @@ from dpstack.dp.v1.ms2_orders import (
     InitiateDone,
 )
 
+RDL = 0x0C
+
 
 def failed(kit: Ms2Bus, **more: int) -> InitiateDone:
     """An Initiate that leaves nothing."""
@@ -150,6 +152,40 @@ def test_telegrams_of_initiate_are_lost(lost: tuple[int, ...]) -> None:
     done = kit.open()
     assert done.outcome.failure is None, done.text
     assert kit.read(1).outcome.data == b"\1\2"
+
+
+def test_an_initiate_whose_answers_are_lost_is_asked_for_and_not_sent_again() -> None:
+    kit = Ms2Bus()
+    dropped: list[Sent] = []
+
+    def drop(sent: Sent) -> bool:
+        if sent.octets[0] != 0xE5 or len(dropped) == 2:
+            return False
+        dropped.append(sent)
+        return True
+
+    kit.bus.drop = drop
+    assert kit.open().server_sap == 48
+    assert [(sap, pdu[:1].hex()) for sap, pdu in kit.slave.heard] == [(49, "57"), (49, ""), (48, "")]
+    assert list(kit.slave.sessions) == [48]
+
+
+def test_an_answer_to_an_earlier_master_is_given_away_first() -> None:
+    """RDL: the Initiate was not taken."""
+    kit = Ms2Bus()
+    usual, times = kit.slave.service, [2]
+
+    def say(octets: bytes) -> bytes | None:
+        if times[0]:
+            times[0] -= 1
+            return sd2(2, 4, RDL, 50, 49, b"\x56\x11\x00\x64")
+        kit.slave.says.clear()
+        return usual(octets)
+
+    kit.slave.says[49] = say
+    done = kit.open()
+    assert (done.outcome.failure, done.server_sap) == (None, 48)
+    assert [pdu[:1].hex() for _, pdu in kit.slave.heard] == ["57", "", ""]
 
 
 @pytest.mark.parametrize("step", range(24))
