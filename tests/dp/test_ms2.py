@@ -224,14 +224,17 @@ def test_a_service_that_is_given_up_leaves_the_connection() -> None:
 
 
 def test_the_answer_to_a_given_up_service_is_fetched_where_nothing_else_is_asked() -> None:
+    """At once, not with the next Idle."""
     kit = Ms2Bus()
     kit.open()
-    kit.slave.polls = 12
+    kit.slave.polls = 7
     token = kit.order_read(1)
-    kit.bus.run(20 * MS)
+    kit.bus.run(5 * MS)
     kit.send(CancelService(token))
-    kit.bus.run(150 * MS)
-    assert [answer for _, answer in kit.slave.sessions[48].waiting] in ([], [b"\x48\x01"])
+    assert kit.slave.sessions[48].waiting
+    kit.bus.run(30 * MS)
+    assert not kit.slave.sessions[48].waiting
+    assert all(pdu[:1] != b"\x48" for _, pdu in kit.slave.heard)
 
 
 def test_a_cancelled_service_that_was_never_sent_owes_nothing() -> None:

@@ -206,15 +206,22 @@ def test_cancelled_or_closed_at_every_step(step: int) -> None:
         assert len(kit.told(ConnectionOver)) == (done.outcome.failure is None)
 
 
-def test_closed_between_handing_on_and_sending() -> None:
-    """What the link layer has already goes out: the slave is not left with it."""
-    for step in range(0, 400, 8):
+def test_closed_at_every_moment() -> None:
+    """Also between handing on and sending: what the link layer has already goes out. One that was open ends as such,
+    one that was not is never told as open."""
+    opened = 0
+    for step in range(0, 3_200, 24):
         kit = Ms2Bus()
         kit.order_open()
         kit.bus.run(step * 1_000)
+        was_open = bool(kit.told(InitiateDone))
         kit.send(CloseConnection(1))
-        assert kit.end(1, InitiateDone).outcome.failure is ServiceFailure.ABORTED
+        done = kit.end(1, InitiateDone)
+        assert done.outcome.failure is (None if was_open else ServiceFailure.ABORTED)
         kit.freed()
+        assert len(kit.told(ConnectionOver)) == was_open
+        opened += was_open
+    assert 0 < opened < 100
 
 
 def test_initiate_has_its_time() -> None:

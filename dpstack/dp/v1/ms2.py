@@ -158,19 +158,18 @@ class Ms2:
     def end(self, connection: Connection, reason: str, abort: Abort | None) -> None:
         """It is over, from either end; the slave is told by ``abort`` where it may hold anything. More than once is
         no error, the first reason stands."""
-        if connection.phase in (Phase.ENDING, Phase.GONE):
+        if connection.phase is Phase.ENDING:
             return
         connection.phase = Phase.ENDING
         connection.reason = reason
         if abort is not None and connection.taken:
-            connection.abort = connection.abort or abort
+            connection.abort = abort
             self.wanted.append((GiveBackJob(connection, self, abort), connection.send_timeout_ns))
         else:
             self.forget(connection, self.clock.now)
 
     def forget(self, connection: Connection, now: int) -> None:
         """The slave holds nothing any more, or cannot be told."""
-        connection.phase = Phase.GONE
         if self.connections.get(connection.ref) is not connection:
             return
         del self.connections[connection.ref]

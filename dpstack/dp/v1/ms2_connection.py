@@ -49,7 +49,6 @@ class Phase(Enum):
     OPENING = "opening"
     OPEN = "open"
     ENDING = "ending"  # over for whoever used it; the slave is still to be told
-    GONE = "gone"
 
 
 class Ended(NamedTuple):

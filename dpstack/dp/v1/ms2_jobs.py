@@ -159,9 +159,9 @@ class IdleJob(ConnectionJob):
     def steps(self) -> Steps[Outcome]:
         """Idle, or the answer to a service that was given up."""
         connection = self.connection
-        drained = yield from connection.drained()
-        if drained is not None:
-            return self.over(drained)
+        if connection.outstanding:
+            drained = yield from connection.drained()
+            return Outcome() if drained is None else self.over(drained)
         found = yield from connection.asked(IDLE, self.title)
         if isinstance(found, Ended):
             return self.over(found)
