@@ -50,6 +50,24 @@ def test_silence_ends_it_to_the_nanosecond(step: str, factor: int) -> None:
     assert slave.all_free()
 
 
+def test_each_has_its_own_time() -> None:
+    slave = Slave(count=3)
+    heard = []
+    for _ in range(3):
+        slave.master.connect()
+        heard.append(slave.master.heard)
+        slave.wire.pass_time(100 * MS)
+    open_ones = [48, 47, 46]
+    for last in heard:
+        deadline = last + 2 * TIMEOUT
+        slave.wire.pass_time(deadline - 1 - slave.wire.now)
+        assert slave.saps() == open_ones
+        assert slave.app.wake_at() == deadline
+        slave.wire.pass_time(1)
+        open_ones = open_ones[1:]
+        assert slave.saps() == open_ones
+
+
 def test_the_abort_after_silence_is_fetched() -> None:
     later = Later()
     slave = Slave(later, count=1)
