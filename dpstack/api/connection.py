@@ -169,13 +169,17 @@ class Connection(RecordAccess):
 
 
 class Connecting:
-    """A connection that is being opened: to be awaited, or entered with ``async with``, which closes it at the end."""
+    """A connection that is being opened: to be awaited, or entered with ``async with``, which closes it at the end.
+
+    Once: a second time raises UsageError.
+    """
 
     def __init__(self, bus: Bus, order: OpenConnection, name: str, limits: Ms2Limits) -> None:
         self._bus = bus
         self._order = order
         self._name = name
         self._limits = limits
+        self._begun = False
         self._opened: Connection | None = None
 
     def __await__(self) -> Generator[object, None, Connection]:
@@ -192,6 +196,9 @@ class Connecting:
             await self._opened.close()
 
     async def _open(self) -> Connection:
+        if self._begun:
+            raise UsageError("this connection was opened before: call connect() again for another one")
+        self._begun = True
         services, order, limits = self._bus.services, self._order, self._limits
         who = f"slave {order.address} ({self._name})"
         if not limits.supported:

@@ -182,6 +182,17 @@ def test_typed_errors() -> None:
     beside(program)
 
 
+def test_each_is_opened_once() -> None:
+    async def program(bus: dpstack.Bus, server: Ms2Server) -> None:
+        connecting = bus.class2.connect(9)
+        async with connecting as connection:
+            with pytest.raises(UsageError, match=r"was opened before: call connect\(\) again"):
+                await connecting
+            assert (await connection.read(1, 2), len(server.sessions)) == (b"\1\2", 1)
+
+    beside(program)
+
+
 def test_times_that_are_none() -> None:
     async def program(bus: dpstack.Bus, server: Ms2Server) -> None:
         connect = bus.class2.connect

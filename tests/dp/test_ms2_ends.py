@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 from ms2_kit import MS, Ms2Bus, served
+from ring_bus import Sent
 
 from dpstack.dp.class2_jobs import ServiceFailure
 from dpstack.dp.v1.ms1 import RecordDone
@@ -205,6 +206,24 @@ def test_closed_with_services_waiting() -> None:
     kit.freed()
     kit.send(CloseConnection(1))  # once more is no error
     kit.send(CloseConnection(99))
+
+
+def test_an_abort_that_is_lost_is_sent_again() -> None:
+    kit = Ms2Bus()
+    kit.open()
+    dropped: list[bytes] = []
+
+    def drop(sent: Sent) -> bool:
+        """The request and its repetitions, twice."""
+        lost = sent.octets[0] == 0x68 and sent.octets[9:10] == b"\x58" and len(dropped) < 4
+        if lost:
+            dropped.append(sent.octets)
+        return lost
+
+    kit.bus.drop = drop
+    kit.close(1)
+    assert len(dropped) == 4
+    kit.freed()
 
 
 def test_all_are_closed() -> None:
