@@ -16,7 +16,7 @@ def values(report: Report) -> dict[str, float]:
     return {figure.name: figure.value for figure in report.figures}
 
 
-@pytest.mark.parametrize("baud", [500_000, 3_000_000])
+@pytest.mark.parametrize("baud", [500_000, pytest.param(3_000_000, marks=pytest.mark.soak)])
 def test_the_rotation_beside_records_of_64_octets(baud: int) -> None:
     report = acyclic.run(["--bauds", str(baud), "--lengths", "64", "--rotations", "40", "--cycles", "0", "--pty-bauds"])
     ratios = [figure for figure in report.figures if figure.name.endswith("rotation p99 to that without")]
@@ -27,7 +27,9 @@ def test_the_rotation_beside_records_of_64_octets(baud: int) -> None:
     assert 0.2 < longer.value <= 1
 
 
-@pytest.mark.parametrize("answers", Answers)
+@pytest.mark.parametrize(
+    "answers", [Answers.AT_ONCE, *(pytest.param(each, marks=pytest.mark.soak) for each in list(Answers)[1:])]
+)
 def test_any_length_costs_the_plans_acyclic_service_at_most(answers: Answers) -> None:
     plant = Plant(1_500_000, answers, t_sdr=150)  # as slow as they may be
     ns = 200_000_000 * (2 if answers is Answers.SLOW else 1)  # one Global_Control in each
@@ -46,7 +48,7 @@ def test_any_length_costs_the_plans_acyclic_service_at_most(answers: Answers) ->
     plant.check()
 
 
-@pytest.mark.parametrize("baud", [500_000, 3_000_000])
+@pytest.mark.parametrize("baud", [500_000, pytest.param(3_000_000, marks=pytest.mark.soak)])
 def test_no_cycle_is_missed_where_a_service_fits(baud: int) -> None:
     report = acyclic.run(["--bauds", str(baud), "--lengths", "64", "--rotations", "6", "--cycles", "8", "--pty-bauds"])
     missed = [figure for figure in report.figures if "cycles missed" in figure.name]
