@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from dpstack import profile
+    from dpstack.api.alarms import SlaveAlarm
     from dpstack.api.baud import BaudReport, find_baud
     from dpstack.api.bus import Bus
     from dpstack.api.config import Config, load_config
@@ -96,6 +97,7 @@ __all__ = [
     "RecordRefused",
     "ServiceRefused",
     "Slave",
+    "SlaveAlarm",
     "SlaveApp",
     "SlaveAppState",
     "SlaveDescription",
@@ -139,6 +141,7 @@ _WHERE: Final = {
     "Mode": "api.events",
     "SlaveState": "api.events",
     "Slave": "api.slave",
+    "SlaveAlarm": "api.alarms",
     "slave_from_gsd": "api.slave_from_gsd",
     "run_virtual": "api.virtual",
     "simulate": "api.virtual",

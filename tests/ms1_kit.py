@@ -95,12 +95,13 @@ class Ms1Bus:
     addresses: tuple[int, ...] = (4,)
     mode: str = "whole"
     dpv1: Dpv1 | None = field(default_factory=Dpv1)
+    kind: type[OctetMs1Slave] = OctetMs1Slave
     bus: RingBus = field(init=False)
     tokens: int = 0
 
     def __post_init__(self) -> None:
         self.bus = RingBus(mode=self.mode)
-        self.slaves = {address: OctetMs1Slave(self.bus, address) for address in self.addresses}
+        self.slaves = {address: self.kind(self.bus, address) for address in self.addresses}
         params = BusParams.preset(500_000, address=2, gap=0)
         self.master = Master(params, [setup(address, self.dpv1) for address in self.addresses])
         self.acyclic = Acyclic(2, self.master)

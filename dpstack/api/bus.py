@@ -239,6 +239,7 @@ class Bus(Composed):
         address = slave.address if isinstance(slave, Slave) else self.slave(slave).address
         self.command(RemoveSlave(address))
         del self._slaves[address]
+        self.services.alarms.forget(address)
         drive = self._drives.pop(address, None)
         if drive is not None:
             drive.end(UsageError(f"drive {drive.name} was removed from the bus"))

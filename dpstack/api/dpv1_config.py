@@ -7,14 +7,22 @@ from typing import Final
 
 from dpstack.api.tables import Table
 from dpstack.dp.v1.records import MAX_RECORD
-from dpstack.dp.v1.status import ALARM_KEYWORDS, ALARMS, DPV1_ENABLE, DPV1_STATUS_LEN, Dpv1, PrmBlock
+from dpstack.dp.v1.status import ALARM_KEYWORDS, ALARM_LIMITS, ALARMS, DPV1_ENABLE, DPV1_STATUS_LEN, Dpv1, PrmBlock
 from dpstack.errors import ConfigError
 from dpstack.gsd.model import Device
 from dpstack.units import NS_PER_MS
 
 #: C1_Response_Timeout counts in 10 ms
 _TIMEOUT_UNIT: Final = 10 * NS_PER_MS
-_KEYS: Final = ("check_cfg_mode", "prm_cmd", "alarms", "alarm_mode", "blocks", "response_timeout_ms")
+_KEYS: Final = (
+    "check_cfg_mode",
+    "prm_cmd",
+    "alarms",
+    "alarm_mode",
+    "extra_alarm_sap",
+    "blocks",
+    "response_timeout_ms",
+)
 _BLOCK_KEYS: Final = ("type", "slot", "data")
 
 
@@ -53,6 +61,8 @@ def _of_gsd(device: Device | None) -> Dpv1:
     return Dpv1(
         c1_response_timeout_ns=device.dpv1.c1_response_timeout * _TIMEOUT_UNIT,
         c1_max_data_len=min(longest, MAX_RECORD) if longest else MAX_RECORD,
+        extra_alarm_sap=device.dpv1.extra_alarm_sap,
+        required_alarms=_required(device),
     )
 
 
@@ -69,7 +79,8 @@ def _with_keys(base: Dpv1, outer: Table, device: Device | None) -> Dpv1:
             ),
             prm_cmd=_flag(table, "prm_cmd", None, ""),
             alarms=_alarms(table, device),
-            alarm_mode=table.integer("alarm_mode", 0, 7, "0: one of each kind at a time, 1..7: 2, 4, 8 ... 32 in all"),
+            alarm_mode=_alarm_mode(table, device),
+            extra_alarm_sap=table.flag("extra_alarm_sap", base.extra_alarm_sap),
             blocks=_blocks(table, device),
             c1_response_timeout_ns=base.c1_response_timeout_ns if timeout is None else timeout * NS_PER_MS,
         )
@@ -94,9 +105,27 @@ def _alarms(table: Table, device: Device | None) -> tuple[str, ...] | None:
         table.fail("alarms", f"alarms = {given!r}", f"it is a list of these: {', '.join(ALARMS)}")
     for name in given:
         if device is not None and ALARM_KEYWORDS[name] not in device.dpv1.alarms:
-            keyword = f"{ALARM_KEYWORDS[name]}_supp"
-            table.fail("alarms", f"alarms holds {name}, but its GSD file says {keyword} = 0", "leave it out")
+            problem = f"alarms holds {name}, but its GSD file says {ALARM_KEYWORDS[name]}_supp = 0"
+            table.fail("alarms", problem, "leave it out")
+    for name in _required(device):
+        if name not in given:
+            problem = f"alarms lacks {name}, but its GSD file says {ALARM_KEYWORDS[name]}_required = 1"
+            table.fail("alarms", problem, "add it, or leave alarms out")
     return tuple(name for name in ALARMS if name in given)
+
+
+def _required(device: Device | None) -> tuple[str, ...]:
+    """Kinds that the device wants to be enabled."""
+    return () if device is None else tuple(name for name in ALARMS if ALARM_KEYWORDS[name] in device.dpv1.required)
+
+
+def _alarm_mode(table: Table, device: Device | None) -> int | None:
+    mode = table.integer("alarm_mode", 0, 7, "0: one of each kind at a time, 1..7: 2, 4, 8 ... 32 in all")
+    most = 0 if device is None else device.dpv1.alarm_sequence_mode_count
+    if mode and device is not None and ALARM_LIMITS[mode] > most:
+        problem = f"alarm_mode {mode} is {ALARM_LIMITS[mode]} alarms at a time, its GSD file says "
+        table.fail("alarm_mode", f"{problem}Alarm_Sequence_Mode_Count = {most}", "0 is one of each kind at a time")
+    return mode
 
 
 def _blocks(table: Table, device: Device | None) -> tuple[PrmBlock, ...]:

@@ -23,6 +23,8 @@ from dpstack.dp.events import (
     SlaveStateChanged,
 )
 from dpstack.dp.scanner import Found, ScanDone, SlaveView, StationSeen
+from dpstack.dp.v1.alarm_events import AlarmRaised, StatusTold
+from dpstack.dp.v1.alarms import Alarm, Specifier, Status
 from dpstack.drivers.base import PortBack, PortLost
 from dpstack.fdl.events import AddressCollision, DoesNotFit, MasterSeen, RingJoined, RingLeft, StationFound, TokenLost
 from dpstack.trace import Event, Notice, Severity
@@ -30,6 +32,7 @@ from dpstack.units import NS_PER_US
 
 __all__ = [
     "AddressCollision",
+    "AlarmRaised",
     "AutoCleared",
     "ControlFailed",
     "ControlSent",
@@ -62,6 +65,7 @@ __all__ = [
     "SlaveView",
     "StationFound",
     "StationSeen",
+    "StatusTold",
     "TokenLost",
     "event_json",
     "severity_of",
@@ -77,11 +81,24 @@ def severity_of(event: Event) -> Severity:
             return severity
         case SlaveFaulted() | AddressCollision() | PortLost() | AutoCleared():
             return Severity.ERROR
+        case AlarmRaised(alarm=alarm) if alarm.specifier == Specifier.APPEARS:
+            return Severity.WARNING
         case SlaveRemark() | TokenLost() | OperateWaits() | CyclesMissed() | DoesNotFit():
             return Severity.WARNING
         case DriveEvent(payload={"type": "failed"}):
             return Severity.ERROR
     return Severity.INFO
+
+
+def _message_json(message: Alarm | Status) -> dict[str, object]:
+    """What an alarm and a status have in common."""
+    return {
+        "type": message.type,
+        "title": message.title,
+        "slot": message.slot,
+        "specifier": Specifier(message.specifier).name.lower(),
+        "data": message.data.hex(),
+    }
 
 
 def event_json(event: Event, t: float) -> dict[str, object] | None:
@@ -94,6 +111,11 @@ def event_json(event: Event, t: float) -> dict[str, object] | None:
             return {"event": "slave", **line, "state": state.value}
         case SlaveDiagnosis(diagnosis=diagnosis, texts=texts):
             return {"event": "diagnosis", **line, "flags": list(diagnosis.flags), "texts": list(texts)}
+        case AlarmRaised(alarm=alarm):
+            more = {"sequence": alarm.sequence, "user_ack": alarm.add_ack, "texts": list(event.texts)}
+            return {"event": "alarm", **line, **_message_json(alarm), **more, "text": event.text}
+        case StatusTold(status=status):
+            return {"event": "status", **line, **_message_json(status), "text": event.text}
         case SlaveFaulted(fault=fault):
             return {"event": "fault", **line, "kind": fault.kind.value, "text": fault.text}
         case SlaveRemark(message=message):

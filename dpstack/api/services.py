@@ -7,6 +7,7 @@ import contextlib
 import itertools
 from typing import TYPE_CHECKING, Final, TypeVar
 
+from dpstack.api.alarms import AlarmDesk
 from dpstack.dp.acyclic import CancelService
 from dpstack.dp.class2_jobs import Outcome, ServiceDone, ServiceFailure
 from dpstack.dp.v1.ms1 import RecordDone
@@ -21,12 +22,13 @@ D = TypeVar("D", ServiceDone, RecordDone)
 
 
 class Services:
-    """The services under way on one bus."""
+    """The services under way on one bus, and the alarms that are listened for."""
 
     def __init__(self, bus: Bus) -> None:
         self._bus = bus
         self._tokens = itertools.count(1)
         self._waiting: dict[int, asyncio.Future[Done]] = {}
+        self.alarms = AlarmDesk(bus)
 
     def token(self) -> int:
         """For one more service."""
@@ -54,7 +56,7 @@ class Services:
     def take(self, event: Event) -> bool:
         """From the machine: True for the end of a service. One that nobody waits for any more is dropped."""
         if not isinstance(event, (ServiceDone, RecordDone)):
-            return False
+            return self.alarms.take(event)
         future = self._waiting.get(event.token)
         if future is not None and not future.done():
             future.set_result(event)
@@ -65,6 +67,7 @@ class Services:
         for future in self._waiting.values():
             if not future.done():
                 future.set_exception(error)
+        self.alarms.end(error)
 
 
 _LATE: Final = (ServiceFailure.SILENT, ServiceFailure.LATE, ServiceFailure.GONE)

@@ -7,6 +7,7 @@ import difflib
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, TypedDict, Unpack
 
+from dpstack.api.alarms import AlarmStream, StatusStream
 from dpstack.api.record_parameters import RecordParameters, over_records
 from dpstack.api.records import TIMEOUT, Records
 from dpstack.api.slave_config import SlaveConfig, refitted
@@ -18,6 +19,7 @@ from dpstack.dp.events import Fault, SlaveState
 from dpstack.dp.fields import Field, Value
 from dpstack.dp.scanner import Found, SlaveView
 from dpstack.dp.setup import SlaveSetup
+from dpstack.dp.v1.alarm_events import AlarmCounts
 from dpstack.dp.v1.im import Im
 from dpstack.drivers.seen import HandlerSeen
 from dpstack.errors import SlaveFault, SlaveTimeout, UsageError
@@ -130,7 +132,9 @@ class Slave:
     def diagnosis_texts(self) -> tuple[str, ...]:
         """What :attr:`diagnosis` says, one line each: its bits, then its blocks in the words of the GSD file."""
         diagnosis = self.diagnosis
-        return () if diagnosis is None else diagnosis.texts + block_texts(diagnosis, self.setup.texts)
+        if diagnosis is None:
+            return ()
+        return diagnosis.texts + block_texts(diagnosis, self.setup.texts, dpv1=self.setup.dpv1 is not None)
 
     @property
     def inputs(self) -> bytes:
@@ -278,6 +282,28 @@ class Slave:
         ``object``: axis or drive object; ``timeout`` in seconds for each Read and Write. Make one and keep it.
         """
         return RecordParameters(self.name, over_records(self._records, timeout), slot, object=object)
+
+    def alarms(self, *, acknowledge: bool = True) -> AlarmStream:
+        """Alarms from now on: an async iterator of :class:`~dpstack.api.alarms.SlaveAlarm`, each one once, in order.
+
+        An alarm is acknowledged when it is handed over here (to everybody who listens), or with ``acknowledge=False``
+        by ``await alarm.acknowledge()``; until then the slave may raise no further one. It survives a slave that
+        leaves data exchange and comes back, and ends with the bus. While nobody listens alarms are acknowledged at
+        once. Which kinds there are is said by ``dpv1 = { alarms = [...] }``. Raises UsageError for a slave without
+        DP-V1 and a bus that is not open.
+        """
+        return self._bus.services.alarms.alarms(self.address, acknowledge=acknowledge)
+
+    def status_messages(self) -> StatusStream:
+        """Status messages, module status, PrmCmdAck ... from now on, as :class:`~dpstack.dp.v1.alarms.Status`: an
+        async iterator; nobody acknowledges them, of a reader that does not read the oldest are dropped.
+        """
+        return self._bus.services.alarms.statuses(self.address)
+
+    @property
+    def alarm_counts(self) -> AlarmCounts | None:
+        """What came of its alarms since the start; None for a slave that is not parameterised for DP-V1."""
+        return self._handler.alarm_counts
 
     @property
     def _records(self) -> Records:

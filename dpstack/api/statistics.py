@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from dpstack.dp.cycle import CycleBook
 from dpstack.dp.fields import as_json
+from dpstack.dp.v1.alarm_events import AlarmCounts
 from dpstack.fdl.user import LinkStats, StationStats
 from dpstack.units import NS_PER_MS, NS_PER_US
 
@@ -37,6 +39,8 @@ class SlaveStats:
     link: StationStats
     master: int | None = None
     fields: Mapping[str, object] = field(default_factory=dict)
+    #: of its alarms, None for a slave without DP-V1
+    alarms: AlarmCounts | None = None
 
     def as_dict(self) -> dict[str, object]:
         """As in the summary line of ``run --json``."""
@@ -52,6 +56,7 @@ class SlaveStats:
             **({"fields": dict(self.fields)} if self.fields else {}),
             **_link_dict(self.link),
             **({} if self.master is None else {"master": self.master}),
+            **({} if self.alarms is None else {"alarms": dataclasses.asdict(self.alarms)}),
         }
 
 
@@ -184,6 +189,7 @@ def collect(bus: Bus) -> BusStats:
                 link=link.station(slave.address),
                 master=slave.found.master if slave.found is not None else None,
                 fields=as_json(slave.input_values | slave.output_values),
+                alarms=slave.alarm_counts,
             )
             for slave in bus.slaves
         },

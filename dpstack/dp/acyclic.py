@@ -18,6 +18,8 @@ from dpstack.dp.events import SlaveState
 from dpstack.dp.master import Master
 from dpstack.dp.ms0 import positive
 from dpstack.dp.v1 import units
+from dpstack.dp.v1.alarm_ack import ack_jobs
+from dpstack.dp.v1.alarm_events import AcknowledgeAlarm, HoldAlarms
 from dpstack.dp.v1.ms1 import SERVICE_TIMEOUT, Ms1
 from dpstack.errors import UsageError
 from dpstack.fdl.telegram import SAP_SLAVE_DIAG, Telegram
@@ -30,8 +32,9 @@ from dpstack.units import NEVER, ns_to_s
 CAPACITY: Final = 32
 
 
-#: the token of services that no program ordered
+#: the token of services that no program ordered: those of cyclic units, and acknowledgements of alarms
 UNITS: Final = -1
+ACKS: Final = -2
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +105,10 @@ class Acyclic:
                     what = f"had no end when the port vanished ({reason}); it can be repeated when the port is back"
                     self._cut(entry, ServiceFailure.LINE, what, now)
                 return False
+            case HoldAlarms(address, on):
+                self._ms1.alarms(address).hold(on)
+            case AcknowledgeAlarm(address, number):
+                self._ms1.alarms(address).acknowledge(number, now)
             case _:
                 order = self._ms1.job_of(command)
                 if order is None:
@@ -113,11 +120,19 @@ class Acyclic:
         if not self._room(job.lane):
             what = "class 2 services are" if job.lane is None else f"services for slave {job.lane} are"
             raise UsageError(f"{CAPACITY} {what} waiting already: await their results first")
-        deadline = now + timeout_ns
-        self._queue.append(_Entry(token, job, deadline, timeout_ns, job.steps(), self._tokens, next(self._turns)))
+        self._queue.append(self._entry(token, job, timeout_ns, now))
+
+    def _entry(self, token: int, job: Job, timeout_ns: int, now: int) -> _Entry:
+        return _Entry(token, job, now + timeout_ns, timeout_ns, job.steps(), self._tokens, next(self._turns))
+
+    def _put_first(self, job: Job, now: int) -> None:
+        """Before those in its lane that have not begun: a slave may have no further alarm until it is acknowledged."""
+        begun = [entry.job.lane == job.lane and entry.step is not None for entry in self._queue]
+        at = begun.index(True) + 1 if True in begun else 0
+        self._queue.insert(at, self._entry(ACKS, job, SERVICE_TIMEOUT, now))
 
     def _room(self, lane: int | None) -> bool:
-        return sum(entry.job.lane == lane for entry in self._queue) < CAPACITY
+        return sum(entry.job.lane == lane and entry.token != ACKS for entry in self._queue) < CAPACITY
 
     # --- link user ----------------------------------------------------------------------------------------------
     def token_received(self, now: int) -> None:
@@ -131,6 +146,8 @@ class Acyclic:
         """The next request of the service that waited longest for a turn, of those that may go on."""
         if high_only or not self._turn:
             return None
+        for ack in ack_jobs(self._ms1, now):
+            self._put_first(ack, now)
         # what a unit wants since the Data_Exchange of this hold goes out in the same one
         for handler, queue in units.asking(self._ms1):
             if self._room(handler.setup.address) and (job := units.unit_job(self._ms1, handler, queue)) is not None:

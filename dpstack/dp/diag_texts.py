@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Protocol
 
 from dpstack.dp.diagnosis import Diagnosis
-from dpstack.dp.ext_diagnosis import ChannelBlock, DeviceBlock, IdentifierBlock
+from dpstack.dp.ext_diagnosis import Block, ChannelBlock, DeviceBlock, IdentifierBlock
+from dpstack.dp.v1.alarms import parse_block
+from dpstack.errors import PduError
 
 
 class DiagTexts(Protocol):
@@ -28,30 +30,48 @@ class DiagTexts(Protocol):
         """The name of a module by its place in the configuration, from 0; empty where there is none."""
 
 
-def block_texts(diagnosis: Diagnosis, texts: DiagTexts | None = None) -> tuple[str, ...]:
-    """One line or more for people for each block with something to say; what nobody can explain stays in hex."""
-    return tuple(_lines(diagnosis, texts))
+def block_texts(diagnosis: Diagnosis, texts: DiagTexts | None = None, *, dpv1: bool = False) -> tuple[str, ...]:
+    """One line or more for people for each block with something to say; what nobody can explain stays in hex.
+
+    ``dpv1``: the slave is parameterised for DP-V1, its device related blocks are alarms and status.
+    """
+    lines = texts_of(diagnosis.blocks, texts, dpv1=dpv1)
+    return (*lines, f"not decoded: {diagnosis.ext_rest.hex(' ')}") if diagnosis.ext_rest else lines
 
 
-def _lines(diagnosis: Diagnosis, texts: DiagTexts | None) -> Iterator[str]:
-    for block in diagnosis.blocks:
-        match block:
-            case DeviceBlock():
-                known = () if texts is None else texts.unit_diag_texts(block.data)
-                if texts is not None and known:
-                    yield from map(_explained, known, texts.unit_diag_helps(block.data))
-                elif any(block.data):
-                    yield f"device: {block.data.hex(' ')}"
-            case IdentifierBlock():
-                if block.modules:
-                    modules = (_explained(str(number), _name(texts, number)) for number in block.modules)
-                    yield "modules with a diagnosis: " + ", ".join(modules)
-            case ChannelBlock(identifier=module, error=error):
-                own = None if texts is None else texts.channel_text(error, module)
-                remedy = None if texts is None or own is None else texts.channel_help(error, module)
-                yield f"{block.place(_name(texts, module))}: {_explained(own or block.cause, remedy)}"
-    if diagnosis.ext_rest:
-        yield f"not decoded: {diagnosis.ext_rest.hex(' ')}"
+def texts_of(blocks: Iterable[Block], texts: DiagTexts | None, *, dpv1: bool) -> tuple[str, ...]:
+    """Of some blocks of a diagnosis."""
+    return tuple(line for block in blocks for line in _lines(block, texts, dpv1))
+
+
+def _device_lines(block: DeviceBlock, texts: DiagTexts | None, dpv1: bool) -> Iterator[str]:
+    known = () if texts is None else texts.unit_diag_texts(block.data)
+    said = ""
+    if dpv1:
+        try:
+            said = parse_block(block.octets).told
+        except PduError:  # told by who handles its alarms
+            said = ""
+    if said:
+        yield said
+    if texts is not None and known:
+        yield from map(_explained, known, texts.unit_diag_helps(block.data))
+    elif not said and any(block.data):
+        yield f"device: {block.data.hex(' ')}"
+
+
+def _lines(block: Block, texts: DiagTexts | None, dpv1: bool) -> Iterator[str]:
+    match block:
+        case DeviceBlock():
+            yield from _device_lines(block, texts, dpv1)
+        case IdentifierBlock():
+            if block.modules:
+                modules = (_explained(str(number), _name(texts, number)) for number in block.modules)
+                yield "modules with a diagnosis: " + ", ".join(modules)
+        case ChannelBlock(identifier=module, error=error):
+            own = None if texts is None else texts.channel_text(error, module)
+            remedy = None if texts is None or own is None else texts.channel_help(error, module)
+            yield f"{block.place(_name(texts, module))}: {_explained(own or block.cause, remedy)}"
 
 
 def _explained(text: str, more: str | None) -> str:

@@ -1,4 +1,4 @@
-"""Reading the diagnoses of one slave: parsed, told when they are new, deviations told once."""
+"""Reading the diagnoses of one slave: parsed, told when they are new, deviations told once, alarms handed on."""
 
 from __future__ import annotations
 
@@ -10,21 +10,37 @@ from dpstack.dp.events import SlaveDiagnosis
 from dpstack.dp.findings import Findings
 from dpstack.dp.judge import deviations
 from dpstack.dp.setup import SlaveSetup
+from dpstack.dp.v1.alarm_handler import AlarmHandler
 from dpstack.trace import Event
 
 
 class Diagnoses:
-    """``last`` is the diagnosis read last. ``ident``: the one the device must have, None until the first is taken."""
+    """``last`` is the diagnosis read last. ``ident``: the one the device must have, None until the first is taken.
 
-    __slots__ = ("_emit", "_findings", "_own", "_setup", "ident", "last")
+    ``alarms`` in them, of a slave that is parameterised for DP-V1; ``ask(now)`` has one read, ``earlier`` are those of
+    the same slave under other parameters.
+    """
 
-    def __init__(self, setup: SlaveSetup, own: int, findings: Findings, emit: Callable[[Event], None]) -> None:
+    __slots__ = ("_emit", "_findings", "_own", "_setup", "alarms", "flagged", "ident", "last")
+
+    def __init__(
+        self,
+        setup: SlaveSetup,
+        own: int,
+        findings: Findings,
+        emit: Callable[[Event], None],
+        ask: Callable[[int], None],
+        earlier: AlarmHandler | None,
+    ) -> None:
         self.last: Diagnosis | None = None
         self.ident = setup.ident
         self._setup = setup
         self._own = own
         self._findings = findings
         self._emit = emit
+        #: the slave wants to be read: DH since the last one
+        self.flagged = False
+        self.alarms = None if setup.dpv1 is None else AlarmHandler(setup, findings, emit, ask, earlier)
 
     def read(self, octets: bytes, now: int) -> Diagnosis | None:
         """The answer to Slave_Diag; None when it is none."""
@@ -51,7 +67,25 @@ class Diagnoses:
             self._findings.remark(deviation, now)
         return diagnosis
 
+    def opened(self, now: int) -> None:
+        """Data exchange begins."""
+        if self.alarms is not None:
+            self.alarms.opened(self.last, now)
+
+    def exchanging(self, diagnosis: Diagnosis, now: int) -> None:
+        """``diagnosis`` was read in data exchange, and is of our slave."""
+        if self.alarms is not None:
+            self.alarms.take(diagnosis, self.flagged, now)
+        self.flagged = False
+
+    def closed(self, now: int) -> None:
+        """Data exchange is over."""
+        if self.alarms is not None:
+            self.alarms.closed(now)
+
     @property
     def texts(self) -> tuple[str, ...]:
         """What the last extended diagnosis says, one line each."""
-        return () if self.last is None else block_texts(self.last, self._setup.texts)
+        if self.last is None:
+            return ()
+        return block_texts(self.last, self._setup.texts, dpv1=self._setup.dpv1 is not None)

@@ -105,6 +105,7 @@ class Roster:
         del self._handlers[handler.setup.address]
         self._turns.forget(handler)
         handler.unit.lost(now)
+        handler.diagnoses.closed(now)
         handler.image.valid = False
         handler.state = SlaveState.OFFLINE  # nothing more for it in this round
 

@@ -17,13 +17,16 @@ from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.events import Fault, SlaveState, SlaveStateChanged
 from dpstack.dp.findings import Findings
 from dpstack.dp.image import SlaveImage, image_of
-from dpstack.dp.judge import foreign_owner, masters_view, verdict_exchanging, verdict_ready
+from dpstack.dp.judge import foreign_owner, masters_view, verdict_exchanging
 from dpstack.dp.ms0 import DATA_STATUS, EMPTY_STATUS, SERVICE_NAMES, positive, refusal_text, set_prm
 from dpstack.dp.odd_answers import OddAnswers
 from dpstack.dp.pacing import Pacing
+from dpstack.dp.readiness import Readiness
 from dpstack.dp.setup import SlaveSetup
 from dpstack.dp.slave_requests import SlaveRequests
 from dpstack.dp.unit_host import UnitHost
+from dpstack.dp.v1.alarm_events import AlarmCounts
+from dpstack.dp.v1.alarm_handler import AlarmHandler
 from dpstack.fdl.telegram import (
     SAP_CHK_CFG,
     SAP_GET_CFG,
@@ -34,12 +37,8 @@ from dpstack.fdl.telegram import (
 )
 from dpstack.fdl.user import Failure, Request
 from dpstack.trace import Event
-from dpstack.units import NS_PER_S
 
-_READY_LIMIT: Final = 10 * NS_PER_S
-_UNACKED_LIMIT: Final = NS_PER_S
 _MAX_BUSY: Final = 5
-_MAX_PRM_ROUNDS: Final = 3
 _TOLD_ABSENT_AFTER: Final = 3
 _DH: Final = int(Resp.DH)
 #: asked in every exchange: an enum's member costs ten times a name of the module
@@ -69,7 +68,10 @@ class SlaveHandler:
         self.watchdog = setup.watchdog(watchdog_ms)
         self.image: SlaveImage = image_of(setup, None if before is None else before.image)
         self.findings = Findings(setup.address, setup.name, emit)
-        self.diagnoses = Diagnoses(setup, own, self.findings, emit)
+        earlier = None if before is None else before.alarms
+        self.diagnoses = Diagnoses(setup, own, self.findings, emit, self._want_diagnosis, earlier)
+        #: of a slave that is parameterised for DP-V1
+        self.alarms: AlarmHandler | None = self.diagnoses.alarms
         self.unit = UnitHost(self.image, setup.safe_outputs, setup.address, setup.name, emit, self.findings.tell)
         self.state = SlaveState.OFFLINE
         #: in this state, in ns
@@ -87,9 +89,7 @@ class SlaveHandler:
         self._odd = OddAnswers()
         #: the next service takes it up afresh (FCB)
         self.restart = True
-        self._prm_rounds = 0
-        self._unacked = ""
-        self._cfg_sent = False
+        self._ready = Readiness()
         self._ask_cfg = False
         self._left = False
         self._requests = SlaveRequests(setup.address, self)
@@ -139,6 +139,7 @@ class SlaveHandler:
                     if not self._odd.none:
                         self._odd.clear()
                     if status == _DH:
+                        self.diagnoses.flagged = True
                         self._want_diagnosis(now)
                     return
         self._odd_data(outcome, now)
@@ -188,7 +189,7 @@ class SlaveHandler:
             self.owned = True
             return self._service(SAP_SET_PRM, self.set_prm())
         if state is SlaveState.CHK_CFG:
-            self._cfg_sent = True
+            self._ready.cfg_sent = True
             return self._service(SAP_CHK_CFG, self.setup.config)
         return self._service(SAP_SLAVE_DIAG, b"")
 
@@ -231,7 +232,7 @@ class SlaveHandler:
             return
         fault = None
         if self.state in (SlaveState.SET_PRM, SlaveState.CHK_CFG):
-            self._unacked = service
+            self._ready.unacked = service
         else:
             fault = faults.lost(service)
         self._step(Ev.SILENT, now, fault)
@@ -269,19 +270,16 @@ class SlaveHandler:
                 self._step(Ev.DIAG_FREE, now)
 
     def _judge_ready(self, diagnosis: Diagnosis, now: int) -> None:
-        verdict = verdict_ready(diagnosis, cfg_sent=self._cfg_sent)
+        waited = now - self.since
+        verdict, fault = self._ready.judge(diagnosis, waited)
         if verdict is Ev.DIAG_REFUSED:
             self._judge_refusal(diagnosis, now)
-        elif verdict is Ev.DIAG_WAIT:
-            self._wait(diagnosis, now)
-        elif verdict is Ev.DIAG_PRM_REQ and self._prm_rounds >= _MAX_PRM_ROUNDS:
-            fault = faults.silent(self._unacked) if self._unacked else faults.not_taken()
-            self._step(Ev.REFUSED, now, fault)
-        else:
-            self._prm_rounds += verdict is Ev.DIAG_PRM_REQ
-            if verdict is Ev.DIAG_READY and self.watchdog and not diagnosis.wd_on:
-                self.findings.remark(faults.NOT_WATCHING, now)
-            self._step(verdict, now)
+            return
+        if verdict is Ev.DIAG_WAIT:
+            self._pacing.not_ready(now, waited)
+        elif verdict is Ev.DIAG_READY and self.watchdog and not diagnosis.wd_on:
+            self.findings.remark(faults.NOT_WATCHING, now)
+        self._step(verdict, now, fault)
 
     def _judge_refusal(self, diagnosis: Diagnosis, now: int) -> None:
         fault = faults.refusal(self.setup, diagnosis, self.set_prm())
@@ -289,16 +287,6 @@ class SlaveHandler:
             self._refuse(fault, now)
         else:  # what it has instead belongs into the message
             self._ask_cfg = True
-
-    def _wait(self, diagnosis: Diagnosis, now: int) -> None:
-        waited = now - self.since
-        if self._unacked and waited > _UNACKED_LIMIT:
-            self._step(Ev.TOO_LONG, now, faults.silent(self._unacked))
-        elif waited > _READY_LIMIT:
-            self._step(Ev.TOO_LONG, now, faults.waited(diagnosis, _READY_LIMIT / NS_PER_S))
-        else:
-            self._pacing.not_ready(now, waited)
-            self._step(Ev.DIAG_WAIT, now)
 
     def _judge_exchanging(self, diagnosis: Diagnosis, now: int) -> None:
         verdict = verdict_exchanging(diagnosis)
@@ -310,7 +298,14 @@ class SlaveHandler:
         if verdict is Ev.DIAG_REFUSED:
             fault = faults.refusal(self.setup, diagnosis, self.set_prm()) or faults.cfg_fault(self.setup, None)
         self._step(verdict, now, fault)
+        if self.state is SlaveState.DATA_EXCHANGE:
+            self.diagnoses.exchanging(diagnosis, now)
         self._changed(self, now)
+
+    @property
+    def alarm_counts(self) -> AlarmCounts | None:
+        """What came of its alarms; None where it can have none."""
+        return None if self.alarms is None else self.alarms.counts
 
     def _refuse(self, fault: Fault, now: int) -> None:
         self._ask_cfg = False
@@ -339,18 +334,14 @@ class SlaveHandler:
         self.since = now
         self._busy = 0
         self._odd.clear()
+        self._ready.entered(state)
         if state in (SlaveState.DATA_EXCHANGE, SlaveState.DEACTIVATED):
             self.findings.clear()
         if state is SlaveState.DATA_EXCHANGE:
             self.unit.remind(now)
-            self._prm_rounds = 0
-            self._unacked = ""
-        elif state is SlaveState.SET_PRM:
-            self._cfg_sent = False
-            self._unacked = ""
+            self.diagnoses.opened(now)
         elif state is SlaveState.FAULT:
             self._pacing.refused(now)
-            self._prm_rounds = 0
         elif state in (SlaveState.OFFLINE, SlaveState.DEACTIVATED):
             self.restart = True
             self.owned = self._left = self._ask_cfg = False
@@ -367,6 +358,7 @@ class SlaveHandler:
         self.restart = True
         self._pacing.left(now, now - self.since, silent=silent)
         self.unit.lost(now)
+        self.diagnoses.closed(now)
 
     def deactivate(self, now: int) -> None:
         """Take it out of service; nothing is asked of it until :meth:`activate`."""

@@ -16,6 +16,7 @@ from dpstack.dp.events import ControlFailed, ControlSent, DriveEvent, PictureTak
 from dpstack.dp.image import SlaveImage
 from dpstack.dp.scanner import Scanner
 from dpstack.dp.survey import SurveyResult
+from dpstack.dp.v1.alarm_events import AlarmDone, AlarmRaised
 from dpstack.dp.v1.ms1 import RecordDone
 from dpstack.drivers import plugins
 from dpstack.drivers.ending import Ending
@@ -67,7 +68,9 @@ def _owed(event: Event) -> bool:
     """Whether somebody waits for ``event``: as many as there were orders, so they need no bound of their own."""
     if isinstance(event, DriveEvent):
         return event.payload.get("type") == "result"
-    return isinstance(event, (ServiceDone, RecordDone, ControlSent, ControlFailed, PictureTaken))
+    if isinstance(event, AlarmRaised):
+        return event.held
+    return isinstance(event, (AlarmDone, ServiceDone, RecordDone, ControlSent, ControlFailed, PictureTaken))
 
 
 def _notice(text: str) -> Notice:
@@ -290,8 +293,8 @@ class Host:
         if bus != self._bus:
             self._bus = news.bus = bus
         slaves = {
-            address: SlaveNow(handler.state, handler.fault, handler.diagnosis, handler.watchdog_effective_ns)
-            for address, handler in master.handlers.items()
+            address: SlaveNow(h.state, h.fault, h.diagnosis, h.watchdog_effective_ns, h.alarm_counts)
+            for address, h in master.handlers.items()
         }
         if slaves != self._slaves:
             news.slaves = {a: now for a, now in slaves.items() if self._slaves.get(a) != now}

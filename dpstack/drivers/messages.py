@@ -35,6 +35,7 @@ from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.events import Fault, SlaveState
 from dpstack.dp.scanner import Found
 from dpstack.dp.survey import SurveyOrder, SurveyResult
+from dpstack.dp.v1.alarm_events import AcknowledgeAlarm, AlarmCounts, HoldAlarms
 from dpstack.dp.v1.ms1 import ReadRecord, WriteRecord
 from dpstack.drivers.echo import Echo
 from dpstack.drivers.plugins import PluginRef
@@ -134,6 +135,7 @@ ORDERS: Final[dict[str, type]] = {
     for kind in (
         SetMode, Shutdown, AddSlave, RemoveSlave, DeactivateSlave, ActivateSlave, ReparameteriseSlave, SendControl,
         DriveCommand, ReadService, ChangeAddress, ReadRecord, WriteRecord, CancelService, GoOnline, GoOffline,
+        HoldAlarms, AcknowledgeAlarm,
         SetUp, AttachPlugin, WatchRounds, AskCounters, AskUnit, StartSurvey, EndSurvey, CloseBus,
     )
 }  # fmt: skip
@@ -150,6 +152,7 @@ class SlaveNow:
     fault: Fault | None
     diagnosis: Diagnosis | None
     watchdog_ns: int
+    alarms: AlarmCounts | None = None
 
 
 @dataclass(frozen=True, slots=True)

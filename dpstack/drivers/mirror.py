@@ -18,6 +18,7 @@ from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.events import Fault, SlaveDiagnosis, SlaveState
 from dpstack.dp.scanner import Found
 from dpstack.dp.setup import SlaveSetup
+from dpstack.dp.v1.alarm_events import AlarmCounts, AlarmRaised, texts_beside
 from dpstack.drivers.messages import BusNow, Counters, CyclesNow, News, SlaveNow, WatcherNow
 from dpstack.drivers.shared_image import Picture
 from dpstack.fdl.decoder import DecoderStats
@@ -101,6 +102,7 @@ class SlaveMirror:
         self.state = SlaveState.OFFLINE
         self.fault: Fault | None = None
         self.diagnosis: Diagnosis | None = None
+        self.alarm_counts: AlarmCounts | None = None
         self.watchdog_effective_ns = 0
         self._source = source
         self.image = ImageMirror(setup, source)
@@ -118,6 +120,7 @@ class SlaveMirror:
         self.state = now.state
         self.fault = now.fault
         self.diagnosis = now.diagnosis
+        self.alarm_counts = now.alarms
         self.watchdog_effective_ns = now.watchdog_ns
 
 
@@ -256,10 +259,13 @@ class Mirror:
 
     def worded(self, event: Event) -> Event:
         """``event`` with what the GSD file of its slave says."""
-        if isinstance(event, SlaveDiagnosis):
+        if isinstance(event, SlaveDiagnosis | AlarmRaised):
             slave = self.master.handlers.get(event.address)
-            if slave is not None and slave.setup.texts is not None:
-                return dataclasses.replace(event, texts=block_texts(event.diagnosis, slave.setup.texts))
+            if slave is not None and (texts := slave.setup.texts) is not None:
+                if isinstance(event, AlarmRaised):
+                    return dataclasses.replace(event, texts=texts_beside(event.diagnosis, event.alarm, texts))
+                said = block_texts(event.diagnosis, texts, dpv1=slave.setup.dpv1 is not None)
+                return dataclasses.replace(event, texts=said)
         return event
 
 

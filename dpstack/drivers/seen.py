@@ -12,6 +12,7 @@ from dpstack.dp.events import Fault, SlaveState
 from dpstack.dp.scanner import Found
 from dpstack.dp.setup import SlaveSetup
 from dpstack.dp.survey import SurveyResult
+from dpstack.dp.v1.alarm_events import AlarmCounts
 from dpstack.fdl.decoder import DecoderStats
 from dpstack.fdl.user import LinkStats
 from dpstack.params import BusParams
@@ -72,6 +73,10 @@ class HandlerSeen(Protocol):
     @property
     def diagnosis(self) -> Diagnosis | None:
         """The last one."""
+
+    @property
+    def alarm_counts(self) -> AlarmCounts | None:
+        """Of its alarms."""
 
     @property
     def exchanges(self) -> int:

@@ -115,9 +115,9 @@ def test_what_dpv1_status_says_follows_from_the_file() -> None:
     watchdog = setup.watchdog(100)
     assert watchdog is not None
     assert (watchdog.factors, watchdog.base_ms) == ((1, 25), 1)
-    assert setup.user_octets(watchdog).hex(" ") == "c4 00 00 08 00"  # DPV1_Enable, Fail_Safe, WD_Base_1ms
+    assert setup.user_octets(watchdog).hex(" ") == "c4 40 00 08 00"  # DPV1_Enable, Fail_Safe, WD_Base_1ms
     coarse = config(keys + "watchdog_ms = 20\nfail_safe = false\nwd_base_1ms = false\n").slaves[0].setup(500_000)
-    assert coarse.user_octets(coarse.watchdog(100)).hex(" ") == "80 00 00 08 00"
+    assert coarse.user_octets(coarse.watchdog(100)).hex(" ") == "80 40 00 08 00"  # Process_Alarm_required
 
 
 def test_fail_safe_required_cannot_be_left_out(tmp_path: Path) -> None:

@@ -119,6 +119,12 @@ class Alarm:
         return f"{self.title}, slot {self.slot}" + (f", {how}" if how else "")
 
     @property
+    def told(self) -> str:
+        """:attr:`text` with its data, and what the user is asked for."""
+        told = self.text + _hex(self.data)
+        return f"{told}, wants to be acknowledged by the user too" if self.add_ack else told
+
+    @property
     def ack(self) -> AlarmAck:
         """What acknowledges it."""
         return AlarmAck(self.slot, self.type, self.specifier, self.sequence, self.add_ack)
@@ -167,6 +173,11 @@ class Status:
             return f"{self.title}: {', '.join(bad) or 'all modules ok'}"
         how = Specifier(self.specifier).text
         return f"{self.title}, slot {self.slot}" + (f", {how}" if how else "")
+
+    @property
+    def told(self) -> str:
+        """:attr:`text` with its data, where they are not in it."""
+        return self.text if self.type == StatusType.MODULES else self.text + _hex(self.data)
 
     @property
     def modules(self) -> tuple[ModuleState, ...]:
@@ -253,6 +264,10 @@ def status_name(number: int) -> str:
     if number in StatusType.__members__.values():
         return _STATUSES[StatusType(number)]
     return f"vendor status {number}" if number in VENDOR else f"status of reserved type {number}"
+
+
+def _hex(data: bytes) -> str:
+    return f", data {data.hex(' ')}" if data else ""
 
 
 def _check(slot: int, data: bytes) -> None:

@@ -4,14 +4,8 @@ The request is one SRD. The slave answers in it at once, or acknowledges and is 
 (protocol facts C3, I). One service per slave is outstanding, others wait. What is to be asked when is
 :mod:`dpstack.dp.acyclic`'s.
 
-Decisions where the sources are silent:
-
-- SC, NR and OK without data mean "not yet"; RR and UE "not now", and the request is repeated; RDL and RDH give away old
-  data and have not taken the request (A3).
-- An answer to another service, slot or index is one to an earlier request: counted, dropped, polled again.
-- A service that ended without its answer leaves one behind: it is fetched before the next request goes out, for as long
-  as a slave may take for an answer.
-- A Read without any answer is repeated, a Write is not: it may have been carried out, which is said.
+A Read without any answer is repeated, a Write is not: it may have been carried out, which is said. The course of a
+service, with what was decided about answers, is :mod:`dpstack.dp.v1.ms1_job`.
 """
 
 from __future__ import annotations
@@ -19,32 +13,22 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Final
 
-from dpstack.dp.class2_jobs import ATTEMPTS, Job, Outcome, ServiceFailure, Step, Steps
+from dpstack.dp.class2_jobs import Job, Outcome
 from dpstack.dp.commands import Mode
 from dpstack.dp.events import SlaveState
 from dpstack.dp.master import Master
-from dpstack.dp.ms0 import DATA_STATUS, refusal_text
 from dpstack.dp.slave_handler import SlaveHandler
-from dpstack.dp.v1.codes import Decode, remedy
-from dpstack.dp.v1.records import MAX_RECORD, Function, Negative, ReadReq, ReadRes, RecordReq, WriteReq, parse_response
+from dpstack.dp.v1.alarm_handler import AlarmHandler
+from dpstack.dp.v1.judging import service_outcome, title_of
+from dpstack.dp.v1.ms1_job import Ms1Job, Owed
+from dpstack.dp.v1.records import MAX_RECORD, Function, ReadReq, RecordReq, WriteReq
 from dpstack.errors import PduError, UsageError
-from dpstack.fdl.telegram import SAP_MS1, Kind, Req, Resp, Telegram
-from dpstack.fdl.user import Failure, Request
 from dpstack.trace import Event
-from dpstack.units import NS_PER_MS, NS_PER_S, ns_to_s
+from dpstack.units import NS_PER_S
 
-#: where the GSD file has no C1_Response_Timeout
-RESPONSE_TIMEOUT: Final = NS_PER_S
 #: from the order to the end, the time that others take included
 SERVICE_TIMEOUT: Final = 10 * NS_PER_S
 _HEAD: Final = 4
-_NOT_YET: Final = frozenset((int(Resp.OK), int(Resp.NR)))
-_NOT_NOW: Final = frozenset((int(Resp.RR), int(Resp.UE)))
-_NOT_TAKEN: Final = frozenset((int(Resp.RDL), int(Resp.RDH)))
-_BUSY_PAUSE: Final = 10 * NS_PER_MS
-#: so many polls in as many token holds, then with pauses that grow up to the last
-_EAGER: Final = 4
-_PAUSES: Final = (NS_PER_MS, 2 * NS_PER_MS, 5 * NS_PER_MS, 10 * NS_PER_MS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,8 +93,8 @@ class Ms1:
 
     own: int
     master: Master | None
-    #: slaves that owe the answer to a service which is over, and since when they were in data exchange then
-    owed: dict[int, int] = field(default_factory=dict)
+    #: answers to services which are over, by lane
+    owed: dict[int, Owed] = field(default_factory=dict)
 
     def job_of(self, order: object) -> tuple[int, Job, int] | None:
         """Token, job and time-out in ns of ``order``; None when it is none for MS1. Raises UsageError."""
@@ -125,9 +109,14 @@ class Ms1:
             octets = request.build()
         except PduError as error:
             raise UsageError(str(error)) from None
-        return token, RecordJob(address, request, octets, self._handler(address), self), timeout_ns
+        return token, RecordJob(request, octets, self.handler(address), self), timeout_ns
 
-    def _handler(self, address: int) -> SlaveHandler:
+    def speaking(self) -> list[SlaveHandler]:
+        """Those that are parameterised for DP-V1."""
+        return [] if self.master is None else [h for h in self.master.handlers.values() if h.alarms is not None]
+
+    def handler(self, address: int) -> SlaveHandler:
+        """The slave's, where it is parameterised for DP-V1. Raises UsageError."""
         handlers = {} if self.master is None else self.master.handlers
         handler = handlers.get(address)
         if handler is None:
@@ -140,6 +129,12 @@ class Ms1:
                 f"if it has them put dpv1 = true into its [[slave]] table"
             )
         return handler
+
+    def alarms(self, address: int) -> AlarmHandler:
+        """The slave's. Raises UsageError as for a service."""
+        alarms = self.handler(address).alarms
+        assert alarms is not None
+        return alarms
 
     def bar(self, handler: SlaveHandler, since: int) -> str:
         """Why no service to the slave of ``handler``, in data exchange ``since`` then, can end: MS1 closes on leaving
@@ -159,48 +154,25 @@ class Ms1:
         return f"the slave is not in data exchange but in {state.value}{why}; repeat it when it is"
 
 
-class RecordJob:
+class RecordJob(Ms1Job):
     """One Read or Write, to the slave that ``handler`` handles."""
 
-    #: nothing is known to have happened to the slave
-    aftermath = ""
+    why_closed = (
+        "it has no Read and Write (C1_Read_Write_supp of its GSD file), or takes them only with other parameters"
+    )
 
-    def __init__(self, address: int, request: RecordReq, octets: bytes, handler: SlaveHandler, ms1: Ms1) -> None:
-        self.address = address
-        self.lane: int | None = address
+    def __init__(self, request: RecordReq, octets: bytes, handler: SlaveHandler, ms1: Ms1) -> None:
+        super().__init__(handler, ms1, octets, _HEAD if isinstance(request, WriteReq) else _HEAD + request.length)
         self._request = request
-        self._octets = octets
-        self._handler = handler
-        self._ms1 = ms1
-        self._since = handler.since
-        self._stale = 0
-        self._busy = False
         self._write = isinstance(request, WriteReq)
-        told = 0 if handler.setup.dpv1 is None else handler.setup.dpv1.c1_response_timeout_ns
-        self._limit_ns = told or RESPONSE_TIMEOUT
-        self._limit_of = "its C1_Response_Timeout" if told else "no C1_Response_Timeout is known of it"
-        self._answer = _HEAD if isinstance(request, WriteReq) else _HEAD + request.length
+        self.repeats = not self._write
+        if self._write:
+            self.hint = "; it may have been carried out: read it back"
 
     @property
     def title(self) -> str:
         """With slot and index: they are what a reader looks for."""
-        function = Function.WRITE if self._write else Function.READ
-        return f"{function.title} of slot {self._request.slot}, index {self._request.index}"
-
-    @property
-    def overdue(self) -> str:
-        """After C1_Response_Timeout."""
-        others = f", only {self._stale} to other requests" if self._stale else ""
-        why = "it was busy all the time" if self._busy else "it exchanges data, but does not work at this record"
-        return (
-            f"had no answer{others} within {ns_to_s(self._limit_ns):g} s ({self._limit_of}): {why}; "
-            f"try again, or give it longer (dpv1 = {{ response_timeout_ms = ... }})"
-        )
-
-    def bar(self) -> str:
-        """See :meth:`Ms1.bar`."""
-        why = self._ms1.bar(self._handler, self._since)
-        return f"has no end: {why}" if why else ""
+        return title_of(self._request)
 
     def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:
         """One event."""
@@ -214,158 +186,12 @@ class RecordJob:
                 slot=request.slot,
                 index=request.index,
                 outcome=outcome,
-                stale=self._stale,
+                stale=self.stale,
             )
         ]
 
-    # --- the course ---------------------------------------------------------------------------------------------
-
-    def steps(self) -> Steps[Outcome]:
-        """What an earlier service left behind, the request, then polls."""
-        yield from self._fetch_owed()
-        owed = self._ms1.owed
-        request = self._srd(self._octets)
-        unanswered = pause = 0
-        while True:
-            owed[self.address] = self._since  # until there is an answer, whatever ends this service
-            answer = yield Step(request, pause, self._limit_ns)
-            pause = _BUSY_PAUSE
-            if not isinstance(answer, Telegram):
-                unanswered += 1
-                if answer is Failure.REFUSED or self._write or unanswered == ATTEMPTS:
-                    return self._unanswered(answer)
-                continue
-            self._busy = answer.function in _NOT_NOW
-            if answer.kind is Kind.SC or answer.function in _NOT_YET:
-                break
-            if answer.function in DATA_STATUS:
-                outcome = self._judged(answer.data)
-                if outcome is not None:
-                    return outcome
-                break
-            if answer.function not in _NOT_NOW and answer.function not in _NOT_TAKEN:
-                return self._refused(answer)
-            self._stale += answer.function in _NOT_TAKEN
-        return (yield from self._polled())
-
-    def _polled(self) -> Steps[Outcome]:
-        poll = self._srd(b"")
-        unanswered = polls = 0
-        while True:
-            answer = yield Step(poll, _pause(polls))
-            polls += 1
-            if not isinstance(answer, Telegram):
-                unanswered += 1
-                if answer is Failure.REFUSED or unanswered == ATTEMPTS:
-                    return self._unanswered(answer)
-                continue
-            unanswered = 0
-            if answer.kind is Kind.SC or answer.function in _NOT_YET or answer.function in _NOT_NOW:
-                continue
-            if answer.function not in DATA_STATUS and answer.function not in _NOT_TAKEN:
-                return self._refused(answer)
-            outcome = self._judged(answer.data)
-            if outcome is not None:
-                return outcome
-
-    def _fetch_owed(self) -> Steps[None]:
-        owed = self._ms1.owed  # until it is fetched, also where this service is cut short meanwhile
-        if owed.get(self.address) != self._since:
-            return
-        poll = self._srd(b"")
-        for polls in range(self._limit_ns // _PAUSES[-1] + 1):
-            answer = yield Step(poll, _pause(polls))
-            if isinstance(answer, Telegram) and answer.data:
-                self._stale += 1
-                break
-        owed.pop(self.address, None)
-
-    def _srd(self, octets: bytes) -> Request:
-        """High priority as all services of DP here; ``answer`` lets the budget of a fixed cycle know its length."""
-        return Request(self.address, Req.SRD_HIGH, octets, SAP_MS1, SAP_MS1, patient=True, answer=self._answer)
-
-    # --- answers ------------------------------------------------------------------------------------------------
-
-    def _judged(self, octets: bytes) -> Outcome | None:
-        """The end that ``octets`` are, None where they answer another request."""
-        if not octets:
+    def judged(self, octets: bytes) -> Outcome | None:
+        """See :func:`~dpstack.dp.v1.judging.service_outcome`; a response to Alarm_Ack is one to an earlier request."""
+        if octets[0] == Function.ALARM_ACK:
             return None
-        request = self._request
-        try:
-            response = parse_response(octets)
-        except PduError as error:
-            return self._over(ServiceFailure.LENGTH, f"answers {self.title} with what cannot be read: {error}")
-        if isinstance(response, Negative):
-            if response.function != (Function.WRITE if self._write else Function.READ):
-                return self._of_another_request()
-            return self._negative(response)
-        if (response.slot, response.index) != (request.slot, request.index):
-            return self._of_another_request()
-        if isinstance(response, ReadRes) is self._write:
-            return self._of_another_request()
-        if isinstance(response, ReadRes) and isinstance(request, ReadReq):
-            got = len(response.data)
-            if got > request.length:
-                return self._over(
-                    ServiceFailure.LENGTH, f"answers {self.title} with {got} octets, {request.length} were asked for"
-                )
-            return self._over(data=response.data)
-        if isinstance(request, WriteReq) and not isinstance(response, ReadRes):
-            given = len(request.data)
-            if response.length != given:
-                taken = f"says it took {response.length} octets by {self.title}, {given} were given"
-                return self._over(ServiceFailure.LENGTH, taken)
-        return self._over()
-
-    def _of_another_request(self) -> Outcome | None:
-        self._stale += 1
-        return None
-
-    def _negative(self, response: Negative) -> Outcome:
-        codes = (response.decode, response.code_1, response.code_2)
-        todo = remedy(response.code_1) if response.decode == Decode.DPV1 else ""
-        text = f"refuses {self.title}: {response.text}" + (f"; {todo}" if todo else "")
-        return self._over(ServiceFailure.NEGATIVE, text, codes=codes)
-
-    def _unanswered(self, why: Failure) -> Outcome:
-        what = "gives no readable answer to" if why is not Failure.NO_ANSWER else "does not answer"
-        maybe = "; it may have been carried out: read it back" if self._write else "; try again"
-        if why is Failure.REFUSED:
-            what, maybe = "was not sent", "; this bus is read-only"
-            self._ms1.owed.pop(self.address, None)
-        return Outcome(failure=_NO_ANSWERS[why], text=f"slave {self.address} {what} {self.title}{maybe}")
-
-    def _refused(self, answer: Telegram) -> Outcome:
-        status = refusal_text(answer)
-        text = (
-            f"refuses {self.title} ({status}): SAP {SAP_MS1} is closed; it has no Read and Write (C1_Read_Write_supp "
-            f"of its GSD file), or takes them only with other parameters"
-        )
-        return self._over(ServiceFailure.REFUSED, text, status=status)
-
-    def _over(
-        self,
-        failure: ServiceFailure | None = None,
-        text: str = "",
-        *,
-        data: bytes = b"",
-        status: str = "",
-        codes: tuple[int, int, int] | None = None,
-    ) -> Outcome:
-        """The slave has answered: it owes nothing."""
-        self._ms1.owed.pop(self.address, None)
-        told = f"slave {self.address} {text}" if text else ""
-        return Outcome(data, failure, told, status, codes)
-
-
-_NO_ANSWERS: Final = {
-    Failure.NO_ANSWER: ServiceFailure.SILENT,
-    Failure.GARBLED: ServiceFailure.UNREADABLE,
-    Failure.WRONG: ServiceFailure.WRONG,
-    Failure.REFUSED: ServiceFailure.GUARDED,
-}
-
-
-def _pause(polls: int) -> int:
-    """Before the next poll, in ns, after ``polls`` of them."""
-    return 0 if polls < _EAGER else _PAUSES[min(polls - _EAGER, len(_PAUSES) - 1)]
+        return service_outcome(self.address, self._request, octets)

@@ -39,7 +39,7 @@ CHECK_CFG_MODE: Final = 0x01
 #: DPV1_Status_3
 PRM_CMD: Final = 0x80
 PRM_STRUCTURE: Final = 0x08
-_ALARM_MODE: Final = 0x07
+ALARM_MODE: Final = 0x07
 #: alarms at a time by Alarm_Mode; 0: one of each type
 ALARM_LIMITS: Final = (0, 2, 4, 8, 12, 16, 24, 32)
 #: length, type, slot, reserved
@@ -79,7 +79,8 @@ class Dpv1:
     ``alarms``: kinds that the slave may raise, keys of :data:`ALARMS`; ``alarm_mode`` 0 one of each kind at a time,
     1..7 2, 4, 8, 12, 16, 24, 32 in all. ``blocks``: appended, and Prm_Structure is set. ``c1_response_timeout_ns``: in
     which the slave answers Read and Write, 0: not known; ``c1_max_data_len``: octets of the longest record, 0..240.
-    Raises ConfigError.
+    ``extra_alarm_sap``: alarms are acknowledged at SAP 50, not 51. ``required_alarms``: kinds that are enabled where
+    ``alarms`` is None, beside those that the parameters enable. Raises ConfigError.
     """
 
     check_cfg_mode: bool | None = None
@@ -89,12 +90,14 @@ class Dpv1:
     blocks: tuple[PrmBlock, ...] = ()
     c1_response_timeout_ns: int = 0
     c1_max_data_len: int = MAX_RECORD
+    extra_alarm_sap: bool = False
+    required_alarms: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         unknown = [name for name in self.alarms or () if name not in ALARMS]
         if unknown:
             raise ConfigError(f"there is no {unknown[0]!r} alarm; there are: {', '.join(ALARMS)}")
-        if self.alarm_mode is not None and not 0 <= self.alarm_mode <= _ALARM_MODE:
+        if self.alarm_mode is not None and not 0 <= self.alarm_mode <= ALARM_MODE:
             raise ConfigError(f"alarm_mode {self.alarm_mode} is outside 0..7")
         if not 0 <= self.c1_max_data_len <= MAX_RECORD:
             raise ConfigError(f"records of {self.c1_max_data_len} octets; {MAX_RECORD} are possible")
@@ -102,13 +105,16 @@ class Dpv1:
     def apply(self, octets: bytearray) -> None:
         """Put it into the user parameters, whose first three octets are DPV1_Status."""
         set_bit(octets, 0, DPV1_ENABLE, True)
-        if self.alarms is not None:
+        if self.alarms is None:
+            for name in self.required_alarms:
+                set_bit(octets, 1, ALARMS[name], True)
+        else:
             for name, bit in ALARMS.items():
                 set_bit(octets, 1, bit, name in self.alarms)
         set_bit(octets, 1, CHECK_CFG_MODE, self.check_cfg_mode)
         set_bit(octets, 2, PRM_CMD, self.prm_cmd)
         if self.alarm_mode is not None:
-            octets[2] = octets[2] & ~_ALARM_MODE | self.alarm_mode
+            octets[2] = octets[2] & ~ALARM_MODE | self.alarm_mode
         if self.blocks:
             set_bit(octets, 2, PRM_STRUCTURE, True)
             for block in self.blocks:

@@ -14,7 +14,7 @@ from dpstack.trace import Event
 
 def asking(ms1: Ms1) -> Iterator[tuple[SlaveHandler, RecordQueue]]:
     """Slaves whose cyclic units ask them something now."""
-    for handler in () if ms1.master is None else ms1.master.handlers.values():
+    for handler in ms1.speaking():
         queue = queue_of(handler)
         if queue is not None:
             yield handler, queue
@@ -36,7 +36,7 @@ class UnitJob(RecordJob):
     """One that a cyclic unit waits for: its end is not an event."""
 
     def __init__(self, pending: PendingRecord, octets: bytes, handler: SlaveHandler, ms1: Ms1) -> None:
-        super().__init__(handler.setup.address, pending.request, octets, handler, ms1)
+        super().__init__(pending.request, octets, handler, ms1)
         self._pending = pending
 
     def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:

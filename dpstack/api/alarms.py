@@ -1,0 +1,333 @@
+"""``slave.alarms()``: alarms as an application takes them, and what that has to do with their acknowledgement.
+
+While nobody listens the station acknowledges alarms itself, so that no slave waits for ever; they are events then, as
+they always are. While somebody listens an alarm is acknowledged when every listener has it: a slow one holds further
+alarms of the slave back at the slave, and nothing piles up here.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import weakref
+from collections import deque
+from collections.abc import AsyncIterator
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+from dpstack.dp.class2_jobs import Outcome, ServiceFailure
+from dpstack.dp.diagnosis import Diagnosis
+from dpstack.dp.v1.alarm_events import AcknowledgeAlarm, AlarmDone, AlarmRaised, HoldAlarms, StatusTold
+from dpstack.dp.v1.alarms import Alarm, Specifier, Status
+from dpstack.errors import AcyclicError, BusError, DpError, ServiceRefused, SlaveFault, UsageError
+from dpstack.trace import Event
+
+if TYPE_CHECKING:
+    from dpstack.api.bus import Bus
+
+#: statuses kept for a reader that does not read
+_STATUSES: Final = 64
+
+
+class SlaveAlarm:
+    """One alarm of a slave, as ``slave.alarms()`` gives it.
+
+    ``type`` 1 diagnosis, 2 process, 3 pull, 4 plug, 5 status, 6 update, 32..126 the maker's own, ``title`` in words;
+    ``slot`` 0..254; ``sequence`` number 0..31; ``data`` up to 59 octets, whose meaning is in the device's manual.
+    ``user_ack``: it wants something else of the user beside its acknowledgement, for instance a Write (Add_Ack).
+    ``diagnosis`` is the one it came in, ``texts`` what else stands there. ``t_ns``: bus time.
+    """
+
+    def __init__(self, raised: AlarmRaised, desk: AlarmDesk) -> None:
+        self.address = raised.address
+        self.name = raised.name
+        self.type = raised.alarm.type
+        self.title = raised.alarm.title
+        self.slot = raised.alarm.slot
+        self.sequence = raised.alarm.sequence
+        self.specifier = Specifier(raised.alarm.specifier)
+        self.data = raised.alarm.data
+        self.user_ack = raised.alarm.add_ack
+        self.diagnosis: Diagnosis = raised.diagnosis
+        self.texts = raised.texts
+        self.t_ns = raised.t_ns
+        #: all of it in one line, with the slave
+        self.text = raised.text
+        self._raised = raised
+        self._desk = desk
+
+    def __repr__(self) -> str:
+        return f"<SlaveAlarm {self.text}>"
+
+    @property
+    def alarm(self) -> Alarm:
+        """As it came."""
+        return self._raised.alarm
+
+    @property
+    def appears(self) -> bool:
+        """Something is wrong with the slot from now on."""
+        return self.specifier is Specifier.APPEARS
+
+    @property
+    def disappears(self) -> bool:
+        """Something is no longer wrong; :attr:`slot_good` says whether anything still is."""
+        return self.specifier in (Specifier.DISAPPEARS, Specifier.DISAPPEARS_OTHERS)
+
+    @property
+    def slot_good(self) -> bool | None:
+        """What it says of the slot; None: nothing."""
+        return None if self.specifier is Specifier.NONE else self.specifier is Specifier.DISAPPEARS
+
+    async def acknowledge(self) -> None:
+        """Acknowledge it (with ``alarms()`` that is done already), and wait until the slave took it. Another listener
+        that does not have it yet is no longer waited for.
+
+        May be repeated. Raises AcyclicError and ServiceRefused where the slave refuses, SlaveFault when it left data
+        exchange before (its alarms are void then), UsageError, BusError.
+        """
+        await self._desk.acknowledge(self._raised)
+
+
+@dataclass(eq=False)
+class _Listener:
+    """What one ``alarms()`` has not taken yet."""
+
+    waiting: deque[SlaveAlarm] = field(default_factory=deque)
+    more: asyncio.Event = field(default_factory=asyncio.Event)
+    ended: bool = False
+
+    def end(self) -> None:
+        self.ended = True
+        self.more.set()
+
+
+class AlarmStream(AsyncIterator[SlaveAlarm]):
+    """An async iterator over the alarms of one slave. Ends with the bus, or when the slave is removed from it."""
+
+    def __init__(self, desk: AlarmDesk, address: int, acknowledge: bool) -> None:
+        self._desk = desk
+        self._address = address
+        self._acknowledge = acknowledge
+        self._listener = _Listener()
+        desk.listen(address, self._listener)
+        # who leaves an ``async for`` does not say so; the slave must not wait for him
+        self._leave = weakref.finalize(self, desk.leave_later, address, self._listener, asyncio.get_running_loop())
+        self._leave.atexit = False
+
+    def close(self) -> None:
+        """The reader has had enough: what it has not taken is acknowledged. May be repeated."""
+        self._leave.detach()
+        self._desk.leave(self._address, self._listener)
+
+    def __aiter__(self) -> AlarmStream:
+        return self
+
+    async def __anext__(self) -> SlaveAlarm:
+        listener = self._listener
+        while not listener.waiting:
+            if listener.ended:
+                raise StopAsyncIteration
+            listener.more.clear()
+            await listener.more.wait()
+        alarm = listener.waiting.popleft()
+        if self._acknowledge:
+            self._desk.taken(alarm, listener)
+        return alarm
+
+
+class StatusStream(AsyncIterator[Status]):
+    """An async iterator over status messages of one slave; bounded, the oldest are dropped. Ends as AlarmStream."""
+
+    def __init__(self) -> None:
+        self.dropped = 0
+        self._waiting: deque[Status] = deque(maxlen=_STATUSES)
+        self._more = asyncio.Event()
+        self._ended = False
+
+    def put(self, status: Status) -> None:
+        """From the bus."""
+        self.dropped += len(self._waiting) == _STATUSES
+        self._waiting.append(status)
+        self._more.set()
+
+    def end(self) -> None:
+        """No more will come."""
+        self._ended = True
+        self._more.set()
+
+    def __aiter__(self) -> StatusStream:
+        return self
+
+    async def __anext__(self) -> Status:
+        while not self._waiting:
+            if self._ended:
+                raise StopAsyncIteration
+            self._more.clear()
+            await self._more.wait()
+        return self._waiting.popleft()
+
+
+@dataclass(eq=False)
+class _Held:
+    """An alarm that the station holds for this application: who has not let go of it yet, and its end."""
+
+    keepers: set[_Listener]
+    end: Outcome | None = None
+    ended: asyncio.Event = field(default_factory=asyncio.Event)
+
+
+class AlarmDesk:
+    """All alarms of one bus that are listened for."""
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+        self._listeners: dict[int, list[_Listener]] = {}
+        self._statuses: dict[int, weakref.WeakSet[StatusStream]] = {}
+        self._held: dict[tuple[int, int], _Held] = {}
+        self._over: DpError | None = None
+
+    def alarms(self, address: int, *, acknowledge: bool) -> AlarmStream:
+        """See :meth:`dpstack.api.slave.Slave.alarms`."""
+        return AlarmStream(self, address, acknowledge)
+
+    def statuses(self, address: int) -> StatusStream:
+        """See :meth:`dpstack.api.slave.Slave.status_messages`."""
+        stream = StatusStream()
+        self._statuses.setdefault(address, weakref.WeakSet()).add(stream)
+        if self._over is not None:
+            stream.end()
+        return stream
+
+    # --- listeners ----------------------------------------------------------------------------------------------
+
+    def listen(self, address: int, listener: _Listener) -> None:
+        """From now on ``listener`` has the alarms of the slave at ``address``. Raises UsageError, BusError."""
+        if not self._listeners.get(address):
+            self._bus.command(HoldAlarms(address, True))
+        self._listeners.setdefault(address, []).append(listener)
+
+    def leave(self, address: int, listener: _Listener) -> None:
+        """No longer; may be repeated."""
+        listeners = self._listeners.get(address, [])
+        if listener not in listeners:
+            return
+        listeners.remove(listener)
+        listener.end()
+        for key, held in tuple(self._held.items()):
+            if key[0] == address:
+                self._let_go(key, held, listener)
+        if not listeners:
+            self._order(HoldAlarms(address, False))
+
+    def leave_later(self, address: int, listener: _Listener, loop: asyncio.AbstractEventLoop) -> None:
+        """From a finalizer, which may run anywhere."""
+        with contextlib.suppress(RuntimeError):  # the loop is over, and the bus with it
+            loop.call_soon_threadsafe(self.leave, address, listener)
+
+    def taken(self, alarm: SlaveAlarm, listener: _Listener) -> None:
+        """``listener`` handed it to the application."""
+        key = alarm.address, alarm._raised.number
+        held = self._held.get(key)
+        if held is not None:
+            self._let_go(key, held, listener)
+
+    async def acknowledge(self, raised: AlarmRaised) -> None:
+        """All listeners let go of it; returns when the slave took the acknowledgement."""
+        key = raised.address, raised.number
+        held = self._held.get(key)
+        if held is None:
+            return
+        for listener in tuple(held.keepers):
+            self._let_go(key, held, listener)
+        await held.ended.wait()
+        assert held.end is not None
+        if held.end.failure is not None:
+            raise _error(raised, held.end)
+
+    def _let_go(self, key: tuple[int, int], held: _Held, listener: _Listener) -> None:
+        if listener in held.keepers:
+            held.keepers.remove(listener)
+            if not held.keepers:
+                self._order(AcknowledgeAlarm(*key))
+                if held.end is not None:
+                    del self._held[key]
+
+    def _order(self, command: object) -> None:
+        with contextlib.suppress(DpError):  # the bus is over, or the slave removed: nothing is held any more
+            self._bus.command(command)
+
+    # --- from the machine ---------------------------------------------------------------------------------------
+
+    def take(self, event: Event) -> bool:
+        """True for what is told to nobody else."""
+        match event:
+            case AlarmRaised(held=True):
+                self._raised(event)
+            case StatusTold(address=address, status=status):
+                for stream in tuple(self._statuses.get(address, ())):
+                    stream.put(status)
+            case AlarmDone(address=address, number=number, outcome=outcome):
+                self._done((address, number), outcome)
+                return True
+        return False
+
+    def _raised(self, event: AlarmRaised) -> None:
+        listeners = self._listeners.get(event.address, [])
+        if not listeners:
+            return  # the last one left just now, which has them all acknowledged
+        self._held[event.address, event.number] = _Held(set(listeners))
+        for listener in listeners:
+            listener.waiting.append(SlaveAlarm(event, self))
+            listener.more.set()
+
+    def _done(self, key: tuple[int, int], outcome: Outcome) -> None:
+        held = self._held.get(key)
+        if held is not None:
+            held.end = outcome
+            held.ended.set()
+            if not held.keepers:
+                del self._held[key]
+
+    def forget(self, address: int) -> None:
+        """The slave was removed from the bus."""
+        for listener in self._listeners.pop(address, []):
+            listener.end()
+        for stream in self._statuses.pop(address, ()):
+            stream.end()
+        self._end_held("was removed from the bus", address)
+
+    def end(self, error: DpError) -> None:
+        """Nothing more will come; what is there can still be taken."""
+        self._over = error
+        for listeners in self._listeners.values():
+            for listener in listeners:
+                listener.end()
+        for streams in self._statuses.values():
+            for stream in streams:
+                stream.end()
+        self._end_held(str(error))
+
+    def _end_held(self, why: str, address: int | None = None) -> None:
+        for key, held in tuple(self._held.items()):
+            if address in (None, key[0]) and held.end is None:
+                text = f"an alarm of slave {key[0]} was not acknowledged: {why}"
+                self._done(key, Outcome(failure=ServiceFailure.LINE, text=text))
+
+
+def _error(raised: AlarmRaised, outcome: Outcome) -> DpError:
+    text, failure = outcome.text, outcome.failure
+    if outcome.codes is not None:
+        slot, number = raised.alarm.slot, raised.alarm.type
+        codes = outcome.codes
+        return AcyclicError(raised.address, text, service="Alarm_Ack", slot=slot, index=number, codes=codes)
+    if failure is ServiceFailure.REFUSED:
+        return ServiceRefused(raised.address, text, service="Alarm_Ack", status=outcome.status)
+    if failure is ServiceFailure.GUARDED:
+        return UsageError(text)
+    if failure is ServiceFailure.LINE:
+        return BusError(text)
+    return SlaveFault(raised.address, text)
+
+
+__all__ = ["AlarmDesk", "AlarmStream", "SlaveAlarm", "StatusStream"]

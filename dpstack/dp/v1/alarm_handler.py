@@ -1,0 +1,361 @@
+"""Alarms of one slave at its master: recognised in its diagnoses, delivered once, acknowledged (protocol facts C4, J).
+
+An alarm is open from the diagnosis it comes in until the slave takes its acknowledgement; the sequence of requests is
+:mod:`dpstack.dp.v1.alarm_ack`'s. Facts: one block per diagnosis; a slave keeps at most one alarm of each type open
+(Alarm_Mode 0) or so many in all; Alarm_Ack repeats slot, type and specifier (VPC3+ header; Felser; ProSoft PDPMV1 p127:
+an alarm that cannot be read is indicated and not acknowledged). A Siemens DPC31 stack answers nothing to an Alarm_Ack
+that fits no open alarm, and closes the SAP: so one is never repeated while its response may still be fetched.
+
+Decisions where the sources are silent:
+
+- Type, slot and sequence number are one alarm while it is open.
+- A block that was not in the last diagnosis, or is in one that the slave asks to be read (DH) though it is as before,
+  is one raised just now. With the numbers of an alarm whose acknowledgement has no answer yet it is the next one, and
+  says that the slave has had the acknowledgement; otherwise the diagnosis is read again after the response.
+- With the same octets right after the response the slave may not have taken the block away yet: it is the next one only
+  when it stands there after :data:`SETTLE`; in sequence mode, where numbers count on, never before it was gone.
+- An acknowledgement without an answer is sent again as long as the slave is in data exchange. When another alarm has
+  taken its place under the same number, or in mode 0 one of the same type, the slave has had it.
+- A refused one is over, and told. A second one that is refused shows that the first had arrived.
+- More at a time than agreed are delivered all the same, up to :data:`MAX_OPEN`; what is beyond is dropped without
+  acknowledgement, and the diagnosis is read again when there is room.
+- A kind that Set_Prm did not enable is neither delivered nor acknowledged: it may be no alarm at all, but a device
+  related diagnosis in the old form.
+- Leaving data exchange ends all of them; those delivered stay delivered.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final, NamedTuple
+
+from dpstack.dp.class2_jobs import Outcome, ServiceFailure
+from dpstack.dp.diagnosis import Diagnosis
+from dpstack.dp.ext_diagnosis import DeviceBlock
+from dpstack.dp.findings import Findings
+from dpstack.dp.setup import SlaveSetup
+from dpstack.dp.v1.alarm_events import AlarmCounts, AlarmDone, AlarmRaised, StatusTold, texts_beside
+from dpstack.dp.v1.alarms import Alarm, AlarmType, Status, alarm_name, parse_block
+from dpstack.dp.v1.codes import Code
+from dpstack.dp.v1.status import ALARM_LIMITS, ALARM_MODE, ALARMS
+from dpstack.errors import PduError
+from dpstack.trace import Event
+from dpstack.units import NEVER, NS_PER_MS
+
+#: alarms of one slave that are open, or not taken by the application; those of a slave that keeps the rules are 32
+MAX_OPEN: Final = 64
+#: a slave has so long to take an acknowledged alarm out of its diagnosis
+SETTLE: Final = 100 * NS_PER_MS
+#: before an acknowledgement is sent again, doubled each time up to the last
+_AGAIN: Final = (100 * NS_PER_MS, 1000 * NS_PER_MS)
+_KINDS: Final = {
+    AlarmType.DIAGNOSIS: "diagnostic",
+    AlarmType.PROCESS: "process",
+    AlarmType.PULL: "pull_plug",
+    AlarmType.PLUG: "pull_plug",
+    AlarmType.STATUS: "status",
+    AlarmType.UPDATE: "update",
+}
+#: the slave did not look at it now: "later"
+_BUSY: Final = (Code.STATE_CONFLICT, Code.READ_CONSTRAINT, Code.WRITE_CONSTRAINT, Code.RESOURCE_BUSY)
+_NO: Final = (ServiceFailure.NEGATIVE, ServiceFailure.REFUSED, ServiceFailure.LENGTH, ServiceFailure.GUARDED)
+
+
+class Key(NamedTuple):
+    """What is one alarm while it is open."""
+
+    type: int
+    slot: int
+    sequence: int
+
+    @classmethod
+    def of(cls, alarm: Alarm) -> Key:
+        """Of ``alarm``."""
+        return cls(alarm.type, alarm.slot, alarm.sequence)
+
+
+class Stage(Enum):
+    """Where an open alarm is."""
+
+    HELD = "held"  # the application has it, or will
+    WAITING = "waiting"  # to be acknowledged
+    ASKED = "asked"  # its acknowledgement is under way
+
+
+@dataclass(slots=True, eq=False)
+class OpenAlarm:
+    """One that is not acknowledged yet; ``octets`` are its block."""
+
+    number: int
+    alarm: Alarm
+    octets: bytes
+    stage: Stage
+    #: acknowledgements begun
+    attempts: int = 0
+    not_before: int = 0
+    #: it stood in a diagnosis read since then
+    shown: bool = False
+    #: the response came after its acknowledgement was over
+    answered: bool = False
+
+
+class AlarmHandler:
+    """The alarms of one slave. ``ask(now)`` has its diagnosis read; ``before``: its handling under other parameters."""
+
+    def __init__(
+        self,
+        setup: SlaveSetup,
+        findings: Findings,
+        emit: Callable[[Event], None],
+        ask: Callable[[int], None],
+        before: AlarmHandler | None = None,
+    ) -> None:
+        sent = setup.user_octets(None)
+        self.counts: AlarmCounts = AlarmCounts() if before is None else before.counts
+        self._enabled = sent[1]
+        #: in all; 0: one of each type
+        self._limit = ALARM_LIMITS[sent[2] & ALARM_MODE]
+        self._setup = setup
+        self._findings = findings
+        self._emit = emit
+        self._ask = ask
+        self._hold: bool = before is not None and before._hold
+        self._number: int = 0 if before is None else before._number
+        self._open: dict[Key, OpenAlarm] = {}
+        #: numbers of those that are over, but not taken by the application yet
+        self._untaken: set[int] = set() if before is None else before._untaken
+        self._asked: OpenAlarm | None = None
+        #: acknowledged, and in every diagnosis since: octets, and until when that means nothing
+        self._settling: dict[Key, tuple[bytes, int]] = {}
+        self._look_at = NEVER
+        self._dropped = False
+        self._last: Diagnosis | None = None
+        #: blocks that say nothing new
+        self._before: set[bytes] = set()
+        self._statuses: dict[tuple[int, int], bytes] = {}
+
+    # --- from the diagnosis -------------------------------------------------------------------------------------
+
+    def opened(self, last: Diagnosis | None, now: int) -> None:
+        """Data exchange begins: what stands in the last diagnosis before it counts from now on."""
+        for message, octets in self._messages(last, now):
+            if isinstance(message, Status):
+                self._on_status(message, octets, now)
+            else:
+                self._ask(now)
+
+    def take(self, diagnosis: Diagnosis, flagged: bool, now: int) -> None:
+        """A diagnosis of the slave in data exchange; ``flagged``: it had asked to be read (DH)."""
+        last, self._last = self._last, diagnosis
+        before = () if last is None or (flagged and diagnosis == last) else last.blocks
+        self._before = {block.octets for block in before}
+        messages = self._messages(diagnosis, now)
+        statuses = {}
+        standing = set()
+        for message, octets in messages:
+            if isinstance(message, Alarm):
+                standing.add(Key.of(message))
+                self._on_alarm(message, octets, diagnosis, now)
+            else:
+                self._on_status(message, octets, now)
+                statuses[message.type, message.slot] = octets
+        self._statuses = statuses
+        for key in [key for key in self._settling if key not in standing]:
+            del self._settling[key]
+
+    def _messages(self, diagnosis: Diagnosis | None, now: int) -> list[tuple[Alarm | Status, bytes]]:
+        found: list[tuple[Alarm | Status, bytes]] = []
+        for block in () if diagnosis is None else diagnosis.blocks:
+            if isinstance(block, DeviceBlock):
+                try:
+                    found.append((parse_block(block.octets), block.octets))
+                except PduError as error:
+                    if not self.counts.malformed:
+                        self._findings.remark(_MALFORMED.format(why=error, octets=block.octets.hex(" ")), now)
+                    self._count("malformed")
+        return found
+
+    def _on_status(self, status: Status, octets: bytes, now: int) -> None:
+        if self._statuses.get((status.type, status.slot)) != octets:
+            self._statuses[status.type, status.slot] = octets
+            self._count("statuses")
+            address, name = self._setup.address, self._setup.name
+            self._emit(StatusTold(t_ns=now, address=address, name=name, status=status))
+
+    def _on_alarm(self, alarm: Alarm, octets: bytes, diagnosis: Diagnosis, now: int) -> None:
+        kind = _KINDS[AlarmType(alarm.type)] if alarm.type in AlarmType.__members__.values() else "manufacturer"
+        if not self._enabled & ALARMS[kind]:
+            self._count("not_enabled")
+            self._findings.remark(_NOT_ENABLED.format(what=alarm_name(alarm.type), kind=kind), now)
+            return
+        key = Key.of(alarm)
+        self._conclude(alarm, octets, now)
+        known = self._open.get(key)
+        fresh = octets not in self._before
+        if known is not None:
+            if not known.attempts:
+                return
+            if not fresh:
+                known.shown = True
+                return
+            self._over(known, Outcome(), now)
+        settled, until = self._settling.get(key, (b"", 0))
+        if settled == octets and not fresh and (self._limit or now < until):
+            if not self._limit:
+                self._look_at = min(self._look_at, until)
+            return
+        self._new(alarm, octets, diagnosis, now)
+
+    def _conclude(self, alarm: Alarm, octets: bytes, now: int) -> None:
+        """What ``alarm`` says of others whose acknowledgement had no answer."""
+        for known in tuple(self._open.values()):
+            alike = not self._limit and known.alarm.type == alarm.type
+            instead = known.octets != octets and (alike or Key.of(known.alarm) == Key.of(alarm))
+            if instead and known.attempts and known.stage is Stage.WAITING:
+                self._over(known, Outcome(), now)
+
+    def _new(self, alarm: Alarm, octets: bytes, diagnosis: Diagnosis, now: int) -> None:
+        setup = self._setup
+        unanswered = [known.alarm.type for known in self._open.values() if not known.attempts]
+        if len(unanswered) >= self._limit if self._limit else alarm.type in unanswered:
+            self._count("too_many")
+            agreed = f"{self._limit} at a time (alarm_mode)" if self._limit else "one of each type at a time"
+            self._findings.remark(f"raises more alarms than agreed, which is {agreed}; see its counters", now)
+        if len(self._open) + len(self._untaken) >= MAX_OPEN:
+            self._count("dropped")
+            self._dropped = True
+            self._findings.remark(f"raises alarms while {MAX_OPEN} wait to be taken: dropped, not acknowledged", now)
+            return
+        self._number += 1
+        stage = Stage.HELD if self._hold else Stage.WAITING
+        self._open[Key.of(alarm)] = OpenAlarm(self._number, alarm, octets, stage)
+        self._count("raised")
+        self._emit(
+            AlarmRaised(
+                t_ns=now,
+                address=setup.address,
+                name=setup.name,
+                number=self._number,
+                alarm=alarm,
+                diagnosis=diagnosis,
+                held=self._hold,
+                texts=texts_beside(diagnosis, alarm, setup.texts),
+            )
+        )
+
+    # --- from the application -----------------------------------------------------------------------------------
+
+    def hold(self, on: bool) -> None:
+        """See :class:`~dpstack.dp.v1.alarm_events.HoldAlarms`."""
+        self._hold = on
+        if not on:
+            self._untaken.clear()
+            for known in self._open.values():
+                if known.stage is Stage.HELD:
+                    known.stage = Stage.WAITING
+
+    def acknowledge(self, number: int, now: int) -> None:
+        """See :class:`~dpstack.dp.v1.alarm_events.AcknowledgeAlarm`; one that is over is no error."""
+        self._untaken.discard(number)
+        for known in self._open.values():
+            if known.number == number and known.stage is Stage.HELD:
+                known.stage = Stage.WAITING
+        self._room(now)
+
+    # --- the acknowledgement ------------------------------------------------------------------------------------
+
+    def next_ack(self, now: int) -> OpenAlarm | None:
+        """The alarm to be acknowledged now; asked in every token hold. One at a time, in the order they came."""
+        if self._look_at <= now:
+            self._look_at = NEVER
+            self._ask(now)
+        if self._asked is not None or not self._open:
+            return None
+        for known in tuple(self._open.values()):
+            if known.answered:
+                self._over(known, Outcome(), now)
+            elif known.stage is Stage.WAITING and known.not_before <= now:
+                return known
+        return None
+
+    def asked(self, known: OpenAlarm) -> None:
+        """Its acknowledgement begins."""
+        self._asked = known
+        known.stage = Stage.ASKED
+        known.shown = False
+        if known.attempts:
+            self._count("repeated")
+        known.attempts += 1
+
+    def ended(self, known: OpenAlarm, outcome: Outcome, now: int) -> None:
+        """What came of it."""
+        if self._asked is known:
+            self._asked = None
+        if self._open.get(Key.of(known.alarm)) is not known:
+            return  # the slave left data exchange meanwhile
+        if outcome.failure is None or (outcome.failure in _NO and known.attempts > 1 and not _busy(outcome)):
+            self._over(known, Outcome(), now)
+        elif outcome.failure in _NO and not _busy(outcome):
+            self._count("refused")
+            self._findings.remark(_REFUSED.format(why=outcome.text), now)
+            self._over(known, outcome, now)
+        else:
+            known.stage = Stage.WAITING
+            known.not_before = now + min(_AGAIN[0] << known.attempts - 1, _AGAIN[1])
+            if outcome.failure is not ServiceFailure.CLOSED and known.attempts == 1:
+                self._findings.remark(f"{outcome.text}; it is acknowledged again until it answers", now)
+
+    def _over(self, known: OpenAlarm, outcome: Outcome, now: int) -> None:
+        key = Key.of(known.alarm)
+        del self._open[key]
+        self._settling[key] = (known.octets, now + SETTLE)
+        if outcome.failure is None:
+            self._count("acknowledged")
+        self._done(known, outcome, now)
+        if known.shown:
+            self._ask(now)
+        self._room(now)
+
+    def _done(self, known: OpenAlarm, outcome: Outcome, now: int) -> None:
+        address, name = self._setup.address, self._setup.name
+        self._emit(AlarmDone(t_ns=now, address=address, name=name, number=known.number, outcome=outcome))
+
+    def _room(self, now: int) -> None:
+        """What was dropped may still stand in its diagnosis."""
+        if self._dropped and len(self._open) + len(self._untaken) < MAX_OPEN:
+            self._dropped = False
+            self._ask(now)
+
+    # --- the end ------------------------------------------------------------------------------------------------
+
+    def closed(self, now: int) -> None:
+        """Data exchange is over, and with it all that is open."""
+        text = f"slave {self._setup.address} ({self._setup.name}) left data exchange: its alarms are void"
+        for known in self._open.values():
+            if known.stage is Stage.HELD:
+                self._untaken.add(known.number)
+            self._done(known, Outcome(failure=ServiceFailure.CLOSED, text=text), now)
+        self._open.clear()
+        self._settling.clear()
+        self._statuses.clear()
+        self._last = self._asked = None
+        self._look_at = NEVER
+        self._dropped = False
+
+    def _count(self, name: str) -> None:
+        self.counts = dataclasses.replace(self.counts, **{name: getattr(self.counts, name) + 1})
+
+
+def _busy(outcome: Outcome) -> bool:
+    return outcome.codes is not None and outcome.codes[1] in _BUSY
+
+
+_MALFORMED: Final = "its diagnosis holds a device block that is neither alarm nor status ({why}): {octets}"
+_NOT_ENABLED: Final = (
+    "its diagnosis holds a {what}, a kind that Set_Prm did not enable: neither delivered nor acknowledged; where it "
+    'raises them put "{kind}" into dpv1 = {{ alarms = [...] }}'
+)
+_REFUSED: Final = "{why}; the alarm was delivered, but the slave may wait for ever"

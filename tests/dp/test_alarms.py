@@ -1,0 +1,509 @@
+"""Alarms at the master: literal octets at the slave's end, every type, both modes, all that happens to Alarm_Ack."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+from alarm_kit import ALL, AlarmBus, block, refusing
+from ms1_kit import MS, answer, setup, status
+from octet_slave import NR, RR, RS, SC
+
+from dpstack.dp.class2 import ReadService
+from dpstack.dp.class2_jobs import Service, ServiceFailure
+from dpstack.dp.commands import Mode, ReparameteriseSlave, SetMode
+from dpstack.dp.events import SlaveState
+from dpstack.dp.v1.alarm_handler import MAX_OPEN
+from dpstack.dp.v1.alarms import ModuleState
+from dpstack.dp.v1.status import Dpv1
+from dpstack.errors import UsageError
+
+PROCESS = block(2, 3, 1, data="12 34")
+
+
+def test_literal_telegrams() -> None:
+    kit = AlarmBus()
+    slave = kit.alarm_slave
+    assert slave.prm[7:10].hex(" ") == "80 fc 00"
+    seen = len(kit.bus.log)
+    slave.raises(bytes.fromhex("06 02 03 2D 12 34"))  # sequence number 5, acknowledged by the user too, appears
+    kit.until(lambda: bool(kit.ends))
+    wire = [sent.octets.hex(" ") for sent in kit.bus.log[seen:]]
+    assert any(octets.startswith("68 11 11 68 82 84 08 3e 3c 08 0c 00 02 12 34 06 02 03 2d 12 34") for octets in wire)
+    request, response = (octets for octets in wire if "5c 03 02 2d" in octets)
+    assert request.startswith("68 09 09 68 84 82")
+    assert request[21:].startswith("33 33 5c 03 02 2d")
+    assert response.startswith("68 09 09 68 82 84 08 33 33 5c 03 02 2d")
+    (raised,) = kit.raised
+    assert (raised.alarm.type, raised.alarm.slot, raised.alarm.sequence) == (2, 3, 5)
+    assert raised.alarm.add_ack
+    assert raised.alarm.data == b"\x12\x34"
+    assert not raised.held
+    assert raised.text == (
+        "slave 4 (s4): process alarm, slot 3, appears, slot disturbed, data 12 34, "
+        "wants to be acknowledged by the user too"
+    )
+    assert kit.counts.acknowledged == kit.counts.raised == 1
+
+
+@pytest.mark.parametrize("kind", [1, 2, 3, 4, 5, 6, 32, 126])
+@pytest.mark.parametrize("specifier", [0, 1, 2, 3])
+def test_every_type(kind: int, specifier: int) -> None:
+    kit = AlarmBus()
+    kit.alarm_slave.raises(block(kind, 254, specifier))
+    kit.until(lambda: bool(kit.ends))
+    assert kit.blocks == kit.alarm_slave.taken == [block(kind, 254, specifier)]
+    assert not kit.remarks
+
+
+@pytest.mark.parametrize(
+    "octets", ["05 07 03 01 00", "05 02 ff 01 00", "05 00 01 01 00", "05 7f 01 01 00", "03 02 01", "3f 01 02"]
+)
+def test_what_is_neither_alarm_nor_status_is_told_once_and_counted(octets: str) -> None:
+    kit = AlarmBus()
+    kit.alarm_slave.changes(bytes.fromhex(octets))
+    kit.run(50)
+    kit.alarm_slave.changes(bytes.fromhex(octets))
+    kit.run(50)
+    assert not kit.raised
+    assert not kit.told
+    assert kit.counts.malformed == 2
+    assert len([text for text in kit.remarks if "neither alarm nor status" in text]) == 1
+    assert kit.master.handlers[4].state is SlaveState.DATA_EXCHANGE
+
+
+@pytest.mark.parametrize(
+    ("kind", "enabled"),
+    [
+        (1, "diagnostic"),
+        (2, "process"),
+        (3, "pull_plug"),
+        (4, "pull_plug"),
+        (5, "status"),
+        (6, "update"),
+        (32, "manufacturer"),
+    ],
+)
+def test_a_kind_that_is_not_enabled_is_told_not_acknowledged(kind: int, enabled: str) -> None:
+    kit = AlarmBus(dpv1=Dpv1(alarms=tuple(name for name in ALL if name != enabled)))
+    kit.alarm_slave.raises(block(kind, 1))
+    kit.run(100)
+    assert not kit.raised
+    assert not kit.alarm_slave.acks
+    assert kit.counts.not_enabled == 1
+    (remark,) = kit.remarks
+    assert f'put "{enabled}" into dpv1 = {{ alarms = [...] }}' in remark
+    only = AlarmBus(dpv1=Dpv1(alarms=(enabled,)))
+    only.alarm_slave.raises(block(kind, 1))
+    only.until(lambda: bool(only.ends))
+
+
+def test_statuses_are_told_when_they_are_new_and_never_acknowledged() -> None:
+    kit = AlarmBus()
+    slave = kit.alarm_slave
+    message = block(0x81, 2, 1, data="55")
+    slave.changes(message)
+    kit.run(50)
+    slave.changes(message + bytes.fromhex("05 82 00 00 c9"))  # as before, and modules 1, 3 and 4 are ill
+    kit.run(50)
+    slave.changes(bytes.fromhex("04 9e 01 00 04 9f 00 00 04 a0 01 00"))
+    kit.run(50)
+    slave.changes(message)
+    kit.run(50)
+    assert [told.status.type for told in kit.told] == [1, 2, 30, 31, 32, 1]
+    assert kit.told[1].status.modules == (
+        ModuleState.INVALID,
+        ModuleState.WRONG,
+        ModuleState.OK,
+        ModuleState.MISSING,
+    )
+    assert kit.told[1].text == "slave 4 (s4): module status: slot 1 data invalid, slot 2 wrong module, slot 4 no module"
+    assert kit.told[0].text == "slave 4 (s4): status message, slot 2, appears, slot disturbed, data 55"
+    assert not slave.acks
+    assert kit.counts.statuses == 6
+
+
+def test_channels_of_the_same_diagnosis_come_along() -> None:
+    kit = AlarmBus()
+    slave = kit.alarm_slave
+    slave.rest = bytes.fromhex("42 01 83 45 21")
+    slave.raises(block(1, 2))
+    kit.until(lambda: bool(kit.raised))
+    (raised,) = kit.raised
+    assert raised.texts == ("modules with a diagnosis: 0", "module 3, input channel 5 (bit): short circuit")
+    assert raised.text.endswith("; module 3, input channel 5 (bit): short circuit")
+
+
+# --- acknowledgement ----------------------------------------------------------------------------------------------
+
+
+def test_held_until_the_application_has_it() -> None:
+    kit = AlarmBus()
+    slave = kit.alarm_slave
+    kit.hold()
+    slave.raises(PROCESS, block(2, 4))
+    kit.run(500)
+    assert kit.blocks == [PROCESS]
+    assert kit.raised[0].held
+    assert not slave.acks
+    kit.acknowledge(1)
+    kit.acknowledge(1)
+    kit.until(lambda: len(kit.raised) == 2)
+    assert slave.taken == [PROCESS]
+    kit.hold(False)  # nobody listens any more: it is acknowledged
+    kit.until(lambda: len(kit.ends) == 2)
+    assert [end.number for end in kit.ends] == [1, 2]
+
+
+def test_in_sequence_mode_in_the_order_the_application_likes() -> None:
+    kit = AlarmBus(dpv1=Dpv1(alarms=ALL, alarm_mode=2))
+    slave = kit.alarm_slave
+    slave.at_a_time = 4
+    kit.hold()
+    blocks = [block(2, 1, 0, number) for number in range(6)]
+    slave.raises(*blocks)
+    kit.run(200)
+    assert kit.blocks == blocks[:4]
+    assert kit.counts.too_many == 0
+    for number in (3, 1, 4, 2):
+        kit.acknowledge(number)
+        kit.run(50)
+    assert slave.taken == [blocks[2], blocks[0], blocks[3], blocks[1]]
+    assert kit.blocks == blocks
+
+
+def test_at_sap_50_beside_a_read_that_takes_its_time() -> None:
+    kit = AlarmBus(dpv1=Dpv1(alarms=ALL, extra_alarm_sap=True))
+    slave = kit.alarm_slave
+    slave.sap = 50
+    token = kit.order_read()  # the slave acknowledges, and never answers
+    kit.run(20)
+    slave.raises(PROCESS)
+    kit.until(lambda: bool(slave.taken), 100)
+    assert not kit.done
+    assert slave.asked[0] == bytes.fromhex("5E 01 02 F0")
+    kit.end(token)
+
+
+def test_at_sap_51_before_reads_that_wait() -> None:
+    kit = AlarmBus()
+    slave = kit.alarm_slave
+    polls = iter([SC] * 20)
+    slave.ms1 = lambda data: next(polls, None) or answer(4, "5E 01 02 01 55")
+    tokens = [kit.order_read() for _ in range(32)]
+    kit.run(5)
+    slave.raises(PROCESS)
+    kit.until(lambda: bool(slave.taken), 200)
+    assert len(kit.done) <= 2
+    for token in tokens:
+        assert kit.end(token).outcome.data == b"\x55"
+
+
+@pytest.mark.parametrize("polls", [-1, 0, 7])
+def test_answered_at_once_or_later(polls: int) -> None:
+    kit = AlarmBus()
+    kit.alarm_slave.polls = polls
+    kit.alarm_slave.raises(PROCESS, PROCESS)
+    kit.until(lambda: len(kit.ends) == 2)
+    assert kit.alarm_slave.acks == [b"\x5c\x03\x02\x01"] * 2
+    assert kit.counts.repeated == 0
+
+
+def test_an_acknowledgement_that_is_lost_is_repeated_the_alarm_is_not() -> None:
+    kit = AlarmBus(dpv1=Dpv1(alarms=ALL, c1_response_timeout_ns=20 * MS))
+    slave = kit.alarm_slave
+    slave.raises(PROCESS)
+    lost = iter("rrrr")
+    slave.loses = lambda: next(lost, "")
+    kit.until(lambda: bool(kit.ends))
+    assert slave.acks == [b"\x5c\x03\x02\x01"]
+    assert kit.blocks == slave.taken == [PROCESS]
+    assert kit.counts.repeated >= 1
+    (remark,) = kit.remarks
+    assert remark.startswith("slave 4 does not answer Alarm_Ack of process alarm, slot 3, sequence number 0")
+
+
+def test_the_answer_to_it_is_lost_and_fetched() -> None:
+    kit = AlarmBus(dpv1=Dpv1(alarms=ALL, c1_response_timeout_ns=20 * MS))
+    slave = kit.alarm_slave
+    slave.raises(PROCESS)
+    lost = iter("aa")
+    slave.loses = lambda: next(lost, "")
+    kit.until(lambda: bool(kit.ends))
+    assert slave.acks == [b"\x5c\x03\x02\x01"]  # never a second one: its response was still there
+    assert not slave.strays
+    assert kit.blocks == slave.taken == [PROCESS]
+
+
+def test_the_answer_to_it_is_fetched_by_the_read_after_it() -> None:
+    kit = AlarmBus(dpv1=Dpv1(alarms=ALL, c1_response_timeout_ns=20 * MS))
+    slave = kit.alarm_slave
+    slave.raises(PROCESS)
+    lost = iter("aa")
+    slave.loses = lambda: next(lost, "")
+    kit.until(lambda: bool(kit.remarks))
+    slave.ms1 = lambda data: answer(4, "5E 01 02 01 55") if data else SC
+    assert kit.read().outcome.data == b"\x55"
+    kit.until(lambda: bool(kit.ends))
+    assert len(slave.acks) == 1
+    assert kit.counts.acknowledged == 1
+
+
+@pytest.mark.parametrize("answers", ["silent", "refused", "again"])
+def test_a_second_acknowledgement_that_the_slave_does_not_know(answers: str) -> None:
+    kit = AlarmBus(dpv1=Dpv1(alarms=ALL, c1_response_timeout_ns=20 * MS))
+    slave = kit.alarm_slave
+    slave.on_stray = {"silent": lambda ack: None, "refused": refusing("B0"), "again": lambda ack: ack}[answers]
+    slave.polls = 1
+    slave.raises(PROCESS)
+    lost = iter(["", *"aaaaaaaa"])  # all polls: the response is gone
+    slave.loses = lambda: next(lost, "")
+    kit.until(lambda: bool(slave.strays))
+    slave.raises(PROCESS)  # the next one, exactly alike
+    kit.until(lambda: len(slave.taken) == 2)
+    assert kit.blocks == [PROCESS] * 2
+
+
+@pytest.mark.parametrize("code", ["B5", "C2"])
+def test_busy_is_asked_again(code: str) -> None:
+    kit = AlarmBus()
+    slave = kit.alarm_slave
+    slave.refuses = [code, code]
+    slave.raises(PROCESS)
+    kit.until(lambda: bool(kit.ends))
+    assert kit.ends[0].outcome.failure is None
+    assert kit.counts.repeated == 2
+    assert kit.blocks == [PROCESS]
+
+
+def test_a_refused_one_is_over_and_told_once() -> None:
+    kit = AlarmBus()
+    slave = kit.alarm_slave
+    slave.refuses = ["B2", "B2"]
+    slave.raises(PROCESS)
+    kit.run(500)
+    slave.open.clear()
+    slave.raises(block(2, 4))
+    kit.run(500)
+    assert [end.outcome.failure for end in kit.ends] == [ServiceFailure.NEGATIVE] * 2
+    assert kit.counts.refused == 2
+    assert kit.blocks == [PROCESS, block(2, 4)]
+    assert kit.remarks[0].startswith(
+        "slave 4 refuses Alarm_Ack of process alarm, slot 3, sequence number 0: invalid slot (80 B2 00"
+    )
+
+
+@pytest.mark.parametrize("fc", [RS, 0x0A])
+def test_closed_sap(fc: int) -> None:
+    kit = AlarmBus()
+    slave = kit.alarm_slave
+    slave.says[51] = lambda octets: status(4, RS)
+    slave.raises(PROCESS)
+    kit.until(lambda: bool(kit.ends))
+    assert kit.ends[0].outcome.failure is ServiceFailure.REFUSED
+    assert "SAP 51 is closed; see Extra_Alarm_SAP_supp" in kit.remarks[0]
+
+
+@pytest.mark.parametrize("octets", ["5C 03 02", "5C 03 02 01 00", "DC 80 B5"])
+def test_a_response_that_cannot_be_read(octets: str) -> None:
+    kit = AlarmBus()
+    slave = kit.alarm_slave
+    slave.says[51] = lambda asked: answer(4, octets)
+    slave.raises(PROCESS)
+    kit.until(lambda: bool(kit.ends))
+    assert kit.ends[0].outcome.failure is ServiceFailure.LENGTH
+    assert kit.blocks == [PROCESS]
+
+
+def test_answers_to_others_and_not_now_come_before_it() -> None:
+    kit = AlarmBus()
+    slave = kit.alarm_slave
+    told = iter(
+        [status(4, RR), status(4, NR), answer(4, "5E 01 02 00"), answer(4, "5C 04 02 01"), answer(4, "DE 80 B5 00")]
+    )
+    slave.says[51] = lambda octets: next(told, None) or answer(4, "5C 03 02 01")
+    slave.raises(PROCESS)
+    kit.until(lambda: bool(kit.ends))
+    assert kit.ends[0].outcome.failure is None
+    assert not kit.remarks
+
+
+# --- what a diagnosis says again ----------------------------------------------------------------------------------
+
+
+def test_a_slave_that_is_slow_to_take_it_out_of_its_diagnosis() -> None:
+    kit = AlarmBus()
+    slave = kit.alarm_slave
+    slave.keeps = True
+    slave.raises(PROCESS)
+    kit.until(lambda: bool(kit.ends))
+    slave.changes(bytes.fromhex("42 01"))  # something else asks to be read
+    kit.run(40)
+    slave.shown = b""
+    slave.flag = True
+    kit.run(500)
+    assert kit.blocks == [PROCESS]
+
+
+@pytest.mark.parametrize("mode", [0, 3])
+def test_the_next_one_exactly_alike(mode: int) -> None:
+    kit = AlarmBus(dpv1=Dpv1(alarms=ALL, alarm_mode=mode))
+    slave = kit.alarm_slave
+    slave.raises(*[PROCESS] * 5)
+    kit.until(lambda: len(slave.taken) == 5)
+    kit.run(300)
+    assert kit.blocks == [PROCESS] * 5
+
+
+def test_a_diagnosis_that_is_read_again_and_again() -> None:
+    kit = AlarmBus()
+    slave = kit.alarm_slave
+    kit.hold()
+    slave.raises(PROCESS)
+    for at in range(20):
+        slave.changes(bytes((0x42, at)))
+        kit.run(10)
+    assert slave.diagnosed > 10
+    assert kit.blocks == [PROCESS]
+    kit.acknowledge(1)
+    kit.until(lambda: bool(slave.taken))
+    kit.run(300)
+    assert kit.blocks == [PROCESS]
+
+
+def test_class_2_reads_the_diagnosis_before_its_master_does() -> None:
+    kit = AlarmBus()
+    slave = kit.alarm_slave
+    for number in range(20):
+        kit.send(ReadService(1000 + number, 4, Service.DIAGNOSIS))
+        slave.raises(block(2, 3, data=f"{number:02X}"))
+        kit.run(20)
+    kit.until(lambda: len(slave.taken) == 20)
+    assert kit.blocks == slave.taken == [block(2, 3, data=f"{number:02X}") for number in range(20)]
+
+
+# --- too much, and the end ----------------------------------------------------------------------------------------
+
+
+def test_a_storm_is_told_once_and_data_exchange_goes_on() -> None:
+    kit = AlarmBus((4, 5))
+    slave = kit.alarm_slave
+    slave.at_a_time = 2000  # it does not care for what was agreed
+    kit.hold()
+    slave.raises(*(block(2, at % 255, 1, at // 255) for at in range(1000)))
+    before = kit.master.handlers[5].exchanges
+    kit.until(lambda: not slave.queue and not slave.flag)
+    kit.run(20)
+    assert kit.counts.raised == MAX_OPEN
+    assert kit.counts.dropped == 1000 - MAX_OPEN
+    assert kit.counts.too_many == 999
+    assert len(kit.remarks) == 2
+    assert kit.master.handlers[5].exchanges - before > 990
+    assert not slave.acks
+    kit.hold(False)
+    kit.until(lambda: len(slave.taken) >= MAX_OPEN)
+    kit.run(100)
+    assert kit.blocks == slave.taken  # one that still stood in the diagnosis came when there was room
+    assert len(slave.taken) == MAX_OPEN + 1
+
+
+def leaves(kit: AlarmBus) -> None:
+    """The slave falls out of data exchange and comes back."""
+    slave = kit.alarm_slave
+    slave.mute = True
+    kit.until(lambda: kit.master.handlers[4].state is not SlaveState.DATA_EXCHANGE)
+    slave.mute = False
+    slave.queue.clear()
+    slave.open.clear()
+    slave.left.clear()
+    slave.shown = b""
+    kit.until_exchanging()
+
+
+@pytest.mark.parametrize("after_ms", [0, 2, 4, 6, 8, 10, 12, 14])
+@pytest.mark.parametrize("hold", [False, True])
+def test_it_leaves_data_exchange_at_every_step(after_ms: int, hold: bool) -> None:
+    kit = AlarmBus()
+    slave = kit.alarm_slave
+    if hold:
+        kit.hold()
+    slave.polls = 1
+    slave.raises(PROCESS, block(1, 2))
+    kit.run(after_ms)
+    leaves(kit)
+    was = len(kit.raised)
+    assert kit.blocks == [PROCESS, block(1, 2)][:was]  # what was delivered stays delivered
+    assert sorted(end.number for end in kit.ends) == [*range(1, was + 1)]
+    kit.alarm_slave.raises(PROCESS)
+    kit.until(lambda: len(kit.raised) == was + 1)
+    if hold:
+        for number in range(1, was + 2):
+            kit.acknowledge(number)
+    kit.until(lambda: len(kit.ends) == was + 1)
+    assert slave.taken[-1] == PROCESS
+    assert kit.ends[-1].outcome.failure is None
+
+
+def test_what_nobody_takes_is_bounded_over_many_lives_of_the_slave() -> None:
+    kit = AlarmBus()
+    kit.hold()
+    for _ in range(3):
+        for kind in range(32, 62):
+            kit.alarm_slave.raises(block(kind, 1))
+            kit.run(12)
+        leaves(kit)
+    assert kit.counts.raised == MAX_OPEN
+    assert kit.counts.dropped > 0
+    for number in range(1, 11):
+        kit.acknowledge(number)
+    kit.alarm_slave.raises(PROCESS)
+    kit.until(lambda: kit.blocks[-1] == PROCESS)
+
+
+def test_one_that_stood_there_before_data_exchange() -> None:
+    kit = AlarmBus()
+    slave = kit.alarm_slave
+    slave.mute = True
+    kit.until(lambda: kit.master.handlers[4].state is SlaveState.OFFLINE)
+    slave.mute = False
+    slave.raises(PROCESS)
+    slave.rest = block(0x81, 2)
+    kit.until(lambda: slave.taken == [PROCESS])
+    assert kit.blocks == [PROCESS]
+    assert [told.status.type for told in kit.told] == [1]
+
+
+def test_stop_and_other_parameters() -> None:
+    kit = AlarmBus()
+    slave = kit.alarm_slave
+    kit.hold()
+    slave.raises(PROCESS)
+    kit.until(lambda: bool(kit.raised))
+    kit.send(ReparameteriseSlave(dataclasses.replace(setup(4, Dpv1(alarms=ALL)), watchdog_ms=500)))
+    assert kit.ends[0].outcome.failure is ServiceFailure.CLOSED
+    slave.open.clear()
+    slave.shown = b""
+    kit.until_exchanging()
+    slave.raises(block(1, 1))
+    kit.until(lambda: len(kit.raised) == 2)
+    assert kit.raised[1].held
+    assert kit.raised[1].number == 2
+    kit.send(SetMode(Mode.STOP))
+    kit.acknowledge(2)
+    kit.run(300)
+    assert not slave.acks
+    assert kit.counts.raised == 2
+
+
+def test_misuse() -> None:
+    kit = AlarmBus(dpv1=None)
+    with pytest.raises(UsageError, match=r"slave 4 \(s4\) is not parameterised for DP-V1"):
+        kit.hold()
+    with pytest.raises(UsageError, match="station 9 is no slave of this master"):
+        kit.acknowledge(1, address=9)
+    kit.alarm_slave.raises(PROCESS)
+    kit.run(50)
+    assert not kit.raised
+    assert kit.counts_of(4) is None
+    with_it = AlarmBus()
+    with_it.acknowledge(7)  # one that is over is no error
