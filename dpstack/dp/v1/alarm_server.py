@@ -71,7 +71,7 @@ class AlarmEnd(Enum):
 
 
 class Raised:
-    """An alarm that was raised. ``end`` is None until it is over; ``ended`` is called then."""
+    """An alarm that was raised. ``end`` is None until it is over; ``ended`` is called then, and must not raise."""
 
     __slots__ = ("alarm", "end", "ended", "offered")
 
