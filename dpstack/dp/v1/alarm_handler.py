@@ -41,7 +41,7 @@ from dpstack.dp.ext_diagnosis import DeviceBlock
 from dpstack.dp.findings import Findings
 from dpstack.dp.setup import SlaveSetup
 from dpstack.dp.v1.alarm_events import AlarmCounts, AlarmDone, AlarmRaised, StatusTold, texts_beside
-from dpstack.dp.v1.alarms import Alarm, AlarmType, Status, alarm_name, parse_block
+from dpstack.dp.v1.alarms import Alarm, Status, alarm_name, kind_of, parse_block
 from dpstack.dp.v1.codes import Code
 from dpstack.dp.v1.status import ALARM_LIMITS, ALARM_MODE, ALARMS
 from dpstack.errors import PduError
@@ -54,14 +54,6 @@ MAX_OPEN: Final = 64
 SETTLE: Final = 100 * NS_PER_MS
 #: before an acknowledgement is sent again for the first time, the second ...
 _AGAIN: Final = (100 * NS_PER_MS, 200 * NS_PER_MS, 500 * NS_PER_MS, 1000 * NS_PER_MS)
-_KINDS: Final = {
-    AlarmType.DIAGNOSIS: "diagnostic",
-    AlarmType.PROCESS: "process",
-    AlarmType.PULL: "pull_plug",
-    AlarmType.PLUG: "pull_plug",
-    AlarmType.STATUS: "status",
-    AlarmType.UPDATE: "update",
-}
 #: the slave did not look at it now: "later"
 _BUSY: Final = (Code.STATE_CONFLICT, Code.READ_CONSTRAINT, Code.WRITE_CONSTRAINT, Code.RESOURCE_BUSY)
 _NO: Final = (ServiceFailure.NEGATIVE, ServiceFailure.REFUSED, ServiceFailure.LENGTH, ServiceFailure.GUARDED)
@@ -202,7 +194,7 @@ class AlarmHandler:
             self._emit(StatusTold(t_ns=now, address=address, name=name, status=status))
 
     def _on_alarm(self, alarm: Alarm, octets: bytes, diagnosis: Diagnosis, now: int) -> None:
-        kind = _KINDS[AlarmType(alarm.type)] if alarm.type in AlarmType.__members__.values() else "manufacturer"
+        kind = kind_of(alarm.type)
         if not self._enabled & ALARMS[kind]:
             self._count("not_enabled")
             self._findings.remark(_NOT_ENABLED.format(what=alarm_name(alarm.type), kind=kind), now)
