@@ -14,6 +14,7 @@ from bench.report import Report
 
 #: name -> (module with ``run(argv) -> Report``, what it measures)
 BENCHMARKS = {
+    "acyclic": ("bench.acyclic", "what permanent Read and Write does to rotation and cycle, and what it carries"),
     "codec": ("bench.codec", "encoding and decoding of telegrams, beside pyprofibus and construct"),
     "cycle": ("bench.cycle", "turn-around, CPU time and whole exchanges over a pty at 12 Mbit/s parameters"),
     "gsd": ("bench.gsd", "reading a made-up set of 689 GSD files, and the largest ones"),

@@ -62,9 +62,10 @@ async def dpstack_master(args: argparse.Namespace, ended: Ended) -> None:
     from dpstack import open_bus
 
     imported = monotonic_ns()
-    tables = [
-        {"name": f"s{n}", "address": FIRST + n, "ident": IDENT, "config": CONFIG.hex(" ")} for n in range(args.slaves)
-    ]
+    table: dict[str, Any] = {"ident": IDENT, "config": CONFIG.hex(" ")}
+    if args.records:
+        table |= {"dpv1": True, "user_prm": "00 00 00"}
+    tables = [{"name": f"s{n}", "address": FIRST + n} | table for n in range(args.slaves)]
     keys: dict[str, Any] = {"driver": args.kind}
     if args.gap is not None:
         keys["gap"] = args.gap
@@ -86,10 +87,19 @@ async def dpstack_master(args: argparse.Namespace, ended: Ended) -> None:
         await bus.ready(timeout=_PATIENCE_NS / 1e9)
         told(ready=monotonic_ns(), imported=imported, opening=opening, opened=opened, events=events)
         events.clear()
+        reading = [asyncio.create_task(_read(slave, args.records)) for slave in bus.slaves if args.records]
         await application(args.app, ended)
+        failed = [task.exception() for task in reading if task.done()]
+        for task in reading:
+            task.cancel()
         lost = [slave.name for slave in bus.slaves if slave.state.value != "data_exchange"]
-    if lost:
-        told(lost=lost, events=events[-5:])
+    if lost or failed:
+        told(lost=lost, failed=[str(error) for error in failed], events=events[-5:])
+
+
+async def _read(slave: Any, octets: int) -> None:
+    while True:
+        await slave.read(1, 1, octets)
 
 
 async def application(kind: str, ended: Ended) -> None:
@@ -225,6 +235,7 @@ def main() -> int:
     parser.add_argument("--slaves", type=int, default=1)
     parser.add_argument("--gap", type=int)
     parser.add_argument("--cycle-ms", type=float)
+    parser.add_argument("--records", type=int, default=0, help="octets of the records read without end, 0: none")
     parser.add_argument("--t-id1", type=int, default=0, help="of the bare loop, in bit times; 0: without any pause")
     parser.add_argument("--app", choices=APPLICATIONS, default="idle")
     args = parser.parse_args()

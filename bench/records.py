@@ -50,11 +50,14 @@ class Round(NamedTuple):
     exchanges: int
 
 
-def rotations(records: Sequence[Record], baud: int) -> list[Round]:
-    """Rotations between Data_Exchanges with the first slave; those with a silent address or a service left out."""
+def rotations(records: Sequence[Record], baud: int, *, services: bool = False) -> list[Round]:
+    """Rotations between Data_Exchanges with the first slave; those with a silent address or a service left out.
+
+    ``services``: all of them.
+    """
     params = BusParams.preset(baud)
     rounds: list[Round] = []
-    begin, bits, exchanges, usual = 0, 0, 0, False
+    begin, bits, exchanges, usual = 0, 0, 0, False  # not before the first
     for record in records:
         if record.exchange and record.to == FIRST:
             if usual:
@@ -64,8 +67,13 @@ def rotations(records: Sequence[Record], baud: int) -> list[Round]:
         if record.answer_octets:
             bits += params.min_tsdr + 11 * record.answer_octets
         exchanges += record.exchange
-        usual = usual and (record.exchange or record.to < 0)
+        usual = usual and (services or record.exchange or record.to < 0)
     return rounds
+
+
+def fetched(records: Sequence[Record], octets: int) -> int:
+    """How many Reads of so many octets had their answer: with two SAPs and the four octets of DP-V1 before them."""
+    return sum(record.answer_octets == 9 + 2 + 4 + octets for record in records)
 
 
 def middle(values: Sequence[float]) -> float:

@@ -16,7 +16,8 @@ from bench.machine import load, machine
 class Figure:
     """One figure; ``goal`` is a bound where the project has set one: an upper, where ``more`` is better a lower one.
 
-    ``rounds`` are the values of the single rounds that ``value`` sums up, empty where there was one only.
+    ``rounds`` are the values of the single rounds that ``value`` sums up, empty where there was one only. ``exact``: it
+    is the same on every machine, however busy.
     """
 
     name: str
@@ -25,6 +26,7 @@ class Figure:
     goal: float | None = None
     more: bool = False
     rounds: tuple[float, ...] = ()
+    exact: bool = False
 
     @property
     def met(self) -> bool | None:
@@ -39,6 +41,8 @@ class Figure:
 
         None with less than two rounds: then nothing is known.
         """
+        if self.exact:
+            return 0.0
         middle = abs(median(self.rounds)) if len(self.rounds) > 1 else 0.0
         if not middle:
             return None
@@ -79,6 +83,10 @@ class Report:
         if rounds:
             self.add(name, median(rounds), unit, goal, more=more, rounds=rounds)
 
+    def exact(self, name: str, value: float, unit: str, goal: float | None = None, *, more: bool = False) -> None:
+        """One more figure of virtual time."""
+        self.figures.append(Figure(name, value, unit, goal, more, exact=True))
+
     def finished(self) -> Report:
         """This report, with the load average at the end in it."""
         self.load_at_end = load()
@@ -95,15 +103,19 @@ class Report:
                     "value": _rounded(f.value),
                     "unit": f.unit,
                     "goal": f.goal,
-                    "met": None if self.busy else f.met,
+                    "met": f.met if self._judged(f) else None,
                     "more": f.more,
                     "rounds": [_rounded(v) for v in f.rounds],
                 }
+                | ({"exact": True} if f.exact else {})
                 for f in self.figures
             },
             "busy": self.busy,
             "notes": self.notes,
         }
+
+    def _judged(self, figure: Figure) -> bool:
+        return figure.exact or not self.busy
 
     def as_json(self) -> str:
         """:meth:`as_dict` as one line."""
@@ -120,9 +132,9 @@ class Report:
         ]
         width = max((len(f.name) for f in self.figures), default=0)
         for f in self.figures:
-            spread = "" if f.spread is None else f"  +-{f.spread / 2:.0%}"
+            spread = "" if f.spread is None or f.exact else f"  +-{f.spread / 2:.0%}"
             bound = "" if f.goal is None else f"   goal {'at least' if f.more else 'at most'} {f.goal:g}: "
-            verdict = "" if f.goal is None else "not judged" if self.busy else "met" if f.met else "MISSED"
+            verdict = "" if f.goal is None else "not judged" if not self._judged(f) else "met" if f.met else "MISSED"
             lines.append(f"  {f.name:<{width}}  {f.value:>10.2f} {f.unit}{spread}{bound}{verdict}")
         return "\n".join(lines + [f"  {note}" for note in self.notes])
 
@@ -140,13 +152,16 @@ def report_of(data: Mapping[str, object]) -> Report:
             busy=bool(data.get("busy", False)),
         )
         for name, each in cast(Mapping[str, Mapping[str, object]], data["figures"]).items():
-            report.add(
-                name,
-                cast(float, each["value"]),
-                cast(str, each["unit"]),
-                cast("float | None", each["goal"]),
-                more=bool(each["more"]),
-                rounds=cast(list[float], each["rounds"]),
+            report.figures.append(
+                Figure(
+                    name,
+                    cast(float, each["value"]),
+                    cast(str, each["unit"]),
+                    cast("float | None", each["goal"]),
+                    bool(each["more"]),
+                    tuple(cast(list[float], each["rounds"])),
+                    bool(each.get("exact", False)),
+                )
             )
     except (KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"no report of a benchmark: {error!r}") from None

@@ -239,19 +239,21 @@ def bench(
     gap: int | None = None,
     cycle_ms: float | None = None,
     ident: int = IDENT,
+    records: int = 0,
 ) -> Iterator[Bench]:
     """Start a wire and a master of ``kind`` on it. Raises NotAvailableError when there is none of that kind,
     MasterFailedError when it does not get its slaves into data exchange.
 
     ``paced``: the wire takes its time; ``adapter``: there is one between; ``probe``: turn-arounds are noted;
-    ``ident``: what the slaves are, of which the masters believe IDENT.
+    ``ident``: what the slaves are, of which the masters believe IDENT. ``records``: the master reads records of so many
+    octets from all slaves without end, 0: none.
     """
     refused = unavailable(kind, cycle_ms)
     if refused:
         raise NotAvailableError(refused)
     params = BusParams.preset(baud)
     wire_words = [sys.executable, str(_ROOT / "bench" / "wire.py"), "--baud", str(baud)]
-    wire_words += [f"{FIRST + n}:{ident:04x}:{CONFIG.hex()}:{OCTETS}:{OCTETS}" for n in range(slaves)]
+    wire_words += [f"{FIRST + n}:{ident:04x}:{CONFIG.hex()}:{OCTETS}:{OCTETS},records=1" for n in range(slaves)]
     if paced:
         wire_words += ["--paced", "--min-tsdr", str(params.min_tsdr), "--slice-bits", str(params.t_sl // 4)]
         wire_words += ["--t-id1", str(params.t_id1), "--t-id2", str(params.t_id2), "--t-sl", str(params.t_sl)]
@@ -268,6 +270,8 @@ def bench(
         words += ["--app", app]
         if gap is not None:
             words += ["--gap", str(gap)]
+        if records:
+            words += ["--records", str(records)]
         if cycle_ms is not None:
             words += ["--cycle-ms", str(cycle_ms)]
         if kind == "bare" and paced:

@@ -49,6 +49,9 @@ class AlarmSlave(OctetMs1Slave):
     keeps: bool = False
     loses: Callable[[], str] = lambda: ""
     flag: bool = False
+    #: the master has read the diagnosis, if it had the answer; ``offers_again`` where that is not known
+    unsure: bool = False
+    offers_again: bool = True
     shown: bytes = b""
     diagnosed: int = 0
     acks: list[bytes] = field(default_factory=list)
@@ -70,7 +73,7 @@ class AlarmSlave(OctetMs1Slave):
 
     def next_one(self) -> None:
         """Show the next alarm where it may be shown."""
-        if not self.queue or (self.shown and self.flag):
+        if not self.queue or (self.shown and (self.flag or self.unsure)):
             return  # one at a time, and only after the last one was read
         kinds = [entry[1] for entry in self.open]
         full = len(self.open) >= self.at_a_time if self.at_a_time else self.queue[0][1] in kinds
@@ -87,6 +90,12 @@ class AlarmSlave(OctetMs1Slave):
         if control & 0x10 and self.last is not None and (control, octets) == self.last[:2]:
             found = self.last[2]  # the same frame count bit: the answer once more
         else:
+            if control & 0x0F != 9 and self.unsure:
+                self.unsure = False
+                if control & 0x10 or not self.offers_again:
+                    self.next_one()
+                else:  # the frame count bit begins anew: nobody knows whether the diagnosis was read
+                    self.flag = bool(self.shown)
             found = super().__call__(octets, now)
             self.last = (control, octets, found)
         if found is not None and not (octets[0] == 0x68 and octets[4] & 0x80) and control & 0x0F != 9:
@@ -104,13 +113,11 @@ class AlarmSlave(OctetMs1Slave):
                 return self.says[sap](octets)
             case 60 if self.master != 255:
                 self.flag = False
+                self.unsure = True
                 self.diagnosed += 1
                 ext = self.shown + self.rest
                 data = bytes((8 if ext else 0, 0x0C, 0, self.master)) + self.ident + ext
-                answer = sd2(octets[5] & 0x7F, self.address, DL, octets[8], 60, data)
-                if self.at_a_time:
-                    self.next_one()
-                return answer
+                return sd2(octets[5] & 0x7F, self.address, DL, octets[8], 60, data)
             case sap if sap == self.sap and (octets[9:10] == b"\x5c" or self.left or sap == 50):
                 return self.alarm_sap(octets[9:-2])
         return super().service(octets)

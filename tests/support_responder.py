@@ -8,7 +8,8 @@ status and the DP services needed for data exchange are answered, a repeated fra
 SPEC is ``ADDRESS:IDENT:IDENTIFIERS:INPUTS:OUTPUTS[,key=value...]``: ident and identifier octets in hex, lengths in
 octets. Inputs mirror the outputs. Keys: ``refuse=prm`` or ``refuse=cfg`` (the fault shows in the diagnosis),
 ``owner=N`` (locked to master N from the start), ``answer=N`` (Data_Exchange answers have N octets), ``dies=N`` (silent
-after N data exchanges), ``fixed=HEX`` (these inputs instead of the mirror), ``locked=1`` (keeps its address).
+after N data exchanges), ``fixed=HEX`` (these inputs instead of the mirror), ``locked=1`` (keeps its address),
+``records=1`` (Read and Write of DP-V1 at SAP 51: acknowledged, answered when polled, with zeros).
 """
 
 from __future__ import annotations
@@ -50,6 +51,8 @@ class Slave:
         self.control = b""
         self.user_prm = b""
         self.address_locked = "locked" in keys
+        self.records = "records" in keys
+        self.ms1 = b""
         self.kept_sa = -1
         self.kept_fcb = -1
         self.kept_answer = b""
@@ -92,9 +95,19 @@ class Slave:
             return self.set_address(sa, data)
         if service in (56, 57):
             return self.read(sa, saps)
+        if service == 51 and self.records and self.cfg_ok and sa == self.owner:
+            return self.record(sa, saps, data)
         if service == 59:
             return long(sa, self.address, 0x08, bytes((saps[1], saps[0])), self.identifiers)
         return short(sa, self.address, 0x03)
+
+    def record(self, sa: int, saps: bytes, data: bytes) -> bytes:
+        """5E: Read, 5F: Write; then slot, index, length. No data: a poll."""
+        if len(data) >= 4 and data[0] in (0x5E, 0x5F):
+            self.ms1 = data[:4] + bytes(data[3] if data[0] == 0x5E else 0)
+            return SC
+        answer, self.ms1 = self.ms1, b""
+        return long(sa, self.address, 0x08, bytes((saps[1], saps[0])), answer) if answer else SC
 
     def read(self, sa: int, saps: bytes) -> bytes:
         """Inputs (SAP 56) and outputs (57) for anybody, in data exchange."""

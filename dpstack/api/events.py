@@ -25,6 +25,7 @@ from dpstack.dp.events import (
 from dpstack.dp.scanner import Found, ScanDone, SlaveView, StationSeen
 from dpstack.dp.v1.alarm_events import AlarmRaised, StatusTold
 from dpstack.dp.v1.alarms import Alarm, Specifier, Status
+from dpstack.dp.v1.ms2_orders import ConnectionOver
 from dpstack.drivers.base import PortBack, PortLost
 from dpstack.fdl.events import AddressCollision, DoesNotFit, MasterSeen, RingJoined, RingLeft, StationFound, TokenLost
 from dpstack.trace import Event, Notice, Severity
@@ -34,6 +35,7 @@ __all__ = [
     "AddressCollision",
     "AlarmRaised",
     "AutoCleared",
+    "ConnectionOver",
     "ControlFailed",
     "ControlSent",
     "CyclesMissed",
@@ -87,6 +89,8 @@ def severity_of(event: Event) -> Severity:
             return Severity.WARNING
         case DriveEvent(payload={"type": "failed"}):
             return Severity.ERROR
+        case ConnectionOver(ordered=False):
+            return Severity.WARNING
     return Severity.INFO
 
 
@@ -115,7 +119,7 @@ def event_json(event: Event, t: float) -> dict[str, object] | None:
             more = {"sequence": alarm.sequence, "user_ack": alarm.add_ack, "texts": list(event.texts)}
             return {"event": "alarm", **line, **_message_json(alarm), **more, "text": event.text}
         case StatusTold(status=status):
-            return {"event": "status", **line, **_message_json(status), "text": event.text}
+            return {"event": "status_message", **line, **_message_json(status), "text": event.text}
         case SlaveFaulted(fault=fault):
             return {"event": "fault", **line, "kind": fault.kind.value, "text": fault.text}
         case SlaveRemark(message=message):
@@ -142,6 +146,8 @@ def event_json(event: Event, t: float) -> dict[str, object] | None:
             return {"event": "station", **line, **found.as_dict(), "present": present, "text": event.text}
         case StationFound(address=address):
             return {"event": "station", **line, "address": address, "text": event.text}
+        case ConnectionOver(address=address):
+            return {"event": "connection_over", **line, "address": address, "text": event.text}
         case PortLost(port=port) | PortBack(port=port):
             return {"event": "port", **line, "port": port, "lost": isinstance(event, PortLost), "text": event.text}
         case Notice():

@@ -11,7 +11,7 @@ from dpstack.api.config import Config, load_config
 from dpstack.api.planning import Verdict, cycle_rates
 from dpstack.cli import options, output
 from dpstack.errors import ConfigError
-from dpstack.units import BAUD_RATES, NS_PER_MS, baud_text
+from dpstack.units import BAUD_RATES, NS_PER_MS, baud_text, ms_text
 
 #: the slowest baud rate for each verdict on the cycle
 Needs = Mapping[Verdict, int | None]
@@ -128,6 +128,8 @@ def _show(plan: Plan, needs: Needs) -> None:
         ("case", "bit times", "time"),
         [(name, plan.rotations[case].bits, us(plan, case)) for case, name in cases],
     )
+    service = plan.figures.acyclic_bits
+    output.line(f"one acyclic service makes it longer by {service} bit times at the most, {ms_text(p.ns(service))}")
     output.table(
         "Slaves",
         ("address", "name", "in/out octets", "bit times", "watchdog", "when the master stops"),

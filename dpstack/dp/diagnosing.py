@@ -72,10 +72,10 @@ class Diagnoses:
         if self.alarms is not None:
             self.alarms.opened(self.last, now)
 
-    def exchanging(self, diagnosis: Diagnosis, now: int) -> None:
-        """``diagnosis`` was read in data exchange, and is of our slave."""
+    def exchanging(self, diagnosis: Diagnosis, exchanges: int, now: int) -> None:
+        """``diagnosis`` was read in data exchange, after so many ``exchanges``, and is of our slave."""
         if self.alarms is not None:
-            self.alarms.take(diagnosis, self.flagged, now)
+            self.alarms.take(diagnosis, self.flagged, exchanges, now)
         self.flagged = False
 
     def closed(self, now: int) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Final
 
 from dpstack.dp.diagnosis import MAX_LEN
@@ -21,7 +22,9 @@ GAP_REQUEST: Final = SD1_OCTETS
 GLOBAL_CONTROL: Final = SD2_FRAME + SAPS + 2
 #: Slave_Diag without data
 DIAG_REQUEST: Final = SD2_FRAME + SAPS
-LONGEST_TELEGRAM: Final = SD2_FRAME + 246
+#: a PDU of DP-V1 (MS1, MS2): four octets, then those of the record, the alarm or the transport
+PDU_HEAD: Final = 4
+LONGEST_PDU: Final = PDU_HEAD + 240
 
 
 def request_octets(setup: SlaveSetup) -> int:
@@ -71,9 +74,33 @@ def diagnosis_bits(params: BusParams, setup: SlaveSetup, retries: int = 0) -> in
     return exchange_bits(params, DIAG_REQUEST, octets, longest_tsdr(params, setup), retries)
 
 
-def acyclic_bits(params: BusParams, retries: int = 0) -> int:
-    """The longest acyclic service: as many octets as a telegram can have, and an empty answer."""
-    return exchange_bits(params, LONGEST_TELEGRAM, DIAG_REQUEST, params.max_tsdr, retries)
+def service_octets(data: int) -> int:
+    """A telegram with SAPs and so many octets of data."""
+    return SD2_FRAME + SAPS + data
+
+
+def service_bits(params: BusParams, request: int, answer: int, tsdr: int, retries: int = 0) -> int:
+    """One SRD from SAP to SAP with so many octets of data each way; or every attempt in vain, where that is longer:
+    a slave that exchanges data may still be silent at another SAP.
+    """
+    octets = service_octets(request)
+    answered = exchange_bits(params, octets, service_octets(answer), tsdr, retries)
+    return max(answered, (retries + 1) * vain_bits(params, octets)) if retries else answered
+
+
+def acyclic_bits(params: BusParams, setups: Iterable[SlaveSetup] = (), retries: int = 0) -> int:
+    """One acyclic service, the longest: what one token hold spends on it.
+
+    That is a Write of 240 octets answered at once (or a Read of as many: the same octets the other way round). Polls,
+    alarm acknowledgements, Initiate, Idle, Get_Cfg and Slave_Diag of class 2 are shorter. A Data_Transport with data
+    both ways that is answered at once is longer, by 11 bits for each octet of the shorter side.
+    """
+    return service_bits(params, LONGEST_PDU, PDU_HEAD, slowest_tsdr(params, setups), retries)
+
+
+def slowest_tsdr(params: BusParams, setups: Iterable[SlaveSetup]) -> int:
+    """The longest T_SDR of all slaves, and of others that class 2 may ask."""
+    return max([params.max_tsdr, *(longest_tsdr(params, setup) for setup in setups)])
 
 
 def token_bits(params: BusParams) -> int:

@@ -56,7 +56,7 @@ class Master:
     the bus time; 0 = no limit. ``auto_clear``: to Clear when a slave had no good data exchange for
     ``data_control_ns``. ``read_only``: it stays in Stop, where nothing is sent to slaves. ``on_round(now)`` is
     called at the end of every round with data exchange, after :attr:`cycle` was published,
-    ``on_begin()`` before a round may begin: what it puts into the process image goes out in that one.
+    ``on_begin()`` as a round begins: what it puts into the process image goes out in that one.
 
     ``cycle_ns``: the rounds begin on a grid of this length, best effort (0: free running); then give :attr:`budget` to
     the station. ``cycle_freeze``, ``cycle_sync``: groups that every cycle sends FREEZE and SYNC to. Raises ConfigError.
@@ -106,7 +106,14 @@ class Master:
         self._token = TokenAge(params)
         self._cadence = Cadence(cycle_ns, self._emit)
         self._round = Round(
-            self._course, self.handlers, self._turns, self.controls, self._farewells, self._cadence, self._round_ended
+            self._course,
+            self.handlers,
+            self._turns,
+            self.controls,
+            self._farewells,
+            self._cadence,
+            self._round_begins,
+            self._round_ended,
         )
         self._round_at = 0  # first bit of the last round's first Data_Exchange
         self._safe_until = 0  # so long safe values stand on the way down
@@ -285,13 +292,15 @@ class Master:
         """A hold begins, and with it perhaps a new round."""
         self._token.received(now)
         if self._course.mode > Mode.STOP:
-            if self.on_begin is not None:
-                self.on_begin()
             self._round.token(now)
 
     def next_request(self, now: int, high_only: bool) -> Request | None:
         """Everything a master sends to its slaves is high priority, so ``high_only`` changes nothing."""
         return self._round.next_request(now) if self._course.mode > _STOP else None
+
+    def _round_begins(self) -> None:
+        if self.on_begin is not None:
+            self.on_begin()
 
     def _round_ended(self, now: int) -> None:
         self.rounds += 1

@@ -91,6 +91,7 @@ class Plan:
             "baud": p.baud,
             "address": p.address,
             "rotation_us": {case.value: round(self.rotation_ns(case) / 1000, 1) for case in _CASES},
+            "acyclic_us": round(p.ns(self.figures.acyclic_bits) / 1000, 1),
             "rotation_bits": {case.value: self.rotations[case].bits for case in _CASES},
             "parameters": parameters,
             "masters": {"others": self.figures.others.count, "t_tr_needed": self.figures.t_tr_needed},

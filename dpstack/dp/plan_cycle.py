@@ -12,7 +12,7 @@ from enum import Enum
 from typing import Final, NamedTuple
 
 from dpstack.dp.cycle import tolerance_ns
-from dpstack.dp.durations import acyclic_bits, gap_poll_bits, global_control_bits, request_octets, vain_bits
+from dpstack.dp.durations import gap_poll_bits, global_control_bits, request_octets, vain_bits
 from dpstack.dp.rotations import Case, Figures, longest_diagnosis
 from dpstack.dp.setup import SlaveSetup
 from dpstack.units import NS_PER_MS, NS_PER_US, baud_text, ms_text
@@ -85,7 +85,7 @@ def least_ns(figures: Figures) -> dict[Verdict, int]:
     params, normal = figures.params, figures.rotations[Case.NORMAL]
     beside = max(
         longest_diagnosis(params, figures.setups),
-        acyclic_bits(params),
+        figures.acyclic_bits,
         global_control_bits(params),
         gap_poll_bits(params),
     )
@@ -227,7 +227,7 @@ def _costs(figures: Figures) -> list[str]:
     pieces = (
         ("repeated request", params.ns(vain) + figures.host_slack_ns),
         ("diagnosis", params.ns(longest_diagnosis(params, figures.setups))),
-        ("acyclic service", params.ns(acyclic_bits(params))),
+        ("acyclic service", params.ns(figures.acyclic_bits)),
         ("GAP poll", params.ns(gap_poll_bits(params))),
     )
     told = [f"rounds in which all slaves need their max T_SDR ({ms_text(slow)})"] if slow > cycle else []

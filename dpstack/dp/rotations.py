@@ -125,7 +125,7 @@ def _beside(params: BusParams, setups: Sequence[SlaveSetup], case: Case) -> int:
     if case is not Case.TYPICAL:
         retries = params.max_retry if case is Case.LONGEST else 0
         bits += longest_diagnosis(params, setups, retries) + global_control_bits(params)
-        bits += acyclic_bits(params, retries) if case is Case.LONGEST else 0
+        bits += acyclic_bits(params, setups, retries) if case is Case.LONGEST else 0
     return bits
 
 
@@ -180,6 +180,11 @@ class Figures:
     def data_ns(self, case: Case) -> int:
         """The same without what comes beside the data."""
         return self.params.ns(self.rotations[case].work - self.rotations[case].beside)
+
+    @property
+    def acyclic_bits(self) -> int:
+        """By how much one acyclic service makes a rotation longer at the most, nothing repeated."""
+        return acyclic_bits(self.params, self.setups)
 
     @property
     def spacing_ns(self) -> int:

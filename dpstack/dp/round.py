@@ -48,7 +48,9 @@ class Course:
 
 
 class Round:
-    """``open``: between its beginning and its end, which :meth:`next_request` tells by ``ended(now)``."""
+    """``open``: between its beginning, told by ``begins()`` before outputs are taken, and its end, told by
+    ``ended(now)`` in :meth:`next_request`.
+    """
 
     def __init__(
         self,
@@ -58,6 +60,7 @@ class Round:
         controls: Controls,
         farewells: Farewells,
         cadence: Cadence,
+        begins: Callable[[], None],
         ended: Callable[[int], None],
     ) -> None:
         self.open = False
@@ -69,6 +72,7 @@ class Round:
         self._controls = controls
         self._farewells = farewells
         self._cadence = cadence
+        self._begins = begins
         self._ended = ended
         self._due: list[SlaveHandler] = []
         self._cursor = 0
@@ -135,6 +139,7 @@ class Round:
         self._cadence.begin(now, fixed=bool(exchanging) and not course.descending, interval=interval)
         self._controls.begin_round()
         self._due = exchanging if everybody else turns.due(self._cadence.number)
+        self._begins()
         for handler in self._due:
             handler.image.latch()
         self.open = True

@@ -7,16 +7,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Final
 
 from dpstack.dp.diagnosis import FIXED_LEN, MAX_LEN
 from dpstack.dp.pdu import MAX_USER_PRM
 from dpstack.dp.setup import INTERVAL_UNIT
 from dpstack.dp.v1.alarm_server import AlarmSupport
 from dpstack.dp.v1.alarms import HEAD as ALARM_HEAD
-from dpstack.dp.v1.status import ALARM_LIMITS, DPV1_STATUS_LEN
-from dpstack.errors import ConfigError
+from dpstack.dp.v1.ms2_server import MAX_CONNECTIONS
+from dpstack.dp.v1.prm_blocks import PrmBlock, parse_blocks
+from dpstack.dp.v1.records import MAX_RECORD
+from dpstack.dp.v1.status import ALARM_LIMITS, DPV1_STATUS_LEN, PRM_STRUCTURE
+from dpstack.errors import ConfigError, PduError
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.identifiers import config_for, io_lengths
+
+#: the octet of Set_Prm that a first block begins with, from 1 on
+_FIRST_BLOCK: Final = 11
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +50,10 @@ class SlaveDescription:
     ``dpv1`` [DPV1_Slave]: its user parameters begin with the three DPV1_Status octets; ``alarms``: kinds that it may
     raise, of "pull_plug", "process", "diagnostic", "manufacturer", "status", "update" [Pull_Plug_Alarm_supp ...];
     ``alarm_sequence``: 2..32 of them at a time in sequence mode, 0 for one of each type only
-    [Alarm_Sequence_Mode_Count]; ``extra_alarm_sap`` [Extra_Alarm_SAP_supp];
+    [Alarm_Sequence_Mode_Count]; ``extra_alarm_sap`` [Extra_Alarm_SAP_supp]; ``prm_blocks``
+    [Prm_Block_Structure_supp]: of such a slave, structured parameters may follow, otherwise Prm_Structure is refused;
+    ``ms2``: connections of class 2 [C2_Read_Write_supp, C2_Max_Count_Channels], ``ms2_max_len``: octets in one of their
+    services [C2_Max_Data_Len];
     ``rates``: baud rate -> MaxTsdr in bit times, empty for all; ``min_slave_interval_ns`` [Min_Slave_Intervall], for
     the master. Raises ConfigError.
     """
@@ -64,6 +74,9 @@ class SlaveDescription:
     set_slave_add: bool = False
     wd_base_1ms: bool = False
     dpv1: bool = False
+    prm_blocks: bool = True
+    ms2: int = 0
+    ms2_max_len: int = MAX_RECORD
     alarms: tuple[str, ...] = ()
     alarm_sequence: int = 0
     extra_alarm_sap: bool = False
@@ -80,10 +93,12 @@ class SlaveDescription:
         outputs: int,
         name: str = "slave",
         dpv1: bool = False,
+        ms2: int = 0,
         alarms: tuple[str, ...] = (),
     ) -> SlaveDescription:
         """A slave with one configuration of so many octets each way, as seen from the master. Raises ConfigError."""
-        return cls(ident=ident, name=name, configs=(config_for(inputs, outputs),), dpv1=dpv1, alarms=alarms)
+        config = config_for(inputs, outputs)
+        return cls(ident=ident, name=name, configs=(config,), dpv1=dpv1, ms2=ms2, alarms=alarms)
 
     def __post_init__(self) -> None:
         if not 0 <= self.ident <= 0xFFFF:
@@ -109,6 +124,10 @@ class SlaveDescription:
             raise self._wrong(f"max_diag_len {self.max_diag_len} has no room for an alarm of {ALARM_HEAD} octets")
         if not FIXED_LEN <= self.max_diag_len <= MAX_LEN:
             raise self._wrong(f"max_diag_len {self.max_diag_len} is outside {FIXED_LEN}..{MAX_LEN}")
+        if not 0 <= self.ms2 <= MAX_CONNECTIONS:
+            raise self._wrong(f"ms2 = {self.ms2} connections of class 2; 0 to {MAX_CONNECTIONS} are possible")
+        if not 0 < self.ms2_max_len <= MAX_RECORD:
+            raise self._wrong(f"ms2_max_len {self.ms2_max_len} is outside 1..{MAX_RECORD}")
         if self.modules and self.max_modules < 1:
             raise self._wrong(f"max_modules {self.max_modules}: a modular slave has room for 1 at least")
 
@@ -123,13 +142,24 @@ class SlaveDescription:
         return AlarmSupport(frozenset(self.alarms), self.alarm_sequence, self.extra_alarm_sap)
 
     def check_prm(self, user_prm: bytes) -> str | None:
-        """A reason to refuse the user parameters of Set_Prm, or None: their length."""
+        """A reason to refuse the user parameters of Set_Prm, or None: their length, the lengths of their blocks."""
         least, most = self.user_prm_len
-        if least <= len(user_prm) <= most:
-            return None
-        return (
-            f"{len(user_prm)} octets of user parameters, {least if least == most else f'{least}..{most}'} are expected"
-        )
+        if not least <= len(user_prm) <= most:
+            wanted = least if least == most else f"{least}..{most}"
+            return f"{len(user_prm)} octets of user parameters, {wanted} are expected"
+        try:
+            self.blocks(user_prm)
+        except PduError as error:
+            return str(error)
+        return None
+
+    def blocks(self, user_prm: bytes) -> tuple[PrmBlock, ...]:
+        """The structured parameters behind DPV1_Status; none where Prm_Structure is not set. Raises PduError."""
+        if not self.dpv1 or len(user_prm) < DPV1_STATUS_LEN or not user_prm[2] & PRM_STRUCTURE:
+            return ()
+        if not self.prm_blocks:
+            raise PduError("octet 10 bit 3: Prm_Structure is set, this device has no structured parameters")
+        return parse_blocks(user_prm[DPV1_STATUS_LEN:], _FIRST_BLOCK)
 
     def check_cfg(self, config: bytes) -> str | None:
         """A reason to refuse the identifier octets of Chk_Cfg, or None. Raises ConfigError where they are none."""

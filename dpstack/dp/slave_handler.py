@@ -299,7 +299,7 @@ class SlaveHandler:
             fault = faults.refusal(self.setup, diagnosis, self.set_prm()) or faults.cfg_fault(self.setup, None)
         self._step(verdict, now, fault)
         if self.state is SlaveState.DATA_EXCHANGE:
-            self.diagnoses.exchanging(diagnosis, now)
+            self.diagnoses.exchanging(diagnosis, self.exchanges, now)
         self._changed(self, now)
 
     @property

@@ -8,7 +8,7 @@ VPC3+); those of DP-V1 are in :mod:`dpstack.dp.v1.wire`.
 
 from __future__ import annotations
 
-from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar, cast
 
 import construct as cs
 
@@ -30,6 +30,8 @@ class Layout(Generic[R]):
     def __init__(self, name: str, record: type[R], *fields: Any) -> None:
         self.name = name
         self._record: Any = record
+        self.record = record
+        self.fields: tuple[str, ...] = cast(Any, record)._fields
         self._struct: Any = cs.Bitwise(cs.Struct(*fields))
 
     def parse(self, octets: bytes) -> R:
@@ -65,6 +67,7 @@ def flags(names: str) -> tuple[Any, ...]:
 #: what declarations are made of: ``"name" / OCTET``
 OCTET: Final[Any] = cs.BitsInteger(8)
 WORD: Final[Any] = cs.BitsInteger(16)
+DOUBLE_WORD: Final[Any] = cs.BitsInteger(32)
 REST: Final[Any] = cs.Bytewise(cs.GreedyBytes)
 
 

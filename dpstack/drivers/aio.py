@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from time import monotonic_ns
 
 from dpstack.drivers.base import OnFailure
 from dpstack.drivers.lateness import patience_of
@@ -10,7 +11,7 @@ from dpstack.drivers.reopening import Attempts
 from dpstack.drivers.stepping import SPIN_NS, Stepping
 from dpstack.drivers.timers import make_timer
 from dpstack.errors import PortError
-from dpstack.units import NS_PER_S
+from dpstack.units import NEVER, NS_PER_S
 
 __all__ = ["SPIN_NS", "AsyncioRuntime", "OnFailure", "patience_of"]
 
@@ -19,6 +20,7 @@ class AsyncioRuntime(Stepping):
     """:class:`Stepping` in the running asyncio loop; implements :class:`dpstack.drivers.base.Runtime`."""
 
     _loop: asyncio.AbstractEventLoop | None = None  # of the last open
+    _quiet_until = 0  # until then the port hands nothing over; the timer waits for it, or for something sooner
     _reopening: asyncio.Task[None] | None = None
 
     async def open(self) -> None:
@@ -38,8 +40,31 @@ class AsyncioRuntime(Stepping):
             await asyncio.wait([task])
         self._end(was_open)
 
-    def _written(self, octets: bytes, end: int) -> None:
-        """Nothing: the loop has other work than waiting for the answer."""
+    def _expect(self, at: int, quiet_until: int) -> None:
+        if quiet_until:
+            if not self._quiet_until and not self._port.hush(True):
+                return
+            if quiet_until < self._armed:
+                self._arm(quiet_until)
+        elif self._quiet_until:
+            self._port.hush(False)
+        self._quiet_until = quiet_until
+
+    def _timer_due(self) -> None:
+        quiet_until = self._quiet_until
+        if not quiet_until:
+            super()._timer_due()
+        elif min(quiet_until, self._deadline) - monotonic_ns() > self._early_ns:
+            self._arm(min(quiet_until, self._deadline))
+        elif quiet_until < self._deadline:
+            self._armed = NEVER  # before the step: whatever it leads to may arm afresh
+            self._quiet_until = 0
+            self._port.hush(False)
+            self._step(self._drain())
+        else:
+            super()._timer_due()
+            if self._quiet_until and self._quiet_until < self._armed:
+                self._arm(self._quiet_until)
 
     def _waited(self, spun_ns: int, now: int) -> None:
         """Nothing: an ordinary process may spin as it likes."""

@@ -18,6 +18,7 @@ from dpstack.dp.scanner import Scanner
 from dpstack.dp.survey import SurveyResult
 from dpstack.dp.v1.alarm_events import AlarmDone, AlarmRaised
 from dpstack.dp.v1.ms1 import RecordDone
+from dpstack.dp.v1.ms2_orders import ConnectionOver, ConnectionsClosed, InitiateDone, TransportDone
 from dpstack.drivers import plugins
 from dpstack.drivers.ending import Ending
 from dpstack.drivers.messages import (
@@ -70,7 +71,21 @@ def _owed(event: Event) -> bool:
         return event.payload.get("type") == "result"
     if isinstance(event, AlarmRaised):
         return event.held
-    return isinstance(event, (AlarmDone, ServiceDone, RecordDone, ControlSent, ControlFailed, PictureTaken))
+    return isinstance(event, _OWED)
+
+
+_OWED: Final = (
+    AlarmDone,
+    ServiceDone,
+    RecordDone,
+    InitiateDone,
+    TransportDone,
+    ConnectionOver,
+    ConnectionsClosed,
+    ControlSent,
+    ControlFailed,
+    PictureTaken,
+)
 
 
 def _notice(text: str) -> Notice:

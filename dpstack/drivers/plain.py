@@ -13,7 +13,6 @@ from typing import Final
 
 from dpstack.drivers.base import OnEvents, OnFailure
 from dpstack.drivers.echo import Echo
-from dpstack.drivers.expecting import Answers
 from dpstack.drivers.lateness import Tune
 from dpstack.drivers.plain_loop import Alarm, PlainLoop
 from dpstack.drivers.reopening import BACKOFF_NS, Attempts
@@ -62,7 +61,6 @@ class PlainRuntime(Stepping):
         self._budget = loop.budget
         self._spin_wanted_ns = spin_ns
         self._early_ns = 0  # the loop looks at what is near by itself
-        self._answers = Answers()
         self._retry: Alarm | None = None
         self._connecting: threading.Thread | None = None
 
@@ -79,16 +77,17 @@ class PlainRuntime(Stepping):
         """Stop and release the port; what the machine still had to tell is told. May be called again."""
         was_open = self._at is not None
         self._halt()
-        self._loop.expected_at = NEVER
+        self._expect(NEVER, 0)
         if self._retry is not None:
             self._retry.close()
             self._retry = None
         self._end(was_open)
 
     # --- waiting ---
-    def _written(self, octets: bytes, end: int) -> None:
-        self._loop.expected_at = self._answers.sent(octets, end, self._heard_at)
-        self._heard_at = 0
+    def _expect(self, at: int, quiet_until: int) -> None:
+        loop = self._loop
+        loop.expected_at = at
+        loop.hush(self._port.fd, quiet_until)
 
     def _waited(self, spun_ns: int, now: int) -> None:
         self._budget.spun(spun_ns, now)

@@ -101,6 +101,8 @@ class PlainLoop:
         self._writers: dict[int, Callable[[], object]] = {}
         self._read_fds: list[int] = []
         self._write_fds: list[int] = []
+        self._quiet_fd: int | None = None
+        self._quiet_until = 0
         self._poll = select.poll()
         self._soon: deque[_Soon] = deque()
         self._alarms: list[Alarm] = []
@@ -173,6 +175,14 @@ class PlainLoop:
     def alarm(self, callback: Callable[[], object]) -> Alarm:
         """A deadline that can be set again and again."""
         return Alarm(self._alarms, callback, NEVER, lasts=True)
+
+    def hush(self, fd: int | None, until: int) -> None:
+        """Sleep up to ``until`` (ns) although octets arrive at ``fd``, one descriptor; 0: wake up for all.
+
+        Who is awake anyway is told of them.
+        """
+        self._quiet_fd = fd
+        self._quiet_until = until
 
     def call_at(self, at: int, callback: Callable[[], object]) -> Alarm:
         """Call once at ``at`` (CLOCK_MONOTONIC, ns)."""
@@ -286,9 +296,13 @@ class PlainLoop:
             now = monotonic_ns()
         lead = self._lead_ns
         target = due - lead if due - lead > now and budget.may_spin(due) else due
-        timeout = None if due == NEVER else max(0, target - now) / NS_PER_S
+        read_fds = self._read_fds
+        if now < self._quiet_until < target:
+            target = self._quiet_until
+            read_fds = [fd for fd in read_fds if fd != self._quiet_fd]
+        timeout = None if target == NEVER else max(0, target - now) / NS_PER_S
         try:
-            readable, writable, _ = select.select(self._read_fds, self._write_fds, (), timeout)
+            readable, writable, _ = select.select(read_fds, self._write_fds, (), timeout)
         except OSError:
             self._drop_closed()
             return ()

@@ -14,6 +14,7 @@ from typing import Final
 
 from dpstack.drivers.base import OnEvents, OnFailure, PortBack, PortLost
 from dpstack.drivers.echo import Echo, EchoFilter
+from dpstack.drivers.expecting import Answers
 from dpstack.drivers.lateness import Lateness, Tune
 from dpstack.drivers.rate import NoRateError, follow, wire_times
 from dpstack.drivers.reopening import BACKOFF_NS, Attempts
@@ -76,7 +77,7 @@ class Stepping(ABC):
         self._timer: Timer | None = None
         self._armed = NEVER  # the deadline the timer waits for: never later than _deadline
         self._deadline = NEVER
-        self._heard_at = 0  # when octets were delivered last
+        self._answers = Answers()
         self._tolerated: set[str] = set()  # what the port cannot do: told once, however often it is opened
         self._again: Pending | None = None
         self._wire_ns = wire_times(port)
@@ -108,8 +109,9 @@ class Stepping(ABC):
         """A defect that nobody was told of: say it as the loop says such things."""
 
     @abstractmethod
-    def _written(self, octets: bytes, end: int) -> None:
-        """A telegram went out; its last bit leaves at ``end`` (ns)."""
+    def _expect(self, at: int, quiet_until: int) -> None:
+        """A telegram went out; its answer should be whole at ``at`` (ns, NEVER: nobody knows), and what arrives before
+        ``quiet_until`` need not wake the loop up (0: all shall)."""
 
     @abstractmethod
     def _waited(self, spun_ns: int, now: int) -> None:
@@ -170,12 +172,13 @@ class Stepping(ABC):
         """Pump until nothing is due within the spin time, then tell events and arm the timer."""
         machine, transmit, spin_ns = self._machine, self._transmit, self._spin_ns
         steps = _BURST
-        heard, sent_at, spun = len(chunk), 0, 0
+        heard, sent_at, spun = 0, 0, 0
         try:
             arrived = now = monotonic_ns()
-            if heard:
-                self._heard_at = arrived
-                sent_at, self.lateness.sent_at = self.lateness.sent_at, 0
+            if chunk:
+                heard = self._answers.heard(len(chunk), now)
+                if heard:
+                    sent_at, self.lateness.sent_at = self.lateness.sent_at, 0
             while True:
                 deadline = pump(machine, chunk, now, transmit)
                 now = monotonic_ns()
@@ -218,7 +221,8 @@ class Stepping(ABC):
         if not self._port.write(octets):
             self._dropped()
         end = self.lateness.sent_at = monotonic_ns() + self._wire_ns[len(octets)]
-        self._written(octets, end)
+        answers = self._answers
+        self._expect(answers.sent(octets, end), answers.quiet_until)
         return end
 
     def _arm(self, deadline: int) -> None:
@@ -263,6 +267,7 @@ class Stepping(ABC):
         if self._at is None:
             return
         self._echo = _filter(self._echo_wanted)
+        self._expect(NEVER, 0)
         self._port.attach(self._at, self._step if self._echo is None else self._filtered, self._lost)
         news = [text for text in self._port.notices if text not in self._tolerated]
         self._tolerated.update(news)

@@ -40,11 +40,8 @@ def begin(link: Link, _: Telegram, now: int) -> None:
     link.stats.tokens += 1
     if not link.in_ring:
         _joined(link, now)
-    for user in link.users:
-        user.token_received(now)
-    link.ask_times()
-    link.enter(_CHECK_ACCESS_TIME)
-    link.row[_CHECK](link, NONE, now)
+    _tell_users(link, now)
+    _go_on(link, now)
 
 
 def _joined(link: Link, now: int) -> None:
@@ -85,15 +82,28 @@ def check(link: Link, _: Telegram, now: int) -> None:
 
 
 def resume(link: Link, _: Telegram, now: int) -> None:
-    """The cycle for which the token was kept is due."""
-    link.enter(State.CHECK_ACCESS_TIME)
-    link.row[Input.CHECK](link, NONE, now)
+    """The cycle for which the token was kept is due: for the users it is as if the token had come for it. (Where hardly
+    any time is left between two cycles it never leaves for as long as T_TH lasts.)
+    """
+    _tell_users(link, now)
+    _go_on(link, now)
 
 
 def let_go(link: Link, now: int) -> None:
     """A user was ordered something: where the token is kept for a cycle, ask whether that still stands."""
     if link.state is State.USE_TOKEN and link.tx is None and link.deadline != NEVER:
-        resume(link, NONE, now)
+        _go_on(link, now)
+
+
+def _tell_users(link: Link, now: int) -> None:
+    for user in link.users:
+        user.token_received(now)
+    link.ask_times()
+
+
+def _go_on(link: Link, now: int) -> None:
+    link.enter(_CHECK_ACCESS_TIME)
+    link.row[_CHECK](link, NONE, now)
 
 
 def _admitted(link: Link, request: Request, now: int, then_ns: int = 0) -> bool:

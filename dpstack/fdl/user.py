@@ -82,7 +82,7 @@ class LinkUser(Protocol):
     """A user of an active station's link layer. All calls come from within the station's pump."""
 
     def token_received(self, now: int) -> None:
-        """A token hold begins. (Token receipt to token receipt is the token rotation.)"""
+        """A token hold begins, or the next cycle in one that was kept for it (:mod:`dpstack.fdl.budget`)."""
 
     def next_request(self, now: int, high_only: bool) -> Request | None:
         """The next request of this token hold, or None when there is nothing more in this hold.
@@ -136,6 +136,10 @@ class StationControl(Protocol):
 
     #: the station address; an answer under way still goes out under the old one
     address: int
+
+    @property
+    def baud(self) -> int:
+        """The rate it listens at, in bit/s."""
 
     def set_min_tsdr(self, bits: int) -> None:
         """Set_Prm's min T_SDR in bit times: no answer earlier than this; 0 keeps, 1..10 count as 11."""

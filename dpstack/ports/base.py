@@ -138,6 +138,10 @@ class Port(ABC):
         if loop is not None and not loop.is_closed():
             self._stop(loop)
 
+    def hush(self, quiet: bool) -> bool:
+        """Hand over nothing for a while (the system keeps what arrives), or again; whether this port does as asked."""
+        return not quiet
+
     def _lose(self, reason: str) -> None:
         """The line vanished: tell it once."""
         on_lost = self._on_lost

@@ -89,6 +89,13 @@ class FdPort(Port):
         if self._fd >= 0:
             loop.remove_reader(self._fd)
 
+    def hush(self, quiet: bool) -> bool:
+        """No reader of the loop meanwhile."""
+        if self._loop is None:
+            return False
+        (self._stop if quiet else self._start)(self._loop)
+        return True
+
     def _readable(self) -> None:
         try:
             chunk = self._read(CHUNK)

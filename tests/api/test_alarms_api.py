@@ -6,10 +6,11 @@ import asyncio
 import dataclasses
 import gc
 from collections.abc import Callable, Coroutine
-from typing import Any
+from typing import Any, cast
 
 import pytest
 from api_kit import RAW, virtual
+from gsd_kit import device
 from support import WorldFactory
 
 import dpstack
@@ -17,7 +18,16 @@ from dpstack import AlarmType, DpSlave, ModuleState, SlaveAlarm, SlaveDescriptio
 from dpstack.api.config import parse_config
 from dpstack.api.events import AlarmRaised, Severity, StatusTold, event_json, severity_of
 from dpstack.api.serving import ServedSlave
+from dpstack.dp.diagnosis import Diagnosis
+from dpstack.dp.findings import Findings
+from dpstack.dp.setup import SlaveSetup
+from dpstack.dp.v1.alarm_handler import AlarmHandler
+from dpstack.dp.v1.status import Dpv1
+from dpstack.drivers.mirror import MasterMirror, Mirror, Source, StationMirror
 from dpstack.errors import AlarmError, ConfigError, SlaveFault, UsageError
+from dpstack.gsd.diag_texts import DiagTexts as GsdTexts
+from dpstack.params import BusParams
+from dpstack.phy.patience import EXACT
 from dpstack.sim.world import World
 
 ALL = ("pull_plug", "process", "diagnostic", "manufacturer", "status", "update")
@@ -262,7 +272,7 @@ def test_statuses(world: WorldFactory) -> None:
     told = rig(world(), program)
     line = event_json(next(event for event in told if isinstance(event, StatusTold)), 0)
     assert line is not None
-    assert (line["event"], line["title"], line["data"]) == ("status", "status message", "01")
+    assert (line["event"], line["title"], line["data"]) == ("status_message", "status message", "01")
 
 
 def test_misuse(world: WorldFactory) -> None:
@@ -276,6 +286,28 @@ def test_misuse(world: WorldFactory) -> None:
             assert bus.slave(9).alarm_counts is None
 
     virtual(main())
+
+
+@pytest.mark.parametrize("rest", ["", "42 01 80 40 30"])
+def test_the_words_of_the_gsd_file_in_either_process(rest: str) -> None:
+    texts = GsdTexts(device("diagnosis"), [None])
+    setup = SlaveSetup(
+        address=9, name="rig", ident=1, config=b"\x10", user_prm=bytes(3), dpv1=Dpv1(alarms=ALL), texts=texts
+    )
+    diagnosis = Diagnosis(8, 0x0C, 0, 2, 1, bytes.fromhex("05 21 03 01 01" + rest))
+    there: list[dpstack.Event] = []
+    for of in (setup, dataclasses.replace(setup, texts=None)):  # the bus process has none
+        AlarmHandler(of, Findings(9, "rig", there.append), there.append, lambda now: None).take(diagnosis, True, 1, 7)
+    own, foreign = there
+    assert isinstance(own, AlarmRaised)
+    assert own.texts[0] == "fuse blown"
+    if rest:
+        module, channel = own.texts[-2:]
+        assert module == "modules with a diagnosis: 0"
+        assert channel == "module 0, input channel 0 (bit): sensor missing (plug it in)"
+    master = MasterMirror((setup,), cast(Source, None), read_only=False)
+    station = StationMirror(BusParams.preset(500_000), EXACT, cast(Source, None))
+    assert Mirror(master, station, None).worded(foreign) == own
 
 
 GSD = """#Profibus_DP

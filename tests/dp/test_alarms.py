@@ -5,9 +5,8 @@ from __future__ import annotations
 import dataclasses
 
 import pytest
-from alarm_kit import ALL, AlarmBus, block, refusing
-from ms1_kit import MS, answer, setup, status
-from octet_slave import NR, RR, RS, SC
+from alarm_kit import ALL, AlarmBus, block
+from ms1_kit import setup
 
 from dpstack.dp.class2 import ReadService
 from dpstack.dp.class2_jobs import Service, ServiceFailure
@@ -134,200 +133,6 @@ def test_channels_of_the_same_diagnosis_come_along() -> None:
     assert raised.text.endswith("; module 3, input channel 5 (bit): short circuit")
 
 
-# --- acknowledgement ----------------------------------------------------------------------------------------------
-
-
-def test_held_until_the_application_has_it() -> None:
-    kit = AlarmBus()
-    slave = kit.alarm_slave
-    kit.hold()
-    slave.raises(PROCESS, block(2, 4))
-    kit.run(500)
-    assert kit.blocks == [PROCESS]
-    assert kit.raised[0].held
-    assert not slave.acks
-    kit.acknowledge(1)
-    kit.acknowledge(1)
-    kit.until(lambda: len(kit.raised) == 2)
-    assert slave.taken == [PROCESS]
-    kit.hold(False)  # nobody listens any more: it is acknowledged
-    kit.until(lambda: len(kit.ends) == 2)
-    assert [end.number for end in kit.ends] == [1, 2]
-
-
-def test_in_sequence_mode_in_the_order_the_application_likes() -> None:
-    kit = AlarmBus(dpv1=Dpv1(alarms=ALL, alarm_mode=2))
-    slave = kit.alarm_slave
-    slave.at_a_time = 4
-    kit.hold()
-    blocks = [block(2, 1, 0, number) for number in range(6)]
-    slave.raises(*blocks)
-    kit.run(200)
-    assert kit.blocks == blocks[:4]
-    assert kit.counts.too_many == 0
-    for number in (3, 1, 4, 2):
-        kit.acknowledge(number)
-        kit.run(50)
-    assert slave.taken == [blocks[2], blocks[0], blocks[3], blocks[1]]
-    assert kit.blocks == blocks
-
-
-def test_at_sap_50_beside_a_read_that_takes_its_time() -> None:
-    kit = AlarmBus(dpv1=Dpv1(alarms=ALL, extra_alarm_sap=True))
-    slave = kit.alarm_slave
-    slave.sap = 50
-    token = kit.order_read()  # the slave acknowledges, and never answers
-    kit.run(20)
-    slave.raises(PROCESS)
-    kit.until(lambda: bool(slave.taken), 100)
-    assert not kit.done
-    assert slave.asked[0] == bytes.fromhex("5E 01 02 F0")
-    kit.end(token)
-
-
-def test_at_sap_51_before_reads_that_wait() -> None:
-    kit = AlarmBus()
-    slave = kit.alarm_slave
-    polls = iter([SC] * 20)
-    slave.ms1 = lambda data: next(polls, None) or answer(4, "5E 01 02 01 55")
-    tokens = [kit.order_read() for _ in range(32)]
-    kit.run(5)
-    slave.raises(PROCESS)
-    kit.until(lambda: bool(slave.taken), 200)
-    assert len(kit.done) <= 2
-    for token in tokens:
-        assert kit.end(token).outcome.data == b"\x55"
-
-
-@pytest.mark.parametrize("polls", [-1, 0, 7])
-def test_answered_at_once_or_later(polls: int) -> None:
-    kit = AlarmBus()
-    kit.alarm_slave.polls = polls
-    kit.alarm_slave.raises(PROCESS, PROCESS)
-    kit.until(lambda: len(kit.ends) == 2)
-    assert kit.alarm_slave.acks == [b"\x5c\x03\x02\x01"] * 2
-    assert kit.counts.repeated == 0
-
-
-def test_an_acknowledgement_that_is_lost_is_repeated_the_alarm_is_not() -> None:
-    kit = AlarmBus(dpv1=Dpv1(alarms=ALL, c1_response_timeout_ns=20 * MS))
-    slave = kit.alarm_slave
-    slave.raises(PROCESS)
-    lost = iter("rrrr")
-    slave.loses = lambda: next(lost, "")
-    kit.until(lambda: bool(kit.ends))
-    assert slave.acks == [b"\x5c\x03\x02\x01"]
-    assert kit.blocks == slave.taken == [PROCESS]
-    assert kit.counts.repeated >= 1
-    (remark,) = kit.remarks
-    assert remark.startswith("slave 4 does not answer Alarm_Ack of process alarm, slot 3, sequence number 0")
-
-
-def test_the_answer_to_it_is_lost_and_fetched() -> None:
-    kit = AlarmBus(dpv1=Dpv1(alarms=ALL, c1_response_timeout_ns=20 * MS))
-    slave = kit.alarm_slave
-    slave.raises(PROCESS)
-    lost = iter("aa")
-    slave.loses = lambda: next(lost, "")
-    kit.until(lambda: bool(kit.ends))
-    assert slave.acks == [b"\x5c\x03\x02\x01"]  # never a second one: its response was still there
-    assert not slave.strays
-    assert kit.blocks == slave.taken == [PROCESS]
-
-
-def test_the_answer_to_it_is_fetched_by_the_read_after_it() -> None:
-    kit = AlarmBus(dpv1=Dpv1(alarms=ALL, c1_response_timeout_ns=20 * MS))
-    slave = kit.alarm_slave
-    slave.raises(PROCESS)
-    lost = iter("aa")
-    slave.loses = lambda: next(lost, "")
-    kit.until(lambda: bool(kit.remarks))
-    slave.ms1 = lambda data: answer(4, "5E 01 02 01 55") if data else SC
-    assert kit.read().outcome.data == b"\x55"
-    kit.until(lambda: bool(kit.ends))
-    assert len(slave.acks) == 1
-    assert kit.counts.acknowledged == 1
-
-
-@pytest.mark.parametrize("answers", ["silent", "refused", "again"])
-def test_a_second_acknowledgement_that_the_slave_does_not_know(answers: str) -> None:
-    kit = AlarmBus(dpv1=Dpv1(alarms=ALL, c1_response_timeout_ns=20 * MS))
-    slave = kit.alarm_slave
-    slave.on_stray = {"silent": lambda ack: None, "refused": refusing("B0"), "again": lambda ack: ack}[answers]
-    slave.polls = 1
-    slave.raises(PROCESS)
-    lost = iter(["", *"aaaaaaaa"])  # all polls: the response is gone
-    slave.loses = lambda: next(lost, "")
-    kit.until(lambda: bool(slave.strays))
-    slave.raises(PROCESS)  # the next one, exactly alike
-    kit.until(lambda: len(slave.taken) == 2)
-    assert kit.blocks == [PROCESS] * 2
-
-
-@pytest.mark.parametrize("code", ["B5", "C2"])
-def test_busy_is_asked_again(code: str) -> None:
-    kit = AlarmBus()
-    slave = kit.alarm_slave
-    slave.refuses = [code, code]
-    slave.raises(PROCESS)
-    kit.until(lambda: bool(kit.ends))
-    assert kit.ends[0].outcome.failure is None
-    assert kit.counts.repeated == 2
-    assert kit.blocks == [PROCESS]
-
-
-def test_a_refused_one_is_over_and_told_once() -> None:
-    kit = AlarmBus()
-    slave = kit.alarm_slave
-    slave.refuses = ["B2", "B2"]
-    slave.raises(PROCESS)
-    kit.run(500)
-    slave.open.clear()
-    slave.raises(block(2, 4))
-    kit.run(500)
-    assert [end.outcome.failure for end in kit.ends] == [ServiceFailure.NEGATIVE] * 2
-    assert kit.counts.refused == 2
-    assert kit.blocks == [PROCESS, block(2, 4)]
-    assert kit.remarks[0].startswith(
-        "slave 4 refuses Alarm_Ack of process alarm, slot 3, sequence number 0: invalid slot (80 B2 00"
-    )
-
-
-@pytest.mark.parametrize("fc", [RS, 0x0A])
-def test_closed_sap(fc: int) -> None:
-    kit = AlarmBus()
-    slave = kit.alarm_slave
-    slave.says[51] = lambda octets: status(4, RS)
-    slave.raises(PROCESS)
-    kit.until(lambda: bool(kit.ends))
-    assert kit.ends[0].outcome.failure is ServiceFailure.REFUSED
-    assert "SAP 51 is closed; see Extra_Alarm_SAP_supp" in kit.remarks[0]
-
-
-@pytest.mark.parametrize("octets", ["5C 03 02", "5C 03 02 01 00", "DC 80 B5"])
-def test_a_response_that_cannot_be_read(octets: str) -> None:
-    kit = AlarmBus()
-    slave = kit.alarm_slave
-    slave.says[51] = lambda asked: answer(4, octets)
-    slave.raises(PROCESS)
-    kit.until(lambda: bool(kit.ends))
-    assert kit.ends[0].outcome.failure is ServiceFailure.LENGTH
-    assert kit.blocks == [PROCESS]
-
-
-def test_answers_to_others_and_not_now_come_before_it() -> None:
-    kit = AlarmBus()
-    slave = kit.alarm_slave
-    told = iter(
-        [status(4, RR), status(4, NR), answer(4, "5E 01 02 00"), answer(4, "5C 04 02 01"), answer(4, "DE 80 B5 00")]
-    )
-    slave.says[51] = lambda octets: next(told, None) or answer(4, "5C 03 02 01")
-    slave.raises(PROCESS)
-    kit.until(lambda: bool(kit.ends))
-    assert kit.ends[0].outcome.failure is None
-    assert not kit.remarks
-
-
 # --- what a diagnosis says again ----------------------------------------------------------------------------------
 
 
@@ -405,6 +210,22 @@ def test_a_storm_is_told_once_and_data_exchange_goes_on() -> None:
     kit.run(100)
     assert kit.blocks == slave.taken  # one that still stood in the diagnosis came when there was room
     assert len(slave.taken) == MAX_OPEN + 1
+
+
+def test_the_next_one_over_one_that_is_not_acknowledged() -> None:
+    kit = AlarmBus()
+    slave = kit.alarm_slave
+    slave.at_a_time = 2000  # it does not care for what was agreed
+    kit.hold()
+    blocks = [block(2, 3, data=f"{number:02X}") for number in range(3)]
+    slave.raises(*blocks)
+    kit.run(100)
+    assert kit.blocks == blocks[:1]
+    assert kit.counts.too_many == 2
+    assert len(kit.remarks) == 1
+    kit.acknowledge(1)
+    kit.until(lambda: len(kit.raised) == 2)  # the one that stands in its diagnosis
+    assert kit.blocks[1] == blocks[2]
 
 
 def leaves(kit: AlarmBus) -> None:

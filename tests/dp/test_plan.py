@@ -83,7 +83,7 @@ def test_longest_counts_retries_diagnosis_acyclic_global_control_and_gap() -> No
     retry = 21 * 11 + 200
     exchange = retry + 21 * 11 + 100 + 21 * 11 + 37
     diagnosis = (11 * 11 + 200) + 11 * 11 + 100 + 255 * 11 + 37
-    acyclic = (255 * 11 + 200) + 255 * 11 + 100 + 11 * 11 + 37
+    acyclic = (255 * 11 + 200) + 255 * 11 + 100 + 15 * 11 + 37  # Write of 240 octets, its answer has four
     control = 13 * 11 + 100
     assert rotation(p, [slave()], Case.LONGEST).bits == exchange + diagnosis + acyclic + control + 66 + 200 + 70
 

@@ -18,6 +18,7 @@ class Station:
 
     def __init__(self) -> None:
         self.address = 17
+        self.baud = 500_000
         self.min_tsdr: list[int] = []
 
     def set_min_tsdr(self, bits: int) -> None:
@@ -34,6 +35,7 @@ def test_services_are_open_as_the_table_says(state: SlaveAppState, sa: int) -> N
         device = Recorder()
         device.set_slave_add = True
         device.records = RecordTable({})
+        device.ms2 = 2
         device.alarm_server = AlarmServer(AlarmSupport(extra_sap=True), 63)
         bench = in_state(state, device, PRM + b"\x80\0\0")
         access = ACCESS.get(dsap)

@@ -51,25 +51,31 @@ def run_until(loop: PlainLoop, condition: Callable[[], bool]) -> None:
 
 def test_an_answer_is_expected_when_the_last_alike_came() -> None:
     answers = Answers()
-    assert answers.sent(REQUEST, 1_000, 0) == NEVER
-    assert answers.sent(OTHER, 10_000, 5_000) == NEVER  # the first was answered after 4000
-    assert answers.sent(REQUEST, 20_000, 12_000) == 24_000  # the other one after 2000
-    assert answers.sent(OTHER, 40_000, 32_000) == 42_000  # after 12000 this time: an eighth of the way
-    assert answers.sent(REQUEST, 50_000, 42_000) == 55_000
+    assert answers.sent(REQUEST, 1_000) == NEVER
+    answers.heard(6, 5_000)
+    assert answers.sent(OTHER, 10_000) == NEVER  # the first was answered after 4000
+    answers.heard(6, 12_000)
+    assert answers.sent(REQUEST, 20_000) == 24_000  # the other one after 2000
+    answers.heard(6, 32_000)
+    assert answers.sent(OTHER, 40_000) == 42_000  # after 12000 this time: an eighth of the way
+    answers.heard(6, 42_000)
+    assert answers.sent(REQUEST, 50_000) == 55_000
 
 
 def test_who_does_not_answer_is_expected_no_more() -> None:
     answers = Answers()
-    answers.sent(REQUEST, 1_000, 0)
-    answers.sent(REQUEST, 10_000, 5_000)
-    assert answers.sent(REQUEST, 20_000, 0) == NEVER
+    answers.sent(REQUEST, 1_000)
+    answers.heard(6, 5_000)
+    answers.sent(REQUEST, 10_000)
+    assert answers.sent(REQUEST, 20_000) == NEVER
 
 
 def test_what_is_remembered_of_requests_is_bounded() -> None:
     answers = Answers()
     for number in range(5_000):
-        answers.sent(number.to_bytes(7, "big"), 10 * number, 10 * number - 5)
-    assert len(answers._delays) <= 1024
+        answers.heard(6, 10 * number - 5)
+        answers.sent(number.to_bytes(7, "big"), 10 * number)
+    assert len(answers._kinds) <= 1024
 
 
 def test_the_driver_tells_its_loop_when_an_answer_is_expected() -> None:

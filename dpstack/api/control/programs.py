@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from typing import Final
 
@@ -33,6 +34,7 @@ def control_run(bus: Bus, port: str) -> ControlServer:
         "clear": lambda _: bus.command(SetMode(Mode.CLEAR)),
         "drive": lambda args: drive_order(bus, args),
         "acyclic": lambda args: acyclic_order(bus, args),
+        "class2": lambda args: acyclic_order(bus, args, class2=True),
         "stats": lambda _: bus.stats.summary(),
     }
     if not bus.searching and bus.bench is not None:
@@ -97,6 +99,8 @@ def run_status(bus: Bus) -> dict[str, object]:
             entry["fields"] = as_json(fields)
         if slave.fault is not None:
             entry["fault"] = slave.fault.text
+        if slave.alarm_counts is not None:
+            entry["alarms"] = dataclasses.asdict(slave.alarm_counts)
         if slave.address in drives:
             entry["drive"] = drives[slave.address].status.as_dict()
         slaves[str(slave.address)] = entry

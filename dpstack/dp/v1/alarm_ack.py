@@ -81,7 +81,7 @@ def ack_jobs(ms1: Ms1, now: int) -> Iterator[AckJob]:
     """The acknowledgements that are due: one at a time for each slave."""
     for handler in ms1.speaking():
         alarms = handler.alarms
-        known = None if alarms is None else alarms.next_ack(now)
+        known = None if alarms is None else alarms.next_ack(handler.exchanges, now)
         if alarms is not None and known is not None:
             alarms.asked(known)
             yield AckJob(known, alarms, handler, ms1)

@@ -12,6 +12,9 @@ Decisions where the sources are silent:
 - A block that was not in the last diagnosis, or is in one that the slave asks to be read (DH) though it is as before,
   is one raised just now. With the numbers of an alarm whose acknowledgement has no answer yet it is the next one, and
   says that the slave has had the acknowledgement; otherwise the diagnosis is read again after the response.
+- After a request without an answer the frame count bit begins anew, and a slave cannot know whether its diagnosis was
+  read: it may offer it again. So one data exchange comes between a diagnosis and an acknowledgement, and what was
+  offered again after silence right behind a diagnosis is nothing new.
 - With the same octets right after the response the slave may not have taken the block away yet: it is the next one only
   when it stands there after :data:`SETTLE`; in sequence mode, where numbers count on, never before it was gone.
 - An acknowledgement without an answer is sent again as long as the slave is in data exchange. When another alarm has
@@ -88,7 +91,7 @@ class OpenAlarm:
     #: acknowledgements begun
     attempts: int = 0
     not_before: int = 0
-    #: it stood in a diagnosis read since then
+    #: the diagnosis may hold the next one with its numbers: read again when it is over
     shown: bool = False
     #: the response came after its acknowledgement was over
     answered: bool = False
@@ -127,6 +130,9 @@ class AlarmHandler:
         self._last: Diagnosis | None = None
         #: blocks that say nothing new
         self._before: set[bytes] = set()
+        #: exchanges at the last reading; what was not answered since leaves the slave in doubt whether it was read
+        self._read_after = 0
+        self._unsure = False
         self._statuses: dict[tuple[int, int], bytes] = {}
 
     # --- from the diagnosis -------------------------------------------------------------------------------------
@@ -139,10 +145,12 @@ class AlarmHandler:
             else:
                 self._ask(now)
 
-    def take(self, diagnosis: Diagnosis, flagged: bool, now: int) -> None:
-        """A diagnosis of the slave in data exchange; ``flagged``: it had asked to be read (DH)."""
+    def take(self, diagnosis: Diagnosis, flagged: bool, exchanges: int, now: int) -> None:
+        """A diagnosis of the slave in data exchange, after so many ``exchanges``; ``flagged``: it asked for it (DH)."""
         last, self._last = self._last, diagnosis
-        before = () if last is None or (flagged and diagnosis == last) else last.blocks
+        renewed = flagged and not self._unsure and diagnosis == last
+        before = () if last is None or renewed else last.blocks
+        self._read_after, self._unsure = exchanges, False
         self._before = {block.octets for block in before}
         messages = self._messages(diagnosis, now)
         statuses = {}
@@ -188,10 +196,10 @@ class AlarmHandler:
         known = self._open.get(key)
         fresh = octets not in self._before
         if known is not None:
-            if not known.attempts:
-                return
-            if not fresh:
-                known.shown = True
+            if not (fresh and known.attempts):
+                if fresh and known.octets != octets:  # over the one that nobody has acknowledged
+                    self._too_many(now)
+                known.shown = known.shown or bool(known.attempts) or known.octets != octets
                 return
             self._over(known, Outcome(), now)
         settled, until = self._settling.get(key, (b"", 0))
@@ -213,9 +221,7 @@ class AlarmHandler:
         setup = self._setup
         unanswered = [known.alarm.type for known in self._open.values() if not known.attempts]
         if len(unanswered) >= self._limit if self._limit else alarm.type in unanswered:
-            self._count("too_many")
-            agreed = f"{self._limit} at a time (alarm_mode)" if self._limit else "one of each type at a time"
-            self._findings.remark(f"raises more alarms than agreed, which is {agreed}; see its counters", now)
+            self._too_many(now)
         if len(self._open) + len(self._untaken) >= MAX_OPEN:
             self._count("dropped")
             self._dropped = True
@@ -238,6 +244,11 @@ class AlarmHandler:
             )
         )
 
+    def _too_many(self, now: int) -> None:
+        self._count("too_many")
+        agreed = f"{self._limit} at a time (alarm_mode)" if self._limit else "one of each type at a time"
+        self._findings.remark(f"raises more alarms than agreed, which is {agreed}; see its counters", now)
+
     # --- from the application -----------------------------------------------------------------------------------
 
     def hold(self, on: bool) -> None:
@@ -259,12 +270,16 @@ class AlarmHandler:
 
     # --- the acknowledgement ------------------------------------------------------------------------------------
 
-    def next_ack(self, now: int) -> OpenAlarm | None:
+    def missed(self, exchanges: int) -> None:
+        """The slave gave no answer to a request of any service, after so many ``exchanges``."""
+        self._unsure = self._unsure or exchanges == self._read_after
+
+    def next_ack(self, exchanges: int, now: int) -> OpenAlarm | None:
         """The alarm to be acknowledged now; asked in every token hold. One at a time, in the order they came."""
         if self._look_at <= now:
             self._look_at = NEVER
             self._ask(now)
-        if self._asked is not None or not self._open:
+        if self._asked is not None or not self._open or exchanges == self._read_after:
             return None
         for known in tuple(self._open.values()):
             if known.answered:
@@ -277,7 +292,6 @@ class AlarmHandler:
         """Its acknowledgement begins."""
         self._asked = known
         known.stage = Stage.ASKED
-        known.shown = False
         if known.attempts:
             self._count("repeated")
         known.attempts += 1

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from enum import Enum
 from typing import Final
 
 from dpstack.dp.class2_jobs import Outcome, ServiceFailure
+from dpstack.dp.ms0 import DATA_STATUS
 from dpstack.dp.v1.codes import Decode, remedy
 from dpstack.dp.v1.connection import DataTransport
 from dpstack.dp.v1.records import Function, Negative, ReadReq, ReadRes, RecordReq, WriteReq, parse_response
 from dpstack.errors import PduError
-from dpstack.fdl.telegram import Resp
+from dpstack.fdl.telegram import Kind, Resp, Telegram
 from dpstack.fdl.user import Failure
 from dpstack.units import NS_PER_MS
 
@@ -33,6 +35,26 @@ NO_ANSWERS: Final = {
     Failure.WRONG: ServiceFailure.WRONG,
     Failure.REFUSED: ServiceFailure.GUARDED,
 }
+
+
+class Said(Enum):
+    """What the answer of a slave's link layer to a request or a poll says."""
+
+    DATA = "data"
+    WAIT = "wait"  # acknowledged, or not yet
+    AGAIN = "again"  # not now: the request was not taken
+    CLOSED = "closed"  # the service access point is
+
+
+def said(answer: Telegram) -> Said:
+    """By its FC (A3)."""
+    if answer.kind is Kind.SC:
+        return Said.WAIT
+    if answer.data and answer.function in DATA_STATUS | NOT_TAKEN:
+        return Said.DATA
+    if answer.function in NOT_YET | DATA_STATUS:
+        return Said.WAIT
+    return Said.AGAIN if answer.function in NOT_NOW | NOT_TAKEN else Said.CLOSED
 
 
 def pause_before(polls: int) -> int:

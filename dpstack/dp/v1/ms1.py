@@ -23,6 +23,8 @@ from dpstack.dp.v1.judging import service_outcome, title_of
 from dpstack.dp.v1.ms1_job import Ms1Job, Owed
 from dpstack.dp.v1.records import MAX_RECORD, Function, ReadReq, RecordReq, WriteReq
 from dpstack.errors import PduError, UsageError
+from dpstack.fdl.telegram import Telegram
+from dpstack.fdl.user import Failure
 from dpstack.trace import Event
 from dpstack.units import NS_PER_S
 
@@ -125,10 +127,17 @@ class Ms1:
             raise UsageError("this bus is read-only: its slaves are not in data exchange with it; leave read_only out")
         if handler.setup.dpv1 is None:
             raise UsageError(
-                f"slave {address} ({handler.setup.name}) is not parameterised for DP-V1, Read and Write are closed; "
+                f"slave {address} ({handler.setup.name}) is not parameterised for DP-V1: no Read, Write, alarms; "
                 f"if it has them put dpv1 = true into its [[slave]] table"
             )
         return handler
+
+    def heard(self, address: int, outcome: Telegram | Failure) -> None:
+        """The end of a request to any station."""
+        if not isinstance(outcome, Telegram) and outcome not in (Failure.ABANDONED, Failure.HELD_BACK, Failure.REFUSED):
+            handler = None if self.master is None else self.master.handlers.get(address)
+            if handler is not None and handler.alarms is not None:
+                handler.alarms.missed(handler.exchanges)
 
     def alarms(self, address: int) -> AlarmHandler:
         """The slave's. Raises UsageError as for a service."""

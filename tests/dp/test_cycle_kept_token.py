@@ -1,0 +1,58 @@
+"""Cycles so short that the token is kept from one to the next: for everybody each of them is a hold of its own."""
+
+from __future__ import annotations
+
+import pytest
+from cycle_kit import CycleBus, slave
+from support import MS, WorldFactory
+
+from dpstack.dp.acyclic import Acyclic
+from dpstack.dp.class2 import ReadService
+from dpstack.dp.class2_jobs import Service, ServiceDone
+from dpstack.dp.plan_cycle import Verdict, least_ns
+from dpstack.dp.rotations import figures
+from dpstack.fdl.budget import PATIENCE
+from dpstack.params import BusParams
+from dpstack.units import NS_PER_US
+
+CYCLES = 12 * PATIENCE
+
+
+def tight(world: WorldFactory, baud: int) -> CycleBus:
+    """Three slaves and the shortest cycle there is: less than T_SL is left of it."""
+    params = BusParams.preset(baud, address=2, gap=0)
+    setups = [slave(address) for address in (3, 4, 5)]
+    least = least_ns(figures(params, setups))[Verdict.POSSIBLE]
+    cycle_ns = -(-least // NS_PER_US) * NS_PER_US
+    bus = CycleBus(world(), params, setups, cycle_ns, more=[Acyclic(2)])
+    bus.until_exchanging()
+    bus.world.run_for(20 * MS)
+    bus.quiet()
+    return bus
+
+
+@pytest.mark.parametrize("baud", [500_000, 12_000_000])
+def test_the_token_is_kept_and_outputs_are_taken_for_each_cycle(baud: int, world: WorldFactory) -> None:
+    bus = tight(world, baud)
+    asked: list[int] = []
+    bus.master.on_begin = lambda: asked.append(bus.world.now)
+    begun, tokens = bus.master.cycles.begun, bus.station.stats.tokens
+    bus.world.run_for(CYCLES * bus.cycle_ns)
+    cycles = bus.master.cycles.begun - begun
+    assert cycles >= CYCLES - 1
+    assert bus.station.stats.tokens - tokens < cycles // 2
+    # as it begins: what a program set up to then goes out in it; its first bit may wait for a Global_Control to end
+    early = [start - max(at for at in asked if at <= start) for start in bus.exchanges(3)]
+    assert max(early) <= bus.params.ns(13 * 11 + bus.params.t_id2)
+
+
+@pytest.mark.parametrize("baud", [500_000, 12_000_000])
+def test_services_have_their_turn_in_one_of_eight_cycles(baud: int, world: WorldFactory) -> None:
+    bus = tight(world, baud)
+    for token, address in enumerate((3, 4, 5)):
+        bus.world.command(bus.station, ReadService(token, address, Service.CONFIG))
+    forced = bus.master.budget.forced
+    bus.world.run_for(CYCLES * bus.cycle_ns)
+    done = [event for event in bus.events if isinstance(event, ServiceDone)]
+    assert [each.outcome.failure for each in done] == [None] * 3
+    assert 3 <= bus.master.budget.forced - forced <= CYCLES // PATIENCE

@@ -1,0 +1,69 @@
+"""On a pty whose far end hands answers over in pieces: what happens, never when."""
+
+from __future__ import annotations
+
+import asyncio
+from time import monotonic_ns
+
+import pytest
+from asker_kit import ANSWER, BAUD, SHORT, Asker
+from driver_rig import driver_on
+from far_ends import PtyFarEnd, until
+
+from dpstack.drivers.echo import Echo
+from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.commands import GoOnline
+from dpstack.fdl.telegram import Resp, Telegram
+from dpstack.params import BusParams
+from dpstack.phy.patience import HOST
+from dpstack.ports import open_port
+
+pytestmark = pytest.mark.usefixtures("each_driver")
+
+
+class InPieces:
+    """A far end that answers in seven pieces 1 ms apart; ``instead``: what it says to the next request."""
+
+    def __init__(self) -> None:
+        self.end = PtyFarEnd()
+        self.instead = b""
+        self.asked = 0
+
+    async def serve(self) -> None:
+        held = b""
+        while True:
+            held += self.end.take()
+            while held and held[0] != 0x68:  # tokens
+                held = held[3:]
+            if len(held) >= 21:
+                held = held[21:]
+                self.asked += 1
+                answer, self.instead = self.instead or ANSWER, b""
+                for first in range(0, len(answer), 3):
+                    await asyncio.sleep(0.001)
+                    self.end.send(answer[first : first + 3])
+            await asyncio.sleep(0.0005)
+
+
+async def test_a_bus_goes_on_when_nobody_listens_until_an_answer_should_be_over() -> None:
+    far, user = InPieces(), Asker()
+    port = open_port(far.end.path, BAUD)
+    station = ActiveStation(BusParams.preset(BAUD, address=2, gap=0), [user], patience=HOST, now=monotonic_ns())
+    driver = driver_on(port, station, lambda _events: None, echo=Echo.OFF)
+    await driver.open()
+    serving = asyncio.create_task(far.serve())
+    try:
+        driver.command(GoOnline())
+        await until(lambda: driver._answers.quiet_until > 0, "an answer that nobody listens for")
+        before = len(user.outcomes)
+        await until(lambda: len(user.outcomes) >= before + 20, "twenty more answers")
+        far.instead = SHORT
+        await until(lambda: Resp.RS in [o.function for o in user.outcomes if isinstance(o, Telegram)], "a shorter one")
+        after = len(user.outcomes)
+        await until(lambda: len(user.outcomes) >= after + 10, "ten more")
+    finally:
+        serving.cancel()
+        await asyncio.wait([serving])
+        await driver.close()
+        far.end.hang_up()
+    assert all(isinstance(outcome, Telegram) for outcome in user.outcomes)

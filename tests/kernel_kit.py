@@ -1,0 +1,239 @@
+"""The real-time drivers on a system of its own: a clock that stands still but for what is done, one line, no waiting.
+
+Octets arrive when the test says; whoever sleeps is woken up ``LATE_NS`` after what it slept for. So wake-ups can be
+counted and times compared, whatever the computer that runs the test has to do.
+"""
+
+from __future__ import annotations
+
+import select
+from collections.abc import Callable, Iterable
+from functools import partial
+from typing import Any, Final
+
+import pytest
+
+from dpstack.drivers import aio, plain, plain_loop, stepping
+from dpstack.drivers.aio import AsyncioRuntime
+from dpstack.drivers.echo import Echo
+from dpstack.drivers.plain import PlainRuntime
+from dpstack.drivers.plain_loop import PlainLoop
+from dpstack.machine import Machine
+from dpstack.ports.fdport import FdPort
+from dpstack.units import NEVER, NS_PER_MS
+
+#: a wake-up comes so much after what was slept for
+LATE_NS: Final = 35_000
+#: looking at the clock, and every call of the system
+TICK_NS: Final = 200
+#: a number that no open file has
+_LINE: Final = 1000
+
+
+class Kernel:
+    """Clock and line. ``far`` is told every write: octets and time."""
+
+    def __init__(self) -> None:
+        self.now = 1_000 * NS_PER_MS
+        self.coming: list[tuple[int, bytes]] = []
+        self.written: list[tuple[int, bytes]] = []
+        self.woken: list[int] = []  # when somebody who slept was woken up
+        self.far: Callable[[bytes, int], None] = lambda _octets, _now: None
+
+    def clock(self) -> int:
+        self.now += TICK_NS
+        return self.now
+
+    def arrive(self, at: int, octets: bytes) -> None:
+        self.coming.append((at, octets))
+        self.coming.sort(key=lambda piece: piece[0])
+
+    @property
+    def readable(self) -> bool:
+        return bool(self.coming) and self.coming[0][0] <= self.now
+
+    def read(self, size: int) -> bytes:
+        self.now += TICK_NS
+        octets = b""
+        while self.readable and len(octets) + len(self.coming[0][1]) <= size:
+            octets += self.coming.pop(0)[1]
+        if not octets:
+            raise BlockingIOError
+        return octets
+
+    def write(self, octets: bytes) -> int:
+        self.now += 10 * TICK_NS
+        self.written.append((self.now, octets))
+        self.far(octets, self.now)
+        return len(octets)
+
+    def sleep(self, until: int, listening: bool) -> None:
+        """Up to ``until`` or, for one who listens, up to when something is there."""
+        if listening and self.coming:
+            until = min(until, self.coming[0][0])
+        if until > self.now:
+            self.now = until + LATE_NS
+            self.woken.append(self.now)
+
+
+class Line(FdPort):
+    """The line as a port."""
+
+    def __init__(self, kernel: Kernel, *, paced: bool) -> None:
+        super().__init__("line", 500_000, paced=paced)
+        self._kernel = kernel
+
+    def open_now(self) -> None:
+        self._fd = _LINE
+        self._read, self._send = self._kernel.read, self._kernel.write
+
+    def _close_fd(self, fd: int) -> None:
+        """It is nobody's."""
+
+
+class _Select:
+    """What the plain loop uses of the module ``select``."""
+
+    POLLIN, POLLOUT, POLLNVAL = select.POLLIN, select.POLLOUT, select.POLLNVAL
+
+    def __init__(self, kernel: Kernel) -> None:
+        self._kernel = kernel
+
+    def select(
+        self, readers: list[int], _writers: object, _errors: object, timeout: float | None
+    ) -> tuple[list[int], list[int], list[int]]:
+        kernel = self._kernel
+        kernel.now += TICK_NS
+        until = NEVER if timeout is None else kernel.now + round(timeout * 1e6) * 1000
+        kernel.sleep(until, _LINE in readers)
+        return ([_LINE] if _LINE in readers and kernel.readable else []), [], []
+
+    def poll(self) -> _Poll:
+        return _Poll(self._kernel)
+
+
+class _Poll:
+    def __init__(self, kernel: Kernel) -> None:
+        self._kernel = kernel
+        self._fds: set[int] = set()
+
+    def register(self, fd: int, _events: int) -> None:
+        self._fds.add(fd)
+
+    def unregister(self, fd: int) -> None:
+        self._fds.discard(fd)
+
+    def poll(self, _timeout: int) -> Iterable[tuple[int, int]]:
+        self._kernel.now += TICK_NS
+        return [(_LINE, select.POLLIN)] if _LINE in self._fds and self._kernel.readable else []
+
+
+class _Soon:
+    def __init__(self, callback: Callable[[], object]) -> None:
+        self.callback: Callable[[], object] | None = callback
+
+    def cancel(self) -> None:
+        self.callback = None
+
+
+class _Asyncio:
+    """What ports and drivers use of an asyncio loop, and the loop's timer."""
+
+    def __init__(self, kernel: Kernel) -> None:
+        self._kernel = kernel
+        self._reader: Callable[[], object] | None = None
+        self._soon: list[_Soon] = []
+        self._at = NEVER
+        self._due: Callable[[], None] = lambda: None
+        self.stopping = False
+
+    def add_reader(self, _fd: int, callback: Callable[[], object], /) -> None:
+        self._kernel.now += TICK_NS
+        self._reader = callback
+
+    def remove_reader(self, _fd: int, /) -> None:
+        self._kernel.now += TICK_NS
+        self._reader = None
+
+    def call_soon(self, callback: Callable[[], object], /) -> _Soon:
+        self._soon.append(_Soon(callback))
+        return self._soon[-1]
+
+    call_soon_threadsafe = call_soon
+
+    def is_closed(self) -> bool:
+        return False
+
+    def timer(self, due: Callable[[], None]) -> _Asyncio:
+        self._due = due
+        return self
+
+    def stop(self) -> None:
+        self.stopping = True
+
+    def set(self, at: int) -> None:
+        self._kernel.now += TICK_NS
+        self._at = at
+
+    def close(self) -> None:
+        self._at = NEVER
+
+    def run(self, until: int) -> None:
+        kernel = self._kernel
+        self.stopping = False
+        while kernel.now < until and not self.stopping:
+            soon, self._soon = self._soon, []
+            for call in soon:
+                if call.callback is not None:
+                    call.callback()
+            kernel.sleep(kernel.now if self._soon else min(self._at, until), self._reader is not None)
+            if self._reader is not None and kernel.readable:
+                self._reader()
+            if self._at <= kernel.now:
+                self._at = NEVER
+                self._due()
+
+
+class Driven:
+    """``machine`` on the line of ``kernel`` with one of the drivers, ``asyncio`` or ``plain``."""
+
+    def __init__(
+        self, kind: str, machine: Machine, kernel: Kernel, patch: pytest.MonkeyPatch, *, paced: bool = False
+    ) -> None:
+        self.kernel = kernel
+        self.events: list[Any] = []
+        self._loop: PlainLoop | None = None
+        port = Line(kernel, paced=paced)
+        for module in (stepping, aio, plain, plain_loop):
+            patch.setattr(module, "monotonic_ns", kernel.clock)
+        port.open_now()
+        if kind == "asyncio":
+            asyncio_loop = _Asyncio(kernel)
+            runtime: Any = AsyncioRuntime(port, machine, self.events.extend, echo=Echo.OFF)
+            runtime._begin(asyncio_loop, asyncio_loop.timer(runtime._timer_due))
+            self._run = asyncio_loop.run
+            self.stop = asyncio_loop.stop
+        else:
+            patch.setattr(plain_loop, "select", _Select(kernel))
+            self._loop = loop = PlainLoop()
+            runtime = PlainRuntime(loop, port, machine, self.events.extend, echo=Echo.OFF)
+            runtime.open()
+            self._run = partial(_run_plain, loop)
+            self.stop = loop.stop
+        self.runtime = runtime
+
+    def run(self, until: int) -> None:
+        """Up to ``until`` on the kernel's clock, or :meth:`stop`."""
+        self._run(until)
+
+    def close(self) -> None:
+        self.runtime._halt()
+        self.runtime._end(False)
+        if self._loop is not None:
+            self._loop.close()
+
+
+def _run_plain(loop: PlainLoop, until: int) -> None:
+    alarm = loop.call_at(until, loop.stop)
+    loop.run()
+    alarm.close()
