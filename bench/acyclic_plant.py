@@ -17,8 +17,9 @@ from dpstack.dp.mirror import MirrorDevice
 from dpstack.dp.setup import SlaveSetup
 from dpstack.dp.slaveapp import SlaveApp
 from dpstack.dp.v1.ms1 import ReadRecord, RecordDone, WriteRecord
-from dpstack.dp.v1.serving import RecordTable, Ticket
+from dpstack.dp.v1.serving import RecordTable
 from dpstack.dp.v1.status import Dpv1
+from dpstack.dp.v1.tickets import Ticket
 from dpstack.fdl.active import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.passive import PassiveStation
