@@ -6,8 +6,7 @@ from collections.abc import Coroutine
 from typing import Any, TypeVar
 
 import dpstack
-from dpstack.dp.device import FunctionDevice
-from dpstack.dp.mirror import MirrorDevice
+from dpstack.dp.device import Device
 from dpstack.dp.slaveapp import SlaveApp, make_slave
 from dpstack.fdl.passive import PassiveStation
 from dpstack.params import BusParams
@@ -27,7 +26,7 @@ def bus_of(*slaves: dict[str, object], **more: Any) -> dpstack.Bus:
     return dpstack.open_bus(port="virtual", baud=500_000, slaves=slaves, **more)
 
 
-def slave_in(world: World, device: FunctionDevice | MirrorDevice, address: int) -> tuple[PassiveStation, SlaveApp]:
+def slave_in(world: World, device: Device, address: int) -> tuple[PassiveStation, SlaveApp]:
     station = make_slave(address, device, BusParams.preset(500_000))
     world.add(station)
     app = station.responder

@@ -45,6 +45,16 @@ class Config:
         bus = read_bus(Table(Source("argument"), ("bus",), table, "[bus]"))
         return _checked(dataclasses.replace(self, bus=bus))
 
+    def find(self, name: str) -> SlaveConfig | None:
+        """The slave with this name, or at this address as text."""
+        return next((slave for slave in self.slaves if name in (slave.name, str(slave.address))), None)
+
+    def only(self, slave: SlaveConfig) -> Config:
+        """A copy for a command that is about ``slave``: a master that takes the others up, too, would put their
+        outputs to their safe values.
+        """
+        return dataclasses.replace(self, slaves=(slave,))
+
     def with_outputs(self, outputs: Mapping[int, bytes]) -> Config:
         """A copy with initial output octets by slave address; a drive that gets some is run without its plugin."""
         by_address = {slave.address: slave for slave in self.slaves}

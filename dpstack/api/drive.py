@@ -127,6 +127,13 @@ class Drive:
         """
         await self._order("reached", timeout, tolerance=tolerance)
 
+    async def settled(self, timeout: float = 5.0) -> None:
+        """Wait until :attr:`status` is about what the drive is given now, and a fault has its name.
+
+        Straight after data exchange began it may still be about the time before. Raises DriveError.
+        """
+        await self._order("settled", timeout)
+
     async def read(
         self, number: int | str, *, data_set: int | None = None, index: int | None = None, timeout: float = 5.0
     ) -> float | int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 from collections.abc import Callable
 from types import TracebackType
@@ -14,15 +13,13 @@ from dpstack.api.drive import Drive
 from dpstack.api.drive_words import carry_out
 from dpstack.api.opening import open_bus
 from dpstack.api.parameter_dump import ParameterValue
-from dpstack.errors import DpError, DriveFault, SlaveFault
-from dpstack.profile import MOVING, ListedParam, State
+from dpstack.errors import DpError, DriveError, DriveFault, SlaveFault
+from dpstack.profile import MOVING, ListedParam
 from dpstack.sim.world import World
 
 #: a slave that searches for the baud rate takes its time
-_READY_S: Final = 10.0
+READY_S: Final = 10.0
 _TOLD_S: Final = 2.0
-#: until its status belongs to what this master commands, and a fault has its name
-_SETTLE_S: Final = 0.25
 
 
 class OneDrive:
@@ -57,10 +54,9 @@ class OneDrive:
         bus = self._bus
         await bus.open()
         await bus.operate()
-        await bus.slave(self._slave.address).ready(_READY_S)
-        with contextlib.suppress(TimeoutError):
-            await bus.until(lambda: self.drive.status.state is not State.OFFLINE, _TOLD_S)
-        await asyncio.sleep(_SETTLE_S)
+        await bus.slave(self._slave.address).ready(READY_S)
+        with contextlib.suppress(DriveError):  # one that tells nothing is still there to be told something
+            await self.drive.settled(_TOLD_S)
 
     async def held(self, seconds: float | None) -> None:
         """Until the time in seconds is over.

@@ -112,7 +112,7 @@ class RecordParameters:
                 service = next(talk)
                 while True:
                     data: bytes | Refused = b""
-                    if isinstance(service, Pause):
+                    if isinstance(service, Pause):  # nothing tells when the drive has done: it is asked again
                         await asyncio.sleep(service.ns / NS_PER_S)
                     else:
                         data = await self._carry_out(service)

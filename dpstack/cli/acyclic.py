@@ -14,6 +14,7 @@ from dpstack.api.config import Config, load_config
 from dpstack.api.control.records import through_run
 from dpstack.api.drive_words import find_word
 from dpstack.api.events import Event, Notice, Severity, severity_of
+from dpstack.api.one_drive import READY_S
 from dpstack.api.opening import open_bus
 from dpstack.api.parameter_list import FileToBe
 from dpstack.api.record_dump import list_of
@@ -27,8 +28,6 @@ from dpstack.cli.signals import StopSignal
 from dpstack.cli.streams import warn
 from dpstack.errors import UsageError
 
-#: a slave that searches for the baud rate takes its time
-_READY_S: Final = 10.0
 _WORDS: Final = (*WORDS, TRANSPORT, *FILES)
 
 
@@ -48,7 +47,8 @@ def add_to(commands: options.Commands) -> None:
         "dpstack acyclic plant.toml 8 read 1 47\n"
         "         dpstack acyclic plant.toml valves write 1 47 00FF\n"
         "         dpstack acyclic plant.toml 8 im\n"
-        "         dpstack acyclic plant.toml 8 im --class 2\n\norders:\n"
+        "         dpstack acyclic plant.toml 8 im --class 2\n"
+        "         dpstack acyclic plant.toml 8 dump pump.toml\n\norders:\n"
         + "\n".join(f"  {f'{spec.name} {spec.usage}':29} {spec.text}" for spec in _WORDS),
     )
     parser.add_argument("config", metavar="CONFIG", help="configuration file")
@@ -167,11 +167,9 @@ async def _as_master(asked: _Asked, progress: OnProgress) -> Mapping[str, Any]:
     config, slave = asked.config, asked.slave
     if config.bus.read_only:
         raise UsageError("the configuration is read only: records need data exchange; leave read_only out")
-    # the other slaves are not this command's: a master that takes them up would put their outputs to their safe values
-    config = dataclasses.replace(config, slaves=(slave,))
-    async with open_bus(config, on_event=_event) as bus:
+    async with open_bus(config.only(slave), on_event=_event) as bus:
         found = bus.slave(slave.address)
-        await found.ready(_READY_S)
+        await found.ready(READY_S)
         return await carry_out(found, *asked.order, progress)
 
 
@@ -224,8 +222,8 @@ def _show(told: Mapping[str, Any]) -> None:
 
 def _slave_of(config: Config, name: str) -> SlaveConfig:
     """Raises UsageError naming the slaves there are."""
-    for slave in config.slaves:
-        if name in (slave.name, str(slave.address)):
-            return slave
+    slave = config.find(name)
+    if slave is not None:
+        return slave
     known = ", ".join(f"{slave.address} ({slave.name})" for slave in config.slaves) or "none"
     raise UsageError(f"no slave {name!r} in this configuration; there are: {known}")

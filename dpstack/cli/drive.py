@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import dataclasses
 from collections.abc import Sequence
 from typing import Final
 
@@ -106,9 +105,7 @@ async def _as_master(
     if config.bus.read_only:
         raise UsageError("the configuration is read only: no drive can be given an order; leave read_only out")
     shown = _Shown(slave.name, json=args.json)
-    # the other slaves are not this command's: a master that takes them up would put their outputs to their safe values
-    config = dataclasses.replace(config, slaves=(slave,))
-    async with OneDrive(config, on_event=shown.event, on_stopping=shown.stopping) as drive:
+    async with OneDrive(config.only(slave), on_event=shown.event, on_stopping=shown.stopping) as drive:
         work = Orders(drive, orders, through="master", json=args.json)
         if not await stop.or_done(drive.come_up()):
             warn("ended before the drive was in data exchange")
@@ -182,11 +179,11 @@ def _cut_short(work: Orders) -> int:
 def _slave_of(config: Config, name: str) -> SlaveConfig:
     """Raises UsageError naming the drives there are."""
     drives = [slave for slave in config.slaves if slave.profile is not None]
-    for slave in config.slaves:
-        if name in (slave.name, str(slave.address)):
-            if slave in drives:
-                return slave
-            raise UsageError(f"slave {slave.address} ({slave.name}) is no drive; give it `drive = ...` in its table")
+    slave = config.find(name)
+    if slave in drives:
+        return slave
+    if slave is not None:
+        raise UsageError(f"slave {slave.address} ({slave.name}) is no drive; give it `drive = ...` in its table")
     known = ", ".join(f"{slave.name} ({slave.address})" for slave in drives) or "none"
     raise UsageError(f"no drive {name!r} in this configuration; there are: {known}")
 

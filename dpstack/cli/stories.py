@@ -64,13 +64,7 @@ async def imo(drive: Drive, tell: Tell, trip: Trip) -> None:
     found = await drive.write_map(outputs="set_frequency", inputs="frequency current torque fault_code", timeout=60)
     tell(f"PZD2 written: {found['outputs']}; it tells {found['inputs']}")
     await _run(drive, tell, 0.5)
-    trip("OL1")
-    async for status in drive.statuses():
-        if status.fault and "OL1" in status.fault:
-            tell(f"tripped: {status.fault}")
-            break
-    await drive.acknowledge()
-    tell("acknowledged")
+    await _trip(drive, tell, trip, "OL1")
     await _run(drive, tell, -0.3)
     await _stop(drive, tell)
 
@@ -82,13 +76,7 @@ async def keb(drive: Drive, tell: Tell, trip: Trip) -> None:
     tell(f"oP.3 (digital setpoint) written and read back: {hertz} Hz, 80 counts each")
     _expect(drive, hertz == 20.0, f"oP.3 is {hertz} instead of 20")
     await _run(drive, tell, 0.6)
-    trip("E.OL")
-    async for status in drive.statuses():
-        if status.fault and "E.OL" in status.fault:
-            tell(f"tripped: {status.fault}")
-            break
-    await drive.acknowledge()
-    tell("acknowledged")
+    await _trip(drive, tell, trip, "E.OL")
     await _run(drive, tell, -0.4)
     await _stop(drive, tell)
 
@@ -104,13 +92,7 @@ async def ls(drive: Drive, tell: Tell, trip: Trip) -> None:
     values = await drive.order("inputs")
     tell(f"mapped inputs: {values}")
     _expect(drive, values == {"dr-03": 2.0, "In-90": 0}, f"mapped inputs are {values}")
-    trip("overcurrent")
-    async for status in drive.statuses():
-        if status.fault == "11 overcurrent":
-            tell(f"tripped: {status.fault} (PNU 947)")
-            break
-    await drive.acknowledge()
-    tell("acknowledged")
+    await _trip(drive, tell, trip, "overcurrent")
     await _run(drive, tell, -0.25)
     await _stop(drive, tell)
 
@@ -134,6 +116,17 @@ async def _run(drive: Drive, tell: Tell, speed: float) -> None:
     _expect(drive, actual is not None and abs(actual - speed) < 0.02, f"reached, but at {actual} instead of {speed}")
     tell(f"{speed:.0%} of the reference reached")
     await asyncio.sleep(_HOLD_S)  # long enough to be seen
+
+
+async def _trip(drive: Drive, tell: Tell, trip: Trip, name: str) -> None:
+    """A fault is injected, named by the drive and acknowledged."""
+    trip(name)
+    async for status in drive.statuses():
+        if status.fault and name in status.fault:
+            tell(f"tripped: {status.fault}")
+            break
+    await drive.acknowledge()
+    tell("acknowledged")
 
 
 async def _stop(drive: Drive, tell: Tell) -> None:

@@ -284,7 +284,7 @@ class Host:
         if self._outbox.full:
             kept = [event for event in events if _owed(event)]
             self._dropped += len(events) - len(kept)
-            if not kept:
+            if not kept and over is None:  # the last words come in any case
                 return
             events = kept
         news = News(events=[named(event) for event in events], over=over, defect=defect)

@@ -25,7 +25,7 @@ ALL_ADDRESSES: Final = range(UNADDRESSED + 1)
 _SHARES: Final = 2
 #: an FDL status is SD1
 _POLL_BITS: Final = 6 * BITS_PER_CHAR
-#: of a busy computer an address that never answered is given so much once (stalls of 10 to 30 ms, each poll another)
+#: of a busy computer an address that never answered is given so much at least (it stalls for 10 to 30 ms, and longer)
 _BUSY_NS: Final = 20 * NS_PER_MS
 #: one late poll in so many is a busy computer; fewer hide a station that is asked twice once in 2500 times
 _BUSY_POLLS: Final = 50
@@ -40,11 +40,13 @@ class LongLook(NamedTuple):
     """A silent poll that takes ``late_ns`` or more, first bit to time-out, shows that this computer has little time.
 
     When one in 50 does, a station that is a process of the same computer may have had none for any of our requests: it
-    answers none that has another one behind it. So whoever is silent is asked once more, with ``extra_ns`` in addition.
+    answers none that has another one behind it. So whoever is silent is asked once more, with as much in addition as
+    the latest poll was late, ``extra_ns`` at least and ``most_ns`` at most; and again while that finds somebody.
     """
 
     late_ns: int
     extra_ns: int
+    most_ns: int
 
 
 def long_look(params: BusParams, patience: Patience) -> LongLook | None:
@@ -53,7 +55,7 @@ def long_look(params: BusParams, patience: Patience) -> LongLook | None:
     if extra_ns <= 0:
         return None
     poll_ns = params.ns(_POLL_BITS) + patience.sending_ns + patience.silent_ns(params)
-    return LongLook(poll_ns + patience.unknown_ns // 2, extra_ns)
+    return LongLook(poll_ns + patience.unknown_ns // 2, extra_ns, patience.known_ns - patience.unknown_ns)
 
 
 class LiveList:
@@ -92,6 +94,8 @@ class LiveList:
         self._silent: list[int] = []  # of this pass
         self._long_look = long_look
         self._polls = self._late = 0  # silent ones, and those of them that showed a busy computer
+        self._latest_ns = 0  # how late the latest of these was
+        self._newcomers = 0  # of this pass
         self._extra_ns = 0  # in this pass
         self._turn = False  # nothing was asked in this hold yet
         self._waiting = -1  # the address under way
@@ -164,6 +168,7 @@ class LiveList:
             self._allowance.charge(took_ns)
         if self._long_look is not None and took_ns >= self._long_look.late_ns:
             self._late += 1
+            self._latest_ns = max(self._latest_ns, took_ns - self._long_look.late_ns)
 
     @property
     def _busy(self) -> bool:
@@ -177,21 +182,32 @@ class LiveList:
             del self.stations[address]
         else:
             self.stations[address] = kind
+            self._newcomers += known is None
         self._events.append(StationFound(t_ns=now, address=address, kind=kind))
 
     def _end_pass(self) -> None:
         """The silent ones again, while there are passes left."""
         silent, self._silent = self._silent, []
+        newcomers, self._newcomers = self._newcomers, 0
         if silent and self._passes_left > 0:
             self._passes_left -= 1
             self._queue.extend(silent)
-        elif silent and self._long_look is not None and not self._limited and self._busy:
-            self._extra_ns, self._long_look = self._long_look.extra_ns, None  # once
+        elif silent and self._longer(newcomers):
             self._queue.extend(silent)
         else:
             self.done = True
             self._limited = True
             self._extra_ns = 0
+
+    def _longer(self, newcomers: int) -> bool:
+        """One more pass with patience; ``newcomers`` were found in the last one."""
+        look = self._long_look
+        if look is None or self._limited:
+            return False
+        if self._extra_ns:
+            return newcomers > 0
+        self._extra_ns = min(max(look.extra_ns, self._latest_ns), look.most_ns) if self._busy else 0
+        return self._busy
 
     def command(self, command: object, now: int) -> bool:
         """It takes no orders."""

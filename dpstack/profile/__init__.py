@@ -14,7 +14,7 @@ from dpstack.profile.listing import ListedParam, listing
 from dpstack.profile.lookup import Lookup
 from dpstack.profile.mapped import MAP_OPS, MappedCore
 from dpstack.profile.motion import settled
-from dpstack.profile.motor import Motor
+from dpstack.profile.motor import AT_ONCE, NEAR, Motor, ramp
 from dpstack.profile.param_errors import PARAMETER_ERRORS, error_text
 from dpstack.profile.params import ParamSpec, ParamTable
 from dpstack.profile.pkw import Order, Pkw, PkwClient, PkwDialect, PkwServer, Reply
@@ -28,11 +28,13 @@ from dpstack.profile.words import N4, SPEED, Scale, Word, signed16
 from dpstack.units import NEVER, NS_PER_MS, NS_PER_S, NS_PER_US, ns_to_s, s_to_ns
 
 __all__ = [
+    "AT_ONCE",
     "CHANNEL_LEN",
     "FAULTED",
     "MAP_OPS",
     "MOVING",
     "N4",
+    "NEAR",
     "NEVER",
     "NS_PER_MS",
     "NS_PER_S",
@@ -96,6 +98,7 @@ __all__ = [
     "plain_resolver",
     "plain_server",
     "profidrive",
+    "ramp",
     "refresh",
     "s_to_ns",
     "settled",

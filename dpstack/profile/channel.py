@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final, Protocol
 
-from dpstack.profile.jobs import Steps
+from dpstack.profile.jobs import CommandError, Steps
+from dpstack.profile.params import ParamSpec, ParamTable
 
 #: octets of a parameter channel in front of the process data, the same for every drive that has one
 CHANNEL_LEN: Final = 8
@@ -24,6 +25,17 @@ class ParamKey:
     def place(self) -> int | None:
         """Data set or index, for drives where one octet stands for either."""
         return self.index if self.data_set is None else self.data_set
+
+    def spec_in(self, table: ParamTable) -> ParamSpec | None:
+        """What ``table`` has; None for a number that is not in it. Raises CommandError for a name that is not."""
+        if not isinstance(self.name, str):
+            return table.get(self.name)
+        spec = table.named(self.name)
+        if spec is None:
+            near = " or ".join(table.nearest(self.name))
+            hint = f"; did you mean {near}?" if near else ""
+            raise CommandError("usage", f"no parameter is called {self.name!r}{hint}")
+        return spec
 
 
 class ParameterChannel(Protocol):

@@ -24,8 +24,9 @@ from dpstack.profile.words import SPEED, Scale
 from dpstack.units import NS_PER_MS
 
 #: The orders every drive knows, with the ones that move it first.
-OPS: Final = (*motion.OPS, "speed", "frequency", "reached", "read_many", "read", "write")
+OPS: Final = (*motion.OPS, "speed", "frequency", "reached", "settled", "read_many", "read", "write")
 
+_LEAST_NS: Final = 20 * NS_PER_MS
 _LOST: Final = "the drive left data exchange"
 
 
@@ -61,8 +62,9 @@ class DriveCore:
         self.table = table
         self.reference_hz = reference_hz
         self.safe_outputs = safe_outputs
-        #: after this time the inputs belong to the outputs sent now, in ns
-        self.settle_ns = 3 * scan_ns + 20 * NS_PER_MS
+        self._scans_ns = 3 * scan_ns
+        self._rotation_ns = 0  # from one call of cyclic() to the next
+        self._called_at: int | None = None
         self.access: ParameterChannel | None = None
         self.records: RecordQueue | None = None  # what it asks its slave by Read and Write
         #: what is asked over ``access`` while it stands in the status word
@@ -99,6 +101,9 @@ class DriveCore:
         ``inputs`` are empty while there are no valid ones of this stay in data exchange.
         """
         self.now = now
+        if self._called_at is not None:
+            self._rotation_ns = now - self._called_at
+        self._called_at = now
         if inputs != self._inputs and len(inputs) == self.telegram.input_octets:
             self._inputs = inputs
             self.words = self._unpack(inputs, self._offset)
@@ -120,6 +125,7 @@ class DriveCore:
         """The slave left data exchange, or outputs went to their safe values: what is pending ends with a reason."""
         self.now = now
         self.online = False
+        self._called_at = None
         self._orders.end("lost", _LOST)
         if self.access is not None:
             self.access.reset()
@@ -172,6 +178,13 @@ class DriveCore:
         )
 
     # -- for jobs and plugins -------------------------------------------------------------------------------------
+
+    @property
+    def settle_ns(self) -> int:
+        """After this time the inputs belong to the outputs given now, in ns: three scans of the drive, and three
+        rotations (outputs leave, inputs come, their turn here), 20 ms at least.
+        """
+        return self._scans_ns + max(3 * self._rotation_ns, _LEAST_NS)
 
     @property
     def raw_state(self) -> State:
@@ -327,6 +340,8 @@ class DriveCore:
                 steps = self._speed(args.number("value") / self.reference_hz)
             case "reached":
                 steps = motion.reached(self, self.now + args.timeout_ns(60.0), args.optional("tolerance"))
+            case "settled":
+                steps = motion.told(self, self.now + args.timeout_ns(5.0))
             case "read" | "write":
                 steps = self._parameter(op, args)
             case "read_many":

@@ -95,7 +95,7 @@ class DeclaredCore(DriveCore):
         )
         if telegram.channel and declared.parameters is not None:
             resolve = declared.resolver(declared.parameters, profile.name)
-            self.access = PkwAccess(declared.dialect, resolve, lambda: self.now, self.settle_ns)
+            self.access = PkwAccess(declared.dialect, resolve, lambda: self.now, lambda: self.settle_ns)
 
     def word(self, name: str) -> int | None:
         """The word of the process data that is declared as ``name``; None where the telegram does not reach it."""

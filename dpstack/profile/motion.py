@@ -132,6 +132,15 @@ def reached(core: DriveCore, deadline: int, tolerance: float | None) -> Steps[di
         yield
 
 
+def told(core: DriveCore, deadline: int) -> Steps[dict[str, object]]:
+    """What the drive tells is about what it is given now, and a fault has its name, as far as it tells one."""
+    yield from _online(core, deadline)
+    yield from settled(core, lambda: False, deadline)
+    if core.raw_state in FAULTED:
+        yield from _named(core, deadline)
+    return {"value": str(core.state)}
+
+
 def near(core: DriveCore, speed: float | None, tolerance: float = _NEAR) -> bool:
     """Running, and with this speed close to its set point."""
     return core.state is State.RUNNING and speed is not None and abs(speed - core.setpoint) <= tolerance

@@ -15,8 +15,17 @@ from dpstack.units import NS_PER_MS
 STEP_NS: Final = NS_PER_MS
 _STEP_S: Final = 0.001
 _REST: Final = 1e-9
+#: a ramp that takes no time, per unit per second
+AT_ONCE: Final = 1e6
+#: a reference is reached within this part of the rated frequency (a reading: manuals leave it to the drive)
+NEAR: Final = 0.005
 #: below this speed the load torque fades to nothing: friction holds, it does not turn
 _CREEP: Final = 0.02
+
+
+def ramp(seconds: float, span: float = 1.0) -> float:
+    """The rate of a ramp that takes ``seconds`` for ``span`` (per unit), per second; 0 s: :data:`AT_ONCE`."""
+    return span / seconds if seconds else AT_ONCE
 
 
 class Motor:
@@ -78,6 +87,10 @@ class Motor:
     def current(self) -> float:
         """Absolute current of the rated one."""
         return math.hypot(self.torque, self.magnetising) if self.on else 0.0
+
+    def reached(self, reference: float) -> bool:
+        """The frequency is at ``reference`` (:data:`NEAR`), and nothing holds it back."""
+        return not self.limited and abs(self.frequency - reference) <= NEAR
 
     def switch(self, on: bool) -> None:
         """Power stage on or off (coasting). Switched on, the frequency starts at 0 or, by the limit, near the speed."""

@@ -98,12 +98,12 @@ class Exchange:
 class PkwClient:
     """The master's end: one order at a time, the others queue. ``octets`` is what to send now.
 
-    ``settle_ns``: after this time the drive's reply belongs to the octets sent now.
+    ``settle_ns`` tells after how long the drive's reply belongs to the octets sent now.
     """
 
     __slots__ = ("_active", "_dialect", "_last", "_queue", "_quiet_until", "_release", "_settle_ns", "octets")
 
-    def __init__(self, dialect: PkwDialect, settle_ns: int = 0) -> None:
+    def __init__(self, dialect: PkwDialect, settle_ns: Callable[[], int] = lambda: 0) -> None:
         self._dialect = dialect
         self._settle_ns = settle_ns
         self._queue: deque[Exchange] = deque()
@@ -128,7 +128,7 @@ class PkwClient:
         """Give an order up; harmless when it is done."""
         if exchange is self._active:
             self._withdraw()
-            self._quiet_until = now + self._settle_ns
+            self._quiet_until = now + self._settle_ns()
         elif exchange in self._queue:
             self._queue.remove(exchange)
 

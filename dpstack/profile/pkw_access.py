@@ -32,14 +32,14 @@ Resolver = Callable[[ParamKey], ParamRef]
 class PkwChannel:
     """A :class:`~dpstack.profile.channel.ParameterChannel` by PKW without its orders.
 
-    ``clock`` tells the time of the current cycle in ns; ``settle_ns``: after this time the drive's reply belongs to
-    what is sent now. ``named``: what to call a reply to another order.
+    ``clock`` tells the time of the current cycle in ns, ``settle_ns`` after how long the drive's reply belongs to what
+    is sent now. ``named``: what to call a reply to another order.
     """
 
     __slots__ = ("_client", "_clock", "_named")
 
     def __init__(
-        self, dialect: PkwDialect, clock: Callable[[], int], settle_ns: int, named: Callable[[Pkw], str]
+        self, dialect: PkwDialect, clock: Callable[[], int], settle_ns: Callable[[], int], named: Callable[[Pkw], str]
     ) -> None:
         self._client = PkwClient(dialect, settle_ns)
         self._clock = clock
@@ -92,7 +92,7 @@ class PkwAccess(PkwChannel):
         dialect: PkwDialect,
         resolve: Resolver,
         clock: Callable[[], int],
-        settle_ns: int,
+        settle_ns: Callable[[], int],
         written: Callable[[ParamRef], None] | None = None,
     ) -> None:
         super().__init__(dialect, clock, settle_ns, _named)

@@ -30,14 +30,8 @@ def plain_resolver(table: ParamTable, drive: str) -> Resolver:
     """Finds parameters of ``table`` by name or number; a number that is not in it goes as it is, without a scale."""
 
     def resolve(key: ParamKey) -> ParamRef:
-        name = key.name
-        spec = table.named(name) if isinstance(name, str) else table.get(name)
-        if spec is None and isinstance(name, str):
-            near = " or ".join(table.nearest(name))
-            raise CommandError(
-                "usage", f"no parameter is called {name!r}" + (f"; did you mean {near}?" if near else "")
-            )
-        number = spec.number if spec is not None else int(name)
+        spec = key.spec_in(table)
+        number = spec.number if spec is not None else int(key.name)
         label = f"parameter {spec.label}" if spec is not None else f"parameter {number}"
         if not 1 <= number <= _MOST:
             raise CommandError("usage", f"{label}: parameter numbers are 1..{_MOST}")

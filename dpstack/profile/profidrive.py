@@ -71,6 +71,9 @@ def table(control: Word, status: Word, *, acknowledge: tuple[int, int] = (0x0480
     )
 
 
+_POWERED: Final = frozenset({State.RUNNING, State.STOPPING, State.QUICK_STOP})
+
+
 class ProfidriveMachine:
     """The drive's side. ``state``: SWITCH_ON_INHIBITED S1, READY_TO_SWITCH_ON S2, READY S3, RUNNING S4,
 
@@ -93,6 +96,11 @@ class ProfidriveMachine:
     def __init__(self) -> None:
         self.state = State.SWITCH_ON_INHIBITED
         self._acknowledge = False
+
+    @property
+    def powered(self) -> bool:
+        """The power stage is on: S4 and S5."""
+        return self.state in _POWERED
 
     def step(self, control: int, *, still: bool) -> None:
         """Obey ``control`` until nothing follows any more. ``still``: standstill, ends S5."""

@@ -59,6 +59,11 @@ class Scale:
             raise ValueError(f"{self.name} {value:g}{unit} is outside {low:g}..{high:.5g}{unit}")
         return raw & (half << 1) - 1
 
+    def nearest(self, value: float) -> int:
+        """``value`` as :meth:`encode` has it, or the end of the range that it is beyond."""
+        low, high = self.limits
+        return self.encode(min(max(value, low), high))
+
     def decode(self, word: int) -> float:
         """The value of an unsigned integer of ``bits``."""
         half = 1 << self.bits - 1

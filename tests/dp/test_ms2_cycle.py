@@ -86,16 +86,16 @@ def test_no_cycle_is_missed(world: WorldFactory) -> None:
     bus = Loaded(world(), cycle_ns=5 * MS)
     book = bus.master.cycles
     begun, missed = book.begun, book.missed
-    bus.rotation(250 * MS, reads=32)
-    assert book.begun - begun in (49, 50, 51)
+    bus.rotation(150 * MS, reads=32)
+    assert book.begun - begun in (29, 30, 31)
     assert book.missed == missed
-    assert len(bus.ends) > 40
+    assert len(bus.ends) > 24
 
 
 def test_what_fits_into_no_gap_is_told_by_name(world: WorldFactory) -> None:
     """240 octets at 500 kbit/s in a cycle of 4 ms: it goes out in the end, and no connection is lost by the waiting."""
     bus = Loaded(world(), cycle_ns=4 * MS, octets=240, baud=500_000)
-    bus.rotation(1_000 * MS, reads=1)
+    bus.rotation(600 * MS, reads=1)
     assert len(bus.ends) == len(SLAVES)
     told = [event for event in bus.events if isinstance(event, DoesNotFit)]
     assert any("MS2 connection 48 to station" in event.text for event in told), [event.text for event in told]

@@ -5,8 +5,9 @@ from __future__ import annotations
 import contextlib
 import os
 import socket
+import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import pytest
 
@@ -152,6 +153,33 @@ def test_events_beyond_the_bound_are_dropped_counted_and_told(rig: Rig) -> None:
     assert f"bus process: {dropped}{2_001 - events} events were dropped" in rig.told
     owed = [event for message in rig.got if message.news for event in message.news.events if event[0] == "DriveEvent"]
     assert [m.event_of(event) for event in owed] == [answer]
+
+
+def test_the_last_words_are_not_dropped(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An application that begins to read when the bus process hangs up is told why it did."""
+    hangs_up = threading.Event()
+
+    def close(outbox: Outbox, real: Callable[[Outbox], None] = Outbox.close) -> None:
+        hangs_up.set()
+        real(outbox)
+
+    def read() -> None:
+        hangs_up.wait()
+        rig.sock.setblocking(True)
+        while octets := rig.sock.recv(65_536):
+            rig.got += rig.frames.feed(octets)
+
+    monkeypatch.setattr(Outbox, "close", close)
+    reader = threading.Thread(target=read)
+    reader.start()
+    for _ in range(2_000):
+        rig.host.on_events([Notice(t_ns=1, source="x" * 1000, message="y")])
+    rig.host.end("somebody wants it")
+    rig.loop.run()
+    reader.join()
+    rig.closed = True
+    assert rig.got[-1].news is not None
+    assert rig.got[-1].news.over == "somebody wants it"
 
 
 def test_a_flood_of_orders_is_answered_in_order_and_never_piles_up(rig: Rig) -> None:

@@ -120,7 +120,7 @@ def test_without_the_rule_of_zero_a_write_is_not_answered_by_the_read_before_it(
 @pytest.mark.parametrize("dialect", [STRICT, LOOSE])
 def test_an_order_that_timed_out_is_not_answered_into_the_next_one(dialect: PkwDialect) -> None:
     """The drive looks every 32 ms: it may take the withdrawn order up after our 0 and answer it then."""
-    client = PkwClient(dialect, settle_ns=100)
+    client = PkwClient(dialect, settle_ns=lambda: 100)
     late, again = client.submit(Pkw(2, 400, 0, 1)), client.submit(Pkw(2, 400, 0, 2))
     client.step(ZERO, 0)
     client.cancel(late, 10)

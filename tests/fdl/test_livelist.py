@@ -178,7 +178,7 @@ def test_a_busy_computer_looks_once_more_with_patience() -> None:
     """At 500 kbit/s: 6 octets, T_SL of 200 and one octet are 554 us; 2 ms of slack, 1 ms of it more is busy."""
     params = BusParams.preset(500_000, address=2)
     look = long_look(params, HOST)
-    assert look == (3_554_000, 18 * NS_PER_MS)
+    assert look == (3_554_000, 18 * NS_PER_MS, 48 * NS_PER_MS)
     late = {4: Telegram(Kind.SD1, 2, 4, fc=0)}
     addresses = [3, 4, 5]
 
@@ -193,10 +193,19 @@ def test_a_busy_computer_looks_once_more_with_patience() -> None:
 
     busy = LiveList(2, addresses=addresses, long_look=look)
     requests = asked(busy, 3_554_000, late)
-    assert [(r.da, r.extra_ns) for r in requests] == [(a, 0) for a in addresses * 2] + [
-        (a, 18 * NS_PER_MS) for a in addresses
-    ]
+    patient = [(a, 18 * NS_PER_MS) for a in (3, 4, 5, 3, 5)]  # that found somebody, so once more
+    assert [(r.da, r.extra_ns) for r in requests] == [(a, 0) for a in addresses * 2] + patient
     assert busy.stations == {4: StationType.SLAVE}
+
+
+@pytest.mark.parametrize(("late_ms", "extra_ms"), [(0, 18), (18, 18), (31, 31), (48, 48), (500, 48)])
+def test_the_later_the_polls_the_longer_the_look(late_ms: int, extra_ms: int) -> None:
+    """A computer that stalls for longer hides a station for longer; 50 ms are the most, 2 of them are given before."""
+    look = long_look(BusParams.preset(500_000, address=2), HOST)
+    requests = asked(
+        LiveList(2, addresses=[3], long_look=look), 3_554_000, {}, first_ns=3_554_000 + late_ms * NS_PER_MS
+    )
+    assert [r.extra_ns for r in requests] == [0, 0, extra_ms * NS_PER_MS]
 
 
 @pytest.mark.parametrize("patience", [EXACT, ADAPTER, slack(20 * NS_PER_MS)])

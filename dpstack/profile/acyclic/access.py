@@ -67,14 +67,8 @@ def plain_places(table: ParamTable, drive: str) -> Placed:
     """Parameters of ``table`` by name or number, elements of arrays by index; other numbers go without a scale."""
 
     def placed(key: ParamKey) -> Place:
-        name = key.name
-        spec = table.named(name) if isinstance(name, str) else table.get(name)
-        if spec is None and isinstance(name, str):
-            near = " or ".join(table.nearest(name))
-            raise CommandError(
-                "usage", f"no parameter is called {name!r}" + (f"; did you mean {near}?" if near else "")
-            )
-        number = spec.number if spec is not None else int(name)
+        spec = key.spec_in(table)
+        number = spec.number if spec is not None else int(key.name)
         label = f"parameter {number if spec is None else spec.label}"
         if not 1 <= number <= 0xFFFF:
             raise CommandError("usage", f"{label}: parameter numbers are 1..65535")

@@ -88,7 +88,7 @@ class DemagCore(MappedCore[OutMap]):
         self._set_412 = bool(options["set_412"])
         self._wide = telegram.inputs == 12
         if telegram.channel:
-            self.access = _Watched(t.PKW, self._resolve, lambda: self.now, self.settle_ns, self._written)
+            self.access = _Watched(t.PKW, self._resolve, lambda: self.now, lambda: self.settle_ns, self._written)
             self.access.trace = self._trace
             self.lookups = (self._toggle_time,)
 
@@ -243,14 +243,9 @@ class DemagCore(MappedCore[OutMap]):
                 self.notice(f"{ref.label} was written to the EEPROM {count} times, which wears it out: use ram = true")
 
     def _resolve(self, key: ParamKey) -> ParamRef:
-        name, data_set, ram = key.name, key.place, key.ram
-        spec = t.PARAMETERS.named(name) if isinstance(name, str) else t.PARAMETERS.get(name)
-        if spec is None and isinstance(name, str):
-            near = " or ".join(t.PARAMETERS.nearest(name))
-            raise CommandError(
-                "usage", f"no parameter is called {name!r}" + (f"; did you mean {near}?" if near else "")
-            )
-        number = spec.number if spec is not None else int(name)
+        data_set, ram = key.place, key.ram
+        spec = key.spec_in(t.PARAMETERS)
+        number = spec.number if spec is not None else int(key.name)
         label = f"parameter {spec.label}" if spec is not None else f"parameter {number}"
         if not 1 <= number <= 999:
             raise CommandError("usage", f"{label}: parameter numbers are 1..999")

@@ -285,8 +285,8 @@ class DemagDevice(DriveDevice):
         status |= 0x0080 if self.warning_mask or not self.toggle.answered else 0
         status |= toggle.BIT if self.toggle.bit else 0
         status |= 0x8000 if self.warning_mask & t.TRIPS_SOON else 0
-        frequency = _word(motor.frequency * rated / reference)
-        current, active_current = _word(motor.current), _word(motor.torque if motor.on else 0.0)
+        frequency = SPEED.nearest(motor.frequency * rated / reference)
+        current, active_current = SPEED.nearest(motor.current), SPEED.nearest(motor.torque if motor.on else 0.0)
         if self.telegram.inputs == 12:
             return status, frequency, current, active_current, self.warning_mask, self.fault
         select = control >> 12 & 7
@@ -368,7 +368,3 @@ class DemagDevice(DriveDevice):
                 return min(max(self._ramp_hz, -1000), 1000)
             case _:
                 return None
-
-
-def _word(value: float) -> int:
-    return SPEED.encode(min(max(value, -2.0), 0x7FFF / 0x4000))

@@ -76,7 +76,7 @@ class FujiCore(MappedCore[PcdMap]):
             + bytes(telegram.outputs - len(_SAFE)),
         )
         if telegram.channel:
-            self.access = PkwAccess(t.PKW, self._resolve, lambda: self.now, self.settle_ns)
+            self.access = PkwAccess(t.PKW, self._resolve, lambda: self.now, lambda: self.settle_ns)
             self.lookups = (self._alarm,)
 
     def encode(self, control: int, setpoint: int) -> bytes:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Final
 
 from dpstack.profile import (
+    AT_ONCE,
     NS_PER_MS,
     NS_PER_S,
     SPEED,
@@ -20,16 +21,13 @@ from dpstack.profile import (
     State,
     TelegramSpec,
     profidrive,
+    ramp,
 )
 from dpstack_drives.fuji import table as t
 from dpstack_drives.fuji.option import OptionCard
 
 #: the option has a 24 V supply of its own
 OWN_SUPPLY: Final = "24v"
-_POWERED: Final = frozenset({State.RUNNING, State.STOPPING, State.QUICK_STOP})
-#: reference reached within this part of F03 (a reading)
-_NEAR: Final = 0.005
-_AT_ONCE: Final = 1e6
 _COMMAND: Final = struct.Struct(">HH")
 
 
@@ -181,7 +179,7 @@ class FujiDevice(DriveDevice):
         if words is not None:
             self.option.take(words[2:])
         extra = self.option.show()[: self.telegram.inputs // 2 - 2]
-        return (self._status, SPEED.encode(min(max(motor.frequency, -2.0), 0x7FFF / 0x4000)), *extra)
+        return (self._status, SPEED.nearest(motor.frequency), *extra)
 
     def _unpowered(self) -> tuple[int, ...]:
         """Only the option is on the bus."""
@@ -207,22 +205,21 @@ class FujiDevice(DriveDevice):
 
     def _drive(self, reference: float) -> None:
         motor, state, control = self.motor, self.machine.state, self._control
-        motor.switch(state in _POWERED)
+        motor.switch(self.machine.powered)
         motor.accel = self._rate("F07")
         motor.decel = self._rate("H56" if state is State.QUICK_STOP else "F08")
         if state is not State.RUNNING or self._forced:
             motor.setpoint = 0.0
         elif not control & 0x10:
             motor.setpoint = 0.0
-            motor.decel = _AT_ONCE
+            motor.decel = AT_ONCE
         elif not control & 0x20:
             motor.setpoint = motor.frequency
         else:
             motor.setpoint = min(max(reference, -1.0), 1.0)
 
     def _rate(self, code: str) -> float:
-        seconds = self.store.value(code)
-        return 1 / seconds if seconds else _AT_ONCE
+        return ramp(self.store.value(code))
 
     def _word(self, source: int, reference: float) -> int:
         motor, state = self.motor, self.machine.state
@@ -232,7 +229,7 @@ class FujiDevice(DriveDevice):
         status |= 0x0020 if copied & 0x04 else 0
         status |= 0x0200 if source else 0
         reference = min(max(reference, -1.0), 1.0)
-        if state is State.RUNNING and not motor.limited and abs(motor.frequency - reference) <= _NEAR:
+        if state is State.RUNNING and motor.reached(reference):
             status |= 0x0100
         level = self.store.value("E31")
         if level and abs(motor.frequency) * self.store.value("F03") >= level - 1e-9:

@@ -75,12 +75,12 @@ _EEPROM: Final = (
 class ImoAccess(PkwChannel):
     """The master's end, a :class:`~dpstack.profile.ParameterChannel`. ``notice`` takes a line for the user.
 
-    ``settle_ns``: after this time the drive's response belongs to what is sent now.
+    ``settle_ns`` tells after how long the drive's response belongs to what is sent now.
     """
 
     __slots__ = ("_notice", "_told")
 
-    def __init__(self, clock: Callable[[], int], settle_ns: int, notice: Callable[[str], None]) -> None:
+    def __init__(self, clock: Callable[[], int], settle_ns: Callable[[], int], notice: Callable[[str], None]) -> None:
         super().__init__(PKW, clock, settle_ns, lambda reply: f"{t.name_of(reply.pnu)} (response {reply.id})")
         self._notice = notice
         self._told = False

@@ -95,7 +95,7 @@ class ImoCore(MappedCore[PzdMap]):
             reference_hz=float(options["reference_hz"]),
             safe_outputs=_SAFE,
         )
-        self.access = self._channel = ImoAccess(lambda: self.now, self.settle_ns, self.notice)
+        self.access = self._channel = ImoAccess(lambda: self.now, lambda: self.settle_ns, self.notice)
 
     # -- process data ---------------------------------------------------------------------------------------------
 

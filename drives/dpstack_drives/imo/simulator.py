@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Final
 
 from dpstack.profile import (
+    AT_ONCE,
     NS_PER_MS,
     ConfigError,
     DriveDevice,
@@ -16,6 +17,7 @@ from dpstack.profile import (
     Pkw,
     PkwServer,
     TelegramSpec,
+    ramp,
     signed16,
 )
 from dpstack_drives.imo import pzd
@@ -28,7 +30,6 @@ _RPM_PER_HZ: Final = 30.0
 _RATED_VOLTS, _BUS_VOLTS = 400.0, 540.0
 _RATED_TORQUE: Final = 65.0
 _INCH_HZ: Final = 5.0
-_AT_ONCE: Final = 1e6
 #: the internal scan is not in the manual
 _SCAN_NS: Final = 4 * NS_PER_MS
 #: torque limit of the inverter itself, of the rated one
@@ -172,7 +173,7 @@ class ImoDevice(DriveDevice):
         hertz = _INCH_HZ if command in _INCHES else self._set_hertz(direction)
         motor.setpoint = 0.0 if brakes else direction * hertz / _RATED_HZ
         motor.accel = self._rate(t.ACCELERATION)
-        motor.decel = _AT_ONCE if brakes else self._rate(t.DECELERATION)
+        motor.decel = AT_ONCE if brakes else self._rate(t.DECELERATION)
         motor.limit = self._torque_limit()
 
     def _pre_excites(self) -> bool:
@@ -196,8 +197,7 @@ class ImoDevice(DriveDevice):
 
     def _rate(self, name: str) -> float:
         """Up to the maximum frequency in the parameter's time."""
-        seconds = self.store.value(name)
-        return self.store.value(t.MAXIMUM_HZ) / _RATED_HZ / seconds if seconds else _AT_ONCE
+        return ramp(self.store.value(name), self.store.value(t.MAXIMUM_HZ) / _RATED_HZ)
 
     def _count_energy(self) -> None:
         if self._control & t.CONTROL.mask("clear_energy"):

@@ -101,13 +101,13 @@ class _Request:
 class KebChannel:
     """The master's end, a :class:`~dpstack.profile.ParameterChannel`. Every access is made with 4 octets.
 
-    ``settle_ns``: after this time the drive's octets belong to what is sent now. A request whose order was given up
-    keeps the channel until the drive has confirmed it: another one could not be told from it.
+    ``settle_ns`` tells after how long the drive's octets belong to what is sent now. A request whose order was
+    given up keeps the channel until the drive has confirmed it: another one could not be told from it.
     """
 
     __slots__ = ("_active", "_clock", "_queue", "_settle_ns", "_shown", "_synced_at", "octets")
 
-    def __init__(self, clock: Callable[[], int], settle_ns: int) -> None:
+    def __init__(self, clock: Callable[[], int], settle_ns: Callable[[], int]) -> None:
         self._clock = clock
         self._settle_ns = settle_ns
         self._queue: deque[_Request] = deque()
@@ -150,7 +150,7 @@ class KebChannel:
         if shown == self._shown:
             return True
         if self._synced_at is None:
-            self._synced_at = now + self._settle_ns
+            self._synced_at = now + self._settle_ns()
         return now >= self._synced_at
 
     # -- orders ---------------------------------------------------------------------------------------------------

@@ -96,7 +96,7 @@ class KebCore(MappedCore[PdMap]):
             safe_outputs=bytes(telegram.output_octets),
         )
         if telegram.channel:
-            self.access = self._channel = KebChannel(lambda: self.now, self.settle_ns)
+            self.access = self._channel = KebChannel(lambda: self.now, lambda: self.settle_ns)
             self.lookups = (self._state_number,)
             self._maps = mapping.MapAccess(self._channel, telegram, (second[0], second[1]), self.notice)
 

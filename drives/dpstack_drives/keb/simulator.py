@@ -14,6 +14,7 @@ from dpstack.profile import (
     Leave,
     Motor,
     TelegramSpec,
+    ramp,
 )
 from dpstack_drives.keb import table as t
 from dpstack_drives.keb import telegrams
@@ -22,9 +23,6 @@ from dpstack_drives.keb.operator import LINK_NS, Operator
 from dpstack_drives.keb.parameters import Parameters
 from dpstack_drives.keb.watchdog import Life, Watchdog
 
-#: reference reached within this part of the reference (made up)
-_NEAR: Final = 0.005
-_AT_ONCE: Final = 1e6
 #: the quick stop ramp in parts of the reference per second (made up)
 _QUICK: Final = 5.0
 #: what oP.10 and the ramps refer to, in Hz (made up)
@@ -227,8 +225,7 @@ class KebDevice(DriveDevice):
         return bit is not None and bool(control >> bit & 1)
 
     def _rate(self, name: str) -> float:
-        seconds = self.store.value(name)
-        return 1 / seconds if seconds else _AT_ONCE
+        return ramp(self.store.value(name))
 
     def _seconds(self, name: str) -> int:
         return round(self.store.value(name) * NS_PER_S)
@@ -247,13 +244,12 @@ class KebDevice(DriveDevice):
 
     def _status_word(self) -> int:
         motor = self.motor
-        near = motor.on and abs(motor.frequency - self._setpoint) <= _NEAR
         told = {
             "ready": not self.fault,
             "fault": bool(self.fault),
             "run": motor.on,
             "reverse": motor.frequency < 0,
-            "reached": near and not motor.limited,
+            "reached": motor.on and motor.reached(self._setpoint),
         }
         return sum(1 << bit for name, bit in self._status.items() if told.get(name))
 

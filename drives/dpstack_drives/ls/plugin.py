@@ -117,7 +117,7 @@ class LsCore(MappedCore[ParaMap]):
         )
         self._unpack = struct.Struct(f"{order}{telegram.inputs // 2}H").unpack_from
         if telegram.channel:
-            self.access = PkwAccess(t.PKW, self._resolve, lambda: self.now, self.settle_ns)
+            self.access = PkwAccess(t.PKW, self._resolve, lambda: self.now, lambda: self.settle_ns)
             self.lookups = (self._trips, self._warning)
         self._advise_maps()
 

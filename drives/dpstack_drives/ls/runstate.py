@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-from dpstack.profile import NS_PER_S, Motor, ParamStore
+from dpstack.profile import NEAR, NS_PER_S, Motor, ParamStore
 from dpstack_drives.ls import table as t
 
 _STOP: Final = t.LS_CONTROL.mask("stop")
@@ -86,7 +86,6 @@ class Shown(NamedTuple):
     """What the status word of the LS Drive profile tells beside the motor: 5.3.2."""
 
     direction: int
-    near: float
     fault: bool
     jog: bool
     keypad: bool
@@ -99,7 +98,7 @@ def status_word(motor: Motor, store: ParamStore, shown: Shown) -> int:
     direction = shown.direction
     turning = motor.frequency or direction
     gap = abs(motor.setpoint) - abs(motor.frequency)
-    moving = motor.on and not motor.braking and abs(gap) > shown.near
+    moving = motor.on and not motor.braking and abs(gap) > NEAR
     hertz = abs(motor.frequency) * store.value("dr-20")
     told = {
         "stopped": not motor.on,
@@ -108,10 +107,7 @@ def status_word(motor: Motor, store: ParamStore, shown: Shown) -> int:
         "fault": shown.fault,
         "accelerating": moving and gap > 0,
         "decelerating": moving and gap < 0,
-        "reached": motor.on
-        and bool(direction)
-        and not motor.limited
-        and abs(motor.frequency - motor.setpoint) <= shown.near,
+        "reached": motor.on and bool(direction) and motor.reached(motor.setpoint),
         "dc_brake": motor.braking,
         "stopping": motor.on and not direction and not shown.jog,
         "jog": shown.jog and motor.on,

@@ -18,6 +18,7 @@ from dpstack.profile import (
     State,
     TelegramSpec,
     profidrive,
+    ramp,
     signed16,
 )
 from dpstack_drives.ls import records, settings, telegrams
@@ -28,12 +29,8 @@ from dpstack_drives.ls.plugin import profile_of
 from dpstack_drives.ls.runstate import LsMachine, Rest, Shown, status_word
 from dpstack_drives.ls.settings import Settings
 
-_POWERED: Final = frozenset({State.RUNNING, State.STOPPING, State.QUICK_STOP})
 #: stop and emergency of the LS control word: a frame with them counts even when the next one follows within a scan
 _STOPS: Final = t.LS_CONTROL.mask("stop", "emergency")
-#: reference reached within this part of dr-20 (a reading)
-_NEAR: Final = 0.005
-_AT_ONCE: Final = 1e6
 
 
 class LsDevice(DriveDevice):
@@ -237,15 +234,15 @@ class LsDevice(DriveDevice):
             reference = 0.0
         elif not control & 0x20:
             reference = motor.frequency
-        jog = self._jog if state not in _POWERED and state is not State.FAULT else 0
-        self._power(state in _POWERED or bool(jog), now, stops=state is State.READY)
+        jog = self._jog if not machine.powered and state is not State.FAULT else 0
+        self._power(machine.powered or bool(jog), now, stops=state is State.READY)
         self._ramp(reference if state is State.RUNNING else self._jogged(jog), quick=state is State.QUICK_STOP)
         self._word = words[0]
         status = machine.SHOWN[state] & 0x49
         for bit, of in t.COPIES.items():
             status |= (self._word >> of & 1) << bit
         status |= 0x0080 if self.warning_mask else 0
-        if state is State.RUNNING and not motor.limited and abs(motor.frequency - motor.setpoint) <= _NEAR:
+        if state is State.RUNNING and motor.reached(motor.setpoint):
             status |= 0x0100
         self._status = status
 
@@ -282,7 +279,6 @@ class LsDevice(DriveDevice):
             self.store,
             Shown(
                 direction=direction,
-                near=_NEAR,
                 fault=self.runner.fault,
                 jog=bool(self._jog) and not direction,
                 keypad=keypad,
@@ -301,7 +297,7 @@ class LsDevice(DriveDevice):
     def _ramp(self, setpoint: float, *, quick: bool = False) -> None:
         motor = self.motor
         up, down = self.store.value("dr-03"), self._quick_stop_s if quick else self.store.value("dr-04")
-        motor.accel, motor.decel = (1 / seconds if seconds else _AT_ONCE for seconds in (up, down))
+        motor.accel, motor.decel = ramp(up), ramp(down)
         if self._loss.instead is not None and setpoint:
             setpoint = self._loss.instead
         motor.setpoint = 0.0 if self._loss.forced else min(max(setpoint, -1.0), 1.0)
@@ -316,8 +312,7 @@ class LsDevice(DriveDevice):
 
     def _speed_word(self) -> int:
         frequency = self.motor.frequency
-        raw = round(frequency * self._reference_rpm) & 0xFFFF if self._settings.rpm else None
-        return SPEED.encode(min(max(frequency, -2.0), 1.99)) if raw is None else raw
+        return round(frequency * self._reference_rpm) & 0xFFFF if self._settings.rpm else SPEED.nearest(frequency)
 
     def _hundredths(self) -> int:
         return round(abs(self.motor.frequency) * self.store.value("dr-20") * 100) & 0xFFFF

@@ -14,6 +14,7 @@ from dpstack.profile import (
     State,
     TelegramSpec,
     plain_server,
+    ramp,
 )
 
 
@@ -61,13 +62,13 @@ class AcmeDevice(DriveDevice):
         self._obey(control if remote else 0)
         motor = self.motor
         motor.switch(self.state is State.RUNNING)
-        motor.accel = 1 / max(self.store.value("acceleration"), 0.01)
+        motor.accel = ramp(self.store.value("acceleration"))
         stop = "quick_stop" if control & t.CONTROL.mask("quick_stop") else "deceleration"
-        motor.decel = 1 / max(self.store.value(stop), 0.01)
+        motor.decel = ramp(self.store.value(stop))
         scale = t.DECLARED.scale
         motor.setpoint = scale.decode(setpoint) if control & t.CONTROL.mask("run") else 0.0
         names = {State.READY: ("ready",), State.RUNNING: ("ready", "running"), State.FAULT: ("fault",)}
-        near = self.state is State.RUNNING and abs(motor.frequency - motor.setpoint) < 0.005
+        near = self.state is State.RUNNING and motor.reached(motor.setpoint)
         told = (*names.get(self.state, ()), *(["remote"] if remote else []), *(["reached"] if near else []))
         current = t.DECLARED.current_scale.encode(motor.current)
         return t.STATUS.mask(*told), scale.encode(motor.frequency), current, self.fault
