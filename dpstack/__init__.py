@@ -23,10 +23,12 @@ if TYPE_CHECKING:
     from dpstack.api.baud import BaudReport, find_baud
     from dpstack.api.bus import Bus
     from dpstack.api.config import Config, load_config
+    from dpstack.api.connection import Connection
     from dpstack.api.cycles import Cycle
     from dpstack.api.drive import Drive
     from dpstack.api.events import Event, Mode, SlaveState
     from dpstack.api.opening import open_bus
+    from dpstack.api.parameter_dump import ParameterPlace
     from dpstack.api.serving import SlaveServer, serve_slave, serve_slaves
     from dpstack.api.slave import Slave
     from dpstack.api.slave_from_gsd import slave_from_gsd
@@ -36,11 +38,13 @@ if TYPE_CHECKING:
     from dpstack.dp.slaveapp import SlaveApp, SlaveAppState
     from dpstack.dp.user_diag import UserDiag, channel_block, device_block, identifier_block, revision_block
     from dpstack.dp.v1.im import Im0, Im1, Im2, Im3, Im4
+    from dpstack.dp.v1.prm_blocks import PrmBlock
     from dpstack.errors import (
         AcyclicError,
         BaudError,
         BusError,
         ConfigError,
+        ConnectionEnded,
         DpError,
         DriveError,
         DriveFault,
@@ -68,6 +72,8 @@ __all__ = [
     "BusError",
     "Config",
     "ConfigError",
+    "Connection",
+    "ConnectionEnded",
     "Cycle",
     "DpError",
     "DpSlave",
@@ -85,8 +91,10 @@ __all__ = [
     "Mode",
     "ParamError",
     "ParameterError",
+    "ParameterPlace",
     "PortBusyError",
     "PortError",
+    "PrmBlock",
     "RecordRefused",
     "ServiceRefused",
     "Slave",
@@ -125,6 +133,7 @@ _WHERE: Final = {
     "open_bus": "api.opening",
     "Config": "api.config",
     "load_config": "api.config",
+    "Connection": "api.connection",
     "Cycle": "api.cycles",
     "Drive": "api.drive",
     "Event": "api.events",
@@ -148,6 +157,8 @@ _WHERE: Final = {
     "device_block": "dp.user_diag",
     "identifier_block": "dp.user_diag",
     "revision_block": "dp.user_diag",
+    "ParameterPlace": "api.parameter_dump",
+    "PrmBlock": "dp.v1.prm_blocks",
     "Im0": "dp.v1.im",
     "Im1": "dp.v1.im",
     "Im2": "dp.v1.im",

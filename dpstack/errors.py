@@ -17,6 +17,7 @@
     |   +-- ServiceRefused              answered a service of this master with no; carries service and status
     |   +-- SlaveTimeout (TimeoutError) did not reach what was awaited in time
     |   +-- AcyclicError                a negative answer of DP-V1: class, code and text
+    |   +-- ConnectionEnded             a class 2 connection is over: who ended it, and why
     +-- RecordRefused                   raised by a function of one's own slave: its negative answer
     +-- DriveError                      one drive; carries its name
         +-- DriveFault                  tripped, or refuses to do what was asked: names fault and remedy
@@ -24,7 +25,8 @@
         +-- ParameterError              a negative answer of the parameter channel: number and the manual's text
 
 Misuse and configuration raise at once; what a peer does wrong on the wire never raises in the core, it becomes an
-event and a counter, and one of the lower branches where a caller waits for it.
+event and a counter, and one of the lower branches where a caller waits for it. Every argument of a constructor is an
+attribute of the same name: so an error crosses the control socket as what it is (``dpstack.api.control.failures``).
 """
 
 from __future__ import annotations
@@ -111,6 +113,8 @@ class AcyclicError(SlaveError):
         self.service = service
         self.slot = slot
         self.index = index
+        #: as answered: Error_Decode, Error_Code_1, Error_Code_2
+        self.codes = codes
         self.error_decode, self.code_1, self.code_2 = codes
 
     @property
@@ -122,6 +126,17 @@ class AcyclicError(SlaveError):
     def error_code(self) -> int:
         """Error_Code 0..15 within the class."""
         return self.code_1 & 0x0F
+
+
+class ConnectionEnded(SlaveError):
+    """A service over a class 2 connection that is over; the text says who ended it and why. Open a new one.
+
+    ``abort``: subnet, instance and reason of the Abort that ended it (``dpstack.dp.v1.connection``); None without any.
+    """
+
+    def __init__(self, address: int, message: str, *, abort: tuple[int, int, int] | None = None) -> None:
+        super().__init__(address, message)
+        self.abort = abort
 
 
 class SlaveTimeout(SlaveError, TimeoutError):

@@ -339,6 +339,7 @@ class Bus(Composed):
 
     def _on_events(self, events: list[Event]) -> None:
         for event in events:
+            self._ordered_end.on_event(event)
             if self.services.take(event):  # told to who waits for it, and to nobody else
                 continue
             match event:
@@ -348,7 +349,6 @@ class Bus(Composed):
                         drive.on_payload(payload)
                 case AddressCollision():
                     self.collision = event.text
-            self._ordered_end.on_event(event)
             self._groups.on_event(event)
             self._tell(event)
             for notice in self._beside.notices(event):

@@ -10,10 +10,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from dpstack.api.connection import Connecting, send_timeout_of
+from dpstack.api.ms2_config import Ms2Limits
+from dpstack.api.slave_config import SlaveConfig
 from dpstack.dp.class2 import ChangeAddress, ReadService
 from dpstack.dp.class2_jobs import Service, ServiceDone
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.fields import Value
+from dpstack.dp.v1.ms2_orders import OpenConnection
 from dpstack.errors import ConfigError, PduError, UsageError
 from dpstack.gsd.identifiers import Identifier, io_lengths, parse_identifiers
 from dpstack.units import s_to_ns
@@ -111,6 +115,49 @@ class Class2:
         command = ChangeAddress(token, old, new, ident, no_change, rem_slave_data, s_to_ns(timeout))
         return _diagnosis(await self._bus.services.do(token, command, ServiceDone))
 
+    def connect(
+        self,
+        slave: Slave | SlaveConfig | str | int,
+        *,
+        send_timeout: float | None = None,
+        response_timeout: float | None = None,
+        profile_ident: int = 0,
+        profile_features: int = 0,
+        source: bytes = bytes(2),
+        destination: bytes = bytes(2),
+        timeout: float = 10.0,
+    ) -> Connecting:
+        """Open a class 2 connection (MS2) to any slave: ``async with bus.class2.connect(7) as connection``.
+
+        It needs no parameterisation and takes the slave away from nobody. ``send_timeout`` in seconds: the longest
+        silence, to be agreed on (default by baud rate); ``response_timeout``: for one service (default: its
+        C2_Response_Timeout). ``source``, ``destination``: API and access level, and octets of network and MAC address
+        where the end is not on this bus. Raises ServiceRefused (no connection left, or none at all), ConnectionEnded
+        (the slave aborts), SlaveTimeout, SlaveFault, UsageError, BusError.
+        """
+        known = slave if isinstance(slave, SlaveConfig) else self._config(slave)
+        limits = Ms2Limits() if known is None else known.ms2
+        address = slave.address if isinstance(slave, SlaveConfig) else self._address(slave)
+        silence = send_timeout_of(self._bus.params.baud) if send_timeout is None else s_to_ns(send_timeout)
+        order = OpenConnection(
+            self._bus.services.token(),
+            address,
+            silence,
+            limits.response_ns if response_timeout is None else s_to_ns(response_timeout),
+            profile_features=profile_features,
+            profile_ident=profile_ident,
+            source=bytes(source),
+            destination=bytes(destination),
+            channels=limits.channels,
+            timeout_ns=s_to_ns(timeout),
+        )
+        return Connecting(self._bus, order, f"slave{address}" if known is None else known.name, limits)
+
+    @property
+    def connections(self) -> int:
+        """Class 2 connections that are open or being opened."""
+        return len(self._bus.services.connections)
+
     # --- one service --------------------------------------------------------------------------------------------
 
     async def _read(self, slave: Slave | str | int, service: Service, timeout: float) -> ServiceDone:
@@ -128,6 +175,10 @@ class Class2:
         if isinstance(slave, int):
             return slave
         return self._bus.slave(slave).address if isinstance(slave, str) else slave.address
+
+    def _config(self, slave: Slave | str | int) -> SlaveConfig | None:
+        known = self._known(self._address(slave))
+        return None if known is None else known.config
 
     def _known(self, address: int) -> Slave | None:
         return next((slave for slave in self._bus.slaves if slave.address == address), None)

@@ -9,7 +9,7 @@ from typing import Final
 
 from dpstack.api.bench import VirtualBench
 from dpstack.api.config import Config, rate_findings
-from dpstack.api.drive import DriveSeen
+from dpstack.api.drive_seen import DriveSeen
 from dpstack.api.driver_choice import PROCESS, driver_for
 from dpstack.api.planning import adapter_notes, other_masters, refuse_misfit, with_t_tr
 from dpstack.api.remote import attach_remote, core_of, known_places, plugin_of

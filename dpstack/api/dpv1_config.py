@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Final
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any, Final
 
 from dpstack.api.tables import Table
+from dpstack.dp.v1.prm_blocks import NAMES, RECORDS, TABLES, Content, DxbTable, PrmBlock
 from dpstack.dp.v1.records import MAX_RECORD
-from dpstack.dp.v1.status import ALARMS, DPV1_ENABLE, DPV1_STATUS_LEN, Dpv1, PrmBlock
-from dpstack.errors import ConfigError
+from dpstack.dp.v1.status import ALARMS, DPV1_ENABLE, DPV1_STATUS_LEN, Dpv1
+from dpstack.errors import ConfigError, PduError
 from dpstack.gsd.model import Device
 from dpstack.units import NS_PER_MS
 
 #: C1_Response_Timeout counts in 10 ms
 _TIMEOUT_UNIT: Final = 10 * NS_PER_MS
 _KEYS: Final = ("check_cfg_mode", "prm_cmd", "alarms", "alarm_mode", "blocks", "response_timeout_ms")
-_BLOCK_KEYS: Final = ("type", "slot", "data")
+_BLOCK_KEYS: Final = ("type", "slot", "specifier", "data")
+#: of a table of links or subscriptions
+_ENTRIES: Final = "entries"
 #: the GSD keywords of what may be asked for, without _supp
 _IN_GSD: Final = {
     "pull_plug": "Pull_Plug_Alarm",
@@ -119,8 +123,68 @@ def _blocks(table: Table, device: Device | None) -> tuple[PrmBlock, ...]:
 
 
 def _block(table: Table) -> PrmBlock:
-    table.check_keys(_BLOCK_KEYS)
+    kind = _type(table)
+    slot, specifier = table.integer("slot", 0, 254) or 0, table.integer("specifier", 0, 255) or 0
+    fields = tuple(_fields(kind))
+    table.check_keys((*_BLOCK_KEYS, *fields))
+    if "data" in table or not fields:
+        for key in fields:
+            if key in table:
+                table.fail(key, f"{key} beside data", f"leave {key} out, or data")
+        block = PrmBlock(kind, slot, table.octets("data") or b"", specifier)
+    else:
+        block = _of_fields(table, kind, slot, specifier)
+    try:
+        _ = block.content
+    except PduError as error:
+        raise table.error("data", str(error), "correct it") from None
+    return block
+
+
+def _type(table: Table) -> int:
+    given = table.raw("type")
+    if isinstance(given, str):
+        numbers = {name: number for number, name in NAMES.items()}
+        if given not in numbers:
+            table.fail("type", f"there is no type {given!r}", f"a number, or one of these: {', '.join(numbers)}")
+        return numbers[given]
     kind = table.integer("type", 0, 255)
     if kind is None:
-        table.fail(None, "no type", "0x81 is user parameters, 2 PrmCmd; its manual knows the others")
-    return PrmBlock(kind, table.integer("slot", 0, 254) or 0, table.octets("data") or b"")
+        table.fail(None, "no type", '"user_prm" (0x81), "prm_cmd" (2) ...; its manual knows the others')
+    return kind
+
+
+def _fields(kind: int) -> Iterable[str]:
+    """The keys of a block of this type beside ``data``."""
+    if kind in TABLES:
+        return ("version", _ENTRIES)
+    return RECORDS[kind].fields if kind in RECORDS else ()
+
+
+def _of_fields(table: Table, kind: int, slot: int, specifier: int) -> PrmBlock:
+    content: Content
+    try:
+        if kind in RECORDS:
+            given = {key: table.integer(key, 0) for key in RECORDS[kind].fields if key in table}
+            content = RECORDS[kind].record(**given)
+        else:
+            version = table.integer("version", 0, 255)
+            content = DxbTable(1 if version is None else version, tuple(_entries(table, kind)))
+        return PrmBlock.of(content, slot, kind=kind, specifier=specifier)
+    except PduError as error:
+        raise table.error(None, str(error), "correct it") from None
+
+
+def _entries(table: Table, kind: int) -> Iterator[Any]:
+    given = table.raw(_ENTRIES)
+    layout = TABLES[kind]
+    example = ", ".join(f"{key} = 0" for key in layout.fields)
+    if not isinstance(given, (list, tuple)) or not all(isinstance(one, Mapping) for one in given):
+        table.fail(_ENTRIES, f"{_ENTRIES} is no list of tables", f"write [{{ {example} }}]")
+    for number, one in enumerate(given, 1):
+        entry = table.inner(_ENTRIES, number, one)
+        entry.check_keys(layout.fields)
+        for key in layout.fields:
+            if key not in entry:
+                entry.fail(None, f"no {key}", f"write {{ {example} }}")
+        yield layout.record(**{key: entry.integer(key, 0, 255) for key in layout.fields})

@@ -5,11 +5,12 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import itertools
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final
 
-from dpstack.api.parameter_dump import Comparison, OnParameter, ParameterValue, compare, dump
+from dpstack.api.drive_seen import DriveSeen
+from dpstack.api.parameter_dump import Comparison, OnParameter, ParameterPlace, ParameterValue, compare, dump
 from dpstack.api.parameter_list import ParameterList
 from dpstack.api.slave import Slave
 from dpstack.api.streams import Latest
@@ -24,7 +25,7 @@ from dpstack.errors import (
     ParameterError,
     UsageError,
 )
-from dpstack.profile import DriveStatus, ListedParam, TelegramSpec
+from dpstack.profile import DriveStatus, ListedParam
 
 if TYPE_CHECKING:
     from dpstack.api.bus import Bus
@@ -32,39 +33,6 @@ if TYPE_CHECKING:
 #: the plugin judges time-outs once a rotation; this much later nobody can have judged them
 _GRACE: Final = 0.25
 _tokens = itertools.count(1)
-
-
-class DriveSeen(Protocol):
-    """What is seen of a drive's plugin, wherever it runs; see :class:`dpstack.profile.DriveCore`."""
-
-    @property
-    def drive(self) -> str:
-        """What kind of drive it is."""
-
-    @property
-    def reference_hz(self) -> float:
-        """The frequency that 100 % speed means."""
-
-    @property
-    def setpoint(self) -> float:
-        """The set point as a part of the reference."""
-
-    @property
-    def telegram(self) -> TelegramSpec:
-        """The telegram it is exchanged in."""
-
-    @property
-    def access(self) -> object | None:
-        """The parameter channel, where its telegram has one."""
-
-    def parameters(self) -> tuple[ListedParam, ...]:
-        """Those it declares, in the order in which they are listed."""
-
-    def setpoint_word(self, fraction: float) -> int:
-        """The set point as its word. Raises ValueError with the range."""
-
-    def status(self) -> DriveStatus:
-        """At this moment."""
 
 
 class Drive:
@@ -177,6 +145,28 @@ class Drive:
     ) -> ParameterValue:
         """As :meth:`read`, with name, unit and the integer on the wire."""
         return _value(await self._order("read", timeout, number=number, data_set=data_set, index=index))
+
+    async def read_many(
+        self, parameters: Sequence[int | str | ParameterPlace], *, timeout: float = 5.0
+    ) -> list[ParameterValue | ParameterError]:
+        """Several parameters, each as :meth:`parameter`; in few requests where the way to the drive takes several.
+
+        One entry for each, in their order; what the drive refuses is the error in its place. Raises as :meth:`read`
+        for everything else.
+        """
+        tables = [one.as_dict() if isinstance(one, ParameterPlace) else {"number": one} for one in parameters]
+        found = (await self._order("read_many", timeout, parameters=tables)).get("values")
+        if not isinstance(found, (list, tuple)):
+            raise TypeError(f"several parameters are {found!r}")
+        return [self._entry(one) for one in found]
+
+    async def read_array(
+        self, number: int | str, count: int, *, first: int = 0, timeout: float = 5.0
+    ) -> list[ParameterValue | ParameterError]:
+        """``count`` elements of an array from ``first`` on (indexes as :meth:`read` has them), as :meth:`read_many`."""
+        return await self.read_many(
+            [ParameterPlace(number, index=at) for at in range(first, first + count)], timeout=timeout
+        )
 
     @property
     def parameters(self) -> tuple[ListedParam, ...]:
@@ -342,6 +332,14 @@ class Drive:
                 f"(of a run: dpstack ctl {self._bus.config.bus.port} operate)"
             )
         return "no answer from the plugin"
+
+    def _entry(self, payload: Mapping[str, object]) -> ParameterValue | ParameterError:
+        if "error" not in payload:
+            return _value(payload)
+        error = self._error(payload)
+        if not isinstance(error, ParameterError):
+            raise error
+        return error
 
     def _error(self, payload: Mapping[str, object]) -> DpError:
         text = f"drive {self.name}: {payload.get('text')}"

@@ -23,6 +23,7 @@ from dpstack.dp.events import (
     SlaveStateChanged,
 )
 from dpstack.dp.scanner import Found, ScanDone, SlaveView, StationSeen
+from dpstack.dp.v1.ms2_orders import ConnectionOver
 from dpstack.drivers.base import PortBack, PortLost
 from dpstack.fdl.events import AddressCollision, DoesNotFit, MasterSeen, RingJoined, RingLeft, StationFound, TokenLost
 from dpstack.trace import Event, Notice, Severity
@@ -31,6 +32,7 @@ from dpstack.units import NS_PER_US
 __all__ = [
     "AddressCollision",
     "AutoCleared",
+    "ConnectionOver",
     "ControlFailed",
     "ControlSent",
     "CyclesMissed",
@@ -81,6 +83,8 @@ def severity_of(event: Event) -> Severity:
             return Severity.WARNING
         case DriveEvent(payload={"type": "failed"}):
             return Severity.ERROR
+        case ConnectionOver(ordered=False):
+            return Severity.WARNING
     return Severity.INFO
 
 
@@ -120,6 +124,8 @@ def event_json(event: Event, t: float) -> dict[str, object] | None:
             return {"event": "station", **line, **found.as_dict(), "present": present, "text": event.text}
         case StationFound(address=address):
             return {"event": "station", **line, "address": address, "text": event.text}
+        case ConnectionOver(address=address):
+            return {"event": "connection_over", **line, "address": address, "text": event.text}
         case PortLost(port=port) | PortBack(port=port):
             return {"event": "port", **line, "port": port, "lost": isinstance(event, PortLost), "text": event.text}
         case Notice():

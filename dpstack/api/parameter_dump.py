@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final, Protocol
@@ -30,6 +30,19 @@ class ParameterValue:
     raw: int
     unit: str = ""
     data_set: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterPlace:
+    """A parameter by number or name, in a data set, or an element by index."""
+
+    number: int | str
+    data_set: int | None = None
+    index: int | None = None
+
+    def as_dict(self) -> dict[str, int | str]:
+        """What is given of it."""
+        return {key: value for key, value in asdict(self).items() if value is not None}
 
 
 class Readable(Protocol):

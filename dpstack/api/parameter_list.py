@@ -8,7 +8,7 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, NoReturn
+from typing import Final, NoReturn, Protocol
 
 from dpstack.api.toml_text import quoted
 from dpstack.errors import ConfigError, UsageError
@@ -155,6 +155,17 @@ class ParameterList:
             file.keep(self)
 
 
+class Kept(Protocol):
+    """A list that is written into a file."""
+
+    @property
+    def complete(self) -> bool:
+        """False where it was cut short."""
+
+    def text(self) -> str:
+        """As it stands in the file."""
+
+
 class FileToBe:
     """A file that is made aside and takes its name at the end, so that no half of it is ever there under that name.
 
@@ -177,7 +188,7 @@ class FileToBe:
     def __exit__(self, *_exc: object) -> None:
         self._new.unlink(missing_ok=True)
 
-    def keep(self, found: ParameterList) -> Path:
+    def keep(self, found: Kept) -> Path:
         """Write it; one that is not complete under :attr:`part`, beside an older one that was. Where it is now."""
         path = self.path if found.complete else self.part
         self._writing(found.text())

@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Awaitable, Callable, Sequence
 from typing import TypeVar
 
-from dpstack.api.records import Records
+from dpstack.api.records import RecordAccess
 from dpstack.dp.v1.codes import Decode
 from dpstack.errors import AcyclicError, DriveError, DriveTimeout, ParameterError, ServiceRefused
 from dpstack.profile import CommandError
@@ -90,12 +90,19 @@ class RecordParameters:
         return await self._run(lambda deadline: texts(self._client, pnu, count, deadline, first=first), timeout)
 
     async def read_out(
-        self, *, described: bool = True, timeout: float | None = None, progress: Progress | None = None
+        self,
+        *,
+        described: bool = True,
+        timeout: float | None = None,
+        progress: Progress | None = None,
+        describing: Progress | None = None,
     ) -> list[ReadParameter]:
-        """Every parameter of the drive's list with its values."""
-        return await self._run(
-            lambda deadline: read_out(self._client, deadline, progress, described=described), timeout
-        )
+        """Every parameter of the drive's list with its values; ``progress`` of these, ``describing`` what is before."""
+
+        def begin(deadline: int) -> Talk[list[ReadParameter]]:
+            return read_out(self._client, deadline, progress, described=described, describing=describing)
+
+        return await self._run(begin, timeout)
 
     async def _run(self, begin: Callable[[int], Talk[T]], timeout: float | None) -> T:
         loop = asyncio.get_running_loop()
@@ -129,14 +136,14 @@ class RecordParameters:
                 return DriveError(self._name, text)
 
 
-def over_records(records: Records, timeout: float) -> CarryOut:
-    """By MS1: what the slave refuses is an answer, other failures are raised as Read and Write raise them."""
+def over_records(records: RecordAccess, timeout: float) -> CarryOut:
+    """What the slave refuses is an answer, other failures are raised as Read and Write raise them."""
 
     async def carry_out(request: ReadReq | WriteReq) -> bytes | Refused:
         try:
             if isinstance(request, ReadReq):
-                return await records.read(request.slot, request.index, request.length, timeout)
-            await records.write(request.slot, request.index, request.data, timeout)
+                return await records.read(request.slot, request.index, request.length, timeout=timeout)
+            await records.write(request.slot, request.index, request.data, timeout=timeout)
         except AcyclicError as error:
             if error.error_decode != Decode.DPV1:
                 raise

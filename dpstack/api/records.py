@@ -1,7 +1,8 @@
-"""Read and Write of DP-V1 at one slave, to be awaited; I&M as typed records."""
+"""Read and Write of DP-V1 at one slave, to be awaited, by whatever way they go; I&M as typed records."""
 
 from __future__ import annotations
 
+import abc
 from typing import TYPE_CHECKING, Final
 
 from dpstack.dp.setup import SlaveSetup
@@ -18,56 +19,84 @@ if TYPE_CHECKING:
 TIMEOUT: Final = 10.0
 
 
-class Records:
-    """The records of one slave."""
+class RecordAccess(abc.ABC):
+    """Read and Write of one slave, and what is made of them. A ``timeout`` in seconds counts from the call."""
 
-    def __init__(self, services: Services, setup: SlaveSetup) -> None:
-        self._services = services
-        self._setup = setup
+    @property
+    @abc.abstractmethod
+    def address(self) -> int:
+        """Of the slave."""
 
-    async def read(self, slot: int, index: int, length: int | None, timeout: float) -> bytes:
-        """Up to ``length`` octets, None: as many as it can have."""
-        token = self._services.token()
-        wanted = self._longest if length is None else length
-        command = ReadRecord(token, self._setup.address, slot, index, wanted, s_to_ns(timeout))
-        return (await self._services.do(token, command, RecordDone)).outcome.data
+    @property
+    @abc.abstractmethod
+    def who(self) -> str:
+        """The slave for people."""
 
-    async def write(self, slot: int, index: int, data: bytes, timeout: float) -> None:
+    @abc.abstractmethod
+    async def read(self, slot: int, index: int, length: int | None = None, *, timeout: float = TIMEOUT) -> bytes:
+        """Up to ``length`` octets of a record, None: as many as it can have."""
+
+    @abc.abstractmethod
+    async def write(self, slot: int, index: int, data: bytes, *, timeout: float = TIMEOUT) -> None:
         """All of ``data``."""
-        if self._longest < len(data) <= MAX_RECORD:
-            raise UsageError(
-                f"{self._who}: {len(data)} octets, its GSD file says C1_Max_Data_Len = {self._longest}: write less"
-            )
-        token = self._services.token()
-        command = WriteRecord(token, self._setup.address, slot, index, bytes(data), s_to_ns(timeout))
-        await self._services.do(token, command, RecordDone)
 
-    async def im(self, number: int, slot: int, timeout: float) -> Im:
-        """I&M ``number``: the call, then what it gives."""
+    async def im(self, number: int = 0, *, slot: int = 0, timeout: float = TIMEOUT) -> Im:
+        """I&M ``number`` 0..4 of ``slot``: the call, then what it gives. Raises as :meth:`read`."""
         if not 0 <= number <= 4:
             raise UsageError(f"there is no I&M{number}: 0..4")
-        await self.write(slot, IM_INDEX, build_call(number), timeout)
-        octets = await self.read(slot, IM_INDEX, None, timeout)
+        await self.write(slot, IM_INDEX, build_call(number), timeout=timeout)
+        octets = await self.read(slot, IM_INDEX, timeout=timeout)
         try:
             return parse_answer(octets, number)
         except PduError as error:
-            raise SlaveFault(self._setup.address, f"{self._who} gives no I&M{number}: {error}") from None
+            raise SlaveFault(self.address, f"{self.who} gives no I&M{number}: {error}") from None
 
-    async def write_im(self, record: Im, slot: int, timeout: float) -> None:
-        """I&M1 to 4."""
+    async def write_im(self, record: Im, *, slot: int = 0, timeout: float = TIMEOUT) -> None:
+        """Write I&M1 to I&M4. Raises as :meth:`read`."""
         if isinstance(record, Im0):
             raise UsageError("I&M0 is what the device is: it cannot be written")
         try:
             call = build_call(number_of(record), record)
         except PduError as error:
             raise UsageError(str(error)) from None
-        await self.write(slot, IM_INDEX, call, timeout)
+        await self.write(slot, IM_INDEX, call, timeout=timeout)
+
+
+class Records(RecordAccess):
+    """The records of a slave of this master (MS1)."""
+
+    def __init__(self, services: Services, setup: SlaveSetup) -> None:
+        self._services = services
+        self._setup = setup
+
+    @property
+    def address(self) -> int:
+        """Of the slave."""
+        return self._setup.address
+
+    @property
+    def who(self) -> str:
+        """The slave for people."""
+        return f"slave {self._setup.address} ({self._setup.name})"
+
+    async def read(self, slot: int, index: int, length: int | None = None, *, timeout: float = TIMEOUT) -> bytes:
+        """Up to ``length`` octets, None: as many as it can have."""
+        token = self._services.token()
+        wanted = self._longest if length is None else length
+        command = ReadRecord(token, self.address, slot, index, wanted, s_to_ns(timeout))
+        return (await self._services.do(token, command, RecordDone)).outcome.data
+
+    async def write(self, slot: int, index: int, data: bytes, *, timeout: float = TIMEOUT) -> None:
+        """All of ``data``."""
+        if self._longest < len(data) <= MAX_RECORD:
+            raise UsageError(
+                f"{self.who}: {len(data)} octets, its GSD file says C1_Max_Data_Len = {self._longest}: write less"
+            )
+        token = self._services.token()
+        command = WriteRecord(token, self.address, slot, index, bytes(data), s_to_ns(timeout))
+        await self._services.do(token, command, RecordDone)
 
     @property
     def _longest(self) -> int:
         dpv1 = self._setup.dpv1
         return MAX_RECORD if dpv1 is None else dpv1.c1_max_data_len
-
-    @property
-    def _who(self) -> str:
-        return f"slave {self._setup.address} ({self._setup.name})"

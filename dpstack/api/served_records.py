@@ -3,32 +3,56 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Coroutine
 
-from dpstack.dp.dp_slave import OnRead, OnWrite
+from dpstack.dp.dp_slave import OnRead, OnTransport, OnWrite
 from dpstack.dp.v1.codes import Code
 from dpstack.dp.v1.records import ReadReq
-from dpstack.dp.v1.serving import Ticket
+from dpstack.dp.v1.tickets import AnyTicket, Ticket, TransportTicket
 
 
 class AsyncRecords:
-    """``on_read`` and ``on_write`` of a :class:`~dpstack.dp.dp_slave.DpSlave`; one that is not there refuses."""
+    """The functions of a :class:`~dpstack.dp.dp_slave.DpSlave` for records; one that is not there refuses."""
 
-    def __init__(self, on_read: OnRead | None, on_write: OnWrite | None) -> None:
+    def __init__(
+        self, on_read: OnRead | None, on_write: OnWrite | None, on_transport: OnTransport | None = None
+    ) -> None:
         self._on_read = on_read
         self._on_write = on_write
+        self._on_transport = on_transport
         self._tasks: set[asyncio.Task[None]] = set()
 
     def ask(self, ticket: Ticket) -> None:
         """Start the function; the master polls meanwhile. Where it gives up, the function is cancelled."""
-        task = asyncio.get_running_loop().create_task(self._serve(ticket), name=ticket.title)
-        self._tasks.add(task)
-        ticket.abandoned = task.cancel
-        task.add_done_callback(self._tasks.discard)
+        self._start(ticket, self._serve(ticket))
+
+    def transport(self, ticket: TransportTicket) -> None:
+        """The same for Data_Transport."""
+        self._start(ticket, self._carry(ticket))
 
     def end(self) -> None:
         """The slave is served no more: what is under way is cancelled."""
         for task in self._tasks:
             task.cancel()
+
+    def _start(self, ticket: AnyTicket, work: Coroutine[None, None, None]) -> None:
+        task = asyncio.get_running_loop().create_task(work, name=ticket.title)
+        self._tasks.add(task)
+        ticket.abandoned = task.cancel
+        task.add_done_callback(self._tasks.discard)
+
+    async def _carry(self, ticket: TransportTicket) -> None:
+        request = ticket.request
+        try:
+            if self._on_transport is None:
+                ticket.refuse(Code.NOT_SUPPORTED)
+                return
+            data = await self._on_transport(request.slot, request.index, request.data)
+            if not isinstance(data, (bytes, bytearray)):
+                raise TypeError(f"on_transport returned {type(data).__name__}, what goes back is bytes")
+            ticket.answer(bytes(data))
+        except Exception as error:  # the user's, as below
+            ticket.fail(error)
 
     async def _serve(self, ticket: Ticket) -> None:
         request = ticket.request

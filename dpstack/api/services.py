@@ -10,14 +10,33 @@ from typing import TYPE_CHECKING, Final, TypeVar
 from dpstack.dp.acyclic import CancelService
 from dpstack.dp.class2_jobs import Outcome, ServiceDone, ServiceFailure
 from dpstack.dp.v1.ms1 import RecordDone
-from dpstack.errors import AcyclicError, BusError, DpError, ServiceRefused, SlaveFault, SlaveTimeout, UsageError
+from dpstack.dp.v1.ms2_orders import ConnectionOver, ConnectionsClosed, InitiateDone, TransportDone
+from dpstack.errors import (
+    AcyclicError,
+    BusError,
+    ConnectionEnded,
+    DpError,
+    ServiceRefused,
+    SlaveFault,
+    SlaveTimeout,
+    UsageError,
+)
 from dpstack.trace import Event
 
 if TYPE_CHECKING:
     from dpstack.api.bus import Bus
 
-Done = ServiceDone | RecordDone
-D = TypeVar("D", ServiceDone, RecordDone)
+Done = ServiceDone | RecordDone | InitiateDone | TransportDone
+D = TypeVar("D", ServiceDone, RecordDone, InitiateDone, TransportDone)
+
+
+class Ending:
+    """How a class 2 connection ends: ``over`` once it has. ``lost``: nothing will be told of it any more, and why."""
+
+    def __init__(self) -> None:
+        self.over: ConnectionOver | None = None
+        self.lost: DpError | None = None
+        self.told = asyncio.Event()
 
 
 class Services:
@@ -27,13 +46,18 @@ class Services:
         self._bus = bus
         self._tokens = itertools.count(1)
         self._waiting: dict[int, asyncio.Future[Done]] = {}
+        #: class 2 connections by the token that opened them
+        self.connections: dict[int, Ending] = {}
 
     def token(self) -> int:
         """For one more service."""
         return next(self._tokens)
 
-    async def do(self, token: int, command: object, kind: type[D]) -> D:
-        """Order it and wait for its end, a ``kind``; without a result it is raised, see :func:`error_of`."""
+    async def do(self, token: int, command: object, kind: type[D], cancel: object = None) -> D:
+        """Order it and wait for its end, a ``kind``; without a result it is raised, see :func:`error_of`.
+
+        ``cancel``: the order that gives it up where it is cancelled (default CancelService).
+        """
         bus = self._bus
         future: asyncio.Future[Done] = asyncio.get_running_loop().create_future()
         self._waiting[token] = future
@@ -42,7 +66,7 @@ class Services:
             done = await future
         except asyncio.CancelledError:
             with contextlib.suppress(DpError):  # the bus may have ended meanwhile
-                bus.command(CancelService(token))
+                bus.command(CancelService(token) if cancel is None else cancel)
             raise
         finally:
             del self._waiting[token]
@@ -53,7 +77,15 @@ class Services:
 
     def take(self, event: Event) -> bool:
         """From the machine: True for the end of a service. One that nobody waits for any more is dropped."""
-        if not isinstance(event, (ServiceDone, RecordDone)):
+        if isinstance(event, ConnectionOver):
+            ending = self.connections.pop(event.connection, None)
+            if ending is not None:
+                ending.over = event
+                ending.told.set()
+            return False  # everybody may know
+        if isinstance(event, ConnectionsClosed):
+            return True
+        if not isinstance(event, (ServiceDone, RecordDone, InitiateDone, TransportDone)):
             return False
         future = self._waiting.get(event.token)
         if future is not None and not future.done():
@@ -65,16 +97,22 @@ class Services:
         for future in self._waiting.values():
             if not future.done():
                 future.set_exception(error)
+        for ending in self.connections.values():
+            ending.lost = error
+            ending.told.set()
+        self.connections.clear()
 
 
 _LATE: Final = (ServiceFailure.SILENT, ServiceFailure.LATE, ServiceFailure.GONE)
-_NO: Final = (ServiceFailure.REFUSED, ServiceFailure.KEPT)
+_NO: Final = (ServiceFailure.REFUSED, ServiceFailure.KEPT, ServiceFailure.NEGATIVE)
 
 
 def error_of(done: Done, failure: ServiceFailure) -> DpError:
     """The exception of a service without a result."""
     outcome: Outcome = done.outcome
-    if isinstance(done, RecordDone) and outcome.codes is not None:
+    if failure is ServiceFailure.ABORTED:
+        return ConnectionEnded(done.address, outcome.text, abort=outcome.codes)
+    if isinstance(done, (RecordDone, TransportDone)) and outcome.codes is not None:
         return AcyclicError(
             done.address,
             outcome.text,

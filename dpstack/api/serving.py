@@ -11,6 +11,7 @@ from dpstack.dp.device import Device
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.dp_slave import DpSlave
 from dpstack.dp.slaveapp import SlaveApp, SlaveAppState, SlaveAppStats
+from dpstack.dp.v1.ms2_server import ServedConnection
 from dpstack.drivers.aio import AsyncioRuntime, patience_of
 from dpstack.drivers.base import Runtime
 from dpstack.drivers.virtual import VirtualRuntime
@@ -35,9 +36,10 @@ class ServedSlave:
     def __init__(self, device: Device, address: int, fixed: bool, params: BusParams, patience: Patience) -> None:
         self.device = device
         self._records: AsyncRecords | None = None
-        if isinstance(device, DpSlave) and (device.on_read or device.on_write):
-            self._records = AsyncRecords(device.on_read, device.on_write)
+        if isinstance(device, DpSlave) and (device.on_read or device.on_write or device.on_transport):
+            self._records = AsyncRecords(device.on_read, device.on_write, device.on_transport)
             device.serve_records(self._records)
+            device.transport = self._records.transport
         self._app = SlaveApp(device, address=address, address_fixed=fixed)
         self.station = PassiveStation(address, self._app, params, patience=patience)
         #: set by the server: what keeps the station running
@@ -84,6 +86,16 @@ class ServedSlave:
     def failure(self) -> str | None:
         """What its functions raised, None while they work; :meth:`restart` forgets it."""
         return self._app.failure
+
+    @property
+    def connections(self) -> tuple[ServedConnection, ...]:
+        """Its open connections of class 2."""
+        return self._app.connections
+
+    @property
+    def connections_free(self) -> int:
+        """How many more there can be."""
+        return self._app.connections_free
 
     @property
     def stats(self) -> SlaveAppStats:

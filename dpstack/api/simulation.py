@@ -101,7 +101,12 @@ class Simulation:
         self._was_found = False
         if baud == AUTO:
             self._search = SearchingPort(
-                self._line, self._watched, rates=rates, slack_ns=patience.known_ns, settle_ns=settle_ns_of(opened)
+                self._line,
+                self._watched,
+                rates=rates,
+                slack_ns=patience.known_ns,
+                settle_ns=settle_ns_of(opened),
+                lost=self._rate_lost,
             )
         machine = self._search or self._line
         self.runtime = AsyncioRuntime(
@@ -221,6 +226,10 @@ class Simulation:
     def _watched(self) -> bool:
         """Whether the watchdog of any slave runs."""
         return any(unit.app.watchdog.time_ns and unit.powered for unit in self._units.values())
+
+    def _rate_lost(self, now: int) -> None:
+        for unit in self._units.values():
+            unit.app.rate_lost(now)
 
     def _failed(self, error: Exception) -> None:
         failure = BusError(f"the simulation was stopped by a defect in dpstack ({type(error).__name__}: {error})")

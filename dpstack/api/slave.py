@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import dataclasses
 import difflib
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, TypedDict, Unpack
+from typing import TYPE_CHECKING, Unpack
 
 from dpstack.api.record_parameters import RecordParameters, over_records
 from dpstack.api.records import TIMEOUT, Records
-from dpstack.api.slave_config import SlaveConfig, refitted
+from dpstack.api.slave_changes import Changes, changed
+from dpstack.api.slave_config import SlaveConfig
 from dpstack.dp import faults
 from dpstack.dp.commands import ActivateSlave, DeactivateSlave, ReparameteriseSlave
 from dpstack.dp.diag_texts import block_texts
@@ -24,24 +24,6 @@ from dpstack.errors import SlaveFault, SlaveTimeout, UsageError
 
 if TYPE_CHECKING:
     from dpstack.api.bus import Bus
-
-
-class Changes(TypedDict, total=False):
-    """What :meth:`Slave.reparameterise` can change; ``config`` are the identifier octets."""
-
-    user_prm: bytes
-    config: bytes
-    ident: int | None
-    watchdog_ms: int | None
-    groups: tuple[int, ...]
-    sync: bool
-    freeze: bool
-    fail_safe: bool
-    safe: bytes
-    every: int
-    min_slave_interval_ns: int
-    wd_base_1ms: bool
-    ignore_auto_clear: bool
 
 
 class Slave:
@@ -258,19 +240,19 @@ class Slave:
         Raises AcyclicError (the slave refuses: class, code, text), ServiceRefused (it has no Read and Write),
         SlaveTimeout, SlaveFault (it left data exchange, or answers what cannot be), UsageError, BusError.
         """
-        return await self._records.read(slot, index, length, timeout)
+        return await self._records.read(slot, index, length, timeout=timeout)
 
     async def write(self, slot: int, index: int, data: bytes, *, timeout: float = TIMEOUT) -> None:
         """Write a record of DP-V1, up to 240 octets; otherwise as :meth:`read`."""
-        await self._records.write(slot, index, data, timeout)
+        await self._records.write(slot, index, data, timeout=timeout)
 
     async def im(self, number: int = 0, *, slot: int = 0, timeout: float = TIMEOUT) -> Im:
         """I&M ``number`` 0..4 of ``slot``. Raises as :meth:`read`; AcyclicError where the slave has it not."""
-        return await self._records.im(number, slot, timeout)
+        return await self._records.im(number, slot=slot, timeout=timeout)
 
     async def write_im(self, record: Im, *, slot: int = 0, timeout: float = TIMEOUT) -> None:
         """Write I&M1 to I&M4. Raises as :meth:`read`."""
-        await self._records.write_im(record, slot, timeout)
+        await self._records.write_im(record, slot=slot, timeout=timeout)
 
     def parameters(self, slot: int = 1, *, object: int = 1, timeout: float = TIMEOUT) -> RecordParameters:
         """PROFIdrive's parameter access, record 47 of ``slot``: many parameters, arrays, the drive's own list.
@@ -303,11 +285,7 @@ class Slave:
         lengths under a drive plugin, SlaveFault or SlaveTimeout as :meth:`ready`. A drive's pending orders end with
         DriveError. ``timeout`` in seconds.
         """
-        unknown = sorted(set(changes) - set(Changes.__annotations__))
-        if unknown:
-            known = ", ".join(sorted(Changes.__annotations__))
-            raise UsageError(f"{unknown[0]!r} cannot be changed; these can: {known}")
-        config = refitted(dataclasses.replace(self.config, **changes))
+        config = changed(self.config, changes)
         self._bus.command(ReparameteriseSlave(self._bus.fitting(config)))
         self.config = config
         self._handler = self._bus.master.handlers[self.address]

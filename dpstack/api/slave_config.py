@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
 from dpstack.api.dpv1_config import read_dpv1
 from dpstack.api.field_config import read_fields
+from dpstack.api.ms2_config import Ms2Limits
 from dpstack.api.slave_basis import Basis, basis_of
 from dpstack.api.tables import Table
 from dpstack.dp.diag_texts import DiagTexts
@@ -85,10 +85,14 @@ class SlaveConfig:
     ignore_auto_clear: bool = False
     #: DPV1_Enable and what goes with it; None: nothing of DP-V1 is used
     dpv1: Dpv1 | None = None
+    #: what its GSD file says about class 2 connections
+    ms2: Ms2Limits = field(default_factory=Ms2Limits)
     #: what the device's GSD file says to a diagnosis
     texts: DiagTexts | None = field(default=None, compare=False, repr=False)
     #: as a slave, where its GSD file describes it
     description: SlaveDescription | None = field(default=None, compare=False, repr=False)
+    #: what its GSD file says
+    device: Device | None = field(default=None, compare=False, repr=False)
     #: names for what is in the process data
     input_fields: FieldMap = field(default_factory=FieldMap)
     output_fields: FieldMap = field(default_factory=FieldMap)
@@ -138,24 +142,6 @@ class SlaveConfig:
             dpv1=self.dpv1,
             texts=self.texts,
         )
-
-
-def refitted(slave: SlaveConfig) -> SlaveConfig:
-    """``slave`` after a change, held against its names for process data and its GSD file. Raises ConfigError."""
-    where, told = f"slave {slave.address} ({slave.name})", slave.description
-    if told is not None:
-        for key, supported in (("sync", told.sync), ("freeze", told.freeze)):
-            if getattr(slave, key) and not supported:
-                raise ConfigError(f"{where}: its GSD file says {key.capitalize()}_Mode_supp = 0; leave {key} out")
-        reason = told.check_prm(slave.user_prm) if slave.config in told.configs else None
-        if reason is not None:
-            raise ConfigError(f"{where}: {reason}")
-    try:
-        inputs = slave.input_fields.fitted(slave.input_len, "inputs")
-        outputs = slave.output_fields.fitted(slave.output_len, "outputs")
-    except ConfigError as error:
-        raise ConfigError(f"{where}: {error}; a named field would be lost") from None
-    return dataclasses.replace(slave, input_fields=inputs, output_fields=outputs)
 
 
 def read_slave(table: Table) -> SlaveConfig:
@@ -213,6 +199,7 @@ def _build(table: Table, address: int, basis: Basis) -> SlaveConfig:
         baud_rates=basis.baud_rates,
         texts=basis.texts,
         description=basis.description,
+        device=device,
         watchdog_ms=watchdog,
         groups=table.integers("groups", 1, 8),
         every=1 if every is None else every,
@@ -226,6 +213,7 @@ def _build(table: Table, address: int, basis: Basis) -> SlaveConfig:
         wd_base_1ms=_wd_base_1ms(table, device, told),
         ignore_auto_clear=table.flag("ignore_auto_clear", False),
         dpv1=read_dpv1(table, device, user_prm),
+        ms2=Ms2Limits.of(device),
         input_fields=input_fields,
         output_fields=output_fields,
         notes=tuple(notes),

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from dpstack.api.gsd import read_gsd
 from dpstack.dp.device import Leave, OnCycle
-from dpstack.dp.dp_slave import DpSlave, OnAddress, OnRead, OnWrite
+from dpstack.dp.dp_slave import DpSlave, OnAddress, OnIm, OnRead, OnTransport, OnWrite
 from dpstack.dp.slave_gsd import slave_description
-from dpstack.dp.v1.im import Im
+from dpstack.dp.v1.prm_blocks import PrmBlock
+from dpstack.dp.v1.serving import ImOf
 from dpstack.errors import ConfigError, GsdError
 from dpstack.gsd.configuration import configure, default_modules
 
@@ -22,11 +23,14 @@ def slave_from_gsd(
     name: str = "",
     safe: bytes | None = None,
     on_prm: Callable[[bytes], str | None] | None = None,
+    on_blocks: Callable[[tuple[PrmBlock, ...]], str | None] | None = None,
     on_address: OnAddress | None = None,
     on_leave: Callable[[Leave], None] | None = None,
     on_read: OnRead | None = None,
     on_write: OnWrite | None = None,
-    im: Iterable[Im] = (),
+    on_transport: OnTransport | None = None,
+    im: ImOf = (),
+    on_im: OnIm | None = None,
 ) -> DpSlave:
     """The slave that the GSD file at ``path`` describes, doing what ``on_cycle(outputs, elapsed)`` does.
 
@@ -48,9 +52,12 @@ def slave_from_gsd(
         config=None if preset is None else preset.config,
         safe=safe,
         on_prm=on_prm,
+        on_blocks=on_blocks,
         on_address=on_address,
         on_leave=on_leave,
         on_read=on_read,
         on_write=on_write,
+        on_transport=on_transport,
         im=im,
+        on_im=on_im,
     )

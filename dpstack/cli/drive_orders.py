@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
 from collections.abc import AsyncIterator, Mapping, Sequence
 from contextlib import asynccontextmanager
 from typing import Any, Final, NamedTuple, Protocol
-
-from rich.console import Console
-from rich.progress import Progress
 
 from dpstack.api.control.specs import Spec
 from dpstack.api.parameter_dump import OnParameter, Readable, compare, dump
 from dpstack.api.parameter_list import SavedParam, label, value_text
 from dpstack.cli import output
+from dpstack.cli.progress import progress_bar
 from dpstack.cli.streams import warn
 
 DUMP_AND_COMPARE: Final = (
@@ -121,16 +118,15 @@ class Orders:
     async def _progress(self, part: str | None) -> AsyncIterator[OnParameter]:
         """Shows on a terminal how far it is; cut short, says where what was read is."""
         read = 0
-        shown = Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty())
-        task = shown.add_task(f"parameters of {self._drive.name}", total=None)
-
-        def on_parameter(number: int, count: int, _one: SavedParam) -> None:
-            nonlocal read
-            read = number
-            shown.update(task, total=count, completed=number)
-
+        title = f"parameters of {self._drive.name}"
         try:
-            with shown:
+            with progress_bar(title) as tell:
+
+                def on_parameter(number: int, count: int, _one: SavedParam) -> None:
+                    nonlocal read
+                    read = number
+                    tell(title, number, count)
+
                 yield on_parameter
         except BaseException:
             if part is not None and read:

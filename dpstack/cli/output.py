@@ -50,6 +50,11 @@ def line(text: str, style: str = "") -> None:
         _write(text)
 
 
+def visible(text: str) -> str:
+    """A device's own text, its control characters in hex: they are nothing for a terminal."""
+    return "".join(letter if letter.isprintable() else f"\\x{ord(letter):02x}" for letter in text)
+
+
 def rich_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> Table:
     """A table as rich draws it."""
     table = Table(title=title or None, title_justify="left", title_style="bold")

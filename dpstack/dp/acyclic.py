@@ -1,14 +1,15 @@
-"""Everything a station asks slaves beside the cycle: services of a class 2 master, Read and Write of DP-V1 (MS1).
+"""Everything a station asks slaves beside the cycle: services of a class 2 master, DP-V1 (MS1, and MS2 connections).
 
 A user of the link layer with a low claim: one request a token hold, in time that is left, whatever service it belongs
 to; who waited longest for a turn comes first. The queue is bounded, and every service that was taken has exactly one
 end, an event, whatever happens: the slave's answer, its silence, its refusal, a lost token, a lost port. (What the
-services are is in :mod:`dpstack.dp.class2` and :mod:`dpstack.dp.v1.ms1`.)
+services are is in :mod:`dpstack.dp.class2`, :mod:`dpstack.dp.v1.ms1` and :mod:`dpstack.dp.v1.ms2`.)
 """
 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Hashable
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -19,6 +20,7 @@ from dpstack.dp.master import Master
 from dpstack.dp.ms0 import positive
 from dpstack.dp.v1 import units
 from dpstack.dp.v1.ms1 import SERVICE_TIMEOUT, Ms1
+from dpstack.dp.v1.ms2 import Ms2
 from dpstack.errors import UsageError
 from dpstack.fdl.telegram import SAP_SLAVE_DIAG, Telegram
 from dpstack.fdl.user import Failure, Request
@@ -26,12 +28,12 @@ from dpstack.machine import LineDown
 from dpstack.trace import Event
 from dpstack.units import NEVER, ns_to_s
 
-#: services that may wait at a time: of class 2 in all, of class 1 for each slave
+#: services that may wait at a time: of class 2 in all, of class 1 for each slave, for each connection
 CAPACITY: Final = 32
 
 
 #: the token of services that no program ordered
-UNITS: Final = -1
+UNORDERED: Final = -1
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,19 +77,27 @@ class Acyclic:
     _known: set[int] = field(default_factory=set)
     _events: list[Event] = field(default_factory=list)
     _ms1: Ms1 = field(init=False)
+    _ms2: Ms2 = field(init=False)
     _turns: itertools.count[int] = field(default_factory=itertools.count)
 
     def __post_init__(self) -> None:
         self._ms1 = Ms1(self.own, self.master)
+        self._ms2 = Ms2(self.own, self.master)
 
     @property
     def waiting(self) -> int:
         """Services that have no end yet."""
         return len(self._queue)
 
+    @property
+    def connections(self) -> int:
+        """Class 2 connections that slaves may hold for this master."""
+        return len(self._ms2.connections)
+
     # --- orders -------------------------------------------------------------------------------------------------
     def command(self, command: object, now: int) -> bool:
-        """Take the orders of :mod:`dpstack.dp.class2` and :mod:`dpstack.dp.v1.ms1`, and CancelService.
+        """Take the orders of :mod:`dpstack.dp.class2`, :mod:`dpstack.dp.v1.ms1`, :mod:`dpstack.dp.v1.ms2_orders`, and
+        CancelService.
 
         Raises UsageError for what cannot be, or too much.
         """
@@ -101,22 +111,36 @@ class Acyclic:
                 for entry in tuple(self._queue):
                     what = f"had no end when the port vanished ({reason}); it can be repeated when the port is back"
                     self._cut(entry, ServiceFailure.LINE, what, now)
+                self._ms2.line_down(reason, now)
+                self._take_wanted(now)
                 return False
             case _:
-                order = self._ms1.job_of(command)
-                if order is None:
+                order = self._ms1.job_of(command) or self._ms2.job_of(command, now)
+                if order is not None:
+                    self._take(*order, now)
+                elif not self._ms2.command(command, now):
                     return False
-                self._take(*order, now)
+        self._take_wanted(now)
         return True
 
     def _take(self, token: int, job: Job, timeout_ns: int, now: int) -> None:
         if not self._room(job.lane):
-            what = "class 2 services are" if job.lane is None else f"services for slave {job.lane} are"
+            what = "class 2 services are" if job.lane is None else f"services for slave {job.address} are"
             raise UsageError(f"{CAPACITY} {what} waiting already: await their results first")
-        deadline = now + timeout_ns
-        self._queue.append(_Entry(token, job, deadline, timeout_ns, job.steps(), self._tokens, next(self._turns)))
+        self._enter(token, job, timeout_ns, now)
 
-    def _room(self, lane: int | None) -> bool:
+    def _enter(self, token: int, job: Job, timeout_ns: int, now: int) -> None:
+        steps = job.steps()
+        self._queue.append(_Entry(token, job, now + timeout_ns, timeout_ns, steps, self._tokens, next(self._turns)))
+
+    def _take_wanted(self, now: int) -> None:
+        """What connections have to say that nobody ordered."""
+        wanted = self._ms2.wanted
+        while wanted:
+            job, timeout_ns = wanted.pop(0)
+            self._enter(UNORDERED, job, timeout_ns, now)
+
+    def _room(self, lane: Hashable | None) -> bool:
         return sum(entry.job.lane == lane for entry in self._queue) < CAPACITY
 
     # --- link user ----------------------------------------------------------------------------------------------
@@ -134,7 +158,9 @@ class Acyclic:
         # what a unit wants since the Data_Exchange of this hold goes out in the same one
         for handler, queue in units.asking(self._ms1):
             if self._room(handler.setup.address) and (job := units.unit_job(self._ms1, handler, queue)) is not None:
-                self._take(UNITS, job, SERVICE_TIMEOUT, now)
+                self._take(UNORDERED, job, SERVICE_TIMEOUT, now)
+        if self._ms2.connections:
+            self._keep_alive(now)
         if not self._queue:
             return None
         self._end_barred(now)
@@ -148,10 +174,15 @@ class Acyclic:
         request = entry.step.request
         return request if request.patient else request._replace(patient=request.da in self._known)
 
+    def _keep_alive(self, now: int) -> None:
+        self._ms2.clock.now = now
+        for job in tuple(self._ms2.quiet({entry.job.lane for entry in self._queue}, now)):
+            self._enter(UNORDERED, job, SERVICE_TIMEOUT, now)
+
     def _next(self, now: int) -> _Entry | None:
         """Services with the same lane come one after the other: the queue is in the order of their orders."""
         chosen: _Entry | None = None
-        lanes: set[int] = set()
+        lanes: set[Hashable] = set()
         for entry in self._queue:
             lane = entry.job.lane
             if lane is not None:
@@ -171,6 +202,7 @@ class Acyclic:
     def started(self, request: Request, at: int) -> None:
         """It was given time."""
         entry = self._asked
+        self._ms2.started(request)
         if entry is not None:
             entry.asked = True
             entry.turn = next(self._turns)
@@ -182,11 +214,14 @@ class Acyclic:
         entry, self._asked = self._asked, None
         if entry is None:
             return
+        self._ms2.clock.now = now
         if isinstance(outcome, Telegram):
             self._known.add(request.da)
             self._share(request, outcome, now)
         elif outcome is Failure.NO_ANSWER:
             self._known.discard(request.da)
+        elif outcome is Failure.ABANDONED and self._ms2.may_be_taken(request):
+            outcome = Failure.NO_ANSWER
         if outcome not in (Failure.ABANDONED, Failure.HELD_BACK):  # else it is asked again
             try:
                 entry.step = entry.steps.send(outcome)
@@ -207,10 +242,14 @@ class Acyclic:
 
     def wake_at(self) -> int:
         """When the time of a service is over."""
-        return min((min(entry.deadline, entry.answer_by) for entry in self._queue), default=NEVER)
+        services = min((min(entry.deadline, entry.answer_by) for entry in self._queue), default=NEVER)
+        return min(services, self._ms2.wake_at()) if self._ms2.connections else services
 
     def tick(self, now: int) -> None:
         """End what had its time; a request under way is waited for, and a slave's time ends with a last look."""
+        if self._ms2.tick(now):
+            self._end_barred(now)
+            self._take_wanted(now)
         for entry in [entry for entry in self._queue if entry.deadline <= now]:
             entry.deadline = NEVER
             self._cut(entry, ServiceFailure.LATE, self._why_late(entry), now)
@@ -229,6 +268,8 @@ class Acyclic:
     def take_events(self) -> list[Event]:
         """The ends of services."""
         events, self._events = self._events, []
+        if self._ms2.told:
+            events += self._ms2.take_events()
         return events
 
     # --- ends ---------------------------------------------------------------------------------------------------
@@ -246,4 +287,6 @@ class Acyclic:
 
     def _end(self, entry: _Entry, outcome: Outcome, now: int) -> None:
         self._queue.remove(entry)
+        self._ms2.clock.now = now
         self._events += entry.job.ends(entry.token, outcome, now)
+        self._take_wanted(now)

@@ -7,6 +7,7 @@ address (nobody there), the service, then Slave_Diag at the new address and sile
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import Final
 
@@ -55,7 +56,7 @@ class AddressChange:
     rem_slave_data: bytes = b""
     service: Service = Service.SET_ADDRESS
     aftermath: str = ""
-    lane: int | None = None
+    lane: Hashable | None = None
     overdue: str = ""
 
     @property

@@ -7,7 +7,7 @@ RD_Outp in data exchange, all of them to every master; none of these changes any
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Generator, Hashable
 from dataclasses import dataclass
 from enum import Enum, IntEnum
 from typing import Final, NamedTuple, Protocol, TypeVar
@@ -69,6 +69,7 @@ class ServiceFailure(Enum):
     CANCELLED = "cancelled"  # nobody wants it any more
     CLOSED = "closed"  # the slave is not in data exchange (any more)
     NEGATIVE = "negative"  # a negative response of DP-V1
+    ABORTED = "aborted"  # its class 2 connection is over
     IDENT = "ident"  # another device
     OWNED = "owned"  # in the hands of a class 1 master
     TAKEN = "taken"  # the new address is in use
@@ -81,7 +82,8 @@ class ServiceFailure(Enum):
 class Outcome:
     """The one end of a service: ``data`` of the answer, or ``failure`` with ``text`` that says what to do.
 
-    ``status``: how a refusing slave answered. ``codes``: Error_Decode, Error_Code_1 and 2 of a negative response.
+    ``status``: how a refusing slave answered. ``codes``: Error_Decode, Error_Code_1 and 2 of a negative response, or
+    subnet, instance and reason of the Abort that ended its class 2 connection.
     """
 
     data: bytes = b""
@@ -118,7 +120,7 @@ class Job(Protocol):
         """What is asked, by the standard's name."""
 
     @property
-    def lane(self) -> int | None:
+    def lane(self) -> Hashable | None:
         """Jobs of the same lane run one after the other, in the order they came."""
 
     @property
@@ -169,7 +171,7 @@ class Reading:
     expected: int | None = None
     #: it changes nothing
     aftermath: str = ""
-    lane: int | None = None
+    lane: Hashable | None = None
     overdue: str = ""
 
     @property

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from enum import Enum
 
 from dpstack.dp.user_diag import NO_DIAG, UserDiag
-from dpstack.dp.v1.serving import Records
+from dpstack.dp.v1.tickets import Records, Transport
 from dpstack.units import NEVER
 
 
@@ -30,7 +30,9 @@ class Device:
     not announce such frames in DPV1_Status_1 is refused. ``set_slave_add``: Set_Slave_Add is open. ``wd_base_1ms``:
     WD_Base_1ms in DPV1_Status_1 is understood. ``max_diag_len``: octets of a whole diagnosis, 6..244. ``safe``: the
     outputs while there are none of a master (Clear, before the first exchange), empty for zeros. ``records``: what
-    Read and Write of DP-V1 reach, None where the device has none of it.
+    Read and Write of DP-V1 reach, None where the device has none of it. ``ms2``: connections of class 2, 0..49;
+    ``transport`` serves their Data_Transport, ``ms2_max_len``: octets of data in one of their services, up to 240;
+    ``ms2_at_once``: it answers in the request itself what it knows by then, not when polled.
 
     All times in ns on the bus's clock; nothing here may block or read a clock of its own. An exception takes the device
     out of data exchange until it is restarted.
@@ -48,6 +50,10 @@ class Device:
     max_diag_len: int = 244
     safe: bytes = b""
     records: Records | None = None
+    ms2: int = 0
+    transport: Transport | None = None
+    ms2_max_len: int = 240
+    ms2_at_once: bool = False
 
     def check_prm(self, user_prm: bytes) -> str | None:
         """Judge the user parameters of Set_Prm (without the seven fixed octets): a reason to refuse, or None."""

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Awaitable, Callable, Iterable, Iterator
+from collections.abc import Awaitable, Callable, Iterator, Mapping
 from typing import Protocol
 
 from dpstack.dp.device import FunctionDevice, Leave, OnCycle
 from dpstack.dp.slave_description import SlaveDescription
 from dpstack.dp.user_diag import NO_DIAG, UserDiag
 from dpstack.dp.v1.im import Im
-from dpstack.dp.v1.serving import ImRecords, Records
+from dpstack.dp.v1.prm_blocks import PrmBlock
+from dpstack.dp.v1.serving import ImOf, ImRecords
+from dpstack.dp.v1.tickets import Records
 from dpstack.errors import ConfigError
 from dpstack.gsd.identifiers import io_lengths
 
@@ -22,10 +24,19 @@ class OnAddress(Protocol):
         """As :meth:`~dpstack.dp.device.Device.address_set`: all of it is kept."""
 
 
+class OnIm(Protocol):
+    """Keeps what a master wrote of I&M1 to I&M4 where it survives a restart."""
+
+    def __call__(self, slot: int, record: Im) -> None:
+        """``record`` as it is to stand from now on, at the slot that was addressed."""
+
+
 #: a record's octets from slot and index; from slot, index and octets to nothing. Both may take their time, and raise
 #: :class:`~dpstack.errors.RecordRefused`.
 OnRead = Callable[[int, int], Awaitable[bytes]]
 OnWrite = Callable[[int, int, bytes], Awaitable[None]]
+#: what Data_Transport brings, from slot, index and octets to octets, up to 240 each way
+OnTransport = Callable[[int, int, bytes], Awaitable[bytes]]
 
 
 class DpSlave(FunctionDevice):
@@ -37,14 +48,18 @@ class DpSlave(FunctionDevice):
     out of data exchange. ``safe``: these octets, default zeros; only where all configurations have that length.
     ``config``: what Get_Cfg says until a master has configured the slave: the modules that are plugged in.
 
-    ``on_prm(user_prm)`` judges user parameters: a reason to refuse them, or None. ``on_address`` keeps the address that
-    Set_Slave_Add gives; without it the slave has its old one after a restart. ``on_leave(reason)`` is told why data
-    exchange ended. What any of them raises takes this slave out of data exchange, with safe outputs and Stat_Diag,
-    until it is restarted; nothing else is disturbed.
+    ``on_prm(user_prm)`` judges user parameters: a reason to refuse them, or None; ``on_blocks(blocks)`` does so with
+    the structured ones of a DP-V1 slave (empty where there are none; lengths that lie are refused before).
+    ``on_address`` keeps the address that Set_Slave_Add gives; without it the slave has its old one after a restart.
+    ``on_leave(reason)`` is told why data exchange ended. What any of them raises takes this slave out of data exchange,
+    with safe outputs and Stat_Diag, until it is restarted; nothing else is disturbed.
 
-    ``on_read`` and ``on_write`` serve the records of DP-V1, one at a time (:func:`dpstack.serve_slave` runs them): what
-    they raise is answered and told, nothing else ends; they are cancelled when the master gives up. ``im`` is its I&M:
-    I&M0, and those of I&M1 to 4 that a master may write.
+    ``on_read`` and ``on_write`` serve the records of DP-V1, ``on_transport`` the Data_Transport of class 2
+    (:func:`dpstack.serve_slave` runs them), one at a time for each who asks: what they raise is answered and told,
+    nothing else ends; they are cancelled when the master gives up. ``ms2``: so many connections of class 2, default the
+    description's. ``im`` is its I&M: I&M0, and those of I&M1 to 4 that a master may write, for every slot alike or as a
+    table slot -> I&M. ``on_im(slot, record)`` keeps what a master writes of it where it survives a restart; what it
+    raises is answered (RecordRefused: as it says), and nothing is changed.
 
     Set :attr:`diag`, as a whole and whenever something changes, to what the slave shall say in its diagnosis.
     Raises ConfigError.
@@ -58,11 +73,15 @@ class DpSlave(FunctionDevice):
         config: bytes | None = None,
         safe: bytes | None = None,
         on_prm: Callable[[bytes], str | None] | None = None,
+        on_blocks: Callable[[tuple[PrmBlock, ...]], str | None] | None = None,
         on_address: OnAddress | None = None,
         on_leave: Callable[[Leave], None] | None = None,
         on_read: OnRead | None = None,
         on_write: OnWrite | None = None,
-        im: Iterable[Im] = (),
+        on_transport: OnTransport | None = None,
+        im: ImOf = (),
+        on_im: OnIm | None = None,
+        ms2: int | None = None,
     ) -> None:
         first = description.configs[0] if description.configs else description.modules[0].config
         real = first if config is None else config
@@ -87,11 +106,17 @@ class DpSlave(FunctionDevice):
         self.safe = safe or b""
         self._safe = b""  # in the length of the configuration in use
         self._on_prm = on_prm
+        self._on_blocks = on_blocks
         self._on_address = on_address
         self._on_leave = on_leave
         self.on_read = on_read
         self.on_write = on_write
-        self._im = tuple(im)
+        self.on_transport = on_transport
+        self.ms2 = description.ms2 if ms2 is None else ms2
+        self.ms2_max_len = description.ms2_max_len
+        self._on_im = on_im
+        given = im if isinstance(im, Mapping) else tuple(im)
+        self._im = ImRecords(given, changed=self._im_written) if given else None
         self.serve_records(None)
         #: one of the user's functions runs at this moment
         self.inside = False
@@ -115,22 +140,30 @@ class DpSlave(FunctionDevice):
 
     @property
     def im(self) -> tuple[Im, ...]:
-        """Its I&M as it stands now, by number; a master may have written some of it."""
-        return self.records.records if isinstance(self.records, ImRecords) else ()
+        """Its I&M, that of slot 0, as it stands now, by number; a master may have written some of it."""
+        return self.im_of(0)
+
+    def im_of(self, slot: int) -> tuple[Im, ...]:
+        """I&M of ``slot`` as it stands now, by number; empty where it has none."""
+        return () if self._im is None else self._im.of(slot)
 
     def serve_records(self, others: Records | None) -> None:
         """What serves the records beside I&M."""
-        self.records = ImRecords(self._im, others) if self._im else others
+        if self._im is not None:
+            self._im.others = others
+        self.records = others if self._im is None else self._im
 
     # --- Device -------------------------------------------------------------------------------------------------
 
     def check_prm(self, user_prm: bytes) -> str | None:
-        """Length by the description, the rest by the user's own check."""
+        """Lengths by the description, the rest by the user's own checks."""
         reason = self.description.check_prm(user_prm)
-        if reason is not None or self._on_prm is None:
-            return reason
         with self._called():
-            return self._on_prm(user_prm)
+            if reason is None and self._on_prm is not None:
+                reason = self._on_prm(user_prm)
+            if reason is None and self._on_blocks is not None:
+                reason = self._on_blocks(self.description.blocks(user_prm))
+        return reason
 
     def check_cfg(self, config: bytes) -> str | None:
         """By the description."""
@@ -169,6 +202,11 @@ class DpSlave(FunctionDevice):
         with self._called():
             self._on_address(address, fixed, rem_slave_data)
         return True
+
+    def _im_written(self, slot: int, record: Im) -> None:
+        if self._on_im is not None:
+            with self._called():
+                self._on_im(slot, record)
 
     @contextlib.contextmanager
     def _called(self) -> Iterator[None]:

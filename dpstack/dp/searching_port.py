@@ -33,7 +33,7 @@ class SearchingPort:
     """The machine of one port around ``line``: deaf to the bus until the rate is found, among ``rates`` in bit/s.
 
     ``watched`` tells whether the watchdog of any of the slaves runs. ``slack_ns``, ``settle_ns``: see
-    :class:`BaudWatch`.
+    :class:`BaudWatch`. ``lost`` is told the time when the rate is lost and searched again.
     """
 
     def __init__(
@@ -44,8 +44,10 @@ class SearchingPort:
         rates: Sequence[int] = BAUD_RATES,
         slack_ns: int = 0,
         settle_ns: int = 0,
+        lost: Callable[[int], None] | None = None,
     ) -> None:
         self._line = line
+        self._lost = lost
         self._events: list[Event] = []
         self._watch = BaudWatch(
             watched, self._found, self._reached, rates=rates, slack_ns=slack_ns, settle_ns=settle_ns
@@ -115,5 +117,7 @@ class SearchingPort:
     def _reached(self, state: BaudState, now: int) -> None:
         if state is BaudState.SEARCH:
             self._line.set_params(self._line.params)  # what is pending is forgotten
+            if self._lost is not None:
+                self._lost(now)
         baud = None if state is BaudState.SEARCH else self._watch.baud
         self._events.append(PortBaudChanged(t_ns=now, state=state, baud=baud))

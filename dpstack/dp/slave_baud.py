@@ -144,6 +144,7 @@ class SearchingSlave:
     def _reached(self, state: BaudState, now: int) -> None:
         if state is BaudState.SEARCH:
             self.station.set_params(self.station.params)  # what is pending is forgotten
+            self.app.rate_lost(now)
         self._events.append(
             BaudStateChanged(
                 t_ns=now,

@@ -6,6 +6,8 @@ device raises, goes through here, so that outputs and lock are given up in one p
 
 from __future__ import annotations
 
+from typing import Final
+
 from dpstack.dp.device import Device, Leave
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.slave_address import SlaveAddress
@@ -15,15 +17,19 @@ from dpstack.dp.slave_prm import Watchdog
 from dpstack.dp.slave_report import Report
 from dpstack.dp.slave_states import TABLE, AppEv, SlaveAppState
 from dpstack.dp.user_diag import NO_DIAG, UserDiag
+from dpstack.dp.v1.ms2_server import Ms2Server, least_send_timeout
 from dpstack.dp.v1.serving import Ms1Server
 from dpstack.fdl.passive import LOWEST_TSDR
+
+#: of an application that is on no station
+_UNKNOWN_RATE: Final = 1_500_000
 
 
 class SlaveCore:
     """One slave application, as :class:`~dpstack.dp.slaveapp.SlaveApp` and its services share it.
 
     ``master``: who has locked the slave. ``failure``: what failed in the device, None while it works. ``data``: only in
-    data exchange. ``group``: Group_Ident. ``ms1``: Read and Write of DP-V1.
+    data exchange. ``group``: Group_Ident. ``ms1``: Read and Write of DP-V1, ``ms2``: the connections of class 2.
     """
 
     __slots__ = (
@@ -35,6 +41,7 @@ class SlaveCore:
         "group",
         "master",
         "ms1",
+        "ms2",
         "report",
         "state",
         "watchdog",
@@ -48,6 +55,7 @@ class SlaveCore:
         self.report = Report(device, address)
         self.diag = DiagState(device)
         self.ms1 = Ms1Server(device.records, self.report)
+        self.ms2 = Ms2Server(device, device.ms2, self.report, self._send_timeout, device.ms2_at_once)
         self.address = SlaveAddress(device, self.report, address_fixed)
         self.watchdog = Watchdog()
         self.data: CyclicData | None = None
@@ -79,6 +87,7 @@ class SlaveCore:
     def restart(self, now: int) -> None:
         """Off and on again: nothing kept but the address, a failure forgotten."""
         self.step(AppEv.POWER_ON, now, Leave.POWER_OFF)
+        self.ms2.end_all("the slave was switched off", now)
         self.failure = None
         self.diag.clear_faults()
         self.take_min_tsdr(LOWEST_TSDR)
@@ -116,6 +125,10 @@ class SlaveCore:
         self.failure = f"{type(error).__name__}: {error}"
         self.report.failed(during, error, now)
         self.step(AppEv.FAILED, now, Leave.FAILURE)
+
+    def _send_timeout(self) -> int:
+        station = self.report.station
+        return least_send_timeout(_UNKNOWN_RATE if station is None else station.baud)
 
     def foreign(self, service: str, sa: int, event: AppEv, now: int) -> None:
         """A service of a master that does not own the slave: counted, told, without effect."""

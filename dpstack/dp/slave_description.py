@@ -7,14 +7,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Final
 
 from dpstack.dp.diagnosis import FIXED_LEN, MAX_LEN
 from dpstack.dp.pdu import MAX_USER_PRM
 from dpstack.dp.setup import INTERVAL_UNIT
-from dpstack.dp.v1.status import DPV1_STATUS_LEN
-from dpstack.errors import ConfigError
+from dpstack.dp.v1.ms2_server import MAX_CONNECTIONS
+from dpstack.dp.v1.prm_blocks import PrmBlock, parse_blocks
+from dpstack.dp.v1.records import MAX_RECORD
+from dpstack.dp.v1.status import DPV1_STATUS_LEN, PRM_STRUCTURE
+from dpstack.errors import ConfigError, PduError
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.identifiers import config_for, io_lengths
+
+#: the octet of Set_Prm that a first block begins with, from 1 on
+_FIRST_BLOCK: Final = 11
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +45,10 @@ class SlaveDescription:
     [Max_Input_Len ...] in octets, the last for both together; ``user_prm_len``: fewest and most octets of user
     parameters [Max_User_Prm_Data_Len]; ``sync``, ``freeze``, ``fail_safe``, ``set_slave_add``, ``wd_base_1ms``
     [Sync_Mode_supp ...]; ``fail_safe_required`` [Fail_Safe_required]; ``max_diag_len`` [Max_Diag_Data_Len], 6..244;
-    ``dpv1`` [DPV1_Slave]: its user parameters begin with the three DPV1_Status octets;
+    ``dpv1`` [DPV1_Slave]: its user parameters begin with the three DPV1_Status octets; ``prm_blocks``
+    [Prm_Block_Structure_supp]: of such a slave, structured parameters may follow, otherwise Prm_Structure is refused;
+    ``ms2``: connections of class 2 [C2_Read_Write_supp, C2_Max_Count_Channels], ``ms2_max_len``: octets in one of their
+    services [C2_Max_Data_Len];
     ``rates``: baud rate -> MaxTsdr in bit times, empty for all; ``min_slave_interval_ns`` [Min_Slave_Intervall], for
     the master. Raises ConfigError.
     """
@@ -59,16 +69,19 @@ class SlaveDescription:
     set_slave_add: bool = False
     wd_base_1ms: bool = False
     dpv1: bool = False
+    prm_blocks: bool = True
+    ms2: int = 0
+    ms2_max_len: int = MAX_RECORD
     max_diag_len: int = MAX_LEN
     rates: Mapping[int, int] = field(default_factory=dict)
     min_slave_interval_ns: int = 0
 
     @classmethod
     def simple(
-        cls, ident: int, *, inputs: int, outputs: int, name: str = "slave", dpv1: bool = False
+        cls, ident: int, *, inputs: int, outputs: int, name: str = "slave", dpv1: bool = False, ms2: int = 0
     ) -> SlaveDescription:
         """A slave with one configuration of so many octets each way, as seen from the master. Raises ConfigError."""
-        return cls(ident=ident, name=name, configs=(config_for(inputs, outputs),), dpv1=dpv1)
+        return cls(ident=ident, name=name, configs=(config_for(inputs, outputs),), dpv1=dpv1, ms2=ms2)
 
     def __post_init__(self) -> None:
         if not 0 <= self.ident <= 0xFFFF:
@@ -86,6 +99,10 @@ class SlaveDescription:
             raise self._wrong(f"user_prm_len {self.user_prm_len} has no room for the three DPV1_Status octets of dpv1")
         if not FIXED_LEN <= self.max_diag_len <= MAX_LEN:
             raise self._wrong(f"max_diag_len {self.max_diag_len} is outside {FIXED_LEN}..{MAX_LEN}")
+        if not 0 <= self.ms2 <= MAX_CONNECTIONS:
+            raise self._wrong(f"ms2 = {self.ms2} connections of class 2; 0 to {MAX_CONNECTIONS} are possible")
+        if not 0 < self.ms2_max_len <= MAX_RECORD:
+            raise self._wrong(f"ms2_max_len {self.ms2_max_len} is outside 1..{MAX_RECORD}")
         if self.modules and self.max_modules < 1:
             raise self._wrong(f"max_modules {self.max_modules}: a modular slave has room for 1 at least")
 
@@ -95,13 +112,24 @@ class SlaveDescription:
     # --- what follows from it -----------------------------------------------------------------------------------
 
     def check_prm(self, user_prm: bytes) -> str | None:
-        """A reason to refuse the user parameters of Set_Prm, or None: their length."""
+        """A reason to refuse the user parameters of Set_Prm, or None: their length, the lengths of their blocks."""
         least, most = self.user_prm_len
-        if least <= len(user_prm) <= most:
-            return None
-        return (
-            f"{len(user_prm)} octets of user parameters, {least if least == most else f'{least}..{most}'} are expected"
-        )
+        if not least <= len(user_prm) <= most:
+            wanted = least if least == most else f"{least}..{most}"
+            return f"{len(user_prm)} octets of user parameters, {wanted} are expected"
+        try:
+            self.blocks(user_prm)
+        except PduError as error:
+            return str(error)
+        return None
+
+    def blocks(self, user_prm: bytes) -> tuple[PrmBlock, ...]:
+        """The structured parameters behind DPV1_Status; none where Prm_Structure is not set. Raises PduError."""
+        if not self.dpv1 or len(user_prm) < DPV1_STATUS_LEN or not user_prm[2] & PRM_STRUCTURE:
+            return ()
+        if not self.prm_blocks:
+            raise PduError("octet 10 bit 3: Prm_Structure is set, this device has no structured parameters")
+        return parse_blocks(user_prm[DPV1_STATUS_LEN:], _FIRST_BLOCK)
 
     def check_cfg(self, config: bytes) -> str | None:
         """A reason to refuse the identifier octets of Chk_Cfg, or None. Raises ConfigError where they are none."""

@@ -65,6 +65,37 @@ class RequestRefused(SlaveAppEvent):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class ConnectionOpened(SlaveAppEvent):
+    """``master`` has opened a connection of class 2 at the server ``sap``."""
+
+    master: int
+    sap: int
+    send_timeout_ns: int
+
+    @property
+    def text(self) -> str:
+        """Whose, and how long silence may last."""
+        which = f"class 2 connection of master {self.master} opened (server SAP {self.sap}"
+        return f"{self.who}: {which}, send time-out {self.send_timeout_ns // NS_PER_MS} ms)"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ConnectionClosed(SlaveAppEvent):
+    """A connection of class 2 is over and given back; ``services``: how many its master asked for."""
+
+    master: int
+    sap: int
+    services: int
+    reason: str
+
+    @property
+    def text(self) -> str:
+        """Whose and why."""
+        which = f"class 2 connection of master {self.master} (server SAP {self.sap})"
+        return f"{self.who}: {which} is over after {self.services} services: {self.reason}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class AddressChanged(SlaveAppEvent):
     """``address`` is new: set by ``master``, or None by an initial reset. ``fixed``: No_Add_Chg came with it.
 

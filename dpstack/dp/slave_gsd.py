@@ -8,6 +8,8 @@ from dpstack.dp.diagnosis import FIXED_LEN, MAX_LEN
 from dpstack.dp.pdu import MAX_USER_PRM
 from dpstack.dp.setup import INTERVAL_UNIT
 from dpstack.dp.slave_description import SlaveDescription, SlaveModule
+from dpstack.dp.v1.ms2_server import MAX_CONNECTIONS
+from dpstack.dp.v1.records import MAX_RECORD
 from dpstack.dp.v1.status import DPV1_STATUS_LEN
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
@@ -54,6 +56,9 @@ def slave_description(
         set_slave_add=device.set_slave_add,
         wd_base_1ms=device.dpv1.wd_base_1ms,
         dpv1=device.dpv1.slave and (prm or _within(most, MAX_USER_PRM)) >= DPV1_STATUS_LEN,
+        prm_blocks=device.dpv1.prm_block_structure or device.dpv1.prm_block_structure_required,
+        ms2=_within(device.dpv1.c2_max_count_channels or 1, MAX_CONNECTIONS) if device.dpv1.c2_read_write else 0,
+        ms2_max_len=_within(device.dpv1.c2_max_data_len or None, MAX_RECORD),
         max_diag_len=max(FIXED_LEN, _within(device.max_diag_data_len, MAX_LEN)),
         rates={speed.baud: speed.max_tsdr or 0 for speed in device.speeds},
         min_slave_interval_ns=(device.min_slave_interval or 0) * INTERVAL_UNIT,

@@ -8,6 +8,8 @@ from dpstack.dp.device import Device
 from dpstack.dp.diagnosis import FIXED_LEN, MAX_LEN
 from dpstack.dp.pdu import SetPrm
 from dpstack.dp.setup import watchdog_ns
+from dpstack.dp.v1.ms2_server import MAX_CONNECTIONS
+from dpstack.dp.v1.records import MAX_RECORD
 from dpstack.dp.v1.status import DPV1_ENABLE, FAIL_SAFE, WD_BASE_1MS
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
@@ -86,6 +88,10 @@ def check_device(device: Device) -> None:
         raise ConfigError(f"device {device.name}: ident {device.ident:#x} does not fit two octets")
     if not device.configs or any(len(config) > MAX_DATA for config in device.configs):
         raise ConfigError(f"device {device.name}: configs must hold identifier octets (up to {MAX_DATA} each)")
+    if not 0 <= device.ms2 <= MAX_CONNECTIONS:
+        raise ConfigError(f"device {device.name}: ms2 = {device.ms2} connections; 0 to {MAX_CONNECTIONS} are possible")
+    if not 0 < device.ms2_max_len <= MAX_RECORD:
+        raise ConfigError(f"device {device.name}: ms2_max_len {device.ms2_max_len} is outside 1..{MAX_RECORD}")
     if not FIXED_LEN <= device.max_diag_len <= MAX_LEN:
         raise ConfigError(f"device {device.name}: max_diag_len {device.max_diag_len} is outside {FIXED_LEN}..{MAX_LEN}")
 

@@ -6,8 +6,17 @@ from dataclasses import dataclass
 from typing import Final
 
 from dpstack.dp.device import Device
-from dpstack.dp.slave_events import AddressChanged, DeviceFailed, RequestRefused, SlaveAppStateChanged, WatchdogExpired
+from dpstack.dp.slave_events import (
+    AddressChanged,
+    ConnectionClosed,
+    ConnectionOpened,
+    DeviceFailed,
+    RequestRefused,
+    SlaveAppStateChanged,
+    WatchdogExpired,
+)
 from dpstack.dp.slave_states import AppEv, SlaveAppState
+from dpstack.dp.v1.tickets import Asker
 from dpstack.fdl.user import StationControl
 from dpstack.trace import Event
 
@@ -26,6 +35,8 @@ class SlaveAppStats:
     foreign: int = 0  # requests of masters that do not own the slave
     watchdogs: int = 0
     failures: int = 0  # exceptions in the device
+    connections: int = 0  # of class 2, opened
+    closed: int = 0  # of these, over
 
 
 class Report:
@@ -83,6 +94,35 @@ class Report:
         name, address = self._device.name, self.address
         self._events.append(
             AddressChanged(t_ns=now, address=address, name=name, before=before, master=master, fixed=fixed, kept=kept)
+        )
+
+    def connection_opened(self, asker: Asker, send_timeout_ns: int, now: int) -> None:
+        """A connection of class 2."""
+        self.stats.connections += 1
+        self._events.append(
+            ConnectionOpened(
+                t_ns=now,
+                address=self.address,
+                name=self._device.name,
+                master=asker.master,
+                sap=asker.sap,
+                send_timeout_ns=send_timeout_ns,
+            )
+        )
+
+    def connection_closed(self, asker: Asker, services: int, reason: str, now: int) -> None:
+        """A connection of class 2 is over."""
+        self.stats.closed += 1
+        self._events.append(
+            ConnectionClosed(
+                t_ns=now,
+                address=self.address,
+                name=self._device.name,
+                master=asker.master,
+                sap=asker.sap,
+                services=services,
+                reason=reason,
+            )
         )
 
     def failed(self, during: str, error: Exception, now: int) -> None:

@@ -14,11 +14,13 @@ from dpstack.dp.slave_core import SlaveCore
 from dpstack.dp.slave_data import CyclicData
 from dpstack.dp.slave_prm import Refusal, dpv1_enabled, judge_cfg, judge_prm, real_cfg, watchdog_time
 from dpstack.dp.slave_states import AppEv
+from dpstack.dp.v1.connection import SERVER_SAPS
 from dpstack.errors import PduError
 from dpstack.fdl.telegram import (
     SAP_CHK_CFG,
     SAP_GET_CFG,
     SAP_MS1,
+    SAP_MS2_RM,
     SAP_RD_INP,
     SAP_RD_OUTP,
     SAP_SET_PRM,
@@ -41,7 +43,9 @@ class Services:
 
     def __init__(self, core: SlaveCore) -> None:
         self._core = core
-        self.by_sap: Mapping[int, Handler] = {
+        self.by_sap: Mapping[int | None, Handler] = {
+            **dict.fromkeys(SERVER_SAPS, self._connection),
+            SAP_MS2_RM: self._resource_manager,
             SAP_SLAVE_DIAG: self._slave_diag,
             SAP_SET_PRM: self._set_prm,
             SAP_CHK_CFG: self._chk_cfg,
@@ -177,6 +181,21 @@ class Services:
             return RS_REPLY
         return core.ms1.serve(request.data, request.sa, now)
 
+    def _resource_manager(self, request: Telegram, now: int) -> Reply:
+        core = self._core
+        reply = core.ms2.manage(request.data, request.sa, request.ssap, now)
+        return self._refused() if reply is None else reply
+
+    def _connection(self, request: Telegram, now: int) -> Reply:
+        core = self._core
+        sap = request.dsap or 0
+        reply = core.ms2.serve(sap, request.data, request.sa, request.ssap, now)
+        return self._refused() if reply is None else reply
+
+    def _refused(self) -> Reply:
+        self._core.report.stats.refused += 1
+        return RS_REPLY
+
     # --- Set_Slave_Add ------------------------------------------------------------------------------------------
 
     def _set_slave_add(self, request: Telegram, now: int) -> Reply:
@@ -189,6 +208,7 @@ class Services:
             reason = core.address.judge(wanted)
             if reason is None:
                 core.address.take(wanted, request.sa, now)
+                core.ms2.end_all("the slave has another address", now)
                 core.step(AppEv.ADDRESS, now)
         except PduError as error:
             reason = str(error)

@@ -29,6 +29,7 @@ from dpstack.fdl.telegram import (
     SAP_GET_CFG,
     SAP_GLOBAL_CONTROL,
     SAP_MS1,
+    SAP_MS2_RM,
     SAP_RD_INP,
     SAP_RD_OUTP,
     SAP_SET_PRM,
@@ -74,8 +75,13 @@ ACCESS: Final[dict[int | None, Access]] = {
     SAP_SET_PRM: Access("Set_Prm", _ALL, False, "J: SC whatever comes, the diagnosis tells what came of it"),
     SAP_SET_SLAVE_ADD: Access("Set_Slave_Add", _WAITING, False, "B5, B8: in Wait_Prm, where the device has it"),
     SAP_MS1: Access("MS1", _EXCHANGING, True, "C3, J: with its own master, where DPV1_Enable is set"),
+    SAP_MS2_RM: Access("MS2 resource manager", _ALL, False, "C3: any master of class 2, where the device has them"),
     SAP_CHK_CFG: Access("Chk_Cfg", _ALL, False, "J: SC whatever comes, the diagnosis tells what came of it"),
 }
+
+
+#: of the server SAPs 0..48: open while a connection of class 2 is, for its master
+CONNECTION: Final = Access("MS2", _ALL, False, "C3: class 2 needs no parameters; the connection itself says for whom")
 
 
 class AppEv(Enum):

@@ -20,7 +20,9 @@ from dpstack.dp.slave_data import wrong_inputs
 from dpstack.dp.slave_prm import Watchdog, check_device
 from dpstack.dp.slave_report import SlaveAppStats
 from dpstack.dp.slave_services import Services
-from dpstack.dp.slave_states import ACCESS, AppEv, SlaveAppState
+from dpstack.dp.slave_states import ACCESS, CONNECTION, AppEv, SlaveAppState
+from dpstack.dp.v1.connection import SERVER_SAPS
+from dpstack.dp.v1.ms2_server import Ms2Server, ServedConnection
 from dpstack.errors import PduError
 from dpstack.fdl.passive import PassiveStation
 from dpstack.fdl.telegram import SAP_GLOBAL_CONTROL, Resp, Telegram
@@ -45,13 +47,14 @@ class SlaveApp:
     Raises ConfigError where ident number or configurations of the device cannot be.
     """
 
-    __slots__ = ("_clock", "_core", "_services", "device", "stats", "take_events", "watchdog")
+    __slots__ = ("_clock", "_core", "_ms2", "_services", "device", "stats", "take_events", "watchdog")
 
     def __init__(self, device: Device, *, address: int | None = None, address_fixed: bool = False) -> None:
         check_device(device)
         self.device = device
         self._core = core = SlaveCore(device, address, address_fixed)
         self._services = Services(core).by_sap
+        self._ms2: Ms2Server = core.ms2
         self._clock = DeviceClock(device)
         self.stats: SlaveAppStats = core.report.stats
         #: what there is to tell, oldest first; asked in every step of the station
@@ -106,6 +109,16 @@ class SlaveApp:
         data = self._core.data
         return data is None or data.void
 
+    @property
+    def connections(self) -> tuple[ServedConnection, ...]:
+        """The connections of class 2 that are open."""
+        return self._ms2.connections
+
+    @property
+    def connections_free(self) -> int:
+        """How many more there can be."""
+        return self._ms2.free
+
     def diagnosis(self, now: int) -> Diagnosis:
         """The diagnosis as a Slave_Diag at ``now`` would read it."""
         user = self._core.user_diag(now)
@@ -127,6 +140,10 @@ class SlaveApp:
             core.fail("an initial reset", error, now)
             return
         core.restart(now)
+
+    def rate_lost(self, now: int) -> None:
+        """The baud rate is searched again: nobody can use a connection of class 2 any more."""
+        self._ms2.end_all("the baud rate was lost", now)
 
     # --- Responder ----------------------------------------------------------------------------------------------
 
@@ -188,16 +205,20 @@ class SlaveApp:
             core.fail("Global_Control", error, now)
 
     def wake_at(self) -> int:
-        """The watchdog, or what the device wants."""
+        """The watchdog, the connections of class 2, or what the device wants."""
         at = self.watchdog.at
+        if self._ms2.at < at:
+            at = self._ms2.at
         if self._clock.idle or self._core.failure is not None:
             return at
         due = self._clock.wake_at()
         return due if due < at else at
 
     def tick(self, now: int) -> None:
-        """Judge the watchdog, let the device have its time."""
+        """Judge the watchdog and the connections, let the device have its time."""
         core = self._core
+        if self._ms2.at <= now:
+            self._ms2.tick(now)
         if self.watchdog.expired(now):
             core.report.watchdog(core.master, self.watchdog.time_ns, now)
             core.step(AppEv.WATCHDOG, now, Leave.WATCHDOG)
@@ -211,8 +232,9 @@ class SlaveApp:
 
     def _service(self, request: Telegram, now: int) -> Reply:
         core = self._core
-        access = ACCESS.get(request.dsap)
-        handler = self._services.get(request.dsap or 0)
+        dsap = request.dsap
+        access = CONNECTION if dsap in SERVER_SAPS else ACCESS.get(dsap)
+        handler = self._services.get(dsap)
         if access is None or handler is None or core.state not in access.states or request.fc & _SRD_MASK != _SRD:
             self.stats.refused += 1
             self.stats.foreign += core.master is not None and request.sa != core.master

@@ -8,7 +8,7 @@ VPC3+); those of DP-V1 are in :mod:`dpstack.dp.v1.wire`.
 
 from __future__ import annotations
 
-from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar, cast
 
 import construct as cs
 
@@ -30,6 +30,8 @@ class Layout(Generic[R]):
     def __init__(self, name: str, record: type[R], *fields: Any) -> None:
         self.name = name
         self._record: Any = record
+        self.record = record
+        self.fields: tuple[str, ...] = cast(Any, record)._fields
         self._struct: Any = cs.Bitwise(cs.Struct(*fields))
 
     def parse(self, octets: bytes) -> R:
@@ -65,7 +67,13 @@ def flags(names: str) -> tuple[Any, ...]:
 #: what declarations are made of: ``"name" / OCTET``
 OCTET: Final[Any] = cs.BitsInteger(8)
 WORD: Final[Any] = cs.BitsInteger(16)
+DOUBLE_WORD: Final[Any] = cs.BitsInteger(32)
 REST: Final[Any] = cs.Bytewise(cs.GreedyBytes)
+
+
+def bits(count: int) -> Any:
+    """A number of so many bits."""
+    return cs.BitsInteger(count)
 
 
 def octets(count: int) -> Any:
@@ -94,7 +102,7 @@ SET_PRM: Final = Layout(
     "Set_Prm",
     SetPrmOctets,
     *flags("lock unlock sync freeze wd_on"),
-    "reserved" / cs.BitsInteger(3),
+    "reserved" / bits(3),
     "wd_fact_1" / OCTET,
     "wd_fact_2" / OCTET,
     "min_tsdr" / OCTET,
@@ -120,9 +128,9 @@ class GlobalControlOctets(NamedTuple):
 GLOBAL_CONTROL: Final = Layout(
     "Global_Control",
     GlobalControlOctets,
-    "reserved_high" / cs.BitsInteger(2),
+    "reserved_high" / bits(2),
     *flags("sync unsync freeze unfreeze clear_data"),
-    "reserved_low" / cs.BitsInteger(1),
+    "reserved_low" / bits(1),
     "group_select" / OCTET,
 )
 
@@ -176,7 +184,7 @@ class BlockHeader(NamedTuple):
     value: int
 
 
-BLOCK_HEADER: Final = Layout("diagnosis block", BlockHeader, "kind" / cs.BitsInteger(2), "value" / cs.BitsInteger(6))
+BLOCK_HEADER: Final = Layout("diagnosis block", BlockHeader, "kind" / bits(2), "value" / bits(6))
 
 
 class ChannelOctets(NamedTuple):
@@ -194,10 +202,10 @@ class ChannelOctets(NamedTuple):
 CHANNEL: Final = Layout(
     "channel related diagnosis",
     ChannelOctets,
-    "kind" / cs.BitsInteger(2),
-    "identifier" / cs.BitsInteger(6),
+    "kind" / bits(2),
+    "identifier" / bits(6),
     *flags("output input"),
-    "channel" / cs.BitsInteger(6),
-    "size" / cs.BitsInteger(3),
-    "error" / cs.BitsInteger(5),
+    "channel" / bits(6),
+    "size" / bits(3),
+    "error" / bits(5),
 )

@@ -1,4 +1,5 @@
-"""The ordered end of a bus: safe values, Clear twice, out of the ring, the last bit out of the port.
+"""The ordered end of a bus: safe values, Clear twice, class 2 connections given back, out of the ring, the last bit out
+of the port.
 
 :class:`EndSteps` is the rule, for every driver; :class:`Ending` is who carries it out in a bus process whose
 application cannot (an application does it itself, :mod:`dpstack.api.ending`).
@@ -11,6 +12,7 @@ from time import monotonic_ns
 
 from dpstack.dp.commands import Shutdown
 from dpstack.dp.events import MasterStopped
+from dpstack.dp.v1.ms2_orders import CloseConnections, ConnectionsClosed
 from dpstack.drivers.base import END_LIMIT, last_bits_ns
 from dpstack.drivers.plain import PlainRuntime
 from dpstack.drivers.plain_loop import Alarm, PlainLoop
@@ -20,6 +22,8 @@ from dpstack.errors import DpError
 from dpstack.fdl.commands import GoOffline
 from dpstack.fdl.events import RingLeft
 from dpstack.trace import Event
+
+EndOrder = Shutdown | CloseConnections | GoOffline
 
 
 class EndSteps:
@@ -31,12 +35,12 @@ class EndSteps:
 
     def __init__(self, station: StationSeen) -> None:
         self._station = station
-        self._orders: list[Shutdown | GoOffline] = [GoOffline(), Shutdown()]
+        self._orders: list[EndOrder] = [GoOffline(), CloseConnections(), Shutdown()]
         self._at_ns = 0
         #: the last order was carried out
         self.done = False
 
-    def next_order(self) -> Shutdown | GoOffline | None:
+    def next_order(self) -> EndOrder | None:
         """The next order; None when there is only :meth:`over_at` to be waited for."""
         if not self._orders:
             return None
@@ -46,9 +50,11 @@ class EndSteps:
         return order
 
     def on_event(self, event: Event) -> None:
-        """The master has stopped, the ring was left."""
+        """The master has stopped, the connections are given back, the ring was left."""
         match event:
-            case MasterStopped() if len(self._orders) == 1:
+            case MasterStopped() if len(self._orders) == 2:
+                self.done = True
+            case ConnectionsClosed() if len(self._orders) == 1:
                 self.done = True
             case RingLeft() if not self._orders:
                 self.done = True

@@ -17,6 +17,7 @@ from dpstack.dp.image import SlaveImage
 from dpstack.dp.scanner import Scanner
 from dpstack.dp.survey import SurveyResult
 from dpstack.dp.v1.ms1 import RecordDone
+from dpstack.dp.v1.ms2_orders import ConnectionOver, ConnectionsClosed, InitiateDone, TransportDone
 from dpstack.drivers import plugins
 from dpstack.drivers.ending import Ending
 from dpstack.drivers.messages import (
@@ -67,7 +68,20 @@ def _owed(event: Event) -> bool:
     """Whether somebody waits for ``event``: as many as there were orders, so they need no bound of their own."""
     if isinstance(event, DriveEvent):
         return event.payload.get("type") == "result"
-    return isinstance(event, (ServiceDone, RecordDone, ControlSent, ControlFailed, PictureTaken))
+    return isinstance(event, _OWED)
+
+
+_OWED: Final = (
+    ServiceDone,
+    RecordDone,
+    InitiateDone,
+    TransportDone,
+    ConnectionOver,
+    ConnectionsClosed,
+    ControlSent,
+    ControlFailed,
+    PictureTaken,
+)
 
 
 def _notice(text: str) -> Notice:

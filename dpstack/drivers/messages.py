@@ -16,31 +16,19 @@ from typing import Final, TypeVar
 import msgspec
 
 from dpstack import errors
-from dpstack.dp.acyclic import CancelService
-from dpstack.dp.class2 import ChangeAddress, ReadService
 from dpstack.dp.commands import (
-    ActivateSlave,
-    AddSlave,
-    DeactivateSlave,
-    DriveCommand,
     Mode,
-    RemoveSlave,
-    ReparameteriseSlave,
-    SendControl,
-    SetMode,
-    Shutdown,
 )
 from dpstack.dp.cycle import CycleBook, CycleData, MissReason
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.events import Fault, SlaveState
 from dpstack.dp.scanner import Found
 from dpstack.dp.survey import SurveyOrder, SurveyResult
-from dpstack.dp.v1.ms1 import ReadRecord, WriteRecord
 from dpstack.drivers.echo import Echo
+from dpstack.drivers.orders import MACHINE_ORDERS
 from dpstack.drivers.plugins import PluginRef
 from dpstack.drivers.stack import StackSpec
 from dpstack.errors import BusError, DpError
-from dpstack.fdl.commands import GoOffline, GoOnline
 from dpstack.fdl.decoder import DecoderStats
 from dpstack.fdl.user import LinkStats
 from dpstack.gsd.diag_texts import DiagTexts
@@ -132,9 +120,7 @@ class CloseBus:
 ORDERS: Final[dict[str, type]] = {
     kind.__name__: kind
     for kind in (
-        SetMode, Shutdown, AddSlave, RemoveSlave, DeactivateSlave, ActivateSlave, ReparameteriseSlave, SendControl,
-        DriveCommand, ReadService, ChangeAddress, ReadRecord, WriteRecord, CancelService, GoOnline, GoOffline,
-        SetUp, AttachPlugin, WatchRounds, AskCounters, AskUnit, StartSurvey, EndSurvey, CloseBus,
+        *MACHINE_ORDERS, SetUp, AttachPlugin, WatchRounds, AskCounters, AskUnit, StartSurvey, EndSurvey, CloseBus,
     )
 }  # fmt: skip
 

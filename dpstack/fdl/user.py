@@ -137,6 +137,10 @@ class StationControl(Protocol):
     #: the station address; an answer under way still goes out under the old one
     address: int
 
+    @property
+    def baud(self) -> int:
+        """The rate it listens at, in bit/s."""
+
     def set_min_tsdr(self, bits: int) -> None:
         """Set_Prm's min T_SDR in bit times: no answer earlier than this; 0 keeps, 1..10 count as 11."""
 

@@ -87,6 +87,13 @@ class Args:
             raise CommandError("usage", f"{self._op}: {name} must be a text, not {value!r}")
         return value
 
+    def tables(self, name: str) -> list[Args]:
+        """A list of tables, each with arguments of its own."""
+        value = self._get(name)
+        if not isinstance(value, (list, tuple)) or not all(isinstance(one, Mapping) for one in value):
+            raise CommandError("usage", f"{self._op}: {name} must be a list of tables, not {value!r}")
+        return [Args(f"{self._op}: {name} {number}", one) for number, one in enumerate(value, 1)]
+
     def flag(self, name: str) -> bool:
         """True or False, default False."""
         value = self._get(name)

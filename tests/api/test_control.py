@@ -19,7 +19,7 @@ from dpstack.api.control import places
 from dpstack.api.control.client import connect, running
 from dpstack.api.control.server import ControlServer, Handler
 from dpstack.api.control.specs import COMMON, KINDS, SLAVES, Spec, find
-from dpstack.errors import BusError, PortBusyError, PortError, SlaveTimeout, UsageError
+from dpstack.errors import PortBusyError, PortError, SlaveTimeout, UsageError
 
 ECHO = Spec("echo", "WORD...", "says it again", "hello")
 COUNT = Spec("count", "N", "counts", "3")
@@ -112,7 +112,10 @@ async def test_lines_in_lines_out() -> None:
     ("request_", "answer"),
     [
         (b'{"command":"bad","args":["usage"]}', {"ok": False, "error": "not like this", "usage": True}),
-        (b'{"command":"bad","args":["late"]}', {"ok": False, "error": "slave 3 is late"}),
+        (
+            b'{"command":"bad","args":["late"]}',
+            {"ok": False, "error": "slave 3 is late", "kind": "SlaveTimeout", "address": 3},
+        ),
         (b'{"command":"ecco","args":["a"]}', "unknown command 'ecco'; did you mean echo?"),
         (b'{"command":"qqq"}', "unknown command 'qqq'; it knows: help, status, echo, count, later, flood, bad"),
         (b'{"command":"noise"}', "noise is a command of `dpstack segment`, this is a sim; it knows: help, "),
@@ -241,7 +244,7 @@ async def test_a_client_finds_the_program_by_link_and_by_device(tmp_path: Path) 
             assert list(client.items("count", "3")) == [0, 1, 2]
             with pytest.raises(UsageError, match="not like this"):
                 client.call("bad", "usage")
-            with pytest.raises(BusError, match="slave 3 is late"):
+            with pytest.raises(SlaveTimeout, match="slave 3 is late"):
                 client.call("bad", "late")
             return client.call("echo", "a b")
 

@@ -104,7 +104,16 @@ def test_a_drive_without_the_record_says_so() -> None:
         ("01 01 01 01 30 01 00 0B 00 00", "01 81 01 01 44 01 00 0F"),
         ("01 01 01 01 30 01 00 63 00 00", "01 81 01 01 44 01 00 00"),
         ("01 01 01 01 20 01 00 63 00 00", "01 81 01 01 44 01 00 00"),
-        ("01 01 01 01 20 01 00 0B 00 01", "01 81 01 01 44 01 00 16"),
+        ("01 01 01 01 20 01 00 0B 00 01", "01 01 01 01 06 01 00 06"),
+        ("01 01 01 01 20 01 00 0C 00 01", "01 01 01 01 06 01 40 03"),
+        ("01 01 01 01 20 01 00 0C 00 02", "01 01 01 01 06 01 00 04"),
+        ("01 01 01 01 20 01 00 0B 00 03", "01 01 01 01 08 01 3D CC CC CD"),
+        ("01 01 01 01 20 01 00 0B 00 04", "01 01 01 01 0A 02 00 00"),
+        ("01 01 01 01 20 01 00 0B 00 06", "01 01 01 01 09 10 52 61 6D 70 20 74 69 6D 65 20 20 20 20 20 20 20"),
+        ("01 01 01 01 20 01 00 0B 00 08", "01 01 01 01 0A 04 00 00 17 70"),
+        ("01 01 01 01 20 01 00 0B 00 0C", "01 01 01 01 06 01 00 00"),
+        ("01 01 01 01 20 01 00 0B 00 0D", "01 81 01 01 44 01 00 09"),
+        ("01 01 01 01 20 02 00 0B 00 01", "01 81 01 01 44 01 00 16"),
         ("01 02 01 01 10 01 00 0B 00 00 06 01 00 14", "01 02 01 01"),
         ("01 02 01 01 10 01 00 0B 00 00 42 01 00 14", "01 02 01 01"),
         ("01 02 01 01 10 01 00 0B 00 00 07 01 00 00 00 14", "01 82 01 01 44 01 00 17"),
@@ -117,6 +126,33 @@ def test_a_drive_over_its_store_in_octets(request_: str, answer: str) -> None:
     server = ParameterServer(StoreParameters(store))
     assert server.write_record(1, 47, octets(request_), 0) is None
     assert server.read_record(1, 47, 240, 0) == octets(answer)
+
+
+def test_texts_of_values_both_ways() -> None:
+    async def main() -> None:
+        store = drive()[1]
+        names = ("off", "on", "by itself, and longer than 16")
+        server = ParameterServer(StoreParameters(store, texts={11: names}))
+
+        async def carry_out(service: ReadReq | WriteReq) -> bytes | Refused:
+            if isinstance(service, WriteReq):
+                return server.write_record(service.slot, service.index, service.data, 0) or b""
+            return server.read_record(service.slot, service.index, service.length, 0)
+
+        parameters = RecordParameters("pump", carry_out, 1)
+        assert await parameters.texts(11, 3) == ["off", "on", "by itself, and l"]
+        assert await parameters.texts(11, 1, first=1) == ["on"]
+        with pytest.raises(
+            dpstack.ParameterError, match=r"texts of parameter 11: error 3, invalid subindex \(subindex 3"
+        ):
+            await parameters.texts(11, 2, first=2)
+        (told,) = await parameters.describe([11])
+        assert told is not None
+        assert told.text
+        (name,) = await parameters.read([Address(11, 6, 1, 0x20)])
+        assert name == Values(9, (b"Ramp time".ljust(16),))
+
+    dpstack.run_virtual(main())
 
 
 def test_a_locked_parameter_and_a_live_value() -> None:

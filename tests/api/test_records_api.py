@@ -14,7 +14,8 @@ import dpstack
 from dpstack import AcyclicError, DpSlave, Im0, Im1, Im3, RecordRefused, SlaveDescription
 from dpstack.api.config import parse_config
 from dpstack.api.serving import ServedSlave
-from dpstack.dp.v1.status import Dpv1, PrmBlock
+from dpstack.dp.v1.prm_blocks import PrmBlock
+from dpstack.dp.v1.status import Dpv1
 from dpstack.errors import ConfigError
 from dpstack.sim.world import World
 
@@ -215,7 +216,23 @@ def setup(keys: str) -> tuple[Dpv1 | None, str]:
         ("fail_safe = true\nwatchdog_ms = 5\nwd_base_1ms = true\ndpv1 = true\n", "80 00 00 07"),
         (
             'dpv1 = { blocks = [{ type = 0x81, data = "01 02" }, { type = 2, slot = 3 }] }\n',
-            "80 00 08 07 06 81 00 00 01 02 04 02 03 00",
+            "80 00 08 07 06 81 00 00 01 02 08 02 03 00 00 00 00 00",
+        ),
+        (
+            'dpv1 = { blocks = [{ type = "user_prm", data = "01" }, '
+            '{ type = "prm_cmd", specifier = 8, function = 1, output_hold_time = 100 }] }\n',
+            "80 00 08 07 05 81 00 00 01 08 02 00 08 01 00 00 64",
+        ),
+        (
+            'dpv1 = { blocks = [{ type = "dxb_links", entries = '
+            "[{ publisher = 4, publisher_length = 8, sample_offset = 2, sample_length = 6 }] }] }\n",
+            "80 00 08 07 09 03 00 00 01 04 08 02 06",
+        ),
+        (
+            'dpv1 = { blocks = [{ type = "isochronous", t_dp = 8, t_mapc = 2 }, '
+            '{ type = 8, data = "00 0A 00 00 00 00 00 00 00 00" }] }\n',
+            "80 00 08 07 1c 04 00 00 01 00 00 05 dc 00 08 02 00 00 05 dc 00 00 00 00 00 00 00 00 00 0c 00 00"
+            " 0e 08 00 00 00 0a 00 00 00 00 00 00 00 00",
         ),
     ],
 )
@@ -246,6 +263,22 @@ def test_left_out_it_is_on_where_the_parameters_say_so() -> None:
         (OCTETS + "dpv1 = { blocks = 1 }\n", "blocks is no list of tables"),
         (OCTETS + "dpv1 = { blocks = [{ slot = 1 }] }\n", "blocks 1: no type"),
         (OCTETS + "dpv1 = { blocks = [{ type = 1, slot = 255 }] }\n", "slot = 255 is outside 0..254"),
+        (
+            OCTETS + 'dpv1 = { blocks = [{ type = "prm" }] }\n',
+            "there is no type 'prm'; a number, or one of these: prm_cmd,",
+        ),
+        (
+            OCTETS + 'dpv1 = { blocks = [{ type = "prm_cmd", colour = 1 }] }\n',
+            "blocks 1: unknown key 'colour'; known keys: type, slot, specifier, data, function, properties, output",
+        ),
+        (
+            OCTETS + 'dpv1 = { blocks = [{ type = 2, data = "01 02" }] }\n',
+            "type 2 (prm_cmd) has 4 octets of data, there",
+        ),
+        (OCTETS + 'dpv1 = { blocks = [{ type = 2, data = "", function = 1 }] }\n', "function beside data"),
+        (OCTETS + "dpv1 = { blocks = [{ type = 2, function = 256 }] }\n", "function = 256 does not fit its octets"),
+        (OCTETS + "dpv1 = { blocks = [{ type = 3 }] }\n", "entries is no list of tables; write [{ publisher = 0, "),
+        (OCTETS + "dpv1 = { blocks = [{ type = 3, entries = [{ publisher = 1 }] }] }\n", "no publisher_length"),
         (OCTETS + f'dpv1 = {{ blocks = [{{ type = 1, data = "{"00" * 231}" }}] }}\n', "231 octets, 230 are possible"),
         (OCTETS + f'dpv1 = {{ blocks = [{{ type = 1, data = "{"00" * 230}" }}] }}\n', "238 octets of user parameters"),
     ],

@@ -21,7 +21,7 @@ from dpstack.cli import acyclic
 from dpstack.cli.main import main
 from dpstack.dp.mirror import MirrorDevice
 from dpstack.dp.v1.serving import RecordTable
-from dpstack.errors import BusError, UsageError
+from dpstack.errors import AcyclicError, UsageError
 
 Out = pytest.CaptureFixture[str]
 RIG = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True)
@@ -117,13 +117,18 @@ def test_im(plant: Path, capsys: Out) -> None:
     assert told["im"]["1"] == {"tag_function": "fan", "tag_location": ""}
 
 
+def test_a_text_that_is_no_text(capsys: Out) -> None:
+    acyclic._show({"order": "im", "address": 8, "slave": "rig", "slot": 0, "im": {"0": {"order_id": "A\x1b[2J\0é"}}})
+    assert r"I&M0    order_id  A\x1b[2J\x00é" in capsys.readouterr().out
+
+
 @pytest.mark.usefixtures("world")
 @pytest.mark.parametrize(
     ("args", "code", "text"),
     [
         (["8", "read", "1", "9"], 1, "slave 8 refuses Read of slot 1, index 9: invalid index (80 B0 00"),
         (["8", "write", "1", "3", "12"], 1, "write length error"),
-        (["8", "im", "3", "--class", "2"], 2, "class 2 (MS2) is not supported yet"),
+        (["8", "transport", "1", "2"], 2, "Data_Transport is a service of class 2 connections: add --class 2"),
         (["9", "read", "1", "2"], 2, "put dpv1 = true into its [[slave]] table"),
         (["7", "read", "1", "2"], 2, "no slave '7' in this configuration; there are: 8 (rig), 9 (old)"),
         (["8", "red", "1", "2"], 2, "dpstack acyclic does not know 'red'; did you mean read?"),
@@ -154,8 +159,9 @@ async def through() -> None:
     im = await through_run("virtual", 8, "im", [])
     assert im is not None
     assert im["im"]["0"]["order_id"] == "RIG"
-    with pytest.raises(BusError, match="invalid index"):
+    with pytest.raises(AcyclicError, match="invalid index") as caught:
         await through_run("virtual", 8, "read", ["1", "9"])
+    assert (caught.value.address, caught.value.service, caught.value.code_1) == (8, "Read", 0xB0)
     with pytest.raises(UsageError, match="no slave 7 on this bus"):
         await through_run("virtual", 7, "read", ["1", "9"])
     with pytest.raises(UsageError, match="dpv1 = true"):

@@ -20,7 +20,9 @@ DP_V1 = ROOT / "docs" / "dp-v1.md"
 def names_in(path: Path) -> set[str]:
     """Tests and test classes of a file."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
-    functions = {node.name for node in tree.body if isinstance(node, (ast.FunctionDef, ast.ClassDef))}
+    functions = {
+        node.name for node in tree.body if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef))
+    }
     targets = [t for node in tree.body if isinstance(node, ast.Assign) for t in node.targets]
     return functions | {t.id for t in targets if isinstance(t, ast.Name)}
 

@@ -25,8 +25,8 @@ from dpstack.dp.setup import SlaveSetup
 from dpstack.dp.slaveapp import make_slave
 from dpstack.dp.v1.codes import Code
 from dpstack.dp.v1.ms1 import ReadRecord, RecordDone, WriteRecord
-from dpstack.dp.v1.serving import Ticket
 from dpstack.dp.v1.status import Dpv1
+from dpstack.dp.v1.tickets import Ticket
 from dpstack.fdl.active import ActiveStation
 from dpstack.fdl.commands import GoOffline, GoOnline
 from dpstack.machine import LineDown, LineUp

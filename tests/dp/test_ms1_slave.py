@@ -7,9 +7,10 @@ from slave_kit import CFG, MASTER, OTHER, PRM, UNLOCK, Bench, Recorder
 
 from dpstack.dp.slaveapp import SlaveAppState
 from dpstack.dp.v1.codes import Code
-from dpstack.dp.v1.im import Im0, Im1, Im3
+from dpstack.dp.v1.im import Im, Im0, Im1, Im3
 from dpstack.dp.v1.records import WriteReq
-from dpstack.dp.v1.serving import ImRecords, Records, RecordTable, Ticket
+from dpstack.dp.v1.serving import ImRecords, RecordTable
+from dpstack.dp.v1.tickets import Records, Ticket
 from dpstack.errors import RecordRefused
 from dpstack.fdl.telegram import Resp
 from dpstack.fdl.user import RS_REPLY, SC_REPLY, Reply
@@ -175,7 +176,7 @@ def test_what_cannot_be_read_is_told_with_its_octet() -> None:
 
 def test_im_by_the_call_function() -> None:
     changed: list[object] = []
-    im = ImRecords([Im0(order_id="X"), Im1("fan", "hall")], RecordTable(TABLE), changed.append)
+    im = ImRecords([Im0(order_id="X"), Im1("fan", "hall")], RecordTable(TABLE), lambda *one: changed.append(one))
     bench = bench_with(im)
     assert answer_to(bench, "5F 00 FF 04 08 00 FD E8") == "5F 00 FF 04"
     read = bytes.fromhex(answer_to(bench, "5E 00 FF F0"))
@@ -184,8 +185,8 @@ def test_im_by_the_call_function() -> None:
     assert read[-2:] == b"\x00\x02"  # I&M1 is there
     # I&M1 is written whole, then read
     assert answer_to(bench, "5F 00 FF 44 08 00 FD E9" + Im1("pump", "cellar").build().hex()) == "5F 00 FF 44"
-    assert changed == [Im1("pump", "cellar")]
-    assert im.records[1] == Im1("pump", "cellar")
+    assert changed == [(0, Im1("pump", "cellar"))]
+    assert im.of()[1] == Im1("pump", "cellar")
     assert bytes.fromhex(answer_to(bench, "5E 00 FF F0"))[18:22] == b"pump"
     assert answer_to(bench, "5E 00 01 F0") == "5E 00 01 03 11 22 33"  # others as ever
 
@@ -206,6 +207,38 @@ def test_im_refusals(write: str, response: str) -> None:
     assert answer_to(bench, write) == response
 
 
+def test_im_by_slot() -> None:
+    changed: list[object] = []
+    each: dict[int, list[Im]] = {0: [Im0(order_id="HEAD"), Im1("line", "")], 2: [Im0(order_id="8DI")]}
+    im = ImRecords(each, None, lambda *one: changed.append(one))
+    bench = bench_with(im)
+    assert answer_to(bench, "5F 02 FF 04 08 00 FD E8") == "5F 02 FF 04"
+    read = bytes.fromhex(answer_to(bench, "5E 02 FF F0"))
+    assert read[20:40] == b"8DI".ljust(20)
+    assert read[-2:] == b"\0\0"
+    assert answer_to(bench, "5F 01 FF 04 08 00 FD E8") == "DF 80 B2 00"  # nothing is plugged there
+    assert answer_to(bench, "5F 02 FF 04 08 00 FD E9") == "DF 80 B7 00"  # no I&M1 there
+    assert answer_to(bench, "5F 00 FF 44 08 00 FD E9" + Im1("pump", "cellar").build().hex()) == "5F 00 FF 44"
+    assert changed == [(0, Im1("pump", "cellar"))]
+    assert (im.of(0)[1:], im.of(1), im.of(2)) == ((Im1("pump", "cellar"),), (), (Im0(order_id="8DI"),))
+
+
+@pytest.mark.parametrize(
+    ("raises", "response"), [(RecordRefused(0xB6, 4), "DF 80 B6 04"), (OSError("disk full"), "DF 80 A1 00")]
+)
+def test_im_that_cannot_be_kept_is_not_taken(raises: Exception, response: str) -> None:
+    def keep(slot: int, record: object) -> None:
+        raise raises
+
+    bench = bench_with(ImRecords([Im0(), Im1("fan")], None, keep))
+    assert answer_to(bench, "5F 00 FF 44 08 00 FD E9" + Im1("pump").build().hex()) == response
+    assert answer_to(bench, "5F 00 FF 04 08 00 FD E9") == "5F 00 FF 04"
+    assert bytes.fromhex(answer_to(bench, "5E 00 FF F0"))[18:21] == b"fan"
+    assert bool(bench.texts()) is isinstance(raises, OSError)
+
+
 def test_im_that_do_not_fit_are_refused_at_once() -> None:
+    with pytest.raises(ValueError, match=r"slots are 0\.\.254"):
+        ImRecords({255: [Im0()]})
     with pytest.raises(ValueError, match="descriptor"):
         ImRecords([Im3("x" * 55)])

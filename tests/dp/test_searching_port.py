@@ -176,3 +176,14 @@ def test_why_nothing_is_found() -> None:
     why = rig.port.in_vain(rig.now)
     assert why is not None
     assert why.why is Missing.NOISE
+
+
+def test_the_slaves_are_told_that_the_rate_is_lost() -> None:
+    rig = Rig()
+    lost: list[int] = []
+    rig.port = SearchingPort(rig.line, rig.watched, rates=(500_000,), lost=lost.append)
+    rig.find()
+    rig.hear(b"", SILENCE - MS)
+    assert lost == []
+    rig.hear(b"", 2 * MS)
+    assert len(lost) == 1

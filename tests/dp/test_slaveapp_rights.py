@@ -17,6 +17,7 @@ class Station:
 
     def __init__(self) -> None:
         self.address = 17
+        self.baud = 500_000
         self.min_tsdr: list[int] = []
 
     def set_min_tsdr(self, bits: int) -> None:
@@ -33,6 +34,7 @@ def test_services_are_open_as_the_table_says(state: SlaveAppState, sa: int) -> N
         device = Recorder()
         device.set_slave_add = True
         device.records = RecordTable({})
+        device.ms2 = 2
         bench = in_state(state, device, PRM + b"\x80\0\0")
         access = ACCESS.get(dsap)
         is_open = access is not None and state in access.states and (sa == MASTER or not access.owner_only)

@@ -163,6 +163,23 @@ def test_im0_octets() -> None:
     assert parse_answer(bytes.fromhex("08 00 FD E8 " + IM0), 0) == im0
 
 
+@pytest.mark.parametrize("letter", "VRPUT")
+def test_every_letter_of_a_software_revision(letter: str) -> None:
+    octets = bytes.fromhex(IM0.replace("00 02 56 01", f"00 02 {ord(letter):02X} 01"))
+    found = Im0.parse(octets)
+    assert found.software_revision == f"{letter}1.2.3"
+    assert found.build() == octets
+
+
+def test_what_devices_say_beside_the_rules_is_read() -> None:
+    wild = bytearray.fromhex(IM0)
+    wild[12:32] = b"  \xb5Drive\0\0".ljust(20, b"\0")  # a blank in front, ISO 8859-1, filled up with zeros
+    wild[32:48] = bytes(16)
+    wild[50] = 0
+    found = Im0.parse(bytes(wild))
+    assert (found.order_id, found.serial_number, found.software_revision) == ("  \xb5Drive", "", "0x00 1.2.3")
+
+
 def test_im_calls() -> None:
     assert build_call(0) == bytes.fromhex("08 00 FD E8")
     assert build_call(4) == bytes.fromhex("08 00 FD EC")
@@ -195,8 +212,12 @@ def test_im_that_does_not_fit() -> None:
     for wrong in (Im1(tag_function="x" * 33), Im2("x" * 17), Im3("x" * 55), Im3("Ω")):
         with pytest.raises(PduError):
             wrong.build()
-    for revision in ("1.2.3", "V1.2", "V1.2.256", "", "ÄV1.2.3"):
-        with pytest.raises(PduError):
+    for revision in ("1.2.3", "V1.2", "V1.2.256", "", "ÄV1.2.3", "X1.2.3", "v1.2.3"):
+        with pytest.raises(PduError, match=r"give a letter \(V, R, P, U, T\)"):
             Im0(software_revision=revision).build()
+    for text in ("Größe", "a\tb", "\x7f"):
+        for wrong_text in (Im0(order_id=text), Im0(serial_number=text)):
+            with pytest.raises(PduError, match="VisibleString"):
+                wrong_text.build()
     with pytest.raises(PduError):
         Im4(bytes(55))

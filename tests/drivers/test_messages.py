@@ -19,7 +19,20 @@ from dpstack.dp.commands import AddSlave, ReparameteriseSlave
 from dpstack.dp.diag_texts import DiagTexts
 from dpstack.dp.setup import SlaveSetup
 from dpstack.dp.v1.ms1 import ReadRecord, RecordDone, WriteRecord
-from dpstack.dp.v1.status import Dpv1, PrmBlock
+from dpstack.dp.v1.ms2_orders import (
+    CloseConnection,
+    CloseConnections,
+    ConnectionOver,
+    ConnectionsClosed,
+    InitiateDone,
+    OpenConnection,
+    ReadOver,
+    TransportDone,
+    TransportOver,
+    WriteOver,
+)
+from dpstack.dp.v1.prm_blocks import PrmBlock
+from dpstack.dp.v1.status import Dpv1
 from dpstack.drivers import messages as m
 from dpstack.drivers.stack import StackSpec
 from dpstack.errors import BusError, ConfigError, PortBusyError, SlaveFault, UsageError
@@ -190,3 +203,27 @@ def test_a_slave_of_dp_v1_and_its_records_survive_the_way() -> None:
     (message,) = m.Frames().feed(m.framed(m.Message(news=m.News(events=[m.named(done)]))))
     assert message.news is not None
     assert [m.event_of(event) for event in message.news.events] == [done]
+
+
+def test_class_2_connections_survive_the_way() -> None:
+    outcome = Outcome(failure=ServiceFailure.ABORTED, text="no", codes=(0, 1, 3))
+    for order in (
+        OpenConnection(1, 2, 3, 4, source=b"\1\2", destination=bytes(9)),
+        ReadOver(1, 2, 3, 4),
+        WriteOver(1, 2, 3, 4, b"\xff"),
+        TransportOver(1, 2, 3, 4, b"\xff"),
+        CloseConnection(1),
+        CloseConnections(),
+    ):
+        (message,) = m.Frames().feed(m.framed(m.Message(question=m.Question(1, m.named(order)))))
+        assert message.question is not None
+        assert m.order_of(message.question.order) == order
+    events = [
+        InitiateDone(t_ns=1, token=2, address=3, outcome=outcome, server_sap=48),
+        TransportDone(t_ns=1, token=2, address=3, slot=4, index=5, outcome=Outcome(b"\xff")),
+        ConnectionOver(t_ns=1, connection=2, address=3, server_sap=48, reason="why", abort=(0, 1, 3)),
+        ConnectionsClosed(t_ns=1),
+    ]
+    (message,) = m.Frames().feed(m.framed(m.Message(news=m.News(events=[m.named(event) for event in events]))))
+    assert message.news is not None
+    assert [m.event_of(event) for event in message.news.events] == events

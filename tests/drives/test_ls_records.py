@@ -10,7 +10,7 @@ from drive_bench import MS, DeviceBench, PluginBench
 from ls_kit import NONE, ZERO, sim
 
 from dpstack.dp.v1.records import parse_request
-from dpstack.dp.v1.serving import Ticket
+from dpstack.dp.v1.tickets import Ticket
 from dpstack.dp.v1.unit_records import ServiceFailure
 from dpstack.profile.acyclic import RecordQueue, Refused, WriteReq
 from dpstack_drives.ls import DRIVE

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import pytest
 from acyclic_kit import outcome
 
@@ -16,6 +18,7 @@ TABLE = ParamTable(
     ]
 )
 S = 10**9
+T = TypeVar("T")
 
 
 class Bench:
@@ -27,7 +30,7 @@ class Bench:
         self.said: list[str] = []
         self.access = AcyclicAccess(ParameterClient(0), self.queue, plain_places(TABLE, "mixer"), lambda: self.now)
 
-    def run(self, steps: Steps[dict[str, object]], *responses: str) -> dict[str, object]:
+    def run(self, steps: Steps[T], *responses: str) -> T:
         """Each request is taken, each Read answered by the next of ``responses``."""
         waiting = list(responses)
         try:
@@ -43,7 +46,7 @@ class Bench:
                 else:
                     pending.outcome = outcome(waiting.pop(0))
         except StopIteration as end:
-            result: dict[str, object] = end.value
+            result: T = end.value
             return result
 
 
@@ -68,6 +71,33 @@ def read(name: str | int, response: str, index: int | None = None) -> dict[str, 
 def test_values_in_their_units(name: str | int, response: str, value: object, raw: int) -> None:
     found = read(name, response)
     assert (found["value"], found["raw"]) == (value, raw)
+
+
+def test_elements_that_follow_each_other_are_one_address() -> None:
+    bench = Bench()
+    keys = [*(ParamKey(20, index=at) for at in (1, 2, 3)), ParamKey("ramp"), ParamKey(20, index=3), ParamKey(21)]
+    steps = bench.access.read_many(keys, 5 * S)
+    found = bench.run(steps, "01 01 01 04 06 03 00 01 00 02 00 03 06 01 00 0A 06 01 00 03 03 01 FF FF")
+    assert bench.said == [
+        "01 01 01 04 10 03 00 14 00 01 10 00 00 0B 00 00 10 01 00 14 00 03 10 00 00 15 00 00",
+    ]
+    assert [(one["number"], one["value"]) for one in found] == [(20, 1), (20, 2), (20, 3), (11, 1.0), (20, 3), (21, -1)]
+
+
+def test_where_one_of_them_is_refused_each_is_asked_by_itself() -> None:
+    bench = Bench()
+    steps = bench.access.read_many([ParamKey(20, index=0), ParamKey(20, index=1), ParamKey("ramp")], 5 * S)
+    found = bench.run(
+        steps,
+        *("01 81 01 02 44 02 00 03 00 01 06 01 00 0A", "02 01 01 01 06 01 00 05", "03 81 01 01 44 02 00 03 00 01"),
+    )
+    assert (found[0]["value"], found[2]["value"]) == (5, 1.0)
+    assert found[1] == {
+        "error": "parameter",
+        "text": "parameter 20: error 3, invalid subindex (subindex 1)",
+        "number": 3,
+    }
+    assert len(bench.said) == 3
 
 
 def test_what_is_no_number_says_what_it_is() -> None:

@@ -167,6 +167,26 @@ def test_a_request_too_long_is_halved() -> None:
     assert master.counters.split == 1
 
 
+def test_a_drive_that_takes_one_parameter_a_request() -> None:
+    drive = Script(
+        *("", "01 81 01 03 44 01 00 23 44 01 00 23 44 01 00 23"),
+        *("", "02 01 01 01 06 01 00 01", "", "03 01 01 01 06 01 00 02", "", "04 81 01 01 44 01 00 23"),
+    )
+    master = client()
+    results = talk(master.read([Address(pnu) for pnu in (1, 2, 3)]), drive)
+    assert results == [Values(6, (1,)), Values(6, (2,)), ErrorValue(0x23)]  # alone it is no remedy
+    assert master.counters.split == 3
+
+
+def test_a_drive_that_takes_fewer_parameters_a_request() -> None:
+    drive = Script(
+        *("", "01 81 01 01 44 01 00 22"),  # one error for the request as a whole
+        *("", "02 01 01 02 06 01 00 01 06 01 00 02", "", "03 01 01 02 06 01 00 03 06 01 00 04"),
+    )
+    results = talk(client().read([Address(pnu) for pnu in (1, 2, 3, 4)]), drive)
+    assert results == [Values(6, (n,)) for n in (1, 2, 3, 4)]
+
+
 # -- limits (974) ------------------------------------------------------------------------------------------------------
 
 

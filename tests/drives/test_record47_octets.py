@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from property_kit import examples
 
 from dpstack.errors import PduError
+from dpstack.profile import error_text
 from dpstack.profile.acyclic.formats import FORMATS, Format, Raw, format_of
 from dpstack.profile.acyclic.record47 import Address, ErrorValue, Request, Response, Values
 
@@ -215,6 +216,15 @@ def test_what_does_not_fit_is_refused_at_once() -> None:
         (13, "00 00 13 6B", 4971),  # Eaton DS7 p202: 100 ms
         (15, "3F F8 00 00 00 00 00 00", 1.5),
         (54, "00 00 00 64", 100),
+        (55, "FF FF FF FF FF FF FF FE", -2),
+        (56, "FF FF FF FF FF FF FF FF", 2**64 - 1),
+        (116, "12 34", 0x1234),
+        (117, "40 00", 0x4000),
+        (118, "7F FF", 0x7FFF),
+        (119, "80 00 00 00", 0x80000000),
+        (120, "FF FF", 0xFFFF),
+        (123, "FF FF", -1),
+        (124, "FF FF FF FF", -1),
         (33, "40 00", 1.0),  # N2 and N4: TR-Electronic p195, Eaton p202
         (113, "C0 00", -1.0),
         (34, "40 00 00 00", 1.0),
@@ -234,6 +244,112 @@ def test_values_of_each_format(number: int, text: str, value: object) -> None:
     assert form.pack((raw,)) == octets(text)
     if number != 9:
         assert form.pack((form.raw(form.value(raw)),)) == octets(text)
+
+
+#: number and octets as PROFIdrive 4.2 counts (OPC 30141 table 59) and as V3 does
+SIZES = {
+    1: 1,
+    2: 1,
+    3: 2,
+    4: 4,
+    5: 1,
+    6: 2,
+    7: 4,
+    8: 4,
+    9: 1,
+    10: 1,
+    12: 6,
+    15: 8,
+    50: 7,
+    52: 4,
+    53: 6,
+    54: 4,
+    55: 8,
+    56: 8,
+    113: 2,
+    114: 4,
+    115: 2,
+    116: 2,
+    117: 2,
+    118: 2,
+    119: 4,
+    120: 2,
+    121: 2,
+    122: 4,
+    123: 2,
+    124: 4,
+    33: 2,
+    34: 4,
+    35: 2,
+    36: 2,
+    37: 2,
+    38: 2,
+    39: 4,
+    40: 2,
+    41: 2,
+    42: 4,
+    43: 2,
+    44: 4,
+    13: 4,
+    14: 1,
+    0x40: 0,
+    0x41: 1,
+    0x42: 2,
+    0x43: 4,
+    0x44: 2,
+}
+
+
+def test_every_format_has_its_octets() -> None:
+    assert {number: form.octets for number, form in FORMATS.items()} == SIZES
+
+
+ERROR_TEXTS = {
+    0x00: "illegal parameter number",
+    0x01: "cannot be modified",
+    0x02: "limit exceeded",
+    0x03: "invalid subindex",
+    0x04: "no array",
+    0x05: "wrong data type",
+    0x06: "only be reset",
+    0x07: "description cannot be changed",
+    0x09: "no description",
+    0x0B: "no operation priority",
+    0x0C: "keyword is missing",
+    0x0F: "no text array",
+    0x10: "protected",
+    0x11: "operating mode",
+    0x14: "not permitted",
+    0x15: "too long",
+    0x16: "address not permitted",
+    0x17: "illegal format",
+    0x18: "number of values",
+    0x19: "no such drive object",
+    0x20: "text cannot be changed",
+    0x21: "service is not supported",
+    0x22: "too many parameters",
+    0x23: "only one parameter",
+    0x65: "the maker's own (Siemens: the parameter is switched off",
+    0x6B: "the maker's own (Siemens: no change while the controller is enabled",
+    0x86: "commissioning only",
+    0xC9: "above the limit",
+    0xFE: "the maker's own",
+    0x08: "which the profile does not define",
+    0x24: "which the profile does not define",
+}
+
+
+@pytest.mark.parametrize(("number", "text"), ERROR_TEXTS.items())
+def test_every_error_number_has_a_text(number: int, text: str) -> None:
+    assert f"error {number}, " in error_text(number)
+    assert text in error_text(number)
+
+
+def test_additional_information_and_a_makers_texts() -> None:
+    for number in (1, 2, 3, 6, 7, 0x14):
+        assert error_text(number, 5).endswith("(subindex 5)")
+    assert error_text(4, 5).endswith("(additional information 5)")
+    assert error_text(0x6B, makers={0x6B: "busy"}) == "error 107, busy"
 
 
 def test_dates_stay_octets() -> None:

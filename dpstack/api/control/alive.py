@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Callable, Coroutine
+from collections.abc import AsyncGenerator, Callable, Coroutine
 from typing import Any, Final
 
 from dpstack.api.control.server import Result
@@ -13,7 +13,7 @@ from dpstack.api.control.server import Result
 _SIGN_OF_LIFE_S: Final = 0.5
 
 
-async def kept_alive(work: Coroutine[Any, Any, object], sign: Callable[[], object]) -> AsyncIterator[object]:
+async def kept_alive(work: Coroutine[Any, Any, object], sign: Callable[[], object]) -> AsyncGenerator[object, None]:
     """``sign()`` as items until ``work`` is done, then its result."""
     order = asyncio.ensure_future(work)
     try:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import contextlib
 import json
 import socket
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from dpstack.api.control.failures import drive_error
+from dpstack.api.control.failures import failure
 from dpstack.api.control.places import SUFFIX, clean, directory, names_of, own_name, socket_path
-from dpstack.errors import BusError, DpError, PortError, UsageError
+from dpstack.errors import DpError, PortError
 
 #: No answer for so long: the program hangs.
 TIMEOUT_S: Final = 10.0
@@ -38,13 +38,19 @@ class ControlClient:
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
 
-    def call(self, command: str, *args: str) -> Any:
-        """The result of ``command``.
+    def call(self, command: str, *args: str, on_item: Callable[[Any], None] | None = None) -> Any:
+        """The result of ``command``; ``on_item`` is told what came before it.
 
-        Raises UsageError where the request is wrong, DriveError (or one of its kinds) or BusError where it failed,
-        PortError when nobody answers.
+        Raises what it raised there: UsageError or ConfigError where the request is wrong, one of the others with all
+        that it carries where it failed (a BusError that tells a defect, too). PortError when nobody answers.
         """
-        return list(self._answers(command, args))[-1].get("result")
+        result = None
+        for answer in self._answers(command, args):
+            if "item" not in answer:
+                result = answer.get("result")
+            elif on_item is not None:
+                on_item(answer["item"])
+        return result
 
     def items(self, command: str, *args: str) -> Iterator[Any]:
         """What a command that goes on tells, one by one. Raises like :meth:`call`."""
@@ -59,8 +65,7 @@ class ControlClient:
             while True:
                 answer = self._line()
                 if answer.get("ok") is False:
-                    text = str(answer.get("error", "refused"))
-                    raise UsageError(text) if answer.get("usage") else drive_error(answer, text) or BusError(text)
+                    raise failure(answer)
                 yield answer
                 if "ok" in answer:
                     return
@@ -122,7 +127,7 @@ def running() -> list[dict[str, Any]]:
         if path.is_symlink():
             clean(path)
             continue
-        with contextlib.suppress(OSError, UsageError, BusError), ControlClient(str(path), _open(path, 1.0)) as client:
+        with contextlib.suppress(OSError, DpError), ControlClient(str(path), _open(path, 1.0)) as client:
             found.append(client.call("help"))
     return found
 

@@ -33,6 +33,7 @@ def control_run(bus: Bus, port: str) -> ControlServer:
         "clear": lambda _: bus.command(SetMode(Mode.CLEAR)),
         "drive": lambda args: drive_order(bus, args),
         "acyclic": lambda args: acyclic_order(bus, args),
+        "class2": lambda args: acyclic_order(bus, args, class2=True),
         "stats": lambda _: bus.stats.summary(),
     }
     if not bus.searching and bus.bench is not None:

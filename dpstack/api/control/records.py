@@ -3,33 +3,80 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Sequence
-from typing import Any
+import contextlib
+from collections.abc import AsyncGenerator, Sequence
+from typing import Any, Final
 
-from dpstack.api.acyclic_words import carry_out
+from dpstack.api.acyclic_words import PARAMETERS, OnProgress, carry_out, check
 from dpstack.api.bus import Bus
 from dpstack.api.control.alive import kept_alive
 from dpstack.api.control.client import reach
+from dpstack.api.control.server import Result
 from dpstack.api.parts import SEARCHING
 from dpstack.errors import BusError
 
+#: parameters in one line of an answer: it stays well below what the server keeps for a slow reader
+_IN_A_LINE: Final = 100
 
-def acyclic_order(bus: Bus, args: list[str]) -> AsyncIterator[object]:
-    """``SLAVE ORDER [ARG]...`` at a slave of a run. A client that hangs up ends the order."""
+
+#: the commands of a run, by class of master
+COMMANDS: Final = {1: "acyclic", 2: "class2"}
+
+
+async def acyclic_order(bus: Bus, args: list[str], *, class2: bool = False) -> AsyncGenerator[object, None]:
+    """``SLAVE ORDER [ARG]...`` at a slave of a run, with ``class2`` over a connection of its own, which is closed
+    afterwards. A client that hangs up ends the order.
+
+    Items tell its ``state`` and, where it takes its time, ``progress``; a long list comes in items before its result.
+    """
     if bus.searching:
         raise BusError(f"{SEARCHING}: the slaves are known once it is found")
     name, word, *rest = args
     slave = bus.slave(int(name) if name.isdecimal() else name)
-    return kept_alive(carry_out(slave, word, rest), lambda: {"state": slave.state.value})
+    check(word, rest, class2=class2)
+    progress: list[object] = []
+
+    def sign() -> dict[str, object]:
+        return {"state": slave.state.value, **({"progress": progress} if progress else {})}
+
+    def told(*one: object) -> None:
+        progress[:] = one
+
+    async def work() -> dict[str, Any]:
+        if not class2:
+            return await carry_out(slave, word, rest, told)
+        async with bus.class2.connect(slave) as connection:
+            return await carry_out(connection, word, rest, told)
+
+    async with contextlib.aclosing(kept_alive(work(), sign)) as items:
+        async for item in items:
+            if isinstance(item, Result) and isinstance(item.value, dict) and PARAMETERS in item.value:
+                found = item.value[PARAMETERS]
+                for at in range(0, len(found), _IN_A_LINE):
+                    yield {PARAMETERS: found[at : at + _IN_A_LINE]}
+                item = Result({key: value for key, value in item.value.items() if key != PARAMETERS})
+            yield item
 
 
-async def through_run(port: str, slave: int, word: str, args: Sequence[str]) -> dict[str, Any] | None:
+async def through_run(
+    port: str, slave: int, word: str, args: Sequence[str], progress: OnProgress | None = None, *, master: int = 1
+) -> dict[str, Any] | None:
     """As :func:`~dpstack.api.acyclic_words.carry_out`, by the run on ``port``; None where no run answers for it.
+    ``master``: class 1 or 2.
 
-    Raises UsageError where the run has no such slave, BusError where it fails there, PortError.
+    Raises what it raises there, UsageError where the run has no such slave, PortError. ``progress`` is called by
+    another thread.
     """
     client = reach(port, kind="run")  # at once: there is a socket or there is none
     if client is None:
         return None
+    found: list[object] = []
+
+    def on_item(item: Any) -> None:
+        found.extend(item.get(PARAMETERS, ()))
+        if progress is not None and "progress" in item:
+            progress(*item["progress"])
+
     with client:
-        return dict(await asyncio.to_thread(client.call, "acyclic", str(slave), word, *args))
+        told = await asyncio.to_thread(client.call, COMMANDS[master], str(slave), word, *args, on_item=on_item)
+    return {**told, **({PARAMETERS: found} if word == PARAMETERS else {})}

@@ -207,9 +207,7 @@ class ControlServer:
             answer: dict[str, object] = {"ok": True, "result": result}
         except _GoneError:
             raise
-        except (UsageError, ValueError) as error:
-            answer = {**_error(str(error)), "usage": True}
-        except DpError as error:
+        except (DpError, ValueError) as error:  # a ValueError: of an argument
             answer = {**_error(str(error)), **told(error)}
         except Exception as error:  # a defect of the command is the client's to read, not the bus's to die of
             answer = _error(f"failed by a defect, please report it: {type(error).__name__}: {error}")

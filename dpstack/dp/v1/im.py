@@ -2,7 +2,9 @@
 
 A call is written to index 255 of a slot: Extended_Function_Num 08, a reserved octet, FI_Index, and for a record that
 is to be changed its 64 octets. The following Read of index 255 gives the same four octets and the 64 of the record.
-Record layouts: ABB FPBA-01 manual p128; PNO 3.502 (I&M1 to I&M4).
+Record layouts: ABB FPBA-01 manual p128; PNO 3.502 (I&M1 to I&M4). Letters of a software revision: ABB's Profinet
+library, IM_Software_Revision; Micro-Epsilon optoNCDT 1900 p72. Texts are VisibleStrings filled up with blanks: what a
+device is stands in ASCII; what people write has umlauts in the field (ISO 8859-1).
 """
 
 from __future__ import annotations
@@ -35,13 +37,16 @@ _FIRST: Final = 65000
 #: FI_Index of I&M records: 65000..65199 are reserved for them
 IM_FI: Final = range(_FIRST, _FIRST + 200)
 _HEADER: Final = bytes(10)
+#: released, revision, prototype, under test in the field, test device
+_KINDS: Final = "VRPUT"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Im0:
     """I&M0: what the device is; read-only.
 
-    ``software_revision``: ``V1.2.3`` (V released, R revision, P prototype, U under test, T test device; 0..255 each).
+    ``software_revision``: ``V1.2.3`` (V released, R revision, P prototype, U under test, T test device; 0..255 each);
+    read from a device the letter is what stands there, in hex where it is none.
     ``supported``: bit n for I&Mn, bit 0 profile specific. ``version``: of I&M itself.
     """
 
@@ -63,8 +68,8 @@ class Im0:
             Im0Octets(
                 _HEADER,
                 self.manufacturer_id,
-                _text("order_id", self.order_id, 20),
-                _text("serial_number", self.serial_number, 16),
+                _visible("order_id", self.order_id, 20),
+                _visible("serial_number", self.serial_number, 16),
                 self.hardware_revision,
                 kind,
                 functional,
@@ -82,7 +87,8 @@ class Im0:
     def parse(cls, octets: bytes) -> Im0:
         """Read ``octets``; those after the 64 are ignored. Raises PduError where there are fewer."""
         raw = IM0.parse(octets[:IM_LEN])
-        kind = raw.software_kind.decode("latin-1")
+        letter = raw.software_kind.decode("latin-1")
+        kind = letter if letter.isprintable() else f"0x{ord(letter):02X} "
         return cls(
             manufacturer_id=raw.manufacturer_id,
             order_id=_read(raw.order_id),
@@ -215,13 +221,21 @@ def _text(name: str, text: str, length: int) -> bytes:
     return octets.ljust(length)
 
 
+def _visible(name: str, text: str, length: int) -> bytes:
+    if not (text.isascii() and text.isprintable()):
+        raise PduError(f"{name} = {text!r}: a VisibleString has ASCII characters from the blank to ~")
+    return _text(name, text, length)
+
+
 def _read(octets: bytes) -> str:
     return octets.decode("latin-1").rstrip(" \0")
 
 
 def _revision(text: str) -> tuple[bytes, int, int, int]:
     kind, numbers = text[:1], text[1:].split(".")
-    if len(numbers) != 3 or not all(n.isdecimal() and int(n) <= 255 for n in numbers) or not kind.isascii():
-        raise PduError(f"software_revision = {text!r}: give a letter and three numbers 0..255, like V1.2.3")
+    if not kind or kind not in _KINDS or len(numbers) != 3 or not all(n.isdecimal() and int(n) <= 255 for n in numbers):
+        raise PduError(
+            f"software_revision = {text!r}: give a letter ({', '.join(_KINDS)}) and three numbers 0..255, like V1.2.3"
+        )
     first, second, third = (int(n) for n in numbers)
     return kind.encode("ascii"), first, second, third

@@ -16,6 +16,7 @@ Decisions where the sources are silent:
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -25,26 +26,29 @@ from dpstack.dp.events import SlaveState
 from dpstack.dp.master import Master
 from dpstack.dp.ms0 import DATA_STATUS, refusal_text
 from dpstack.dp.slave_handler import SlaveHandler
-from dpstack.dp.v1.codes import Decode, remedy
-from dpstack.dp.v1.records import MAX_RECORD, Function, Negative, ReadReq, ReadRes, RecordReq, WriteReq, parse_response
+from dpstack.dp.v1.judging import (
+    BUSY_PAUSE,
+    NO_ANSWERS,
+    NOT_NOW,
+    NOT_TAKEN,
+    NOT_YET,
+    PAUSES,
+    pause_before,
+    service_outcome,
+    title_of,
+)
+from dpstack.dp.v1.records import MAX_RECORD, Function, ReadReq, RecordReq, WriteReq
 from dpstack.errors import PduError, UsageError
-from dpstack.fdl.telegram import SAP_MS1, Kind, Req, Resp, Telegram
+from dpstack.fdl.telegram import SAP_MS1, Kind, Req, Telegram
 from dpstack.fdl.user import Failure, Request
 from dpstack.trace import Event
-from dpstack.units import NS_PER_MS, NS_PER_S, ns_to_s
+from dpstack.units import NS_PER_S, ns_to_s
 
 #: where the GSD file has no C1_Response_Timeout
 RESPONSE_TIMEOUT: Final = NS_PER_S
 #: from the order to the end, the time that others take included
 SERVICE_TIMEOUT: Final = 10 * NS_PER_S
 _HEAD: Final = 4
-_NOT_YET: Final = frozenset((int(Resp.OK), int(Resp.NR)))
-_NOT_NOW: Final = frozenset((int(Resp.RR), int(Resp.UE)))
-_NOT_TAKEN: Final = frozenset((int(Resp.RDL), int(Resp.RDH)))
-_BUSY_PAUSE: Final = 10 * NS_PER_MS
-#: so many polls in as many token holds, then with pauses that grow up to the last
-_EAGER: Final = 4
-_PAUSES: Final = (NS_PER_MS, 2 * NS_PER_MS, 5 * NS_PER_MS, 10 * NS_PER_MS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,7 +171,7 @@ class RecordJob:
 
     def __init__(self, address: int, request: RecordReq, octets: bytes, handler: SlaveHandler, ms1: Ms1) -> None:
         self.address = address
-        self.lane: int | None = address
+        self.lane: Hashable | None = address
         self._request = request
         self._octets = octets
         self._handler = handler
@@ -184,8 +188,7 @@ class RecordJob:
     @property
     def title(self) -> str:
         """With slot and index: they are what a reader looks for."""
-        function = Function.WRITE if self._write else Function.READ
-        return f"{function.title} of slot {self._request.slot}, index {self._request.index}"
+        return title_of(self._request)
 
     @property
     def overdue(self) -> str:
@@ -229,30 +232,30 @@ class RecordJob:
         while True:
             owed[self.address] = self._since  # until there is an answer, whatever ends this service
             answer = yield Step(request, pause, self._limit_ns)
-            pause = _BUSY_PAUSE
+            pause = BUSY_PAUSE
             if not isinstance(answer, Telegram):
                 unanswered += 1
                 if answer is Failure.REFUSED or self._write or unanswered == ATTEMPTS:
                     return self._unanswered(answer)
                 continue
-            self._busy = answer.function in _NOT_NOW
-            if answer.kind is Kind.SC or answer.function in _NOT_YET:
+            self._busy = answer.function in NOT_NOW
+            if answer.kind is Kind.SC or answer.function in NOT_YET:
                 break
             if answer.function in DATA_STATUS:
                 outcome = self._judged(answer.data)
                 if outcome is not None:
                     return outcome
                 break
-            if answer.function not in _NOT_NOW and answer.function not in _NOT_TAKEN:
+            if answer.function not in NOT_NOW and answer.function not in NOT_TAKEN:
                 return self._refused(answer)
-            self._stale += answer.function in _NOT_TAKEN
+            self._stale += answer.function in NOT_TAKEN
         return (yield from self._polled())
 
     def _polled(self) -> Steps[Outcome]:
         poll = self._srd(b"")
         unanswered = polls = 0
         while True:
-            answer = yield Step(poll, _pause(polls))
+            answer = yield Step(poll, pause_before(polls))
             polls += 1
             if not isinstance(answer, Telegram):
                 unanswered += 1
@@ -260,9 +263,9 @@ class RecordJob:
                     return self._unanswered(answer)
                 continue
             unanswered = 0
-            if answer.kind is Kind.SC or answer.function in _NOT_YET or answer.function in _NOT_NOW:
+            if answer.kind is Kind.SC or answer.function in NOT_YET or answer.function in NOT_NOW:
                 continue
-            if answer.function not in DATA_STATUS and answer.function not in _NOT_TAKEN:
+            if answer.function not in DATA_STATUS and answer.function not in NOT_TAKEN:
                 return self._refused(answer)
             outcome = self._judged(answer.data)
             if outcome is not None:
@@ -273,8 +276,8 @@ class RecordJob:
         if owed.get(self.address) != self._since:
             return
         poll = self._srd(b"")
-        for polls in range(self._limit_ns // _PAUSES[-1] + 1):
-            answer = yield Step(poll, _pause(polls))
+        for polls in range(self._limit_ns // PAUSES[-1] + 1):
+            answer = yield Step(poll, pause_before(polls))
             if isinstance(answer, Telegram) and answer.data:
                 self._stale += 1
                 break
@@ -290,42 +293,12 @@ class RecordJob:
         """The end that ``octets`` are, None where they answer another request."""
         if not octets:
             return None
-        request = self._request
-        try:
-            response = parse_response(octets)
-        except PduError as error:
-            return self._over(ServiceFailure.LENGTH, f"answers {self.title} with what cannot be read: {error}")
-        if isinstance(response, Negative):
-            if response.function != (Function.WRITE if self._write else Function.READ):
-                return self._of_another_request()
-            return self._negative(response)
-        if (response.slot, response.index) != (request.slot, request.index):
-            return self._of_another_request()
-        if isinstance(response, ReadRes) is self._write:
-            return self._of_another_request()
-        if isinstance(response, ReadRes) and isinstance(request, ReadReq):
-            got = len(response.data)
-            if got > request.length:
-                return self._over(
-                    ServiceFailure.LENGTH, f"answers {self.title} with {got} octets, {request.length} were asked for"
-                )
-            return self._over(data=response.data)
-        if isinstance(request, WriteReq) and not isinstance(response, ReadRes):
-            given = len(request.data)
-            if response.length != given:
-                taken = f"says it took {response.length} octets by {self.title}, {given} were given"
-                return self._over(ServiceFailure.LENGTH, taken)
-        return self._over()
-
-    def _of_another_request(self) -> Outcome | None:
-        self._stale += 1
-        return None
-
-    def _negative(self, response: Negative) -> Outcome:
-        codes = (response.decode, response.code_1, response.code_2)
-        todo = remedy(response.code_1) if response.decode == Decode.DPV1 else ""
-        text = f"refuses {self.title}: {response.text}" + (f"; {todo}" if todo else "")
-        return self._over(ServiceFailure.NEGATIVE, text, codes=codes)
+        outcome = service_outcome(self.address, self._request, octets)
+        if outcome is None:
+            self._stale += 1
+        else:
+            self._answered()
+        return outcome
 
     def _unanswered(self, why: Failure) -> Outcome:
         what = "gives no readable answer to" if why is not Failure.NO_ANSWER else "does not answer"
@@ -333,7 +306,7 @@ class RecordJob:
         if why is Failure.REFUSED:
             what, maybe = "was not sent", "; this bus is read-only"
             self._ms1.owed.pop(self.address, None)
-        return Outcome(failure=_NO_ANSWERS[why], text=f"slave {self.address} {what} {self.title}{maybe}")
+        return Outcome(failure=NO_ANSWERS[why], text=f"slave {self.address} {what} {self.title}{maybe}")
 
     def _refused(self, answer: Telegram) -> Outcome:
         status = refusal_text(answer)
@@ -341,31 +314,9 @@ class RecordJob:
             f"refuses {self.title} ({status}): SAP {SAP_MS1} is closed; it has no Read and Write (C1_Read_Write_supp "
             f"of its GSD file), or takes them only with other parameters"
         )
-        return self._over(ServiceFailure.REFUSED, text, status=status)
+        self._answered()
+        return Outcome(failure=ServiceFailure.REFUSED, text=f"slave {self.address} {text}", status=status)
 
-    def _over(
-        self,
-        failure: ServiceFailure | None = None,
-        text: str = "",
-        *,
-        data: bytes = b"",
-        status: str = "",
-        codes: tuple[int, int, int] | None = None,
-    ) -> Outcome:
-        """The slave has answered: it owes nothing."""
+    def _answered(self) -> None:
+        """It owes nothing."""
         self._ms1.owed.pop(self.address, None)
-        told = f"slave {self.address} {text}" if text else ""
-        return Outcome(data, failure, told, status, codes)
-
-
-_NO_ANSWERS: Final = {
-    Failure.NO_ANSWER: ServiceFailure.SILENT,
-    Failure.GARBLED: ServiceFailure.UNREADABLE,
-    Failure.WRONG: ServiceFailure.WRONG,
-    Failure.REFUSED: ServiceFailure.GUARDED,
-}
-
-
-def _pause(polls: int) -> int:
-    """Before the next poll, in ns, after ``polls`` of them."""
-    return 0 if polls < _EAGER else _PAUSES[min(polls - _EAGER, len(_PAUSES) - 1)]

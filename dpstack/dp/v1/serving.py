@@ -11,95 +11,23 @@ Decisions where the sources are silent:
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Iterable, Mapping
-from typing import Protocol
+from weakref import WeakKeyDictionary
 
 from dpstack.dp.v1.codes import Code
 from dpstack.dp.v1.im import IM_FI, IM_INDEX, IM_LEN, RECORDS, Im, Im0, build_call, number_of, parse_call
-from dpstack.dp.v1.records import (
-    Function,
-    Negative,
-    ReadReq,
-    ReadRes,
-    RecordReq,
-    RecordRes,
-    UnacceptableError,
-    WriteReq,
-    WriteRes,
-    parse_request,
-)
-from dpstack.errors import PduError, RecordRefused
-from dpstack.fdl.telegram import Resp
+from dpstack.dp.v1.records import MAX_SLOT, ReadReq, UnacceptableError, WriteReq, parse_request
+from dpstack.dp.v1.tickets import Asker, Records, Ticket, Told, put
+from dpstack.errors import PduError
+from dpstack.fdl.telegram import SAP_MS1, Resp
 from dpstack.fdl.user import SC_REPLY, Reply
-
-
-class Ticket:
-    """One request and the way its answer goes: exactly one of the methods, once, whenever it is known.
-
-    ``open``: the answer is still wanted; ``abandoned`` is called when it is not any more. Then it would be dropped.
-    """
-
-    def __init__(self, request: RecordReq) -> None:
-        self.request = request
-        self.open = True
-        self.abandoned: Callable[[], object] | None = None
-        self.response: RecordRes | None = None
-        #: what went wrong in the function that should have answered
-        self.failure: str | None = None
-
-    @property
-    def title(self) -> str:
-        """Service, slot and index."""
-        function = Function.WRITE if isinstance(self.request, WriteReq) else Function.READ
-        return f"{function.title} of slot {self.request.slot}, index {self.request.index}"
-
-    def answer(self, data: bytes = b"") -> None:
-        """It is done; ``data`` of a Read: what is longer than was asked for is cut off."""
-        request = self.request
-        if isinstance(request, WriteReq):
-            self._respond(WriteRes(request.slot, request.index, len(request.data)))
-        else:
-            self._respond(ReadRes(request.slot, request.index, data[: request.length]))
-
-    def refuse(self, code_1: int, code_2: int = 0) -> None:
-        """No: ``code_1`` is class and code (:class:`~dpstack.dp.v1.codes.Code`), ``code_2`` the device's own."""
-        self._respond(Negative(self._function, code_1 & 0xFF, code_2 & 0xFF))
-
-    def fail(self, error: Exception) -> None:
-        """A function raised: RecordRefused says what to answer, anything else is a read or write error, and told."""
-        if isinstance(error, RecordRefused):
-            self.refuse(error.code_1, error.code_2)
-            return
-        self.failure = f"{type(error).__name__}: {error}"
-        self.refuse(Code.WRITE_ERROR if isinstance(self.request, WriteReq) else Code.READ_ERROR)
-
-    @property
-    def _function(self) -> Function:
-        return Function.WRITE if isinstance(self.request, WriteReq) else Function.READ
-
-    def _respond(self, response: RecordRes) -> None:
-        if self.open and self.response is None:
-            self.response = response
-
-
-class Records(Protocol):
-    """The records of a device."""
-
-    def ask(self, ticket: Ticket) -> None:
-        """A request: answer the ticket, at once or later. What it raises is answered as :meth:`Ticket.fail` does."""
-
-
-class Told(Protocol):
-    """Where a slave application tells what it refused."""
-
-    def refused(self, service: str, master: int, reason: str, now: int) -> None:
-        """Once for the same reason."""
 
 
 class Ms1Server:
     """MS1 of one slave application. ``records`` None: the device has none, the SAP is closed."""
 
-    __slots__ = ("_report", "_ticket", "enabled", "records")
+    __slots__ = ("_asker", "_report", "_ticket", "enabled", "records")
 
     def __init__(self, records: Records | None, report: Told) -> None:
         self.records = records
@@ -107,6 +35,7 @@ class Ms1Server:
         self.enabled = False
         self._report = report
         self._ticket: Ticket | None = None
+        self._asker: Asker | None = None
 
     @property
     def open(self) -> bool:
@@ -114,42 +43,35 @@ class Ms1Server:
         return self.enabled and self.records is not None
 
     def close(self) -> None:
-        """Data exchange is over, or another request came."""
-        ticket, self._ticket = self._ticket, None
-        if ticket is not None:
-            ticket.open = False
-            if ticket.response is None and ticket.abandoned is not None:
-                ticket.abandoned()
+        """Data exchange is over."""
+        self._drop()
+        if self._asker is not None:
+            self._asker.open = False
+            self._asker = None
 
     def serve(self, octets: bytes, sa: int, now: int) -> Reply:
         """A request, or a poll (no octets)."""
-        ticket = self._ticket
         if not octets:
-            return SC_REPLY if ticket is None or ticket.response is None else self._reply(ticket, sa, now)
-        self.close()
+            answer = None if self._ticket is None else self._ticket.take(self._report, now)
+            return SC_REPLY if answer is None else Reply(Resp.DL, answer)
+        self._drop()
+        if self._asker is None or self._asker.master != sa:
+            self._asker = Asker(sa, SAP_MS1)
         try:
             request = parse_request(octets)
         except UnacceptableError as error:
-            refused = Ticket(ReadReq(0, 0))
-            refused.response = error.negative
-            self._ticket = refused
+            self._ticket = Ticket(ReadReq(0, 0), self._asker)
+            self._ticket.response = error.negative
             self._report.refused("MS1", sa, str(error), now)
             return SC_REPLY
-        ticket = self._ticket = Ticket(request)
-        if self.records is not None:
-            try:
-                self.records.ask(ticket)
-            except Exception as error:
-                ticket.fail(error)
+        self._ticket = Ticket(request, self._asker, now)
+        put(self._ticket, self.records)
         return SC_REPLY
 
-    def _reply(self, ticket: Ticket, sa: int, now: int) -> Reply:
-        if ticket.failure is not None:
-            self._report.refused(ticket.title, sa, f"its function failed ({ticket.failure})", now)
-            ticket.failure = None
-        if ticket.response is None:
-            return SC_REPLY
-        return Reply(Resp.DL, ticket.response.build())
+    def _drop(self) -> None:
+        ticket, self._ticket = self._ticket, None
+        if ticket is not None:
+            ticket.drop()
 
 
 class RecordTable:
@@ -177,57 +99,67 @@ class RecordTable:
             ticket.answer()
 
 
-class ImRecords:
-    """I&M at index 255 of every slot, everything else handed on to ``others``.
+#: I&M of every slot alike, or slot -> those of this one
+ImOf = Iterable[Im] | Mapping[int, Iterable[Im]]
 
-    ``records``: I&M0 and whichever else there are, I&M1 to 4 can be written; ``changed`` is told what was. The bits of
-    ``Im0.supported`` follow from what there is.
+
+class ImRecords:
+    """I&M at index 255, everything else handed on to ``others``.
+
+    ``records``: I&M0 and whichever else there are, for every slot alike or by slot (0..254; others are refused). I&M1
+    to 4 can be written: ``changed`` is told slot and record first, and refuses by raising. The bits of
+    ``Im0.supported`` follow from what there is. Raises PduError for what does not fit.
     """
 
     def __init__(
-        self, records: Iterable[Im], others: Records | None = None, changed: Callable[[Im], None] | None = None
+        self, records: ImOf, others: Records | None = None, changed: Callable[[int, Im], None] | None = None
     ) -> None:
-        found = {number_of(record): record for record in records}
-        bits = sum(1 << number for number in found if number)
-        known = found.get(0, Im0())
-        assert isinstance(known, Im0)
-        fields = {name: getattr(known, name) for name in Im0.__dataclass_fields__}
-        found[0] = Im0(**(fields | {"supported": known.supported | bits}))
-        for record in found.values():
-            record.build()  # raises PduError here, not when it is read
-        self._found: dict[int, Im] = found
-        self._others = others
+        #: None: of all slots
+        self._slots: dict[int | None, dict[int, Im]] = {}
+        if isinstance(records, Mapping):
+            for slot, found in records.items():
+                if not 0 <= slot <= MAX_SLOT:
+                    raise PduError(f"I&M of slot {slot}: slots are 0..{MAX_SLOT}")
+                self._slots[slot] = _of_one_slot(found)
+        else:
+            self._slots[None] = _of_one_slot(records)
+        self.others = others
         self._changed = changed
-        self._called: dict[int, int] = {}
+        self._called: WeakKeyDictionary[Asker, dict[int, int]] = WeakKeyDictionary()
 
-    @property
-    def records(self) -> tuple[Im, ...]:
-        """As they stand now, by number."""
-        return tuple(self._found[number] for number in sorted(self._found))
+    def of(self, slot: int = 0) -> tuple[Im, ...]:
+        """Those of ``slot`` as they stand now, by number; none where it has none."""
+        found = self._found(slot)
+        return tuple(found[number] for number in sorted(found))
+
+    def _found(self, slot: int) -> dict[int, Im]:
+        return self._slots.get(None) or self._slots.get(slot) or {}
 
     def ask(self, ticket: Ticket) -> None:
         """I&M at once; what is no call goes on."""
         request = ticket.request
+        called = self._called.setdefault(ticket.asker, {})  # each who asks has calls of its own
         if request.index != IM_INDEX:
             self._hand_on(ticket)
         elif isinstance(request, WriteReq):
-            self._call(ticket, request)
-        elif request.slot in self._called:
-            number = self._called[request.slot]
-            ticket.answer(build_call(number, self._found[number]))
+            self._call(ticket, request, called)
+        elif request.slot in called:
+            number = called[request.slot]
+            ticket.answer(build_call(number, self._found(request.slot)[number]))
         else:
             self._hand_on(ticket)
 
-    def _call(self, ticket: Ticket, request: WriteReq) -> None:
+    def _call(self, ticket: Ticket, request: WriteReq, called: dict[int, int]) -> None:
         try:
             fi_index, data = parse_call(request.data)
         except PduError:
-            self._called.pop(request.slot, None)
+            called.pop(request.slot, None)
             self._hand_on(ticket)
             return
         number = fi_index - IM_FI.start
-        if number not in self._found:
-            ticket.refuse(Code.INVALID_RANGE)
+        found = self._found(request.slot)
+        if number not in found:
+            ticket.refuse(Code.INVALID_RANGE if found else Code.INVALID_SLOT)
             return
         if data:
             if not number:
@@ -236,14 +168,26 @@ class ImRecords:
             if len(data) != IM_LEN:
                 ticket.refuse(Code.WRITE_LENGTH)
                 return
-            record = self._found[number] = RECORDS[number].parse(data)
+            record = RECORDS[number].parse(data)
             if self._changed is not None:
-                self._changed(record)
-        self._called[request.slot] = number
+                self._changed(request.slot, record)
+            found[number] = record
+        called[request.slot] = number
         ticket.answer()
 
     def _hand_on(self, ticket: Ticket) -> None:
-        if self._others is None:
+        if self.others is None:
             ticket.refuse(Code.STATE_CONFLICT if ticket.request.index == IM_INDEX else Code.INVALID_INDEX)
         else:
-            self._others.ask(ticket)
+            self.others.ask(ticket)
+
+
+def _of_one_slot(records: Iterable[Im]) -> dict[int, Im]:
+    found = {number_of(record): record for record in records}
+    bits = sum(1 << number for number in found if number)
+    known = found.get(0, Im0())
+    assert isinstance(known, Im0)
+    found[0] = dataclasses.replace(known, supported=known.supported | bits)
+    for record in found.values():
+        record.build()  # raises PduError here, not when it is read
+    return found

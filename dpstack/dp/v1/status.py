@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
+from dpstack.dp.v1.prm_blocks import PrmBlock
 from dpstack.dp.v1.records import MAX_RECORD
 from dpstack.errors import ConfigError
 
@@ -31,34 +32,6 @@ CHECK_CFG_MODE: Final = 0x01
 PRM_CMD: Final = 0x80
 PRM_STRUCTURE: Final = 0x08
 _ALARM_MODE: Final = 0x07
-#: length, type, slot, reserved
-BLOCK_HEAD: Final = 4
-_MAX_BLOCK: Final = 234
-
-
-@dataclass(frozen=True, slots=True)
-class PrmBlock:
-    """A block of structured parameters: ``type`` 0..255 (0x81: user parameters), ``slot`` 0..254, ``data``.
-
-    Raises ConfigError.
-    """
-
-    type: int
-    slot: int
-    data: bytes
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.type <= 255 or not 0 <= self.slot <= 254:
-            raise ConfigError(f"parameter block of type {self.type} for slot {self.slot}: type 0..255, slot 0..254")
-        if len(self.data) > _MAX_BLOCK - BLOCK_HEAD:
-            raise ConfigError(
-                f"parameter block of type {self.type}: {len(self.data)} octets, {_MAX_BLOCK - BLOCK_HEAD} are possible"
-            )
-
-    @property
-    def octets(self) -> bytes:
-        """Its head, whose length counts itself, and the data."""
-        return bytes((BLOCK_HEAD + len(self.data), self.type, self.slot, 0)) + self.data
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

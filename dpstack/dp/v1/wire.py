@@ -1,13 +1,13 @@
 """The octets of the DP-V1 services, declared as those of DP-V0 are (:mod:`dpstack.dp.wire`).
 
-Layouts: protocol facts C2 (VPC3+ header; ABB FPBA-01 manual p103) and C5 (ABB FPBA-01 manual p128).
+Layouts: protocol facts C2 (VPC3+ header; ABB FPBA-01 manual p103) C4 (alarms: Felser) and C5 (ABB FPBA-01 manual p128).
 """
 
 from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-from dpstack.dp.wire import OCTET, REST, WORD, Layout, octets
+from dpstack.dp.wire import OCTET, REST, WORD, Layout, bits, flags, octets
 
 
 class RecordOctets(NamedTuple):
@@ -48,6 +48,160 @@ NEGATIVE: Final = Layout(
     "error_decode" / OCTET,
     "error_code_1" / OCTET,
     "error_code_2" / OCTET,
+    "rest" / REST,
+)
+
+
+class AlarmAckOctets(NamedTuple):
+    """Alarm_Ack, request and positive response: what it acknowledges."""
+
+    function: int
+    slot: int
+    kind: int
+    specifier: int
+    rest: bytes
+
+
+ALARM_ACK: Final = Layout(
+    "Alarm_Ack",
+    AlarmAckOctets,
+    "function" / OCTET,
+    "slot" / OCTET,
+    "kind" / OCTET,
+    "specifier" / OCTET,
+    "rest" / REST,
+)
+
+
+class MessageOctets(NamedTuple):
+    """An alarm or a status in a device related block of the diagnosis; ``header`` is the block's."""
+
+    header: int
+    is_status: bool
+    kind: int
+    slot: int
+    sequence: int
+    add_ack: bool
+    specifier: int
+    data: bytes
+
+
+MESSAGE: Final = Layout(
+    "alarm or status",
+    MessageOctets,
+    "header" / OCTET,
+    *flags("is_status"),
+    "kind" / bits(7),
+    "slot" / OCTET,
+    "sequence" / bits(5),
+    *flags("add_ack"),
+    "specifier" / bits(2),
+    "data" / REST,
+)
+
+
+class ResourceManagerOctets(NamedTuple):
+    """What the resource manager (SAP 49) answers to Initiate."""
+
+    function: int
+    server_sap: int
+    send_timeout: int
+    rest: bytes
+
+
+RESOURCE_MANAGER: Final = Layout(
+    "Resource_Manager",
+    ResourceManagerOctets,
+    "function" / OCTET,
+    "server_sap" / OCTET,
+    "send_timeout" / WORD,
+    "rest" / REST,
+)
+
+
+class InitiateReqOctets(NamedTuple):
+    """Initiate, request; ``addresses`` are both addresses, S_Len and D_Len octets."""
+
+    function: int
+    reserved: bytes
+    send_timeout: int
+    features: int
+    profile_features: int
+    profile_ident: int
+    s_type: int
+    s_len: int
+    d_type: int
+    d_len: int
+    addresses: bytes
+
+
+INITIATE_REQ: Final = Layout(
+    "Initiate request",
+    InitiateReqOctets,
+    "function" / OCTET,
+    "reserved" / octets(3),
+    "send_timeout" / WORD,
+    "features" / WORD,
+    "profile_features" / WORD,
+    "profile_ident" / WORD,
+    "s_type" / OCTET,
+    "s_len" / OCTET,
+    "d_type" / OCTET,
+    "d_len" / OCTET,
+    "addresses" / REST,
+)
+
+
+class InitiateResOctets(NamedTuple):
+    """Initiate, positive response."""
+
+    function: int
+    max_len_data_unit: int
+    features: int
+    profile_features: int
+    profile_ident: int
+    s_type: int
+    s_len: int
+    d_type: int
+    d_len: int
+    addresses: bytes
+
+
+INITIATE_RES: Final = Layout(
+    "Initiate response",
+    InitiateResOctets,
+    "function" / OCTET,
+    "max_len_data_unit" / OCTET,
+    "features" / WORD,
+    "profile_features" / WORD,
+    "profile_ident" / WORD,
+    "s_type" / OCTET,
+    "s_len" / OCTET,
+    "d_type" / OCTET,
+    "d_len" / OCTET,
+    "addresses" / REST,
+)
+
+
+class AbortOctets(NamedTuple):
+    """Abort; ``rest`` are reserved octets."""
+
+    function: int
+    subnet: int
+    reserved: int
+    instance: int
+    reason: int
+    rest: bytes
+
+
+ABORT: Final = Layout(
+    "Abort",
+    AbortOctets,
+    "function" / OCTET,
+    "subnet" / OCTET,
+    "reserved" / bits(2),
+    "instance" / bits(2),
+    "reason" / bits(4),
     "rest" / REST,
 )
 

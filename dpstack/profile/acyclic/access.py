@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final, NamedTuple, TypeVar
 
 from dpstack.dp.v1.codes import Decode
 from dpstack.dp.v1.unit_records import Outcome, ReadReq, RecordQueue, ServiceFailure, WriteReq
 from dpstack.profile.acyclic.client import ParameterClient
 from dpstack.profile.acyclic.formats import FORMATS, Raw, Value
-from dpstack.profile.acyclic.record47 import Address, ErrorValue, Values
+from dpstack.profile.acyclic.record47 import Address, ErrorValue, Result, Values
 from dpstack.profile.acyclic.services import Answer, Pause, Refused, Talk
 from dpstack.profile.channel import ParamKey
 from dpstack.profile.jobs import CommandError, Steps
+from dpstack.profile.many import Found, refused
 from dpstack.profile.param_errors import error_text
 from dpstack.profile.params import ParamSpec, ParamTable
 
@@ -34,6 +35,28 @@ class Place(NamedTuple):
     number: int
     data_set: int | None = None
     format: int | None = None
+
+
+class _Run(NamedTuple):
+    """Places that one address covers."""
+
+    address: Address
+    places: tuple[Place, ...]
+
+
+def _runs(places: Sequence[Place]) -> list[_Run]:
+    runs: list[_Run] = []
+    for place in places:
+        address, last = place.address, runs[-1].address if runs else None
+        if (
+            last is not None
+            and last.elements
+            and address == last._replace(subindex=last.subindex + last.elements, elements=1)
+        ):
+            runs[-1] = _Run(last._replace(elements=last.elements + 1), (*runs[-1].places, place))
+        else:
+            runs.append(_Run(address, (place,)))
+    return runs
 
 
 #: Finds what a user named. Raises CommandError.
@@ -88,7 +111,7 @@ class AcyclicAccess:
         self._placed = placed
         self._clock = clock
         self._written = written
-        self._makers = makers
+        self._makers = {} if makers is None else makers
         self._turns: deque[object] = deque()
         self._formats: dict[Address, int] = {}
 
@@ -104,6 +127,27 @@ class AcyclicAccess:
         """Read one parameter."""
         place = self._placed(key)
         return _outcome(place, (yield from self._values(place, deadline)))
+
+    def read_many(self, keys: Sequence[ParamKey], deadline: int) -> Steps[Found]:
+        """In as few requests as the drive takes; elements of an array that follow each other as one."""
+        places = [self._placed(key) for key in keys]
+        runs = _runs(places)
+        talk = self.client.read([run.address for run in runs], deadline)
+        results = yield from self.run(talk, deadline, "read_many")
+        found: Found = []
+        for run, result in zip(runs, results, strict=True):
+            if isinstance(result, Values) and len(result.raws) == len(run.places):
+                for place, raw in zip(run.places, result.raws, strict=True):
+                    self._formats[place.address] = result.format
+                    found.append(_outcome(place, Values(result.format, (raw,))))
+                continue
+            for place in run.places:  # one of them is the reason: each by itself
+                try:
+                    values = yield from self._values(place, deadline, result if len(run.places) == 1 else None)
+                    found.append(_outcome(place, values))
+                except CommandError as error:
+                    found.append(refused(error))
+        return found
 
     def write(self, key: ParamKey, value: float, deadline: int) -> Steps[dict[str, object]]:
         """Write one parameter, in the format that the drive gave or gives it."""
@@ -171,9 +215,10 @@ class AcyclicAccess:
         if self._clock() >= deadline:
             raise CommandError("timeout", f"{label}: the drive did not answer over record 47 in time")
 
-    def _values(self, place: Place, deadline: int) -> Steps[Values]:
-        talk = self.client.read([place.address], deadline)
-        (result,) = yield from self.run(talk, deadline, place.label)
+    def _values(self, place: Place, deadline: int, result: Result | None = None) -> Steps[Values]:
+        if result is None:
+            talk = self.client.read([place.address], deadline)
+            (result,) = yield from self.run(talk, deadline, place.label)
         self._refused(place, result)
         if not isinstance(result, Values) or not result.raws:
             raise CommandError("parameter", f"{place.label}: the drive answered without a value")

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from dpstack.profile.acyclic.access import AcyclicAccess
 from dpstack.profile.acyclic.client import NoRecordError
 from dpstack.profile.channel import ParameterChannel, ParamKey
 from dpstack.profile.jobs import CommandError, Steps
+from dpstack.profile.many import Found, read_many
 
 
 class ChosenAccess:
@@ -52,6 +55,16 @@ class ChosenAccess:
                 self._without(error)
         assert self._cyclic is not None
         return (yield from self._cyclic.read(key, deadline))
+
+    def read_many(self, keys: Sequence[ParamKey], deadline: int) -> Steps[Found]:
+        """Read several."""
+        if not self._by_cycle:
+            try:
+                return (yield from self._acyclic.read_many(keys, deadline))
+            except NoRecordError as error:
+                self._without(error)
+        assert self._cyclic is not None
+        return (yield from read_many(self._cyclic, keys, deadline))
 
     def write(self, key: ParamKey, value: float, deadline: int) -> Steps[dict[str, object]]:
         """Write one parameter."""

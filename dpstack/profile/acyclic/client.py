@@ -25,7 +25,7 @@ from dpstack.profile.acyclic.services import (
 )
 from dpstack.profile.acyclic.split import Item, Limits, Piece, batch, halves, joined, pieces
 from dpstack.profile.jobs import CommandError
-from dpstack.profile.param_errors import TOO_LONG
+from dpstack.profile.param_errors import ONE_ONLY, TOO_LONG, TOO_MANY
 from dpstack.units import NEVER, NS_PER_MS, NS_PER_S
 
 #: between two questions whether the response is there: short first, then twice as long each time
@@ -33,6 +33,9 @@ _FIRST_PAUSE: Final = 2 * NS_PER_MS
 _LONGEST_PAUSE: Final = 50 * NS_PER_MS
 #: how long a drive may take for one request where it does not say (PNU 974)
 PATIENCE_NS: Final = 2 * NS_PER_S
+
+#: a request with less in it may do
+_ASK_LESS: Final = frozenset({TOO_LONG, TOO_MANY, ONE_ONLY})
 
 #: references of the plugin's requests and of a program's: each end recognises the other one's
 PLUGIN: Final = range(1, 128)
@@ -121,7 +124,7 @@ class ParameterClient:
                 parts = self._smaller(piece, result, alone=count == 1)
                 if parts:
                     again.extend(parts)
-                    most = max(count // 2, 1)
+                    most = 1 if isinstance(result, ErrorValue) and result.number == ONE_ONLY else max(count // 2, 1)
                 else:
                     done.append((piece, result))
             waiting = again + waiting
@@ -133,8 +136,15 @@ class ParameterClient:
             raise CommandError("parameter", str(error)) from None
 
     def _smaller(self, piece: Piece, result: Result, *, alone: bool) -> tuple[Piece, ...]:
-        """What to ask instead where the response would be too long (0x15): by itself, then in two."""
-        if not isinstance(result, ErrorValue) or result.number != TOO_LONG:
+        """What to ask instead where the response would be too long (0x15), or the request has too many parameters.
+
+        By itself, then in two where it is too long.
+        """
+        if (
+            not isinstance(result, ErrorValue)
+            or result.number not in _ASK_LESS
+            or (alone and result.number != TOO_LONG)
+        ):
             return ()
         self.counters.split += 1
         return (halves(piece) or ()) if alone else (piece,)
@@ -179,7 +189,7 @@ class ParameterClient:
         Raises CommandError: ``timeout`` after ``deadline`` (ns) or the drive's patience, ``parameter`` for a refusal.
         """
         self.counters.requests += 1
-        now = yield from self._written(octets, deadline)
+        now = yield from self._written(octets, deadline, several=len(request.addresses) > 1)
         if now is None:
             return None
         patience = self._patience
@@ -206,15 +216,15 @@ class ParameterClient:
     def _patience(self) -> int:
         return max(2 * self.limits.latency_ns, PATIENCE_NS)
 
-    def _written(self, octets: bytes, deadline: int) -> Talk[int | None]:
-        """When the request was taken; None where it is too long."""
+    def _written(self, octets: bytes, deadline: int, *, several: bool = False) -> Talk[int | None]:
+        """When the request was taken; None where it is too long, or has too many parameters (``several``)."""
         until: int | None = None
         pause = _FIRST_PAUSE
         while True:
             now, data = yield from self._service(WriteReq(self.slot, INDEX, octets))
             if not isinstance(data, Refused):
                 return now
-            if data.code == Code.WRITE_LENGTH:
+            if data.code == Code.WRITE_LENGTH or (several and data.code == Code.INVALID_RANGE):
                 return None
             self._again(data, "the request")
             until = min(deadline, now + self._patience) if until is None else until

@@ -1,8 +1,9 @@
 """The formats of values in record 47: number, octets of one value, and what its octets mean.
 
 Sources: the formats that every drive has (1 to 8, 0x40 to 0x44), Siemens SINAMICS manual p97; the range of the others,
-VACON PROFINET manual p37; times, IEC 61158-5; N2 to X4 as PROFIdrive V3 counts them (33 to 44, TR-Electronic encoTRive
-manual p195) and as V4 does (113 to 124, Eaton DS7 manual p202). What depends on another parameter (R2, T2, T4, D2: the
+VACON PROFINET manual p37, OPC 30141 table 59 (numbers of PROFIdrive 4.2); times, IEC 61158-5; N2 to X4 as PROFIdrive
+V3 counts them (33 to 44, TR-Electronic encoTRive manual p195) and as V4 does (113 to 124, Eaton DS7 manual p202). V4
+has UNICODEString at 39, which stays the T4 of V3 here. What depends on another parameter (R2, T2, T4, D2: the
 sampling time; X2, X4) stays the integer on the wire.
 """
 
@@ -124,6 +125,8 @@ def _formats() -> Iterator[Format]:
     yield Format(52, "TimeOfDay", 4, "I")
     yield Format(53, "TimeDifference with date", 6)
     yield Format(54, "TimeDifference without date", 4, "I")
+    yield Format(55, "Integer64", 8, "q")
+    yield Format(56, "Unsigned64", 8, "Q")
     for first in (33, 113):
         for at, (name, code, scale) in enumerate(_PROFILE):
             yield Format(first + at, name, struct.calcsize(f">{code}"), code, scale)
@@ -143,7 +146,7 @@ _PROFILE: Final = (
     ("R2", "H", 0.0),
     ("T2", "H", 0.0),
     ("T4", "I", 0.0),
-    ("D2", "h", 0.0),
+    ("D2", "H", 0.0),
     ("E2", "h", 2.0**-7),
     ("C4", "i", 1e-4),
     ("X2", "h", 0.0),

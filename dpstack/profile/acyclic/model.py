@@ -6,7 +6,7 @@ limits (974) and the lists of its parameters (980 to 989: 300 elements each, the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final, NamedTuple
 
 from dpstack.profile.acyclic.formats import (
@@ -16,6 +16,7 @@ from dpstack.profile.acyclic.formats import (
     OCTET_STRING,
     UNSIGNED16,
     UNSIGNED32,
+    VISIBLE_STRING,
     WORD,
     Raw,
     format_of,
@@ -30,6 +31,7 @@ from dpstack.profile.param_errors import (
     ILLEGAL_NUMBER,
     LIMITS,
     NO_ARRAY,
+    NO_DESCRIPTION,
     NO_TEXT,
     OPERATING_STATE,
     READ_ONLY,
@@ -58,7 +60,8 @@ def format_number(spec: ParamSpec) -> int:
 class StoreParameters:
     """A :class:`~dpstack.profile.acyclic.server.ParameterModel`.
 
-    ``live``: the actual integer where it is not stored; ``locked``: error 11 hex now; ``changed``: told after a write.
+    ``live``: the actual integer where it is not stored; ``locked``: error 11 hex now; ``changed``: told after a write;
+    ``texts``: what the values of a parameter are called, by its number, from 0 on.
     """
 
     def __init__(
@@ -69,7 +72,9 @@ class StoreParameters:
         live: Callable[[ParamSpec], int | None] = lambda spec: None,
         locked: Callable[[ParamSpec], bool] = lambda spec: False,
         changed: Callable[[ParamSpec], None] = lambda spec: None,
+        texts: Mapping[int, Sequence[str]] | None = None,
     ) -> None:
+        self._texts = {} if texts is None else dict(texts)
         self._store = store
         self._live = live
         self._locked = locked
@@ -132,13 +137,16 @@ class StoreParameters:
         return ErrorValue(OPERATING_STATE) if self._locked(spec) else checked
 
     def describe(self, address: Address) -> Result:
-        """The whole description (subindex 0); single elements of it are not there."""
+        """The whole description (subindex 0), or one element of it."""
         places = self._places.get(address.pnu)
         if places is None and address.pnu not in self._own:
             return ErrorValue(ILLEGAL_NUMBER)
-        if address.subindex or address.elements > 1:
+        if address.elements > 1:
             return ErrorValue(BAD_ADDRESS)
-        return Values(OCTET_STRING, (self._description(address.pnu).build(),))
+        described = self._description(address.pnu)
+        if not address.subindex:
+            return Values(OCTET_STRING, (described.build(),))
+        return described.element(address.subindex) or ErrorValue(NO_DESCRIPTION)
 
     def _description(self, pnu: int) -> Description:
         if pnu in self._own:
@@ -153,14 +161,22 @@ class StoreParameters:
             for limit in (spec.low, spec.high)
         )
         factor = 1 / (spec.per_unit or 10**spec.decimals)
+        text = pnu in self._texts
         return Description(
-            form, max(places) + 1 if array else 1, spec.title, spec.read_only, array, False, factor, 0, low, high
+            form, max(places) + 1 if array else 1, spec.title, spec.read_only, array, text, factor, 0, low, high
         )
 
     def text(self, address: Address) -> Result:
-        """None has texts."""
-        known = address.pnu in self._places or address.pnu in self._own
-        return ErrorValue(NO_TEXT if known else ILLEGAL_NUMBER)
+        """Texts of 16 characters, from ``address.subindex`` on."""
+        found = self._texts.get(address.pnu)
+        if found is None:
+            known = address.pnu in self._places or address.pnu in self._own
+            return ErrorValue(NO_TEXT if known else ILLEGAL_NUMBER)
+        end = address.subindex + max(address.elements, 1)
+        if end > len(found):
+            return ErrorValue(BAD_SUBINDEX, max(address.subindex, len(found)))
+        octets = "".join(f"{one:16.16}" for one in found[address.subindex : end]).encode("latin-1", "replace")
+        return Values(VISIBLE_STRING, (octets,))
 
     def _raw(self, place: _Place) -> int:
         live = self._live(place.spec)

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from typing import Final, Protocol
 
 from dpstack.dp.v1.codes import Code
-from dpstack.dp.v1.records import WriteReq
-from dpstack.dp.v1.serving import Ticket
+from dpstack.dp.v1.records import ReadReq, WriteReq
+from dpstack.dp.v1.tickets import Asker, Ticket
 from dpstack.errors import PduError
 from dpstack.profile.acyclic.formats import ZERO
 from dpstack.profile.acyclic.record47 import (
@@ -33,6 +33,8 @@ from dpstack.profile.acyclic.split import Limits
 from dpstack.profile.param_errors import BAD_ADDRESS, BAD_COUNT, NO_OBJECT, TOO_LONG
 
 _BUSY: Final = Refused(Code.STATE_CONFLICT)
+#: how long a response is kept for whoever asked while others want the drive
+_HELD_NS: Final = 2_000_000_000
 
 
 class RecordServer(Protocol):
@@ -46,23 +48,42 @@ class RecordServer(Protocol):
 
 
 class TimedRecords:
-    """Records of a slave application (:class:`~dpstack.dp.v1.serving.Records`) over a server; ``clock`` in ns."""
+    """Records of a slave application (:class:`~dpstack.dp.v1.tickets.Records`) over a server, for several who ask.
 
-    def __init__(self, server: RecordServer, clock: Callable[[], int]) -> None:
+    ``clock``: from the bus's time of a request to the drive's, both in ns. The drive carries out one request of record
+    47 at a time: while one is carried out or its response waits for whoever asked (as long as that one can fetch it,
+    for 2 s at most), a Write of somebody else is answered 0xC2, a Read 0xB5 as before any request (readings).
+    """
+
+    def __init__(self, server: RecordServer, clock: Callable[[int], int]) -> None:
         self._server = server
         self._clock = clock
+        self._holder: Asker | None = None
+        self._held_until = 0
 
     def ask(self, ticket: Ticket) -> None:
         """At once: what is not ready is refused, and asked again."""
-        request, now = ticket.request, self._clock()
+        request, asker, now = ticket.request, ticket.asker, self._clock(ticket.at)
+        if request.index == INDEX and self._holder not in (None, asker):
+            if isinstance(request, ReadReq):
+                ticket.refuse(Code.STATE_CONFLICT)
+                return
+            if self._is_kept(now):
+                ticket.refuse(Code.RESOURCE_BUSY)
+                return
         if isinstance(request, WriteReq):
             answer = self._server.write_record(request.slot, request.index, request.data, now) or b""
         else:
             answer = self._server.read_record(request.slot, request.index, request.length, now)
         if isinstance(answer, Refused):
             ticket.refuse(answer.code)
-        else:
-            ticket.answer(answer)
+            return
+        self._holder = asker if isinstance(request, WriteReq) else None
+        self._held_until = now + _HELD_NS
+        ticket.answer(answer)
+
+    def _is_kept(self, now: int) -> bool:
+        return self._holder is not None and self._holder.open and now < self._held_until
 
 
 class ParameterModel(Protocol):

@@ -15,6 +15,8 @@ from dpstack_drives.ls import table as t
 from dpstack_drives.ls.module import Module
 
 SLOT: Final = 1
+#: of class 2 (row L8); a reading: the manual gives no number
+CONNECTIONS: Final = 2
 #: at most 8 parameters of at most 8 elements a request, values only, one object
 LIMITS: Final = acyclic.Limits(parameters=8, elements=8)
 RULES: Final = acyclic.Rules(
@@ -91,7 +93,7 @@ def identification() -> acyclic.Im0:
     )
 
 
-def served(parameters: acyclic.ParameterServer, clock: Callable[[], int]) -> acyclic.ImRecords:
+def served(parameters: acyclic.ParameterServer, clock: Callable[[int], int]) -> acyclic.ImRecords:
     """All records of the drive: record 47 in slot 1, I&M0 in every slot."""
     return acyclic.ImRecords((identification(),), acyclic.TimedRecords(parameters, clock))
 

@@ -74,7 +74,13 @@ class LsDevice(DriveDevice):
         self.channel = PkwServer(t.PKW, self.module.order)
         if not self.legacy:
             self.record47 = records.server(self.module)
-            self.records = records.served(self.record47, lambda: self.seen_until or 0)
+            self.records = records.served(self.record47, self._caught_up)
+            self.ms2 = records.CONNECTIONS
+
+    def _caught_up(self, now: int) -> int:
+        """The time of its last scan: a master of class 2 asks also while nobody exchanges data with it."""
+        self.advance(now)
+        return self.seen_until or 0
 
     @property
     def scan_ns(self) -> int:

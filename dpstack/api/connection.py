@@ -1,0 +1,219 @@
+"""A class 2 connection (MS2) to a slave, to be awaited: ``bus.class2.connect(...)``."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Generator
+from types import TracebackType
+from typing import TYPE_CHECKING, Final, TypeVar
+
+from dpstack.api.ms2_config import Ms2Limits
+from dpstack.api.record_parameters import RecordParameters, over_records
+from dpstack.api.records import TIMEOUT, RecordAccess
+from dpstack.api.services import Ending
+from dpstack.dp.v1.connection import Address, InitiateReq
+from dpstack.dp.v1.ms1 import RecordDone
+from dpstack.dp.v1.ms2 import NO_CONNECTION
+from dpstack.dp.v1.ms2_orders import (
+    CloseConnection,
+    InitiateDone,
+    OpenConnection,
+    ReadOver,
+    TransportDone,
+    TransportOver,
+    WriteOver,
+)
+from dpstack.dp.v1.records import MAX_RECORD
+from dpstack.errors import ConnectionEnded, DpError, PduError, UsageError
+from dpstack.units import NS_PER_S, ns_to_s, s_to_ns
+
+if TYPE_CHECKING:
+    from dpstack.api.bus import Bus
+
+Done = TypeVar("Done", RecordDone, TransportDone)
+#: what is asked for by rate in bit/s, in ns: what slave chips need (facts C2); slower ones need the last
+_SEND_TIMEOUTS: Final = {1_500_000: NS_PER_S, 500_000: 2 * NS_PER_S, 0: 4 * NS_PER_S}
+
+
+def send_timeout_of(baud: int) -> int:
+    """The send time-out to ask for at ``baud`` bit/s, in ns."""
+    return next(timeout for least, timeout in _SEND_TIMEOUTS.items() if baud >= least)
+
+
+class Connection(RecordAccess):
+    """An open connection. Its services queue, up to 32; it is kept alive until it is closed, or the bus is.
+
+    All raise ConnectionEnded once it is over (also those under way), otherwise as :meth:`Slave.read` does:
+    AcyclicError, SlaveTimeout, SlaveFault, UsageError, BusError. ``timeout`` in seconds from the call; what takes the
+    slave longer than its C2_Response_Timeout ends the connection.
+    """
+
+    def __init__(self, bus: Bus, done: InitiateDone, ending: Ending, name: str, longest: int) -> None:
+        self._bus = bus
+        self._done = done
+        self._ending = ending
+        self._longest = min(longest, done.max_len)
+        #: the slave's name on this bus, or "slave" and its address
+        self.name = name
+
+    @property
+    def address(self) -> int:
+        """Of the slave."""
+        return self._done.address
+
+    @property
+    def who(self) -> str:
+        """The slave for people."""
+        return f"slave {self.address} (server SAP {self.server_sap})"
+
+    @property
+    def server_sap(self) -> int:
+        """Where it ends in the slave, 0..48."""
+        return self._done.server_sap
+
+    @property
+    def send_timeout(self) -> float:
+        """The longest silence in seconds, as both ends agreed."""
+        return ns_to_s(self._done.send_timeout_ns)
+
+    @property
+    def max_data_len(self) -> int:
+        """Octets of data in one service, at most: what the slave said in Initiate, and its GSD file."""
+        return self._longest
+
+    @property
+    def profile_ident(self) -> int:
+        """The slave's Profile_Ident_Number, 0 for none."""
+        return self._done.profile_ident
+
+    @property
+    def is_open(self) -> bool:
+        """Until either end has ended it."""
+        return not self._ending.told.is_set()
+
+    @property
+    def reason(self) -> str | None:
+        """Who ended it and why; None while it is open."""
+        ending = self._ending
+        return ending.over.reason if ending.over is not None else None if ending.lost is None else str(ending.lost)
+
+    async def read(self, slot: int, index: int, length: int | None = None, *, timeout: float = TIMEOUT) -> bytes:
+        """Read a record: up to ``length`` octets, as many as it can have where nothing is said."""
+        token = self._bus.services.token()
+        wanted = self._longest if length is None else length
+        order = ReadOver(token, self._done.token, slot, index, wanted, s_to_ns(timeout))
+        return (await self._do(token, order, RecordDone)).outcome.data
+
+    async def write(self, slot: int, index: int, data: bytes, *, timeout: float = TIMEOUT) -> None:
+        """Write all of ``data`` into a record."""
+        self._check(data)
+        token = self._bus.services.token()
+        order = WriteOver(token, self._done.token, slot, index, bytes(data), s_to_ns(timeout))
+        await self._do(token, order, RecordDone)
+
+    async def transport(self, slot: int, index: int, data: bytes = b"", *, timeout: float = TIMEOUT) -> bytes:
+        """Data_Transport: ``data`` to the slave, what it sends back."""
+        self._check(data)
+        token = self._bus.services.token()
+        order = TransportOver(token, self._done.token, slot, index, bytes(data), s_to_ns(timeout))
+        return (await self._do(token, order, TransportDone)).outcome.data
+
+    def parameters(self, slot: int = 1, *, object: int = 1, timeout: float = TIMEOUT) -> RecordParameters:
+        """PROFIdrive's parameter access over this connection, otherwise as :meth:`Slave.parameters`."""
+        return RecordParameters(self.name, over_records(self, timeout), slot, object=object)
+
+    async def ident(self) -> int:
+        """The slave's ident number, by Slave_Diag."""
+        return (await self._bus.class2.diagnosis(self.address)).ident
+
+    async def ended(self) -> None:
+        """Wait until it is over, from whatever end; then :attr:`reason` says why."""
+        await self._ending.told.wait()
+
+    async def close(self) -> None:
+        """End it by Abort, and wait until the slave has it back or cannot be told. May be repeated."""
+        if self.is_open and self._bus.is_open:
+            with contextlib.suppress(DpError):  # the bus may have ended meanwhile
+                self._bus.command(CloseConnection(self._done.token))
+        await self._ending.told.wait()
+
+    async def __aenter__(self) -> Connection:
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        await self.close()
+
+    async def _do(self, token: int, order: object, kind: type[Done]) -> Done:
+        self._check_open()
+        try:
+            return await self._bus.services.do(token, order, kind)
+        except UsageError as error:  # it ended meanwhile, which was not told yet
+            if not str(error).startswith(NO_CONNECTION):
+                raise
+            raise ConnectionEnded(self.address, f"slave {self.address}: {error}") from None
+
+    def _check_open(self) -> None:
+        ending = self._ending
+        if ending.lost is not None:
+            raise ending.lost
+        if ending.over is not None:
+            text = f"{ending.over.text}; open a new one"
+            raise ConnectionEnded(self.address, text, abort=ending.over.abort)
+
+    def _check(self, data: bytes) -> None:
+        if self._longest < len(data) <= MAX_RECORD:
+            what = f"{len(data)} octets, it takes {self._longest} in one service"
+            raise UsageError(f"{self.who}: {what} (C2_Max_Data_Len, Max_Len_Data_Unit of Initiate): send less")
+
+
+class Connecting:
+    """A connection that is being opened: to be awaited, or entered with ``async with``, which closes it at the end."""
+
+    def __init__(self, bus: Bus, order: OpenConnection, name: str, limits: Ms2Limits) -> None:
+        self._bus = bus
+        self._order = order
+        self._name = name
+        self._limits = limits
+        self._opened: Connection | None = None
+
+    def __await__(self) -> Generator[object, None, Connection]:
+        return self._open().__await__()
+
+    async def __aenter__(self) -> Connection:
+        self._opened = await self._open()
+        return self._opened
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._opened is not None:
+            await self._opened.close()
+
+    async def _open(self) -> Connection:
+        services, order, limits = self._bus.services, self._order, self._limits
+        who = f"slave {order.address} ({self._name})"
+        if not limits.supported:
+            raise UsageError(f"{who}: its GSD file says C2_Read_Write_supp = 0: it has no class 2 connections")
+        _check_initiate(who, order, limits)
+        ending = services.connections[order.token] = Ending()
+        try:
+            done = await services.do(order.token, order, InitiateDone, cancel=CloseConnection(order.token))
+        except BaseException:
+            services.connections.pop(order.token, None)
+            raise
+        return Connection(self._bus, done, ending, self._name, limits.max_data_len)
+
+
+def _check_initiate(who: str, order: OpenConnection, limits: Ms2Limits) -> None:
+    try:
+        source, destination = (Address(a[0], a[1], a[2:]) for a in (order.source, order.destination))
+        octets = InitiateReq(order.send_timeout_ns, source=source, destination=destination).build()
+    except (PduError, IndexError):
+        return  # refused by the machine, with its reason
+    if 0 < limits.max_initiate_len < len(octets):
+        raise UsageError(
+            f"{who}: Initiate has {len(octets)} octets with these addresses, its GSD file says "
+            f"Max_Initiate_PDU_Length = {limits.max_initiate_len}: leave network addresses out"
+        )

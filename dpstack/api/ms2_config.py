@@ -1,0 +1,40 @@
+"""What a GSD file says about class 2 connections."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from dpstack.dp.v1.records import MAX_RECORD
+from dpstack.gsd.model import Device
+from dpstack.units import NS_PER_MS
+
+#: C2_Response_Timeout counts in 10 ms
+_TIMEOUT_UNIT: Final = 10 * NS_PER_MS
+
+
+@dataclass(frozen=True, slots=True)
+class Ms2Limits:
+    """``supported``: C2_Read_Write_supp. ``response_ns`` (C2_Response_Timeout), ``channels`` (C2_Max_Count_Channels)
+    and ``max_initiate_len`` (Max_Initiate_PDU_Length, octets) are 0 where they are not known; ``max_data_len``:
+    C2_Max_Data_Len, 1..240."""
+
+    supported: bool = True
+    response_ns: int = 0
+    max_data_len: int = MAX_RECORD
+    channels: int = 0
+    max_initiate_len: int = 0
+
+    @classmethod
+    def of(cls, device: Device | None) -> Ms2Limits:
+        """Of the device's GSD file; without one nothing is known, and it may have them."""
+        if device is None:
+            return cls()
+        dpv1 = device.dpv1
+        return cls(
+            supported=dpv1.c2_read_write,
+            response_ns=dpv1.c2_response_timeout * _TIMEOUT_UNIT,
+            max_data_len=min(dpv1.c2_max_data_len or MAX_RECORD, MAX_RECORD),
+            channels=dpv1.c2_max_count_channels,
+            max_initiate_len=dpv1.max_initiate_pdu_length,
+        )

@@ -1,0 +1,114 @@
+"""What an answer to Read, Write or Data_Transport comes to, for a master of either class (protocol facts C2)."""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import Final
+
+from dpstack.dp.class2_jobs import Outcome, ServiceFailure
+from dpstack.dp.ms0 import DATA_STATUS
+from dpstack.dp.v1.codes import Decode, remedy
+from dpstack.dp.v1.connection import DataTransport
+from dpstack.dp.v1.records import Function, Negative, ReadReq, ReadRes, RecordReq, WriteReq, parse_response
+from dpstack.errors import PduError
+from dpstack.fdl.telegram import Kind, Resp, Telegram
+from dpstack.fdl.user import Failure
+from dpstack.units import NS_PER_MS
+
+Service = RecordReq | DataTransport
+
+#: FC status of an answer that says "not yet" to a request or a poll
+NOT_YET: Final = frozenset((int(Resp.OK), int(Resp.NR)))
+#: "not now": the request was not taken
+NOT_NOW: Final = frozenset((int(Resp.RR), int(Resp.UE)))
+#: old data are given away, and the request was not taken (A3)
+NOT_TAKEN: Final = frozenset((int(Resp.RDL), int(Resp.RDH)))
+BUSY_PAUSE: Final = 10 * NS_PER_MS
+#: so many polls in as many token holds, then with pauses that grow up to the last
+EAGER: Final = 4
+PAUSES: Final = (NS_PER_MS, 2 * NS_PER_MS, 5 * NS_PER_MS, 10 * NS_PER_MS)
+
+#: what a service without any answer that can be used is called
+NO_ANSWERS: Final = {
+    Failure.NO_ANSWER: ServiceFailure.SILENT,
+    Failure.GARBLED: ServiceFailure.UNREADABLE,
+    Failure.WRONG: ServiceFailure.WRONG,
+    Failure.REFUSED: ServiceFailure.GUARDED,
+}
+
+
+class Said(Enum):
+    """What the answer of a slave's link layer to a request or a poll says."""
+
+    DATA = "data"
+    WAIT = "wait"  # acknowledged, or not yet
+    AGAIN = "again"  # not now: the request was not taken
+    CLOSED = "closed"  # the service access point is
+
+
+def said(answer: Telegram) -> Said:
+    """By its FC (A3)."""
+    if answer.kind is Kind.SC:
+        return Said.WAIT
+    if answer.data and answer.function in DATA_STATUS | NOT_TAKEN:
+        return Said.DATA
+    if answer.function in NOT_YET | DATA_STATUS:
+        return Said.WAIT
+    return Said.AGAIN if answer.function in NOT_NOW | NOT_TAKEN else Said.CLOSED
+
+
+def pause_before(polls: int) -> int:
+    """Before the next poll, in ns, after ``polls`` of them."""
+    return 0 if polls < EAGER else PAUSES[min(polls - EAGER, len(PAUSES) - 1)]
+
+
+def function_of(service: Service) -> Function:
+    """Its function number."""
+    match service:
+        case DataTransport():
+            return Function.DATA_TRANSPORT
+        case WriteReq():
+            return Function.WRITE
+        case _:
+            return Function.READ
+
+
+def title_of(service: Service) -> str:
+    """With slot and index: they are what a reader looks for."""
+    return f"{function_of(service).title} of slot {service.slot}, index {service.index}"
+
+
+def service_outcome(address: int, service: Service, octets: bytes) -> Outcome | None:
+    """The end of ``service`` of the slave at ``address`` that ``octets`` are; None where they answer another one."""
+    who = f"slave {address}"
+    title = title_of(service)
+    try:
+        transports = isinstance(service, DataTransport) and octets[:1] == bytes((Function.DATA_TRANSPORT,))
+        response = DataTransport.parse(octets) if transports else parse_response(octets)
+    except PduError as error:
+        return Outcome(failure=ServiceFailure.LENGTH, text=f"{who} answers {title} with what cannot be read: {error}")
+    if isinstance(response, Negative):
+        return _negative(who, service, response) if response.function == function_of(service) else None
+    if (response.slot, response.index) != (service.slot, service.index):
+        return None
+    match service, response:
+        case ReadReq(length=asked), ReadRes(data=data):
+            if len(data) > asked:
+                text = f"{who} answers {title} with {len(data)} octets, {asked} were asked for"
+                return Outcome(failure=ServiceFailure.LENGTH, text=text)
+            return Outcome(data)
+        case DataTransport(), DataTransport(data=data):
+            return Outcome(data)
+        case WriteReq(data=given), taken if not isinstance(taken, (ReadRes, DataTransport)):
+            if taken.length != len(given):
+                text = f"{who} says it took {taken.length} octets by {title}, {len(given)} were given"
+                return Outcome(failure=ServiceFailure.LENGTH, text=text)
+            return Outcome()
+    return None
+
+
+def _negative(who: str, service: Service, response: Negative) -> Outcome:
+    codes = (response.decode, response.code_1, response.code_2)
+    todo = remedy(response.code_1) if response.decode == Decode.DPV1 else ""
+    text = f"{who} refuses {title_of(service)}: {response.text}" + (f"; {todo}" if todo else "")
+    return Outcome(failure=ServiceFailure.NEGATIVE, text=text, codes=codes)

@@ -1,0 +1,238 @@
+"""One class 2 connection at the master: what is known of it, and the course of every service over it.
+
+A service is one SRD to a SAP of the slave, then empty SRDs until its answer is there (facts C3, J; Felser:
+"poll cycles"). It is a generator as all acyclic services are (:mod:`dpstack.dp.class2_jobs`).
+
+Decisions where the sources are silent:
+
+- Any answer of the link layer is a sign of life, Idle or not; the time-out counts from the last one.
+- A request without an answer may have been taken, and a second one would be an error of sequence: the slave is polled
+  for the answer instead.
+- Idle while a service is under way says that the slave still works at it: its time begins anew.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final, NamedTuple
+
+from dpstack.dp.class2_jobs import Outcome, ServiceFailure, Step, Steps
+from dpstack.dp.ms0 import refusal_text
+from dpstack.dp.v1.connection import HEAD, Abort, AbortReason, Instance
+from dpstack.dp.v1.judging import BUSY_PAUSE, NO_ANSWERS, NOT_TAKEN, Said, pause_before, said
+from dpstack.dp.v1.records import Function
+from dpstack.errors import PduError
+from dpstack.fdl.telegram import SSAP_MS2, Req, Telegram
+from dpstack.fdl.user import Failure, Request
+from dpstack.units import NS_PER_MS, NS_PER_S, ns_to_s
+
+#: the shortest time a slave is given for a service where its GSD file has no C2_Response_Timeout
+RESPONSE_TIMEOUT: Final = NS_PER_S
+#: a silent slave is asked again after this, and then twice as long each time, up to the last
+_SILENT_PAUSE: Final = 10 * NS_PER_MS
+_SILENT_PAUSE_MAX: Final = 160 * NS_PER_MS
+#: what a slave is told that was not heard, or not in time
+TIMED_OUT: Final = Abort(AbortReason.TIMEOUT)
+#: the program does not want the connection any more
+NOT_WANTED: Final = Abort(0, Instance.USER)
+_SILENT: Final = {
+    Failure.NO_ANSWER: "does not answer",
+    Failure.GARBLED: "gives no readable answer to",
+    Failure.WRONG: "gives answers that are none to",
+}
+
+
+class Phase(Enum):
+    """How far it is."""
+
+    OPENING = "opening"
+    OPEN = "open"
+    ENDING = "ending"  # over for whoever used it; the slave is still to be told
+    GONE = "gone"
+
+
+class Ended(NamedTuple):
+    """Why a service has no answer: ``outcome``. ``reason``: the connection is over with it, and why; empty: it is not.
+
+    ``abort``: what the slave is to be told; None: it knows.
+    """
+
+    outcome: Outcome
+    reason: str = ""
+    abort: Abort | None = None
+
+
+@dataclass(slots=True)
+class Clock:
+    """The time of the last call into the machine in ns."""
+
+    now: int = 0
+
+
+@dataclass(slots=True, eq=False)
+class Connection:
+    """State of the connection ``ref`` to ``address``; ``clock`` is the machine's."""
+
+    ref: int
+    address: int
+    send_timeout_ns: int
+    response_ns: int
+    clock: Clock
+    server_sap: int | None = None
+    max_len: int = 0
+    phase: Phase = Phase.OPENING
+    #: the slave was heard last
+    heard_at: int = 0
+    #: the slave may hold a connection for this master
+    taken: bool = False
+    #: a request was sent and its answer has not come
+    outstanding: bool = False
+    #: it was open once: its end is told
+    opened: bool = False
+    #: its end was ordered
+    ordered: bool = False
+    reason: str = ""
+    abort: Abort | None = None
+    #: answers to requests that nobody waited for any more
+    stale: int = 0
+
+    @property
+    def who(self) -> str:
+        """For texts."""
+        return f"slave {self.address}"
+
+    @property
+    def lane(self) -> tuple[int, int]:
+        """Its services go one after the other."""
+        return self.address, self.ref
+
+    @property
+    def silent_text(self) -> str:
+        """Why a silent one is over."""
+        return f"nothing was heard of the slave for {ns_to_s(self.send_timeout_ns):g} s (the send time-out)"
+
+    @property
+    def limit_ns(self) -> int:
+        """How long the slave has for one service."""
+        return self.response_ns or max(self.send_timeout_ns, RESPONSE_TIMEOUT)
+
+    @property
+    def limit_text(self) -> str:
+        """The same in words."""
+        of = "its C2_Response_Timeout" if self.response_ns else "no C2_Response_Timeout is known of it"
+        return f"{ns_to_s(self.limit_ns):g} s ({of})"
+
+    def request(self, sap: int, octets: bytes, answer: int) -> Request:
+        """An SRD of this connection, as all services of DP here with high priority; slaves take both (VPC3+)."""
+        return Request(self.address, Req.SRD_HIGH, octets, sap, SSAP_MS2, answer=answer, tag=self)
+
+    def started(self, request: Request) -> None:
+        """The first bit of one of its requests is on the wire."""
+        if request.data:
+            self.outstanding = request.data[0] != Function.ABORT
+            self.taken |= request.data[0] == Function.INITIATE
+
+    # --- the course of a service ----------------------------------------------------------------------------------
+
+    def asked(self, octets: bytes, title: str, *, answer: int = HEAD, begun: int | None = None) -> Steps[bytes | Ended]:
+        """Send ``octets`` to the server SAP (empty: poll only) until a PDU is there: Idle only as the answer to Idle.
+
+        ``begun``: since when the slave has worked at it; ``title``: for texts.
+        """
+        clock, sap = self.clock, self.server_sap
+        assert sap is not None
+        idle = octets[:1] == bytes((Function.IDLE,))
+        begun = clock.now if begun is None else begun
+        polls = unanswered = pause = 0
+        while True:
+            outcome = yield Step(self.request(sap, octets, answer), pause)
+            now = clock.now
+            if not isinstance(outcome, Telegram):
+                if outcome is Failure.REFUSED:
+                    return self._guarded(title)
+                octets, pause = b"", min(_SILENT_PAUSE << unanswered, _SILENT_PAUSE_MAX)
+                unanswered += 1
+                if now - begun >= self.limit_ns:
+                    return self._late(title, outcome)
+                continue
+            unanswered = 0
+            self.heard_at = now
+            match said(outcome):
+                case Said.CLOSED:
+                    return self._closed(title, outcome)
+                case Said.WAIT:
+                    octets, pause = b"", pause_before(polls)
+                    polls += 1
+                case Said.AGAIN:
+                    self.outstanding &= not octets
+                    pause = BUSY_PAUSE
+                case Said.DATA:
+                    pdu = self._read(outcome.data, title, idle=idle)
+                    self.outstanding &= pdu is None
+                    if octets and outcome.function in NOT_TAKEN and not isinstance(pdu, Ended):
+                        self.stale += 1  # of an earlier request: this one was not taken
+                    elif pdu is not None:
+                        return pdu
+                    else:
+                        octets, begun = b"", now
+                    pause = 0
+            if now - begun >= self.limit_ns:
+                return self._late(title)
+
+    def drained(self) -> Steps[Ended | None]:
+        """Fetch the answer to a request that nobody waits for any more: before that the slave takes no other one."""
+        if not self.outstanding:
+            return None
+        found = yield from self.asked(b"", "a service that was given up")
+        if isinstance(found, Ended):
+            return found
+        self.stale += 1
+        return None
+
+    def _read(self, octets: bytes, title: str, *, idle: bool) -> bytes | Ended | None:
+        """A PDU, the end that an Abort is, None for an Idle between."""
+        if octets[0] == Function.IDLE:
+            return octets if idle else None
+        return self.aborted(octets, title) if octets[0] == Function.ABORT else octets
+
+    def aborted(self, octets: bytes, title: str) -> Ended:
+        """The slave ended it."""
+        self.taken = False
+        try:
+            self.abort = Abort.parse(octets)
+        except PduError as error:
+            return self._over(title, f"the slave aborted it, but why cannot be read: {error}")
+        return self._over(title, f"the slave aborted it: {self.abort.text}")
+
+    def unreadable(self, outcome: Outcome) -> Ended:
+        """An answer that cannot be read ends the connection, too."""
+        return Ended(outcome, "the slave answered what cannot be read", Abort(AbortReason.RESPONSE_PDU))
+
+    def ended(self, title: str) -> Outcome:
+        """The end of a service over a connection that is over."""
+        codes = None if self.abort is None else (self.abort.subnet, self.abort.instance, self.abort.reason)
+        text = f"{self.who}: {title} has no answer, the class 2 connection is over: {self.reason}"
+        return Outcome(failure=ServiceFailure.ABORTED, text=text, codes=codes)
+
+    def _closed(self, title: str, answer: Telegram) -> Ended:
+        self.taken = False
+        what = f"the slave has closed server SAP {self.server_sap} ({refusal_text(answer)})"
+        return self._over(title, f"{what}: it was restarted, or gave it up because it heard nothing for too long")
+
+    def _over(self, title: str, reason: str) -> Ended:
+        self.reason = reason
+        return Ended(self.ended(title), reason)
+
+    def _late(self, title: str, why: Failure | None = None) -> Ended:
+        what = "has no answer to" if why is None else _SILENT[why]
+        text = f"{self.who} {what} {title} within {self.limit_text}; the connection was ended"
+        failure = ServiceFailure.LATE if why is None else NO_ANSWERS[why]
+        return Ended(Outcome(failure=failure, text=text), f"{title} had no answer in time", TIMED_OUT)
+
+    def _guarded(self, title: str) -> Ended:
+        text = f"{self.who}: {title} was not sent; this bus is read-only"
+        return Ended(Outcome(failure=ServiceFailure.GUARDED, text=text))
+
+
+__all__ = ["NOT_WANTED", "TIMED_OUT", "Clock", "Connection", "Ended", "Phase"]

@@ -1,0 +1,211 @@
+"""How a class 2 connection is opened: Initiate at the resource manager (SAP 49), which gives out a server SAP; polls of
+that one bring the slave's answer (Felser; protocol facts J).
+
+Decisions where the sources are silent: an Initiate that had no answer may have been taken, so the resource manager is
+asked for what it gave out before Initiate is sent again; a second connection that a slave might set up for that one
+ends by the slave's own time-out.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING, Final
+
+from dpstack.dp.class2_jobs import ATTEMPTS, Outcome, ServiceFailure, Step, Steps
+from dpstack.dp.ms0 import refusal_text
+from dpstack.dp.v1.connection import HEAD, AbortReason, InitiateReq, InitiateRes, Instance, ResourceManagerRes
+from dpstack.dp.v1.judging import BUSY_PAUSE, NO_ANSWERS, NOT_TAKEN, Said, pause_before, said
+from dpstack.dp.v1.ms2_connection import NOT_WANTED, TIMED_OUT, Connection, Ended, Phase
+from dpstack.dp.v1.ms2_jobs import ConnectionJob
+from dpstack.dp.v1.ms2_orders import InitiateDone
+from dpstack.dp.v1.records import MAX_RECORD, Function, Negative, parse_response
+from dpstack.errors import PduError
+from dpstack.fdl.telegram import SAP_MS2_RM, Telegram
+from dpstack.fdl.user import Failure
+from dpstack.trace import Event
+from dpstack.units import NS_PER_MS
+
+if TYPE_CHECKING:
+    from dpstack.dp.v1.ms2 import Ms2
+
+#: by whoever wanted it
+_GIVEN_UP: Final = (ServiceFailure.CANCELLED, ServiceFailure.ABORTED)
+_PAUSE: Final = 10 * NS_PER_MS
+_NEGATIVE: Final = 0x80
+#: octets of Initiate, response, without addresses
+_INITIATE_RES: Final = 12
+
+
+class InitiateJob(ConnectionJob):
+    """Open ``connection``: the resource manager gives out a server SAP, whose polls bring the slave's answer."""
+
+    title = "Initiate"
+
+    def __init__(self, connection: Connection, ms2: Ms2, request: InitiateReq, channels: int) -> None:
+        super().__init__(connection, ms2)
+        self._channels = channels
+        self._octets = request.build()
+        self._answer = _INITIATE_RES + len(request.source.build()) + len(request.destination.build())
+        self._response: InitiateRes | None = None
+
+    def steps(self) -> Steps[Outcome]:
+        """SAP 49 until it names a server SAP, then that one until Initiate is answered."""
+        managed = yield from self._manager()
+        if isinstance(managed, Ended):
+            return self._refused(managed)
+        connection = self.connection
+        wrong = self._check(managed)
+        if wrong is not None:
+            return wrong
+        connection.server_sap = managed.server_sap
+        connection.send_timeout_ns = max(connection.send_timeout_ns, managed.send_timeout_ns)
+        connection.heard_at = connection.clock.now
+        found = yield from connection.asked(b"", self.title, answer=self._answer)
+        if isinstance(found, Ended):
+            return self._refused(found)
+        return self._judged(found)
+
+    def _check(self, managed: ResourceManagerRes) -> Outcome | None:
+        """A server SAP that this master uses already cannot be another connection's."""
+        if not self.ms2.uses(self.address, managed.server_sap):
+            return None
+        self.connection.taken = False
+        text = f"slave {self.address} gives out server SAP {managed.server_sap}, which is in use by this master"
+        return Outcome(failure=ServiceFailure.WRONG, text=f"{text}; close that connection first")
+
+    def _judged(self, octets: bytes) -> Outcome:
+        connection = self.connection
+        try:
+            if octets[0] == Function.INITIATE | _NEGATIVE:
+                response = parse_response(octets)
+                assert isinstance(response, Negative)
+                connection.taken = False
+                codes = (response.decode, response.code_1, response.code_2)
+                text = f"slave {self.address} refuses Initiate: {response.text}"
+                return Outcome(failure=ServiceFailure.NEGATIVE, text=text, codes=codes, status=codes_text(codes))
+            self._response = InitiateRes.parse(octets)
+        except PduError as error:
+            text = f"slave {self.address} answers Initiate with what cannot be read: {error}"
+            return self.over(connection.unreadable(Outcome(failure=ServiceFailure.LENGTH, text=text)))
+        if connection.phase is not Phase.OPENING:  # closed meanwhile
+            return connection.ended(self.title)
+        connection.max_len = min(self._response.max_len or MAX_RECORD, MAX_RECORD)
+        connection.phase = Phase.OPEN
+        connection.opened = True
+        return Outcome()
+
+    def _refused(self, ended: Ended) -> Outcome:
+        """Abort and closed SAPs are the slave's no; whether it holds anything is known to the connection."""
+        if ended.abort is not None:
+            self.ms2.end(self.connection, ended.reason, ended.abort)
+        outcome = ended.outcome
+        if outcome.codes is not None and outcome.codes[1:] == (Instance.MS2, AbortReason.SEND_TIMEOUT):
+            least = self.connection.send_timeout_ns
+            outcome = dataclasses.replace(outcome, text=f"{outcome.text}; ask for {least // NS_PER_MS} ms or more")
+        return outcome
+
+    def _manager(self) -> Steps[ResourceManagerRes | Ended]:
+        """Initiate at the resource manager. One that had no answer may have been taken: it is asked for the answer
+        before it is sent again."""
+        connection, clock = self.connection, self.connection.clock
+        octets, begun = self._octets, clock.now
+        polls = unanswered = pause = 0
+        while True:
+            answer = yield Step(connection.request(SAP_MS2_RM, octets, HEAD), pause)
+            if not isinstance(answer, Telegram):
+                unanswered += bool(octets)
+                if answer is Failure.REFUSED or unanswered == ATTEMPTS:
+                    return Ended(self._unanswered(answer))
+                octets, pause = b"" if octets else self._octets, _PAUSE << unanswered
+                continue
+            sent, octets, pause = octets, b"", 0
+            # a poll for the answer to an Initiate that had none: nothing there, so it was not taken
+            not_taken = unanswered and not sent
+            match said(answer):
+                case Said.DATA if sent and answer.function in NOT_TAKEN:
+                    octets = sent
+                case Said.DATA:
+                    found = self._managed(answer.data)
+                    if found is not None:
+                        return found
+                case Said.AGAIN:
+                    octets, pause = sent, BUSY_PAUSE
+                case Said.CLOSED if not not_taken:
+                    return Ended(self._no_service(answer))
+                case _ if not_taken:
+                    octets, unanswered = self._octets, 0
+                case _:
+                    pause = pause_before(polls)
+                    polls += 1
+            if clock.now - begun >= connection.limit_ns:
+                text = f"slave {self.address}: its resource manager has no answer to Initiate within"
+                return Ended(Outcome(failure=ServiceFailure.LATE, text=f"{text} {connection.limit_text}"))
+
+    def _managed(self, octets: bytes) -> ResourceManagerRes | Ended | None:
+        connection = self.connection
+        who = f"slave {self.address}"
+        if octets[0] == Function.ABORT:
+            return connection.aborted(octets, self.title)
+        if octets[0] == Function.IDLE:
+            return None
+        try:
+            if octets[0] == Function.INITIATE | _NEGATIVE:
+                return Ended(self._judged(octets))
+            return ResourceManagerRes.parse(octets)
+        except PduError as error:
+            text = f"{who}: its resource manager answers Initiate with what cannot be read: {error}"
+            return Ended(Outcome(failure=ServiceFailure.LENGTH, text=text))
+
+    def _no_service(self, answer: Telegram) -> Outcome:
+        """RS: the resource manager is closed for good, or has no server SAP left (Felser)."""
+        self.connection.taken = False
+        status = refusal_text(answer)
+        own = self.ms2.count(self.address) - 1
+        facts = (f"C2_Max_Count_Channels = {self._channels}", f"{own} of them from here")
+        mine = ", ".join(fact for fact, known in zip(facts, (self._channels, own), strict=True) if known)
+        text = (
+            f"slave {self.address} refuses Initiate ({status} at SAP {SAP_MS2_RM}): all its class 2 connections are in "
+            f"use{f' ({mine})' if mine else ''}, or it has none (C2_Read_Write_supp of its GSD file)"
+        )
+        return Outcome(failure=ServiceFailure.REFUSED, text=text, status=status)
+
+    def _unanswered(self, why: Failure) -> Outcome:
+        if why is Failure.REFUSED:
+            self.connection.taken = False
+            text = f"slave {self.address}: Initiate was not sent; this bus is read-only"
+        elif why is Failure.NO_ANSWER:
+            text = f"slave {self.address} does not answer Initiate; check address and power"
+        else:
+            text = f"slave {self.address} gives no readable answer to Initiate"
+        return Outcome(failure=NO_ANSWERS[why], text=text)
+
+    def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:
+        """One event; what the slave may have given is given back where it is not to be used."""
+        connection = self.connection
+        if outcome.failure is ServiceFailure.CLOSED:
+            outcome = connection.ended(self.title)
+        if outcome.failure is not None:
+            self.ms2.end(connection, outcome.text, NOT_WANTED if outcome.failure in _GIVEN_UP else TIMED_OUT)
+            return [InitiateDone(t_ns=now, token=token, address=self.address, outcome=outcome)]
+        response = self._response
+        assert response is not None
+        assert connection.server_sap is not None
+        return [
+            InitiateDone(
+                t_ns=now,
+                token=token,
+                address=self.address,
+                outcome=outcome,
+                server_sap=connection.server_sap,
+                send_timeout_ns=connection.send_timeout_ns,
+                max_len=connection.max_len,
+                features=response.features,
+                profile_features=response.profile_features,
+                profile_ident=response.profile_ident,
+            )
+        ]
+
+
+def codes_text(codes: tuple[int, int, int]) -> str:
+    """A negative response as octets."""
+    return bytes(codes).hex(" ").upper()

@@ -1,0 +1,54 @@
+"""The orders that the machines of a bus know, all of them plain data."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from dpstack.dp.acyclic import CancelService
+from dpstack.dp.class2 import ChangeAddress, ReadService
+from dpstack.dp.commands import (
+    ActivateSlave,
+    AddSlave,
+    DeactivateSlave,
+    DriveCommand,
+    RemoveSlave,
+    ReparameteriseSlave,
+    SendControl,
+    SetMode,
+    Shutdown,
+)
+from dpstack.dp.v1.ms1 import ReadRecord, WriteRecord
+from dpstack.dp.v1.ms2_orders import (
+    CloseConnection,
+    CloseConnections,
+    OpenConnection,
+    ReadOver,
+    TransportOver,
+    WriteOver,
+)
+from dpstack.fdl.commands import GoOffline, GoOnline
+
+MACHINE_ORDERS: Final[tuple[type, ...]] = (
+    SetMode,
+    Shutdown,
+    AddSlave,
+    RemoveSlave,
+    DeactivateSlave,
+    ActivateSlave,
+    ReparameteriseSlave,
+    SendControl,
+    DriveCommand,
+    ReadService,
+    ChangeAddress,
+    ReadRecord,
+    WriteRecord,
+    CancelService,
+    OpenConnection,
+    ReadOver,
+    WriteOver,
+    TransportOver,
+    CloseConnection,
+    CloseConnections,
+    GoOnline,
+    GoOffline,
+)

@@ -1,0 +1,145 @@
+"""``drive.read`` of the five drives: over record 47 where the drive has it, over the telegram's channel where not."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from api_kit import virtual
+
+import dpstack
+from dpstack import ParameterError, ParameterPlace, UsageError
+from dpstack.dp.v1.serving import ImRecords
+from dpstack.dp.v1.tickets import Ticket
+from dpstack.errors import DriveError
+
+
+class Counted:
+    """Each request that reached the records of a simulated drive."""
+
+    def __init__(self, records: ImRecords) -> None:
+        self.services: list[str] = []
+        asked = records.ask
+
+        def ask(ticket: Ticket) -> None:
+            self.services.append(ticket.request.build().hex(" ").upper())
+            asked(ticket)
+
+        vars(records)["ask"] = ask
+
+    @property
+    def writes(self) -> list[str]:
+        return [one for one in self.services if one.startswith("5F")]
+
+
+def drive_at(kind: str, telegram: str, **keys: object) -> dict[str, object]:
+    return {"name": "it", "address": 6, "drive": kind, "telegram": telegram, **keys}
+
+
+def with_drive(table: dict[str, object], program: Any) -> None:
+    """``program(drive, counted)`` with the drive in data exchange; ``counted`` None where it has no records."""
+
+    async def main() -> None:
+        async with dpstack.open_bus(port="virtual", baud=1_500_000, slaves=[table]) as bus:
+            assert bus.bench is not None
+            records = bus.bench.device(6).records
+            counted = Counted(records) if isinstance(records, ImRecords) else None
+            await bus.operate()
+            await bus.ready()
+            await program(bus.drive("it"), counted)
+
+    virtual(main())
+
+
+@pytest.mark.parametrize(
+    ("kind", "telegram", "number", "way"),
+    [
+        ("demag-dedrive", "PPO1", 480, "telegram"),
+        ("demag-dedrive", "PPO3", 480, None),
+        ("fuji-frenic", "PPO1", 918, "telegram"),
+        ("fuji-frenic", "PPO3", 918, None),
+        ("keb-f5", "PCH+8/8", "oP.3", "telegram"),
+        ("keb-f5", "8/8", "oP.3", None),
+        ("imo-hd2", "PKW+12", "P00.10", "telegram"),
+        ("ls-s100", "PPO1", 930, "record 47"),
+        ("ls-s100", "PPO3", 930, "record 47"),
+        ("ls-s100", "ST1", 930, "record 47"),
+    ],
+)
+def test_the_way_of_each_drive_and_telegram(kind: str, telegram: str, number: int | str, way: str | None) -> None:
+    async def program(drive: dpstack.Drive, counted: Counted | None) -> None:
+        if way is None:
+            with pytest.raises(UsageError, match="no parameter channel"):
+                await drive.read(number)
+            with pytest.raises(UsageError, match="no parameter channel"):
+                await drive.read_many([number])
+            return
+        value = await drive.read(number)
+        assert (counted is not None and bool(counted.services)) is (way == "record 47")
+        (again,) = await drive.read_many([number])
+        assert not isinstance(again, ParameterError)
+        assert again.value == pytest.approx(value)
+
+    with_drive(drive_at(kind, telegram), program)
+
+
+def test_without_dp_v1_the_ls_is_asked_by_its_telegram() -> None:
+    async def program(drive: dpstack.Drive, counted: Counted | None) -> None:
+        assert counted is not None
+        found = await drive.read_many(["dr-03", 918, 930])
+        assert [one.value for one in found if not isinstance(one, ParameterError)] == [1.0, 6, 1]
+        assert not counted.services
+
+    with_drive(drive_at("ls-s100", "PPO1", dpv1=False), program)
+
+
+def test_several_in_one_request_and_what_is_refused_in_its_place() -> None:
+    async def program(drive: dpstack.Drive, counted: Counted | None) -> None:
+        assert counted is not None
+        first, wrong, last = await drive.read_many(["dr-03", "dr-99", 918])
+        assert not isinstance(first, ParameterError)
+        assert (first.value, first.unit, first.name) == (1.0, "s", "dr-03")
+        assert isinstance(wrong, ParameterError)
+        assert (wrong.number, wrong.drive) == (0, "it")
+        assert "dr-99: error 0, illegal parameter number" in str(wrong)
+        assert not isinstance(last, ParameterError)
+        assert last.value == 6
+        assert len(counted.writes) == 1
+        assert await drive.read_many([]) == []
+        nothing: Any = [None]
+        many = await drive.read_many([918] * 20)  # eight parameters a request is what the LS takes
+        assert len(many) == 20
+        assert len(counted.writes) == 4
+        with pytest.raises(UsageError, match="'dr-xy' is neither a code such as dr-03"):
+            await drive.read_many([918, "dr-xy"])
+        with pytest.raises(UsageError, match="must be a parameter number or name"):
+            await drive.read_many(nothing)
+
+    with_drive(drive_at("ls-s100", "ST1"), program)
+
+
+def test_elements_of_an_array_are_one_address() -> None:
+    async def program(drive: dpstack.Drive, counted: Counted | None) -> None:
+        assert counted is not None
+        found = await drive.read_array(964, 7)
+        assert [one.value for one in found if not isinstance(one, ParameterError)][:2] == [0x0351, 1]
+        assert [one[12:] for one in counted.writes] == ["01 01 01 01 10 07 03 C4 00 00"]
+        with pytest.raises(UsageError, match=r"PNU 964: indexes are 0\.\.6"):
+            await drive.read_array(964, 3, first=5)
+        mixed = await drive.read_many([ParameterPlace(964, index=6), ParameterPlace(964, index=0), 918])
+        assert [one.value for one in mixed if not isinstance(one, ParameterError)] == [0x0A6C, 0x0351, 6]
+
+    with_drive(drive_at("ls-s100", "PPO1"), program)
+
+
+def test_a_drive_that_is_gone_is_no_entry() -> None:
+    async def main() -> None:
+        async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[drive_at("ls-s100", "ST1")]) as bus:
+            await bus.operate()
+            await bus.ready()
+            assert bus.bench is not None
+            bus.bench.power(6, False)
+            with pytest.raises((DriveError, TimeoutError)):
+                await bus.drive("it").read_many([918, 930], timeout=0.5)
+
+    virtual(main())

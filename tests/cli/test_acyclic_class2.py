@@ -1,0 +1,198 @@
+"""``dpstack acyclic --class 2``: beside the slave's own master in the foreground, and through a run."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from ms2_kit import Ms2Server, ms2_in, served
+
+import dpstack
+from dpstack.api.bus import OnEvent
+from dpstack.api.config import Config
+from dpstack.api.control.programs import control_run
+from dpstack.api.control.records import through_run
+from dpstack.cli import acyclic
+from dpstack.cli.main import main
+from dpstack.dp.commands import Mode, SetMode
+from dpstack.dp.events import SlaveState
+from dpstack.dp.master import Master
+from dpstack.dp.setup import SlaveSetup
+from dpstack.errors import AcyclicError, UsageError
+from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.commands import GoOnline
+from dpstack.params import BusParams
+
+Out = pytest.CaptureFixture[str]
+PLANT = """
+[bus]
+port = "PORT"
+baud = 500000
+cycle_ms = 10.0
+
+[[slave]]
+name = "rig"
+address = 8
+ident = 0x1234
+config = "20 10"
+"""
+
+
+@pytest.fixture(autouse=True)
+def alone(monkeypatch: pytest.MonkeyPatch, runtime_directory: str) -> Iterator[None]:
+    """No run of another test is there."""
+    with tempfile.TemporaryDirectory(prefix="d", dir=runtime_directory) as path:
+        monkeypatch.setenv("XDG_RUNTIME_DIR", path)
+        yield
+
+
+@pytest.fixture
+def plant(tmp_path: Path) -> Path:
+    path = tmp_path / "plant.toml"
+    path.write_text(PLANT.replace("PORT", "/dev/ttyNone"), encoding="utf-8")
+    return path
+
+
+class Field:
+    """The slave at 8 in data exchange with master 2, which is not ours to stop; ``buses``: what the command made."""
+
+    def __init__(self) -> None:
+        self.world = dpstack.World()
+        self.server = ms2_in(self.world, 8)
+        params = BusParams.preset(500_000, address=2, gap=1)
+        setup = SlaveSetup(address=8, name="rig", ident=0x1234, config=bytes.fromhex("20 10"))
+        self.owner = Master(params, [setup])
+        self.station = ActiveStation(params, [self.owner], now=self.world.now)
+        self.world.add(self.station)
+        self.world.command(self.station, GoOnline())
+        self.world.command(self.station, SetMode(Mode.OPERATE))
+        self.world.run_for(300_000_000)
+        self.buses: list[dpstack.Bus] = []
+
+    def open_bus(self, config: Config, on_event: OnEvent | None = None) -> dpstack.Bus:
+        self.buses.append(dpstack.open_bus(config, on_event=on_event, world=self.world))
+        return self.buses[-1]
+
+    def check(self) -> None:
+        """Nobody noticed, and nothing is kept."""
+        handler = self.owner.handlers[8]
+        assert handler.state is SlaveState.DATA_EXCHANGE
+        counted = self.station.stats.stations[8]
+        assert counted.retries == counted.timeouts == 0
+        assert self.server.free == [48, 47]
+        assert all(not bus.slaves for bus in self.buses)
+        assert self.world.referee is not None
+        self.world.referee.check()
+
+
+@pytest.fixture
+def field(monkeypatch: pytest.MonkeyPatch) -> Field:
+    found = Field()
+    monkeypatch.setattr(acyclic, "open_bus", found.open_bus)
+    monkeypatch.setattr("asyncio.run", dpstack.run_virtual)
+    return found
+
+
+def run(capsys: Out, *args: str, code: int = 0) -> tuple[str, str]:
+    assert main(["acyclic", *args, "--class", "2"]) == code, capsys.readouterr()
+    printed = capsys.readouterr()
+    return printed.out, printed.err
+
+
+def test_beside_a_foreign_master(field: Field, plant: Path, capsys: Out) -> None:
+    out, err = run(capsys, str(plant), "8", "read", "1", "2")
+    assert err == ""
+    assert out.splitlines()[0] == "slave 8 (rig): slot 1, index 2, 2 octets"
+    assert field.buses[-1].params.address == 0
+    told = json.loads(run(capsys, str(plant), "rig", "transport", "1", "2", "0A 0B", "--json", "--address", "7")[0])
+    assert (told["data"], told["through"], told["slave"]) == ("0a0b", "master", "rig")
+    assert field.buses[-1].params.address == 7
+    assert run(capsys, str(plant), "8", "write", "1", "3", "12 34")[0] == (
+        "slave 8 (rig): slot 1, index 3: 2 octets written\n"
+    )
+    field.check()
+
+
+@pytest.mark.parametrize(
+    ("serve", "text"),
+    [
+        (lambda pdu: b"\xde\x80\xb0\x00", "slave 8 refuses Read of slot 1, index 2: invalid index (80 B0 00"),
+        (lambda pdu: b"\x58\x00\x11", "the slave aborted it: a service that is not allowed in this state (ABT_SE)"),
+    ],
+)
+def test_the_slave_refuses(field: Field, plant: Path, capsys: Out, serve: object, text: str) -> None:
+    assert callable(serve)
+    field.server.serve = serve
+    assert text in run(capsys, str(plant), "8", "read", "1", "2", code=1)[1]
+    field.check()
+
+
+def test_a_slave_without_class_2_connections(field: Field, plant: Path, capsys: Out) -> None:
+    field.server.free.clear()
+    err = run(capsys, str(plant), "8", "read", "1", "2", code=1)[1]
+    assert "slave 8 refuses Initiate (RS at SAP 49): all its class 2 connections are in use, or it has none" in err
+
+
+@pytest.mark.parametrize(
+    ("args", "text"),
+    [
+        (["8", "transport", "1", "2", "0G"], "'0G': 'G' is no hex digit"),
+        (["8", "transport", "1"], "transport takes SLOT INDEX [HEX], for instance: transport 0 1 00FF"),
+        (["7", "read", "1", "2"], "no slave '7' in this configuration"),
+    ],
+)
+def test_wrong_use(plant: Path, capsys: Out, args: list[str], text: str) -> None:
+    assert text in run(capsys, str(plant), *args, code=2)[1]
+
+
+def test_what_only_one_class_has(plant: Path, capsys: Out) -> None:
+    assert main(["acyclic", str(plant), "8", "transport", "1", "2"]) == 2
+    assert "Data_Transport is a service of class 2 connections: add --class 2" in capsys.readouterr().err
+    assert main(["acyclic", str(plant), "8", "read", "1", "2", "--address", "5"]) == 2
+    assert "--address is for --class 2" in capsys.readouterr().err
+
+
+def test_a_read_only_configuration(plant: Path, capsys: Out) -> None:
+    plant.write_text(PLANT.replace("[bus]", "[bus]\nread_only = true").replace("cycle_ms = 10.0\n", ""))
+    assert "a connection is to be opened; leave read_only out" in run(capsys, str(plant), "8", "im", code=2)[1]
+
+
+async def through() -> None:
+    told = await through_run("virtual", 8, "read", ["1", "2"], master=2)
+    assert told is not None
+    assert told["data"] == "0102"
+    told = await through_run("virtual", 8, "transport", ["1", "2", "0A"], master=2)
+    assert told is not None
+    assert told["data"] == "0a"
+    with pytest.raises(AcyclicError, match="invalid index") as caught:
+        await through_run("virtual", 8, "read", ["1", "9"], master=2)
+    assert (caught.value.address, caught.value.code_1) == (8, 0xB0)
+    with pytest.raises(dpstack.ConnectionEnded, match="ABT_SE") as ended:
+        await through_run("virtual", 8, "read", ["1", "10"], master=2)
+    assert (ended.value.address, ended.value.abort) == (8, (0, 1, 1))
+    with pytest.raises(UsageError, match="no slave 7 on this bus"):
+        await through_run("virtual", 7, "read", ["1", "9"], master=2)
+    with pytest.raises(UsageError, match="add --class 2"):
+        await through_run("virtual", 8, "transport", ["1", "9"])
+
+
+def odd(pdu: bytes) -> bytes | None:
+    """Index 9 is refused, at index 10 the connection is aborted."""
+    return {9: b"\xde\x80\xb0\x00", 10: b"\x58\x00\x11"}.get(pdu[2] if len(pdu) > 2 else 0) or served(pdu)
+
+
+async def test_a_run_carries_the_orders_out(plant: Path) -> None:
+    world = dpstack.World()
+    server: Ms2Server = ms2_in(world, 8)
+    server.serve = odd
+    plant.write_text(PLANT.replace("PORT", "virtual"), encoding="utf-8")
+    async with dpstack.open_bus(plant, world=world) as bus, control_run(bus, "virtual"):
+        await bus.ready()
+        await asyncio.to_thread(asyncio.run, through())
+        assert bus.slave(8).ready_now
+        assert bus.class2.connections == 0
+    assert not server.sessions

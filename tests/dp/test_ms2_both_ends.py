@@ -1,0 +1,246 @@
+"""MS1 and MS2 together, master and slaves of ours in a world with loss, damage and services that overtake each other:
+
+every Initiate, Read, Write and Data_Transport has exactly one end, no answer is taken for another one's, and no
+connection is left at either end.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from bus_kit import IDENT, PPO1
+from hypothesis import given, note
+from hypothesis import strategies as st
+from property_kit import examples
+from support import wire_log
+
+from dpstack.dp.acyclic import Acyclic, CancelService
+from dpstack.dp.class2_jobs import ServiceFailure
+from dpstack.dp.commands import Mode, SetMode
+from dpstack.dp.events import SlaveState
+from dpstack.dp.master import Master
+from dpstack.dp.mirror import MirrorDevice
+from dpstack.dp.setup import SlaveSetup
+from dpstack.dp.slaveapp import SlaveApp, make_slave
+from dpstack.dp.v1.codes import Code
+from dpstack.dp.v1.ms1 import ReadRecord, RecordDone, WriteRecord
+from dpstack.dp.v1.ms2_orders import (
+    CloseConnection,
+    CloseConnections,
+    ConnectionOver,
+    InitiateDone,
+    OpenConnection,
+    ReadOver,
+    TransportDone,
+    TransportOver,
+    WriteOver,
+)
+from dpstack.dp.v1.status import Dpv1
+from dpstack.dp.v1.tickets import Ticket, TransportTicket
+from dpstack.errors import UsageError
+from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.commands import GoOffline, GoOnline
+from dpstack.machine import LineDown, LineUp
+from dpstack.params import BusParams
+from dpstack.sim.transmission import Transmission
+from dpstack.sim.world import World
+from dpstack.trace import Event
+
+MS = 1_000_000
+S = 1_000 * MS
+LIMIT = 60 * MS
+CONNECTIONS = 2
+
+
+class Patient(MirrorDevice):
+    """Answers after so many exchanges (the index), 99: never, 98: no. The data begin with a serial number."""
+
+    def __init__(self) -> None:
+        super().__init__(IDENT, PPO1)
+        self.records = self
+        self.transport = self.ask
+        self.ms2 = CONNECTIONS
+        self.serial = 0
+        self.working: list[tuple[Ticket | TransportTicket, int, int]] = []
+
+    def ask(self, ticket: Ticket | TransportTicket) -> None:
+        self.serial += 1
+        if ticket.request.index == 98:
+            ticket.refuse(Code.INVALID_INDEX, self.serial)
+        else:
+            self.working.append((ticket, ticket.request.index, self.serial))
+
+    def exchange(self, outputs: bytes, now: int) -> bytes:
+        for ticket, left, serial in self.working:
+            if left == 0:
+                ticket.answer(bytes((serial, ticket.request.slot, ticket.request.index)))
+        self.working = [(ticket, left - 1, serial) for ticket, left, serial in self.working if left]
+        return super().exchange(outputs, now)
+
+
+class Both:
+    """Station 2, slaves 3 and 4 in data exchange; services by token."""
+
+    def __init__(self, seed: int) -> None:
+        self.world = World(seed=seed)
+        params = BusParams.preset(187_500, address=2, gap=0)
+        self.devices = {address: Patient() for address in (3, 4)}
+        self.apps: list[SlaveApp] = []
+        for address, device in self.devices.items():
+            station = make_slave(address, device, params)
+            assert isinstance(station.responder, SlaveApp)
+            self.apps.append(station.responder)
+            self.world.add(station)
+        dpv1 = Dpv1(c1_response_timeout_ns=LIMIT)
+        setups = [
+            SlaveSetup(address=a, name=f"s{a}", ident=IDENT, config=PPO1, user_prm=bytes(3), dpv1=dpv1)
+            for a in self.devices
+        ]
+        self.master = Master(params, setups)
+        self.acyclic = Acyclic(2, self.master)
+        self.station = ActiveStation(params, [self.master, self.acyclic], now=self.world.now)
+        self.events: list[Event] = []
+        self.world.add(self.station, on_events=self.events.extend)
+        self.send(GoOnline())
+        self.send(SetMode(Mode.OPERATE))
+        self.world.run_for(200 * MS)
+        self.tokens = 0
+        #: of the services that were taken: what, slot and index
+        self.taken: dict[int, tuple[str, int, int]] = {}
+        self.opened: list[int] = []
+
+    def send(self, order: object) -> None:
+        self.world.command(self.station, order)
+
+    def take(self, what: str, number: int, slot: int, index: int) -> None:
+        """Order a service; what cannot be is refused at once and has no end."""
+        self.tokens += 1
+        token = self.tokens
+        connection = self.opened[number % len(self.opened)] if self.opened else 0
+        address = 3 + number % 2
+        order: object
+        match what:
+            case "open":
+                order = OpenConnection(token, address, S, LIMIT, timeout_ns=S)
+            case "read":
+                order = ReadRecord(token, address, slot, index, 3, timeout_ns=S)
+            case "write":
+                order = WriteRecord(token, address, slot, index, b"\1", timeout_ns=S)
+            case "read over":
+                order = ReadOver(token, connection, slot, index, 3, timeout_ns=S)
+            case "write over":
+                order = WriteOver(token, connection, slot, index, b"\1", timeout_ns=S)
+            case _:
+                order = TransportOver(token, connection, slot, index, b"\1\2", timeout_ns=S)
+        try:
+            self.send(order)
+        except UsageError:
+            assert what.endswith("over")
+            return
+        self.taken[token] = (what, slot, index)
+        if what == "open":
+            self.opened.append(token)
+
+    def exchanging(self) -> bool:
+        return all(handler.state is SlaveState.DATA_EXCHANGE for handler in self.master.handlers.values())
+
+    def done(self) -> list[RecordDone | TransportDone | InitiateDone]:
+        return [one for one in self.events if isinstance(one, RecordDone | TransportDone | InitiateDone)]
+
+
+_what = st.sampled_from(("open", "open", "read", "write", "read over", "read over", "write over", "carry over"))
+_orders = st.tuples(_what, st.integers(0, 3), st.integers(0, 2), st.sampled_from((0, 1, 5, 98, 99)))
+_runs = st.tuples(st.just("run"), st.integers(1, 200), st.just(0), st.just(0))
+_faults = st.tuples(
+    st.sampled_from(("lose", "damage", "lose all", "noise", "quiet", "cancel", "close", "line", "restart", "off")),
+    st.integers(1, 4),
+    st.just(0),
+    st.just(0),
+)
+
+
+def _acyclic(sent: Transmission) -> bool:
+    """A telegram of MS1 or MS2."""
+    return sent.octets[0] == 0x68 and len(sent.octets) > 9 and {50, 51} & set(sent.octets[7:9]) != set()
+
+
+@examples(16)
+@given(st.lists(st.one_of(_orders, _orders, _runs, _faults), min_size=8, max_size=30), st.integers(0, 10_000))
+def test_one_end_each_with_loss(steps: list[tuple[str, int, int, int]], seed: int) -> None:
+    both = Both(seed)
+    world = both.world
+    both.take("open", 0, 0, 0)
+    both.take("open", 1, 0, 0)
+    world.run_for(50 * MS)
+    for what, number, slot, index in steps:
+        match what:
+            case "run":
+                world.run_for(number * MS // 4)
+            case "lose":
+                world.faults.drop(_acyclic, times=number)
+            case "damage":
+                world.faults.damage(_acyclic, times=number)
+            case "lose all":
+                world.faults.drop(lambda sent: len(sent.octets) > 3, times=number)
+            case "noise":
+                world.faults.noise(number * 1e-4)
+            case "quiet":
+                world.faults.noise(0)
+            case "cancel":
+                both.send(CancelService(both.tokens))
+            case "close":
+                if both.opened:
+                    both.send(CloseConnection(both.opened[number % len(both.opened)]))
+            case "restart":
+                both.apps[number % 2].restart(world.now)
+            case "line":
+                both.send(LineDown("out"))
+                both.send(LineUp())
+            case "off":
+                both.send(GoOffline())
+                world.run_for(number * 20 * MS)
+                both.send(GoOnline())
+            case _:
+                both.take(what, number, slot, index)
+    world.faults.noise(0)
+    end = world.now + 1_100 * MS
+    while both.acyclic.waiting and world.now < end:
+        world.run_for(10 * MS)
+    both.send(CloseConnections())
+    world.run_for(300 * MS)
+    note(wire_log(world, 80))
+    # one end each
+    done = both.done()
+    assert Counter(one.token for one in done) == Counter(list(both.taken))
+    assert both.acyclic.waiting == both.acyclic.connections == 0
+    opened = [one.token for one in done if isinstance(one, InitiateDone) and one.outcome.failure is None]
+    over = Counter(one.connection for one in both.events if isinstance(one, ConnectionOver))
+    assert over == Counter(opened)
+    # no answer for two services, or for one that it does not belong to
+    serials: dict[int, list[int]] = {address: [] for address in both.devices}
+    for one in done:
+        if isinstance(one, InitiateDone):
+            continue
+        what, slot, index = both.taken[one.token]
+        assert (one.slot, one.index) == (slot, index)
+        if one.outcome.failure is ServiceFailure.NEGATIVE:
+            assert index == 98
+            assert one.outcome.codes is not None
+            serials[one.address].append(one.outcome.codes[2])
+        elif one.outcome.failure is None:
+            assert index not in (98, 99)
+            if "write" not in what:
+                assert one.outcome.data[1:] == bytes((slot, index))
+                serials[one.address].append(one.outcome.data[0])
+    for found in serials.values():
+        assert len(found) == len(set(found))
+    # the cycle goes on, and no slave keeps anything once all is silent
+    end = world.now + 3 * S  # one that was restarted is taken up again
+    while not both.exchanging() and world.now < end:
+        world.run_for(50 * MS)
+    assert both.exchanging()
+    both.send(GoOffline())
+    world.run_for(30 * S)
+    assert [app.connections_free for app in both.apps] == [CONNECTIONS] * 2
+    assert [app.connections for app in both.apps] == [(), ()]
+    assert all(app.stats.connections == app.stats.closed for app in both.apps)

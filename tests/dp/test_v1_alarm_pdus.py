@@ -1,0 +1,135 @@
+"""The octets of alarm and status blocks and of Alarm_Ack, literally, and blocks that lie."""
+
+from __future__ import annotations
+
+import contextlib
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dpstack.dp.v1.alarms import (
+    Alarm,
+    AlarmAck,
+    AlarmType,
+    ModuleState,
+    Specifier,
+    Status,
+    StatusType,
+    alarm_name,
+    module_status,
+    parse_block,
+    status_name,
+)
+from dpstack.errors import PduError
+
+BLOCKS: list[tuple[Alarm | Status, str, str]] = [
+    (
+        Alarm(AlarmType.DIAGNOSIS, 3, Specifier.APPEARS, 5, b"\x83\x46\xa6"),
+        "07 01 03 29 83 46 A6",
+        "diagnosis alarm, slot 3, appears, slot disturbed",
+    ),
+    (Alarm(AlarmType.PROCESS, 254, sequence=31), "04 02 FE F8", "process alarm, slot 254"),
+    (Alarm(AlarmType.PULL, 1, add_ack=True), "04 03 01 04", "pull alarm, slot 1"),
+    (
+        Alarm(AlarmType.PLUG, 1, Specifier.DISAPPEARS),
+        "04 04 01 02",
+        "plug alarm, slot 1, disappears, slot is good",
+    ),
+    (
+        Alarm(AlarmType.STATUS, 0, Specifier.DISAPPEARS_OTHERS),
+        "04 05 00 03",
+        "status alarm, slot 0, disappears, slot still disturbed",
+    ),
+    (Alarm(AlarmType.UPDATE, 2), "04 06 02 00", "update alarm, slot 2"),
+    (Alarm(126, 2, data=bytes(59)), "3F 7E 02 00" + " 00" * 59, "vendor alarm 126, slot 2"),
+    # FPBA-01 manual p85: its status message
+    (Status(StatusType.MESSAGE, 0, data=b"\x01"), "05 81 00 00 01", "status message, slot 0"),
+    (
+        Status(StatusType.MODULES, 0, data=b"\x39"),
+        "05 82 00 00 39",
+        "module status: slot 1 data invalid, slot 2 wrong module, slot 3 no module",
+    ),
+    (Status(StatusType.PRM_CMD_ACK, 0, reserved=2, data=b"\x01"), "05 9E 00 08 01", "PrmCmdAck, slot 0"),
+    (Status(StatusType.RED_STATE, 0), "04 9F 00 00", "Red_State, slot 0"),
+    (Status(32, 9, Specifier.APPEARS), "04 A0 09 01", "vendor status 32, slot 9, appears, slot disturbed"),
+]
+
+
+@pytest.mark.parametrize(("pdu", "octets", "text"), BLOCKS)
+def test_blocks(pdu: Alarm | Status, octets: str, text: str) -> None:
+    assert pdu.build() == bytes.fromhex(octets)
+    assert parse_block(bytes.fromhex(octets)) == pdu
+    assert pdu.text == text
+
+
+@pytest.mark.parametrize(
+    ("octets", "what"),
+    [
+        ("", "octet 1 (header) is missing"),
+        ("03 01 03", "octet 4 (sequence) is missing"),
+        ("05 01 03 29", "octet 1 says 5 octets, there are 4"),
+        ("04 00 01 00", "0 is no type of alarm"),
+        ("04 07 01 00", "7 is no type of alarm"),
+        ("04 7F 01 00", "127 is no type of alarm"),
+        ("04 84 01 00", "4 is no type of status"),
+        ("04 01 FF 00", "there is no slot 255"),
+    ],
+)
+def test_blocks_that_lie(octets: str, what: str) -> None:
+    with pytest.raises(PduError) as caught:
+        parse_block(bytes.fromhex(octets))
+    assert what in str(caught.value)
+
+
+def test_a_module_status_counts_slots_from_one() -> None:
+    states = (ModuleState.OK, ModuleState.MISSING, ModuleState.OK, ModuleState.OK, ModuleState.WRONG)
+    assert module_status(states).build() == bytes.fromhex("06 82 00 00 0C 02")
+    assert module_status(states).modules == (*states, *[ModuleState.OK] * 3)
+    assert [state.text for state in ModuleState] == ["ok", "data invalid", "wrong module", "no module"]
+    assert module_status(()).text == "module status: all modules ok"
+    assert Status(StatusType.MESSAGE, 0, data=b"\xff").modules == ()
+
+
+def test_the_acknowledgement_repeats_slot_type_and_specifier() -> None:
+    alarm = parse_block(bytes.fromhex("07 01 03 2D 83 46 A6"))
+    assert isinstance(alarm, Alarm)
+    assert alarm.ack.build() == bytes.fromhex("5C 03 01 2D")
+    assert AlarmAck.parse(bytes.fromhex("5C 03 01 2D")) == AlarmAck(3, 1, Specifier.APPEARS, 5, add_ack=True)
+    for octets, what in (
+        ("5C 03 01", "octet 4 (specifier) is missing"),
+        ("5E 03 01 00", "octet 1 is 0x5E"),
+        ("5C 03 01 00 00", "octet 4 is the last one"),
+    ):
+        with pytest.raises(PduError) as caught:
+            AlarmAck.parse(bytes.fromhex(octets))
+        assert what in str(caught.value)
+
+
+def test_values_that_do_not_fit() -> None:
+    for pdu, what in (
+        (Alarm(1, 255), "slot 255"),
+        (Alarm(127, 1), "127 is no type"),
+        (Alarm(1, 1, sequence=32), "sequence"),
+        (Alarm(1, 1, data=bytes(60)), "60 octets"),
+        (Status(1, 255), "slot 255"),
+    ):
+        with pytest.raises(PduError) as caught:
+            pdu.build()
+        assert what in str(caught.value)
+
+
+def test_names_of_every_type() -> None:
+    assert alarm_name(7) == "alarm of reserved type 7"
+    assert status_name(4) == "status of reserved type 4"
+    assert len({alarm_name(n) for n in range(127)}) == len({status_name(n) for n in range(127)}) == 127
+
+
+@given(st.binary(max_size=70))
+def test_any_octets_are_a_block_or_an_error(octets: bytes) -> None:
+    with contextlib.suppress(PduError):
+        pdu = parse_block(octets)
+        assert pdu.build() == octets
+        assert pdu.text
+    with contextlib.suppress(PduError):
+        assert AlarmAck.parse(octets).build() == octets

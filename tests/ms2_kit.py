@@ -1,0 +1,303 @@
+"""A class 2 master with slaves of octets that have MS2, and what came of its connections.
+
+The slave knows telegrams as numbers only; nothing of the project is used to read or to make them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+from octet_slave import DL, RS, SC, OctetSlave, sd1, sd2
+from ring_bus import RingBus
+
+from dpstack.dp.acyclic import Acyclic
+from dpstack.dp.mirror import MirrorDevice
+from dpstack.dp.slaveapp import SlaveApp
+from dpstack.dp.v1.ms1 import RecordDone
+from dpstack.dp.v1.ms2_orders import (
+    CloseConnection,
+    ConnectionOver,
+    InitiateDone,
+    OpenConnection,
+    ReadOver,
+    TransportDone,
+    TransportOver,
+    WriteOver,
+)
+from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.commands import GoOnline
+from dpstack.fdl.guard import Guard
+from dpstack.fdl.passive import PassiveStation
+from dpstack.fdl.telegram import Resp, Telegram
+from dpstack.fdl.user import RS_REPLY, SC_REPLY, Reply
+from dpstack.params import BusParams
+from dpstack.sim.world import World
+from dpstack.trace import Event
+
+MS = 1_000_000
+E = TypeVar("E", bound=Event)
+#: what a server SAP answers to a PDU: octets of its own, None for none yet
+Serve = Callable[[bytes], bytes | None]
+
+
+def served(pdu: bytes) -> bytes | None:
+    """A slave whose records hold their slot and index, and that sends back what is transported."""
+    match pdu[0]:
+        case 0x5E:
+            return bytes((0x5E, pdu[1], pdu[2], 2, pdu[1], pdu[2]))
+        case 0x5F:
+            return pdu[:4]
+        case 0x51:
+            return pdu
+        case 0x48:
+            return b"\x48\x01"
+    return b"\x58\x00\x12"
+
+
+@dataclass
+class Session:
+    """One connection in the slave: what waits to be fetched, after so many polls."""
+
+    waiting: list[tuple[int, bytes]] = field(default_factory=list)
+    busy: bool = False
+    closing: bool = False
+
+
+@dataclass(kw_only=True)
+class Ms2Server:
+    """Server SAPs from 48 down, ``free`` of them; each answer is there at poll number ``polls``, or in the request
+    itself (``direct``).
+
+    ``serve`` answers PDUs, ``initiate`` answers at the server SAP. ``heard``: PDUs by SAP.
+    """
+
+    free: list[int] = field(default_factory=lambda: [48, 47])
+    timeout: bytes = b"\x00\x0a"
+    polls: int = 1
+    direct: bool = False
+    serve: Serve = served
+    initiate: bytes = bytes.fromhex("57 F0 01 00 00 00 00 00 00 02 00 02 00 00 00 00")
+    sessions: dict[int, Session] = field(default_factory=dict)
+    given_out: list[bytes] = field(default_factory=list)
+    heard: list[tuple[int, bytes]] = field(default_factory=list)
+
+    def ms2(self, sap: int, pdu: bytes) -> bytes | None:
+        """What SAP 0..49 answers: data, None for SC, empty for RS."""
+        self.heard.append((sap, pdu))
+        return self.manage(pdu) if sap == 49 else self.session(sap, pdu)
+
+    def manage(self, pdu: bytes) -> bytes | None:
+        """The resource manager; empty is RS."""
+        if not pdu:
+            return self.given_out.pop(0) if self.given_out else None
+        assert pdu[0] == 0x57
+        if not self.free:
+            return b""
+        sap = self.free.pop(0)
+        self.sessions[sap] = Session([(self.polls, self.initiate)], closing=self.initiate[0] in (0x58, 0xD7))
+        answer = bytes((0x56, sap)) + self.timeout
+        if self.direct:
+            return answer
+        self.given_out.append(answer)
+        return None
+
+    def session(self, sap: int, pdu: bytes) -> bytes | None:
+        """A server SAP."""
+        session = self.sessions.get(sap)
+        if session is None:
+            return b""
+        if not pdu:
+            if not session.waiting:
+                return None
+            left, answer = session.waiting[0]
+            if left > 1 and not self.direct:
+                session.waiting[0] = (left - 1, answer)
+                return None
+            return self.fetched(sap, session)
+        if pdu[0] == 0x58:
+            self.drop(sap)
+            return None
+        if session.waiting or session.busy:
+            session.waiting = [(0, b"\x58\x00\x11")]  # a second service at a time: ABT_SE
+            return None
+        answer_or_none = self.serve(pdu)
+        if answer_or_none is None:
+            session.busy = True
+            return None
+        session.waiting.append((self.polls, answer_or_none))
+        return self.fetched(sap, session) if self.direct else None
+
+    def fetched(self, sap: int, session: Session) -> bytes:
+        _, answer = session.waiting.pop(0)
+        if answer[0] == 0x58 or session.closing:
+            self.drop(sap)
+        return answer
+
+    def drop(self, sap: int) -> None:
+        del self.sessions[sap]
+        self.free.append(sap)
+        self.free.sort(reverse=True)
+
+
+@dataclass
+class OctetMs2Slave(OctetSlave, Ms2Server):
+    """On a :class:`RingBus`; ``says`` (of the base class) replaces whole SAPs. ``mute``: it answers nothing."""
+
+    mute: bool = False
+    last: bytes = b""
+
+    def __call__(self, octets: bytes, now: int) -> tuple[int, bytes] | None:
+        if self.mute:
+            return None
+        if self.kept is None or octets != self.last:  # the same FCB: the kept answer once more
+            self.kept, self.last = super().__call__(octets, now), octets
+        return self.kept
+
+    def service(self, octets: bytes) -> bytes | None:
+        sa, dsap, ssap = octets[5] & 0x7F, octets[7], octets[8]
+        if dsap > 49 or dsap in self.says:
+            return super().service(octets)
+        assert ssap == 50
+        answer = self.ms2(dsap, octets[9:-2])
+        if answer is None:
+            return SC
+        return sd2(sa, self.address, DL, 50, dsap, answer) if answer else sd1(sa, self.address, RS)
+
+
+@dataclass
+class Ms2Bus:
+    """Station 2 with nothing but class 2, its slaves at ``addresses``."""
+
+    addresses: tuple[int, ...] = (4,)
+    guard: Guard | None = None
+    bus: RingBus = field(default_factory=RingBus)
+    tokens: int = 0
+
+    def __post_init__(self) -> None:
+        self.slaves = {address: OctetMs2Slave(self.bus, address) for address in self.addresses}
+        self.acyclic = Acyclic(2)
+        self.station = ActiveStation(BusParams.preset(500_000, address=2, gap=0), [self.acyclic], guard=self.guard)
+        self.bus.stations.append(self.station)
+        self.send(GoOnline())
+        self.bus.run(20 * MS)
+
+    @property
+    def slave(self) -> OctetMs2Slave:
+        """The first."""
+        return self.slaves[self.addresses[0]]
+
+    def send(self, command: object) -> None:
+        """An order."""
+        self.bus.command(self.station, command)
+
+    def token(self) -> int:
+        self.tokens += 1
+        return self.tokens
+
+    def order_open(self, address: int = 4, send_timeout_ns: int = 200 * MS, **more: Any) -> int:
+        """Ordered only."""
+        token = self.token()
+        self.send(OpenConnection(token, address, send_timeout_ns, **more))
+        return token
+
+    def open(self, address: int = 4, **more: Any) -> InitiateDone:
+        """The end of one Initiate."""
+        return self.end(self.order_open(address, **more), InitiateDone)
+
+    def order_read(self, connection: int, slot: int = 1, index: int = 2, length: int = 240, **more: Any) -> int:
+        """Ordered only."""
+        token = self.token()
+        self.send(ReadOver(token, connection, slot, index, length, **more))
+        return token
+
+    def read(self, connection: int, slot: int = 1, index: int = 2, length: int = 240, **more: Any) -> RecordDone:
+        """The end of one Read."""
+        return self.end(self.order_read(connection, slot, index, length, **more), RecordDone)
+
+    def write(self, connection: int, slot: int, index: int, data: bytes) -> RecordDone:
+        """The end of one Write."""
+        token = self.token()
+        self.send(WriteOver(token, connection, slot, index, data))
+        return self.end(token, RecordDone)
+
+    def transport(self, connection: int, slot: int, index: int, data: bytes) -> TransportDone:
+        """The end of one Data_Transport."""
+        token = self.token()
+        self.send(TransportOver(token, connection, slot, index, data))
+        return self.end(token, TransportDone)
+
+    def close(self, connection: int) -> ConnectionOver:
+        """The end of a connection."""
+        self.send(CloseConnection(connection))
+        return self.over(connection)
+
+    def over(self, connection: int, within_ns: int = 20_000 * MS) -> ConnectionOver:
+        """Run until it is over."""
+        return self.until(lambda: [e for e in self.told(ConnectionOver) if e.connection == connection], within_ns)
+
+    def end(self, token: int, kind: type[E], within_ns: int = 20_000 * MS) -> E:
+        """Run until the service has its end."""
+        return self.until(lambda: [e for e in self.told(kind) if getattr(e, "token", None) == token], within_ns)
+
+    def until(self, find: Callable[[], list[E]], within_ns: int) -> E:
+        limit = self.bus.now + within_ns
+        while not (found := find()):
+            assert self.bus.now < limit, "no end"
+            self.bus.run(MS)
+        (one,) = found
+        return one
+
+    def told(self, kind: type[E]) -> list[E]:
+        return [event for event in self.bus.events if isinstance(event, kind)]
+
+    def freed(self, within_ns: int = 20_000 * MS) -> None:
+        """Nothing is left, at either end."""
+        limit = self.bus.now + within_ns
+        while self.acyclic.connections or self.acyclic.waiting:
+            assert self.bus.now < limit, "it keeps a connection"
+            self.bus.run(MS)
+        for slave in self.slaves.values():
+            assert slave.mute or not slave.sessions, "the slave keeps a connection"
+
+
+class Ms2App(SlaveApp):
+    """A slave of ours whose SAPs 0..49 are a :class:`Ms2Server`."""
+
+    __slots__ = ("server",)
+
+    server: Ms2Server
+
+    def serve(self, request: Telegram, now: int) -> Reply | None:
+        if request.dsap is None or request.dsap > 49:
+            return super().serve(request, now)
+        assert request.ssap == 50
+        answer = self.server.ms2(request.dsap, request.data)
+        if answer is None:
+            return SC_REPLY
+        return Reply(Resp.DL, answer) if answer else RS_REPLY
+
+
+def ms2_in(world: World, address: int = 9, baud: int = 500_000) -> Ms2Server:
+    """Such a slave in ``world``: ident 0x1234, an octet of inputs and one of outputs."""
+    app = Ms2App(MirrorDevice(0x1234, bytes.fromhex("20 10")))
+    app.server = Ms2Server()
+    world.add(PassiveStation(address, app, BusParams.preset(baud)))
+    return app.server
+
+
+__all__ = [
+    "DL",
+    "MS",
+    "RS",
+    "SC",
+    "Ms2Bus",
+    "Ms2Server",
+    "OctetMs2Slave",
+    "Session",
+    "ms2_in",
+    "sd1",
+    "sd2",
+    "served",
+]
