@@ -5,12 +5,12 @@ from __future__ import annotations
 import abc
 from typing import TYPE_CHECKING, Final
 
+from dpstack.api.services import time_of
 from dpstack.dp.setup import SlaveSetup
 from dpstack.dp.v1.im import IM_INDEX, Im, Im0, build_call, number_of, parse_answer
 from dpstack.dp.v1.ms1 import ReadRecord, RecordDone, WriteRecord
 from dpstack.dp.v1.records import MAX_RECORD
 from dpstack.errors import PduError, SlaveFault, UsageError
-from dpstack.units import s_to_ns
 
 if TYPE_CHECKING:
     from dpstack.api.services import Services
@@ -83,7 +83,7 @@ class Records(RecordAccess):
         """Up to ``length`` octets, None: as many as it can have."""
         token = self._services.token()
         wanted = self._longest if length is None else length
-        command = ReadRecord(token, self.address, slot, index, wanted, s_to_ns(timeout))
+        command = ReadRecord(token, self.address, slot, index, wanted, time_of(timeout))
         return (await self._services.do(token, command, RecordDone)).outcome.data
 
     async def write(self, slot: int, index: int, data: bytes, *, timeout: float = TIMEOUT) -> None:
@@ -93,7 +93,7 @@ class Records(RecordAccess):
                 f"{self.who}: {len(data)} octets, its GSD file says C1_Max_Data_Len = {self._longest}: write less"
             )
         token = self._services.token()
-        command = WriteRecord(token, self.address, slot, index, bytes(data), s_to_ns(timeout))
+        command = WriteRecord(token, self.address, slot, index, bytes(data), time_of(timeout))
         await self._services.do(token, command, RecordDone)
 
     @property

@@ -20,6 +20,7 @@ from dpstack.api.parameter_list import FileToBe
 from dpstack.api.record_dump import list_of
 from dpstack.api.record_list import RecordList
 from dpstack.api.slave_config import SlaveConfig
+from dpstack.api.virtual import World, simulate
 from dpstack.api.visiting import joined
 from dpstack.cli import options, output
 from dpstack.cli.acyclic_lists import COMPARE, FILES, show_comparison, show_dump, show_list
@@ -174,18 +175,18 @@ async def _as_master(asked: _Asked, progress: OnProgress) -> Mapping[str, Any]:
 
 
 async def _as_class2(asked: _Asked, progress: OnProgress) -> Mapping[str, Any]:
-    """A station without slaves, at an address that nobody uses: neither the slave nor its master notices.
-
-    On the port "virtual" the slave is simulated, which takes a master.
-    """
+    """A station without slaves, at an address that nobody uses: neither the slave nor its master notices."""
     config, slave = asked.config, asked.slave
     if config.bus.read_only:
         raise UsageError("the configuration is read only: a connection is to be opened; leave read_only out")
+    world = None
+    if config.virtual:
+        world = World()
+        simulate(world, [slave], baud=config.baud)
 
     def make_bus(address: int) -> Bus:
         settings = dataclasses.replace(config.bus, address=address, cycle_ms=None, cycle_freeze=(), cycle_sync=())
-        slaves = (slave,) if config.virtual else ()
-        return open_bus(dataclasses.replace(config, bus=settings, slaves=slaves), on_event=_event)
+        return open_bus(dataclasses.replace(config, bus=settings, slaves=()), on_event=_event, world=world)
 
     taken = {config.bus.address, *(one.address for one in config.slaves)}
     async with joined(make_bus, asked.own, avoid=taken) as bus, bus.class2.connect(slave) as connection:

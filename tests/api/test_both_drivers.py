@@ -278,7 +278,7 @@ async def test_two_masters_of_one_program_and_one_that_searches_the_rate(driver:
                 second = dpstack.open_bus(port=segment.paths[1], baud="auto", address=2, hsa=4, driver=driver)
                 async with second:
                     assert second.params.baud == 500_000
-                    assert second.station.las == {1, 2}
+                    await asyncio.wait_for(second.until(lambda: second.station.las == {1, 2}), 10)
                     await asyncio.wait_for(first.until(lambda: first.station.las == {1, 2}), 10)
                 await asyncio.wait_for(first.until(lambda: first.station.las == {1}), 10)
-                await first.ready(20)
+                await first.ready(20)  # a simulation that stood still for longer than its patience is taken up again
