@@ -52,7 +52,7 @@ class SlaveDescription:
     ``alarm_sequence``: 2..32 of them at a time in sequence mode, 0 for one of each type only
     [Alarm_Sequence_Mode_Count]; ``extra_alarm_sap`` [Extra_Alarm_SAP_supp]; ``prm_blocks``
     [Prm_Block_Structure_supp]: of such a slave, structured parameters may follow, otherwise Prm_Structure is refused;
-    ``ms2``: connections of class 2 [C2_Read_Write_supp, C2_Max_Count_Channels], ``ms2_max_len``: octets in one of their
+    ``prm_blocks_required`` [Prm_Block_Structure_req]: without Prm_Structure they are refused; ``ms2``: connections of class 2 [C2_Read_Write_supp, C2_Max_Count_Channels], ``ms2_max_len``: octets in one of their
     services [C2_Max_Data_Len];
     ``rates``: baud rate -> MaxTsdr in bit times, empty for all; ``min_slave_interval_ns`` [Min_Slave_Intervall], for
     the master. Raises ConfigError.
@@ -75,6 +75,7 @@ class SlaveDescription:
     wd_base_1ms: bool = False
     dpv1: bool = False
     prm_blocks: bool = True
+    prm_blocks_required: bool = False
     ms2: int = 0
     ms2_max_len: int = MAX_RECORD
     alarms: tuple[str, ...] = ()
@@ -155,9 +156,13 @@ class SlaveDescription:
 
     def blocks(self, user_prm: bytes) -> tuple[PrmBlock, ...]:
         """The structured parameters behind DPV1_Status; none where Prm_Structure is not set. Raises PduError."""
-        if not self.dpv1 or len(user_prm) < DPV1_STATUS_LEN or not user_prm[2] & PRM_STRUCTURE:
+        if not self.dpv1:
             return ()
-        if not self.prm_blocks:
+        if len(user_prm) < DPV1_STATUS_LEN or not user_prm[2] & PRM_STRUCTURE:
+            if self.prm_blocks_required:
+                raise PduError("octet 10 bit 3: Prm_Structure is not set, this device needs structured parameters")
+            return ()
+        if not self.prm_blocks and not self.prm_blocks_required:
             raise PduError("octet 10 bit 3: Prm_Structure is set, this device has no structured parameters")
         return parse_blocks(user_prm[DPV1_STATUS_LEN:], _FIRST_BLOCK)
 
