@@ -28,10 +28,10 @@ def slave_description(
     """The slave of the type ``device``.
 
     ``chosen``: what is plugged into it, and nothing else is accepted then, nor user parameters of another length than
-    these modules have (parameter blocks may follow where it has them). None: a compact station accepts any one of its modules, a modular one any row of them and of
-    empty slots within its limits, both up to Max_User_Prm_Data_Len octets of user parameters; modules that the file
-    breaks off in, or whose identifier octets contradict themselves, are left out. ``ident`` where the file has none.
-    Raises ConfigError.
+    these modules have (blocks may follow where the file has them). None: a compact station accepts any one of its
+    modules, a modular one any row of them and of empty slots within its limits, both up to Max_User_Prm_Data_Len octets
+    of user parameters; modules that the file breaks off in, or whose identifier octets contradict themselves, are left
+    out. ``ident`` where the file has none. Raises ConfigError.
     """
     number = device.ident if ident is None else ident
     if number is None:

@@ -115,6 +115,11 @@ class AcyclicAccess:
         self._turns: deque[object] = deque()
         self._formats: dict[Address, int] = {}
 
+    @property
+    def per_request(self) -> int:
+        """Parameters of one request."""
+        return self.client.limits.parameters
+
     def step(self, inputs: bytes, now: int) -> None:
         """Nothing of it is in the process data."""
 
@@ -133,7 +138,7 @@ class AcyclicAccess:
         places = [self._placed(key) for key in keys]
         runs = _runs(places)
         talk = self.client.read([run.address for run in runs], deadline)
-        results = yield from self.run(talk, deadline, "read_many")
+        results = yield from self.run(talk, deadline, places[0].label if len(places) == 1 else "read_many")
         found: Found = []
         for run, result in zip(runs, results, strict=True):
             if isinstance(result, Values) and len(result.raws) == len(run.places):
