@@ -8,7 +8,7 @@ from typing import TypeVar
 
 from dpstack.api.records import RecordAccess
 from dpstack.dp.v1.codes import Decode
-from dpstack.errors import AcyclicError, DriveError, DriveTimeout, ParameterError, ServiceRefused
+from dpstack.errors import AcyclicError, DriveError, DriveTimeout, ParameterError, ServiceRefused, SlaveTimeout
 from dpstack.profile import CommandError
 from dpstack.profile.acyclic import (
     PROGRAM,
@@ -25,6 +25,7 @@ from dpstack.profile.acyclic import (
     ReadReq,
     Refused,
     Result,
+    Silent,
     Talk,
     Values,
     WriteReq,
@@ -37,8 +38,8 @@ from dpstack.profile.acyclic import (
 from dpstack.units import NEVER, NS_PER_S, s_to_ns
 
 T = TypeVar("T")
-#: Carries out one Read or Write of the slave: what was read, b"" after a Write, or its negative answer.
-CarryOut = Callable[[ReadReq | WriteReq], Awaitable[bytes | Refused]]
+#: Carries out one Read or Write of the slave: what was read, b"" after a Write, its negative answer, or none.
+CarryOut = Callable[[ReadReq | WriteReq], Awaitable[bytes | Refused | Silent]]
 
 
 class RecordParameters:
@@ -111,7 +112,7 @@ class RecordParameters:
             try:
                 service = next(talk)
                 while True:
-                    data: bytes | Refused = b""
+                    data: bytes | Refused | Silent = b""
                     if isinstance(service, Pause):  # nothing tells when the drive has done: it is asked again
                         await asyncio.sleep(service.ns / NS_PER_S)
                     else:
@@ -137,9 +138,9 @@ class RecordParameters:
 
 
 def over_records(records: RecordAccess, timeout: float) -> CarryOut:
-    """What the slave refuses is an answer, other failures are raised as Read and Write raise them."""
+    """What the slave refuses is an answer, and so is its silence; other failures are raised as by Read and Write."""
 
-    async def carry_out(request: ReadReq | WriteReq) -> bytes | Refused:
+    async def carry_out(request: ReadReq | WriteReq) -> bytes | Refused | Silent:
         try:
             if isinstance(request, ReadReq):
                 return await records.read(request.slot, request.index, request.length, timeout=timeout)
@@ -150,6 +151,8 @@ def over_records(records: RecordAccess, timeout: float) -> CarryOut:
             return Refused(error.code_1)
         except ServiceRefused as error:
             return Refused(0, str(error))
+        except SlaveTimeout as error:
+            return Silent(str(error))
         return b""
 
     return carry_out

@@ -81,6 +81,26 @@ def test_1000_parameters_with_progress(world: WorldFactory, baud: int, described
     assert took == [pytest.approx(seconds, rel=0.05)]
 
 
+def test_a_lost_request_is_written_again(world: WorldFactory) -> None:
+    async def main() -> None:
+        bench = world()
+        async with (
+            dpstack.serve_slave(mixer(), world=bench, address=9, baud=1_500_000),
+            dpstack.open_bus(port="virtual", baud=1_500_000, slaves=[MIXER.table(9)], world=bench) as bus,
+        ):
+            await bus.operate()
+            await bus.slave(9).ready()
+            parameters = bus.slave(9).parameters()
+            bench.faults.drop(lambda tx: b"\x33\x33\x5f" in tx.octets, times=2)  # and its repetition
+            assert await parameters.read([Address(1)]) == [Values(6, (1,))]
+            assert parameters.counters.repeated == 1
+            bench.faults.drop(lambda tx: b"\x33\x33\x5f" in tx.octets, times=2)
+            with pytest.raises(dpstack.DriveTimeout, match="it may have been carried out: read it back"):
+                await parameters.change([(Address(1), Values(6, (2,)))])
+
+    virtual(main())
+
+
 def test_a_drive_by_name_in_a_telegram_without_a_channel() -> None:
     async def main() -> None:
         async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[PUMP]) as bus:

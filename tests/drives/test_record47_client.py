@@ -9,7 +9,7 @@ from dpstack.dp.v1.records import ReadReq, WriteReq
 from dpstack.profile.acyclic.client import PLUGIN, PROGRAM, ParameterClient
 from dpstack.profile.acyclic.lists import defined, describe, read_limits, texts
 from dpstack.profile.acyclic.record47 import Address, ErrorValue, Values
-from dpstack.profile.acyclic.services import Answer, Refused, Service
+from dpstack.profile.acyclic.services import Answer, Refused, Service, Silent
 from dpstack.profile.acyclic.split import Limits
 from dpstack.profile.jobs import CommandError
 
@@ -78,6 +78,23 @@ def test_each_request_has_a_reference_of_its_own_and_never_0() -> None:
             said.append(drive.said[0][12:14])
         assert len(set(said)) == len(references)
         assert " ".join((*said[:2], *said[-2:])) == expected
+
+
+def test_a_lost_write_of_a_reading_request_is_repeated_that_of_a_change_is_not() -> None:
+    lost = Silent("slave 9 does not answer Write")
+    drive = Script(lost, lost, "", IS_965)
+    master = client()
+    assert talk(master.read([Address(965)]), drive) == [Values(6, (0x328,))]
+    assert drive.said == [READ_965, READ_965, READ_965, "5E 01 2F F0"]
+    assert (master.counters.requests, master.counters.services, master.counters.repeated) == (1, 4, 2)
+    for answers, order in (
+        ((lost, lost, lost), client().read([Address(965)])),
+        (("", lost), client().read([Address(965)])),  # a Read is repeated by MS1 itself
+        ((lost,), client().change([(Address(927), Values(6, (0,)))])),
+    ):
+        with pytest.raises(CommandError, match="slave 9 does not answer Write") as caught:
+            talk(order, Script(*answers))
+        assert caught.value.kind == "timeout"
 
 
 def test_a_request_that_somebody_elses_replaced_is_made_again_and_a_change_is_not() -> None:

@@ -11,7 +11,7 @@ from dpstack.dp.v1.unit_records import Outcome, ReadReq, RecordQueue, ServiceFai
 from dpstack.profile.acyclic.client import ParameterClient
 from dpstack.profile.acyclic.formats import FORMATS, Raw, Value
 from dpstack.profile.acyclic.record47 import Address, ErrorValue, Result, Values
-from dpstack.profile.acyclic.services import Answer, Pause, Refused, Talk
+from dpstack.profile.acyclic.services import Answer, Pause, Refused, Silent, Talk
 from dpstack.profile.channel import ParamKey
 from dpstack.profile.jobs import CommandError, Steps
 from dpstack.profile.many import Found, refused
@@ -192,7 +192,7 @@ class AcyclicAccess:
                     until = self._clock() + service.ns
                     while self._clock() < until:
                         yield
-                    data: bytes | Refused = b""
+                    data: bytes | Refused | Silent = b""
                 else:
                     data = yield from self._carried_out(service, deadline, label)
                 service = talk.send(Answer(self._clock(), data))
@@ -206,7 +206,7 @@ class AcyclicAccess:
             talk.close()
             self._turns.remove(turn)
 
-    def _carried_out(self, service: WriteReq | ReadReq, deadline: int, label: str) -> Steps[bytes | Refused]:
+    def _carried_out(self, service: WriteReq | ReadReq, deadline: int, label: str) -> Steps[bytes | Refused | Silent]:
         pending = self._records.submit(service)
         try:
             while pending.outcome is None:
@@ -236,15 +236,17 @@ class AcyclicAccess:
             raise CommandError("parameter", f"{place.label}: {text}", result.number)
 
 
-def answer_of(outcome: Outcome) -> bytes | Refused:
-    """What came of a service, for a talk. Raises CommandError where nothing did."""
+def answer_of(outcome: Outcome) -> bytes | Refused | Silent:
+    """What came of a service, for a talk. Raises CommandError where the bus or the slave went away."""
     if outcome.failure is None:
         return outcome.data
     if outcome.codes is not None and outcome.codes[0] == Decode.DPV1:
         return Refused(outcome.codes[1])
     if outcome.failure in (ServiceFailure.REFUSED, ServiceFailure.NEGATIVE):
         return Refused(0, outcome.text)
-    raise CommandError("lost" if outcome.failure in _LOST else "timeout", outcome.text)
+    if outcome.failure in _LOST:
+        raise CommandError("lost", outcome.text)
+    return Silent(outcome.text)
 
 
 def _raw(spec: ParamSpec | None, number: int, value: float) -> Raw:
