@@ -7,17 +7,16 @@ a device that has its response at once, and one that works 10 ms at each request
 from __future__ import annotations
 
 import argparse
-import asyncio
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import dpstack
 from bench.report import Report
-from dpstack import DpSlave, RecordRefused, SlaveDescription
+from dpstack import DpSlave, SlaveDescription
 from dpstack.profile import ParamSpec, ParamStore, ParamTable
-from dpstack.profile.acyclic import Counters, ParameterServer, Refused, Rules, StoreParameters
-from dpstack.units import NS_PER_MS, baud_text, s_to_ns
+from dpstack.profile.acyclic import Counters, ParameterServer, Rules, StoreParameters, TimedRecords
+from dpstack.units import NS_PER_MS, baud_text
 
 _BAUDS: Final = (500_000, 1_500_000)
 _WORDS: Final = range(1, 976)
@@ -43,22 +42,7 @@ def mixer(busy_ms: int = 0) -> DpSlave:
     arrays = [ParamSpec(number=n, name=f"p{n}", title="Sets", long=True, per_set=True, factory=7) for n in _ARRAYS]
     store = ParamStore(ParamTable((*words, *arrays)), {}, sets=_ELEMENTS)
     server = ParameterServer(StoreParameters(store), Rules(busy_ns=busy_ms * NS_PER_MS))
-
-    def now() -> int:
-        return s_to_ns(asyncio.get_running_loop().time())
-
-    async def read(slot: int, index: int) -> bytes:
-        answer = server.read_record(slot, index, 240, now())
-        if isinstance(answer, Refused):
-            raise RecordRefused(answer.code)
-        return answer
-
-    async def write(slot: int, index: int, data: bytes) -> None:
-        refused = server.write_record(slot, index, data, now())
-        if refused is not None:
-            raise RecordRefused(refused.code)
-
-    return DpSlave(MIXER, lambda outputs, elapsed: outputs, on_read=read, on_write=write)
+    return DpSlave(MIXER, lambda outputs, elapsed: outputs, parameters=TimedRecords(server))
 
 
 def read_out(baud: int, *, described: bool, busy_ms: int = 0) -> Reading:
