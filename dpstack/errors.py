@@ -161,7 +161,7 @@ class AlarmError(DpError):
     """An alarm or status of one's own slave that does not reach its master, or is not acknowledged.
 
     ``reason``: "not supported" (by this slave), "not enabled" (by its master), "not in data exchange", "queue full",
-    "data exchange ended", "not acknowledged" (in time).
+    "data exchange ended", "withdrawn" (by whoever has its ``Raised``).
     """
 
     def __init__(self, message: str, reason: str) -> None:

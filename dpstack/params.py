@@ -53,11 +53,6 @@ _PRESETS: Final[dict[int, _Row]] = {
 }
 
 
-def default_max_tsdr(baud: int) -> int:
-    """The max T_SDR in bit times of the preset row of ``baud``."""
-    return _PRESETS[baud].max_tsdr
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BusParams:
     """The parameters of one bus as one station sees them. Construction checks every limit and names what is wrong.

@@ -32,3 +32,12 @@ def slave_in(world: World, device: Device, address: int) -> tuple[PassiveStation
     app = station.responder
     assert isinstance(app, SlaveApp)
     return station, app
+
+
+async def off_and_on(bus: dpstack.Bus, address: int) -> None:
+    """A simulated slave loses its power, which the master notices, and comes back into data exchange."""
+    assert bus.bench is not None
+    bus.bench.power(address, False)
+    await bus.until(lambda: not bus.slave(address).ready_now, 5)
+    bus.bench.power(address, True)
+    await bus.slave(address).ready()

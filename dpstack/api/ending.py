@@ -39,4 +39,5 @@ class OrderedEnd:
                 bus.command(order)
                 await bus.until(lambda: steps.done, limit)
         now = bus.runtime.now()
+        # no event: no port tells when the last bit is on the wire, only time does
         await asyncio.sleep(ns_to_s(steps.over_at(now) - now))

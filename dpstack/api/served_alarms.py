@@ -33,9 +33,9 @@ class ServedAlarms:
             raised.ended = None
             if raised.end is None:
                 server.withdraw(raised)
-        if raised.end is not AlarmEnd.ACKNOWLEDGED:
-            text = AlarmEnd.LEFT.value if raised.end is None else raised.end.value
-            raise AlarmError(f"slave {address} ({self._name}): {alarm.text}: {text}", "data exchange ended")
+        if raised.end is not None and raised.end is not AlarmEnd.ACKNOWLEDGED:
+            text = f"slave {address} ({self._name}): {alarm.text}: {raised.end.value}"
+            raise AlarmError(text, "data exchange ended" if raised.end is AlarmEnd.LEFT else "withdrawn")
 
     def status(self, status: Status) -> None:
         """Tell it once."""

@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import Mapping
 
 import pytest
+from api_kit import off_and_on
 
 import dpstack
 from dpstack.api.bench import Unit
@@ -58,10 +59,7 @@ def test_a_users_program() -> None:
             await pump.start()
             await pump.stop()
             await pump.write("P00.10", 12.5)
-            bus.bench.power(5, False)
-            await bus.until(lambda: not bus.slave(5).ready_now, 5)
-            bus.bench.power(5, True)
-            await bus.slave(5).ready()
+            await off_and_on(bus, 5)
             assert await pump.read("P00.10") == 12.5  # its EEPROM
             await pump.start()  # and its map
 

@@ -83,6 +83,53 @@ def test_what_happens_to_it_reaches_the_master() -> None:
     plant(program)
 
 
+@pytest.mark.parametrize("mode", [0, 3])
+def test_its_alarms_reach_the_program_in_order_and_are_acknowledged(mode: int) -> None:
+    async def main() -> None:
+        table = IO | {"dpv1": {"alarms": ["pull_plug", "process", "diagnostic", "update"], "alarm_mode": mode}}
+        async with bus_of(table) as bus:
+            await bus.operate()
+            await bus.ready()
+            assert bus.bench is not None
+            handlers = SlaveCommands(bus.bench).handlers()
+            stream, messages = bus.slave("io").alarms(), bus.slave("io").status_messages()
+            for order in (
+                "input io 1 05",
+                "input io 1 0F",
+                "wire-break io 3 1 on",
+                "pull io 2",
+                "plug io 2 8DI",
+                "pull io 2",
+                "plug io 2",
+                "wire-break io 3 1 off",
+                "parameter io 1 02",
+            ):
+                name, *args = order.split()
+                assert handlers[name](args) is None
+            found = [await anext(stream) for _ in range(9)]
+            seen = [f"{alarm.type} {alarm.slot} {alarm.specifier.value} {alarm.data.hex()}" for alarm in found]
+            wanted = ["2 1 0 0505", "2 1 0 0a0f", "1 3 1 0106", "3 2 1 20", "4 2 3 10", "3 2 1 10", "4 2 2 20"]
+            wanted += ["1 3 2 0106", "6 1 0 02"]
+            if mode:
+                assert seen == wanted
+            assert sorted(seen) == sorted(wanted)
+            for kind in "123467":  # those of one type keep their order
+                assert [one for one in seen if one[0] == kind] == [one for one in wanted if one[0] == kind]
+            slots = [(await anext(messages)).text for _ in range(6)]
+            assert slots[0] == "module status: slot 3 data invalid"
+            assert slots[2] == "module status: slot 2 wrong module, slot 3 data invalid"
+            assert slots[5] == "module status: all modules ok"
+            await settled(bus)
+            counts = bus.slave("io").alarm_counts
+            assert counts is not None
+            assert (counts.raised, counts.acknowledged, counts.repeated, counts.too_many) == (9, 9, 0, 0)
+            device = bus.bench.device(8)
+            assert device.alarm_server is not None
+            assert device.alarm_server.pending == ()
+
+    virtual(main())
+
+
 def test_switched_off_it_keeps_what_is_plugged() -> None:
     async def program(bus: dpstack.Bus, handlers: dict[str, Handler]) -> None:
         handlers["pull"](["io", "2"])

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
+from api_kit import off_and_on
 
 import dpstack
 from dpstack.api.livelist import LiveListResult
@@ -41,10 +42,7 @@ async def program(table: Mapping[str, object]) -> None:
             "inputs": "220C:long 2033 2035",
             "outputs": "2F13:long 2032 2034",
         }
-        bus.bench.power(5, False)
-        await bus.until(lambda: not bus.slave(5).ready_now, 5)
-        bus.bench.power(5, True)
-        await bus.slave(5).ready()
+        await off_and_on(bus, 5)
         found = await saw.read_map()
         assert isinstance(found, dict)
         assert found["inputs"] == "220C:long 2033 2035"
@@ -66,10 +64,7 @@ def test_a_map_in_the_configuration() -> None:
             await bus.operate()
             await saw.write_map()  # the one that the configuration has
             assert bus.bench is not None
-            bus.bench.power(5, False)
-            await bus.until(lambda: not bus.slave(5).ready_now, 5)
-            bus.bench.power(5, True)
-            await bus.slave(5).ready()
+            await off_and_on(bus, 5)
             saw.speed = -0.25
             await saw.start()
             await saw.reached()

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
+from api_kit import off_and_on
 
 import dpstack
 from dpstack.api.livelist import LiveListResult
@@ -47,10 +48,7 @@ def test_a_users_program() -> None:
                 await pump.read("dr-99")
             with pytest.raises(dpstack.UsageError, match="dr-20"):
                 pump.speed = 1.5
-            bus.bench.power(6, False)
-            await bus.until(lambda: not bus.slave(6).ready_now, 5)
-            bus.bench.power(6, True)
-            await bus.slave(6).ready()
+            await off_and_on(bus, 6)
             assert await pump.read("dr-03") == 2.5  # its EEPROM
 
     dpstack.run_virtual(program())

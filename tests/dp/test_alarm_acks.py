@@ -152,6 +152,15 @@ def test_busy_is_asked_again(code: str) -> None:
     assert kit.blocks == [PROCESS]
 
 
+def test_busy_and_then_refused_is_refused() -> None:
+    kit = AlarmBus()
+    kit.alarm_slave.refuses = ["C2", "B2"]
+    kit.alarm_slave.raises(PROCESS)
+    kit.until(lambda: bool(kit.ends))
+    assert kit.ends[0].outcome.failure is ServiceFailure.NEGATIVE
+    assert (kit.counts.refused, kit.counts.acknowledged) == (1, 0)
+
+
 def test_a_refused_one_is_over_and_told_once() -> None:
     kit = AlarmBus()
     slave = kit.alarm_slave

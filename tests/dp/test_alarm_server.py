@@ -8,8 +8,8 @@ from slave_kit import CFG, OTHER, PRM, UNLOCK
 
 from dpstack.dp.slaveapp import SlaveAppState
 from dpstack.dp.user_diag import UserDiag, channel_block
-from dpstack.dp.v1.alarm_server import MAX_WAITING, AlarmEnd, AlarmServer, AlarmSupport, kind_of
-from dpstack.dp.v1.alarms import Alarm, ModuleState, Status, module_status
+from dpstack.dp.v1.alarm_server import MAX_WAITING, AlarmEnd, AlarmServer, AlarmSupport
+from dpstack.dp.v1.alarms import Alarm, ModuleState, Status, kind_of, module_status
 from dpstack.errors import AlarmError, ConfigError, PduError, UsageError
 from dpstack.fdl.user import RS_REPLY
 

@@ -41,7 +41,7 @@ from dpstack.dp.ext_diagnosis import DeviceBlock
 from dpstack.dp.findings import Findings
 from dpstack.dp.setup import SlaveSetup
 from dpstack.dp.v1.alarm_events import AlarmCounts, AlarmDone, AlarmRaised, StatusTold, texts_beside
-from dpstack.dp.v1.alarms import Alarm, AlarmType, Status, alarm_name, parse_block
+from dpstack.dp.v1.alarms import Alarm, Status, alarm_name, kind_of, parse_block
 from dpstack.dp.v1.codes import Code
 from dpstack.dp.v1.status import ALARM_LIMITS, ALARM_MODE, ALARMS
 from dpstack.errors import PduError
@@ -52,16 +52,8 @@ from dpstack.units import NEVER, NS_PER_MS
 MAX_OPEN: Final = 64
 #: a slave has so long to take an acknowledged alarm out of its diagnosis
 SETTLE: Final = 100 * NS_PER_MS
-#: before an acknowledgement is sent again, doubled each time up to the last
-_AGAIN: Final = (100 * NS_PER_MS, 1000 * NS_PER_MS)
-_KINDS: Final = {
-    AlarmType.DIAGNOSIS: "diagnostic",
-    AlarmType.PROCESS: "process",
-    AlarmType.PULL: "pull_plug",
-    AlarmType.PLUG: "pull_plug",
-    AlarmType.STATUS: "status",
-    AlarmType.UPDATE: "update",
-}
+#: before an acknowledgement is sent again for the first time, the second ...
+_AGAIN: Final = (100 * NS_PER_MS, 200 * NS_PER_MS, 500 * NS_PER_MS, 1000 * NS_PER_MS)
 #: the slave did not look at it now: "later"
 _BUSY: Final = (Code.STATE_CONFLICT, Code.READ_CONSTRAINT, Code.WRITE_CONSTRAINT, Code.RESOURCE_BUSY)
 _NO: Final = (ServiceFailure.NEGATIVE, ServiceFailure.REFUSED, ServiceFailure.LENGTH, ServiceFailure.GUARDED)
@@ -98,11 +90,18 @@ class OpenAlarm:
     stage: Stage
     #: acknowledgements begun
     attempts: int = 0
+    #: one of them had no answer
+    unanswered: bool = False
     not_before: int = 0
     #: the diagnosis may hold the next one with its numbers: read again when it is over
     shown: bool = False
     #: the response came after its acknowledgement was over
     answered: bool = False
+
+    @property
+    def maybe_taken(self) -> bool:
+        """The slave may have had its acknowledgement."""
+        return self.unanswered or self.stage is Stage.ASKED
 
 
 class AlarmHandler:
@@ -135,6 +134,7 @@ class AlarmHandler:
         self._settling: dict[Key, tuple[bytes, int]] = {}
         self._look_at = NEVER
         self._dropped = False
+        self._silence_told = False
         self._last: Diagnosis | None = None
         #: blocks that say nothing new
         self._before: set[bytes] = set()
@@ -194,7 +194,7 @@ class AlarmHandler:
             self._emit(StatusTold(t_ns=now, address=address, name=name, status=status))
 
     def _on_alarm(self, alarm: Alarm, octets: bytes, diagnosis: Diagnosis, now: int) -> None:
-        kind = _KINDS[AlarmType(alarm.type)] if alarm.type in AlarmType.__members__.values() else "manufacturer"
+        kind = kind_of(alarm.type)
         if not self._enabled & ALARMS[kind]:
             self._count("not_enabled")
             self._findings.remark(_NOT_ENABLED.format(what=alarm_name(alarm.type), kind=kind), now)
@@ -204,10 +204,10 @@ class AlarmHandler:
         known = self._open.get(key)
         fresh = octets not in self._before
         if known is not None:
-            if not (fresh and known.attempts):
+            if not (fresh and known.maybe_taken):
                 if fresh and known.octets != octets:  # over the one that nobody has acknowledged
                     self._too_many(now)
-                known.shown = known.shown or bool(known.attempts) or known.octets != octets
+                known.shown = known.shown or known.maybe_taken or known.octets != octets
                 return
             self._over(known, Outcome(), now)
         settled, until = self._settling.get(key, (b"", 0))
@@ -222,13 +222,13 @@ class AlarmHandler:
         for known in tuple(self._open.values()):
             alike = not self._limit and known.alarm.type == alarm.type
             instead = known.octets != octets and (alike or Key.of(known.alarm) == Key.of(alarm))
-            if instead and known.attempts and known.stage is Stage.WAITING:
+            if instead and known.unanswered and known.stage is Stage.WAITING:
                 self._over(known, Outcome(), now)
 
     def _new(self, alarm: Alarm, octets: bytes, diagnosis: Diagnosis, now: int) -> None:
         setup = self._setup
-        unanswered = [known.alarm.type for known in self._open.values() if not known.attempts]
-        if len(unanswered) >= self._limit if self._limit else alarm.type in unanswered:
+        standing = [known.alarm.type for known in self._open.values() if not known.maybe_taken]
+        if len(standing) >= self._limit if self._limit else alarm.type in standing:
             self._too_many(now)
         if len(self._open) + len(self._untaken) >= MAX_OPEN:
             self._count("dropped")
@@ -310,17 +310,22 @@ class AlarmHandler:
             self._asked = None
         if self._open.get(Key.of(known.alarm)) is not known:
             return  # the slave left data exchange meanwhile
-        if outcome.failure is None or (outcome.failure in _NO and known.attempts > 1 and not _busy(outcome)):
+        refused = outcome.failure in _NO and not _busy(outcome)
+        if outcome.failure is None or (refused and known.unanswered):
             self._over(known, Outcome(), now)
-        elif outcome.failure in _NO and not _busy(outcome):
+        elif refused:
             self._count("refused")
-            self._findings.remark(_REFUSED.format(why=outcome.text), now)
+            if self.counts.refused == 1:
+                self._findings.remark(_REFUSED.format(why=outcome.text), now)
             self._over(known, outcome, now)
         else:
             known.stage = Stage.WAITING
-            known.not_before = now + min(_AGAIN[0] << known.attempts - 1, _AGAIN[1])
-            if outcome.failure is not ServiceFailure.CLOSED and known.attempts == 1:
-                self._findings.remark(f"{outcome.text}; it is acknowledged again until it answers", now)
+            known.not_before = now + _AGAIN[min(known.attempts, len(_AGAIN)) - 1]
+            if outcome.failure not in (ServiceFailure.CLOSED, ServiceFailure.NEGATIVE):
+                known.unanswered = True
+                if not self._silence_told:
+                    self._silence_told = True
+                    self._findings.remark(f"{outcome.text}; it is acknowledged again until it answers", now)
 
     def _over(self, known: OpenAlarm, outcome: Outcome, now: int) -> None:
         key = Key.of(known.alarm)

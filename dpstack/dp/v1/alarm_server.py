@@ -31,7 +31,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Final, NamedTuple
 
-from dpstack.dp.v1.alarms import SEQUENCES, VENDOR, Alarm, AlarmAck, AlarmType, Status, StatusType
+from dpstack.dp.v1.alarms import SEQUENCES, VENDOR, Alarm, AlarmAck, Status, StatusType, kind_of
 from dpstack.dp.v1.codes import Code
 from dpstack.dp.v1.records import Function, Negative
 from dpstack.dp.v1.status import ALARM_LIMITS, ALARMS
@@ -39,27 +39,6 @@ from dpstack.errors import AlarmError, ConfigError, PduError, UsageError
 
 #: alarms, and status messages, that wait to be shown
 MAX_WAITING: Final = 32
-_KINDS: Final = {
-    AlarmType.DIAGNOSIS: "diagnostic",
-    AlarmType.PROCESS: "process",
-    AlarmType.PULL: "pull_plug",
-    AlarmType.PLUG: "pull_plug",
-    AlarmType.STATUS: "status",
-    AlarmType.UPDATE: "update",
-}
-_MANUFACTURER: Final = "manufacturer"
-
-
-def kind_of(alarm_type: int) -> str:
-    """The key of :data:`~dpstack.dp.v1.status.ALARMS` that enables it: pull and plug share one, so do vendor types.
-
-    Raises PduError for types that do not exist.
-    """
-    if alarm_type in VENDOR:
-        return _MANUFACTURER
-    if alarm_type not in _KINDS:
-        raise PduError(f"there is no alarm of type {alarm_type}: 1..6, {VENDOR.start}..{VENDOR.stop - 1}")
-    return _KINDS[AlarmType(alarm_type)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +71,7 @@ class AlarmEnd(Enum):
 
 
 class Raised:
-    """An alarm that was raised. ``end`` is None until it is over; ``ended`` is called then."""
+    """An alarm that was raised. ``end`` is None until it is over; ``ended`` is called then, and must not raise."""
 
     __slots__ = ("alarm", "end", "ended", "offered")
 

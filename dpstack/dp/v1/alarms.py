@@ -34,6 +34,17 @@ class AlarmType(IntEnum):
     UPDATE = 6
 
 
+#: keys of DPV1_Status_2's bits; vendor types have one in common
+_ENABLED_BY: Final = {
+    AlarmType.DIAGNOSIS: "diagnostic",
+    AlarmType.PROCESS: "process",
+    AlarmType.PULL: "pull_plug",
+    AlarmType.PLUG: "pull_plug",
+    AlarmType.STATUS: "status",
+    AlarmType.UPDATE: "update",
+}
+
+
 class StatusType(IntEnum):
     """Status_Type, without bit 7; 32..126 are the maker's own."""
 
@@ -250,6 +261,18 @@ class AlarmAck:
         if raw.rest:
             raise PduError(f"Alarm_Ack has {len(octets)} octets, octet {HEAD} is the last one")
         return cls(raw.slot, raw.kind, raw.specifier & 3, raw.specifier >> 3, bool(raw.specifier & 4))
+
+
+def kind_of(alarm_type: int) -> str:
+    """The key of :data:`~dpstack.dp.v1.status.ALARMS` that enables it: pull and plug share one, so do vendor types.
+
+    Raises PduError for types that do not exist.
+    """
+    if alarm_type in VENDOR:
+        return "manufacturer"
+    if alarm_type not in _ENABLED_BY:
+        raise PduError(f"there is no alarm of type {alarm_type}: 1..6, {VENDOR.start}..{VENDOR.stop - 1}")
+    return _ENABLED_BY[AlarmType(alarm_type)]
 
 
 def alarm_name(number: int) -> str:

@@ -30,8 +30,6 @@ from dpstack.errors import PduError
 #: the record of every slot that calls go through
 IM_INDEX: Final = 255
 IM_LEN: Final = 64
-#: of a call, and of what is read after it
-CALL_LEN: Final = 4
 _CALL: Final = 0x08
 _FIRST: Final = 65000
 #: FI_Index of I&M records: 65000..65199 are reserved for them

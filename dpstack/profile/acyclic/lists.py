@@ -63,7 +63,7 @@ _ELEMENTS: Final = (
 #: substitutes that say nothing of the meaning
 _PLAIN: Final = frozenset({BYTE, WORD, DOUBLE_WORD})
 
-READ_ONLY_BIT, TEXT_BIT, ONLY_RESET_BIT, ARRAY_BIT = 9, 10, 13, 14
+READ_ONLY_BIT, TEXT_BIT, ARRAY_BIT = 9, 10, 14
 
 
 class Description(NamedTuple):

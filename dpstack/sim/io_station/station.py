@@ -265,6 +265,7 @@ def _described(config: bytes, name: str, parameters: int) -> SlaveDescription:
         fail_safe=True,
         wd_base_1ms=True,
         dpv1=True,
+        prm_blocks=False,
         alarms=ALARMS,
         alarm_sequence=SEQUENCE,
         max_diag_len=MAX_DIAG,
