@@ -97,6 +97,28 @@ def test_a_lost_write_of_a_reading_request_is_repeated_that_of_a_change_is_not()
         assert caught.value.kind == "timeout"
 
 
+def test_a_response_that_was_lost_on_the_way_is_asked_for_anew() -> None:
+    class Lost(Script):
+        """The first response went out and did not arrive."""
+
+        def __call__(self, service: Service) -> Answer:
+            writes = sum(one.startswith("5F") for one in self.said)
+            if isinstance(service, ReadReq) and writes < 2:
+                self._answers.insert(0, BUSY)
+            return super().__call__(service)
+
+    drive = Lost("", "", IS_965)
+    master = client()
+    assert talk(master.read([Address(965)]), drive) == [Values(6, (0x328,))]
+    assert [one for one in drive.said if one.startswith("5F")] == [READ_965, READ_965]
+    assert drive.now == pytest.approx(1000 * MS, abs=60 * MS)
+    assert master.counters.repeated == 1
+    change = Script("", *[BUSY] * 100)
+    with pytest.raises(CommandError, match="within 2000 ms; it may have been carried out: read it back"):
+        talk(client().change([(Address(927), Values(6, (0,)))]), change)
+    assert [one[:2] for one in change.said].count("5F") == 1
+
+
 def test_a_request_that_somebody_elses_replaced_is_made_again_and_a_change_is_not() -> None:
     ours, other = "80 01 01 01 06 01 03 28", "05 01 01 01 06 01 00 07"
     drive = Script("", other, "", ours)

@@ -193,18 +193,28 @@ class ParameterClient:
         Raises CommandError: ``timeout`` after ``deadline`` (ns) or the drive's patience, ``parameter`` for a refusal.
         """
         self.counters.requests += 1
-        attempts = _ATTEMPTS if request.id == RequestId.READ else 1
+        reads = request.id == RequestId.READ
+        attempts = _ATTEMPTS if reads else 1
         now = yield from self._written(octets, deadline, attempts, several=len(request.addresses) > 1)
         if now is None:
             return None
         patience = self._patience
         until = min(deadline, now + patience)
+        # a response whose telegram was lost is gone: the drive says "not ready" for ever
+        lost_at = now + patience // 2 if reads else NEVER
         told = f"the drive did not answer within {patience // NS_PER_MS} ms"
+        told += "" if reads else "; it may have been carried out: read it back"
         pause = _FIRST_PAUSE
         while True:
             now, data = yield from self._service(ReadReq(self.slot, INDEX, self.limits.octets))
             if isinstance(data, Refused):
                 self._again(data, "the response")
+                if now >= lost_at:
+                    lost_at = NEVER
+                    now, data = yield from self._service(WriteReq(self.slot, INDEX, octets), attempts)
+                    if not isinstance(data, Refused):  # else it still works at it
+                        self.counters.repeated += 1
+                        until, pause = min(deadline, now + patience), _FIRST_PAUSE
             else:
                 response, why = self._fitting(request, data)
                 if response is not None:
