@@ -17,7 +17,7 @@ from dpstack.dp.v1.alarms import HEAD as ALARM_HEAD
 from dpstack.dp.v1.ms2_server import MAX_CONNECTIONS
 from dpstack.dp.v1.prm_blocks import PrmBlock, parse_blocks
 from dpstack.dp.v1.records import MAX_RECORD
-from dpstack.dp.v1.status import ALARM_LIMITS, DPV1_STATUS_LEN, PRM_STRUCTURE
+from dpstack.dp.v1.status import ALARM_LIMITS, DPV1_STATUS_LEN, PRM_STRUCTURE, set_bit
 from dpstack.errors import ConfigError, PduError
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.identifiers import config_for, io_lengths
@@ -192,13 +192,19 @@ class SlaveDescription:
             "address": address,
             "ident": self.ident,
             "config": config.hex(" "),
-            "user_prm": bytes(max(self.user_prm_len[0], DPV1_STATUS_LEN * self.dpv1)).hex(" "),
+            "user_prm": self._least_prm().hex(" "),
             "fail_safe": self.fail_safe,
             "min_slave_interval": -(-self.min_slave_interval_ns // INTERVAL_UNIT),
             **({"dpv1": self._dpv1_table()} if self.dpv1 else {}),
         }
 
     # --- inside -------------------------------------------------------------------------------------------------
+
+    def _least_prm(self) -> bytes:
+        octets = bytearray(max(self.user_prm_len[0], DPV1_STATUS_LEN * self.dpv1))
+        if self.dpv1 and self.prm_blocks_required:
+            set_bit(octets, 2, PRM_STRUCTURE, True)
+        return bytes(octets)
 
     def _dpv1_table(self) -> object:
         if not self.alarms:

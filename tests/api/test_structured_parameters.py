@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 from api_kit import bus_of, virtual
@@ -104,8 +105,9 @@ def test_fail_safe_is_told_without_a_gsd_file_too(keys: str, octets: str) -> Non
     assert sent(PLAIN.replace("00 00 00 07", "40 00 00") + keys) == octets
 
 
-def test_a_slave_that_requires_fail_safe_comes_up() -> None:
-    rig = SlaveDescription(ident=1, configs=(b"\x10\x20",), dpv1=True, fail_safe=True, fail_safe_required=True)
+@pytest.mark.parametrize("wanted", [{"fail_safe": True, "fail_safe_required": True}, {"prm_blocks_required": True}])
+def test_a_slave_that_requires_it_comes_up(wanted: dict[str, Any]) -> None:
+    rig = SlaveDescription(ident=1, configs=(b"\x10\x20",), dpv1=True, **wanted)
     slave = DpSlave(rig, lambda outputs, elapsed: bytes(1))
 
     async def program() -> None:
