@@ -55,6 +55,7 @@ class RecordParameters:
         self._name = name
         self._carry_out = carry_out
         self._client = ParameterClient(slot, object=object, limits=limits, references=PROGRAM)
+        self._limits_known = limits is not None
         self._one_by_one = asyncio.Lock()
 
     @property
@@ -64,7 +65,9 @@ class RecordParameters:
 
     async def limits(self, timeout: float | None = None) -> Limits:
         """What the drive's PNU 974 says; respected from now on."""
-        return await self._run(lambda deadline: read_limits(self._client, deadline), timeout)
+        found = await self._run(lambda deadline: read_limits(self._client, deadline), timeout)
+        self._limits_known = True
+        return found
 
     async def read(
         self, items: Sequence[Address | Item], *, timeout: float | None = None, progress: Progress | None = None
@@ -98,10 +101,16 @@ class RecordParameters:
         progress: Progress | None = None,
         describing: Progress | None = None,
     ) -> list[ReadParameter]:
-        """Every parameter of the drive's list with its values; ``progress`` of these, ``describing`` what is before."""
+        """Every parameter of the drive's list with its values; ``progress`` of these, ``describing`` what is before.
+
+        Its limits are asked for first where they are not known.
+        """
 
         def begin(deadline: int) -> Talk[list[ReadParameter]]:
-            return read_out(self._client, deadline, progress, described=described, describing=describing)
+            if not self._limits_known:
+                yield from read_limits(self._client, deadline)
+                self._limits_known = True
+            return (yield from read_out(self._client, deadline, progress, described=described, describing=describing))
 
         return await self._run(begin, timeout)
 

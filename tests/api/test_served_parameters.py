@@ -11,7 +11,16 @@ from dpstack.dp.events import SlaveState
 from dpstack.fdl.telegram import Resp
 from dpstack.fdl.user import SC_REPLY
 from dpstack.profile import ParamSpec, ParamStore, ParamTable
-from dpstack.profile.acyclic import Address, ErrorValue, ParameterServer, Rules, StoreParameters, TimedRecords, Values
+from dpstack.profile.acyclic import (
+    Address,
+    ErrorValue,
+    Limits,
+    ParameterServer,
+    Rules,
+    StoreParameters,
+    TimedRecords,
+    Values,
+)
 from dpstack.units import NS_PER_MS
 
 TABLE = ParamTable(
@@ -69,5 +78,28 @@ def test_over_a_bus_by_both_classes_of_master() -> None:
             assert await bus.slave(9).read(3, 4) == b"\x03\x04"  # the others go to the functions
             assert bus.slave(9).state is SlaveState.DATA_EXCHANGE
         assert store.value("ramp") == 7.5
+
+    virtual(main())
+
+
+def test_a_list_is_read_within_the_limits_that_the_drive_tells() -> None:
+    table = ParamTable(ParamSpec(number=n, name=f"p{n}", title="Word") for n in range(1, 60))
+    limits = Limits(octets=56, parameters=4)
+    server = ParameterServer(StoreParameters(ParamStore(table, {}), limits=limits), Rules(limits=limits))
+    slave = DpSlave(RIG, lambda outputs, elapsed: bytes(1), parameters=TimedRecords(server))
+
+    async def main() -> None:
+        world = dpstack.World()
+        async with (
+            dpstack.serve_slave(slave, world=world, address=9),
+            dpstack.open_bus(world=world, baud=500_000, slaves=[RIG.table(9)]) as bus,
+        ):
+            await bus.ready()
+            parameters = bus.slave(9).parameters()
+            assert len(await parameters.read_out()) == 59
+            first = parameters.counters.requests
+            assert parameters.counters.split == 0  # nothing was tried in vain
+            await parameters.read_out()
+            assert parameters.counters.requests == 2 * first - 1  # asked for once
 
     virtual(main())
