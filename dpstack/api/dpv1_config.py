@@ -67,6 +67,7 @@ def _of_gsd(device: Device | None) -> Dpv1:
         c1_max_data_len=min(longest, MAX_RECORD) if longest else MAX_RECORD,
         extra_alarm_sap=device.dpv1.extra_alarm_sap,
         required_alarms=_required(device),
+        structured=device.dpv1.prm_block_structure_required,
     )
 
 
@@ -138,7 +139,7 @@ def _blocks(table: Table, device: Device | None) -> tuple[PrmBlock, ...]:
         return ()
     if not isinstance(given, (list, tuple)):
         table.fail("blocks", "blocks is no list of tables", 'write [{ type = 0x81, slot = 0, data = "00 01" }]')
-    if device is not None and not device.dpv1.prm_block_structure:
+    if device is not None and not (device.dpv1.prm_block_structure or device.dpv1.prm_block_structure_required):
         table.fail("blocks", "blocks, but its GSD file says Prm_Block_Structure_supp = 0", "leave blocks out")
     return tuple(_block(table.inner("blocks", number, entry)) for number, entry in enumerate(given, 1))
 

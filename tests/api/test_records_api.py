@@ -213,26 +213,26 @@ def setup(keys: str) -> tuple[Dpv1 | None, str]:
         ("dpv1 = true\n", "80 00 00 07"),
         ("dpv1 = { check_cfg_mode = true, prm_cmd = true }\n", "80 01 80 07"),
         ('dpv1 = { alarms = ["process", "pull_plug"], alarm_mode = 2 }\n', "80 c0 02 07"),
-        ("fail_safe = true\nwatchdog_ms = 5\nwd_base_1ms = true\ndpv1 = true\n", "80 00 00 07"),
+        ("fail_safe = true\nwatchdog_ms = 5\nwd_base_1ms = true\ndpv1 = true\n", "c0 00 00 07"),
         (
             'dpv1 = { blocks = [{ type = 0x81, data = "01 02" }, { type = 2, slot = 3 }] }\n',
-            "80 00 08 07 06 81 00 00 01 02 08 02 03 00 00 00 00 00",
+            "80 00 08 05 81 00 00 07 06 81 00 00 01 02 08 02 03 00 00 00 00 00",
         ),
         (
             'dpv1 = { blocks = [{ type = "user_prm", data = "01" }, '
             '{ type = "prm_cmd", specifier = 8, function = 1, output_hold_time = 100 }] }\n',
-            "80 00 08 07 05 81 00 00 01 08 02 00 08 01 00 00 64",
+            "80 00 08 05 81 00 00 07 05 81 00 00 01 08 02 00 08 01 00 00 64",
         ),
         (
             'dpv1 = { blocks = [{ type = "dxb_links", entries = '
             "[{ publisher = 4, publisher_length = 8, sample_offset = 2, sample_length = 6 }] }] }\n",
-            "80 00 08 07 09 03 00 00 01 04 08 02 06",
+            "80 00 08 05 81 00 00 07 09 03 00 00 01 04 08 02 06",
         ),
         (
             'dpv1 = { blocks = [{ type = "isochronous", t_dp = 8, t_mapc = 2 }, '
             '{ type = 8, data = "00 0A 00 00 00 00 00 00 00 00" }] }\n',
-            "80 00 08 07 1c 04 00 00 01 00 00 05 dc 00 08 02 00 00 05 dc 00 00 00 00 00 00 00 00 00 0c 00 00"
-            " 0e 08 00 00 00 0a 00 00 00 00 00 00 00 00",
+            "80 00 08 05 81 00 00 07 1c 04 00 00 01 00 00 05 dc 00 08 02 00 00 05 dc 00 00 00 00 00 00 00 00"
+            " 00 0c 00 00 0e 08 00 00 00 0a 00 00 00 00 00 00 00 00",
         ),
     ],
 )
@@ -280,7 +280,7 @@ def test_left_out_it_is_on_where_the_parameters_say_so() -> None:
         (OCTETS + "dpv1 = { blocks = [{ type = 3 }] }\n", "entries is no list of tables; write [{ publisher = 0, "),
         (OCTETS + "dpv1 = { blocks = [{ type = 3, entries = [{ publisher = 1 }] }] }\n", "no publisher_length"),
         (OCTETS + f'dpv1 = {{ blocks = [{{ type = 1, data = "{"00" * 231}" }}] }}\n', "231 octets, 230 are possible"),
-        (OCTETS + f'dpv1 = {{ blocks = [{{ type = 1, data = "{"00" * 230}" }}] }}\n', "238 octets of user parameters"),
+        (OCTETS + f'dpv1 = {{ blocks = [{{ type = 1, data = "{"00" * 230}" }}] }}\n', "242 octets of user parameters"),
     ],
 )
 def test_refused(keys: str, text: str) -> None:
