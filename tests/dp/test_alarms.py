@@ -150,6 +150,34 @@ def test_a_slave_that_is_slow_to_take_it_out_of_its_diagnosis() -> None:
     assert kit.blocks == [PROCESS]
 
 
+def test_one_with_a_number_that_stays_in_the_diagnosis() -> None:
+    kit = AlarmBus()
+    slave = kit.alarm_slave
+    slave.keeps = True
+    blocks = [block(2, 3, 0, number) for number in range(3)]
+    slave.raises(*blocks)
+    kit.until(lambda: len(slave.taken) == len(blocks))
+    for at in range(1, 5):
+        kit.run(150)
+        slave.changes(bytes((0x42, at)))  # something else asks to be read
+    assert kit.blocks == blocks
+
+
+def test_numbers_that_stand_still_and_a_diagnosis_that_is_always_read() -> None:
+    kit = AlarmBus()
+    slave = kit.alarm_slave
+    slave.keeps = True
+    slave.static = True
+    slave.raises(PROCESS)
+    kit.run(3000)
+    assert slave.diagnosed > 20
+    assert len(kit.raised) <= 2  # the second by mistake: from then on it is known
+    slave.raises(PROCESS)  # asks to be read, with nothing else new
+    kit.until(lambda: len(slave.taken) == 2)
+    kit.run(1000)
+    assert len(kit.raised) <= 3
+
+
 @pytest.mark.parametrize("mode", [0, 3])
 def test_the_next_one_exactly_alike(mode: int) -> None:
     kit = AlarmBus(dpv1=Dpv1(alarms=ALL, alarm_mode=mode))

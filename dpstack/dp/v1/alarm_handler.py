@@ -15,8 +15,7 @@ Decisions where the sources are silent:
 - After a request without an answer the frame count bit begins anew, and a slave cannot know whether its diagnosis was
   read: it may offer it again. So one data exchange comes between a diagnosis and an acknowledgement, and what was
   offered again after silence right behind a diagnosis is nothing new.
-- With the same octets right after the response the slave may not have taken the block away yet: it is the next one only
-  when it stands there after :data:`SETTLE`; in sequence mode, where numbers count on, never before it was gone.
+- With the same octets after the response it may be the old one still: :mod:`dpstack.dp.v1.alarm_settling`.
 - An acknowledgement without an answer is sent again as long as the slave is in data exchange. When another alarm has
   taken its place under the same number, or in mode 0 one of the same type, the slave has had it.
 - A refused one is over, and told. A second one that is refused shows that the first had arrived.
@@ -33,7 +32,7 @@ import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
-from typing import Final, NamedTuple
+from typing import Final
 
 from dpstack.dp.class2_jobs import Outcome, ServiceFailure
 from dpstack.dp.diagnosis import Diagnosis
@@ -41,6 +40,7 @@ from dpstack.dp.ext_diagnosis import DeviceBlock
 from dpstack.dp.findings import Findings
 from dpstack.dp.setup import SlaveSetup
 from dpstack.dp.v1.alarm_events import AlarmCounts, AlarmDone, AlarmRaised, StatusTold, texts_beside
+from dpstack.dp.v1.alarm_settling import Key, Settling
 from dpstack.dp.v1.alarms import Alarm, Status, alarm_name, kind_of, parse_block
 from dpstack.dp.v1.codes import Code
 from dpstack.dp.v1.status import ALARM_LIMITS, ALARM_MODE, ALARMS
@@ -50,26 +50,11 @@ from dpstack.units import NEVER, NS_PER_MS
 
 #: alarms of one slave that are open, or not taken by the application; those of a slave that keeps the rules are 32
 MAX_OPEN: Final = 64
-#: a slave has so long to take an acknowledged alarm out of its diagnosis
-SETTLE: Final = 100 * NS_PER_MS
 #: before an acknowledgement is sent again for the first time, the second ...
 _AGAIN: Final = (100 * NS_PER_MS, 200 * NS_PER_MS, 500 * NS_PER_MS, 1000 * NS_PER_MS)
 #: the slave did not look at it now: "later"
 _BUSY: Final = (Code.STATE_CONFLICT, Code.READ_CONSTRAINT, Code.WRITE_CONSTRAINT, Code.RESOURCE_BUSY)
 _NO: Final = (ServiceFailure.NEGATIVE, ServiceFailure.REFUSED, ServiceFailure.LENGTH, ServiceFailure.GUARDED)
-
-
-class Key(NamedTuple):
-    """What is one alarm while it is open."""
-
-    type: int
-    slot: int
-    sequence: int
-
-    @classmethod
-    def of(cls, alarm: Alarm) -> Key:
-        """Of ``alarm``."""
-        return cls(alarm.type, alarm.slot, alarm.sequence)
 
 
 class Stage(Enum):
@@ -88,6 +73,8 @@ class OpenAlarm:
     alarm: Alarm
     octets: bytes
     stage: Stage
+    #: nothing but that it stands in the diagnosis tells it from the one before
+    doubtful: bool = False
     #: acknowledgements begun
     attempts: int = 0
     #: one of them had no answer
@@ -130,9 +117,7 @@ class AlarmHandler:
         #: numbers of those that are over, but not taken by the application yet
         self._untaken: set[int] = set() if before is None else before._untaken
         self._asked: OpenAlarm | None = None
-        #: acknowledged, and in every diagnosis since: octets, and until when that means nothing
-        self._settling: dict[Key, tuple[bytes, int]] = {}
-        self._look_at = NEVER
+        self._settling = Settling(in_order=self._limit > 0)
         self._dropped = False
         self._silence_told = False
         self._last: Diagnosis | None = None
@@ -156,7 +141,9 @@ class AlarmHandler:
     def take(self, diagnosis: Diagnosis, flagged: bool, exchanges: int, now: int) -> None:
         """A diagnosis of the slave in data exchange, after so many ``exchanges``; ``flagged``: it asked for it (DH)."""
         last, self._last = self._last, diagnosis
-        renewed = flagged and not self._unsure and diagnosis == last
+        renewed = flagged and diagnosis == last
+        if self._unsure and renewed:  # offered again
+            flagged = renewed = False
         before = () if last is None or renewed else last.blocks
         self._read_after, self._unsure = exchanges, False
         self._before = {block.octets for block in before}
@@ -166,13 +153,12 @@ class AlarmHandler:
         for message, octets in messages:
             if isinstance(message, Alarm):
                 standing.add(Key.of(message))
-                self._on_alarm(message, octets, diagnosis, now)
+                self._on_alarm(message, octets, diagnosis, flagged, now)
             else:
                 self._on_status(message, octets, now)
                 statuses[message.type, message.slot] = octets
         self._statuses = statuses
-        for key in [key for key in self._settling if key not in standing]:
-            del self._settling[key]
+        self._settling.standing(standing)
 
     def _messages(self, diagnosis: Diagnosis | None, now: int) -> list[tuple[Alarm | Status, bytes]]:
         found: list[tuple[Alarm | Status, bytes]] = []
@@ -193,7 +179,7 @@ class AlarmHandler:
             address, name = self._setup.address, self._setup.name
             self._emit(StatusTold(t_ns=now, address=address, name=name, status=status))
 
-    def _on_alarm(self, alarm: Alarm, octets: bytes, diagnosis: Diagnosis, now: int) -> None:
+    def _on_alarm(self, alarm: Alarm, octets: bytes, diagnosis: Diagnosis, flagged: bool, now: int) -> None:
         kind = kind_of(alarm.type)
         if not self._enabled & ALARMS[kind]:
             self._count("not_enabled")
@@ -210,12 +196,8 @@ class AlarmHandler:
                 known.shown = known.shown or known.maybe_taken or known.octets != octets
                 return
             self._over(known, Outcome(), now)
-        settled, until = self._settling.get(key, (b"", 0))
-        if settled == octets and not fresh and (self._limit or now < until):
-            if not self._limit:
-                self._look_at = min(self._look_at, until)
-            return
-        self._new(alarm, octets, diagnosis, now)
+        if fresh or not self._settling.still(key, octets, flagged, now):
+            self._new(alarm, octets, diagnosis, not fresh and self._settling.doubtful(key, octets), now)
 
     def _conclude(self, alarm: Alarm, octets: bytes, now: int) -> None:
         """What ``alarm`` says of others whose acknowledgement had no answer."""
@@ -225,7 +207,7 @@ class AlarmHandler:
             if instead and known.unanswered and known.stage is Stage.WAITING:
                 self._over(known, Outcome(), now)
 
-    def _new(self, alarm: Alarm, octets: bytes, diagnosis: Diagnosis, now: int) -> None:
+    def _new(self, alarm: Alarm, octets: bytes, diagnosis: Diagnosis, doubtful: bool, now: int) -> None:
         setup = self._setup
         standing = [known.alarm.type for known in self._open.values() if not known.maybe_taken]
         if len(standing) >= self._limit if self._limit else alarm.type in standing:
@@ -237,7 +219,8 @@ class AlarmHandler:
             return
         self._number += 1
         stage = Stage.HELD if self._hold else Stage.WAITING
-        self._open[Key.of(alarm)] = OpenAlarm(self._number, alarm, octets, stage)
+        self._open[Key.of(alarm)] = OpenAlarm(self._number, alarm, octets, stage, doubtful)
+        self._settling.raised(alarm)
         self._count("raised")
         self._emit(
             AlarmRaised(
@@ -284,8 +267,8 @@ class AlarmHandler:
 
     def next_ack(self, exchanges: int, now: int) -> OpenAlarm | None:
         """The alarm to be acknowledged now; asked in every token hold. One at a time, in the order they came."""
-        if self._look_at <= now:
-            self._look_at = NEVER
+        if self._settling.look_at <= now:
+            self._settling.look_at = NEVER
             self._ask(now)
         if self._asked is not None or not self._open or exchanges == self._read_after:
             return None
@@ -330,7 +313,7 @@ class AlarmHandler:
     def _over(self, known: OpenAlarm, outcome: Outcome, now: int) -> None:
         key = Key.of(known.alarm)
         del self._open[key]
-        self._settling[key] = (known.octets, now + SETTLE)
+        self._settling.over(key, known.octets, known.doubtful, now)
         if outcome.failure is None:
             self._count("acknowledged")
         self._done(known, outcome, now)
@@ -361,7 +344,6 @@ class AlarmHandler:
         self._settling.clear()
         self._statuses.clear()
         self._last = self._asked = None
-        self._look_at = NEVER
         self._dropped = False
 
     def _count(self, name: str) -> None:
