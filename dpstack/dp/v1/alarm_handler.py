@@ -28,7 +28,6 @@ Decisions where the sources are silent:
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
@@ -39,7 +38,8 @@ from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.ext_diagnosis import DeviceBlock
 from dpstack.dp.findings import Findings
 from dpstack.dp.setup import SlaveSetup
-from dpstack.dp.v1.alarm_events import AlarmCounts, AlarmDone, AlarmRaised, StatusTold, texts_beside
+from dpstack.dp.v1.alarm_book import AlarmBook
+from dpstack.dp.v1.alarm_events import AlarmDone, AlarmRaised, StatusTold, texts_beside
 from dpstack.dp.v1.alarm_settling import Key, Settling
 from dpstack.dp.v1.alarms import Alarm, Status, alarm_name, kind_of, parse_block
 from dpstack.dp.v1.codes import Code
@@ -92,7 +92,8 @@ class OpenAlarm:
 
 
 class AlarmHandler:
-    """The alarms of one slave. ``ask(now)`` has its diagnosis read; ``before``: its handling under other parameters."""
+    """The alarms of one slave under one set of parameters, ``book`` is what outlasts it; ``ask(now)`` has its diagnosis
+    read."""
 
     def __init__(
         self,
@@ -100,10 +101,9 @@ class AlarmHandler:
         findings: Findings,
         emit: Callable[[Event], None],
         ask: Callable[[int], None],
-        before: AlarmHandler | None = None,
+        book: AlarmBook,
     ) -> None:
         sent = setup.user_octets(None)
-        self.counts: AlarmCounts = AlarmCounts() if before is None else before.counts
         self._enabled = sent[1]
         #: in all; 0: one of each type
         self._limit = ALARM_LIMITS[sent[2] & ALARM_MODE]
@@ -111,11 +111,8 @@ class AlarmHandler:
         self._findings = findings
         self._emit = emit
         self._ask = ask
-        self._hold: bool = before is not None and before._hold
-        self._number: int = 0 if before is None else before._number
+        self._book = book
         self._open: dict[Key, OpenAlarm] = {}
-        #: numbers of those that are over, but not taken by the application yet
-        self._untaken: set[int] = set() if before is None else before._untaken
         self._asked: OpenAlarm | None = None
         self._settling = Settling(in_order=self._limit > 0)
         self._dropped = False
@@ -167,22 +164,22 @@ class AlarmHandler:
                 try:
                     found.append((parse_block(block.octets), block.octets))
                 except PduError as error:
-                    if not self.counts.malformed:
+                    if not self._book.counts.malformed:
                         self._findings.remark(_MALFORMED.format(why=error, octets=block.octets.hex(" ")), now)
-                    self._count("malformed")
+                    self._book.count("malformed")
         return found
 
     def _on_status(self, status: Status, octets: bytes, now: int) -> None:
         if self._statuses.get((status.type, status.slot)) != octets:
             self._statuses[status.type, status.slot] = octets
-            self._count("statuses")
+            self._book.count("statuses")
             address, name = self._setup.address, self._setup.name
             self._emit(StatusTold(t_ns=now, address=address, name=name, status=status))
 
     def _on_alarm(self, alarm: Alarm, octets: bytes, diagnosis: Diagnosis, flagged: bool, now: int) -> None:
         kind = kind_of(alarm.type)
         if not self._enabled & ALARMS[kind]:
-            self._count("not_enabled")
+            self._book.count("not_enabled")
             self._findings.remark(_NOT_ENABLED.format(what=alarm_name(alarm.type), kind=kind), now)
             return
         key = Key.of(alarm)
@@ -212,48 +209,45 @@ class AlarmHandler:
         standing = [known.alarm.type for known in self._open.values() if not known.maybe_taken]
         if len(standing) >= self._limit if self._limit else alarm.type in standing:
             self._too_many(now)
-        if len(self._open) + len(self._untaken) >= MAX_OPEN:
-            self._count("dropped")
+        if len(self._open) + len(self._book.untaken) >= MAX_OPEN:
+            self._book.count("dropped")
             self._dropped = True
             self._findings.remark(f"raises alarms while {MAX_OPEN} wait to be taken: dropped, not acknowledged", now)
             return
-        self._number += 1
-        stage = Stage.HELD if self._hold else Stage.WAITING
-        self._open[Key.of(alarm)] = OpenAlarm(self._number, alarm, octets, stage, doubtful)
+        self._book.number += 1
+        stage = Stage.HELD if self._book.hold else Stage.WAITING
+        self._open[Key.of(alarm)] = OpenAlarm(self._book.number, alarm, octets, stage, doubtful)
         self._settling.raised(alarm)
-        self._count("raised")
+        self._book.count("raised")
         self._emit(
             AlarmRaised(
                 t_ns=now,
                 address=setup.address,
                 name=setup.name,
-                number=self._number,
+                number=self._book.number,
                 alarm=alarm,
                 diagnosis=diagnosis,
-                held=self._hold,
+                held=self._book.hold,
                 texts=texts_beside(diagnosis, alarm, setup.texts),
             )
         )
 
     def _too_many(self, now: int) -> None:
-        self._count("too_many")
+        self._book.count("too_many")
         agreed = f"{self._limit} at a time (alarm_mode)" if self._limit else "one of each type at a time"
         self._findings.remark(f"raises more alarms than agreed, which is {agreed}; see its counters", now)
 
     # --- from the application -----------------------------------------------------------------------------------
 
-    def hold(self, on: bool) -> None:
-        """See :class:`~dpstack.dp.v1.alarm_events.HoldAlarms`."""
-        self._hold = on
-        if not on:
-            self._untaken.clear()
-            for known in self._open.values():
-                if known.stage is Stage.HELD:
-                    known.stage = Stage.WAITING
+    def release(self, now: int) -> None:
+        """They are the station's to acknowledge again, those that wait included."""
+        for known in self._open.values():
+            if known.stage is Stage.HELD:
+                known.stage = Stage.WAITING
+        self._room(now)
 
     def acknowledge(self, number: int, now: int) -> None:
         """See :class:`~dpstack.dp.v1.alarm_events.AcknowledgeAlarm`; one that is over is no error."""
-        self._untaken.discard(number)
         for known in self._open.values():
             if known.number == number and known.stage is Stage.HELD:
                 known.stage = Stage.WAITING
@@ -284,7 +278,7 @@ class AlarmHandler:
         self._asked = known
         known.stage = Stage.ASKED
         if known.attempts:
-            self._count("repeated")
+            self._book.count("repeated")
         known.attempts += 1
 
     def ended(self, known: OpenAlarm, outcome: Outcome, now: int) -> None:
@@ -297,8 +291,8 @@ class AlarmHandler:
         if outcome.failure is None or (refused and known.unanswered):
             self._over(known, Outcome(), now)
         elif refused:
-            self._count("refused")
-            if self.counts.refused == 1:
+            self._book.count("refused")
+            if self._book.counts.refused == 1:
                 self._findings.remark(_REFUSED.format(why=outcome.text), now)
             self._over(known, outcome, now)
         else:
@@ -315,7 +309,7 @@ class AlarmHandler:
         del self._open[key]
         self._settling.over(key, known.octets, known.doubtful, now)
         if outcome.failure is None:
-            self._count("acknowledged")
+            self._book.count("acknowledged")
         self._done(known, outcome, now)
         if known.shown:
             self._ask(now)
@@ -327,7 +321,7 @@ class AlarmHandler:
 
     def _room(self, now: int) -> None:
         """What was dropped may still stand in its diagnosis."""
-        if self._dropped and len(self._open) + len(self._untaken) < MAX_OPEN:
+        if self._dropped and len(self._open) + len(self._book.untaken) < MAX_OPEN:
             self._dropped = False
             self._ask(now)
 
@@ -338,16 +332,13 @@ class AlarmHandler:
         text = f"slave {self._setup.address} ({self._setup.name}) left data exchange: its alarms are void"
         for known in self._open.values():
             if known.stage is Stage.HELD:
-                self._untaken.add(known.number)
+                self._book.untaken.add(known.number)
             self._done(known, Outcome(failure=ServiceFailure.CLOSED, text=text), now)
         self._open.clear()
         self._settling.clear()
         self._statuses.clear()
         self._last = self._asked = None
         self._dropped = False
-
-    def _count(self, name: str) -> None:
-        self.counts = dataclasses.replace(self.counts, **{name: getattr(self.counts, name) + 1})
 
 
 def _busy(outcome: Outcome) -> bool:
