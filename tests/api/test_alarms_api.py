@@ -297,7 +297,7 @@ def test_dpv1_off_and_on_again(world: WorldFactory, listens: bool) -> None:
         await raising
         await asyncio.sleep(0.1)
         assert found.alarm_counts is not None
-        assert found.alarm_counts.acknowledged == 2
+        assert found.alarm_counts.raised == 2
 
     rig(world(), program)
 
