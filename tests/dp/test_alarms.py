@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import pytest
-from alarm_kit import ALL, AlarmBus, block
+from alarm_kit import ALL, AlarmBus, AlarmSlave, block
 from ms1_kit import setup
 
 from dpstack.dp.class2 import ReadService
@@ -176,6 +176,23 @@ def test_numbers_that_stand_still_and_a_diagnosis_that_is_always_read() -> None:
     kit.until(lambda: len(slave.taken) == 2)
     kit.run(600)
     assert len(kit.raised) <= 3
+
+
+class _Changing(AlarmSlave):
+    """Something else in its diagnosis changes with every acknowledgement."""
+
+    def acknowledged(self, ack: bytes) -> bytes | None:
+        self.rest = bytes((0x42, len(self.acks)))
+        return super().acknowledged(ack)
+
+
+@pytest.mark.parametrize("behind", [[], [block(126, 1)]])
+def test_the_next_one_exactly_alike_with_other_news_in_the_same_diagnosis(behind: list[bytes]) -> None:
+    kit = AlarmBus(kind=_Changing)
+    slave = kit.alarm_slave
+    slave.raises(PROCESS, PROCESS, *behind)  # the last one takes the place of the second at once
+    kit.until(lambda: len(slave.taken) == 2 + len(behind), 1000)
+    assert kit.blocks == [PROCESS, PROCESS, *behind]
 
 
 @pytest.mark.parametrize("mode", [0, 3])

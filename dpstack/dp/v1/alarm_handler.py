@@ -146,16 +146,16 @@ class AlarmHandler:
         self._before = {block.octets for block in before}
         messages = self._messages(diagnosis, now)
         statuses = {}
-        standing = set()
+        standing = {Key.of(message) for message, _ in messages if isinstance(message, Alarm)}
+        for displaced in self._settling.displaced(standing):
+            self._new(*displaced, doubtful=False, now=now)
         for message, octets in messages:
             if isinstance(message, Alarm):
-                standing.add(Key.of(message))
                 self._on_alarm(message, octets, diagnosis, flagged, now)
             else:
                 self._on_status(message, octets, now)
                 statuses[message.type, message.slot] = octets
         self._statuses = statuses
-        self._settling.standing(standing)
 
     def _messages(self, diagnosis: Diagnosis | None, now: int) -> list[tuple[Alarm | Status, bytes]]:
         found: list[tuple[Alarm | Status, bytes]] = []
@@ -193,8 +193,9 @@ class AlarmHandler:
                 known.shown = known.shown or known.maybe_taken or known.octets != octets
                 return
             self._over(known, Outcome(), now)
-        if fresh or not self._settling.still(key, octets, flagged, now):
-            self._new(alarm, octets, diagnosis, not fresh and self._settling.doubtful(key, octets), now)
+        if fresh or not self._settling.still(alarm, octets, diagnosis, flagged, now):
+            doubtful = not fresh and self._settling.doubtful(key, octets)
+            self._new(alarm, octets, diagnosis, doubtful=doubtful, now=now)
 
     def _conclude(self, alarm: Alarm, octets: bytes, now: int) -> None:
         """What ``alarm`` says of others whose acknowledgement had no answer."""
@@ -204,7 +205,7 @@ class AlarmHandler:
             if instead and known.unanswered and known.stage is Stage.WAITING:
                 self._over(known, Outcome(), now)
 
-    def _new(self, alarm: Alarm, octets: bytes, diagnosis: Diagnosis, doubtful: bool, now: int) -> None:
+    def _new(self, alarm: Alarm, octets: bytes, diagnosis: Diagnosis, *, doubtful: bool, now: int) -> None:
         setup = self._setup
         standing = [known.alarm.type for known in self._open.values() if not known.maybe_taken]
         if len(standing) >= self._limit if self._limit else alarm.type in standing:

@@ -9,6 +9,7 @@ acknowledged, some leave it there until they have something else to say. Decisio
 - In sequence mode, and of a slave that has used a number other than 0, it is the old one.
 - Where all numbers are 0 it is the old one for :data:`SETTLE`, then the next one: it may have been raised between the
   last data exchange and the reading, and lost it would hold up its type for ever.
+- Did another alarm take its place before that, and had the slave asked to be read with it, it was the next one.
 - Was that a mistake (it stands there yet again, and the slave did not ask to be read), the slave leaves them standing;
   from then on it is the next one only where the slave asked to be read since.
 """
@@ -18,6 +19,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
+from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.v1.alarms import Alarm
 from dpstack.units import NEVER, NS_PER_MS
 
@@ -38,6 +40,14 @@ class Key(NamedTuple):
         return cls(alarm.type, alarm.slot, alarm.sequence)
 
 
+class Asked(NamedTuple):
+    """The slave asked for ``diagnosis``, where ``alarm`` stands; ``octets`` are its block."""
+
+    alarm: Alarm
+    octets: bytes
+    diagnosis: Diagnosis
+
+
 @dataclass(slots=True)
 class _Settled:
     """Acknowledged, and in every diagnosis since."""
@@ -47,7 +57,7 @@ class _Settled:
     #: delivered only because it stood there
     again: bool
     #: the slave asked to be read since
-    asked: bool = False
+    asked: Asked | None = None
 
 
 class Settling:
@@ -63,28 +73,30 @@ class Settling:
     def raised(self, alarm: Alarm) -> None:
         """One that is delivered."""
         self._counting = self._counting or alarm.sequence > 0
+        self._settled.pop(Key.of(alarm), None)
 
     def over(self, key: Key, octets: bytes, again: bool, now: int) -> None:
         """Its acknowledgement had its end; ``again``: :meth:`still` had doubts about it."""
         self._settled[key] = _Settled(octets, now + SETTLE, again)
 
-    def standing(self, keys: set[Key]) -> None:
-        """``keys`` are in the diagnosis, the others are gone."""
-        for key in self._settled.keys() - keys:
-            del self._settled[key]
+    def displaced(self, keys: set[Key]) -> list[Asked]:
+        """``keys`` are in the diagnosis, the others are gone; those of them that were the next ones after all."""
+        gone = [self._settled.pop(key).asked for key in [key for key in self._settled if key not in keys]]
+        return [asked for asked in gone if asked is not None and keys]
 
-    def still(self, key: Key, octets: bytes, asked: bool, now: int) -> bool:
-        """The old one. ``asked``: the slave asked for this diagnosis."""
-        settled = self._settled.get(key)
+    def still(self, alarm: Alarm, octets: bytes, diagnosis: Diagnosis, flagged: bool, now: int) -> bool:
+        """The old one. ``flagged``: the slave asked for this diagnosis."""
+        settled = self._settled.get(Key.of(alarm))
         if settled is None or settled.octets != octets:
             return False
         if self._counting:
             return True
-        settled.asked = settled.asked or asked
+        if flagged:
+            settled.asked = Asked(alarm, octets, diagnosis)
         if now < settled.until:
             self.look_at = min(self.look_at, settled.until)
             return True
-        if settled.asked:
+        if settled.asked is not None:
             return False
         self._keeps = self._keeps or settled.again
         return self._keeps
@@ -92,7 +104,7 @@ class Settling:
     def doubtful(self, key: Key, octets: bytes) -> bool:
         """The one that is not :meth:`still` the old one has nothing to tell it by."""
         settled = self._settled.get(key)
-        return settled is not None and settled.octets == octets and not settled.asked
+        return settled is not None and settled.octets == octets and settled.asked is None
 
     def clear(self) -> None:
         """Data exchange is over."""
