@@ -121,9 +121,9 @@ class Acyclic:
                 self._take_wanted(now)
                 return False
             case HoldAlarms(address, on):
-                self._ms1.alarms(address).hold(on)
+                self._ms1.hold(address, on, now)
             case AcknowledgeAlarm(address, number):
-                self._ms1.alarms(address).acknowledge(number, now)
+                self._ms1.acknowledge(address, number, now)
             case _:
                 order = self._ms1.job_of(command) or self._ms2.job_of(command, now)
                 if order is not None:
