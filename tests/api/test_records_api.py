@@ -289,6 +289,37 @@ def test_refused(keys: str, text: str) -> None:
     assert text in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("keys", "text"),
+    [
+        ("dpv1 = 1\n", "10: [[slave]] io: dpv1 = 1 is an integer; it must be a table of its keys, true or false"),
+        (
+            'dpv1 = { alarms = ["process", "pull"] }\n',
+            "10: [[slave]] io: dpv1: alarms holds 'pull', which is none; it is a list of these: pull_plug, process, "
+            "diagnostic, manufacturer, status, update",
+        ),
+        (
+            'dpv1 = { alarms = [["process"]] }\n',
+            "10: [[slave]] io: dpv1: alarms holds ['process'], which is none; it is a list of these: pull_plug, process, "
+            "diagnostic, manufacturer, status, update",
+        ),
+        (
+            "dpv1 = { blocks = [{ type = 2, function = 256 }] }\n",
+            "10: [[slave]] io: dpv1: blocks 1: function = 256 does not fit its octets; correct it",
+        ),
+        (
+            f'dpv1 = {{ blocks = [{{ type = 1, data = "{"00" * 231}" }}] }}\n',
+            "10: [[slave]] io: dpv1: blocks 1: parameter block of type 1: 231 octets, 230 are possible; correct it",
+        ),
+    ],
+)
+def test_a_refusal_says_once_where(keys: str, text: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        setup(OCTETS + keys)
+    place, _, told = str(caught.value).partition(":")
+    assert told == text, place
+
+
 def test_a_block_that_cannot_be() -> None:
     for kind, slot, data in ((256, 0, b""), (0, 255, b""), (0, 0, bytes(231))):
         with pytest.raises(ConfigError):
