@@ -300,12 +300,12 @@ def test_refused(keys: str, text: str) -> None:
         ),
         (
             'dpv1 = { alarms = [["process"]] }\n',
-            "10: [[slave]] io: dpv1: alarms holds ['process'], which is none; it is a list of these: pull_plug, process, "
-            "diagnostic, manufacturer, status, update",
+            "10: [[slave]] io: dpv1: alarms holds ['process'], which is none; it is a list of these: pull_plug, "
+            "process, diagnostic, manufacturer, status, update",
         ),
         (
             "dpv1 = { blocks = [{ type = 2, function = 256 }] }\n",
-            "10: [[slave]] io: dpv1: blocks 1: function = 256 does not fit its octets; correct it",
+            "10: [[slave]] io: dpv1: blocks 1: PrmCmd: function = 256 does not fit its octets; correct it",
         ),
         (
             f'dpv1 = {{ blocks = [{{ type = 1, data = "{"00" * 231}" }}] }}\n',
