@@ -171,19 +171,23 @@ async def _as_master(asked: _Asked, progress: OnProgress) -> Mapping[str, Any]:
     config, slave = asked.config, asked.slave
     if config.bus.read_only:
         raise UsageError("the configuration is read only: records need data exchange; leave read_only out")
-    foreign = False
+    foreign = up = False
 
     def on_event(event: Event) -> None:
         nonlocal foreign
-        collision = isinstance(event, AddressCollision)
-        foreign = foreign or collision or (isinstance(event, SlaveFaulted) and event.fault.kind is FaultKind.LOCKED)
-        if not foreign:  # of that the error tells
-            _event(event)
+        match event:  # of what keeps it from coming up the error tells
+            case AddressCollision():
+                foreign = True
+            case SlaveFaulted(fault=fault) if not up:
+                foreign = foreign or fault.kind is FaultKind.LOCKED
+            case _:
+                _event(event)
 
     try:
         async with open_bus(config.only(slave), on_event=on_event) as bus:
             found = bus.slave(slave.address)
             await found.ready(READY_S)
+            up = True
             return await carry_out(found, *asked.order, progress)
     except (BusError, SlaveFault) as error:
         if not foreign:
