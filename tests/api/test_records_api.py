@@ -14,6 +14,7 @@ import dpstack
 from dpstack import AcyclicError, DpSlave, Im0, Im1, Im3, RecordRefused, SlaveDescription
 from dpstack.api.config import parse_config
 from dpstack.api.serving import ServedSlave
+from dpstack.dp.v1.im import Im
 from dpstack.dp.v1.prm_blocks import PrmBlock
 from dpstack.dp.v1.status import Dpv1
 from dpstack.errors import ConfigError, SlaveTimeout
@@ -94,15 +95,13 @@ def test_read_write_and_im(world: WorldFactory) -> None:
 
 
 def test_im_calls_at_once_each_get_their_own(world: WorldFactory) -> None:
-    device = DpSlave(
-        RIG,
-        lambda outputs, elapsed: outputs,
-        im={0: [Im0(order_id="RIG"), Im1("pump")], 3: [Im0(order_id="3")]},
-    )
+    records: dict[int, list[Im]] = {0: [Im0(order_id="RIG"), Im1("pump")], 3: [Im0(order_id="3")]}
+    device = DpSlave(RIG, lambda outputs, elapsed: outputs, im=records)
 
     async def program(bus: dpstack.Bus, served: ServedSlave) -> None:
         slave = bus.slave("rig")
-        found = await asyncio.gather(slave.im(), slave.im(1), slave.write_im(Im1("fan")), slave.im(slot=3), slave.im(1))
+        calls = (slave.im(), slave.im(1), slave.write_im(Im1("fan")), slave.im(slot=3), slave.im(1))
+        found = list(await asyncio.gather(*calls))
         own = Im0(order_id="RIG", supported=0b10)
         assert found == [own, Im1("pump"), None, Im0(order_id="3"), Im1("fan")]
         with pytest.raises(
