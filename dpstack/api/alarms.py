@@ -210,8 +210,7 @@ class AlarmDesk:
 
     def listen(self, address: int, listener: _Listener) -> None:
         """From now on ``listener`` has the alarms of the slave at ``address``. Raises UsageError, BusError."""
-        if not self._listeners.get(address):
-            self._bus.command(HoldAlarms(address, True))
+        self._bus.command(HoldAlarms(address, True))  # again for each: it says where there is nothing to listen for
         self._listeners.setdefault(address, []).append(listener)
 
     def leave(self, address: int, listener: _Listener) -> None:

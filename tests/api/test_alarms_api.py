@@ -331,9 +331,26 @@ def test_misuse(world: WorldFactory) -> None:
         async with bus:
             with pytest.raises(UsageError, match=r"slave 9 \(raw\) is not parameterised for DP-V1"):
                 bus.slave(9).alarms()
+            with pytest.raises(UsageError, match=r"slave 9 \(raw\) is not parameterised for DP-V1: no status messages"):
+                bus.slave(9).status_messages()
             assert bus.slave(9).alarm_counts is None
 
     virtual(main())
+
+
+def test_misuse_beside_one_who_listens(world: WorldFactory) -> None:
+    async def program(bus: dpstack.Bus, slave: ServedSlave) -> None:
+        found = bus.slave("rig")
+        listening = found.alarms()
+        await found.reparameterise(dpv1=False)
+        with pytest.raises(UsageError, match="not parameterised for DP-V1"):
+            found.alarms()
+        await bus.close()
+        with pytest.raises(UsageError, match="the bus is not open"):
+            found.alarms()
+        listening.close()
+
+    rig(world(), program)
 
 
 @pytest.mark.parametrize("rest", ["", "42 01 80 40 30"])

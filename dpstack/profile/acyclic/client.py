@@ -266,8 +266,14 @@ class ParameterClient:
     def _again(self, refused: Refused, what: str) -> None:
         """A refusal that passes is counted, any other one ends the order."""
         if refused.code not in AGAIN:
-            kind = NoRecordError if refused.code in ABSENT else CommandError
-            raise kind("parameter", f"{self._place}: the drive refuses {what}: {refused}", refused.code)
+            text = f"{self._place}: the drive refuses {what}: {refused}"
+            if refused.code in ABSENT:
+                if refused.code:  # where there is none the text says itself what to do
+                    text += (
+                        "; it has no PROFIdrive parameters there; its manual says whether it has some, in which slot"
+                    )
+                raise NoRecordError("parameter", text, refused.code)
+            raise CommandError("parameter", text, refused.code)
         self.counters.busy += 1
 
     @property
