@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 from collections.abc import Generator
 from types import TracebackType
@@ -53,6 +54,7 @@ class Connection(RecordAccess):
         self._done = done
         self._ending = ending
         self._longest = min(longest, done.max_len)
+        self._im_call = asyncio.Lock()
         #: the slave's name on this bus, or "slave" and its address
         self.name = name
 
@@ -65,6 +67,11 @@ class Connection(RecordAccess):
     def who(self) -> str:
         """The slave for people."""
         return f"slave {self.address} (server SAP {self.server_sap})"
+
+    @property
+    def im_call(self) -> asyncio.Lock:
+        """The slave keeps the calls of each connection apart."""
+        return self._im_call
 
     @property
     def server_sap(self) -> int:

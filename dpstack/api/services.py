@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import itertools
 import math
+from collections import defaultdict
 from typing import TYPE_CHECKING, Final, TypeVar
 
 from dpstack.api.alarms import AlarmDesk
@@ -59,6 +60,11 @@ class Services:
         #: class 2 connections by the token that opened them
         self.connections: dict[int, Ending] = {}
         self.alarms = AlarmDesk(bus)
+        self._im_calls: defaultdict[int, asyncio.Lock] = defaultdict(asyncio.Lock)
+
+    def im_call(self, address: int) -> asyncio.Lock:
+        """Of the slave, see :attr:`~dpstack.api.records.RecordAccess.im_call`."""
+        return self._im_calls[address]
 
     def token(self) -> int:
         """For one more service."""

@@ -13,7 +13,7 @@ from dpstack.api.bus import Bus
 from dpstack.api.config import Config, load_config
 from dpstack.api.control.records import through_run
 from dpstack.api.drive_words import find_word
-from dpstack.api.events import Event, Notice, Severity, severity_of
+from dpstack.api.events import AddressCollision, Event, FaultKind, Notice, Severity, SlaveFaulted, severity_of
 from dpstack.api.one_drive import READY_S
 from dpstack.api.opening import open_bus
 from dpstack.api.parameter_list import FileToBe
@@ -27,9 +27,13 @@ from dpstack.cli.acyclic_lists import COMPARE, FILES, show_comparison, show_dump
 from dpstack.cli.progress import progress_bar
 from dpstack.cli.signals import StopSignal
 from dpstack.cli.streams import warn
-from dpstack.errors import UsageError
+from dpstack.errors import BusError, SlaveFault, UsageError
 
 _WORDS: Final = (*WORDS, TRANSPORT, *FILES)
+
+
+#: where another master has the address, or the slave
+_BESIDE: Final = "; or ask beside that master with --class 2, where the slave has it"
 
 
 class Order(NamedTuple):
@@ -168,10 +172,29 @@ async def _as_master(asked: _Asked, progress: OnProgress) -> Mapping[str, Any]:
     config, slave = asked.config, asked.slave
     if config.bus.read_only:
         raise UsageError("the configuration is read only: records need data exchange; leave read_only out")
-    async with open_bus(config.only(slave), on_event=_event) as bus:
-        found = bus.slave(slave.address)
-        await found.ready(READY_S)
-        return await carry_out(found, *asked.order, progress)
+    foreign = up = False
+
+    def on_event(event: Event) -> None:
+        nonlocal foreign
+        match event:  # of what keeps it from coming up the error tells
+            case AddressCollision():
+                foreign = True
+            case SlaveFaulted(fault=fault) if not up:
+                foreign = foreign or fault.kind is FaultKind.LOCKED
+            case _:
+                _event(event)
+
+    try:
+        async with open_bus(config.only(slave), on_event=on_event) as bus:
+            found = bus.slave(slave.address)
+            await found.ready(READY_S)
+            up = True
+            return await carry_out(found, *asked.order, progress)
+    except (BusError, SlaveFault) as error:
+        if not foreign:
+            raise
+        text = f"{error}{_BESIDE}"
+        raise BusError(text) if isinstance(error, BusError) else SlaveFault(slave.address, text) from None
 
 
 async def _as_class2(asked: _Asked, progress: OnProgress) -> Mapping[str, Any]:
