@@ -32,6 +32,8 @@ RESPONSE_TIMEOUT: Final = NS_PER_S
 #: a silent slave is asked again after this, and then twice as long each time, up to the last
 _SILENT_PAUSE: Final = 10 * NS_PER_MS
 _SILENT_PAUSE_MAX: Final = 160 * NS_PER_MS
+#: in place of a connection's token, which are not negative: what goes on at the resource manager of a slave
+RESOURCE_MANAGER: Final = -1
 #: what a slave is told that was not heard, or not in time
 TIMED_OUT: Final = Abort(AbortReason.TIMEOUT)
 #: the program does not want the connection any more
@@ -104,8 +106,9 @@ class Connection:
 
     @property
     def lane(self) -> tuple[int, int]:
-        """Its services go one after the other."""
-        return self.address, self.ref
+        """Its services go one after the other; until it has its server SAP, all connections to the slave do: the
+        resource manager has one answer, and what it names goes to who polls."""
+        return self.address, RESOURCE_MANAGER if self.server_sap is None else self.ref
 
     @property
     def silent_text(self) -> str:
