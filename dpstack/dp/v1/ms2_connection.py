@@ -43,6 +43,11 @@ _SILENT: Final = {
     Failure.GARBLED: "gives no readable answer to",
     Failure.WRONG: "gives answers that are none to",
 }
+_CHECK: Final = {
+    Failure.NO_ANSWER: "check its power and the cable",
+    Failure.GARBLED: "look for a second station with its address, and at cable and termination",
+    Failure.WRONG: "look for a second station with its address",
+}
 
 
 class Phase(Enum):
@@ -229,7 +234,10 @@ class Connection:
 
     def _late(self, title: str, why: Failure | None = None) -> Ended:
         what = "has no answer to" if why is None else _SILENT[why]
-        text = f"{self.who} {what} {title} within {self.limit_text}; the connection was ended"
+        todo = "open a new one, with a longer response_timeout where it needs that"
+        if why is not None:
+            todo = f"{_CHECK[why]}, then open a new one"
+        text = f"{self.who} {what} {title} within {self.limit_text}; the connection was ended: {todo}"
         failure = ServiceFailure.LATE if why is None else NO_ANSWERS[why]
         return Ended(Outcome(failure=failure, text=text), f"{title} had no answer in time", TIMED_OUT)
 
