@@ -166,8 +166,8 @@ class InitiateJob(ConnectionJob):
         mine = ", ".join(fact for fact, known in zip(facts, (self._channels, own), strict=True) if known)
         text = (
             f"slave {self.address} refuses Initiate ({status} at SAP {SAP_MS2_RM}): all its class 2 connections are in "
-            f"use{f' ({mine})' if mine else ''}, or it has none (C2_Read_Write_supp of its GSD file); close one, or wait "
-            "until another master does"
+            f"use{f' ({mine})' if mine else ''}, or it has none (C2_Read_Write_supp of its GSD file); close one, or "
+            "wait until another master does"
         )
         return Outcome(failure=ServiceFailure.REFUSED, text=text, status=status)
 
