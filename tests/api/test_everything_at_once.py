@@ -1,4 +1,4 @@
-"""Both ends in virtual time, all at once: MS1, MS2 from two stations, alarms, other parameters, restarts, loss and noise.
+"""Both ends in virtual time, all at once: MS1, MS2 from two stations, alarms, other parameters, restarts, loss, noise.
 
 Every call comes to one end, what was read is right, and in the end nothing is left.
 """
