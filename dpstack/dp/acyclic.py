@@ -150,13 +150,14 @@ class Acyclic:
         wanted = self._ms2.wanted
         while wanted:
             job, timeout_ns = wanted.pop(0)
-            self._queue.append(self._entry(UNORDERED, job, timeout_ns, now))
+            self._put_first(self._entry(UNORDERED, job, timeout_ns, now))
 
-    def _put_first(self, job: Job, now: int) -> None:
-        """Before those in its lane that have not begun: a slave may have no further alarm until it is acknowledged."""
-        begun = [entry.job.lane == job.lane and entry.step is not None for entry in self._queue]
+    def _put_first(self, new: _Entry) -> None:
+        """Before those in its lane that have not begun: a slave may have no further alarm until it is acknowledged, and
+        names the connections that it gave out in their order."""
+        begun = [entry.job.lane == new.job.lane and entry.step is not None for entry in self._queue]
         at = begun.index(True) + 1 if True in begun else 0
-        self._queue.insert(at, self._entry(ACKS, job, SERVICE_TIMEOUT, now))
+        self._queue.insert(at, new)
 
     def _room(self, lane: Hashable | None) -> bool:
         return sum(entry.job.lane == lane and entry.token != ACKS for entry in self._queue) < CAPACITY
@@ -175,7 +176,7 @@ class Acyclic:
         if high_only or not self._turn:
             return None
         for ack in ack_jobs(self._ms1, now):
-            self._put_first(ack, now)
+            self._put_first(self._entry(ACKS, ack, SERVICE_TIMEOUT, now))
         # what a unit wants since the Data_Exchange of this hold goes out in the same one
         for handler, queue in units.asking(self._ms1):
             if self._room(handler.setup.address) and (job := units.unit_job(self._ms1, handler, queue)) is not None:

@@ -14,6 +14,7 @@ from dpstack.dp.pdu import MAX_USER_PRM
 from dpstack.dp.setup import INTERVAL_UNIT
 from dpstack.dp.v1.alarm_server import AlarmSupport
 from dpstack.dp.v1.alarms import HEAD as ALARM_HEAD
+from dpstack.dp.v1.connection import LEAST_INITIATE
 from dpstack.dp.v1.ms2_server import MAX_CONNECTIONS
 from dpstack.dp.v1.prm_blocks import PrmBlock, parse_blocks
 from dpstack.dp.v1.records import MAX_RECORD
@@ -54,7 +55,7 @@ class SlaveDescription:
     [Prm_Block_Structure_supp]: of such a slave, structured parameters may follow, otherwise Prm_Structure is refused;
     ``prm_blocks_required`` [Prm_Block_Structure_req]: without Prm_Structure they are refused;
     ``ms2``: connections of class 2 [C2_Read_Write_supp, C2_Max_Count_Channels], ``ms2_max_len``: octets in one of their
-    services [C2_Max_Data_Len];
+    services [C2_Max_Data_Len], ``ms2_max_initiate``: octets of an Initiate [Max_Initiate_PDU_Length];
     ``rates``: baud rate -> MaxTsdr in bit times, empty for all; ``min_slave_interval_ns`` [Min_Slave_Intervall], for
     the master. Raises ConfigError.
     """
@@ -79,6 +80,7 @@ class SlaveDescription:
     prm_blocks_required: bool = False
     ms2: int = 0
     ms2_max_len: int = MAX_RECORD
+    ms2_max_initiate: int = MAX_DATA
     alarms: tuple[str, ...] = ()
     alarm_sequence: int = 0
     extra_alarm_sap: bool = False
@@ -130,6 +132,8 @@ class SlaveDescription:
             raise self._wrong(f"ms2 = {self.ms2} connections of class 2; 0 to {MAX_CONNECTIONS} are possible")
         if not 0 < self.ms2_max_len <= MAX_RECORD:
             raise self._wrong(f"ms2_max_len {self.ms2_max_len} is outside 1..{MAX_RECORD}")
+        if not LEAST_INITIATE <= self.ms2_max_initiate <= MAX_DATA:
+            raise self._wrong(f"ms2_max_initiate {self.ms2_max_initiate} is outside {LEAST_INITIATE}..{MAX_DATA}")
         if self.modules and self.max_modules < 1:
             raise self._wrong(f"max_modules {self.max_modules}: a modular slave has room for 1 at least")
 

@@ -9,6 +9,7 @@ from dpstack.dp.pdu import MAX_USER_PRM
 from dpstack.dp.setup import INTERVAL_UNIT
 from dpstack.dp.slave_description import SlaveDescription, SlaveModule
 from dpstack.dp.v1.alarms import HEAD, SEQUENCES
+from dpstack.dp.v1.connection import LEAST_INITIATE
 from dpstack.dp.v1.ms2_server import MAX_CONNECTIONS
 from dpstack.dp.v1.records import MAX_RECORD
 from dpstack.dp.v1.status import ALARM_KEYWORDS, ALARM_LIMITS, DPV1_STATUS_LEN
@@ -64,6 +65,7 @@ def slave_description(
         prm_blocks_required=device.dpv1.prm_block_structure_required,
         ms2=_within(device.dpv1.c2_max_count_channels or 1, MAX_CONNECTIONS) if device.dpv1.c2_read_write else 0,
         ms2_max_len=_within(device.dpv1.c2_max_data_len or None, MAX_RECORD),
+        ms2_max_initiate=max(LEAST_INITIATE, _within(device.dpv1.max_initiate_pdu_length or None, MAX_DATA)),
         dpv1=dpv1,
         **(_alarms(device) if dpv1 else {}),
         max_diag_len=max(FIXED_LEN, _within(device.max_diag_data_len, MAX_LEN)),

@@ -136,7 +136,7 @@ def test_a_slave_that_never_answers_a_service() -> None:
     assert done.outcome.failure is ServiceFailure.LATE
     assert done.text == (
         "slave 4 has no answer to Read of slot 1, index 2 within 0.4 s (its C2_Response_Timeout); "
-        "the connection was ended"
+        "the connection was ended: open a new one, with a longer response_timeout where it needs that"
     )
     assert kit.over(1).reason == "Read of slot 1, index 2 had no answer in time"
     assert kit.slave.heard[-1] == (48, b"\x58\x00\x13")

@@ -294,7 +294,7 @@ class AlarmHandler:
         elif refused:
             self._book.count("refused")
             if self._book.counts.refused == 1:
-                self._findings.remark(_REFUSED.format(why=outcome.text), now)
+                self._findings.remark(_REFUSED.format(why=self._said(outcome)), now)
             self._over(known, outcome, now)
         else:
             known.stage = Stage.WAITING
@@ -303,7 +303,11 @@ class AlarmHandler:
                 known.unanswered = True
                 if not self._silence_told:
                     self._silence_told = True
-                    self._findings.remark(f"{outcome.text}; it is acknowledged again until it answers", now)
+                    self._findings.remark(f"{self._said(outcome)}; it is acknowledged again until it answers", now)
+
+    def _said(self, outcome: Outcome) -> str:
+        """Without the slave, which stands in front of every remark."""
+        return outcome.text.removeprefix(f"slave {self._setup.address} ")
 
     def _over(self, known: OpenAlarm, outcome: Outcome, now: int) -> None:
         key = Key.of(known.alarm)

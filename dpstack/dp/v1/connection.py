@@ -34,6 +34,8 @@ TIMEOUT_UNIT: Final = 10 * NS_PER_MS
 FEATURES: Final = 0x0100
 #: the head of a service, before the data of a record
 HEAD: Final = 4
+#: Initiate without network addresses
+LEAST_INITIATE: Final = 20
 _MAX_WORD: Final = 0xFFFF
 _ADDRESS: Final = 2
 _NET_ADDRESS: Final = 8
@@ -203,6 +205,10 @@ class Instance(IntEnum):
     USER = 2
 
 
+#: reasons are four bits, whatever the instance
+MAX_REASON: Final = 15
+
+
 class AbortReason(IntEnum):
     """Reasons of the instance MS2."""
 
@@ -259,10 +265,10 @@ class Abort:
         match self.instance:
             case Instance.MS2:
                 known = AbortReason(self.reason) if self.reason in AbortReason.__members__.values() else None
-                name, text = _REASONS[known] if known else (f"reason {self.reason}", "which is reserved")
+                name, text = _REASONS[known] if known else (f"reason {self.reason}", "a reserved reason")
                 return f"{text} ({name}{where})"
             case Instance.FDL:
-                name, text = _LINK.get(self.reason, (f"reason {self.reason}", "which is reserved"))
+                name, text = _LINK.get(self.reason, (f"reason {self.reason}", "a reserved reason"))
                 return f"its link layer: {text} ({name}{where})"
             case Instance.USER:
                 return f"its user, reason {self.reason}{where}"

@@ -44,8 +44,12 @@ class ConnectionJob:
     def __init__(self, connection: Connection, ms2: Ms2) -> None:
         self.connection = connection
         self.address = connection.address
-        self.lane: Hashable | None = connection.lane
         self.ms2 = ms2
+
+    @property
+    def lane(self) -> Hashable | None:
+        """Moves on from the resource manager to the connection's own."""
+        return self.connection.lane
 
     @property
     def aftermath(self) -> str:
@@ -215,7 +219,9 @@ class GiveBackJob(ConnectionJob):
             if not isinstance(answer, Telegram):
                 unanswered += 1
             elif said(answer) is Said.DATA:
-                connection.server_sap = _server_sap(answer.data)
+                sap = _server_sap(answer.data)
+                if sap is not None and not self.ms2.uses(self.address, sap):
+                    connection.server_sap = sap  # else that is another connection's, and stays
                 return
             elif said(answer) is Said.CLOSED or clock.now - begun >= connection.limit_ns:
                 return
