@@ -22,8 +22,9 @@ from dpstack.dp.unheard import Unheard
 from dpstack.dp.v1 import units
 from dpstack.dp.v1.alarm_ack import ack_jobs
 from dpstack.dp.v1.alarm_events import AcknowledgeAlarm, HoldAlarms
-from dpstack.dp.v1.ms1 import SERVICE_TIMEOUT, Ms1
+from dpstack.dp.v1.ms1 import Ms1
 from dpstack.dp.v1.ms2 import Ms2
+from dpstack.dp.v1.times import SERVICE_TIMEOUT
 from dpstack.errors import UsageError
 from dpstack.fdl.telegram import SAP_SLAVE_DIAG, Telegram
 from dpstack.fdl.user import Failure, Request

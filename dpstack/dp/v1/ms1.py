@@ -22,14 +22,12 @@ from dpstack.dp.v1.alarm_handler import AlarmHandler
 from dpstack.dp.v1.judging import service_outcome, title_of
 from dpstack.dp.v1.ms1_job import Ms1Job, Owed
 from dpstack.dp.v1.records import MAX_RECORD, Function, ReadReq, RecordReq, WriteReq
+from dpstack.dp.v1.times import SERVICE_TIMEOUT
 from dpstack.errors import PduError, UsageError
 from dpstack.fdl.telegram import Telegram
 from dpstack.fdl.user import Failure
 from dpstack.trace import Event
-from dpstack.units import NS_PER_S
 
-#: from the order to the end, the time that others take included
-SERVICE_TIMEOUT: Final = 10 * NS_PER_S
 _HEAD: Final = 4
 
 

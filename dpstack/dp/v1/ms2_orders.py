@@ -11,13 +11,12 @@ from typing import Final
 
 from dpstack.dp.class2_jobs import Outcome
 from dpstack.dp.v1.connection import FEATURES
-from dpstack.dp.v1.ms1 import SERVICE_TIMEOUT
 from dpstack.dp.v1.records import MAX_RECORD, Function
+from dpstack.dp.v1.times import SERVICE_TIMEOUT, least_send_timeout
 from dpstack.trace import Event
-from dpstack.units import NS_PER_S
 
-#: what is asked for where nobody says another send time-out: that of slave chips at 500 kbit/s (facts C2)
-SEND_TIMEOUT: Final = 2 * NS_PER_S
+#: what is asked for where nobody says another send time-out
+SEND_TIMEOUT: Final = least_send_timeout(500_000)
 
 
 @dataclass(frozen=True, slots=True)
