@@ -15,11 +15,13 @@ from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
-from dpstack.dp.class2_jobs import Outcome, ServiceFailure
+from dpstack.api.service_errors import error_of
+from dpstack.dp.acyclic_job import Outcome, ServiceFailure
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.v1.alarm_events import AcknowledgeAlarm, AlarmDone, AlarmRaised, HoldAlarms, StatusTold
 from dpstack.dp.v1.alarms import Alarm, Specifier, Status
-from dpstack.errors import AcyclicError, BusError, DpError, ServiceRefused, SlaveFault, UsageError
+from dpstack.dp.v1.records import Function
+from dpstack.errors import DpError
 from dpstack.trace import Event
 
 if TYPE_CHECKING:
@@ -243,7 +245,8 @@ class AlarmDesk:
         await held.ended.wait()
         assert held.end is not None
         if held.end.failure is not None:
-            raise _error(raised, held.end)
+            alarm = raised.alarm
+            raise error_of(raised.address, Function.ALARM_ACK.title, held.end, (alarm.slot, alarm.type))
 
     def _let_go(self, key: tuple[int, int], held: _Held, listener: _Listener) -> None:
         if listener in held.keepers:
@@ -313,21 +316,6 @@ class AlarmDesk:
             if address in (None, key[0]) and held.end is None:
                 text = f"an alarm of slave {key[0]} was not acknowledged: {why}"
                 self._done(key, Outcome(failure=ServiceFailure.LINE, text=text))
-
-
-def _error(raised: AlarmRaised, outcome: Outcome) -> DpError:
-    text, failure = outcome.text, outcome.failure
-    if outcome.codes is not None:
-        slot, number = raised.alarm.slot, raised.alarm.type
-        codes = outcome.codes
-        return AcyclicError(raised.address, text, service="Alarm_Ack", slot=slot, index=number, codes=codes)
-    if failure is ServiceFailure.REFUSED:
-        return ServiceRefused(raised.address, text, service="Alarm_Ack", status=outcome.status)
-    if failure is ServiceFailure.GUARDED:
-        return UsageError(text)
-    if failure is ServiceFailure.LINE:
-        return BusError(text)
-    return SlaveFault(raised.address, text)
 
 
 __all__ = ["AlarmDesk", "AlarmStream", "SlaveAlarm", "StatusStream"]

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from dpstack.dp import class2
-from dpstack.dp.class2_jobs import Job, Outcome, ServiceFailure, Step, Steps
+from dpstack.dp.acyclic_job import Job, Outcome, ServiceFailure, Step, Steps
 from dpstack.dp.events import SlaveState
 from dpstack.dp.master import Master
 from dpstack.dp.ms0 import positive

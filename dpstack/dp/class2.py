@@ -9,8 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
+from dpstack.dp.acyclic_job import Job
 from dpstack.dp.class2_address import AddressChange
-from dpstack.dp.class2_jobs import Job, Reading, Service
+from dpstack.dp.class2_jobs import Reading, Service
 from dpstack.dp.master import Master
 from dpstack.dp.pdu import SetSlaveAdd
 from dpstack.errors import PduError, UsageError

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from dpstack.dp.class2_jobs import Outcome, ServiceFailure
+from dpstack.dp.acyclic_job import Outcome, ServiceFailure
 from dpstack.dp.slave_handler import SlaveHandler
 from dpstack.dp.v1.alarm_handler import AlarmHandler, OpenAlarm
 from dpstack.dp.v1.alarms import HEAD, AlarmAck

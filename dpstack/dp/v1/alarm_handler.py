@@ -35,7 +35,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final, NamedTuple
 
-from dpstack.dp.class2_jobs import Outcome, ServiceFailure
+from dpstack.dp.acyclic_job import Outcome, ServiceFailure
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.ext_diagnosis import DeviceBlock
 from dpstack.dp.findings import Findings

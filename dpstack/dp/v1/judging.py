@@ -5,7 +5,7 @@ from __future__ import annotations
 from enum import Enum
 from typing import Final
 
-from dpstack.dp.class2_jobs import Outcome, ServiceFailure
+from dpstack.dp.acyclic_job import Outcome, ServiceFailure
 from dpstack.dp.ms0 import DATA_STATUS
 from dpstack.dp.v1.codes import Decode, remedy
 from dpstack.dp.v1.connection import DataTransport

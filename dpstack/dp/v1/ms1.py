@@ -13,7 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Final
 
-from dpstack.dp.class2_jobs import Job, Outcome
+from dpstack.dp.acyclic_job import Job, Outcome, ServiceEnd
 from dpstack.dp.commands import Mode
 from dpstack.dp.events import SlaveState
 from dpstack.dp.master import Master
@@ -59,31 +59,26 @@ class WriteRecord:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RecordDone(Event):
+class RecordDone(ServiceEnd):
     """The one end of the Read or Write with ``token``; the data read are in ``outcome``.
 
     ``stale``: answers to other requests that came before it.
     """
 
-    token: int
-    address: int
     write: bool
     slot: int
     index: int
-    outcome: Outcome
     stale: int = 0
 
     @property
-    def service(self) -> str:
+    def title(self) -> str:
         """Read or Write."""
         return (Function.WRITE if self.write else Function.READ).title
 
     @property
-    def text(self) -> str:
-        """What came of it."""
-        if self.outcome.failure is not None:
-            return self.outcome.text
-        where = f"slave {self.address}: {self.service} of slot {self.slot}, index {self.index}"
+    def result(self) -> str:
+        """How many octets of which record."""
+        where = f"{self.title} of slot {self.slot}, index {self.index}"
         return f"{where} done" if self.write else f"{where}, {len(self.outcome.data)} octets"
 
 

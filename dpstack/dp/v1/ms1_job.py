@@ -15,7 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dpstack.dp.class2_jobs import ATTEMPTS, Outcome, ServiceFailure, Step, Steps
+from dpstack.dp.acyclic_job import ATTEMPTS, Outcome, ServiceFailure, Step, Steps
 from dpstack.dp.ms0 import refusal_text
 from dpstack.dp.slave_handler import SlaveHandler
 from dpstack.dp.v1.judging import NO_ANSWERS, NOT_TAKEN, Said, said

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final, NamedTuple
 
-from dpstack.dp.class2_jobs import Outcome, ServiceFailure, Step, Steps
+from dpstack.dp.acyclic_job import Outcome, ServiceFailure, Step, Steps
 from dpstack.dp.ms0 import refusal_text
 from dpstack.dp.v1.connection import HEAD, Abort, AbortReason, Instance
 from dpstack.dp.v1.judging import NO_ANSWERS, NOT_TAKEN, Said, said

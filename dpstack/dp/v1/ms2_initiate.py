@@ -11,7 +11,7 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING, Final
 
-from dpstack.dp.class2_jobs import ATTEMPTS, Outcome, ServiceFailure, Step, Steps
+from dpstack.dp.acyclic_job import ATTEMPTS, Outcome, ServiceFailure, Step, Steps
 from dpstack.dp.ms0 import refusal_text
 from dpstack.dp.v1.connection import HEAD, AbortReason, InitiateReq, InitiateRes, Instance, ResourceManagerRes
 from dpstack.dp.v1.judging import NO_ANSWERS, NOT_TAKEN, Said, said

@@ -9,7 +9,7 @@ import dataclasses
 from collections.abc import Hashable
 from typing import TYPE_CHECKING, Final
 
-from dpstack.dp.class2_jobs import ATTEMPTS, Outcome, ServiceFailure, Step, Steps
+from dpstack.dp.acyclic_job import ATTEMPTS, Outcome, ServiceFailure, Step, Steps
 from dpstack.dp.v1.connection import (
     HEAD,
     IDLE,

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import deque
 from typing import TYPE_CHECKING
 
-from dpstack.dp.class2_jobs import Outcome, ServiceFailure
+from dpstack.dp.acyclic_job import Outcome, ServiceFailure
 from dpstack.dp.events import SlaveState
 from dpstack.dp.v1.records import ReadReq, RecordReq, WriteReq
 

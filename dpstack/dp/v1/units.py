@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from dpstack.dp.class2_jobs import Job, Outcome, ServiceFailure
+from dpstack.dp.acyclic_job import Job, Outcome, ServiceFailure
 from dpstack.dp.slave_handler import SlaveHandler
 from dpstack.dp.v1.ms1 import Ms1, RecordJob
 from dpstack.dp.v1.unit_records import PendingRecord, RecordQueue, queue_of
