@@ -18,6 +18,7 @@ from dpstack.dp.acyclic_job import Job, Outcome, ServiceFailure, Step, Steps
 from dpstack.dp.events import SlaveState
 from dpstack.dp.master import Master
 from dpstack.dp.ms0 import positive
+from dpstack.dp.slave_handler import SlaveHandler
 from dpstack.dp.unheard import Unheard
 from dpstack.dp.v1 import units
 from dpstack.dp.v1.alarm_ack import ack_jobs
@@ -171,12 +172,9 @@ class Acyclic:
         """The next request of the service that waited longest for a turn, of those that may go on."""
         if high_only or not self._turn:
             return None
-        for ack in ack_jobs(self._ms1, now):
-            self._put_first(ack, now)
-        # what a unit wants since the Data_Exchange of this hold goes out in the same one
-        for handler, queue in units.asking(self._ms1):
-            if self._room(handler.setup.address) and (job := units.unit_job(self._ms1, handler, queue)) is not None:
-                self._take(UNORDERED, job, SERVICE_TIMEOUT, now)
+        asking = self._ms1.asking()
+        if asking:
+            self._take_asked(asking, now)
         if self._ms2.connections:
             self._keep_alive(now)
         if not self._queue:
@@ -191,6 +189,14 @@ class Acyclic:
         self._asked = entry
         request = entry.step.request
         return request if request.patient else request._replace(patient=request.da in self._known)
+
+    def _take_asked(self, handlers: list[SlaveHandler], now: int) -> None:
+        """What a unit wants since the Data_Exchange of this hold goes out in the same one."""
+        for ack in ack_jobs(handlers, self._ms1, now):
+            self._put_first(ack, now)
+        for handler, queue in units.asking(handlers):
+            if self._room(handler.setup.address) and (job := units.unit_job(self._ms1, handler, queue)) is not None:
+                self._take(UNORDERED, job, SERVICE_TIMEOUT, now)
 
     def _keep_alive(self, now: int) -> None:
         self._ms2.clock.now = now
@@ -262,7 +268,9 @@ class Acyclic:
 
     def wake_at(self) -> int:
         """When the time of a service is over."""
-        services = min((min(entry.deadline, entry.answer_by) for entry in self._queue), default=NEVER)
+        services = NEVER
+        for entry in self._queue:
+            services = min(services, entry.deadline, entry.answer_by)
         return min(services, self._ms2.wake_at()) if self._ms2.connections else services
 
     def tick(self, now: int) -> None:

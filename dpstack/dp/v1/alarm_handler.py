@@ -282,8 +282,14 @@ class AlarmHandler:
         """The slave gave no answer to a request of any service, after so many ``exchanges``."""
         self._unsure = self._unsure or exchanges == self._read_after
 
+    @property
+    def busy(self) -> bool:
+        """There is something to be looked at by :meth:`next_ack`, now or later."""
+        return bool(self._open) or self._look_at != NEVER
+
     def next_ack(self, exchanges: int, now: int) -> OpenAlarm | None:
-        """The alarm to be acknowledged now; asked in every token hold. One at a time, in the order they came."""
+        """The alarm to be acknowledged now: one at a time, in the order they came. For every token hold while
+        :attr:`busy`."""
         if self._look_at <= now:
             self._look_at = NEVER
             self._ask(now)

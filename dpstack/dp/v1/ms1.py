@@ -23,6 +23,7 @@ from dpstack.dp.v1.judging import service_outcome, title_of
 from dpstack.dp.v1.ms1_job import Ms1Job, Owed
 from dpstack.dp.v1.records import MAX_RECORD, Function, ReadReq, RecordReq, WriteReq
 from dpstack.dp.v1.times import SERVICE_TIMEOUT
+from dpstack.dp.v1.unit_records import queue_at
 from dpstack.errors import PduError, UsageError
 from dpstack.fdl.telegram import Telegram
 from dpstack.fdl.user import Failure
@@ -106,9 +107,15 @@ class Ms1:
             raise UsageError(str(error)) from None
         return token, RecordJob(request, octets, self.handler(address), self), timeout_ns
 
-    def speaking(self) -> list[SlaveHandler]:
-        """Those that are parameterised for DP-V1."""
-        return [] if self.master is None else [h for h in self.master.handlers.values() if h.alarms is not None]
+    def asking(self) -> list[SlaveHandler]:
+        """Slaves with DP-V1 that have alarms, or whose cyclic unit wants something. Asked in every token hold."""
+        if self.master is None:
+            return []
+        return [
+            handler
+            for handler in self.master.handlers.values()
+            if handler.alarms is not None and (handler.alarms.busy or queue_at(handler.image.unit))
+        ]
 
     def handler(self, address: int) -> SlaveHandler:
         """The slave's, where it is parameterised for DP-V1. Raises UsageError."""
