@@ -22,7 +22,6 @@ from dpstack.dp.slave_handler import SlaveHandler
 from dpstack.dp.unheard import Unheard
 from dpstack.dp.v1 import units
 from dpstack.dp.v1.alarm_ack import ack_jobs
-from dpstack.dp.v1.alarm_events import AcknowledgeAlarm, HoldAlarms
 from dpstack.dp.v1.ms1 import Ms1
 from dpstack.dp.v1.ms2 import Ms2
 from dpstack.dp.v1.times import SERVICE_TIMEOUT
@@ -104,14 +103,12 @@ class Acyclic:
 
     # --- orders -------------------------------------------------------------------------------------------------
     def command(self, command: object, now: int) -> bool:
-        """Take the orders of :mod:`dpstack.dp.class2`, :mod:`dpstack.dp.v1.ms1`, :mod:`dpstack.dp.v1.ms2_orders`, and
-        CancelService.
+        """Take the orders of :mod:`dpstack.dp.class2`, :mod:`dpstack.dp.v1.ms1`, :mod:`dpstack.dp.v1.alarm_events`,
+        :mod:`dpstack.dp.v1.ms2_orders`, and CancelService.
 
         Raises UsageError for what cannot be, or too much.
         """
         match command:
-            case class2.ReadService() | class2.ChangeAddress():
-                self._take(command.token, class2.job_of(command, self.own, self.master), command.timeout_ns, now)
             case CancelService(token):
                 for entry in [entry for entry in self._queue if entry.token == token]:
                     self._cut(entry, ServiceFailure.CANCELLED, "was cancelled", now)
@@ -122,18 +119,19 @@ class Acyclic:
                 self._ms2.line_down(reason, now)
                 self._take_wanted(now)
                 return False
-            case HoldAlarms(address, on):
-                self._ms1.alarms(address).hold(on)
-            case AcknowledgeAlarm(address, number):
-                self._ms1.alarms(address).acknowledge(number, now)
             case _:
-                order = self._ms1.job_of(command) or self._ms2.job_of(command, now)
+                order = self._job_of(command, now)
                 if order is not None:
                     self._take(*order, now)
-                elif not self._ms2.command(command, now):
+                elif not (self._ms1.command(command, now) or self._ms2.command(command, now)):
                     return False
         self._take_wanted(now)
         return True
+
+    def _job_of(self, command: object, now: int) -> tuple[int, Job, int] | None:
+        """Token, job and time-out of a service, whichever way it goes."""
+        order = class2.job_of(command, self.own, self.master)
+        return order or self._ms1.job_of(command) or self._ms2.job_of(command, now)
 
     def _take(self, token: int, job: Job, timeout_ns: int, now: int) -> None:
         if not self._room(job.lane):

@@ -18,6 +18,7 @@ from dpstack.dp.commands import Mode
 from dpstack.dp.events import SlaveState
 from dpstack.dp.master import Master
 from dpstack.dp.slave_handler import SlaveHandler
+from dpstack.dp.v1.alarm_events import AcknowledgeAlarm, HoldAlarms
 from dpstack.dp.v1.alarm_handler import AlarmHandler
 from dpstack.dp.v1.judging import service_outcome, title_of
 from dpstack.dp.v1.ms1_job import Ms1Job, Owed
@@ -85,12 +86,23 @@ class RecordDone(ServiceEnd):
 
 @dataclass(slots=True)
 class Ms1:
-    """Makes jobs of orders. ``master``: whose slaves they are for."""
+    """MS1 of the station ``own``: jobs of orders, the alarms. ``master``: whose slaves they are for."""
 
     own: int
     master: Master | None
     #: answers to services which are over, by lane
     owed: dict[int, Owed] = field(default_factory=dict)
+
+    def command(self, order: object, now: int) -> bool:
+        """HoldAlarms and AcknowledgeAlarm. Raises UsageError as for a service."""
+        match order:
+            case HoldAlarms(address, on):
+                self._alarms(address).hold(on)
+            case AcknowledgeAlarm(address, number):
+                self._alarms(address).acknowledge(number, now)
+            case _:
+                return False
+        return True
 
     def job_of(self, order: object) -> tuple[int, Job, int] | None:
         """Token, job and time-out in ns of ``order``; None when it is none for MS1. Raises UsageError."""
@@ -139,8 +151,7 @@ class Ms1:
             if handler is not None and handler.alarms is not None:
                 handler.alarms.missed(handler.exchanges)
 
-    def alarms(self, address: int) -> AlarmHandler:
-        """The slave's. Raises UsageError as for a service."""
+    def _alarms(self, address: int) -> AlarmHandler:
         alarms = self.handler(address).alarms
         assert alarms is not None
         return alarms
