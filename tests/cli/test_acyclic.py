@@ -20,7 +20,7 @@ from dpstack.api.control.records import through_run
 from dpstack.cli import acyclic
 from dpstack.cli.main import main
 from dpstack.dp.mirror import MirrorDevice
-from dpstack.dp.v1.serving import RecordTable
+from dpstack.dp.v1.device_records import RecordTable
 from dpstack.errors import AcyclicError, UsageError
 
 Out = pytest.CaptureFixture[str]

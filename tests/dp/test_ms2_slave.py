@@ -23,9 +23,9 @@ from dpstack.dp.device import Device
 from dpstack.dp.slave_baud import SearchingSlave
 from dpstack.dp.slaveapp import SlaveApp, SlaveAppState, make_slave
 from dpstack.dp.v1.connection import Abort
+from dpstack.dp.v1.device_records import ImRecords, RecordTable
 from dpstack.dp.v1.im import Im0, Im1
 from dpstack.dp.v1.ms2_server_states import TABLE, Act, Ev, State
-from dpstack.dp.v1.serving import ImRecords, RecordTable
 from dpstack.dp.v1.tickets import Records, Ticket, Transport, TransportTicket
 from dpstack.dp.v1.times import least_send_timeout
 from dpstack.errors import ConfigError, RecordRefused

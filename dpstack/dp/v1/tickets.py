@@ -9,7 +9,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Protocol
 
-from dpstack.dp.v1.alarms import AlarmAck
 from dpstack.dp.v1.codes import Code
 from dpstack.dp.v1.connection import DataTransport
 from dpstack.dp.v1.records import MAX_RECORD, Function, Negative, ReadRes, RecordReq, RecordRes, WriteReq, WriteRes
@@ -44,7 +43,7 @@ class AnyTicket:
         self.at = at
         self.open = True
         self.abandoned: Callable[[], object] | None = None
-        self.response: RecordRes | DataTransport | AlarmAck | None = None
+        self.response: RecordRes | DataTransport | None = None
         #: what went wrong in the function that should have answered
         self.failure: str | None = None
 
