@@ -16,9 +16,9 @@ def values(report: Report) -> dict[str, float]:
     return {figure.name: figure.value for figure in report.figures}
 
 
-@pytest.mark.parametrize("baud", [500_000, 12_000_000])
+@pytest.mark.parametrize("baud", [500_000, pytest.param(3_000_000, marks=pytest.mark.soak)])
 def test_the_rotation_beside_records_of_64_octets(baud: int) -> None:
-    report = acyclic.run(["--bauds", str(baud), "--lengths", "64", "--rotations", "80", "--cycles", "0", "--pty-bauds"])
+    report = acyclic.run(["--bauds", str(baud), "--lengths", "64", "--rotations", "40", "--cycles", "0", "--pty-bauds"])
     ratios = [figure for figure in report.figures if figure.name.endswith("rotation p99 to that without")]
     assert len(ratios) == 6  # Read and Write, answered in three ways
     assert all(figure.goal == 1.3 and figure.met for figure in ratios), ratios
@@ -27,10 +27,12 @@ def test_the_rotation_beside_records_of_64_octets(baud: int) -> None:
     assert 0.2 < longer.value <= 1
 
 
-@pytest.mark.parametrize("answers", Answers)
+@pytest.mark.parametrize(
+    "answers", [Answers.AT_ONCE, *(pytest.param(each, marks=pytest.mark.soak) for each in list(Answers)[1:])]
+)
 def test_any_length_costs_the_plans_acyclic_service_at_most(answers: Answers) -> None:
     plant = Plant(1_500_000, answers, t_sdr=150)  # as slow as they may be
-    ns = 30 * 4_000_000 * (3 if answers is Answers.SLOW else 1)
+    ns = 200_000_000 * (2 if answers is Answers.SLOW else 1)  # one Global_Control in each
     quiet = plant.look(ns)
     longer = {}
     for octets in LENGTHS:
@@ -41,14 +43,15 @@ def test_any_length_costs_the_plans_acyclic_service_at_most(answers: Answers) ->
             longer[octets, write] = seen.rotation.max_ns - quiet.rotation.max_ns
     assert min(longer.values()) > 0
     assert max(longer.values()) <= plant.service_ns
-    assert max(longer.values()) > 0.9 * plant.service_ns  # and the plan exaggerates by nothing else
+    if answers is Answers.AT_ONCE:
+        assert max(longer.values()) > 0.99 * plant.service_ns  # and the plan does not exaggerate
     plant.check()
 
 
-@pytest.mark.parametrize("baud", [500_000, 3_000_000])
+@pytest.mark.parametrize("baud", [500_000, pytest.param(3_000_000, marks=pytest.mark.soak)])
 def test_no_cycle_is_missed_where_a_service_fits(baud: int) -> None:
     report = acyclic.run(["--bauds", str(baud), "--lengths", "64", "--rotations", "6", "--cycles", "8", "--pty-bauds"])
-    missed = [figure for figure in report.figures if "missed of 8" in figure.name]
+    missed = [figure for figure in report.figures if "cycles missed" in figure.name]
     assert len(missed) == 12  # four cycles: without, Read of 64, Write of 240
     kept = [figure for figure in missed if "undisturbed" in figure.name or "always" in figure.name]
     assert len(kept) == 6
