@@ -13,8 +13,10 @@ from dpstack.trace import Event
 
 T = TypeVar("T")
 
-#: Events kept for a reader that does not read.
+#: Events kept for a reader that does not read, and for one that comes later.
 DEPTH: Final = 1000
+
+OnEvent = Callable[[Event], None]
 
 
 class EventStream(AsyncIterator[Event]):
@@ -57,6 +59,48 @@ class EventStream(AsyncIterator[Event]):
             self._more.clear()
             await self._more.wait()
         return self._events.popleft()
+
+
+def hand_to(on_event: OnEvent | None, event: Event) -> None:
+    """``event`` to the application. What that raises is its own: no other event may be lost by it, no bus stopped."""
+    if on_event is not None:
+        try:
+            on_event(event)
+        except Exception as error:
+            told = {"message": f"on_event raised at {event.text!r}", "exception": error}
+            asyncio.get_running_loop().call_exception_handler(told)
+
+
+class Events:
+    """What happened, for everybody who wants to know: streams, and ``on_event`` at once. A stream begins with what
+    happened before it, as far as it was kept."""
+
+    def __init__(self, on_event: OnEvent | None) -> None:
+        self._on_event = on_event
+        self._history: deque[Event] = deque(maxlen=DEPTH)
+        self._streams: list[EventStream] = []
+        self._ended = False
+
+    def tell(self, event: Event) -> None:
+        """To all of them."""
+        self._history.append(event)
+        for stream in self._streams:
+            stream.put(event)
+        hand_to(self._on_event, event)
+
+    def stream(self) -> EventStream:
+        """One more."""
+        stream = EventStream(self._history, self._streams.remove)
+        self._streams.append(stream)
+        if self._ended:
+            stream.end()
+        return stream
+
+    def end(self) -> None:
+        """No stream has more to come."""
+        self._ended = True
+        for stream in self._streams:
+            stream.end()
 
 
 class Waiters:
