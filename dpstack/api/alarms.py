@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 from dpstack.api.service_errors import error_of
+from dpstack.api.streams import Stream
 from dpstack.dp.acyclic_job import Outcome, ServiceFailure
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.v1.alarm_events import AcknowledgeAlarm, AlarmDone, AlarmRaised, HoldAlarms, StatusTold
@@ -138,36 +139,11 @@ class AlarmStream(AsyncIterator[SlaveAlarm]):
         return alarm
 
 
-class StatusStream(AsyncIterator[Status]):
-    """An async iterator over status messages of one slave; bounded, the oldest are dropped. Ends as AlarmStream."""
+class StatusStream(Stream[Status]):
+    """Status messages of one slave, an async iterator. Ends as AlarmStream."""
 
     def __init__(self) -> None:
-        self.dropped = 0
-        self._waiting: deque[Status] = deque(maxlen=_STATUSES)
-        self._more = asyncio.Event()
-        self._ended = False
-
-    def put(self, status: Status) -> None:
-        """From the bus."""
-        self.dropped += len(self._waiting) == _STATUSES
-        self._waiting.append(status)
-        self._more.set()
-
-    def end(self) -> None:
-        """No more will come."""
-        self._ended = True
-        self._more.set()
-
-    def __aiter__(self) -> StatusStream:
-        return self
-
-    async def __anext__(self) -> Status:
-        while not self._waiting:
-            if self._ended:
-                raise StopAsyncIteration
-            self._more.clear()
-            await self._more.wait()
-        return self._waiting.popleft()
+        super().__init__(_STATUSES)
 
 
 @dataclass(eq=False)

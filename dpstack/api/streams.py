@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterable, Iterator
-from typing import Final, Generic, TypeVar
+from typing import Final, Generic, Self, TypeVar
 
 from dpstack.drivers.seen import MasterSeen
 from dpstack.trace import Event
@@ -19,22 +19,19 @@ DEPTH: Final = 1000
 OnEvent = Callable[[Event], None]
 
 
-class EventStream(AsyncIterator[Event]):
-    """An async iterator over events; bounded: the oldest are dropped and counted in ``dropped``. Ends with the bus."""
+class Stream(AsyncIterator[T]):
+    """An async iterator over what happens; bounded by ``depth``: the oldest are dropped and counted in ``dropped``."""
 
-    def __init__(self, backlog: Iterable[Event], forget: Callable[[EventStream], None]) -> None:
+    def __init__(self, depth: int, backlog: Iterable[T] = ()) -> None:
         self.dropped = 0
-        self._events: deque[Event] = deque(backlog, DEPTH)
-        self._forget = forget
+        self._waiting: deque[T] = deque(backlog, depth)
         self._more = asyncio.Event()
         self._ended = False
-        self._closed = False
 
-    def put(self, event: Event) -> None:
+    def put(self, item: T) -> None:
         """From the bus."""
-        if len(self._events) == DEPTH:
-            self.dropped += 1
-        self._events.append(event)
+        self.dropped += len(self._waiting) == self._waiting.maxlen
+        self._waiting.append(item)
         self._more.set()
 
     def end(self) -> None:
@@ -42,23 +39,32 @@ class EventStream(AsyncIterator[Event]):
         self._ended = True
         self._more.set()
 
+    def __aiter__(self) -> Self:
+        return self
+
+    async def __anext__(self) -> T:
+        while not self._waiting:
+            if self._ended:
+                raise StopAsyncIteration
+            self._more.clear()
+            await self._more.wait()
+        return self._waiting.popleft()
+
+
+class EventStream(Stream[Event]):
+    """Events of a bus, an async iterator. Ends with the bus."""
+
+    def __init__(self, backlog: Iterable[Event], forget: Callable[[EventStream], None]) -> None:
+        super().__init__(DEPTH, backlog)
+        self._forget = forget
+        self._closed = False
+
     def close(self) -> None:
         """The reader has had enough. May be repeated."""
         if not self._closed:
             self._closed = True
             self._forget(self)
         self.end()
-
-    def __aiter__(self) -> EventStream:
-        return self
-
-    async def __anext__(self) -> Event:
-        while not self._events:
-            if self._ended:
-                raise StopAsyncIteration
-            self._more.clear()
-            await self._more.wait()
-        return self._events.popleft()
 
 
 def hand_to(on_event: OnEvent | None, event: Event) -> None:
