@@ -281,4 +281,4 @@ async def test_two_masters_of_one_program_and_one_that_searches_the_rate(driver:
                     assert second.station.las == {1, 2}
                     await asyncio.wait_for(first.until(lambda: first.station.las == {1, 2}), 10)
                 await asyncio.wait_for(first.until(lambda: first.station.las == {1}), 10)
-                assert first.slave("fan").ready_now
+                await first.ready(20)

@@ -55,7 +55,7 @@ def bad_telegrams(bad: dict[str, int]) -> int:
 async def exchange(bus: dpstack.Bus, directory: Path, seconds: float) -> None:
     """Outputs change in every turn, every input is looked at, in ``seconds`` of noise and until the slaves are back.
 
-    The noise lasts until each slave gave some inputs.
+    The noise lasts until each slave gave some inputs, and telegrams of either end were damaged.
     """
     written: dict[str, dict[bytes, int]] = {slave.name: {bytes(4): 0} for slave in bus.slaves}
     seen: dict[str, set[bytes]] = {slave.name: set() for slave in bus.slaves}
@@ -65,9 +65,10 @@ async def exchange(bus: dpstack.Bus, directory: Path, seconds: float) -> None:
     quiet = 0  # what was written when the noise ended
     while not quiet or min(newest.values()) < quiet:
         if not quiet and time.monotonic() >= end and min(map(len, seen.values())) >= ENOUGH:
-            quiet = number + 1
             with connect(str(directory)) as segment:
-                segment.call("noise", "0")
+                if all(station["damaged"] for station in segment.call("stats")["stations"]):
+                    quiet = number + 1
+                    segment.call("noise", "0")
         assert time.monotonic() < end + 90, [(s.name, s.state, s.fault, newest[s.name], quiet) for s in bus.slaves]
         number += 1
         count = number.to_bytes(2, "big")

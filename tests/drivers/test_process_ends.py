@@ -159,14 +159,14 @@ async def test_its_last_words_are_heard_by_who_asks_in_a_handler() -> None:
 
 
 async def test_a_bus_process_that_hangs_at_the_end_is_killed_and_that_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dpstack.drivers.link.ANSWER_S", 0.05)
-    monkeypatch.setattr("dpstack.drivers.link._AGAIN_S", 0.01)
     told: list[str] = []
     with octet_slaves(SPEC) as (path, _there):
         async with bus_on(
             path, "process", VALVES | {"watchdog_ms": 500}, on_event=lambda e: told.append(e.text)
         ) as bus:
             await bus.ready()
+            monkeypatch.setattr("dpstack.drivers.link.ANSWER_S", 0.05)
+            monkeypatch.setattr("dpstack.drivers.link._AGAIN_S", 0.01)
             os.kill(process_of(bus), signal.SIGSTOP)
         assert not runs(process_of(bus))
     assert told[-1] == (
@@ -247,10 +247,10 @@ async def test_an_application_that_does_not_read_for_a_while() -> None:
 
 
 async def test_a_bus_process_that_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dpstack.drivers.link.ANSWER_S", 0.05)
     with octet_slaves(SPEC) as (path, _there):
         async with bus_on(path, "process", VALVES) as bus:
             pid = process_of(bus)
+            monkeypatch.setattr("dpstack.drivers.link.ANSWER_S", 0.05)
             os.kill(pid, signal.SIGSTOP)
             with pytest.raises(BusError, match=rf"the bus process \(pid {pid}\) did not answer within 0.05 s"):
                 await bus.operate()
