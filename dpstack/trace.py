@@ -31,6 +31,11 @@ class Event:
         """One line for people: what happened, and what to do where something is to be done."""
         return type(self).__name__
 
+    @property
+    def owed(self) -> bool:
+        """Somebody waits for it because of an order of his: there are as many as orders, and none may be dropped."""
+        return False
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Notice(Event):

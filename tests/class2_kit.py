@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 from ring_bus import RingBus
 
 from dpstack.dp.acyclic import Acyclic
+from dpstack.dp.acyclic_job import Outcome
 from dpstack.dp.class2 import ChangeAddress, ReadService
-from dpstack.dp.class2_jobs import Outcome, Service, ServiceDone
+from dpstack.dp.class2_jobs import Service, ServiceDone
 from dpstack.fdl.active import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.guard import Guard

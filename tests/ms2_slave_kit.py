@@ -14,7 +14,7 @@ from slave_kit import Recorder
 
 from dpstack.dp.device import Device
 from dpstack.dp.slaveapp import SlaveApp, SlaveAppState, make_slave
-from dpstack.dp.v1.serving import RecordTable
+from dpstack.dp.v1.device_records import RecordTable
 from dpstack.dp.v1.tickets import Records, Ticket, Transport
 from dpstack.params import BusParams
 

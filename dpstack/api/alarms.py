@@ -15,11 +15,14 @@ from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
-from dpstack.dp.class2_jobs import Outcome, ServiceFailure
+from dpstack.api.service_errors import error_of
+from dpstack.api.streams import Stream
+from dpstack.dp.acyclic_job import Outcome, ServiceFailure
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.v1.alarm_events import AcknowledgeAlarm, AlarmDone, AlarmRaised, HoldAlarms, StatusTold
 from dpstack.dp.v1.alarms import Alarm, Specifier, Status
-from dpstack.errors import AcyclicError, BusError, DpError, ServiceRefused, SlaveFault, UsageError
+from dpstack.dp.v1.records import Function
+from dpstack.errors import DpError
 from dpstack.trace import Event
 
 if TYPE_CHECKING:
@@ -152,36 +155,11 @@ class AlarmStream(AsyncIterator[SlaveAlarm]):
         return alarm
 
 
-class StatusStream(AsyncIterator[Status]):
-    """An async iterator over status messages of one slave; bounded, the oldest are dropped. Ends as AlarmStream."""
+class StatusStream(Stream[Status]):
+    """Status messages of one slave, an async iterator. Ends as AlarmStream."""
 
     def __init__(self) -> None:
-        self.dropped = 0
-        self._waiting: deque[Status] = deque(maxlen=_STATUSES)
-        self._more = asyncio.Event()
-        self._ended = False
-
-    def put(self, status: Status) -> None:
-        """From the bus."""
-        self.dropped += len(self._waiting) == _STATUSES
-        self._waiting.append(status)
-        self._more.set()
-
-    def end(self) -> None:
-        """No more will come."""
-        self._ended = True
-        self._more.set()
-
-    def __aiter__(self) -> StatusStream:
-        return self
-
-    async def __anext__(self) -> Status:
-        while not self._waiting:
-            if self._ended:
-                raise StopAsyncIteration
-            self._more.clear()
-            await self._more.wait()
-        return self._waiting.popleft()
+        super().__init__(_STATUSES)
 
 
 class AlarmDesk:
@@ -241,7 +219,9 @@ class AlarmDesk:
         await held.ended.wait()
         assert held.end is not None
         if held.end.failure is not None:
-            raise _error(held.raised, held.end)
+            raised = held.raised
+            alarm = raised.alarm
+            raise error_of(raised.address, Function.ALARM_ACK.title, held.end, (alarm.slot, alarm.type))
 
     def _let_go(self, held: _Held, listener: _Listener) -> None:
         if listener in held.keepers:
@@ -314,21 +294,6 @@ class AlarmDesk:
                 held.keepers.clear()  # its number may become that of another one
                 text = f"an alarm of slave {held.raised.address} was not acknowledged: {why}"
                 self._done(held, held.end or Outcome(failure=ServiceFailure.LINE, text=text))
-
-
-def _error(raised: AlarmRaised, outcome: Outcome) -> DpError:
-    text, failure = outcome.text, outcome.failure
-    if outcome.codes is not None:
-        slot, number = raised.alarm.slot, raised.alarm.type
-        codes = outcome.codes
-        return AcyclicError(raised.address, text, service="Alarm_Ack", slot=slot, index=number, codes=codes)
-    if failure is ServiceFailure.REFUSED:
-        return ServiceRefused(raised.address, text, service="Alarm_Ack", status=outcome.status)
-    if failure is ServiceFailure.GUARDED:
-        return UsageError(text)
-    if failure is ServiceFailure.LINE:
-        return BusError(text)
-    return SlaveFault(raised.address, text)
 
 
 __all__ = ["AlarmDesk", "AlarmStream", "SlaveAlarm", "StatusStream"]

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import functools
-from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from types import TracebackType
-from typing import Final
 
 from dpstack.api.class2 import Class2
 from dpstack.api.compose import compose
@@ -23,7 +21,7 @@ from dpstack.api.services import Services
 from dpstack.api.slave import Slave
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.api.statistics import BusStats, collect
-from dpstack.api.streams import EventStream, Waiters
+from dpstack.api.streams import Events, EventStream, OnEvent, Waiters
 from dpstack.dp.commands import AddSlave, Mode, RemoveSlave, SetMode
 from dpstack.dp.events import ControlSent, DriveEvent
 from dpstack.dp.scanner import Found
@@ -35,9 +33,6 @@ from dpstack.sim.world import World
 from dpstack.trace import Event, Notice, Severity
 from dpstack.units import ns_to_s
 
-_HISTORY: Final = 1000
-
-OnEvent = Callable[[Event], None]
 SlaveTable = Mapping[str, object] | SlaveConfig
 
 
@@ -61,7 +56,7 @@ class Bus(Composed):
         self.unreadable: frozenset[int] = frozenset()
         #: machine time of the start in ns
         self.started_ns = 0
-        self._on_event = on_event
+        self._events = Events(on_event)
         self._join_timeout = join_timeout
         self._open = False
         self._ending: asyncio.Task[None] | None = None
@@ -71,8 +66,6 @@ class Bus(Composed):
         self.collision: str | None = None
         #: why nothing will happen any more: a failure, or the end
         self._over: DpError | None = None
-        self._history: deque[Event] = deque(maxlen=_HISTORY)
-        self._streams: list[EventStream] = []
         self._waiters = Waiters()
         self._groups = GroupOrders(self)
         self._cycles = Cycles(self)
@@ -124,9 +117,9 @@ class Bus(Composed):
         self._open = True
         try:
             if heard is not None:
-                self._tell(Notice(t_ns=self.runtime.now(), source="bus", message=heard))
+                self._notice("bus", heard)
             for note in (*self.plan.findings, *self.plan.notes):
-                self._tell(Notice(t_ns=self.runtime.now(), source="plan", message=note, severity=Severity.WARNING))
+                self._notice("plan", note, Severity.WARNING)
             self._hand_on(GoOnline())
             await join(self, self._join_timeout)
         except BaseException:
@@ -289,11 +282,7 @@ class Bus(Composed):
 
     def events(self) -> EventStream:
         """What happens, from the start of the bus on: an async iterator, bounded; ``dropped`` counts what was lost."""
-        stream = EventStream(self._history, self._streams.remove)
-        self._streams.append(stream)
-        if self._over is not None:
-            stream.end()
-        return stream
+        return self._events.stream()
 
     def cycles(self) -> AsyncIterator[Cycle]:
         """One :class:`~dpstack.api.cycles.Cycle` for each round of data exchange, with or without a fixed cycle.
@@ -351,13 +340,16 @@ class Bus(Composed):
                 case AddressCollision():
                     self.collision = event.text
             self._groups.on_event(event)
-            self._tell(event)
+            self._events.tell(event)
             for notice in self._beside.notices(event):
-                self._tell(notice)
+                self._events.tell(notice)
             if isinstance(event, RingJoined) and not self._joined_ns:
                 self._joined_ns = event.t_ns
-                self._tell(Notice(t_ns=event.t_ns, source="bus", message=what_was_heard(self.station)))
+                self._events.tell(Notice(t_ns=event.t_ns, source="bus", message=what_was_heard(self.station)))
         self._waiters.check()
+
+    def _notice(self, source: str, message: str, severity: Severity = Severity.INFO) -> None:
+        self._events.tell(Notice(t_ns=self.runtime.now(), source=source, message=message, severity=severity))
 
     def _on_failure(self, error: Exception) -> None:
         """Nothing runs the bus any more: everybody who waits is told. What is no BusError is a defect of ours."""
@@ -366,7 +358,7 @@ class Bus(Composed):
             text = f"the bus was stopped by a defect in dpstack ({type(error).__name__}: {error}); please report it"
             failure = BusError(text)
             failure.__cause__ = error
-        self._tell(Notice(t_ns=self.runtime.now(), source="bus", message=str(failure), severity=Severity.ERROR))
+        self._notice("bus", str(failure), Severity.ERROR)
         self._nothing_more(failure)
 
     def _nothing_more(self, error: DpError) -> None:
@@ -378,21 +370,8 @@ class Bus(Composed):
         self._groups.end(self._over)
         self._cycles.end()
         self.services.end(self._over)
-        for stream in self._streams:
-            stream.end()
+        self._events.end()
         self._waiters.check()
-
-    def _tell(self, event: Event) -> None:
-        self._history.append(event)
-        for stream in self._streams:
-            stream.put(event)
-        if self._on_event is not None:
-            try:
-                self._on_event(event)
-            except Exception as exc:  # the application's: no other event may be lost by it
-                asyncio.get_running_loop().call_exception_handler(
-                    {"message": f"on_event raised at {event.text!r}", "exception": exc}
-                )
 
 
 __all__ = ["Bus", "OnEvent", "SlaveTable"]

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from dpstack.api.connection import Connecting, send_timeout_of
+from dpstack.api.connection import Connecting
 from dpstack.api.ms2_config import Ms2Limits
 from dpstack.api.services import time_of
 from dpstack.api.slave_config import SlaveConfig
@@ -19,6 +19,7 @@ from dpstack.dp.class2_jobs import Service, ServiceDone
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.fields import Value
 from dpstack.dp.v1.ms2_orders import OpenConnection
+from dpstack.dp.v1.times import least_send_timeout
 from dpstack.errors import ConfigError, PduError, UsageError
 from dpstack.gsd.identifiers import Identifier, io_lengths, parse_identifiers
 
@@ -138,7 +139,7 @@ class Class2:
         known = slave if isinstance(slave, SlaveConfig) else self._config(slave)
         limits = Ms2Limits() if known is None else known.ms2
         address = slave.address if isinstance(slave, SlaveConfig) else self._address(slave)
-        usual = send_timeout_of(self._bus.params.baud)
+        usual = least_send_timeout(self._bus.params.baud)
         silence = usual if send_timeout is None else time_of(send_timeout, "send_timeout")
         order = OpenConnection(
             self._bus.services.token(),

@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 from collections.abc import Generator
 from types import TracebackType
-from typing import TYPE_CHECKING, Final, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from dpstack.api.ms2_config import Ms2Limits
 from dpstack.api.record_parameters import RecordParameters, over_records
@@ -26,19 +26,12 @@ from dpstack.dp.v1.ms2_orders import (
 )
 from dpstack.dp.v1.records import MAX_RECORD
 from dpstack.errors import ConnectionEnded, DpError, PduError, UsageError
-from dpstack.units import NS_PER_S, ns_to_s
+from dpstack.units import ns_to_s
 
 if TYPE_CHECKING:
     from dpstack.api.bus import Bus
 
 Done = TypeVar("Done", RecordDone, TransportDone)
-#: what is asked for by rate in bit/s, in ns: what slave chips need (facts C2); slower ones need the last
-_SEND_TIMEOUTS: Final = {1_500_000: NS_PER_S, 500_000: 2 * NS_PER_S, 0: 4 * NS_PER_S}
-
-
-def send_timeout_of(baud: int) -> int:
-    """The send time-out to ask for at ``baud`` bit/s, in ns."""
-    return next(timeout for least, timeout in _SEND_TIMEOUTS.items() if baud >= least)
 
 
 class Connection(RecordAccess):

@@ -14,8 +14,6 @@ from dpstack.errors import ConfigError, PduError
 from dpstack.gsd.model import Device
 from dpstack.units import NS_PER_MS
 
-#: C1_Response_Timeout counts in 10 ms
-_TIMEOUT_UNIT: Final = 10 * NS_PER_MS
 _KEYS: Final = (
     "check_cfg_mode",
     "prm_cmd",
@@ -62,7 +60,7 @@ def _of_gsd(device: Device | None) -> Dpv1:
         return Dpv1()
     longest = device.dpv1.c1_max_data_len
     return Dpv1(
-        c1_response_timeout_ns=device.dpv1.c1_response_timeout * _TIMEOUT_UNIT,
+        c1_response_timeout_ns=device.dpv1.c1_response_ns,
         c1_max_data_len=min(longest, MAX_RECORD) if longest else MAX_RECORD,
         extra_alarm_sap=device.dpv1.extra_alarm_sap,
         required_alarms=_required(device),

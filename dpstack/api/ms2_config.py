@@ -3,14 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
 
 from dpstack.dp.v1.records import MAX_RECORD
 from dpstack.gsd.model import Device
-from dpstack.units import NS_PER_MS
-
-#: C2_Response_Timeout counts in 10 ms
-_TIMEOUT_UNIT: Final = 10 * NS_PER_MS
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +28,7 @@ class Ms2Limits:
         dpv1 = device.dpv1
         return cls(
             supported=dpv1.c2_read_write,
-            response_ns=dpv1.c2_response_timeout * _TIMEOUT_UNIT,
+            response_ns=dpv1.c2_response_ns,
             max_data_len=min(dpv1.c2_max_data_len or MAX_RECORD, MAX_RECORD),
             channels=dpv1.c2_max_count_channels,
             max_initiate_len=dpv1.max_initiate_pdu_length,

@@ -7,12 +7,12 @@ from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Any, Final
 
-from dpstack.api.bus import OnEvent
 from dpstack.api.config import Config
 from dpstack.api.drive import Drive
 from dpstack.api.drive_words import carry_out
 from dpstack.api.opening import open_bus
 from dpstack.api.parameter_dump import ParameterPlace, ParameterValue
+from dpstack.api.streams import OnEvent
 from dpstack.errors import DpError, DriveError, DriveFault, ParameterError, SlaveFault
 from dpstack.profile import MOVING, ListedParam
 from dpstack.sim.world import World

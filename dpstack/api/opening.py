@@ -6,8 +6,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Literal
 
-from dpstack.api.bus import Bus, OnEvent, SlaveTable
+from dpstack.api.bus import Bus, SlaveTable
 from dpstack.api.config import Config, load_config, make_config
+from dpstack.api.streams import OnEvent
 from dpstack.errors import ConfigError
 from dpstack.sim.world import World
 

@@ -39,7 +39,13 @@ class AsyncRecords:
         task = asyncio.get_running_loop().create_task(work, name=ticket.title)
         self._tasks.add(task)
         ticket.abandoned = task.cancel
-        task.add_done_callback(self._tasks.discard)
+        task.add_done_callback(lambda done: self._over(ticket, done))
+
+    def _over(self, ticket: AnyTicket, task: asyncio.Task[None]) -> None:
+        """What it awaited was cancelled, and not by us: that is a failure, too, or its master would wait in vain."""
+        self._tasks.discard(task)
+        if task.cancelled():
+            ticket.fail(asyncio.CancelledError("what it awaited was cancelled"))
 
     async def _carry(self, ticket: TransportTicket) -> None:
         request = ticket.request

@@ -1,4 +1,4 @@
-"""Acyclic services to be awaited: who waits for which, and what each failure is raised as."""
+"""Acyclic services to be awaited: who waits for which."""
 
 from __future__ import annotations
 
@@ -7,31 +7,22 @@ import contextlib
 import itertools
 import math
 from collections import defaultdict
-from typing import TYPE_CHECKING, Final, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from dpstack.api.alarms import AlarmDesk
+from dpstack.api.service_errors import error_of
 from dpstack.dp.acyclic import CancelService
-from dpstack.dp.class2_jobs import Outcome, ServiceDone, ServiceFailure
+from dpstack.dp.acyclic_job import ServiceEnd
 from dpstack.dp.v1.ms1 import RecordDone
-from dpstack.dp.v1.ms2_orders import ConnectionOver, ConnectionsClosed, InitiateDone, TransportDone
-from dpstack.errors import (
-    AcyclicError,
-    BusError,
-    ConnectionEnded,
-    DpError,
-    ServiceRefused,
-    SlaveFault,
-    SlaveTimeout,
-    UsageError,
-)
+from dpstack.dp.v1.ms2_orders import ConnectionOver, ConnectionsClosed, TransportDone
+from dpstack.errors import DpError, UsageError
 from dpstack.trace import Event
 from dpstack.units import s_to_ns
 
 if TYPE_CHECKING:
     from dpstack.api.bus import Bus
 
-Done = ServiceDone | RecordDone | InitiateDone | TransportDone
-D = TypeVar("D", ServiceDone, RecordDone, InitiateDone, TransportDone)
+D = TypeVar("D", bound=ServiceEnd)
 
 
 def time_of(seconds: float, what: str = "timeout") -> int:
@@ -56,7 +47,7 @@ class Services:
     def __init__(self, bus: Bus) -> None:
         self._bus = bus
         self._tokens = itertools.count(1)
-        self._waiting: dict[int, asyncio.Future[Done]] = {}
+        self._waiting: dict[int, asyncio.Future[ServiceEnd]] = {}
         #: class 2 connections by the token that opened them
         self.connections: dict[int, Ending] = {}
         self.alarms = AlarmDesk(bus)
@@ -71,12 +62,12 @@ class Services:
         return next(self._tokens)
 
     async def do(self, token: int, command: object, kind: type[D], cancel: object = None) -> D:
-        """Order it and wait for its end, a ``kind``; without a result it is raised, see :func:`error_of`.
+        """Order it and wait for its end, a ``kind``; without a result it is raised (:mod:`dpstack.api.service_errors`).
 
         ``cancel``: the order that gives it up where it is cancelled (default CancelService).
         """
         bus = self._bus
-        future: asyncio.Future[Done] = asyncio.get_running_loop().create_future()
+        future: asyncio.Future[ServiceEnd] = asyncio.get_running_loop().create_future()
         self._waiting[token] = future
         try:
             bus.command(command)
@@ -89,7 +80,8 @@ class Services:
             del self._waiting[token]
         assert isinstance(done, kind)
         if done.outcome.failure is not None:
-            raise error_of(done, done.outcome.failure)
+            record = (done.slot, done.index) if isinstance(done, (RecordDone, TransportDone)) else None
+            raise error_of(done.address, done.title, done.outcome, record)
         return done
 
     def take(self, event: Event) -> bool:
@@ -102,7 +94,7 @@ class Services:
             return False  # everybody may know
         if isinstance(event, ConnectionsClosed):
             return True
-        if not isinstance(event, (ServiceDone, RecordDone, InitiateDone, TransportDone)):
+        if not isinstance(event, ServiceEnd):
             return self.alarms.take(event)
         future = self._waiting.get(event.token)
         if future is not None and not future.done():
@@ -119,33 +111,3 @@ class Services:
             ending.told.set()
         self.connections.clear()
         self.alarms.end(error)
-
-
-_LATE: Final = (ServiceFailure.SILENT, ServiceFailure.LATE, ServiceFailure.GONE)
-_NO: Final = (ServiceFailure.REFUSED, ServiceFailure.KEPT, ServiceFailure.NEGATIVE)
-
-
-def error_of(done: Done, failure: ServiceFailure) -> DpError:
-    """The exception of a service without a result."""
-    outcome: Outcome = done.outcome
-    if failure is ServiceFailure.ABORTED:
-        return ConnectionEnded(done.address, outcome.text, abort=outcome.codes)
-    if isinstance(done, (RecordDone, TransportDone)) and outcome.codes is not None:
-        return AcyclicError(
-            done.address,
-            outcome.text,
-            service=done.service,
-            slot=done.slot,
-            index=done.index,
-            codes=outcome.codes,
-        )
-    if failure in _LATE:
-        return SlaveTimeout(done.address, outcome.text)
-    if failure in _NO:
-        service = done.service.title if isinstance(done, ServiceDone) else done.service
-        return ServiceRefused(done.address, outcome.text, service=service, status=outcome.status)
-    if failure is ServiceFailure.GUARDED:
-        return UsageError(outcome.text)
-    if failure is ServiceFailure.LINE:
-        return BusError(outcome.text)
-    return SlaveFault(done.address, outcome.text)

@@ -7,7 +7,7 @@ from types import TracebackType
 
 from dpstack.api.served_alarms import ServedAlarms
 from dpstack.api.served_records import AsyncRecords
-from dpstack.api.streams import Waiters
+from dpstack.api.streams import OnEvent, Waiters, hand_to
 from dpstack.dp.device import Device
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.dp_slave import DpSlave
@@ -28,8 +28,6 @@ from dpstack.ports import open_port
 from dpstack.sim.world import World
 from dpstack.trace import Event
 from dpstack.units import baud_text
-
-OnEvent = Callable[[Event], None]
 
 
 class ServedSlave:
@@ -283,9 +281,8 @@ class SlaveServer:
     def _on_events(self, events: list[Event]) -> None:
         for slave in self.slaves:
             slave.check()
-        if self.on_event is not None:
-            for event in events:
-                self.on_event(event)
+        for event in events:
+            hand_to(self.on_event, event)
 
     def _make_safe(self, why: BusError) -> None:
         for slave in self.slaves:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from types import TracebackType
 from typing import Final, Literal
 
 from dpstack.api.bench import Unit, rates_of, set_rate, station_status
 from dpstack.api.compose import ECHO, port_of
 from dpstack.api.config import AUTO, Config, rate_findings
+from dpstack.api.streams import OnEvent, hand_to
 from dpstack.dp.baud_watch import BaudState
 from dpstack.dp.device import Device
 from dpstack.dp.searching_port import PortBaudChanged, SearchingPort
@@ -82,7 +83,7 @@ class Simulation:
         if port == "virtual":
             raise ConfigError('port "virtual" has no other end; take "pty" or a device')
         #: called for every event, at once
-        self.on_event: Callable[[Event], None] | None = None
+        self.on_event: OnEvent | None = None
         if baud != AUTO and any(set_rate(slave) not in (None, baud) for slave in config.slaves):
             # stations of one port share its receiver: this one could not be deaf by itself
             raise ConfigError("; ".join(rate_findings(config, baud)))
@@ -222,9 +223,8 @@ class Simulation:
 
     def _on_events(self, events: list[Event]) -> None:
         self._was_found = self._was_found or any(isinstance(event, PortBaudChanged) for event in events)
-        if self.on_event is not None:
-            for event in events:
-                self.on_event(event)
+        for event in events:
+            hand_to(self.on_event, event)
 
     def _watched(self) -> bool:
         """Whether the watchdog of any slave runs."""

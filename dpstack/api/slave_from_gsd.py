@@ -9,8 +9,8 @@ from dpstack.api.gsd import read_gsd
 from dpstack.dp.device import Leave, OnCycle
 from dpstack.dp.dp_slave import DpSlave, OnAddress, OnIm, OnRead, OnTransport, OnWrite
 from dpstack.dp.slave_gsd import slave_description
+from dpstack.dp.v1.device_records import ImOf
 from dpstack.dp.v1.prm_blocks import PrmBlock
-from dpstack.dp.v1.serving import ImOf
 from dpstack.dp.v1.tickets import Records
 from dpstack.errors import ConfigError, GsdError
 from dpstack.gsd.configuration import configure, default_modules

@@ -6,39 +6,58 @@ import asyncio
 import contextlib
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterable, Iterator
-from typing import Final, Generic, TypeVar
+from typing import Final, Generic, Self, TypeVar
 
 from dpstack.drivers.seen import MasterSeen
 from dpstack.trace import Event
 
 T = TypeVar("T")
 
-#: Events kept for a reader that does not read.
+#: Events kept for a reader that does not read, and for one that comes later.
 DEPTH: Final = 1000
 
+OnEvent = Callable[[Event], None]
 
-class EventStream(AsyncIterator[Event]):
-    """An async iterator over events; bounded: the oldest are dropped and counted in ``dropped``. Ends with the bus."""
 
-    def __init__(self, backlog: Iterable[Event], forget: Callable[[EventStream], None]) -> None:
+class Stream(AsyncIterator[T]):
+    """An async iterator over what happens; bounded by ``depth``: the oldest are dropped and counted in ``dropped``."""
+
+    def __init__(self, depth: int, backlog: Iterable[T] = ()) -> None:
         self.dropped = 0
-        self._events: deque[Event] = deque(backlog, DEPTH)
-        self._forget = forget
+        self._waiting: deque[T] = deque(backlog, depth)
         self._more = asyncio.Event()
         self._ended = False
-        self._closed = False
 
-    def put(self, event: Event) -> None:
+    def put(self, item: T) -> None:
         """From the bus."""
-        if len(self._events) == DEPTH:
-            self.dropped += 1
-        self._events.append(event)
+        self.dropped += len(self._waiting) == self._waiting.maxlen
+        self._waiting.append(item)
         self._more.set()
 
     def end(self) -> None:
         """No more will come; what is there can still be read."""
         self._ended = True
         self._more.set()
+
+    def __aiter__(self) -> Self:
+        return self
+
+    async def __anext__(self) -> T:
+        while not self._waiting:
+            if self._ended:
+                raise StopAsyncIteration
+            self._more.clear()
+            await self._more.wait()
+        return self._waiting.popleft()
+
+
+class EventStream(Stream[Event]):
+    """Events of a bus, an async iterator. Ends with the bus."""
+
+    def __init__(self, backlog: Iterable[Event], forget: Callable[[EventStream], None]) -> None:
+        super().__init__(DEPTH, backlog)
+        self._forget = forget
+        self._closed = False
 
     def close(self) -> None:
         """The reader has had enough. May be repeated."""
@@ -47,16 +66,47 @@ class EventStream(AsyncIterator[Event]):
             self._forget(self)
         self.end()
 
-    def __aiter__(self) -> EventStream:
-        return self
 
-    async def __anext__(self) -> Event:
-        while not self._events:
-            if self._ended:
-                raise StopAsyncIteration
-            self._more.clear()
-            await self._more.wait()
-        return self._events.popleft()
+def hand_to(on_event: OnEvent | None, event: Event) -> None:
+    """``event`` to the application. What that raises is its own: no other event may be lost by it, no bus stopped."""
+    if on_event is not None:
+        try:
+            on_event(event)
+        except Exception as error:
+            told = {"message": f"on_event raised at {event.text!r}", "exception": error}
+            asyncio.get_running_loop().call_exception_handler(told)
+
+
+class Events:
+    """What happened, for everybody who wants to know: streams, and ``on_event`` at once. A stream begins with what
+    happened before it, as far as it was kept."""
+
+    def __init__(self, on_event: OnEvent | None) -> None:
+        self._on_event = on_event
+        self._history: deque[Event] = deque(maxlen=DEPTH)
+        self._streams: list[EventStream] = []
+        self._ended = False
+
+    def tell(self, event: Event) -> None:
+        """To all of them."""
+        self._history.append(event)
+        for stream in self._streams:
+            stream.put(event)
+        hand_to(self._on_event, event)
+
+    def stream(self) -> EventStream:
+        """One more."""
+        stream = EventStream(self._history, self._streams.remove)
+        self._streams.append(stream)
+        if self._ended:
+            stream.end()
+        return stream
+
+    def end(self) -> None:
+        """No stream has more to come."""
+        self._ended = True
+        for stream in self._streams:
+            stream.end()
 
 
 class Waiters:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, Final
 
 from dpstack.api.control.specs import Spec
 from dpstack.api.record_dump import RecordComparison, compared, list_of
-from dpstack.api.record_list import ListedValues, RecordList
+from dpstack.api.record_list import RecordList
 from dpstack.cli import output
 
 DUMP, COMPARE = "dump", "compare"
@@ -60,14 +60,9 @@ def _tell(told: Mapping[str, Any], path: str, found: RecordComparison) -> None:
     for difference in found.differences:
         output.line(output.visible(difference.text), "yellow")
     for why in dict.fromkeys(why for _, why in found.skipped):
-        labels = _labels([one for one, other in found.skipped if other == why])
+        labels = output.first_of([one.label for one, other in found.skipped if other == why])
         output.line(output.visible(f"not compared: {labels}: {why}"))
     output.line(f"{_who(told)}: {found.same} parameters are as in {path}, {len(found.differences)} differ")
-
-
-def _labels(params: Sequence[ListedValues]) -> str:
-    shown = ", ".join(one.label for one in params[:3])
-    return shown if len(params) <= 3 else f"{shown} and {len(params) - 3} more"
 
 
 def _head(told: Mapping[str, Any], word: str, path: str) -> dict[str, object]:

@@ -106,7 +106,8 @@ class Orders:
             output.line(difference.text, "yellow")
         reasons = [why for _, why in found.skipped]
         for why in dict.fromkeys(reasons):
-            output.line(f"not compared: {_names([one for one, other in found.skipped if other == why])}: {why}")
+            labels = output.first_of([one.label for one, other in found.skipped if other == why])
+            output.line(f"not compared: {labels}: {why}")
         output.line(f"{self._drive.name}: {found.same} parameters are as in {path}, {len(found.differences)} differ")
 
     def _json_line(self, word: str, path: str, **more: object) -> None:
@@ -162,11 +163,6 @@ def status_text(status: Mapping[str, Any]) -> str:
     speed = "" if status["speed"] is None else f" at {status['speed']:.1%} ({status['frequency_hz']:.1f} Hz)"
     wrong = [f"fault {name}" for name in status["faults"]] + [f"warning {name}" for name in status["warnings"]]
     return ", ".join([f"{status['state']}{speed}", f"set point {status['setpoint']:.1%}", *wrong])
-
-
-def _names(params: Sequence[SavedParam]) -> str:
-    shown = ", ".join(one.label for one in params[:3])
-    return shown if len(params) <= 3 else f"{shown} and {len(params) - 3} more"
 
 
 def _plain(one: SavedParam) -> dict[str, object]:

@@ -55,6 +55,12 @@ def visible(text: str) -> str:
     return "".join(letter if letter.isprintable() else f"\\x{ord(letter):02x}" for letter in text)
 
 
+def first_of(labels: Sequence[str], shown: int = 3) -> str:
+    """So many of ``labels``, and how many more there are."""
+    more = len(labels) - shown
+    return ", ".join(labels[:shown]) + (f" and {more} more" if more > 0 else "")
+
+
 def rich_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> Table:
     """A table as rich draws it."""
     table = Table(title=title or None, title_justify="left", title_style="bold")

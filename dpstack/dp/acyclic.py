@@ -14,16 +14,17 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from dpstack.dp import class2
-from dpstack.dp.class2_jobs import Job, Outcome, ServiceFailure, Step, Steps
+from dpstack.dp.acyclic_job import Job, Outcome, ServiceFailure, Step, Steps
 from dpstack.dp.events import SlaveState
 from dpstack.dp.master import Master
 from dpstack.dp.ms0 import positive
+from dpstack.dp.slave_handler import SlaveHandler
 from dpstack.dp.unheard import Unheard
 from dpstack.dp.v1 import units
 from dpstack.dp.v1.alarm_ack import ack_jobs
-from dpstack.dp.v1.alarm_events import AcknowledgeAlarm, HoldAlarms
-from dpstack.dp.v1.ms1 import SERVICE_TIMEOUT, Ms1
+from dpstack.dp.v1.ms1 import Ms1
 from dpstack.dp.v1.ms2 import Ms2
+from dpstack.dp.v1.times import SERVICE_TIMEOUT
 from dpstack.errors import UsageError
 from dpstack.fdl.telegram import SAP_SLAVE_DIAG, Telegram
 from dpstack.fdl.user import Failure, Request
@@ -104,14 +105,12 @@ class Acyclic:
 
     # --- orders -------------------------------------------------------------------------------------------------
     def command(self, command: object, now: int) -> bool:
-        """Take the orders of :mod:`dpstack.dp.class2`, :mod:`dpstack.dp.v1.ms1`, :mod:`dpstack.dp.v1.ms2_orders`, and
-        CancelService.
+        """Take the orders of :mod:`dpstack.dp.class2`, :mod:`dpstack.dp.v1.ms1`, :mod:`dpstack.dp.v1.alarm_events`,
+        :mod:`dpstack.dp.v1.ms2_orders`, and CancelService.
 
         Raises UsageError for what cannot be, or too much.
         """
         match command:
-            case class2.ReadService() | class2.ChangeAddress():
-                self._take(command.token, class2.job_of(command, self.own, self.master), command.timeout_ns, now)
             case CancelService(token):
                 for entry in [entry for entry in self._queue if entry.token == token]:
                     self._cut(entry, ServiceFailure.CANCELLED, "was cancelled", now)
@@ -123,18 +122,19 @@ class Acyclic:
                 self._ms2.line_down(reason, now)
                 self._take_wanted(now)
                 return False
-            case HoldAlarms(address, on):
-                self._ms1.hold(address, on, now)
-            case AcknowledgeAlarm(address, number):
-                self._ms1.acknowledge(address, number, now)
             case _:
-                order = self._ms1.job_of(command) or self._ms2.job_of(command, now)
+                order = self._job_of(command, now)
                 if order is not None:
                     self._take(*order, now)
-                elif not self._ms2.command(command, now):
+                elif not (self._ms1.command(command, now) or self._ms2.command(command, now)):
                     return False
         self._take_wanted(now)
         return True
+
+    def _job_of(self, command: object, now: int) -> tuple[int, Job, int] | None:
+        """Token, job and time-out of a service, whichever way it goes."""
+        order = class2.job_of(command, self.own, self.master)
+        return order or self._ms1.job_of(command) or self._ms2.job_of(command, now)
 
     def _take(self, token: int, job: Job, timeout_ns: int, now: int) -> None:
         if not self._room(job.lane):
@@ -175,12 +175,9 @@ class Acyclic:
         """The next request of the service that waited longest for a turn, of those that may go on."""
         if high_only or not self._turn:
             return None
-        for ack in ack_jobs(self._ms1, now):
-            self._put_first(self._entry(ACKS, ack, SERVICE_TIMEOUT, now))
-        # what a unit wants since the Data_Exchange of this hold goes out in the same one
-        for handler, queue in units.asking(self._ms1):
-            if self._room(handler.setup.address) and (job := units.unit_job(self._ms1, handler, queue)) is not None:
-                self._take(UNORDERED, job, SERVICE_TIMEOUT, now)
+        asking = self._ms1.asking()
+        if asking:
+            self._take_asked(asking, now)
         if self._ms2.connections:
             self._keep_alive(now)
         if not self._queue:
@@ -195,6 +192,14 @@ class Acyclic:
         self._asked = entry
         request = entry.step.request
         return request if request.patient else request._replace(patient=request.da in self._known)
+
+    def _take_asked(self, handlers: list[SlaveHandler], now: int) -> None:
+        """What a unit wants since the Data_Exchange of this hold goes out in the same one."""
+        for ack in ack_jobs(handlers, self._ms1, now):
+            self._put_first(self._entry(ACKS, ack, SERVICE_TIMEOUT, now))
+        for handler, queue in units.asking(handlers):
+            if self._room(handler.setup.address) and (job := units.unit_job(self._ms1, handler, queue)) is not None:
+                self._take(UNORDERED, job, SERVICE_TIMEOUT, now)
 
     def _keep_alive(self, now: int) -> None:
         self._ms2.clock.now = now
@@ -266,7 +271,9 @@ class Acyclic:
 
     def wake_at(self) -> int:
         """When the time of a service is over."""
-        services = min((min(entry.deadline, entry.answer_by) for entry in self._queue), default=NEVER)
+        services = NEVER
+        for entry in self._queue:
+            services = min(services, entry.deadline, entry.answer_by)
         return min(services, self._ms2.wake_at()) if self._ms2.connections else services
 
     def tick(self, now: int) -> None:

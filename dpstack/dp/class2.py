@@ -9,8 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
+from dpstack.dp.acyclic_job import Job
 from dpstack.dp.class2_address import AddressChange
-from dpstack.dp.class2_jobs import Job, Reading, Service
+from dpstack.dp.class2_jobs import Reading, Service
 from dpstack.dp.master import Master
 from dpstack.dp.pdu import SetSlaveAdd
 from dpstack.errors import PduError, UsageError
@@ -49,22 +50,26 @@ class ChangeAddress:
     timeout_ns: int = CHANGE_TIMEOUT
 
 
-def job_of(order: ReadService | ChangeAddress, own: int, master: Master | None) -> Job:
-    """What ``order`` asks the station ``own`` to do beside its own ``master``, if any. Raises UsageError."""
+def job_of(order: object, own: int, master: Master | None) -> tuple[int, Job, int] | None:
+    """Token, job and time-out in ns of what ``order`` asks the station ``own`` to do beside its own ``master``, if any.
+
+    None when it is none of class 2. Raises UsageError.
+    """
     match order:
-        case ReadService(_, address, service, expected, _):
+        case ReadService(token, address, service, expected, timeout_ns):
             if service is Service.SET_ADDRESS:
                 raise UsageError("Set_Slave_Add does not read: use ChangeAddress")
             _check(address, own)
-            return Reading(address, service, expected)
-        case ChangeAddress(_, old, new, ident, no_add_chg, rem_slave_data, _):
+            return token, Reading(address, service, expected), timeout_ns
+        case ChangeAddress(token, old, new, ident, no_add_chg, rem_slave_data, timeout_ns):
             _check(old, own)
             _check_new(old, new, own, master)
             try:
                 SetSlaveAdd(new, ident or 0, no_add_chg, rem_slave_data).build()
             except PduError as error:
                 raise UsageError(str(error)) from None
-            return AddressChange(own, old, new, ident, no_add_chg, rem_slave_data)
+            return token, AddressChange(own, old, new, ident, no_add_chg, rem_slave_data), timeout_ns
+    return None
 
 
 def _check(address: int, own: int) -> None:

@@ -11,20 +11,8 @@ from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import Final
 
-from dpstack.dp.class2_jobs import (
-    Outcome,
-    Service,
-    ServiceFailure,
-    Step,
-    Steps,
-    asked,
-    diagnosis_of,
-    done,
-    judged,
-    refused,
-    request,
-    unanswered,
-)
+from dpstack.dp.acyclic_job import Outcome, ServiceFailure, Step, Steps
+from dpstack.dp.class2_jobs import Service, asked, diagnosis_of, done, judged, refused, request, unanswered
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.judge import foreign_owner
 from dpstack.dp.ms0 import positive

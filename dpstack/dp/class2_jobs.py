@@ -1,17 +1,18 @@
 """What a class 2 master asks a slave, and what the answers mean; queue and token are :mod:`dpstack.dp.acyclic`.
 
-A job is a generator of :class:`Step`: it gives the next request and is sent what became of it. Its end is one
-:class:`Outcome`. Services of protocol facts B5 and B8: Slave_Diag and Get_Cfg are open in every state, RD_Inp and
-RD_Outp in data exchange, all of them to every master; none of these changes anything in the slave.
+What a job is, is said in :mod:`dpstack.dp.acyclic_job`. Services of protocol facts B5 and B8: Slave_Diag and Get_Cfg
+are open in every state, RD_Inp and RD_Outp in data exchange, all of them to every master; none of these changes
+anything in the slave.
 """
 
 from __future__ import annotations
 
-from collections.abc import Generator, Hashable
+from collections.abc import Hashable
 from dataclasses import dataclass
-from enum import Enum, IntEnum
-from typing import Final, NamedTuple, Protocol, TypeVar
+from enum import IntEnum
+from typing import Final
 
+from dpstack.dp.acyclic_job import ATTEMPTS, Job, Outcome, ServiceEnd, ServiceFailure, Step, Steps
 from dpstack.dp.diagnosis import FIXED_LEN, MAX_LEN, Diagnosis
 from dpstack.dp.ms0 import EMPTY_STATUS, SERVICE_NAMES, positive, refusal_text
 from dpstack.fdl.telegram import (
@@ -30,10 +31,6 @@ from dpstack.fdl.user import Failure, Request
 from dpstack.trace import Event
 from dpstack.units import NS_PER_MS
 
-T = TypeVar("T")
-
-#: three first requests and the probe with FCV = 1 that finds slaves which know nothing else (A4)
-ATTEMPTS: Final = 4
 _PAUSE: Final = 10 * NS_PER_MS
 #: "later": asked again; everything else that is negative is an answer
 _BUSY: Final = frozenset((int(Resp.UE), int(Resp.RR)))
@@ -55,106 +52,21 @@ class Service(IntEnum):
         return SERVICE_NAMES[self]
 
 
-class ServiceFailure(Enum):
-    """Why a service has no result."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ServiceDone(ServiceEnd):
+    """The one end of the service with ``token``."""
 
-    SILENT = "silent"  # no answer
-    UNREADABLE = "unreadable"  # octets came, no telegram
-    WRONG = "wrong"  # an answer that cannot be one
-    LENGTH = "length"  # an answer of an impossible length
-    REFUSED = "refused"  # the slave says no
-    GUARDED = "guarded"  # this bus is read-only
-    LATE = "late"  # not in the time given
-    LINE = "line"  # the port vanished
-    CANCELLED = "cancelled"  # nobody wants it any more
-    CLOSED = "closed"  # the slave is not in data exchange (any more)
-    NEGATIVE = "negative"  # a negative response of DP-V1
-    ABORTED = "aborted"  # its class 2 connection is over
-    IDENT = "ident"  # another device
-    OWNED = "owned"  # in the hands of a class 1 master
-    TAKEN = "taken"  # the new address is in use
-    KEPT = "kept"  # the slave did not take the new address
-    GONE = "gone"  # it answers neither at the old nor at the new address
-    DOUBLE = "double"  # it has the new address, and the old one still answers
-
-
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """The one end of a service: ``data`` of the answer, or ``failure`` with ``text`` that says what to do.
-
-    ``status``: how a refusing slave answered. ``codes``: Error_Decode, Error_Code_1 and 2 of a negative response, or
-    subnet, instance and reason of the Abort that ended its class 2 connection.
-    """
-
-    data: bytes = b""
-    failure: ServiceFailure | None = None
-    text: str = ""
-    status: str = ""
-    codes: tuple[int, int, int] | None = None
-
-
-class Step(NamedTuple):
-    """The next request of a job, not earlier than ``pause_ns`` after the last one's end.
-
-    ``within_ns``: from its start on the slave has so long for its answer; 0: nothing begins here.
-    """
-
-    request: Request
-    pause_ns: int = 0
-    within_ns: int = 0
-
-
-#: What a job is while it runs: the end of each request goes in, the result comes out.
-Steps = Generator[Step, "Telegram | Failure", T]
-
-
-class Job(Protocol):
-    """One service from its beginning to its one end."""
-
-    @property
-    def address(self) -> int:
-        """The slave it is about."""
+    service: Service
 
     @property
     def title(self) -> str:
-        """What is asked, by the standard's name."""
+        """The service's."""
+        return self.service.title
 
     @property
-    def lane(self) -> Hashable | None:
-        """Jobs of the same lane run one after the other, in the order they came."""
-
-    @property
-    def aftermath(self) -> str:
-        """What has to be said of it when it is cut short now; empty when nothing has happened to the slave."""
-
-    @property
-    def overdue(self) -> str:
-        """What is to be said where ``Step.within_ns`` is over; its title stands in front."""
-
-    def bar(self) -> str:
-        """Why it can never end any more; its title stands in front. Empty while it can. Asked in every token hold."""
-
-    def steps(self) -> Steps[Outcome]:
-        """Its requests, one after the other."""
-
-    def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:
-        """What is told of its one end, to whom ``token`` means something."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ServiceDone(Event):
-    """The one end of the service with ``token``."""
-
-    token: int
-    address: int
-    service: Service
-    outcome: Outcome
-
-    @property
-    def text(self) -> str:
-        """What came of it."""
-        done = f"slave {self.address}: {self.service.title}, {len(self.outcome.data)} octets"
-        return done if self.outcome.failure is None else self.outcome.text
+    def result(self) -> str:
+        """How many octets."""
+        return f"{self.title}, {len(self.outcome.data)} octets"
 
 
 def done(job: Job, service: Service, token: int, outcome: Outcome, now: int) -> list[Event]:

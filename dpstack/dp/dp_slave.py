@@ -12,10 +12,10 @@ from dpstack.dp.slave_description import SlaveDescription
 from dpstack.dp.user_diag import NO_DIAG, UserDiag
 from dpstack.dp.v1.alarm_server import AlarmServer
 from dpstack.dp.v1.connection import InitiateReq
+from dpstack.dp.v1.device_records import ByIndex, ImOf, ImRecords
 from dpstack.dp.v1.im import Im
 from dpstack.dp.v1.prm_blocks import PrmBlock
 from dpstack.dp.v1.records import PARAMETER_INDEX
-from dpstack.dp.v1.serving import ByIndex, ImOf, ImRecords
 from dpstack.dp.v1.tickets import Records
 from dpstack.errors import ConfigError
 from dpstack.gsd.identifiers import io_lengths

@@ -189,6 +189,11 @@ class ControlSent(Event):
     token: int
     missed: tuple[int, ...] = ()
 
+    @property
+    def owed(self) -> bool:
+        """To who ordered it."""
+        return True
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PictureTaken(Event):
@@ -196,6 +201,11 @@ class PictureTaken(Event):
 
     token: int
     inputs: dict[int, bytes]
+
+    @property
+    def owed(self) -> bool:
+        """To who ordered it."""
+        return True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -206,9 +216,19 @@ class ControlFailed(Event):
     reason: str
     address: int | None = None
 
+    @property
+    def owed(self) -> bool:
+        """To who ordered it."""
+        return True
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriveEvent(SlaveEvent):
     """A drive plugin's answer or message: ``payload`` is plain JSON data with a ``"type"`` key."""
 
     payload: dict[str, object]
+
+    @property
+    def owed(self) -> bool:
+        """The result of an order."""
+        return self.payload.get("type") == "result"

@@ -14,13 +14,12 @@ _NO_MORE: Final = "; further deviations are not told"
 
 
 class Findings:
-    """The last fault with its time (some slaves show it in one diagnosis only), and what was said already."""
+    """The last fault (some slaves show it in one diagnosis only), and what was said already."""
 
-    __slots__ = ("_address", "_emit", "_name", "_remarks", "_told", "fault", "fault_at")
+    __slots__ = ("_address", "_emit", "_name", "_remarks", "_told", "fault")
 
     def __init__(self, address: int, name: str, emit: Callable[[Event], None]) -> None:
         self.fault: Fault | None = None
-        self.fault_at = 0
         self._address = address
         self._name = name
         self._emit = emit
@@ -29,7 +28,7 @@ class Findings:
 
     def tell(self, fault: Fault, now: int) -> None:
         """Keep ``fault``; tell it when it is another than the last one."""
-        self.fault, self.fault_at = fault, now
+        self.fault = fault
         if fault.text != self._told:
             self._told = fault.text
             self._emit(SlaveFaulted(t_ns=now, address=self._address, name=self._name, fault=fault))

@@ -17,8 +17,9 @@ from dpstack.dp.slave_prm import Watchdog
 from dpstack.dp.slave_report import Report
 from dpstack.dp.slave_states import TABLE, AppEv, SlaveAppState
 from dpstack.dp.user_diag import NO_DIAG, UserDiag
-from dpstack.dp.v1.ms2_server import Ms2Server, least_send_timeout
-from dpstack.dp.v1.serving import Ms1Server
+from dpstack.dp.v1.ms1_server import Ms1Server
+from dpstack.dp.v1.ms2_server import Ms2Server
+from dpstack.dp.v1.times import least_send_timeout
 from dpstack.fdl.passive import LOWEST_TSDR
 
 #: of an application that is on no station

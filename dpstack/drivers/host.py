@@ -9,16 +9,11 @@ from functools import partial
 from time import monotonic_ns
 from typing import Final
 
-from dpstack.dp.class2_jobs import ServiceDone
 from dpstack.dp.commands import AddSlave, SendControl, Shutdown
 from dpstack.dp.cycle import CycleData
-from dpstack.dp.events import ControlFailed, ControlSent, DriveEvent, PictureTaken
 from dpstack.dp.image import SlaveImage
 from dpstack.dp.scanner import Scanner
 from dpstack.dp.survey import SurveyResult
-from dpstack.dp.v1.alarm_events import AlarmDone, AlarmRaised
-from dpstack.dp.v1.ms1 import RecordDone
-from dpstack.dp.v1.ms2_orders import ConnectionOver, ConnectionsClosed, InitiateDone, TransportDone
 from dpstack.drivers import plugins
 from dpstack.drivers.ending import Ending
 from dpstack.drivers.messages import (
@@ -63,29 +58,6 @@ _GRACE: Final = 200 * NS_PER_MS
 _CHUNK: Final = 65_536
 #: no more is read while so many orders wait
 _WAITING: Final = 32
-
-
-def _owed(event: Event) -> bool:
-    """Whether somebody waits for ``event``: as many as there were orders, so they need no bound of their own."""
-    if isinstance(event, DriveEvent):
-        return event.payload.get("type") == "result"
-    if isinstance(event, AlarmRaised):
-        return event.held
-    return isinstance(event, _OWED)
-
-
-_OWED: Final = (
-    AlarmDone,
-    ServiceDone,
-    RecordDone,
-    InitiateDone,
-    TransportDone,
-    ConnectionOver,
-    ConnectionsClosed,
-    ControlSent,
-    ControlFailed,
-    PictureTaken,
-)
 
 
 def _notice(text: str) -> Notice:
@@ -282,7 +254,7 @@ class Host:
         """Events, with what has changed by them. For an application that does not read: later."""
         self._publish()
         if self._outbox.full:
-            kept = [event for event in events if _owed(event)]
+            kept = [event for event in events if event.owed]
             self._dropped += len(events) - len(kept)
             if not kept and over is None:  # the last words come in any case
                 return

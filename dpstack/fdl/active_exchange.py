@@ -295,10 +295,9 @@ def timeout(link: Link, _: Telegram, now: int) -> None:
     if request.patient or request.function != Req.FDL_STATUS:
         station.timeouts += 1
         _owe(link, now)
-    else:  # nobody is known there: no fault, and an FDL status that comes late is as true as one in time
-        link.stats.silent_polls += 1
-        if not (station.answers or link.garbled):
-            del link.stats.stations[request.da]
+    elif not (station.answers or link.garbled):
+        # nobody is known there: no fault, and an FDL status that comes late is as true as one in time
+        del link.stats.stations[request.da]
     if _SERVICES[request.function].counted:
         link.fcb.given_up(request.da)
     if link.wrong:

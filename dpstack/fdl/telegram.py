@@ -91,13 +91,8 @@ class Telegram(NamedTuple):
 
     @property
     def is_request(self) -> bool:
-        """True for a request (FC bit 6)."""
+        """True for a request (FC bit 6); an answer has an FC without it, SC and the token have none."""
         return self.fc >= 0 and bool(self.fc & FC_REQUEST)
-
-    @property
-    def is_response(self) -> bool:
-        """True for an acknowledgement or response telegram with an FC; SC is told by its kind."""
-        return self.fc >= 0 and not self.fc & FC_REQUEST
 
     @property
     def function(self) -> int:
@@ -138,6 +133,5 @@ SAP_MS1_ALARM: Final = 50
 SAP_MS2_RM: Final = 49
 #: the master's own SAPs
 SSAP_MS0: Final = 62
-SSAP_MS1: Final = 51
 SSAP_MS2: Final = 50
 SSAP_MASTER_MASTER: Final = 54

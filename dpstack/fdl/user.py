@@ -200,7 +200,6 @@ class LinkStats:
     token_retries: int = 0  # token frames repeated because the next station was silent
     withdrawn: int = 0  # token holds ended because another station sent as a token holder does
     gap_polls: int = 0
-    silent_polls: int = 0  # FDL status asked by users where nobody was known to be, and nobody answered
     stray: int = 0  # telegrams nobody waited for
     late: int = 0
     garbled: int = 0  # answers of which only unreadable octets came

@@ -9,12 +9,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import TypeAlias
+from typing import Final, TypeAlias
 
 from dpstack.trace import Severity
+from dpstack.units import NS_PER_MS
 
 #: Allowed values: both ends of each range belong to it, a single value is a range of one.
 Ranges: TypeAlias = tuple[tuple[int, int], ...]
+#: response time-outs count in 10 ms
+_RESPONSE_UNIT: Final = 10 * NS_PER_MS
 
 
 def in_ranges(value: int, ranges: Ranges) -> bool:
@@ -262,6 +265,16 @@ class DpV1:
     prm_block_structure: bool = False
     prm_block_structure_required: bool = False
     ident_maintenance: bool = False
+
+    @property
+    def c1_response_ns(self) -> int:
+        """C1_Response_Timeout in ns, 0 where the file says nothing."""
+        return self.c1_response_timeout * _RESPONSE_UNIT
+
+    @property
+    def c2_response_ns(self) -> int:
+        """C2_Response_Timeout in ns, 0 where the file says nothing."""
+        return self.c2_response_timeout * _RESPONSE_UNIT
 
 
 @dataclass(frozen=True, slots=True)

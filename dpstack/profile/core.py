@@ -11,12 +11,11 @@ from collections.abc import Callable, Mapping
 from typing import Final
 
 from dpstack.dp.v1.unit_records import RecordQueue
-from dpstack.profile import lookup, motion
-from dpstack.profile.channel import CHANNEL_LEN, ParameterChannel, ParamKey
+from dpstack.profile import lookup, motion, param_orders
+from dpstack.profile.channel import CHANNEL_LEN, ParameterChannel
 from dpstack.profile.drive import TelegramSpec
 from dpstack.profile.jobs import Args, CommandError, Job, Steps
 from dpstack.profile.listing import ListedParam
-from dpstack.profile.many import read_many
 from dpstack.profile.orders import Orders
 from dpstack.profile.states import FAULTED, ControlTable, Goal, State
 from dpstack.profile.status import DriveStatus
@@ -24,7 +23,7 @@ from dpstack.profile.words import SPEED, Scale
 from dpstack.units import NS_PER_MS
 
 #: The orders every drive knows, with the ones that move it first.
-OPS: Final = (*motion.OPS, "speed", "frequency", "reached", "settled", "read_many", "read", "write")
+OPS: Final = (*motion.OPS, "speed", "frequency", "reached", "settled", *param_orders.OPS)
 
 _LEAST_NS: Final = 20 * NS_PER_MS
 _LOST: Final = "the drive left data exchange"
@@ -342,10 +341,8 @@ class DriveCore:
                 steps = motion.reached(self, self.now + args.timeout_ns(60.0), args.optional("tolerance"))
             case "settled":
                 steps = motion.told(self, self.now + args.timeout_ns(5.0))
-            case "read" | "write":
-                steps = self._parameter(op, args)
-            case "read_many":
-                steps = self._several(args)
+            case "read" | "write" | "read_many":
+                steps = param_orders.steps(self, op, args)
             case "cancel":
                 steps = self._cancel(args.integer("order"))
             case _:
@@ -367,28 +364,3 @@ class DriveCore:
         yield from ()
         self.set_speed(fraction)
         return {"value": fraction, "frequency_hz": fraction * self.reference_hz}
-
-    def _access(self) -> ParameterChannel:
-        if self.access is None:
-            raise CommandError("usage", f"{self.telegram.name} of {self.drive} has no parameter channel")
-        return self.access
-
-    def _several(self, args: Args) -> Steps[dict[str, object]]:
-        access, deadline = self._access(), self.now + args.timeout_ns(5.0)
-        keys = []
-        for one in args.tables("parameters"):
-            keys.append(ParamKey(one.name_or_number("number"), one.integer("data_set"), one.integer("index")))
-            one.done()
-        return self._many(access, keys, deadline)
-
-    @staticmethod
-    def _many(access: ParameterChannel, keys: list[ParamKey], deadline: int) -> Steps[dict[str, object]]:
-        return {"values": (yield from read_many(access, keys, deadline))}
-
-    def _parameter(self, op: str, args: Args) -> Steps[dict[str, object]]:
-        access = self._access()
-        deadline = self.now + args.timeout_ns(5.0)
-        number, data_set, index = args.name_or_number("number"), args.integer("data_set"), args.integer("index")
-        if op == "read":
-            return access.read(ParamKey(number, data_set, index), deadline)
-        return access.write(ParamKey(number, data_set, index, args.flag("ram")), args.number("value"), deadline)

@@ -158,7 +158,7 @@ def test_owned_by_another_master(world: WorldFactory) -> None:
         async with first:
             await first.ready()
             async with bus_of(RAW, world=w) as second:
-                joined = next(e for e in second._history if isinstance(e, RingJoined))
+                joined = next(e for e in second._events._history if isinstance(e, RingJoined))
                 assert 1 in joined.masters
                 with pytest.raises(dpstack.SlaveFault, match="is owned by master 1; it is never taken away"):
                     await second.slave(9).ready(5)
@@ -348,7 +348,7 @@ def test_a_reader_that_does_not_read_loses_the_oldest() -> None:
         async with bus_of(RAW) as bus:
             stream = bus.events()
             for n in range(2000):
-                bus._tell(Notice(t_ns=n, source="test", message=str(n)))
+                bus._events.tell(Notice(t_ns=n, source="test", message=str(n)))
             assert stream.dropped >= 1000
             stream.close()
             rest = [event async for event in stream]

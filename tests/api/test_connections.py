@@ -16,12 +16,12 @@ from ms2_kit import Ms2Server, ms2_in, served
 import dpstack
 from dpstack import AcyclicError, Connection, ConnectionEnded, Im0, ServiceRefused, SlaveFault, SlaveTimeout, UsageError
 from dpstack.api.config import make_config
-from dpstack.api.connection import send_timeout_of
 from dpstack.api.events import Severity, event_json, severity_of
 from dpstack.api.ms2_config import Ms2Limits
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.dp.acyclic import Acyclic
 from dpstack.dp.v1.ms2_orders import ConnectionOver
+from dpstack.dp.v1.times import least_send_timeout
 from dpstack.errors import BusError
 from dpstack.gsd.model import Device, DpV1
 from dpstack.profile.acyclic import Address, Values
@@ -340,7 +340,7 @@ def _with(config: SlaveConfig, device: Device) -> SlaveConfig:
 
 def test_send_timeouts_by_rate() -> None:
     rates = (12_000_000, 1_500_000, 500_000, 187_500, 9_600)
-    assert [send_timeout_of(rate) // 1_000_000 for rate in rates] == [1_000, 1_000, 2_000, 4_000, 4_000]
+    assert [least_send_timeout(rate) // 1_000_000 for rate in rates] == [1_000, 1_000, 2_000, 4_000, 4_000]
 
 
 def test_a_read_only_bus_opens_none() -> None:

@@ -12,8 +12,8 @@ from support import WorldFactory
 import dpstack
 from dpstack import AcyclicError, DpSlave, Im0, Im1, Im2, RecordRefused, SlaveDescription
 from dpstack.api.acyclic_words import carry_out
+from dpstack.dp.v1.device_records import RecordTable
 from dpstack.dp.v1.im import Im, Im3, number_of
-from dpstack.dp.v1.serving import RecordTable
 from dpstack.sim.world import World
 
 RIG = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True)

@@ -9,7 +9,7 @@ from api_kit import virtual
 
 import dpstack
 from dpstack import ParameterError, ParameterPlace, UsageError
-from dpstack.dp.v1.serving import ImRecords
+from dpstack.dp.v1.device_records import ImRecords
 from dpstack.dp.v1.tickets import Ticket
 from dpstack.errors import DriveError
 

@@ -144,6 +144,20 @@ def test_negative_answers(world: WorldFactory, index: int, code: tuple[int, int,
     assert ("on_read returned str, a record is bytes" in told) is (index == 12)
 
 
+def test_a_function_that_is_cancelled_inside_is_answered(world: WorldFactory) -> None:
+    async def cancelled(slot: int, index: int) -> bytes:
+        inner: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
+        inner.cancel()
+        return await inner
+
+    async def program(bus: dpstack.Bus, served: ServedSlave) -> None:
+        with pytest.raises(AcyclicError, match="read error"):
+            await bus.slave(9).read(1, 2)
+
+    told = rig(world(), program, slave=DpSlave(RIG, lambda outputs, elapsed: outputs, on_read=cancelled))
+    assert "its function failed (CancelledError: " in " ".join(told)
+
+
 def test_other_errors(world: WorldFactory) -> None:
     async def program(bus: dpstack.Bus, served: ServedSlave) -> None:
         slave = bus.slave(9)

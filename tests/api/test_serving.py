@@ -161,6 +161,31 @@ def test_outputs_are_safe_however_serving_ends(world: WorldFactory, how: str) ->
     virtual(program(world()))
 
 
+def test_a_handler_that_raises_loses_no_event_and_does_not_stop_the_slave(world: WorldFactory) -> None:
+    seen: list[str] = []
+    told: list[str] = []
+
+    def on_event(event: dpstack.Event) -> None:
+        seen.append(event.text)
+        raise ZeroDivisionError
+
+    async def program(w: World) -> None:
+        asyncio.get_running_loop().set_exception_handler(lambda _, context: told.append(context["message"]))
+        async with (
+            dpstack.serve_slave(DpSlave(RIG, mirror), world=w, address=9, on_event=on_event) as server,
+            bus_of(RIG.table(9), world=w) as bus,
+        ):
+            await bus.operate()
+            await server.slave.reached(DATA_EXCH, timeout=2)
+            server.slave.restart()
+            await bus.until(lambda: bus.slave(9).state is dpstack.SlaveState.DATA_EXCHANGE, 2)
+            assert server.slave.state is DATA_EXCH
+
+    virtual(program(world()))
+    assert told == [f"on_event raised at {text!r}" for text in seen]
+    assert len(told) > 4
+
+
 def test_an_address_by_set_slave_add_is_kept_by_the_application(world: WorldFactory) -> None:
     kept: list[tuple[int, bool, bytes]] = []
     events: list[object] = []

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import json
-import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from api_kit import slave_in
+from cli_kit import acyclic as run
 
 import dpstack
 from dpstack import DpSlave, Im0, Im1, SlaveDescription
@@ -18,9 +17,8 @@ from dpstack.api.config import Config
 from dpstack.api.control.programs import control_run
 from dpstack.api.control.records import through_run
 from dpstack.cli import acyclic
-from dpstack.cli.main import main
 from dpstack.dp.mirror import MirrorDevice
-from dpstack.dp.v1.serving import RecordTable
+from dpstack.dp.v1.device_records import RecordTable
 from dpstack.errors import AcyclicError, UsageError
 
 Out = pytest.CaptureFixture[str]
@@ -46,12 +44,7 @@ config = "10 20"
 """
 
 
-@pytest.fixture(autouse=True)
-def alone(monkeypatch: pytest.MonkeyPatch, runtime_directory: str) -> Iterator[None]:
-    """No run of another test is there."""
-    with tempfile.TemporaryDirectory(prefix="d", dir=runtime_directory) as path:
-        monkeypatch.setenv("XDG_RUNTIME_DIR", path)
-        yield
+pytestmark = pytest.mark.usefixtures("alone")
 
 
 @pytest.fixture
@@ -79,12 +72,6 @@ def open_bus(config: Config, on_event: OnEvent | None = None) -> dpstack.Bus:
     slave_in(made, rig(), 8)
     slave_in(made, MirrorDevice(0x1234, b"\x10\x20"), 9)
     return dpstack.open_bus(config, on_event=on_event, world=made)
-
-
-def run(capsys: Out, *args: str, code: int = 0) -> tuple[str, str]:
-    assert main(["acyclic", *args]) == code, capsys.readouterr()
-    printed = capsys.readouterr()
-    return printed.out, printed.err
 
 
 # -- as master in the foreground -----------------------------------------------------------------------------------

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -42,12 +40,7 @@ config = "20 10"
 """
 
 
-@pytest.fixture(autouse=True)
-def alone(monkeypatch: pytest.MonkeyPatch, runtime_directory: str) -> Iterator[None]:
-    """No run of another test is there."""
-    with tempfile.TemporaryDirectory(prefix="d", dir=runtime_directory) as path:
-        monkeypatch.setenv("XDG_RUNTIME_DIR", path)
-        yield
+pytestmark = pytest.mark.usefixtures("alone")
 
 
 @pytest.fixture

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import json
-import tempfile
 import tomllib
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from api_kit import slave_in
+from cli_kit import acyclic as run
 
 import dpstack
 from dpstack import DpSlave, SlaveDescription
@@ -19,7 +18,6 @@ from dpstack.api.config import Config
 from dpstack.api.control.programs import control_run
 from dpstack.api.control.records import through_run
 from dpstack.cli import acyclic
-from dpstack.cli.main import main
 from dpstack.profile.acyclic import (
     Address,
     Description,
@@ -95,12 +93,7 @@ class Device:
         return ErrorValue(1)
 
 
-@pytest.fixture(autouse=True)
-def alone(monkeypatch: pytest.MonkeyPatch, runtime_directory: str) -> Iterator[None]:
-    """No run of another test is there."""
-    with tempfile.TemporaryDirectory(prefix="d", dir=runtime_directory) as path:
-        monkeypatch.setenv("XDG_RUNTIME_DIR", path)
-        yield
+pytestmark = pytest.mark.usefixtures("alone")
 
 
 @pytest.fixture
@@ -125,12 +118,6 @@ def open_bus(device: Device, config: Config, on_event: OnEvent | None = None) ->
     slave.serve_records(TimedRecords(ParameterServer(device), lambda at: 0))
     slave_in(world, slave, 8)
     return dpstack.open_bus(config, on_event=on_event, world=world)
-
-
-def run(capsys: Out, *args: str, code: int = 0) -> tuple[str, str]:
-    assert main(["acyclic", *args]) == code, capsys.readouterr()
-    printed = capsys.readouterr()
-    return printed.out, printed.err
 
 
 FILE = """\

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import json
 import signal
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -61,12 +60,7 @@ drive = "ls-s100"
 """
 
 
-@pytest.fixture(autouse=True)
-def alone(monkeypatch: pytest.MonkeyPatch, runtime_directory: str) -> Iterator[None]:
-    """No run of another test is on "virtual"."""
-    with tempfile.TemporaryDirectory(prefix="d", dir=runtime_directory) as path:
-        monkeypatch.setenv("XDG_RUNTIME_DIR", path)
-        yield
+pytestmark = pytest.mark.usefixtures("alone")
 
 
 @pytest.fixture

@@ -19,8 +19,9 @@ from support import MS, S, WorldFactory
 
 from bench.acyclic_plant import Answers, AnswersAtOnce, RecordDevice
 from dpstack.dp.acyclic import Acyclic
+from dpstack.dp.acyclic_job import ServiceFailure
 from dpstack.dp.class2 import ReadService
-from dpstack.dp.class2_jobs import Service, ServiceDone, ServiceFailure
+from dpstack.dp.class2_jobs import Service, ServiceDone
 from dpstack.dp.commands import Mode, SetMode
 from dpstack.dp.events import SlaveState
 from dpstack.dp.master import Master

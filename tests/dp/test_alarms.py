@@ -8,8 +8,9 @@ import pytest
 from alarm_kit import ALL, AlarmBus, AlarmSlave, block
 from ms1_kit import setup
 
+from dpstack.dp.acyclic_job import ServiceFailure
 from dpstack.dp.class2 import ReadService
-from dpstack.dp.class2_jobs import Service, ServiceFailure
+from dpstack.dp.class2_jobs import Service
 from dpstack.dp.commands import Mode, ReparameteriseSlave, SetMode
 from dpstack.dp.events import SlaveState
 from dpstack.dp.v1.alarm_handler import MAX_OPEN

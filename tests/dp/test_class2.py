@@ -9,8 +9,9 @@ from octet_slave import NR, RR, RS, UE, OctetSlave, sd1, sd2
 from support import WorldFactory
 
 from dpstack.dp.acyclic import CAPACITY, Acyclic, CancelService
+from dpstack.dp.acyclic_job import ServiceFailure
 from dpstack.dp.class2 import ReadService
-from dpstack.dp.class2_jobs import Service, ServiceDone, ServiceFailure
+from dpstack.dp.class2_jobs import Service, ServiceDone
 from dpstack.dp.commands import Mode, SetMode
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.events import SlaveDiagnosis, SlaveStateChanged

@@ -9,8 +9,9 @@ from octet_slave import RS, OctetSlave, sd1
 from support import WorldFactory
 
 from dpstack.dp.acyclic import Acyclic
+from dpstack.dp.acyclic_job import Outcome, ServiceFailure
 from dpstack.dp.class2 import ChangeAddress
-from dpstack.dp.class2_jobs import Outcome, ServiceDone, ServiceFailure
+from dpstack.dp.class2_jobs import ServiceDone
 from dpstack.dp.mirror import MirrorDevice
 from dpstack.dp.reading import reading_only
 from dpstack.dp.slaveapp import SlaveApp

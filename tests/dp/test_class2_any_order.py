@@ -12,8 +12,9 @@ from octet_slave import RR, RS, SC, OctetSlave, Say, sd1, sd2
 from property_kit import examples
 
 from dpstack.dp.acyclic import CancelService
+from dpstack.dp.acyclic_job import ServiceFailure
 from dpstack.dp.class2 import ChangeAddress, ReadService
-from dpstack.dp.class2_jobs import Service, ServiceFailure
+from dpstack.dp.class2_jobs import Service
 from dpstack.errors import UsageError
 from dpstack.fdl.commands import GoOffline, GoOnline
 from dpstack.machine import LineDown, LineUp

@@ -7,8 +7,9 @@ from ms1_kit import MS, Ms1Bus, OctetMs1Slave, answer, status
 from octet_slave import NR, RR, RS, SC, UE
 
 from dpstack.dp.acyclic import CAPACITY, CancelService
+from dpstack.dp.acyclic_job import ServiceFailure
 from dpstack.dp.class2 import ReadService
-from dpstack.dp.class2_jobs import Service, ServiceDone, ServiceFailure
+from dpstack.dp.class2_jobs import Service, ServiceDone
 from dpstack.dp.commands import Mode, RemoveSlave, SetMode
 from dpstack.dp.v1.ms1 import ReadRecord, RecordDone, WriteRecord
 from dpstack.dp.v1.status import Dpv1

@@ -14,8 +14,8 @@ from dpstack.dp.master import Master
 from dpstack.dp.mirror import MirrorDevice
 from dpstack.dp.setup import SlaveSetup
 from dpstack.dp.slaveapp import make_slave
+from dpstack.dp.v1.device_records import RecordTable
 from dpstack.dp.v1.ms1 import ReadRecord, RecordDone
-from dpstack.dp.v1.serving import RecordTable
 from dpstack.dp.v1.status import Dpv1
 from dpstack.fdl.active import ActiveStation
 from dpstack.fdl.commands import GoOnline

@@ -7,9 +7,9 @@ from slave_kit import CFG, MASTER, OTHER, PRM, UNLOCK, Bench, Recorder
 
 from dpstack.dp.slaveapp import SlaveAppState
 from dpstack.dp.v1.codes import Code
+from dpstack.dp.v1.device_records import ImRecords, RecordTable
 from dpstack.dp.v1.im import Im, Im0, Im1, Im3
 from dpstack.dp.v1.records import WriteReq
-from dpstack.dp.v1.serving import ImRecords, RecordTable
 from dpstack.dp.v1.tickets import Records, Ticket
 from dpstack.errors import RecordRefused
 from dpstack.fdl.telegram import Resp

@@ -13,7 +13,7 @@ from octet_slave import NR, RR, RS, UE
 from property_kit import examples
 
 from dpstack.dp.acyclic import CancelService
-from dpstack.dp.class2_jobs import ServiceFailure
+from dpstack.dp.acyclic_job import ServiceFailure
 from dpstack.dp.v1.ms1 import RecordDone
 from dpstack.dp.v1.ms2_orders import (
     CloseConnection,

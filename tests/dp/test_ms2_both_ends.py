@@ -15,7 +15,7 @@ from property_kit import examples
 from support import wire_log
 
 from dpstack.dp.acyclic import Acyclic, CancelService
-from dpstack.dp.class2_jobs import ServiceFailure
+from dpstack.dp.acyclic_job import ServiceFailure
 from dpstack.dp.commands import Mode, SetMode
 from dpstack.dp.events import SlaveState
 from dpstack.dp.master import Master

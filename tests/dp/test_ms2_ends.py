@@ -6,7 +6,7 @@ import pytest
 from ms2_kit import MS, Ms2Bus, served
 from ring_bus import Sent
 
-from dpstack.dp.class2_jobs import ServiceFailure
+from dpstack.dp.acyclic_job import ServiceFailure
 from dpstack.dp.v1.ms1 import RecordDone
 from dpstack.dp.v1.ms2_orders import (
     CloseConnection,

@@ -7,7 +7,7 @@ from ms2_kit import DL, MS, SC, Ms2Bus, sd2
 from ring_bus import Sent
 
 from dpstack.dp.acyclic import CancelService
-from dpstack.dp.class2_jobs import ServiceFailure
+from dpstack.dp.acyclic_job import ServiceFailure
 from dpstack.dp.reading import reading_only
 from dpstack.dp.v1.ms2_orders import (
     CloseConnection,

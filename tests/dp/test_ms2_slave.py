@@ -19,10 +19,10 @@ from octet_wire import MS
 from slave_kit import CFG, PRM, Recorder
 
 from dpstack.dp.slaveapp import SlaveAppState
+from dpstack.dp.v1.device_records import ImRecords
 from dpstack.dp.v1.im import Im0, Im1
-from dpstack.dp.v1.ms2_server import least_send_timeout
-from dpstack.dp.v1.serving import ImRecords
 from dpstack.dp.v1.tickets import Ticket, TransportTicket
+from dpstack.dp.v1.times import least_send_timeout
 from dpstack.errors import ConfigError, RecordRefused
 
 # --- the sequence ---------------------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ from slave_kit import CFG, DATA_EXCH, KEEP, MASTER, OTHER, PRM, UNLOCK, WAIT_PRM
 from dpstack.dp.slave_states import ACCESS
 from dpstack.dp.slaveapp import SlaveApp, SlaveAppState
 from dpstack.dp.v1.alarm_server import AlarmServer, AlarmSupport
-from dpstack.dp.v1.serving import RecordTable
+from dpstack.dp.v1.device_records import RecordTable
 from dpstack.fdl.telegram import Req, Resp
 from dpstack.fdl.user import RS_REPLY, SC_REPLY, Reply
 

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from property_kit import examples
 
-from dpstack.dp.class2_jobs import Outcome, ServiceFailure
+from dpstack.dp.acyclic_job import Outcome, ServiceFailure
 from dpstack.dp.commands import AddSlave, ReparameteriseSlave
 from dpstack.dp.diag_texts import DiagTexts
 from dpstack.dp.setup import SlaveSetup

@@ -102,7 +102,9 @@ def befall(ring: FireRing, pool: list[int], trouble: Trouble) -> None:
             ring.drop_tokens(times)
         case "late_answers":
             world.faults.delay(
-                lambda tx: tx.telegram is not None and tx.telegram.is_response, ring.params.ns(bits % 600), times=times
+                lambda tx: tx.telegram is not None and tx.telegram.fc >= 0 and not tx.telegram.is_request,
+                ring.params.ns(bits % 600),
+                times=times,
             )
         case "deaf":
             world.silence(ring.masters[victim], ring.params.ns(bits), deaf=True)

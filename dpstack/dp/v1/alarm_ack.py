@@ -6,9 +6,9 @@ the response it may still have (:class:`~dpstack.dp.v1.ms1_job.Ms1Job`).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
-from dpstack.dp.class2_jobs import Outcome, ServiceFailure
+from dpstack.dp.acyclic_job import Outcome, ServiceFailure
 from dpstack.dp.slave_handler import SlaveHandler
 from dpstack.dp.v1.alarm_handler import AlarmHandler, OpenAlarm
 from dpstack.dp.v1.alarms import HEAD, AlarmAck
@@ -77,9 +77,9 @@ class AckJob(Ms1Job):
         return []
 
 
-def ack_jobs(ms1: Ms1, now: int) -> Iterator[AckJob]:
+def ack_jobs(handlers: Iterable[SlaveHandler], ms1: Ms1, now: int) -> Iterator[AckJob]:
     """The acknowledgements that are due: one at a time for each slave."""
-    for handler in ms1.speaking():
+    for handler in handlers:
         alarms = handler.alarms
         known = None if alarms is None else alarms.next_ack(handler.exchanges, now)
         if alarms is not None and known is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from dpstack.dp.class2_jobs import Outcome
+from dpstack.dp.acyclic_job import Outcome
 from dpstack.dp.diag_texts import DiagTexts, texts_of
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.events import SlaveEvent
@@ -43,6 +43,11 @@ class AlarmRaised(SlaveEvent):
     texts: tuple[str, ...] = ()
 
     @property
+    def owed(self) -> bool:
+        """The slave waits for its acknowledgement."""
+        return self.held
+
+    @property
     def text(self) -> str:
         """One line: the alarm, its data, and what came with it."""
         return "; ".join((f"slave {self.address} ({self.name}): {self.alarm.told}", *self.texts))
@@ -54,6 +59,11 @@ class AlarmDone(SlaveEvent):
 
     number: int
     outcome: Outcome
+
+    @property
+    def owed(self) -> bool:
+        """To who holds the alarm."""
+        return True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -33,7 +33,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final
 
-from dpstack.dp.class2_jobs import Outcome, ServiceFailure
+from dpstack.dp.acyclic_job import Outcome, ServiceFailure
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.ext_diagnosis import DeviceBlock
 from dpstack.dp.findings import Findings
@@ -260,8 +260,14 @@ class AlarmHandler:
         """The slave gave no answer to a request of any service, after so many ``exchanges``."""
         self._unsure = self._unsure or exchanges == self._read_after
 
+    @property
+    def busy(self) -> bool:
+        """There is something to be looked at by :meth:`next_ack`, now or later."""
+        return bool(self._open) or self._settling.look_at != NEVER
+
     def next_ack(self, exchanges: int, now: int) -> OpenAlarm | None:
-        """The alarm to be acknowledged now; asked in every token hold. One at a time, in the order they came."""
+        """The alarm to be acknowledged now: one at a time, in the order they came. For every token hold while
+        :attr:`busy`."""
         if self._settling.look_at <= now:
             self._settling.look_at = NEVER
             self._ask(now)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from enum import Enum
 from typing import Final
 
-from dpstack.dp.class2_jobs import Outcome, ServiceFailure
+from dpstack.dp.acyclic_job import Outcome, ServiceFailure
 from dpstack.dp.ms0 import DATA_STATUS
 from dpstack.dp.v1.codes import Decode, remedy
 from dpstack.dp.v1.connection import DataTransport
@@ -13,7 +13,6 @@ from dpstack.dp.v1.records import Function, Negative, ReadReq, ReadRes, RecordRe
 from dpstack.errors import PduError
 from dpstack.fdl.telegram import Kind, Resp, Telegram
 from dpstack.fdl.user import Failure
-from dpstack.units import NS_PER_MS
 
 Service = RecordReq | DataTransport
 
@@ -23,10 +22,6 @@ NOT_YET: Final = frozenset((int(Resp.OK), int(Resp.NR)))
 NOT_NOW: Final = frozenset((int(Resp.RR), int(Resp.UE)))
 #: old data are given away, and the request was not taken (A3)
 NOT_TAKEN: Final = frozenset((int(Resp.RDL), int(Resp.RDH)))
-BUSY_PAUSE: Final = 10 * NS_PER_MS
-#: so many polls in as many token holds, then with pauses that grow up to the last
-EAGER: Final = 4
-PAUSES: Final = (NS_PER_MS, 2 * NS_PER_MS, 5 * NS_PER_MS, 10 * NS_PER_MS)
 
 #: what a service without any answer that can be used is called
 NO_ANSWERS: Final = {
@@ -55,11 +50,6 @@ def said(answer: Telegram) -> Said:
     if answer.function in NOT_YET | DATA_STATUS:
         return Said.WAIT
     return Said.AGAIN if answer.function in NOT_NOW | NOT_TAKEN else Said.CLOSED
-
-
-def pause_before(polls: int) -> int:
-    """Before the next poll, in ns, after ``polls`` of them."""
-    return 0 if polls < EAGER else PAUSES[min(polls - EAGER, len(PAUSES) - 1)]
 
 
 def function_of(service: Service) -> Function:

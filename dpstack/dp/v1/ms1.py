@@ -13,22 +13,22 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Final
 
-from dpstack.dp.class2_jobs import Job, Outcome
+from dpstack.dp.acyclic_job import Job, Outcome, ServiceEnd
 from dpstack.dp.commands import Mode
 from dpstack.dp.events import SlaveState
 from dpstack.dp.master import Master
 from dpstack.dp.slave_handler import SlaveHandler
+from dpstack.dp.v1.alarm_events import AcknowledgeAlarm, HoldAlarms
 from dpstack.dp.v1.judging import service_outcome, title_of
 from dpstack.dp.v1.ms1_job import Ms1Job, Owed
 from dpstack.dp.v1.records import MAX_RECORD, Function, ReadReq, RecordReq, WriteReq
+from dpstack.dp.v1.times import SERVICE_TIMEOUT
+from dpstack.dp.v1.unit_records import queue_at
 from dpstack.errors import PduError, UsageError
 from dpstack.fdl.telegram import Telegram
 from dpstack.fdl.user import Failure
 from dpstack.trace import Event
-from dpstack.units import NS_PER_S
 
-#: from the order to the end, the time that others take included
-SERVICE_TIMEOUT: Final = 10 * NS_PER_S
 _HEAD: Final = 4
 
 
@@ -60,42 +60,48 @@ class WriteRecord:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RecordDone(Event):
+class RecordDone(ServiceEnd):
     """The one end of the Read or Write with ``token``; the data read are in ``outcome``.
 
     ``stale``: answers to other requests that came before it.
     """
 
-    token: int
-    address: int
     write: bool
     slot: int
     index: int
-    outcome: Outcome
     stale: int = 0
 
     @property
-    def service(self) -> str:
+    def title(self) -> str:
         """Read or Write."""
         return (Function.WRITE if self.write else Function.READ).title
 
     @property
-    def text(self) -> str:
-        """What came of it."""
-        if self.outcome.failure is not None:
-            return self.outcome.text
-        where = f"slave {self.address}: {self.service} of slot {self.slot}, index {self.index}"
+    def result(self) -> str:
+        """How many octets of which record."""
+        where = f"{self.title} of slot {self.slot}, index {self.index}"
         return f"{where} done" if self.write else f"{where}, {len(self.outcome.data)} octets"
 
 
 @dataclass(slots=True)
 class Ms1:
-    """Makes jobs of orders. ``master``: whose slaves they are for."""
+    """MS1 of the station ``own``: jobs of orders, the alarms. ``master``: whose slaves they are for."""
 
     own: int
     master: Master | None
     #: answers to services which are over, by lane
     owed: dict[int, Owed] = field(default_factory=dict)
+
+    def command(self, order: object, now: int) -> bool:
+        """HoldAlarms and AcknowledgeAlarm. Raises UsageError as for a service."""
+        match order:
+            case HoldAlarms(address, on):
+                self._hold(address, on, now)
+            case AcknowledgeAlarm(address, number):
+                self._acknowledge(address, number, now)
+            case _:
+                return False
+        return True
 
     def job_of(self, order: object) -> tuple[int, Job, int] | None:
         """Token, job and time-out in ns of ``order``; None when it is none for MS1. Raises UsageError."""
@@ -112,9 +118,15 @@ class Ms1:
             raise UsageError(str(error)) from None
         return token, RecordJob(request, octets, self.handler(address), self), timeout_ns
 
-    def speaking(self) -> list[SlaveHandler]:
-        """Those that are parameterised for DP-V1."""
-        return [] if self.master is None else [h for h in self.master.handlers.values() if h.alarms is not None]
+    def asking(self) -> list[SlaveHandler]:
+        """Slaves with DP-V1 that have alarms, or whose cyclic unit wants something. Asked in every token hold."""
+        if self.master is None:
+            return []
+        return [
+            handler
+            for handler in self.master.handlers.values()
+            if handler.alarms is not None and (handler.alarms.busy or queue_at(handler.image.unit))
+        ]
 
     def slave(self, address: int) -> SlaveHandler:
         """The slave's, whatever it is parameterised for. Raises UsageError."""
@@ -142,7 +154,7 @@ class Ms1:
             if handler is not None and handler.alarms is not None:
                 handler.alarms.missed(handler.exchanges)
 
-    def hold(self, address: int, on: bool, now: int) -> None:
+    def _hold(self, address: int, on: bool, now: int) -> None:
         """Who acknowledges the slave's alarms. Raises UsageError, ``on`` also as for a service."""
         handler = self.handler(address) if on else self.slave(address)
         handler.alarm_book.hold = on
@@ -151,7 +163,7 @@ class Ms1:
             if handler.alarms is not None:
                 handler.alarms.release(now)
 
-    def acknowledge(self, address: int, number: int, now: int) -> None:
+    def _acknowledge(self, address: int, number: int, now: int) -> None:
         """An alarm of the slave; one that is over is no error. Raises UsageError."""
         handler = self.slave(address)
         handler.alarm_book.untaken.discard(number)

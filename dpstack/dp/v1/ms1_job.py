@@ -13,29 +13,19 @@ sources are silent:
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
-from dpstack.dp.class2_jobs import ATTEMPTS, Outcome, ServiceFailure, Step, Steps
-from dpstack.dp.ms0 import DATA_STATUS, refusal_text
+from dpstack.dp.acyclic_job import ATTEMPTS, Outcome, ServiceFailure, Step, Steps
+from dpstack.dp.ms0 import refusal_text
 from dpstack.dp.slave_handler import SlaveHandler
-from dpstack.dp.v1.judging import (
-    BUSY_PAUSE,
-    NO_ANSWERS,
-    NOT_NOW,
-    NOT_TAKEN,
-    NOT_YET,
-    PAUSES,
-    pause_before,
-)
-from dpstack.fdl.telegram import SAP_MS1, Kind, Req, Telegram
+from dpstack.dp.v1.judging import NO_ANSWERS, NOT_TAKEN, Said, said
+from dpstack.dp.v1.times import BUSY_PAUSE, RESPONSE_TIMEOUT, pause_before, polls_within
+from dpstack.fdl.telegram import SAP_MS1, Req, Telegram
 from dpstack.fdl.user import Failure, Request
-from dpstack.units import NS_PER_S, ns_to_s
+from dpstack.units import ns_to_s
 
 if TYPE_CHECKING:
     from dpstack.dp.v1.ms1 import Ms1
-
-#: where the GSD file has no C1_Response_Timeout
-RESPONSE_TIMEOUT: Final = NS_PER_S
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,18 +102,17 @@ class Ms1Job:
                 if answer is Failure.REFUSED or not self.repeats or unanswered == ATTEMPTS:
                     return self._unanswered(answer)
                 continue
-            self._busy = answer.function in NOT_NOW
-            if answer.kind is Kind.SC or answer.function in NOT_YET:
-                break
-            if answer.function in DATA_STATUS:
-                outcome = self._told(answer.data)
+            heard, old = said(answer), answer.function in NOT_TAKEN
+            self._busy = heard is Said.AGAIN and not old
+            if old:
+                self.stale += 1
+            elif heard is Said.CLOSED:
+                return self._refused(answer)
+            elif heard is not Said.AGAIN:
+                outcome = self._told(answer.data) if heard is Said.DATA else None
                 if outcome is not None:
                     return outcome
-                break
-            if answer.function not in NOT_NOW and answer.function not in NOT_TAKEN:
-                return self._refused(answer)
-            self.stale += answer.function in NOT_TAKEN
-        return (yield from self._polled())
+                return (yield from self._polled())
 
     def _polled(self) -> Steps[Outcome]:
         poll = self._srd(b"")
@@ -137,13 +126,15 @@ class Ms1Job:
                     return self._unanswered(answer)
                 continue
             unanswered = 0
-            if answer.kind is Kind.SC or answer.function in NOT_YET or answer.function in NOT_NOW:
-                continue
-            if answer.function not in DATA_STATUS and answer.function not in NOT_TAKEN:
-                return self._refused(answer)
-            outcome = self._told(answer.data)
-            if outcome is not None:
-                return outcome
+            match said(answer):
+                case Said.CLOSED:
+                    return self._refused(answer)
+                case Said.DATA:
+                    outcome = self._told(answer.data)
+                    if outcome is not None:
+                        return outcome
+                case _:
+                    pass
 
     def _fetch_owed(self) -> Steps[None]:
         owed = self._ms1.owed  # until it is fetched, also where this service is cut short meanwhile
@@ -151,7 +142,7 @@ class Ms1Job:
         if debt is None or debt.since != self._since:
             return
         poll = self._srd(b"")
-        for polls in range(self._limit_ns // PAUSES[-1] + 1):
+        for polls in range(polls_within(self._limit_ns)):
             answer = yield Step(poll, pause_before(polls))
             if isinstance(answer, Telegram) and answer.data:
                 if not debt.job.late(answer.data):
@@ -187,8 +178,6 @@ class Ms1Job:
         raise NotImplementedError
 
     def _told(self, octets: bytes) -> Outcome | None:
-        if not octets:
-            return None
         outcome = self.judged(octets)
         if outcome is None:
             self.stale += 1

@@ -21,7 +21,7 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
-from dpstack.dp.class2_jobs import Job
+from dpstack.dp.acyclic_job import Job
 from dpstack.dp.master import Master
 from dpstack.dp.v1.connection import Abort, Address, DataTransport, InitiateReq
 from dpstack.dp.v1.judging import Service

@@ -17,18 +17,17 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final, NamedTuple
 
-from dpstack.dp.class2_jobs import Outcome, ServiceFailure, Step, Steps
+from dpstack.dp.acyclic_job import Outcome, ServiceFailure, Step, Steps
 from dpstack.dp.ms0 import refusal_text
 from dpstack.dp.v1.connection import HEAD, Abort, AbortReason, Instance
-from dpstack.dp.v1.judging import BUSY_PAUSE, NO_ANSWERS, NOT_TAKEN, Said, pause_before, said
+from dpstack.dp.v1.judging import NO_ANSWERS, NOT_TAKEN, Said, said
 from dpstack.dp.v1.records import Function
+from dpstack.dp.v1.times import BUSY_PAUSE, RESPONSE_TIMEOUT, pause_before
 from dpstack.errors import PduError
 from dpstack.fdl.telegram import SSAP_MS2, Req, Telegram
 from dpstack.fdl.user import Failure, Request
-from dpstack.units import NS_PER_MS, NS_PER_S, ns_to_s
+from dpstack.units import NS_PER_MS, ns_to_s
 
-#: the shortest time a slave is given for a service where its GSD file has no C2_Response_Timeout
-RESPONSE_TIMEOUT: Final = NS_PER_S
 #: a silent slave is asked again after this, and then twice as long each time, up to the last
 _SILENT_PAUSE: Final = 10 * NS_PER_MS
 _SILENT_PAUSE_MAX: Final = 160 * NS_PER_MS

@@ -11,14 +11,15 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING, Final
 
-from dpstack.dp.class2_jobs import ATTEMPTS, Outcome, ServiceFailure, Step, Steps
+from dpstack.dp.acyclic_job import ATTEMPTS, Outcome, ServiceFailure, Step, Steps
 from dpstack.dp.ms0 import refusal_text
 from dpstack.dp.v1.connection import HEAD, AbortReason, InitiateReq, InitiateRes, Instance, ResourceManagerRes
-from dpstack.dp.v1.judging import BUSY_PAUSE, NO_ANSWERS, NOT_TAKEN, Said, pause_before, said
+from dpstack.dp.v1.judging import NO_ANSWERS, NOT_TAKEN, Said, said
 from dpstack.dp.v1.ms2_connection import NOT_WANTED, TIMED_OUT, Connection, Ended, Phase
 from dpstack.dp.v1.ms2_jobs import ConnectionJob
 from dpstack.dp.v1.ms2_orders import InitiateDone
 from dpstack.dp.v1.records import MAX_RECORD, Function, Negative, parse_response
+from dpstack.dp.v1.times import BUSY_PAUSE, pause_before
 from dpstack.errors import PduError
 from dpstack.fdl.telegram import SAP_MS2_RM, Telegram
 from dpstack.fdl.user import Failure

@@ -9,7 +9,7 @@ import dataclasses
 from collections.abc import Hashable
 from typing import TYPE_CHECKING, Final
 
-from dpstack.dp.class2_jobs import ATTEMPTS, Outcome, ServiceFailure, Step, Steps
+from dpstack.dp.acyclic_job import ATTEMPTS, Outcome, ServiceFailure, Step, Steps
 from dpstack.dp.v1.connection import (
     HEAD,
     IDLE,
@@ -17,11 +17,12 @@ from dpstack.dp.v1.connection import (
     DataTransport,
     ResourceManagerRes,
 )
-from dpstack.dp.v1.judging import Said, Service, pause_before, said, service_outcome, title_of
+from dpstack.dp.v1.judging import Said, Service, said, service_outcome, title_of
 from dpstack.dp.v1.ms1 import RecordDone
 from dpstack.dp.v1.ms2_connection import Connection, Ended, Phase
 from dpstack.dp.v1.ms2_orders import TransportDone
 from dpstack.dp.v1.records import MAX_RECORD, Function, ReadReq, WriteReq
+from dpstack.dp.v1.times import pause_before
 from dpstack.errors import PduError
 from dpstack.fdl.telegram import SAP_MS2_RM, Telegram
 from dpstack.fdl.user import Failure

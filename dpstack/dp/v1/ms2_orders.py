@@ -9,15 +9,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from dpstack.dp.class2_jobs import Outcome
+from dpstack.dp.acyclic_job import ServiceEnd
 from dpstack.dp.v1.connection import FEATURES
-from dpstack.dp.v1.ms1 import SERVICE_TIMEOUT
 from dpstack.dp.v1.records import MAX_RECORD, Function
+from dpstack.dp.v1.times import SERVICE_TIMEOUT, least_send_timeout
 from dpstack.trace import Event
-from dpstack.units import NS_PER_S
 
-#: what is asked for where nobody says another send time-out: that of slave chips at 500 kbit/s (facts C2)
-SEND_TIMEOUT: Final = 2 * NS_PER_S
+#: what is asked for where nobody says another send time-out
+SEND_TIMEOUT: Final = least_send_timeout(500_000)
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,13 +91,10 @@ class CloseConnections:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class InitiateDone(Event):
+class InitiateDone(ServiceEnd):
     """The one end of OpenConnection. Without a failure the connection is open: its server SAP in the slave, the send
     time-out that counts, and what the slave said in Initiate (``max_len``: octets of data in one service)."""
 
-    token: int
-    address: int
-    outcome: Outcome
     server_sap: int = 0
     send_timeout_ns: int = 0
     max_len: int = 0
@@ -107,41 +103,33 @@ class InitiateDone(Event):
     profile_ident: int = 0
 
     @property
-    def service(self) -> str:
+    def title(self) -> str:
         """The standard's name."""
         return Function.INITIATE.title
 
     @property
-    def text(self) -> str:
-        """What came of it."""
-        if self.outcome.failure is not None:
-            return self.outcome.text
-        return f"slave {self.address}: class 2 connection open, server SAP {self.server_sap}"
+    def result(self) -> str:
+        """Where the connection ends."""
+        return f"class 2 connection open, server SAP {self.server_sap}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TransportDone(Event):
+class TransportDone(ServiceEnd):
     """The one end of a Data_Transport; the data that came back are in ``outcome``. ``stale`` as in RecordDone."""
 
-    token: int
-    address: int
     slot: int
     index: int
-    outcome: Outcome
     stale: int = 0
 
     @property
-    def service(self) -> str:
+    def title(self) -> str:
         """The standard's name."""
         return Function.DATA_TRANSPORT.title
 
     @property
-    def text(self) -> str:
-        """What came of it."""
-        if self.outcome.failure is not None:
-            return self.outcome.text
-        where = f"Data_Transport of slot {self.slot}, index {self.index}"
-        return f"slave {self.address}: {where}, {len(self.outcome.data)} octets"
+    def result(self) -> str:
+        """How many octets came back."""
+        return f"{self.title} of slot {self.slot}, index {self.index}, {len(self.outcome.data)} octets"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -160,6 +148,11 @@ class ConnectionOver(Event):
     ordered: bool = False
 
     @property
+    def owed(self) -> bool:
+        """To who opened it."""
+        return True
+
+    @property
     def text(self) -> str:
         """Which, and why."""
         return f"slave {self.address}: class 2 connection (server SAP {self.server_sap}) is over: {self.reason}"
@@ -168,3 +161,8 @@ class ConnectionOver(Event):
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ConnectionsClosed(Event):
     """The end of CloseConnections: no slave holds anything for this master any more, as far as could be done."""
+
+    @property
+    def owed(self) -> bool:
+        """To who ordered it."""
+        return True

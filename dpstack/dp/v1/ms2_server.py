@@ -26,18 +26,10 @@ from dpstack.dp.v1.tickets import Asker
 from dpstack.errors import UsageError
 from dpstack.fdl.telegram import Resp
 from dpstack.fdl.user import SC_REPLY, Reply
-from dpstack.units import NEVER, NS_PER_MS
+from dpstack.units import NEVER
 
 #: connections that one slave can have
 MAX_CONNECTIONS: Final = len(SERVER_SAPS)
-_FAST: Final = 1_500_000
-_MIDDLE: Final = 500_000
-
-
-def least_send_timeout(baud: int) -> int:
-    """The shortest send time-out in ns at ``baud`` bit/s: 1 s from 1.5 Mbit/s on, 2 s at 500 k, 4 s below (C2)."""
-    seconds = 1 if baud >= _FAST else 2 if baud >= _MIDDLE else 4
-    return seconds * 1_000 * NS_PER_MS
 
 
 @dataclass(frozen=True, slots=True)

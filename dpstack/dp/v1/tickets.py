@@ -9,7 +9,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Protocol
 
-from dpstack.dp.v1.alarms import AlarmAck
 from dpstack.dp.v1.codes import Code
 from dpstack.dp.v1.connection import DataTransport
 from dpstack.dp.v1.records import MAX_RECORD, Function, Negative, ReadRes, RecordReq, RecordRes, WriteReq, WriteRes
@@ -44,7 +43,7 @@ class AnyTicket:
         self.at = at
         self.open = True
         self.abandoned: Callable[[], object] | None = None
-        self.response: RecordRes | DataTransport | AlarmAck | None = None
+        self.response: RecordRes | DataTransport | None = None
         #: what went wrong in the function that should have answered
         self.failure: str | None = None
 
@@ -52,10 +51,12 @@ class AnyTicket:
         """No: ``code_1`` is class and code (:class:`~dpstack.dp.v1.codes.Code`), ``code_2`` the device's own."""
         self._respond(Negative(self.function, code_1 & 0xFF, code_2 & 0xFF))
 
-    def fail(self, error: Exception) -> None:
+    def fail(self, error: BaseException) -> None:
         """A function raised: RecordRefused says what to answer, anything else is a read or write error, and told."""
         if isinstance(error, RecordRefused):
             self.refuse(error.code_1, error.code_2)
+            return
+        if not self.open:
             return
         self.failure = f"{type(error).__name__}: {error}"
         self.refuse(Code.READ_ERROR if self.function is Function.READ else Code.WRITE_ERROR)

@@ -1,21 +1,15 @@
 """Read and Write of a cyclic unit (a drive plugin) to its own slave: it puts orders into a queue, the station carries
-
 them out by MS1 between the services of the application, one at a time for a slave.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from typing import TYPE_CHECKING
 
-from dpstack.dp.class2_jobs import Outcome, ServiceFailure
-from dpstack.dp.events import SlaveState
+from dpstack.dp.acyclic_job import Outcome, ServiceFailure
 from dpstack.dp.v1.records import ReadReq, RecordReq, WriteReq
 
-if TYPE_CHECKING:
-    from dpstack.dp.slave_handler import SlaveHandler
-
-__all__ = ["Outcome", "PendingRecord", "ReadReq", "RecordQueue", "RecordReq", "ServiceFailure", "WriteReq", "queue_of"]
+__all__ = ["Outcome", "PendingRecord", "ReadReq", "RecordQueue", "RecordReq", "ServiceFailure", "WriteReq", "queue_at"]
 
 
 class PendingRecord:
@@ -60,9 +54,7 @@ class RecordQueue:
         return bool(self._waiting)
 
 
-def queue_of(handler: SlaveHandler) -> RecordQueue | None:
-    """The queue of a slave with DP-V1 whose unit wants something now; before data exchange it waits."""
-    if handler.setup.dpv1 is None or handler.state is not SlaveState.DATA_EXCHANGE:
-        return None
-    queue = getattr(handler.image.unit, "records", None)
+def queue_at(unit: object) -> RecordQueue | None:
+    """The queue of a cyclic ``unit`` that wants something now."""
+    queue = getattr(unit, "records", None)
     return queue if isinstance(queue, RecordQueue) and queue else None

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
-from dpstack.dp.class2_jobs import Job, Outcome, ServiceFailure
+from dpstack.dp.acyclic_job import Job, Outcome, ServiceFailure
+from dpstack.dp.events import SlaveState
 from dpstack.dp.slave_handler import SlaveHandler
 from dpstack.dp.v1.ms1 import Ms1, RecordJob
-from dpstack.dp.v1.unit_records import PendingRecord, RecordQueue, queue_of
+from dpstack.dp.v1.unit_records import PendingRecord, RecordQueue, queue_at
 from dpstack.errors import PduError
 from dpstack.trace import Event
 
 
-def asking(ms1: Ms1) -> Iterator[tuple[SlaveHandler, RecordQueue]]:
-    """Slaves whose cyclic units ask them something now."""
-    for handler in ms1.speaking():
-        queue = queue_of(handler)
-        if queue is not None:
+def asking(handlers: Iterable[SlaveHandler]) -> Iterator[tuple[SlaveHandler, RecordQueue]]:
+    """Those whose cyclic units ask them something now."""
+    for handler in handlers:
+        queue = queue_at(handler.image.unit)
+        if queue is not None and handler.state is SlaveState.DATA_EXCHANGE:  # before that it waits
             yield handler, queue
 
 

@@ -5,8 +5,8 @@ tells of itself; ``access``, ``choice``: for drive plugins; ``server``, ``model`
 carries them.
 """
 
+from dpstack.dp.v1.device_records import ImRecords
 from dpstack.dp.v1.im import Im0
-from dpstack.dp.v1.serving import ImRecords
 from dpstack.dp.v1.unit_records import ReadReq, RecordQueue, WriteReq
 from dpstack.profile.acyclic.access import AcyclicAccess, Place, Placed, plain_places
 from dpstack.profile.acyclic.choice import ChosenAccess

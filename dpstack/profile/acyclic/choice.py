@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import TypeVar
 
 from dpstack.profile.acyclic.access import AcyclicAccess
 from dpstack.profile.acyclic.client import NoRecordError
 from dpstack.profile.channel import ParameterChannel, ParamKey
 from dpstack.profile.jobs import CommandError, Steps
 from dpstack.profile.many import Found, read_many
+
+T = TypeVar("T")
 
 
 class ChosenAccess:
@@ -53,42 +56,25 @@ class ChosenAccess:
 
     def read(self, key: ParamKey, deadline: int) -> Steps[dict[str, object]]:
         """Read one parameter."""
-        if not self._by_cycle:
-            try:
-                return (yield from self._acyclic.read(key, deadline))
-            except NoRecordError as error:
-                self._without(error)
-        assert self._cyclic is not None
-        return (yield from self._cyclic.read(key, deadline))
+        return self._over(lambda way: way.read(key, deadline))
 
     def read_many(self, keys: Sequence[ParamKey], deadline: int) -> Steps[Found]:
         """Read several."""
-        if not self._by_cycle:
-            try:
-                return (yield from self._acyclic.read_many(keys, deadline))
-            except NoRecordError as error:
-                self._without(error)
-        assert self._cyclic is not None
-        return (yield from read_many(self._cyclic, keys, deadline))
+        return self._over(lambda way: read_many(way, keys, deadline))
 
     def write(self, key: ParamKey, value: float, deadline: int) -> Steps[dict[str, object]]:
         """Write one parameter."""
-        if not self._by_cycle:
+        return self._over(lambda way: way.write(key, value, deadline))
+
+    def _over(self, ask: Callable[[ParameterChannel], Steps[T]]) -> Steps[T]:
+        """Over record 47; where there is none on with the cyclic channel, or the end where there is none either."""
+        cyclic = self._cyclic
+        if cyclic is None or not self._absent:
             try:
-                return (yield from self._acyclic.write(key, value, deadline))
+                return (yield from ask(self._acyclic))
             except NoRecordError as error:
-                self._without(error)
-        assert self._cyclic is not None
-        return (yield from self._cyclic.write(key, value, deadline))
-
-    @property
-    def _by_cycle(self) -> bool:
-        return self._absent and self._cyclic is not None
-
-    def _without(self, error: NoRecordError) -> None:
-        """There is no record 47: on with the cyclic channel, or the end where there is none."""
-        self._absent = True
-        if self._cyclic is None:
-            raise CommandError(
-                error.kind, f"{error.text}; a telegram with a parameter channel needs none", error.number
-            ) from None
+                self._absent = True
+                if cyclic is None:
+                    text = f"{error.text}; a telegram with a parameter channel needs none"
+                    raise CommandError(error.kind, text, error.number) from None
+        return (yield from ask(cyclic))

@@ -14,9 +14,9 @@ from collections.abc import Callable, Sequence
 from typing import Final
 
 from dpstack.dp.v1.codes import Code
+from dpstack.dp.v1.device_records import ImRecords
 from dpstack.dp.v1.im import IM_INDEX, Im0, Im1, Im2, Im3, Im4
 from dpstack.dp.v1.records import WriteReq
-from dpstack.dp.v1.serving import ImRecords
 from dpstack.dp.v1.tickets import Ticket
 from dpstack.sim.io_station.modules import EMPTY, Slot
 

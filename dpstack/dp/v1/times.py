@@ -1,0 +1,37 @@
+"""How long things take in DP-V1, at either end: one place for its time-outs and pauses, all in ns."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from dpstack.units import NS_PER_MS, NS_PER_S
+
+#: from the order to the end of a service, the time that others take included, where nobody says another one
+SERVICE_TIMEOUT: Final = 10 * NS_PER_S
+#: how long a slave works at a service at most, where its GSD file has no C1_Response_Timeout or C2_Response_Timeout
+RESPONSE_TIMEOUT: Final = NS_PER_S
+
+#: before a request is repeated that the slave did not take ("not now")
+BUSY_PAUSE: Final = 10 * NS_PER_MS
+#: so many polls in as many token holds, then with pauses that grow up to the last
+_EAGER: Final = 4
+_PAUSES: Final = (NS_PER_MS, 2 * NS_PER_MS, 5 * NS_PER_MS, 10 * NS_PER_MS)
+
+#: the shortest send time-out of a class 2 connection by rate in bit/s: what slave chips keep to, slower ones the last
+#: (protocol facts C2)
+_SEND_TIMEOUTS: Final = {1_500_000: NS_PER_S, 500_000: 2 * NS_PER_S, 0: 4 * NS_PER_S}
+
+
+def pause_before(polls: int) -> int:
+    """Before the next poll for an answer, after ``polls`` of them."""
+    return 0 if polls < _EAGER else _PAUSES[min(polls - _EAGER, len(_PAUSES) - 1)]
+
+
+def polls_within(limit_ns: int) -> int:
+    """So many polls last for ``limit_ns`` or a little longer."""
+    return limit_ns // _PAUSES[-1] + 1
+
+
+def least_send_timeout(baud: int) -> int:
+    """The shortest send time-out at ``baud`` bit/s: what a slave keeps to, and what a master asks for."""
+    return next(timeout for least, timeout in _SEND_TIMEOUTS.items() if baud >= least)
