@@ -77,6 +77,8 @@ class Acyclic:
     _asked: _Entry | None = None
     _turn: bool = False
     _tokens: int = 0
+    #: why there is no line, until the next token
+    _no_line: str = ""
     #: stations whose last answer came: their silence is news, they are waited for
     _known: set[int] = field(default_factory=set)
     _events: list[Event] = field(default_factory=list)
@@ -114,6 +116,7 @@ class Acyclic:
                 for entry in [entry for entry in self._queue if entry.token == token]:
                     self._cut(entry, ServiceFailure.CANCELLED, "was cancelled", now)
             case LineDown(reason):
+                self._no_line = reason
                 for entry in tuple(self._queue):
                     what = f"had no end when the port vanished ({reason}); it can be repeated when the port is back"
                     self._cut(entry, ServiceFailure.LINE, what, now)
@@ -121,9 +124,9 @@ class Acyclic:
                 self._take_wanted(now)
                 return False
             case HoldAlarms(address, on):
-                self._ms1.alarms(address).hold(on)
+                self._ms1.hold(address, on, now)
             case AcknowledgeAlarm(address, number):
-                self._ms1.alarms(address).acknowledge(number, now)
+                self._ms1.acknowledge(address, number, now)
             case _:
                 order = self._ms1.job_of(command) or self._ms2.job_of(command, now)
                 if order is not None:
@@ -164,6 +167,7 @@ class Acyclic:
         """One request a hold. What a slave cannot answer any more ends here."""
         self._turn = True
         self._tokens += 1
+        self._no_line = ""
         if self._queue:
             self._end_barred(now)
 
@@ -272,13 +276,15 @@ class Acyclic:
             self._take_wanted(now)
         for entry in [entry for entry in self._queue if entry.deadline <= now]:
             entry.deadline = NEVER
-            self._cut(entry, ServiceFailure.LATE, self._why_late(entry), now)
+            self._cut(entry, ServiceFailure.LINE if self._no_line else ServiceFailure.LATE, self._why_late(entry), now)
         for entry in [entry for entry in self._queue if entry.answer_by <= now]:
             entry.answer_by = NEVER
             entry.over = entry.over or (ServiceFailure.LATE, entry.job.overdue)
 
     def _why_late(self, entry: _Entry) -> str:
         after = f"had no end after {ns_to_s(entry.timeout_ns):g} s"
+        if self._no_line:
+            return f"{after}: the port vanished ({self._no_line}); it can be repeated when the port is back"
         if self._tokens == entry.since:
             return f"{after}: this station was given no token in that time; see whether it is in the ring"
         if not entry.asked:

@@ -14,7 +14,8 @@ from dpstack.dp.v1.alarm_server import AlarmServer
 from dpstack.dp.v1.connection import InitiateReq
 from dpstack.dp.v1.im import Im
 from dpstack.dp.v1.prm_blocks import PrmBlock
-from dpstack.dp.v1.serving import ImOf, ImRecords
+from dpstack.dp.v1.records import PARAMETER_INDEX
+from dpstack.dp.v1.serving import ByIndex, ImOf, ImRecords
 from dpstack.dp.v1.tickets import Records
 from dpstack.errors import ConfigError
 from dpstack.gsd.identifiers import io_lengths
@@ -65,9 +66,10 @@ class DpSlave(FunctionDevice):
     connection of class 2 by RecordRefused (a negative response). ``ms2``: so many connections of class 2, default the
     description's. ``im`` is its I&M: I&M0, and those of I&M1 to 4 that a master may write, for every slot alike or as a
     table slot -> I&M. ``on_im(slot, record)`` keeps what a master writes of it where it survives a restart; what it
-    raises is answered (RecordRefused: as it says), and nothing is changed. ``alarm_server`` is where a slave with DP-V1
-    raises alarms and tells status messages (:class:`~dpstack.dp.v1.alarm_server.AlarmServer`); served, it has them as
-    async calls.
+    raises is answered (RecordRefused: as it says), and nothing is changed. ``parameters`` serves record 47, the
+    parameter channel of PROFIdrive (:class:`dpstack.profile.acyclic.TimedRecords`), instead of these functions.
+    ``alarm_server`` is where a slave with DP-V1 raises alarms and tells status messages
+    (:class:`~dpstack.dp.v1.alarm_server.AlarmServer`); served, it has them as async calls.
 
     Set :attr:`diag`, as a whole and whenever something changes, to what the slave shall say in its diagnosis.
     Raises ConfigError.
@@ -90,6 +92,7 @@ class DpSlave(FunctionDevice):
         on_initiate: OnInitiate | None = None,
         im: ImOf = (),
         on_im: OnIm | None = None,
+        parameters: Records | None = None,
         ms2: int | None = None,
     ) -> None:
         first = description.configs[0] if description.configs else description.modules[0].config
@@ -129,6 +132,7 @@ class DpSlave(FunctionDevice):
         self._on_initiate = on_initiate
         self._on_im = on_im
         given = im if isinstance(im, Mapping) else tuple(im)
+        self._parameters = parameters
         self._im = ImRecords(given, changed=self._im_written) if given else None
         self.serve_records(None)
         #: one of the user's functions runs at this moment
@@ -161,7 +165,9 @@ class DpSlave(FunctionDevice):
         return () if self._im is None else self._im.of(slot)
 
     def serve_records(self, others: Records | None) -> None:
-        """What serves the records beside I&M."""
+        """What serves the records beside I&M and parameters."""
+        if self._parameters is not None:
+            others = ByIndex({PARAMETER_INDEX: self._parameters}, others)
         if self._im is not None:
             self._im.others = others
         self.records = others if self._im is None else self._im

@@ -24,7 +24,7 @@ from dpstack.dp.v1.wire import (
     ResourceManagerOctets,
 )
 from dpstack.errors import PduError
-from dpstack.units import NS_PER_MS
+from dpstack.units import NS_PER_MS, ns_to_s
 
 #: the server SAPs that the resource manager gives out, from the highest down
 SERVER_SAPS: Final = range(49)
@@ -291,7 +291,8 @@ def _counts(timeout_ns: int) -> int:
     """Rounded up: never shorter than what was meant."""
     counts = -(-timeout_ns // TIMEOUT_UNIT)
     if timeout_ns < 0 or counts > _MAX_WORD:
-        raise PduError(f"a send time-out of {timeout_ns} ns is not possible: 0..{_MAX_WORD * TIMEOUT_UNIT}")
+        longest = ns_to_s(_MAX_WORD * TIMEOUT_UNIT)
+        raise PduError(f"a send time-out of {ns_to_s(timeout_ns):g} s is not possible: 0..{longest:g} s")
     return counts
 
 

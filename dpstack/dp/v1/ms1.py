@@ -18,7 +18,6 @@ from dpstack.dp.commands import Mode
 from dpstack.dp.events import SlaveState
 from dpstack.dp.master import Master
 from dpstack.dp.slave_handler import SlaveHandler
-from dpstack.dp.v1.alarm_handler import AlarmHandler
 from dpstack.dp.v1.judging import service_outcome, title_of
 from dpstack.dp.v1.ms1_job import Ms1Job, Owed
 from dpstack.dp.v1.records import MAX_RECORD, Function, ReadReq, RecordReq, WriteReq
@@ -117,12 +116,16 @@ class Ms1:
         """Those that are parameterised for DP-V1."""
         return [] if self.master is None else [h for h in self.master.handlers.values() if h.alarms is not None]
 
+    def slave(self, address: int) -> SlaveHandler:
+        """The slave's, whatever it is parameterised for. Raises UsageError."""
+        handlers = {} if self.master is None else self.master.handlers
+        if address not in handlers:
+            raise UsageError(f"station {address} is no slave of this master: MS1 is between a slave and its own master")
+        return handlers[address]
+
     def handler(self, address: int) -> SlaveHandler:
         """The slave's, where it is parameterised for DP-V1. Raises UsageError."""
-        handlers = {} if self.master is None else self.master.handlers
-        handler = handlers.get(address)
-        if handler is None:
-            raise UsageError(f"station {address} is no slave of this master: MS1 is between a slave and its own master")
+        handler = self.slave(address)
         if self.master is not None and self.master.read_only:
             raise UsageError("this bus is read-only: its slaves are not in data exchange with it; leave read_only out")
         if handler.setup.dpv1 is None:
@@ -139,11 +142,21 @@ class Ms1:
             if handler is not None and handler.alarms is not None:
                 handler.alarms.missed(handler.exchanges)
 
-    def alarms(self, address: int) -> AlarmHandler:
-        """The slave's. Raises UsageError as for a service."""
-        alarms = self.handler(address).alarms
-        assert alarms is not None
-        return alarms
+    def hold(self, address: int, on: bool, now: int) -> None:
+        """Who acknowledges the slave's alarms. Raises UsageError, ``on`` also as for a service."""
+        handler = self.handler(address) if on else self.slave(address)
+        handler.alarm_book.hold = on
+        if not on:
+            handler.alarm_book.untaken.clear()
+            if handler.alarms is not None:
+                handler.alarms.release(now)
+
+    def acknowledge(self, address: int, number: int, now: int) -> None:
+        """An alarm of the slave; one that is over is no error. Raises UsageError."""
+        handler = self.slave(address)
+        handler.alarm_book.untaken.discard(number)
+        if handler.alarms is not None:
+            handler.alarms.acknowledge(number, now)
 
     def bar(self, handler: SlaveHandler, since: int) -> str:
         """Why no service to the slave of ``handler``, in data exchange ``since`` then, can end: MS1 closes on leaving

@@ -56,7 +56,6 @@ class Phase(Enum):
     OPENING = "opening"
     OPEN = "open"
     ENDING = "ending"  # over for whoever used it; the slave is still to be told
-    GONE = "gone"
 
 
 class Ended(NamedTuple):
@@ -139,7 +138,6 @@ class Connection:
         """The first bit of one of its requests is on the wire."""
         if request.data:
             self.outstanding = request.data[0] != Function.ABORT
-            self.taken |= request.data[0] == Function.INITIATE
 
     # --- the course of a service ----------------------------------------------------------------------------------
 

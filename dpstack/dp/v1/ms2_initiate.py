@@ -111,6 +111,7 @@ class InitiateJob(ConnectionJob):
         octets, begun = self._octets, clock.now
         polls = unanswered = pause = 0
         while True:
+            connection.taken |= bool(octets)  # from when it is handed on: what the link layer has goes out
             answer = yield Step(connection.request(SAP_MS2_RM, octets, HEAD), pause)
             if not isinstance(answer, Telegram):
                 unanswered += bool(octets)

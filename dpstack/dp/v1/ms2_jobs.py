@@ -163,9 +163,9 @@ class IdleJob(ConnectionJob):
     def steps(self) -> Steps[Outcome]:
         """Idle, or the answer to a service that was given up."""
         connection = self.connection
-        drained = yield from connection.drained()
-        if drained is not None:
-            return self.over(drained)
+        if connection.outstanding:
+            drained = yield from connection.drained()
+            return Outcome() if drained is None else self.over(drained)
         found = yield from connection.asked(IDLE, self.title)
         if isinstance(found, Ended):
             return self.over(found)
@@ -213,7 +213,7 @@ class GiveBackJob(ConnectionJob):
         begun = clock.now
         polls = unanswered = 0
         poll = connection.request(SAP_MS2_RM, b"", HEAD)
-        while clock.now - begun < connection.limit_ns and unanswered < ATTEMPTS:
+        while unanswered < ATTEMPTS:
             answer = yield Step(poll, pause_before(polls))
             polls += 1
             if not isinstance(answer, Telegram):
@@ -223,7 +223,7 @@ class GiveBackJob(ConnectionJob):
                 if sap is not None and not self.ms2.uses(self.address, sap):
                     connection.server_sap = sap  # else that is another connection's, and stays
                 return
-            elif said(answer) is Said.CLOSED:
+            elif said(answer) is Said.CLOSED or clock.now - begun >= connection.limit_ns:
                 return
 
     def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:

@@ -145,6 +145,18 @@ class RecordTable:
             ticket.answer()
 
 
+class ByIndex:
+    """Records of some indexes by servers of their own, everything else handed on to ``others``."""
+
+    def __init__(self, served: Mapping[int, Records], others: Records | None) -> None:
+        self._served = dict(served)
+        self._others = others
+
+    def ask(self, ticket: Ticket) -> None:
+        """By whoever has the index."""
+        put(ticket, self._served.get(ticket.request.index, self._others))
+
+
 #: I&M of every slot alike, or slot -> those of this one
 ImOf = Iterable[Im] | Mapping[int, Iterable[Im]]
 
