@@ -293,49 +293,6 @@ def test_several_to_several_slaves_and_to_one() -> None:
     kit.freed()
 
 
-def at_the_manager(kit: Ms2Bus) -> str:
-    """What was said at SAP 49: I for Initiate, n for polls until the next one."""
-    return "".join("I" if pdu else "n" for sap, pdu in kit.slave.heard if sap == 49)
-
-
-def test_the_resource_manager_is_asked_for_one_connection_at_a_time() -> None:
-    """A slave chip has one Resource_Manager answer: the next Initiate waits until the last one has its server SAP."""
-    kit = Ms2Bus()
-    kit.slave.free = [48, 47, 46]
-    tokens = [kit.order_open() for _ in range(3)]
-    assert sorted(kit.end(token, InitiateDone).server_sap for token in tokens) == [46, 47, 48]
-    assert at_the_manager(kit) == "InInIn"
-
-
-@pytest.mark.parametrize("step", range(12))
-def test_the_next_initiate_waits_until_one_that_was_given_up_is_given_back(step: int) -> None:
-    """Else it would be given the server SAP of that one, which is to be aborted."""
-    kit = Ms2Bus()
-    kit.slave.free = [48, 47, 46]
-    tokens = [kit.order_open() for _ in range(3)]
-    kit.bus.run(step * MS // 4)
-    kit.send(CancelService(tokens[0]))
-    kit.end(tokens[0], InitiateDone)
-    done = [kit.end(token, InitiateDone) for token in tokens[1:]]
-    assert [end.outcome.failure for end in done] == [None, None], [end.text for end in done]
-    assert all(kit.read(token).outcome.data == b"\1\2" for token in tokens[1:])
-    assert "II" not in at_the_manager(kit)
-
-
-def test_a_server_sap_in_use_is_not_given_back_for_one_that_was_given_up() -> None:
-    """The slave still names the server SAP that it gave out last."""
-    kit = Ms2Bus()
-    kit.open()
-    kit.slave.says[49] = lambda octets: SC
-    token = kit.order_open()
-    kit.bus.run(3 * MS)
-    kit.slave.says[49] = lambda octets: sd2(2, 4, DL, 50, 49, b"\x56\x30\x00\x0a")
-    kit.send(CancelService(token))
-    kit.end(token, InitiateDone)
-    kit.bus.run(100 * MS)
-    assert kit.read(1).outcome.data == b"\1\2"
-
-
 def test_a_slow_connection_holds_no_other_one_up() -> None:
     kit = Ms2Bus()
     kit.open()
