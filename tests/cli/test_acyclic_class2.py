@@ -73,7 +73,9 @@ class Field:
         self.world.run_for(300_000_000)
         self.buses: list[dpstack.Bus] = []
 
-    def open_bus(self, config: Config, on_event: OnEvent | None, world: dpstack.World | None = None) -> dpstack.Bus:
+    def open_bus(
+        self, config: Config, on_event: OnEvent | None = None, world: dpstack.World | None = None
+    ) -> dpstack.Bus:
         assert world is None  # the field is real for the command
         self.buses.append(dpstack.open_bus(config, on_event=on_event, world=self.world))
         return self.buses[-1]
