@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from dpstack.dp.slaveapp import SlaveApp, SlaveAppState
     from dpstack.dp.user_diag import UserDiag, channel_block, device_block, identifier_block, revision_block
     from dpstack.dp.v1.alarms import AlarmType, ModuleState, Specifier, StatusType
+    from dpstack.dp.v1.connection import InitiateReq
     from dpstack.dp.v1.im import Im0, Im1, Im2, Im3, Im4
     from dpstack.dp.v1.prm_blocks import PrmBlock
     from dpstack.errors import (
@@ -93,6 +94,7 @@ __all__ = [
     "Im2",
     "Im3",
     "Im4",
+    "InitiateReq",
     "IoStation",
     "Mode",
     "ModuleState",
@@ -179,6 +181,7 @@ _WHERE: Final = {
     "Im2": "dp.v1.im",
     "Im3": "dp.v1.im",
     "Im4": "dp.v1.im",
+    "InitiateReq": "dp.v1.connection",
     "DriveStatus": "profile",
     "IoStation": "api.virtual",
 }

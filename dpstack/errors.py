@@ -118,6 +118,17 @@ class AcyclicError(SlaveError):
         self.codes = codes
         self.error_decode, self.code_1, self.code_2 = codes
 
+    def about(self, what: str) -> AcyclicError:
+        """The same, told of ``what`` the service was for."""
+        return AcyclicError(
+            self.address,
+            f"{what}: {self}",
+            service=self.service,
+            slot=self.slot,
+            index=self.index,
+            codes=self.codes,
+        )
+
     @property
     def error_class(self) -> int:
         """Error_Class 0..15: 10 application, 11 access, 12 resource."""

@@ -8,7 +8,7 @@ from typing import TypeVar
 from dpstack.dp.v1.records import ReadReq, WriteReq
 from dpstack.dp.v1.unit_records import Outcome, ServiceFailure
 from dpstack.profile.acyclic.server import RecordServer
-from dpstack.profile.acyclic.services import Answer, Pause, Refused, Service, Talk
+from dpstack.profile.acyclic.services import Answer, Pause, Refused, Service, Silent, Talk
 
 T = TypeVar("T")
 MS = 1_000_000
@@ -37,7 +37,7 @@ def outcome(answer: str | Refused | ServiceFailure) -> Outcome:
 class Script:
     """A drive that says what the test says: what comes of each service, in order; ``said`` is what it was asked."""
 
-    def __init__(self, *answers: str | Refused) -> None:
+    def __init__(self, *answers: str | Refused | Silent) -> None:
         self._answers = list(answers)
         self.said: list[str] = []
         self.now = 0
@@ -56,7 +56,7 @@ class Script:
         if not self._answers:
             raise AssertionError(f"nobody expects {self.said[-1]}")
         answer = self._answers.pop(0)
-        return Answer(self.now, answer if isinstance(answer, Refused) else octets(answer))
+        return Answer(self.now, octets(answer) if isinstance(answer, str) else answer)
 
 
 class Wire:

@@ -32,7 +32,8 @@ class AlarmSlave(OctetMs1Slave):
     """Raises what is put into ``queue``, in order; ``at_a_time`` 0: the next of a type when its last is acknowledged.
 
     ``taken``: acknowledged alarms in order, ``strays``: acknowledgements of alarms that are not open; ``on_stray`` says
-    how they are answered. ``rest``: what else stands in the diagnosis. ``sap``: where it is acknowledged. ``polls``:
+    how they are answered. ``rest``: what else stands in the diagnosis; ``static``: Stat_Diag is set. ``keeps``: alarms
+    stay in it when they are acknowledged. ``sap``: where it is acknowledged. ``polls``:
     how often it is polled in vain before each answer; -1: it answers in the request itself. ``loses`` says for each
     telegram at SAP 51 whether request ("r") or answer ("a") gets lost.
     """
@@ -46,6 +47,7 @@ class AlarmSlave(OctetMs1Slave):
     strays: list[bytes] = field(default_factory=list)
     on_stray: Callable[[bytes], bytes | None] = lambda ack: ack
     rest: bytes = b""
+    static: bool = False
     keeps: bool = False
     loses: Callable[[], str] = lambda: ""
     flag: bool = False
@@ -116,7 +118,7 @@ class AlarmSlave(OctetMs1Slave):
                 self.unsure = True
                 self.diagnosed += 1
                 ext = self.shown + self.rest
-                data = bytes((8 if ext else 0, 0x0C, 0, self.master)) + self.ident + ext
+                data = bytes((8 if ext else 0, 0x0E if self.static else 0x0C, 0, self.master)) + self.ident + ext
                 return sd2(octets[5] & 0x7F, self.address, DL, octets[8], 60, data)
             case sap if sap == self.sap and (octets[9:10] == b"\x5c" or self.left or sap == 50):
                 return self.alarm_sap(octets[9:-2])

@@ -161,10 +161,11 @@ class RingBus:
         sent = Sent(now, end, octets, sender)
         if self.drop(sent):
             sent.garbled = True
+        longest_ago = now - self.ns(3000)
         for other in reversed(self.log):
             if other.end > now:
                 sent.garbled = other.garbled = True
-            if other.end < now - self.ns(3000):
+            if other.end < longest_ago:
                 break
         self.log.append(sent)
         self.at(now, lambda: self._edge(sent, station))

@@ -108,7 +108,6 @@ async def _all_parameters(slave: Target, slot: int, axis: int, progress: OnProgr
     def told(what: str) -> Progress | None:
         return None if progress is None else lambda done, of: progress(what, done, of)
 
-    await parameters.limits()
     found = await parameters.read_out(progress=told("values"), describing=told("descriptions"))
     return {"ident": await _ident_of(slave), "parameters": [ListedValues.of(one).as_dict() for one in found]}
 

@@ -32,6 +32,21 @@ if TYPE_CHECKING:
 _STATUSES: Final = 64
 
 
+@dataclass(eq=False)
+class _Held:
+    """An alarm that the station holds for this application: who has not let go of it yet, and its end."""
+
+    raised: AlarmRaised
+    keepers: set[_Listener]
+    end: Outcome | None = None
+    ended: asyncio.Event = field(default_factory=asyncio.Event)
+
+    @property
+    def key(self) -> tuple[int, int]:
+        """By slave and number."""
+        return self.raised.address, self.raised.number
+
+
 class SlaveAlarm:
     """One alarm of a slave, as ``slave.alarms()`` gives it.
 
@@ -41,7 +56,8 @@ class SlaveAlarm:
     ``diagnosis`` is the one it came in, ``texts`` what else stands there. ``t_ns``: bus time.
     """
 
-    def __init__(self, raised: AlarmRaised, desk: AlarmDesk) -> None:
+    def __init__(self, held: _Held, desk: AlarmDesk) -> None:
+        raised = held.raised
         self.address = raised.address
         self.name = raised.name
         self.type = raised.alarm.type
@@ -56,7 +72,7 @@ class SlaveAlarm:
         self.t_ns = raised.t_ns
         #: all of it in one line, with the slave
         self.text = raised.text
-        self._raised = raised
+        self._held = held
         self._desk = desk
 
     def __repr__(self) -> str:
@@ -65,7 +81,7 @@ class SlaveAlarm:
     @property
     def alarm(self) -> Alarm:
         """As it came."""
-        return self._raised.alarm
+        return self._held.raised.alarm
 
     @property
     def appears(self) -> bool:
@@ -89,7 +105,7 @@ class SlaveAlarm:
         May be repeated. Raises AcyclicError and ServiceRefused where the slave refuses, SlaveFault when it left data
         exchange before (its alarms are void then), UsageError, BusError.
         """
-        await self._desk.acknowledge(self._raised)
+        await self._desk.acknowledge(self._held)
 
 
 @dataclass(eq=False)
@@ -146,15 +162,6 @@ class StatusStream(Stream[Status]):
         super().__init__(_STATUSES)
 
 
-@dataclass(eq=False)
-class _Held:
-    """An alarm that the station holds for this application: who has not let go of it yet, and its end."""
-
-    keepers: set[_Listener]
-    end: Outcome | None = None
-    ended: asyncio.Event = field(default_factory=asyncio.Event)
-
-
 class AlarmDesk:
     """All alarms of one bus that are listened for."""
 
@@ -181,8 +188,7 @@ class AlarmDesk:
 
     def listen(self, address: int, listener: _Listener) -> None:
         """From now on ``listener`` has the alarms of the slave at ``address``. Raises UsageError, BusError."""
-        if not self._listeners.get(address):
-            self._bus.command(HoldAlarms(address, True))
+        self._bus.command(HoldAlarms(address, True))  # again for each: it says where there is nothing to listen for
         self._listeners.setdefault(address, []).append(listener)
 
     def leave(self, address: int, listener: _Listener) -> None:
@@ -192,9 +198,8 @@ class AlarmDesk:
             return
         listeners.remove(listener)
         listener.end()
-        for key, held in tuple(self._held.items()):
-            if key[0] == address:
-                self._let_go(key, held, listener)
+        for held in tuple(self._held.values()):
+            self._let_go(held, listener)
         if not listeners:
             self._order(HoldAlarms(address, False))
 
@@ -205,32 +210,29 @@ class AlarmDesk:
 
     def taken(self, alarm: SlaveAlarm, listener: _Listener) -> None:
         """``listener`` handed it to the application."""
-        key = alarm.address, alarm._raised.number
-        held = self._held.get(key)
-        if held is not None:
-            self._let_go(key, held, listener)
+        self._let_go(alarm._held, listener)
 
-    async def acknowledge(self, raised: AlarmRaised) -> None:
+    async def acknowledge(self, held: _Held) -> None:
         """All listeners let go of it; returns when the slave took the acknowledgement."""
-        key = raised.address, raised.number
-        held = self._held.get(key)
-        if held is None:
-            return
         for listener in tuple(held.keepers):
-            self._let_go(key, held, listener)
+            self._let_go(held, listener)
         await held.ended.wait()
         assert held.end is not None
         if held.end.failure is not None:
-            alarm = raised.alarm
-            raise error_of(raised.address, Function.ALARM_ACK.title, held.end, (alarm.slot, alarm.type))
+            alarm = held.raised.alarm
+            where = (alarm.slot, alarm.type)
+            raise error_of(held.raised.address, Function.ALARM_ACK.title, held.end, where)
 
-    def _let_go(self, key: tuple[int, int], held: _Held, listener: _Listener) -> None:
+    def _let_go(self, held: _Held, listener: _Listener) -> None:
         if listener in held.keepers:
             held.keepers.remove(listener)
             if not held.keepers:
-                self._order(AcknowledgeAlarm(*key))
-                if held.end is not None:
-                    del self._held[key]
+                self._order(AcknowledgeAlarm(*held.key))
+                self._drop_over(held)
+
+    def _drop_over(self, held: _Held) -> None:
+        if held.end is not None and not held.keepers:
+            self._held.pop(held.key, None)
 
     def _order(self, command: object) -> None:
         with contextlib.suppress(DpError):  # the bus is over, or the slave removed: nothing is held any more
@@ -247,7 +249,9 @@ class AlarmDesk:
                 for stream in tuple(self._statuses.get(address, ())):
                     stream.put(status)
             case AlarmDone(address=address, number=number, outcome=outcome):
-                self._done((address, number), outcome)
+                held = self._held.get((address, number))
+                if held is not None:
+                    self._done(held, outcome)
                 return True
         return False
 
@@ -255,18 +259,15 @@ class AlarmDesk:
         listeners = self._listeners.get(event.address, [])
         if not listeners:
             return  # the last one left just now, which has them all acknowledged
-        self._held[event.address, event.number] = _Held(set(listeners))
+        held = self._held[event.address, event.number] = _Held(event, set(listeners))
         for listener in listeners:
-            listener.waiting.append(SlaveAlarm(event, self))
+            listener.waiting.append(SlaveAlarm(held, self))
             listener.more.set()
 
-    def _done(self, key: tuple[int, int], outcome: Outcome) -> None:
-        held = self._held.get(key)
-        if held is not None:
-            held.end = outcome
-            held.ended.set()
-            if not held.keepers:
-                del self._held[key]
+    def _done(self, held: _Held, outcome: Outcome) -> None:
+        held.end = outcome
+        held.ended.set()
+        self._drop_over(held)
 
     def forget(self, address: int) -> None:
         """The slave was removed from the bus."""
@@ -288,10 +289,11 @@ class AlarmDesk:
         self._end_held(str(error))
 
     def _end_held(self, why: str, address: int | None = None) -> None:
-        for key, held in tuple(self._held.items()):
-            if address in (None, key[0]) and held.end is None:
-                text = f"an alarm of slave {key[0]} was not acknowledged: {why}"
-                self._done(key, Outcome(failure=ServiceFailure.LINE, text=text))
+        for held in tuple(self._held.values()):
+            if address in (None, held.raised.address):
+                held.keepers.clear()  # its number may become that of another one
+                text = f"an alarm of slave {held.raised.address} was not acknowledged: {why}"
+                self._done(held, held.end or Outcome(failure=ServiceFailure.LINE, text=text))
 
 
 __all__ = ["AlarmDesk", "AlarmStream", "SlaveAlarm", "StatusStream"]

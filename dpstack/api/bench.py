@@ -49,6 +49,11 @@ def _own(slave: SlaveConfig, description: SlaveDescription) -> SlaveDescription:
     )
 
 
+def station_status(device: Device) -> dict[str, object]:
+    """What ``status`` shows of a simulated slave beside the rest: ``slots`` of an I/O station."""
+    return {"slots": device.as_dict()} if isinstance(device, IoStation) else {}
+
+
 def rates_of(slave: SlaveConfig) -> Sequence[int]:
     """The baud rates that the device hears, all where nothing is said of them."""
     return sorted(slave.baud_rates) or BAUD_RATES

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from dpstack.api.connection import Connecting
 from dpstack.api.ms2_config import Ms2Limits
+from dpstack.api.services import time_of
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.dp.class2 import ChangeAddress, ReadService
 from dpstack.dp.class2_jobs import Service, ServiceDone
@@ -21,7 +22,6 @@ from dpstack.dp.v1.ms2_orders import OpenConnection
 from dpstack.dp.v1.times import least_send_timeout
 from dpstack.errors import ConfigError, PduError, UsageError
 from dpstack.gsd.identifiers import Identifier, io_lengths, parse_identifiers
-from dpstack.units import s_to_ns
 
 if TYPE_CHECKING:
     from dpstack.api.bus import Bus
@@ -113,7 +113,7 @@ class Class2:
         if self._bus.config.bus.read_only:
             raise UsageError("this bus is read-only: no slave gets another address; leave read_only out")
         token = self._bus.services.token()
-        command = ChangeAddress(token, old, new, ident, no_change, rem_slave_data, s_to_ns(timeout))
+        command = ChangeAddress(token, old, new, ident, no_change, rem_slave_data, time_of(timeout))
         return _diagnosis(await self._bus.services.do(token, command, ServiceDone))
 
     def connect(
@@ -139,18 +139,19 @@ class Class2:
         known = slave if isinstance(slave, SlaveConfig) else self._config(slave)
         limits = Ms2Limits() if known is None else known.ms2
         address = slave.address if isinstance(slave, SlaveConfig) else self._address(slave)
-        silence = least_send_timeout(self._bus.params.baud) if send_timeout is None else s_to_ns(send_timeout)
+        usual = least_send_timeout(self._bus.params.baud)
+        silence = usual if send_timeout is None else time_of(send_timeout, "send_timeout")
         order = OpenConnection(
             self._bus.services.token(),
             address,
             silence,
-            limits.response_ns if response_timeout is None else s_to_ns(response_timeout),
+            limits.response_ns if response_timeout is None else time_of(response_timeout, "response_timeout"),
             profile_features=profile_features,
             profile_ident=profile_ident,
             source=bytes(source),
             destination=bytes(destination),
             channels=limits.channels,
-            timeout_ns=s_to_ns(timeout),
+            timeout_ns=time_of(timeout),
         )
         return Connecting(self._bus, order, f"slave{address}" if known is None else known.name, limits)
 
@@ -168,7 +169,7 @@ class Class2:
         if known is not None and service in (Service.INPUTS, Service.OUTPUTS):
             expected = known.config.input_len if service is Service.INPUTS else known.config.output_len
         token = self._bus.services.token()
-        command = ReadService(token, address, service, expected, s_to_ns(timeout))
+        command = ReadService(token, address, service, expected, time_of(timeout))
         return await self._bus.services.do(token, command, ServiceDone)
 
     def _address(self, slave: Slave | str | int) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 from collections.abc import Generator
 from types import TracebackType
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, TypeVar
 from dpstack.api.ms2_config import Ms2Limits
 from dpstack.api.record_parameters import RecordParameters, over_records
 from dpstack.api.records import TIMEOUT, RecordAccess
-from dpstack.api.services import Ending
+from dpstack.api.services import Ending, time_of
 from dpstack.dp.v1.connection import Address, InitiateReq
 from dpstack.dp.v1.ms1 import RecordDone
 from dpstack.dp.v1.ms2 import NO_CONNECTION
@@ -25,7 +26,7 @@ from dpstack.dp.v1.ms2_orders import (
 )
 from dpstack.dp.v1.records import MAX_RECORD
 from dpstack.errors import ConnectionEnded, DpError, PduError, UsageError
-from dpstack.units import ns_to_s, s_to_ns
+from dpstack.units import ns_to_s
 
 if TYPE_CHECKING:
     from dpstack.api.bus import Bus
@@ -46,6 +47,7 @@ class Connection(RecordAccess):
         self._done = done
         self._ending = ending
         self._longest = min(longest, done.max_len)
+        self._im_call = asyncio.Lock()
         #: the slave's name on this bus, or "slave" and its address
         self.name = name
 
@@ -58,6 +60,11 @@ class Connection(RecordAccess):
     def who(self) -> str:
         """The slave for people."""
         return f"slave {self.address} (server SAP {self.server_sap})"
+
+    @property
+    def im_call(self) -> asyncio.Lock:
+        """The slave keeps the calls of each connection apart."""
+        return self._im_call
 
     @property
     def server_sap(self) -> int:
@@ -94,21 +101,21 @@ class Connection(RecordAccess):
         """Read a record: up to ``length`` octets, as many as it can have where nothing is said."""
         token = self._bus.services.token()
         wanted = self._longest if length is None else length
-        order = ReadOver(token, self._done.token, slot, index, wanted, s_to_ns(timeout))
+        order = ReadOver(token, self._done.token, slot, index, wanted, time_of(timeout))
         return (await self._do(token, order, RecordDone)).outcome.data
 
     async def write(self, slot: int, index: int, data: bytes, *, timeout: float = TIMEOUT) -> None:
         """Write all of ``data`` into a record."""
         self._check(data)
         token = self._bus.services.token()
-        order = WriteOver(token, self._done.token, slot, index, bytes(data), s_to_ns(timeout))
+        order = WriteOver(token, self._done.token, slot, index, bytes(data), time_of(timeout))
         await self._do(token, order, RecordDone)
 
     async def transport(self, slot: int, index: int, data: bytes = b"", *, timeout: float = TIMEOUT) -> bytes:
         """Data_Transport: ``data`` to the slave, what it sends back."""
         self._check(data)
         token = self._bus.services.token()
-        order = TransportOver(token, self._done.token, slot, index, bytes(data), s_to_ns(timeout))
+        order = TransportOver(token, self._done.token, slot, index, bytes(data), time_of(timeout))
         return (await self._do(token, order, TransportDone)).outcome.data
 
     def parameters(self, slot: int = 1, *, object: int = 1, timeout: float = TIMEOUT) -> RecordParameters:
@@ -162,13 +169,17 @@ class Connection(RecordAccess):
 
 
 class Connecting:
-    """A connection that is being opened: to be awaited, or entered with ``async with``, which closes it at the end."""
+    """A connection that is being opened: to be awaited, or entered with ``async with``, which closes it at the end.
+
+    Once: a second time raises UsageError.
+    """
 
     def __init__(self, bus: Bus, order: OpenConnection, name: str, limits: Ms2Limits) -> None:
         self._bus = bus
         self._order = order
         self._name = name
         self._limits = limits
+        self._begun = False
         self._opened: Connection | None = None
 
     def __await__(self) -> Generator[object, None, Connection]:
@@ -185,6 +196,9 @@ class Connecting:
             await self._opened.close()
 
     async def _open(self) -> Connection:
+        if self._begun:
+            raise UsageError("this connection was opened before: call connect() again for another one")
+        self._begun = True
         services, order, limits = self._bus.services, self._order, self._limits
         who = f"slave {order.address} ({self._name})"
         if not limits.supported:

@@ -42,8 +42,7 @@ def read_dpv1(table: Table, device: Device | None, user_prm: bytes) -> Dpv1 | No
         return _of_gsd(device) if reads and stands else None
     if given is False:
         return None
-    if given is not True and table.table("dpv1") is None:
-        return None
+    keys = None if given is True else table.table("dpv1", "a table of its keys, true or false")
     if device is not None and not known:
         table.fail("dpv1", "dpv1 is asked for, but its GSD file says DPV1_Slave = 0", "leave dpv1 out")
     if len(user_prm) < DPV1_STATUS_LEN:
@@ -53,7 +52,7 @@ def read_dpv1(table: Table, device: Device | None, user_prm: bytes) -> Dpv1 | No
             'for instance user_prm = "00 00 00"; what is used is set by dpstack',
         )
     base = _of_gsd(device)
-    return base if given is True else _with_keys(base, table, device)
+    return base if keys is None else _with_keys(base, keys, device)
 
 
 def _of_gsd(device: Device | None) -> Dpv1:
@@ -65,29 +64,24 @@ def _of_gsd(device: Device | None) -> Dpv1:
         c1_max_data_len=min(longest, MAX_RECORD) if longest else MAX_RECORD,
         extra_alarm_sap=device.dpv1.extra_alarm_sap,
         required_alarms=_required(device),
+        structured=device.dpv1.prm_block_structure_required,
     )
 
 
-def _with_keys(base: Dpv1, outer: Table, device: Device | None) -> Dpv1:
-    table = outer.table("dpv1")
-    assert table is not None
+def _with_keys(base: Dpv1, table: Table, device: Device | None) -> Dpv1:
     table.check_keys(_KEYS)
     timeout = table.integer("response_timeout_ms", 1, 655_350)
-    try:
-        return dataclasses.replace(
-            base,
-            check_cfg_mode=_flag(
-                table, "check_cfg_mode", None if device is None else device.dpv1.check_cfg_mode, "Check_Cfg_Mode"
-            ),
-            prm_cmd=_flag(table, "prm_cmd", None, ""),
-            alarms=_alarms(table, device),
-            alarm_mode=_alarm_mode(table, device),
-            extra_alarm_sap=table.flag("extra_alarm_sap", base.extra_alarm_sap),
-            blocks=_blocks(table, device),
-            c1_response_timeout_ns=base.c1_response_timeout_ns if timeout is None else timeout * NS_PER_MS,
-        )
-    except ConfigError as error:
-        raise outer.error("dpv1", str(error), "correct it") from None
+    checks = None if device is None else device.dpv1.check_cfg_mode
+    return dataclasses.replace(
+        base,
+        check_cfg_mode=_flag(table, "check_cfg_mode", checks, "Check_Cfg_Mode"),
+        prm_cmd=_flag(table, "prm_cmd", None, ""),
+        alarms=_alarms(table, device),
+        alarm_mode=_alarm_mode(table, device),
+        extra_alarm_sap=table.flag("extra_alarm_sap", base.extra_alarm_sap),
+        blocks=_blocks(table, device),
+        c1_response_timeout_ns=base.c1_response_timeout_ns if timeout is None else timeout * NS_PER_MS,
+    )
 
 
 def _flag(table: Table, key: str, supported: bool | None, keyword: str) -> bool | None:
@@ -103,8 +97,12 @@ def _alarms(table: Table, device: Device | None) -> tuple[str, ...] | None:
     given = table.raw("alarms")
     if given is None:
         return None
-    if not isinstance(given, (list, tuple)) or any(name not in ALARMS for name in given):
-        table.fail("alarms", f"alarms = {given!r}", f"it is a list of these: {', '.join(ALARMS)}")
+    kinds = f"it is a list of these: {', '.join(ALARMS)}"
+    if not isinstance(given, (list, tuple)):
+        table.fail("alarms", f"alarms = {given!r}", kinds)
+    for name in given:
+        if not isinstance(name, str) or name not in ALARMS:
+            table.fail("alarms", f"alarms holds {name!r}, which is none", kinds)
     for name in given:
         if device is not None and ALARM_KEYWORDS[name] not in device.dpv1.alarms:
             problem = f"alarms holds {name}, but its GSD file says {ALARM_KEYWORDS[name]}_supp = 0"
@@ -136,7 +134,7 @@ def _blocks(table: Table, device: Device | None) -> tuple[PrmBlock, ...]:
         return ()
     if not isinstance(given, (list, tuple)):
         table.fail("blocks", "blocks is no list of tables", 'write [{ type = 0x81, slot = 0, data = "00 01" }]')
-    if device is not None and not device.dpv1.prm_block_structure:
+    if device is not None and not (device.dpv1.prm_block_structure or device.dpv1.prm_block_structure_required):
         table.fail("blocks", "blocks, but its GSD file says Prm_Block_Structure_supp = 0", "leave blocks out")
     return tuple(_block(table.inner("blocks", number, entry)) for number, entry in enumerate(given, 1))
 
@@ -150,14 +148,18 @@ def _block(table: Table) -> PrmBlock:
         for key in fields:
             if key in table:
                 table.fail(key, f"{key} beside data", f"leave {key} out, or data")
-        block = PrmBlock(kind, slot, table.octets("data") or b"", specifier)
-    else:
-        block = _of_fields(table, kind, slot, specifier)
+        octets = table.octets("data") or b""
+        try:
+            block = PrmBlock(kind, slot, octets, specifier)
+            _ = block.content
+        except (ConfigError, PduError) as error:
+            raise table.error("data", str(error), "correct it") from None
+        return block
+    content = _content(table, kind)
     try:
-        _ = block.content
-    except PduError as error:
-        raise table.error("data", str(error), "correct it") from None
-    return block
+        return PrmBlock.of(content, slot, kind=kind, specifier=specifier)
+    except (ConfigError, PduError) as error:
+        raise table.error(None, str(error), "correct it") from None
 
 
 def _type(table: Table) -> int:
@@ -180,18 +182,14 @@ def _fields(kind: int) -> Iterable[str]:
     return RECORDS[kind].fields if kind in RECORDS else ()
 
 
-def _of_fields(table: Table, kind: int, slot: int, specifier: int) -> PrmBlock:
-    content: Content
-    try:
-        if kind in RECORDS:
-            given = {key: table.integer(key, 0) for key in RECORDS[kind].fields if key in table}
-            content = RECORDS[kind].record(**given)
-        else:
-            version = table.integer("version", 0, 255)
-            content = DxbTable(1 if version is None else version, tuple(_entries(table, kind)))
-        return PrmBlock.of(content, slot, kind=kind, specifier=specifier)
-    except PduError as error:
-        raise table.error(None, str(error), "correct it") from None
+def _content(table: Table, kind: int) -> Content:
+    """What a block of this type consists of."""
+    if kind in RECORDS:
+        given = {key: table.integer(key, 0) for key in RECORDS[kind].fields if key in table}
+        content: Content = RECORDS[kind].record(**given)
+        return content
+    version = table.integer("version", 0, 255)
+    return DxbTable(1 if version is None else version, tuple(_entries(table, kind)))
 
 
 def _entries(table: Table, kind: int) -> Iterator[Any]:

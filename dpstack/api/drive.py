@@ -25,7 +25,7 @@ from dpstack.errors import (
     ParameterError,
     UsageError,
 )
-from dpstack.profile import DriveStatus, ListedParam
+from dpstack.profile import DriveStatus, ListedParam, per_request
 
 if TYPE_CHECKING:
     from dpstack.api.bus import Bus
@@ -169,6 +169,11 @@ class Drive:
         )
 
     @property
+    def per_request(self) -> int:
+        """How many parameters one request to the drive carries: several over record 47, else 1."""
+        return per_request(self._core.access)
+
+    @property
     def parameters(self) -> tuple[ListedParam, ...]:
         """The parameters that the plugin declares, as :meth:`dump` reads them.
 
@@ -185,7 +190,7 @@ class Drive:
         data_set: int | None = None,
         on_parameter: OnParameter | None = None,
     ) -> ParameterList:
-        """All declared parameters, one by one, into a file where ``path`` is given, whole or not at all.
+        """All declared parameters, as many by a request as it carries; with ``path`` into a file, whole or not at all.
 
         What cannot be read is in it with the reason. Cut short, what was read is kept in ``path`` + ``.part``.
         Raises UsageError, DriveError.

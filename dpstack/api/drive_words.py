@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import difflib
+import json
 import math
 from collections.abc import Callable, Coroutine, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Final
 
+from dpstack.api.control import failures
 from dpstack.api.control.specs import Spec
 from dpstack.api.drive import Drive
-from dpstack.errors import UsageError
+from dpstack.api.parameter_dump import ParameterPlace, ParameterValue
+from dpstack.errors import ParameterError, UsageError
 
 START: Final = "start"
+#: for programs: what people are shown is a file
+PARAMETERS: Final = "parameters"
+READ_MANY: Final = "read_many"
 #: after these the motor is off
 HALTS: Final = frozenset({"stop", "quick_stop", "coast"})
 #: they set something that lasts as long as a master keeps it
@@ -30,7 +36,8 @@ WORDS: Final = (
     Spec("frequency", "V", "the set point in Hz", "25"),
     Spec("read", "P", "a parameter by number or name, in its unit", "480"),
     Spec("write", "P V", "writes a parameter in its unit", "480 20.5"),
-    Spec("parameters", "", "the parameters that its plugin declares", ""),
+    Spec(PARAMETERS, "", "the parameters that its plugin declares", ""),
+    Spec(READ_MANY, "JSON", "several parameters, with data_set and index", '[{"number":964,"index":6}]'),
 )
 _MOTIONS: Final[Mapping[str, Callable[..., Coroutine[object, object, None]]]] = {
     START: Drive.start,
@@ -45,7 +52,7 @@ OPTIONS: Final[Mapping[str, frozenset[str]]] = {
     "data_set": frozenset({"read", "write"}),
     "index": frozenset({"read", "write"}),
     "ram": frozenset({"write"}),
-    "timeout": frozenset({*_MOTIONS, "read", "write"}),
+    "timeout": frozenset({*_MOTIONS, "read", READ_MANY, "write"}),
 }
 
 
@@ -79,7 +86,11 @@ async def carry_out(drive: Drive, word: str, args: Sequence[str]) -> dict[str, o
             found = await drive.write(number_of(plain[0]), value, **places, ram=options.ram, timeout=seconds)
             return {**told, "parameter": asdict(found)}
         case "parameters":
-            return {**told, "parameters": [asdict(one) for one in drive.parameters]}
+            listed = [asdict(one) for one in drive.parameters]
+            return {**told, "per_request": drive.per_request, "parameters": listed}
+        case "read_many":
+            entries = await drive.read_many(_places(plain[0]), timeout=seconds)
+            return {**told, "parameters": [_entry(one) for one in entries]}
         case "speed" | "frequency":
             await drive.order(word, value=_value(plain[0]))
         case "status":
@@ -108,6 +119,17 @@ def wrong_arguments(spec: Spec) -> str:
 def number_of(text: str) -> int | str:
     """A parameter as typed: a number in decimal digits, else a name (0x... is one of those that plugins know)."""
     return int(text) if text.isdecimal() else text
+
+
+def _places(text: str) -> list[ParameterPlace]:
+    try:
+        return [ParameterPlace(**one) for one in json.loads(text)]
+    except (ValueError, TypeError):
+        raise UsageError(f'{text}: write for instance [{{"number":964,"index":6}}]') from None
+
+
+def _entry(one: ParameterValue | ParameterError) -> dict[str, object]:
+    return {"error": str(one), **failures.told(one)} if isinstance(one, ParameterError) else asdict(one)
 
 
 def _options(word: str, given: Sequence[str]) -> _Options:

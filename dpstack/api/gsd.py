@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable
 from importlib import resources
 from pathlib import Path
 
+from dpstack.dp.v1.status import ALARM_KEYWORDS
 from dpstack.errors import ConfigError
 from dpstack.gsd.check import check
 from dpstack.gsd.identifiers import io_lengths
-from dpstack.gsd.model import Diagnostic, GsdFile, Module
+from dpstack.gsd.model import Device, Diagnostic, GsdFile, Module
 from dpstack.gsd.parser import load_gsd, parse_gsd
 from dpstack.gsd.prm import Reading, UserPrm
 from dpstack.gsd.text import MAX_OCTETS
@@ -37,7 +40,8 @@ def read_octets(path: str | Path, folder: Path = Path()) -> bytes:
     except FileNotFoundError as error:
         if str(path) in bundled():
             return _own(str(path))
-        raise _unreadable(file, error) from None
+        near = difflib.get_close_matches(str(path), bundled(), n=1)
+        raise _unreadable(file, error, f"did you mean {near[0]}, or " if near else "") from None
     except (OSError, ValueError) as error:
         raise _unreadable(file, error) from None
 
@@ -47,9 +51,10 @@ def _own(drive: str) -> bytes:
     return (resources.files(package) / name).read_bytes()
 
 
-def _unreadable(file: Path, error: OSError | ValueError) -> ConfigError:
+def _unreadable(file: Path, error: OSError | ValueError, guess: str = "") -> ConfigError:
     why = error.strerror if isinstance(error, OSError) else None
-    return ConfigError(f"{file}: {why or error}; give the path of a GSD file")
+    todo = f"{guess}give the path of a GSD file" + ("?" if guess else "")
+    return ConfigError(f"{file}: {why or error}; {todo}")
 
 
 def read_gsd(path: str | Path, folder: Path = Path()) -> GsdFile:
@@ -96,6 +101,9 @@ def gsd_dict(file: GsdFile) -> dict[str, object]:
         "min_slave_interval": device.min_slave_interval,
         "max_tsdr": {str(speed.baud): speed.max_tsdr for speed in device.speeds},
         "supports": list(supports(file)),
+        "alarms": list(alarm_kinds(device.dpv1.alarms)),
+        "alarms_required": list(alarm_kinds(device.dpv1.required)),
+        "alarm_sequence": device.dpv1.alarm_sequence_mode_count,
         "user_prm": prm[Reading.REFS],
         "user_prm_const": prm[Reading.CONST],
         "parameters": [_parameter(file, number) for number in device.parameters],
@@ -167,6 +175,21 @@ def supports(file: GsdFile) -> tuple[str, ...]:
         "publisher": d.isochronous.publisher,
     }
     return tuple(name for name, there in known.items() if there)
+
+
+def alarm_kinds(keywords: Iterable[str]) -> tuple[str, ...]:
+    """Kinds of alarms as ``alarms`` of a [[slave]] table names them, by their keywords."""
+    return tuple(kind for kind, keyword in ALARM_KEYWORDS.items() if keyword in keywords)
+
+
+def alarms_text(device: Device) -> str | None:
+    """The alarms that the device has, for people; None where it has none."""
+    kinds, required = alarm_kinds(device.dpv1.alarms), alarm_kinds(device.dpv1.required)
+    if not kinds:
+        return None
+    most = device.dpv1.alarm_sequence_mode_count
+    how = "; one of each at a time" + (f" or {most} in all" if most else "")
+    return ", ".join(kinds) + how + (f"; required: {', '.join(required)}" if required else "")
 
 
 def _parameter(file: GsdFile, number: int) -> dict[str, object]:

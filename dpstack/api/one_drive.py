@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Any, Final
 
@@ -11,9 +11,9 @@ from dpstack.api.config import Config
 from dpstack.api.drive import Drive
 from dpstack.api.drive_words import carry_out
 from dpstack.api.opening import open_bus
-from dpstack.api.parameter_dump import ParameterValue
+from dpstack.api.parameter_dump import ParameterPlace, ParameterValue
 from dpstack.api.streams import OnEvent
-from dpstack.errors import DpError, DriveError, DriveFault, SlaveFault
+from dpstack.errors import DpError, DriveError, DriveFault, ParameterError, SlaveFault
 from dpstack.profile import MOVING, ListedParam
 from dpstack.sim.world import World
 
@@ -94,11 +94,16 @@ class OneDrive:
         """As its plugin declares them."""
         return self.drive.parameters
 
-    async def parameter(
-        self, number: int | str, *, data_set: int | None = None, index: int | None = None, timeout: float = 5.0
-    ) -> ParameterValue:
-        """One of them."""
-        return await self.drive.parameter(number, data_set=data_set, index=index, timeout=timeout)
+    @property
+    def per_request(self) -> int:
+        """How many of them one request carries."""
+        return self.drive.per_request
+
+    async def read_many(
+        self, parameters: Sequence[ParameterPlace], *, timeout: float = 5.0
+    ) -> list[ParameterValue | ParameterError]:
+        """Some of them."""
+        return await self.drive.read_many(parameters, timeout=timeout)
 
     async def order(self, word: str, *args: str) -> dict[str, Any]:
         """One word, see :func:`~dpstack.api.drive_words.carry_out`."""

@@ -1,4 +1,4 @@
-"""Reading all parameters of a drive one by one, into a file and against a file; the cyclic data go on meanwhile."""
+"""Reading all parameters of a drive, into a file and against a file; the cyclic data go on meanwhile."""
 
 from __future__ import annotations
 
@@ -64,10 +64,14 @@ class Readable(Protocol):
     def parameters(self) -> tuple[ListedParam, ...]:
         """All that is to be read. Raises UsageError where the telegram has no parameter channel."""
 
-    async def parameter(
-        self, number: int | str, *, data_set: int | None = None, index: int | None = None, timeout: float = 5.0
-    ) -> ParameterValue:
-        """One of them. Raises ParameterError, DriveTimeout, DriveError."""
+    @property
+    def per_request(self) -> int:
+        """How many of them one request to the drive carries."""
+
+    async def read_many(
+        self, parameters: Sequence[ParameterPlace], *, timeout: float = 5.0
+    ) -> list[ParameterValue | ParameterError]:
+        """Some of them; what the drive refuses is the error in its place. Raises DriveTimeout, DriveError."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +104,7 @@ async def dump(
     data_set: int | None = None,
     on_parameter: OnParameter | None = None,
 ) -> ParameterList:
-    """Read the drive's parameters one by one, ``data_set`` None: of all data sets.
+    """Read the drive's parameters, as many by a request as it carries; ``data_set`` None: of all data sets.
 
     With ``path`` into that file, whole or not at all; cut short (cancelled, the drive lost) what was read is kept in
     a file of that name with ``.part`` behind it. Raises UsageError, DriveError.
@@ -187,28 +191,47 @@ def _why_skipped(one: SavedParam, there: dict[Place, ListedParam], read_only: bo
 async def _read_all(
     drive: Readable, wanted: Sequence[ListedParam], found: list[SavedParam], on_parameter: OnParameter | None
 ) -> None:
-    """Fill ``found``, one after the other. What the drive refuses goes in with its reason; a lost drive raises."""
-    silent = 0
-    for number, one in enumerate(wanted, 1):
+    """Fill ``found``, in their order. What the drive refuses goes in with its reason; a lost drive raises."""
+    reading = _Reading(drive, len(wanted), found, on_parameter)
+    size = max(drive.per_request, 1)
+    for at in range(0, len(wanted), size):
+        await reading.read(wanted[at : at + size])
+
+
+@dataclass(slots=True)
+class _Reading:
+    drive: Readable
+    count: int
+    found: list[SavedParam]
+    on_parameter: OnParameter | None
+    silent: int = 0
+
+    async def read(self, some: Sequence[ListedParam]) -> None:
+        """By one request; where it has no answer, by one each: one parameter may be the reason."""
+        places = [ParameterPlace(one.name, one.data_set, one.index) for one in some if one.why_not is None]
+        answers: list[ParameterValue | DriveError] = []
         try:
-            found.append(_saved(one, await _read(drive, one)))
-            silent = 0
-        except ParameterError as error:
-            found.append(_saved(one, why=_reason(drive, error)))
-            silent = 0
+            answers += await self.drive.read_many(places) if places else ()
         except DriveTimeout as error:
-            silent += 1
-            if silent == _SILENT:
-                raise
-            found.append(_saved(one, why=_reason(drive, error)))
-        if on_parameter is not None:
-            on_parameter(number, len(wanted), found[-1])
+            if len(places) > 1:
+                for one in some:
+                    await self.read([one])
+                return
+            answers.append(error)
+        told = iter(answers)
+        for one in some:
+            self._take(one, None if one.why_not is not None else next(told))
 
-
-async def _read(drive: Readable, one: ListedParam) -> ParameterValue | None:
-    if one.why_not is not None:
-        return None
-    return await drive.parameter(one.name, data_set=one.data_set, index=one.index)
+    def _take(self, one: ListedParam, told: ParameterValue | DriveError | None) -> None:
+        self.silent = self.silent + 1 if isinstance(told, DriveTimeout) else 0
+        if isinstance(told, DriveTimeout) and self.silent == _SILENT:
+            raise told
+        if isinstance(told, DriveError):
+            self.found.append(_saved(one, why=str(told).removeprefix(f"drive {self.drive.name}: ")))
+        else:
+            self.found.append(_saved(one, told))
+        if self.on_parameter is not None:
+            self.on_parameter(len(self.found), self.count, self.found[-1])
 
 
 def _saved(one: ListedParam, told: ParameterValue | None = None, why: str | None = None) -> SavedParam:
@@ -228,10 +251,6 @@ def _saved(one: ListedParam, told: ParameterValue | None = None, why: str | None
 
 def _place(one: ListedParam) -> Place:
     return one.name.lower(), one.data_set, one.index
-
-
-def _reason(drive: Readable, error: DriveError) -> str:
-    return str(error).removeprefix(f"drive {drive.name}: ")
 
 
 def _equal(old: SavedParam, new: SavedParam) -> bool:

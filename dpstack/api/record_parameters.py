@@ -8,7 +8,7 @@ from typing import TypeVar
 
 from dpstack.api.records import RecordAccess
 from dpstack.dp.v1.codes import Decode
-from dpstack.errors import AcyclicError, DriveError, DriveTimeout, ParameterError, ServiceRefused
+from dpstack.errors import AcyclicError, DriveError, DriveTimeout, ParameterError, ServiceRefused, SlaveTimeout
 from dpstack.profile import CommandError
 from dpstack.profile.acyclic import (
     PROGRAM,
@@ -25,6 +25,7 @@ from dpstack.profile.acyclic import (
     ReadReq,
     Refused,
     Result,
+    Silent,
     Talk,
     Values,
     WriteReq,
@@ -37,8 +38,8 @@ from dpstack.profile.acyclic import (
 from dpstack.units import NEVER, NS_PER_S, s_to_ns
 
 T = TypeVar("T")
-#: Carries out one Read or Write of the slave: what was read, b"" after a Write, or its negative answer.
-CarryOut = Callable[[ReadReq | WriteReq], Awaitable[bytes | Refused]]
+#: Carries out one Read or Write of the slave: what was read, b"" after a Write, its negative answer, or none.
+CarryOut = Callable[[ReadReq | WriteReq], Awaitable[bytes | Refused | Silent]]
 
 
 class RecordParameters:
@@ -54,6 +55,7 @@ class RecordParameters:
         self._name = name
         self._carry_out = carry_out
         self._client = ParameterClient(slot, object=object, limits=limits, references=PROGRAM)
+        self._limits_known = limits is not None
         self._one_by_one = asyncio.Lock()
 
     @property
@@ -63,7 +65,9 @@ class RecordParameters:
 
     async def limits(self, timeout: float | None = None) -> Limits:
         """What the drive's PNU 974 says; respected from now on."""
-        return await self._run(lambda deadline: read_limits(self._client, deadline), timeout)
+        found = await self._run(lambda deadline: read_limits(self._client, deadline), timeout)
+        self._limits_known = True
+        return found
 
     async def read(
         self, items: Sequence[Address | Item], *, timeout: float | None = None, progress: Progress | None = None
@@ -97,10 +101,16 @@ class RecordParameters:
         progress: Progress | None = None,
         describing: Progress | None = None,
     ) -> list[ReadParameter]:
-        """Every parameter of the drive's list with its values; ``progress`` of these, ``describing`` what is before."""
+        """Every parameter of the drive's list with its values; ``progress`` of these, ``describing`` what is before.
+
+        Its limits are asked for first where they are not known.
+        """
 
         def begin(deadline: int) -> Talk[list[ReadParameter]]:
-            return read_out(self._client, deadline, progress, described=described, describing=describing)
+            if not self._limits_known:
+                yield from read_limits(self._client, deadline)
+                self._limits_known = True
+            return (yield from read_out(self._client, deadline, progress, described=described, describing=describing))
 
         return await self._run(begin, timeout)
 
@@ -111,7 +121,7 @@ class RecordParameters:
             try:
                 service = next(talk)
                 while True:
-                    data: bytes | Refused = b""
+                    data: bytes | Refused | Silent = b""
                     if isinstance(service, Pause):  # nothing tells when the drive has done: it is asked again
                         await asyncio.sleep(service.ns / NS_PER_S)
                     else:
@@ -137,9 +147,9 @@ class RecordParameters:
 
 
 def over_records(records: RecordAccess, timeout: float) -> CarryOut:
-    """What the slave refuses is an answer, other failures are raised as Read and Write raise them."""
+    """What the slave refuses is an answer, and so is its silence; other failures are raised as by Read and Write."""
 
-    async def carry_out(request: ReadReq | WriteReq) -> bytes | Refused:
+    async def carry_out(request: ReadReq | WriteReq) -> bytes | Refused | Silent:
         try:
             if isinstance(request, ReadReq):
                 return await records.read(request.slot, request.index, request.length, timeout=timeout)
@@ -150,6 +160,8 @@ def over_records(records: RecordAccess, timeout: float) -> CarryOut:
             return Refused(error.code_1)
         except ServiceRefused as error:
             return Refused(0, str(error))
+        except SlaveTimeout as error:
+            return Silent(str(error))
         return b""
 
     return carry_out

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import abc
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator
 from typing import TYPE_CHECKING, Final
 
+from dpstack.api.services import time_of
 from dpstack.dp.setup import SlaveSetup
 from dpstack.dp.v1.im import IM_INDEX, Im, Im0, build_call, number_of, parse_answer
 from dpstack.dp.v1.ms1 import ReadRecord, RecordDone, WriteRecord
 from dpstack.dp.v1.records import MAX_RECORD
-from dpstack.errors import PduError, SlaveFault, UsageError
-from dpstack.units import s_to_ns
+from dpstack.errors import AcyclicError, PduError, SlaveFault, SlaveTimeout, UsageError
 
 if TYPE_CHECKING:
     from dpstack.api.services import Services
@@ -32,6 +35,11 @@ class RecordAccess(abc.ABC):
     def who(self) -> str:
         """The slave for people."""
 
+    @property
+    @abc.abstractmethod
+    def im_call(self) -> asyncio.Lock:
+        """Held over an I&M call and what it gives: the slave knows one call at a time."""
+
     @abc.abstractmethod
     async def read(self, slot: int, index: int, length: int | None = None, *, timeout: float = TIMEOUT) -> bytes:
         """Up to ``length`` octets of a record, None: as many as it can have."""
@@ -44,8 +52,10 @@ class RecordAccess(abc.ABC):
         """I&M ``number`` 0..4 of ``slot``: the call, then what it gives. Raises as :meth:`read`."""
         if not 0 <= number <= 4:
             raise UsageError(f"there is no I&M{number}: 0..4")
-        await self.write(slot, IM_INDEX, build_call(number), timeout=timeout)
-        octets = await self.read(slot, IM_INDEX, timeout=timeout)
+        what = f"I&M{number} of slot {slot}"
+        async with self._calling(what, timeout):
+            await self.write(slot, IM_INDEX, build_call(number), timeout=timeout)
+            octets = await self.read(slot, IM_INDEX, timeout=timeout)
         try:
             return parse_answer(octets, number)
         except PduError as error:
@@ -59,7 +69,24 @@ class RecordAccess(abc.ABC):
             call = build_call(number_of(record), record)
         except PduError as error:
             raise UsageError(str(error)) from None
-        await self.write(slot, IM_INDEX, call, timeout=timeout)
+        async with self._calling(f"I&M{number_of(record)} of slot {slot}", timeout):
+            await self.write(slot, IM_INDEX, call, timeout=timeout)
+
+    @contextlib.asynccontextmanager
+    async def _calling(self, what: str, timeout: float) -> AsyncIterator[None]:
+        """The only I&M call to this slave; a negative answer is told as one to ``what``."""
+        try:
+            async with asyncio.timeout(timeout):
+                await self.im_call.acquire()
+        except TimeoutError:
+            late = f"{self.who}: {what} had no turn within {timeout:g} s: another I&M call is under way"
+            raise SlaveTimeout(self.address, f"{late}; give it a longer timeout") from None
+        try:
+            yield
+        except AcyclicError as error:
+            raise error.about(what) from None
+        finally:
+            self.im_call.release()
 
 
 class Records(RecordAccess):
@@ -79,11 +106,16 @@ class Records(RecordAccess):
         """The slave for people."""
         return f"slave {self._setup.address} ({self._setup.name})"
 
+    @property
+    def im_call(self) -> asyncio.Lock:
+        """One for all who ask this slave."""
+        return self._services.im_call(self.address)
+
     async def read(self, slot: int, index: int, length: int | None = None, *, timeout: float = TIMEOUT) -> bytes:
         """Up to ``length`` octets, None: as many as it can have."""
         token = self._services.token()
         wanted = self._longest if length is None else length
-        command = ReadRecord(token, self.address, slot, index, wanted, s_to_ns(timeout))
+        command = ReadRecord(token, self.address, slot, index, wanted, time_of(timeout))
         return (await self._services.do(token, command, RecordDone)).outcome.data
 
     async def write(self, slot: int, index: int, data: bytes, *, timeout: float = TIMEOUT) -> None:
@@ -93,7 +125,7 @@ class Records(RecordAccess):
                 f"{self.who}: {len(data)} octets, its GSD file says C1_Max_Data_Len = {self._longest}: write less"
             )
         token = self._services.token()
-        command = WriteRecord(token, self.address, slot, index, bytes(data), s_to_ns(timeout))
+        command = WriteRecord(token, self.address, slot, index, bytes(data), time_of(timeout))
         await self._services.do(token, command, RecordDone)
 
     @property

@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import itertools
+import math
+from collections import defaultdict
 from typing import TYPE_CHECKING, TypeVar
 
 from dpstack.api.alarms import AlarmDesk
@@ -13,13 +15,21 @@ from dpstack.dp.acyclic import CancelService
 from dpstack.dp.acyclic_job import ServiceEnd
 from dpstack.dp.v1.ms1 import RecordDone
 from dpstack.dp.v1.ms2_orders import ConnectionOver, ConnectionsClosed, TransportDone
-from dpstack.errors import DpError
+from dpstack.errors import DpError, UsageError
 from dpstack.trace import Event
+from dpstack.units import s_to_ns
 
 if TYPE_CHECKING:
     from dpstack.api.bus import Bus
 
 D = TypeVar("D", bound=ServiceEnd)
+
+
+def time_of(seconds: float, what: str = "timeout") -> int:
+    """A time that a user gives for a service, in ns. Raises UsageError for what is none."""
+    if not math.isfinite(seconds) or seconds < 0:
+        raise UsageError(f"{what} = {seconds!r} is no time for a service: seconds are wanted, 0 or more")
+    return s_to_ns(seconds)
 
 
 class Ending:
@@ -41,6 +51,11 @@ class Services:
         #: class 2 connections by the token that opened them
         self.connections: dict[int, Ending] = {}
         self.alarms = AlarmDesk(bus)
+        self._im_calls: defaultdict[int, asyncio.Lock] = defaultdict(asyncio.Lock)
+
+    def im_call(self, address: int) -> asyncio.Lock:
+        """Of the slave, see :attr:`~dpstack.api.records.RecordAccess.im_call`."""
+        return self._im_calls[address]
 
     def token(self) -> int:
         """For one more service."""

@@ -98,6 +98,13 @@ class ServedSlave:
         """How many more there can be."""
         return self._app.connections_free
 
+    def abort_connection(self, sap: int, reason: int = 0) -> None:
+        """End its connection of class 2 at the server ``sap`` (of :attr:`connections`).
+
+        Its master reads an Abort of the user with ``reason`` 0..15. Raises UsageError.
+        """
+        self._app.abort(sap, reason, 0 if self.runtime is None else self.runtime.now())
+
     @property
     def stats(self) -> SlaveAppStats:
         """Its counters."""

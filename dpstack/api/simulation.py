@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from types import TracebackType
 from typing import Final, Literal
 
-from dpstack.api.bench import Unit, rates_of, set_rate
+from dpstack.api.bench import Unit, rates_of, set_rate, station_status
 from dpstack.api.compose import ECHO, port_of
 from dpstack.api.config import AUTO, Config, rate_findings
 from dpstack.api.streams import OnEvent, hand_to
@@ -165,6 +165,7 @@ class Simulation:
                 "state": slave.state.value if slave.unit.powered else "off",
                 "exchanges": slave.exchanges,
                 "watchdogs": slave.watchdogs,
+                **station_status(slave.unit.device),
             }
         status: dict[str, object] = {"seconds": round(self.seconds, 3), "baud": self.baud}
         status |= {"telegrams": self.telegrams, "bad": self.bad}

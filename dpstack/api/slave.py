@@ -279,7 +279,14 @@ class Slave:
     def status_messages(self) -> StatusStream:
         """Status messages, module status, PrmCmdAck ... from now on, as :class:`~dpstack.dp.v1.alarms.Status`: an
         async iterator; nobody acknowledges them, of a reader that does not read the oldest are dropped.
+
+        Raises UsageError for a slave without DP-V1.
         """
+        if self.setup.dpv1 is None:
+            raise UsageError(
+                f"slave {self.address} ({self.name}) is not parameterised for DP-V1: no status messages; "
+                f"if it has them put dpv1 = true into its [[slave]] table"
+            )
         return self._bus.services.alarms.statuses(self.address)
 
     @property

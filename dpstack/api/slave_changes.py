@@ -13,6 +13,8 @@ from dpstack.dp.v1.status import Dpv1
 from dpstack.errors import ConfigError, UsageError
 
 _DPV1: Final = "dpv1"
+#: what is sent in Set_Prm is the same at every rate
+_ANY_RATE: Final = 500_000
 
 
 class Changes(TypedDict, total=False):
@@ -71,7 +73,8 @@ def _refitted(slave: SlaveConfig) -> SlaveConfig:
         for key, supported in (("sync", told.sync), ("freeze", told.freeze)):
             if getattr(slave, key) and not supported:
                 raise ConfigError(f"{where}: its GSD file says {key.capitalize()}_Mode_supp = 0; leave {key} out")
-        reason = told.check_prm(slave.user_prm) if slave.config in told.configs else None
+        sent = slave.setup(_ANY_RATE).user_octets(None)
+        reason = told.check_prm(sent) if slave.config in told.configs else None
         if reason is not None:
             raise ConfigError(f"{where}: {reason}")
     try:

@@ -11,6 +11,7 @@ from dpstack.dp.dp_slave import DpSlave, OnAddress, OnIm, OnRead, OnTransport, O
 from dpstack.dp.slave_gsd import slave_description
 from dpstack.dp.v1.device_records import ImOf
 from dpstack.dp.v1.prm_blocks import PrmBlock
+from dpstack.dp.v1.tickets import Records
 from dpstack.errors import ConfigError, GsdError
 from dpstack.gsd.configuration import configure, default_modules
 
@@ -31,6 +32,7 @@ def slave_from_gsd(
     on_transport: OnTransport | None = None,
     im: ImOf = (),
     on_im: OnIm | None = None,
+    parameters: Records | None = None,
 ) -> DpSlave:
     """The slave that the GSD file at ``path`` describes, doing what ``on_cycle(outputs, elapsed)`` does.
 
@@ -60,4 +62,5 @@ def slave_from_gsd(
         on_transport=on_transport,
         im=im,
         on_im=on_im,
+        parameters=parameters,
     )

@@ -130,13 +130,13 @@ class Table:
                 self.fail(key, f"{key} holds {member}, outside {low}..{high}", "correct it or leave it out")
         return tuple(sorted(set(value)))
 
-    def table(self, key: str) -> Table | None:
-        """A table inside this one, inline or with a header of its own."""
+    def table(self, key: str, wanted: str = "a table, for instance { name = value }") -> Table | None:
+        """A table inside this one, inline or with a header of its own; ``wanted``: what it must be, for people."""
         value = self._data.get(key)
         if value is None:
             return None
         if not isinstance(value, Mapping):
-            self._wrong(key, "a table, for instance { name = value }")
+            self._wrong(key, wanted)
         return Table(self._source, (*self._path, key), value, f"{self.title}: {key}")
 
     def inner(self, key: str, number: int, value: object) -> Table:

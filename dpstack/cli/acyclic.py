@@ -13,22 +13,27 @@ from dpstack.api.bus import Bus
 from dpstack.api.config import Config, load_config
 from dpstack.api.control.records import through_run
 from dpstack.api.drive_words import find_word
-from dpstack.api.events import Event, Notice, Severity, severity_of
+from dpstack.api.events import AddressCollision, Event, FaultKind, Notice, Severity, SlaveFaulted, severity_of
 from dpstack.api.one_drive import READY_S
 from dpstack.api.opening import open_bus
 from dpstack.api.parameter_list import FileToBe
 from dpstack.api.record_dump import list_of
 from dpstack.api.record_list import RecordList
 from dpstack.api.slave_config import SlaveConfig
+from dpstack.api.virtual import World, simulate
 from dpstack.api.visiting import joined
 from dpstack.cli import options, output
 from dpstack.cli.acyclic_lists import COMPARE, FILES, show_comparison, show_dump, show_list
 from dpstack.cli.progress import progress_bar
 from dpstack.cli.signals import StopSignal
 from dpstack.cli.streams import warn
-from dpstack.errors import UsageError
+from dpstack.errors import BusError, SlaveFault, UsageError
 
 _WORDS: Final = (*WORDS, TRANSPORT, *FILES)
+
+
+#: where another master has the address, or the slave
+_BESIDE: Final = "; or ask beside that master with --class 2, where the slave has it"
 
 
 class Order(NamedTuple):
@@ -167,25 +172,44 @@ async def _as_master(asked: _Asked, progress: OnProgress) -> Mapping[str, Any]:
     config, slave = asked.config, asked.slave
     if config.bus.read_only:
         raise UsageError("the configuration is read only: records need data exchange; leave read_only out")
-    async with open_bus(config.only(slave), on_event=_event) as bus:
-        found = bus.slave(slave.address)
-        await found.ready(READY_S)
-        return await carry_out(found, *asked.order, progress)
+    foreign = up = False
+
+    def on_event(event: Event) -> None:
+        nonlocal foreign
+        match event:  # of what keeps it from coming up the error tells
+            case AddressCollision():
+                foreign = True
+            case SlaveFaulted(fault=fault) if not up:
+                foreign = foreign or fault.kind is FaultKind.LOCKED
+            case _:
+                _event(event)
+
+    try:
+        async with open_bus(config.only(slave), on_event=on_event) as bus:
+            found = bus.slave(slave.address)
+            await found.ready(READY_S)
+            up = True
+            return await carry_out(found, *asked.order, progress)
+    except (BusError, SlaveFault) as error:
+        if not foreign:
+            raise
+        text = f"{error}{_BESIDE}"
+        raise BusError(text) if isinstance(error, BusError) else SlaveFault(slave.address, text) from None
 
 
 async def _as_class2(asked: _Asked, progress: OnProgress) -> Mapping[str, Any]:
-    """A station without slaves, at an address that nobody uses: neither the slave nor its master notices.
-
-    On the port "virtual" the slave is simulated, which takes a master.
-    """
+    """A station without slaves, at an address that nobody uses: neither the slave nor its master notices."""
     config, slave = asked.config, asked.slave
     if config.bus.read_only:
         raise UsageError("the configuration is read only: a connection is to be opened; leave read_only out")
+    world = None
+    if config.virtual:
+        world = World()
+        simulate(world, [slave], baud=config.baud)
 
     def make_bus(address: int) -> Bus:
         settings = dataclasses.replace(config.bus, address=address, cycle_ms=None, cycle_freeze=(), cycle_sync=())
-        slaves = (slave,) if config.virtual else ()
-        return open_bus(dataclasses.replace(config, bus=settings, slaves=slaves), on_event=_event)
+        return open_bus(dataclasses.replace(config, bus=settings, slaves=()), on_event=_event, world=world)
 
     taken = {config.bus.address, *(one.address for one in config.slaves)}
     async with joined(make_bus, asked.own, avoid=taken) as bus, bus.class2.connect(slave) as connection:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Final
 
 from dpstack.api.control.client import connect
 from dpstack.cli import options, output
+
+#: what an entry may take to stand in one line
+_LINE: Final = 130
 
 
 def add_to(commands: options.Commands) -> None:
@@ -50,6 +53,10 @@ def _show(result: Any, indent: str = "") -> None:
         return
     for key, value in result.items():
         if isinstance(value, Mapping) and value:
+            line = _line(value)
+            if line is not None and len(indent) + len(str(key)) + len(line) <= _LINE:
+                output.line(f"{indent}{key}: {line}")
+                continue
             output.line(f"{indent}{key}:")
             _show(value, indent + "  ")
         elif isinstance(value, list) and value and isinstance(value[0], Mapping):
@@ -57,5 +64,16 @@ def _show(result: Any, indent: str = "") -> None:
                 output.line(f"{indent}{key} {number}:")
                 _show(entry, indent + "  ")
         else:
-            text = ", ".join(map(str, value)) if isinstance(value, list) else value
-            output.line(f"{indent}{key}: {text}")
+            output.line(f"{indent}{key}: {_text(value)}")
+
+
+def _line(entry: Mapping[str, Any]) -> str | None:
+    """An entry without entries of its own in one line, None where it has some."""
+    members = [one for value in entry.values() for one in (value if isinstance(value, list) else [value])]
+    if any(isinstance(one, (Mapping, list)) for one in members):
+        return None
+    return ", ".join(f"{key} {_text(value, ' ')}" for key, value in entry.items())
+
+
+def _text(value: Any, between: str = ", ") -> str:
+    return between.join(map(str, value)) if isinstance(value, list) else "none" if value is None else str(value)

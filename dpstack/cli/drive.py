@@ -10,7 +10,17 @@ from typing import Final
 from dpstack.api.config import Config, load_config
 from dpstack.api.control.drives import RemoteDrive, find_drive
 from dpstack.api.control.specs import Spec
-from dpstack.api.drive_words import HALTS, LASTING, OPTIONS, START, WORDS, find_word, wrong_arguments
+from dpstack.api.drive_words import (
+    HALTS,
+    LASTING,
+    OPTIONS,
+    PARAMETERS,
+    READ_MANY,
+    START,
+    WORDS,
+    find_word,
+    wrong_arguments,
+)
 from dpstack.api.events import DriveEvent, Event, Notice, Severity, severity_of
 from dpstack.api.one_drive import OneDrive
 from dpstack.api.slave_config import SlaveConfig
@@ -21,7 +31,7 @@ from dpstack.cli.signals import StopSignal
 from dpstack.cli.streams import warn
 from dpstack.errors import UsageError
 
-_WORDS: Final = (*(spec for spec in WORDS if spec.name != "parameters"), *DUMP_AND_COMPARE)
+_WORDS: Final = (*(spec for spec in WORDS if spec.name not in (PARAMETERS, READ_MANY)), *DUMP_AND_COMPARE)
 _FOR_FILES: Final = frozenset(spec.name for spec in DUMP_AND_COMPARE)
 _FOR: Final = {**OPTIONS, "data_set": OPTIONS["data_set"] | _FOR_FILES, "all": frozenset({"compare"})}
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from dpstack.api.gsd import (
+    alarms_text,
     check_gsd,
     copy_gsd,
     diagnostic_dict,
@@ -48,10 +49,10 @@ def add_to(commands: options.Commands) -> None:
     copier = options.command(
         inner,
         "copy",
-        "write the GSD file that dpstack brings for a drive (made from its manual's facts, not the vendor's)",
+        "write the GSD file that dpstack brings for a drive (from its manual, not the vendor's) or for io-station",
         "dpstack gsd copy demag-dedrive hoist.gsd",
     )
-    copier.add_argument("drive", metavar="DRIVE", help="name of the drive")
+    copier.add_argument("drive", metavar="DRIVE", help="name of the drive, or io-station")
     copier.add_argument("file", metavar="FILE", help="where to; a new file")
     copier.set_defaults(execute=copy)
 
@@ -119,6 +120,9 @@ def _show(file: GsdFile) -> None:
     if data["user_prm"] != data["user_prm_const"]:
         rows.append(("constants beneath", data["user_prm_const"]))
     rows.append(("supports", ", ".join(supports(file)) or "nothing beyond the basics"))
+    alarms = alarms_text(file.device)
+    if alarms is not None:
+        rows.append(("alarms", alarms))
     output.table("Device", ("", "value"), rows)
     output.table(
         "Baud rates",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 from collections.abc import Callable
+from pathlib import Path
 from typing import Literal
 
 from dpstack.api.config import AUTO, Config, load_config, make_config
@@ -25,11 +26,17 @@ def add_to(commands: options.Commands) -> None:
     parser = options.command(
         commands,
         "sim",
-        "the slaves of a configuration, or one simulated drive, on one port",
-        "dpstack sim plant.toml --port pty\n         dpstack sim --drive fuji-frenic --address 4 --port pty",
+        "the slaves of a configuration, one simulated drive, or one device of a GSD file, on one port",
+        "dpstack sim plant.toml --port pty\n"
+        "         dpstack sim --drive fuji-frenic --address 4 --port pty\n"
+        '         dpstack sim --gsd io-station --modules "8 DI" "8 DO" --address 8 --port pty',
     )
     parser.add_argument("config", metavar="CONFIG", nargs="?", help="configuration file")
     parser.add_argument("--drive", metavar="NAME", help="one simulated drive instead of a configuration")
+    parser.add_argument("--gsd", metavar="FILE", help="one device of this GSD file; io-station is brought along")
+    parser.add_argument(
+        "--modules", metavar="M", nargs="+", help="what is plugged into it, by name or reference number"
+    )
     parser.add_argument("--address", metavar="A", type=options.address, help="its address")
     parser.add_argument("--telegram", metavar="T", help="its telegram")
     parser.add_argument("--port", metavar="P", required=True, help='the port; "pty" makes one and prints its path')
@@ -50,15 +57,21 @@ def execute(args: argparse.Namespace) -> int:
 
 
 def _config(args: argparse.Namespace) -> Config:
+    given = {key: getattr(args, key) for key in ("drive", "gsd", "modules", "telegram", "address")}
+    table: dict[str, object] = {key: value for key, value in given.items() if value is not None}
     if args.config is not None:
-        if args.drive is not None or args.address is not None or args.telegram is not None:
-            raise UsageError("sim: a CONFIG or --drive with --address, not both; leave one out")
+        if table:
+            option = "--gsd" if args.drive is None and args.gsd is not None else "--drive"
+            raise UsageError(f"sim: a CONFIG or {option} with --address, not both; leave one out")
         return load_config(args.config)
-    if args.drive is None or args.address is None:
-        raise UsageError("sim: neither CONFIG nor --drive NAME with --address A; give one of them")
-    table: dict[str, object] = {"drive": args.drive, "address": args.address, "name": args.drive}
-    if args.telegram is not None:
-        table["telegram"] = args.telegram
+    device = args.drive or args.gsd
+    if device is None or args.address is None:
+        raise UsageError(
+            "sim: neither CONFIG nor --drive NAME with --address A; give one of them, or --gsd FILE with --address"
+        )
+    table["name"] = args.drive or Path(args.gsd).stem
+    if args.modules:
+        table["modules"] = [int(module) if module.isdecimal() else module for module in args.modules]
     master = 2 if args.address != 2 else 1
     return make_config(args.port, DEFAULT_BAUD, master, [table], where="sim")
 

@@ -78,6 +78,8 @@ class Acyclic:
     _asked: _Entry | None = None
     _turn: bool = False
     _tokens: int = 0
+    #: why there is no line, until the next token
+    _no_line: str = ""
     #: stations whose last answer came: their silence is news, they are waited for
     _known: set[int] = field(default_factory=set)
     _events: list[Event] = field(default_factory=list)
@@ -113,6 +115,7 @@ class Acyclic:
                 for entry in [entry for entry in self._queue if entry.token == token]:
                     self._cut(entry, ServiceFailure.CANCELLED, "was cancelled", now)
             case LineDown(reason):
+                self._no_line = reason
                 for entry in tuple(self._queue):
                     what = f"had no end when the port vanished ({reason}); it can be repeated when the port is back"
                     self._cut(entry, ServiceFailure.LINE, what, now)
@@ -147,13 +150,14 @@ class Acyclic:
         wanted = self._ms2.wanted
         while wanted:
             job, timeout_ns = wanted.pop(0)
-            self._queue.append(self._entry(UNORDERED, job, timeout_ns, now))
+            self._put_first(self._entry(UNORDERED, job, timeout_ns, now))
 
-    def _put_first(self, job: Job, now: int) -> None:
-        """Before those in its lane that have not begun: a slave may have no further alarm until it is acknowledged."""
-        begun = [entry.job.lane == job.lane and entry.step is not None for entry in self._queue]
+    def _put_first(self, new: _Entry) -> None:
+        """Before those in its lane that have not begun: a slave may have no further alarm until it is acknowledged, and
+        names the connections that it gave out in their order."""
+        begun = [entry.job.lane == new.job.lane and entry.step is not None for entry in self._queue]
         at = begun.index(True) + 1 if True in begun else 0
-        self._queue.insert(at, self._entry(ACKS, job, SERVICE_TIMEOUT, now))
+        self._queue.insert(at, new)
 
     def _room(self, lane: Hashable | None) -> bool:
         return sum(entry.job.lane == lane and entry.token != ACKS for entry in self._queue) < CAPACITY
@@ -163,6 +167,7 @@ class Acyclic:
         """One request a hold. What a slave cannot answer any more ends here."""
         self._turn = True
         self._tokens += 1
+        self._no_line = ""
         if self._queue:
             self._end_barred(now)
 
@@ -191,7 +196,7 @@ class Acyclic:
     def _take_asked(self, handlers: list[SlaveHandler], now: int) -> None:
         """What a unit wants since the Data_Exchange of this hold goes out in the same one."""
         for ack in ack_jobs(handlers, self._ms1, now):
-            self._put_first(ack, now)
+            self._put_first(self._entry(ACKS, ack, SERVICE_TIMEOUT, now))
         for handler, queue in units.asking(handlers):
             if self._room(handler.setup.address) and (job := units.unit_job(self._ms1, handler, queue)) is not None:
                 self._take(UNORDERED, job, SERVICE_TIMEOUT, now)
@@ -278,13 +283,15 @@ class Acyclic:
             self._take_wanted(now)
         for entry in [entry for entry in self._queue if entry.deadline <= now]:
             entry.deadline = NEVER
-            self._cut(entry, ServiceFailure.LATE, self._why_late(entry), now)
+            self._cut(entry, ServiceFailure.LINE if self._no_line else ServiceFailure.LATE, self._why_late(entry), now)
         for entry in [entry for entry in self._queue if entry.answer_by <= now]:
             entry.answer_by = NEVER
             entry.over = entry.over or (ServiceFailure.LATE, entry.job.overdue)
 
     def _why_late(self, entry: _Entry) -> str:
         after = f"had no end after {ns_to_s(entry.timeout_ns):g} s"
+        if self._no_line:
+            return f"{after}: the port vanished ({self._no_line}); it can be repeated when the port is back"
         if self._tokens == entry.since:
             return f"{after}: this station was given no token in that time; see whether it is in the ring"
         if not entry.asked:

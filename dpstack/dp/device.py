@@ -7,6 +7,7 @@ from enum import Enum
 
 from dpstack.dp.user_diag import NO_DIAG, UserDiag
 from dpstack.dp.v1.alarm_server import AlarmServer
+from dpstack.dp.v1.connection import InitiateReq
 from dpstack.dp.v1.tickets import Records, Transport
 from dpstack.units import NEVER
 
@@ -33,7 +34,8 @@ class Device:
     outputs while there are none of a master (Clear, before the first exchange), empty for zeros. ``records``: what
     Read and Write of DP-V1 reach, ``alarm_server`` its alarms, None where the device has none of it. ``ms2``:
     connections of class 2, 0..49; ``transport`` serves their Data_Transport, ``ms2_max_len``: octets of data in one of
-    their services, up to 240; ``ms2_at_once``: it answers in the request itself what it knows by then, not when polled.
+    their services, up to 240; ``ms2_max_initiate``: octets of the longest Initiate, 20..244; ``ms2_at_once``: it
+    answers in the request itself what it knows by then, not when polled.
 
     All times in ns on the bus's clock; nothing here may block or read a clock of its own. An exception takes the device
     out of data exchange until it is restarted.
@@ -54,6 +56,7 @@ class Device:
     ms2: int = 0
     transport: Transport | None = None
     ms2_max_len: int = 240
+    ms2_max_initiate: int = 244
     ms2_at_once: bool = False
     alarm_server: AlarmServer | None = None
 
@@ -100,6 +103,9 @@ class Device:
         ``rem_slave_data``: 0..240 octets, meant for this device.
         """
         return False
+
+    def initiate(self, master: int, wanted: InitiateReq) -> None:
+        """``master`` opens a connection of class 2: raise RecordRefused for a negative response to it."""
 
     def wake_at(self) -> int:
         """When :meth:`tick` is wanted, in ns, or NEVER."""

@@ -10,6 +10,7 @@ from dpstack.dp.events import SlaveDiagnosis
 from dpstack.dp.findings import Findings
 from dpstack.dp.judge import deviations
 from dpstack.dp.setup import SlaveSetup
+from dpstack.dp.v1.alarm_book import AlarmBook
 from dpstack.dp.v1.alarm_handler import AlarmHandler
 from dpstack.trace import Event
 
@@ -17,8 +18,7 @@ from dpstack.trace import Event
 class Diagnoses:
     """``last`` is the diagnosis read last. ``ident``: the one the device must have, None until the first is taken.
 
-    ``alarms`` in them, of a slave that is parameterised for DP-V1; ``ask(now)`` has one read, ``earlier`` are those of
-    the same slave under other parameters.
+    ``alarms`` in them, of a slave that is parameterised for DP-V1, noted in ``book``; ``ask(now)`` has one read.
     """
 
     __slots__ = ("_emit", "_findings", "_own", "_setup", "alarms", "flagged", "ident", "last")
@@ -30,7 +30,7 @@ class Diagnoses:
         findings: Findings,
         emit: Callable[[Event], None],
         ask: Callable[[int], None],
-        earlier: AlarmHandler | None,
+        book: AlarmBook,
     ) -> None:
         self.last: Diagnosis | None = None
         self.ident = setup.ident
@@ -40,7 +40,7 @@ class Diagnoses:
         self._emit = emit
         #: the slave wants to be read: DH since the last one
         self.flagged = False
-        self.alarms = None if setup.dpv1 is None else AlarmHandler(setup, findings, emit, ask, earlier)
+        self.alarms = None if setup.dpv1 is None else AlarmHandler(setup, findings, emit, ask, book)
 
     def read(self, octets: bytes, now: int) -> Diagnosis | None:
         """The answer to Slave_Diag; None when it is none."""

@@ -11,9 +11,11 @@ from dpstack.dp.diagnosis import FIXED_LEN
 from dpstack.dp.slave_description import SlaveDescription
 from dpstack.dp.user_diag import NO_DIAG, UserDiag
 from dpstack.dp.v1.alarm_server import AlarmServer
-from dpstack.dp.v1.device_records import ImOf, ImRecords
+from dpstack.dp.v1.connection import InitiateReq
+from dpstack.dp.v1.device_records import ByIndex, ImOf, ImRecords
 from dpstack.dp.v1.im import Im
 from dpstack.dp.v1.prm_blocks import PrmBlock
+from dpstack.dp.v1.records import PARAMETER_INDEX
 from dpstack.dp.v1.tickets import Records
 from dpstack.errors import ConfigError
 from dpstack.gsd.identifiers import io_lengths
@@ -39,6 +41,8 @@ OnRead = Callable[[int, int], Awaitable[bytes]]
 OnWrite = Callable[[int, int, bytes], Awaitable[None]]
 #: what Data_Transport brings, from slot, index and octets to octets, up to 240 each way
 OnTransport = Callable[[int, int, bytes], Awaitable[bytes]]
+#: judges an Initiate of a master of class 2; it raises :class:`~dpstack.errors.RecordRefused` to refuse it
+OnInitiate = Callable[[int, InitiateReq], None]
 
 
 class DpSlave(FunctionDevice):
@@ -58,12 +62,14 @@ class DpSlave(FunctionDevice):
 
     ``on_read`` and ``on_write`` serve the records of DP-V1, ``on_transport`` the Data_Transport of class 2
     (:func:`dpstack.serve_slave` runs them), one at a time for each who asks: what they raise is answered and told,
-    nothing else ends; they are cancelled when the master gives up. ``ms2``: so many connections of class 2, default the
+    nothing else ends; they are cancelled when the master gives up. ``on_initiate(master, wanted)`` may refuse a
+    connection of class 2 by RecordRefused (a negative response). ``ms2``: so many connections of class 2, default the
     description's. ``im`` is its I&M: I&M0, and those of I&M1 to 4 that a master may write, for every slot alike or as a
     table slot -> I&M. ``on_im(slot, record)`` keeps what a master writes of it where it survives a restart; what it
-    raises is answered (RecordRefused: as it says), and nothing is changed. ``alarm_server`` is where a slave with DP-V1
-    raises alarms and tells status messages (:class:`~dpstack.dp.v1.alarm_server.AlarmServer`); served, it has them as
-    async calls.
+    raises is answered (RecordRefused: as it says), and nothing is changed. ``parameters`` serves record 47, the
+    parameter channel of PROFIdrive (:class:`dpstack.profile.acyclic.TimedRecords`), instead of these functions.
+    ``alarm_server`` is where a slave with DP-V1 raises alarms and tells status messages
+    (:class:`~dpstack.dp.v1.alarm_server.AlarmServer`); served, it has them as async calls.
 
     Set :attr:`diag`, as a whole and whenever something changes, to what the slave shall say in its diagnosis.
     Raises ConfigError.
@@ -83,8 +89,10 @@ class DpSlave(FunctionDevice):
         on_read: OnRead | None = None,
         on_write: OnWrite | None = None,
         on_transport: OnTransport | None = None,
+        on_initiate: OnInitiate | None = None,
         im: ImOf = (),
         on_im: OnIm | None = None,
+        parameters: Records | None = None,
         ms2: int | None = None,
     ) -> None:
         first = description.configs[0] if description.configs else description.modules[0].config
@@ -120,8 +128,11 @@ class DpSlave(FunctionDevice):
         self.on_transport = on_transport
         self.ms2 = description.ms2 if ms2 is None else ms2
         self.ms2_max_len = description.ms2_max_len
+        self.ms2_max_initiate = description.ms2_max_initiate
+        self._on_initiate = on_initiate
         self._on_im = on_im
         given = im if isinstance(im, Mapping) else tuple(im)
+        self._parameters = parameters
         self._im = ImRecords(given, changed=self._im_written) if given else None
         self.serve_records(None)
         #: one of the user's functions runs at this moment
@@ -154,7 +165,9 @@ class DpSlave(FunctionDevice):
         return () if self._im is None else self._im.of(slot)
 
     def serve_records(self, others: Records | None) -> None:
-        """What serves the records beside I&M."""
+        """What serves the records beside I&M and parameters."""
+        if self._parameters is not None:
+            others = ByIndex({PARAMETER_INDEX: self._parameters}, others)
         if self._im is not None:
             self._im.others = others
         self.records = others if self._im is None else self._im
@@ -208,6 +221,12 @@ class DpSlave(FunctionDevice):
         with self._called():
             self._on_address(address, fixed, rem_slave_data)
         return True
+
+    def initiate(self, master: int, wanted: InitiateReq) -> None:
+        """As the user says."""
+        if self._on_initiate is not None:
+            with self._called():
+                self._on_initiate(master, wanted)
 
     def _im_written(self, slot: int, record: Im) -> None:
         if self._on_im is not None:

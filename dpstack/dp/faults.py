@@ -97,7 +97,9 @@ def cfg_fault(setup: SlaveSetup, actual: bytes | None) -> Fault:
         pairs = enumerate(zip(sent, actual, strict=False))
         at = next((i for i, (a, b) in pairs if a != b), min(len(sent), len(actual)))
         detail = f", it has {actual.hex(' ')}: octet {at + 1} differs"
-        remedy = f'configure config = "{actual.hex(" ").upper()}" or change the telegram set in the device'
+        remedy = (
+            f'configure config = "{actual.hex(" ").upper()}" (or its modules) or change the telegram set in the device'
+        )
     return Fault(
         FaultKind.CFG_FAULT, f"refuses the configuration (Cfg_Fault): Chk_Cfg was {sent.hex(' ')}{detail}", remedy
     )

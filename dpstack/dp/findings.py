@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Final
 
 from dpstack.dp.events import Fault, FaultKind, SlaveFaulted, SlaveRemark
+from dpstack.dp.once import News, Once
 from dpstack.trace import Event
+
+_MAX_REMARKS: Final = 20
+_NO_MORE: Final = "; further deviations are not told"
 
 
 class Findings:
@@ -19,7 +24,7 @@ class Findings:
         self._name = name
         self._emit = emit
         self._told = ""
-        self._remarks: set[str] = set()
+        self._remarks = Once(_MAX_REMARKS)
 
     def tell(self, fault: Fault, now: int) -> None:
         """Keep ``fault``; tell it when it is another than the last one."""
@@ -29,9 +34,10 @@ class Findings:
             self._emit(SlaveFaulted(t_ns=now, address=self._address, name=self._name, fault=fault))
 
     def remark(self, message: str, now: int) -> None:
-        """Tell ``message``, once."""
-        if message not in self._remarks:
-            self._remarks.add(message)
+        """Tell ``message``, once; of a slave that always deviates in another way the first ones."""
+        news = self._remarks.news(message)
+        if news is not News.KNOWN:
+            message += _NO_MORE if news is News.LAST else ""
             self._emit(SlaveRemark(t_ns=now, address=self._address, name=self._name, message=message))
 
     @property

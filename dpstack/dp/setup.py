@@ -48,8 +48,8 @@ class SlaveSetup:
     None lets the master choose from the plan. ``safe`` are the output octets for every way out (default zeros),
     ``initial`` the first ones (default ``safe``). ``groups`` are group numbers 1..8. ``every``: every n-th round.
     ``wd_base_1ms``: a DP-V1 slave with a watchdog base of 1 ms; its user parameters begin with DPV1_Status_1..3.
-    ``fail_safe``: it gets empty frames in Clear; ``fail_safe_told``: DPV1_Status_1 says to a DP-V1 slave whether.
     ``dpv1``: DPV1_Enable and what goes with it, for a slave whose user parameters begin so; None: nothing of it.
+    ``fail_safe``: it gets empty frames in Clear; ``fail_safe_told``: DPV1_Status_1 says whether, also without ``dpv1``.
     ``max_diag_len``: octets of its longest diagnosis, 6..244, None: not known.
     ``ignore_auto_clear``: the master stays in Operate without it. ``texts``: what its GSD file says to a diagnosis.
 
@@ -155,7 +155,7 @@ class SlaveSetup:
         octets = bytearray(self.user_prm)
         if self.wd_base_1ms:
             set_bit(octets, 0, WD_BASE_1MS, watchdog is not None and watchdog.base_ms == 1)
-        if self.fail_safe_told:
+        if self.fail_safe_told or self.dpv1 is not None:
             set_bit(octets, 0, FAIL_SAFE, self.fail_safe)
         if self.dpv1 is not None:
             self.dpv1.apply(octets)

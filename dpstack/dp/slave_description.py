@@ -14,10 +14,11 @@ from dpstack.dp.pdu import MAX_USER_PRM
 from dpstack.dp.setup import INTERVAL_UNIT
 from dpstack.dp.v1.alarm_server import AlarmSupport
 from dpstack.dp.v1.alarms import HEAD as ALARM_HEAD
+from dpstack.dp.v1.connection import LEAST_INITIATE
 from dpstack.dp.v1.ms2_server import MAX_CONNECTIONS
 from dpstack.dp.v1.prm_blocks import PrmBlock, parse_blocks
 from dpstack.dp.v1.records import MAX_RECORD
-from dpstack.dp.v1.status import ALARM_LIMITS, DPV1_STATUS_LEN, PRM_STRUCTURE
+from dpstack.dp.v1.status import ALARM_LIMITS, DPV1_STATUS_LEN, PRM_STRUCTURE, set_bit
 from dpstack.errors import ConfigError, PduError
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.identifiers import config_for, io_lengths
@@ -52,8 +53,9 @@ class SlaveDescription:
     ``alarm_sequence``: 2..32 of them at a time in sequence mode, 0 for one of each type only
     [Alarm_Sequence_Mode_Count]; ``extra_alarm_sap`` [Extra_Alarm_SAP_supp]; ``prm_blocks``
     [Prm_Block_Structure_supp]: of such a slave, structured parameters may follow, otherwise Prm_Structure is refused;
+    ``prm_blocks_required`` [Prm_Block_Structure_req]: without Prm_Structure they are refused;
     ``ms2``: connections of class 2 [C2_Read_Write_supp, C2_Max_Count_Channels], ``ms2_max_len``: octets in one of their
-    services [C2_Max_Data_Len];
+    services [C2_Max_Data_Len], ``ms2_max_initiate``: octets of an Initiate [Max_Initiate_PDU_Length];
     ``rates``: baud rate -> MaxTsdr in bit times, empty for all; ``min_slave_interval_ns`` [Min_Slave_Intervall], for
     the master. Raises ConfigError.
     """
@@ -75,8 +77,10 @@ class SlaveDescription:
     wd_base_1ms: bool = False
     dpv1: bool = False
     prm_blocks: bool = True
+    prm_blocks_required: bool = False
     ms2: int = 0
     ms2_max_len: int = MAX_RECORD
+    ms2_max_initiate: int = MAX_DATA
     alarms: tuple[str, ...] = ()
     alarm_sequence: int = 0
     extra_alarm_sap: bool = False
@@ -128,6 +132,8 @@ class SlaveDescription:
             raise self._wrong(f"ms2 = {self.ms2} connections of class 2; 0 to {MAX_CONNECTIONS} are possible")
         if not 0 < self.ms2_max_len <= MAX_RECORD:
             raise self._wrong(f"ms2_max_len {self.ms2_max_len} is outside 1..{MAX_RECORD}")
+        if not LEAST_INITIATE <= self.ms2_max_initiate <= MAX_DATA:
+            raise self._wrong(f"ms2_max_initiate {self.ms2_max_initiate} is outside {LEAST_INITIATE}..{MAX_DATA}")
         if self.modules and self.max_modules < 1:
             raise self._wrong(f"max_modules {self.max_modules}: a modular slave has room for 1 at least")
 
@@ -155,9 +161,13 @@ class SlaveDescription:
 
     def blocks(self, user_prm: bytes) -> tuple[PrmBlock, ...]:
         """The structured parameters behind DPV1_Status; none where Prm_Structure is not set. Raises PduError."""
-        if not self.dpv1 or len(user_prm) < DPV1_STATUS_LEN or not user_prm[2] & PRM_STRUCTURE:
+        if not self.dpv1:
             return ()
-        if not self.prm_blocks:
+        if len(user_prm) < DPV1_STATUS_LEN or not user_prm[2] & PRM_STRUCTURE:
+            if self.prm_blocks_required:
+                raise PduError("octet 10 bit 3: Prm_Structure is not set, this device needs structured parameters")
+            return ()
+        if not self.prm_blocks and not self.prm_blocks_required:
             raise PduError("octet 10 bit 3: Prm_Structure is set, this device has no structured parameters")
         return parse_blocks(user_prm[DPV1_STATUS_LEN:], _FIRST_BLOCK)
 
@@ -186,13 +196,19 @@ class SlaveDescription:
             "address": address,
             "ident": self.ident,
             "config": config.hex(" "),
-            "user_prm": bytes(max(self.user_prm_len[0], DPV1_STATUS_LEN * self.dpv1)).hex(" "),
+            "user_prm": self._least_prm().hex(" "),
             "fail_safe": self.fail_safe,
             "min_slave_interval": -(-self.min_slave_interval_ns // INTERVAL_UNIT),
             **({"dpv1": self._dpv1_table()} if self.dpv1 else {}),
         }
 
     # --- inside -------------------------------------------------------------------------------------------------
+
+    def _least_prm(self) -> bytes:
+        octets = bytearray(max(self.user_prm_len[0], DPV1_STATUS_LEN * self.dpv1))
+        if self.dpv1 and self.prm_blocks_required:
+            set_bit(octets, 2, PRM_STRUCTURE, True)
+        return bytes(octets)
 
     def _dpv1_table(self) -> object:
         if not self.alarms:

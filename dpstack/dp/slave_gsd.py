@@ -9,6 +9,7 @@ from dpstack.dp.pdu import MAX_USER_PRM
 from dpstack.dp.setup import INTERVAL_UNIT
 from dpstack.dp.slave_description import SlaveDescription, SlaveModule
 from dpstack.dp.v1.alarms import HEAD, SEQUENCES
+from dpstack.dp.v1.connection import LEAST_INITIATE
 from dpstack.dp.v1.ms2_server import MAX_CONNECTIONS
 from dpstack.dp.v1.records import MAX_RECORD
 from dpstack.dp.v1.status import ALARM_KEYWORDS, ALARM_LIMITS, DPV1_STATUS_LEN
@@ -28,10 +29,10 @@ def slave_description(
     """The slave of the type ``device``.
 
     ``chosen``: what is plugged into it, and nothing else is accepted then, nor user parameters of another length than
-    these modules have. None: a compact station accepts any one of its modules, a modular one any row of them and of
-    empty slots within its limits, both up to Max_User_Prm_Data_Len octets of user parameters; modules that the file
-    breaks off in, or whose identifier octets contradict themselves, are left out. ``ident`` where the file has none.
-    Raises ConfigError.
+    these modules have (blocks may follow where the file has them). None: a compact station accepts any one of its
+    modules, a modular one any row of them and of empty slots within its limits, both up to Max_User_Prm_Data_Len octets
+    of user parameters; modules that the file breaks off in, or whose identifier octets contradict themselves, are left
+    out. ``ident`` where the file has none. Raises ConfigError.
     """
     number = device.ident if ident is None else ident
     if number is None:
@@ -39,7 +40,9 @@ def slave_description(
     compact = not device.modular
     most = device.user_prm_data_len if device.max_user_prm_data_len is None else device.max_user_prm_data_len
     prm = 0 if chosen is None else len(chosen.user_prm().octets())
-    dpv1 = device.dpv1.slave and (prm or _within(most, MAX_USER_PRM)) >= DPV1_STATUS_LEN
+    longest = _within(most, MAX_USER_PRM)
+    dpv1 = device.dpv1.slave and (prm or longest) >= DPV1_STATUS_LEN
+    structured = device.dpv1.prm_block_structure or device.dpv1.prm_block_structure_required
     return SlaveDescription(
         ident=number,
         name=name or device.model or "slave",
@@ -50,16 +53,19 @@ def slave_description(
         max_input_len=_within(None if compact else device.max_input_len, MAX_DATA),
         max_output_len=_within(None if compact else device.max_output_len, MAX_DATA),
         max_data_len=_within(None if compact else device.max_data_len, 2 * MAX_DATA),
-        user_prm_len=(prm, prm) if prm else (0, _within(most, MAX_USER_PRM)),
+        # blocks may follow those of the modules
+        user_prm_len=(prm, max(prm, longest) if dpv1 and structured else prm) if prm else (0, longest),
         sync=device.sync,
         freeze=device.freeze,
         fail_safe=device.fail_safe,
         fail_safe_required=device.dpv1.fail_safe_required,
         set_slave_add=device.set_slave_add,
         wd_base_1ms=device.dpv1.wd_base_1ms,
-        prm_blocks=device.dpv1.prm_block_structure or device.dpv1.prm_block_structure_required,
+        prm_blocks=device.dpv1.prm_block_structure,
+        prm_blocks_required=device.dpv1.prm_block_structure_required,
         ms2=_within(device.dpv1.c2_max_count_channels or 1, MAX_CONNECTIONS) if device.dpv1.c2_read_write else 0,
         ms2_max_len=_within(device.dpv1.c2_max_data_len or None, MAX_RECORD),
+        ms2_max_initiate=max(LEAST_INITIATE, _within(device.dpv1.max_initiate_pdu_length or None, MAX_DATA)),
         dpv1=dpv1,
         **(_alarms(device) if dpv1 else {}),
         max_diag_len=max(FIXED_LEN, _within(device.max_diag_data_len, MAX_LEN)),

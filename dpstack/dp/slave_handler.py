@@ -25,6 +25,7 @@ from dpstack.dp.readiness import Readiness
 from dpstack.dp.setup import SlaveSetup
 from dpstack.dp.slave_requests import SlaveRequests
 from dpstack.dp.unit_host import UnitHost
+from dpstack.dp.v1.alarm_book import AlarmBook
 from dpstack.dp.v1.alarm_events import AlarmCounts
 from dpstack.dp.v1.alarm_handler import AlarmHandler
 from dpstack.fdl.telegram import (
@@ -68,8 +69,8 @@ class SlaveHandler:
         self.watchdog = setup.watchdog(watchdog_ms)
         self.image: SlaveImage = image_of(setup, None if before is None else before.image)
         self.findings = Findings(setup.address, setup.name, emit)
-        earlier = None if before is None else before.alarms
-        self.diagnoses = Diagnoses(setup, own, self.findings, emit, self._want_diagnosis, earlier)
+        self.alarm_book: AlarmBook = AlarmBook() if before is None else before.alarm_book
+        self.diagnoses = Diagnoses(setup, own, self.findings, emit, self._want_diagnosis, self.alarm_book)
         #: of a slave that is parameterised for DP-V1
         self.alarms: AlarmHandler | None = self.diagnoses.alarms
         self.unit = UnitHost(self.image, setup.safe_outputs, setup.address, setup.name, emit, self.findings.tell)
@@ -305,7 +306,7 @@ class SlaveHandler:
     @property
     def alarm_counts(self) -> AlarmCounts | None:
         """What came of its alarms; None where it can have none."""
-        return None if self.alarms is None else self.alarms.counts
+        return None if self.alarms is None else self.alarm_book.counts
 
     def _refuse(self, fault: Fault, now: int) -> None:
         self._ask_cfg = False

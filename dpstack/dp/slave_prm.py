@@ -8,6 +8,7 @@ from dpstack.dp.device import Device
 from dpstack.dp.diagnosis import FIXED_LEN, MAX_LEN
 from dpstack.dp.pdu import SetPrm
 from dpstack.dp.setup import watchdog_ns
+from dpstack.dp.v1.connection import LEAST_INITIATE
 from dpstack.dp.v1.ms2_server import MAX_CONNECTIONS
 from dpstack.dp.v1.records import MAX_RECORD
 from dpstack.dp.v1.status import DPV1_ENABLE, DPV1_STATUS_LEN, FAIL_SAFE, WD_BASE_1MS
@@ -98,6 +99,9 @@ def check_device(device: Device) -> None:
         raise ConfigError(f"device {device.name}: ms2 = {device.ms2} connections; 0 to {MAX_CONNECTIONS} are possible")
     if not 0 < device.ms2_max_len <= MAX_RECORD:
         raise ConfigError(f"device {device.name}: ms2_max_len {device.ms2_max_len} is outside 1..{MAX_RECORD}")
+    if not LEAST_INITIATE <= device.ms2_max_initiate <= MAX_DATA:
+        what = f"ms2_max_initiate {device.ms2_max_initiate} is outside {LEAST_INITIATE}..{MAX_DATA}"
+        raise ConfigError(f"device {device.name}: {what}")
     if not FIXED_LEN <= device.max_diag_len <= MAX_LEN:
         raise ConfigError(f"device {device.name}: max_diag_len {device.max_diag_len} is outside {FIXED_LEN}..{MAX_LEN}")
 

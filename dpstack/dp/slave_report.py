@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 from dpstack.dp.device import Device
+from dpstack.dp.once import News, Once
 from dpstack.dp.slave_events import (
     AddressChanged,
     AlarmAcknowledged,
@@ -22,7 +25,9 @@ from dpstack.dp.v1.tickets import Asker
 from dpstack.fdl.user import StationControl
 from dpstack.trace import Event
 
+#: of one master
 _MAX_TOLD: Final = 50
+_NO_MORE: Final = "; further refusals to it are counted only"
 #: where exceptions are raised on behalf of the device: their text says it all
 _OURS: Final = ("slaveapp.py", "slave_core.py", "slave_services.py", "slave_data.py", "slave_clock.py")
 
@@ -52,7 +57,7 @@ class Report:
         self._device = device
         self._address = address
         self._events: list[Event] = []
-        self._told: set[tuple[str, int, str]] = set()
+        self._told: defaultdict[int, Once] = defaultdict(partial(Once, _MAX_TOLD))
 
     @property
     def address(self) -> int | None:
@@ -141,14 +146,14 @@ class Report:
         self._events.append(AlarmAcknowledged(t_ns=now, address=self.address, name=name, alarm=alarm, master=master))
 
     def refused(self, service: str, master: int, reason: str, now: int) -> None:
-        """A refusal; told once until :meth:`forget`."""
+        """A refusal; told once until :meth:`forget`, of a master whose requests are always wrong in another way the
+        first ones."""
         self.stats.refused += 1
-        key = (service, master, reason)
-        if key in self._told:
+        news = self._told[master].news((service, reason))
+        if news is News.KNOWN:
             return
-        if len(self._told) >= _MAX_TOLD:  # a peer that never repeats itself must not fill the memory
-            self._told.clear()
-        self._told.add(key)
+        if news is News.LAST:
+            reason += _NO_MORE
         name = self._device.name
         self._events.append(
             RequestRefused(t_ns=now, address=self.address, name=name, service=service, master=master, reason=reason)

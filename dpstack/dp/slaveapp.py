@@ -119,6 +119,10 @@ class SlaveApp:
         """How many more there can be."""
         return self._ms2.free
 
+    def abort(self, sap: int, reason: int, now: int) -> None:
+        """End the connection of class 2 at the server ``sap``. Raises UsageError."""
+        self._ms2.abort(sap, reason, now)
+
     def diagnosis(self, now: int) -> Diagnosis:
         """The diagnosis as a Slave_Diag at ``now`` would read it."""
         user = self._core.user_diag(now)

@@ -8,6 +8,7 @@ agree with it; what is counted is asked for when somebody looks. What a GSD file
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Mapping
 from typing import Protocol
 
@@ -271,8 +272,18 @@ class Mirror:
 
 def checked_arguments(args: Mapping[str, object]) -> dict[str, object]:
     """The arguments of a drive's order as JSON can carry them: what is no number there goes as text, to be refused."""
-    plain = (str, int, bool, type(None))
-    return {
-        key: value if isinstance(value, plain) or (isinstance(value, float) and value - value == 0) else repr(value)
-        for key, value in args.items()
-    }
+    return {key: _checked(value) for key, value in args.items()}
+
+
+def _checked(value: object) -> object:
+    """Lists and tables by their members."""
+    match value:
+        case str() | int() | None:
+            return value
+        case float() if math.isfinite(value):
+            return value
+        case list() | tuple():
+            return [_checked(one) for one in value]
+        case dict() if all(isinstance(key, str) for key in value):
+            return {key: _checked(one) for key, one in value.items()}
+    return repr(value)

@@ -15,7 +15,7 @@ from typing import Final, Protocol
 from dpstack.drivers.base import OnEvents
 from dpstack.drivers.lateness import Lateness
 from dpstack.drivers.virtual_loop import Timeline, VirtualLoop
-from dpstack.errors import UsageError
+from dpstack.errors import BusError, UsageError
 from dpstack.fdl.station import BusStation
 from dpstack.trace import Event
 from dpstack.units import NEVER, NS_PER_MS, ns_to_s
@@ -97,9 +97,12 @@ class VirtualRuntime:
             clockwork.leave(self)
 
     def command(self, command: object) -> None:
-        """Hand an order to the station and let it act at once. Raises UsageError when not open."""
+        """Hand an order to the station and let it act at once. Raises UsageError when not open, BusError when a defect
+        has stopped the bus."""
         if self._clockwork is None:
             raise UsageError(f"{self.port_name} is not open")
+        if self._clockwork.failed:
+            raise BusError("the simulated bus was stopped by a defect")
         self._world.command(self._station, command)
         self._clockwork.hurry()
 
@@ -122,7 +125,7 @@ class _Clockwork:
         self.loop = loop
         self._world = world
         self._users: list[VirtualRuntime] = []
-        self._failed = False
+        self.failed = False
         self._timer: asyncio.TimerHandle | None = None
         self._resting = False  # the timer is a long one
         self._origin_ns = 0  # real minus virtual time
@@ -162,15 +165,15 @@ class _Clockwork:
         return self._world.now
 
     def next_at(self) -> int:
-        return NEVER if self._failed else self._world.next_at()
+        return NEVER if self.failed else self._world.next_at()
 
     def run(self, until_ns: int, stop: Callable[[], bool]) -> bool:
-        if self._failed:
+        if self.failed:
             return False
         try:
             return self._world.run(until_ns, stop)
         except Exception as exc:
-            self._failed = True
+            self.failed = True
             told = [user.on_failure for user in self._users if user.on_failure is not None]
             if not told and isinstance(self.loop, VirtualLoop):
                 raise
@@ -188,7 +191,7 @@ class _Clockwork:
         self._until_ns = real + _PORTION_NS
         self._events = 0
         stopped = self.run(max(self.now, real - self._origin_ns), self._enough)
-        if self._failed or not self._users:
+        if self.failed or not self._users:
             return
         pause = 0 if stopped else min(max(self.next_at() - self.now, _TICK_NS), _LONG_TICK_NS)
         self._set_timer(pause)

@@ -5,7 +5,7 @@ The DP services are recognised by their service access points (Felser, "Dienstzu
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Final
 
 from dpstack.fdl.codec import Flaw, decode, parse
@@ -83,6 +83,9 @@ _STATION: Final[dict[StationType, str]] = {
 #: Global_Control octet 1, in the order of the bits; Operate is the absence of Clear_Data
 _CONTROLS: Final = ((0x04, "Unfreeze"), (0x08, "Freeze"), (0x10, "Unsync"), (0x20, "Sync"))
 
+#: what is in a telegram, in words; empty where nothing is known
+Inside = Callable[[Telegram], str]
+
 #: so many octets of a transmission are shown in full
 SHOWN_OCTETS: Final = 32
 
@@ -121,8 +124,12 @@ def _by_saps(slave: int | None, master: int | None) -> str:
     return named or f"SAP {slave}"
 
 
-def describe(telegram: Telegram) -> str:
-    """One line for people, without line end: service, addresses, and what is in it.
+def _nothing(_: Telegram) -> str:
+    return ""
+
+
+def describe(telegram: Telegram, inside: Inside = _nothing) -> str:
+    """One line for people, without line end: service, addresses, and what is in it (``inside`` says that in words).
 
     >>> describe(Telegram(Kind.SD2, 3, 2, 0x5D, 61, 62, bytes(7)))
     'Set_Prm request 2 -> 3, 7 octets (SRD high, FCV=1 FCB=0)'
@@ -137,7 +144,9 @@ def describe(telegram: Telegram) -> str:
     if name == "Global_Control" and telegram.is_request and len(telegram.data) == 2:
         parts.append(_global_control(telegram.data))
     elif telegram.data:
-        parts.append(f"{len(telegram.data)} octet{'s' if len(telegram.data) > 1 else ''}")
+        words = inside(telegram)
+        octets = f"{len(telegram.data)} octet{'s' if len(telegram.data) > 1 else ''}"
+        parts.append(f"{octets}: {words}" if words else octets)
     if telegram.empty_le3:
         parts.append("LE = 3")
     segments = (("DSEG", telegram.dseg), ("SSEG", telegram.sseg))
@@ -182,20 +191,20 @@ def _global_control(data: bytes) -> str:
     return f"{' '.join(words)}, {'group ' + members if members else 'all groups'}"
 
 
-def describe_octets(octets: bytes) -> str:
+def describe_octets(octets: bytes, inside: Inside = _nothing) -> str:
     """The telegram that ``octets`` are, in words, or why they are none."""
     if not octets:
         return "nothing"
     telegram = decode(octets)
     if telegram is not None:
-        return describe(telegram)
+        return describe(telegram, inside)
     found = parse(octets, 0, len(octets))
     if isinstance(found, Flaw):
         return f"no telegram: {found.value.replace('_', ' ')}"
-    return "no telegram: cut off" if found is None else f"{describe(found)}, then other octets"
+    return "no telegram: cut off" if found is None else f"{describe(found, inside)}, then other octets"
 
 
-def render(log: Iterable[WireEntry], baud: int) -> str:
+def render(log: Iterable[WireEntry], baud: int, inside: Inside = _nothing) -> str:
     """The decoded wire log, a line for each transmission: start in us, gap to the one before in bit times, sender,
     octets in hex (the middle of long ones left out), what it is. A negative gap is an overlap.
     """
@@ -208,7 +217,7 @@ def render(log: Iterable[WireEntry], baud: int) -> str:
         gap = "" if end is None else str(ns_to_bits(entry.start_ns - end, baud))
         start = f"{entry.start_ns // NS_PER_US}.{entry.start_ns % NS_PER_US:03}"
         note = f"  [{entry.note}]" if entry.note else ""
-        text = describe_octets(entry.octets)
+        text = describe_octets(entry.octets, inside)
         lines.append(f"{start:>14} {gap:>9}  {entry.sender or '?':<10} {octets:<{width}}  {text}{note}")
         end = entry.end_ns if end is None else max(end, entry.end_ns)
     return "\n".join(lines)

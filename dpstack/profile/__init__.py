@@ -12,6 +12,7 @@ from dpstack.profile.drive import DriveProfile, OptionSpec, RateSetting, Telegra
 from dpstack.profile.jobs import Args, CommandError, Steps
 from dpstack.profile.listing import ListedParam, listing
 from dpstack.profile.lookup import Lookup
+from dpstack.profile.many import per_request
 from dpstack.profile.mapped import MAP_OPS, MappedCore
 from dpstack.profile.motion import settled
 from dpstack.profile.motor import AT_ONCE, NEAR, Motor, ramp
@@ -95,6 +96,7 @@ __all__ = [
     "known",
     "listing",
     "ns_to_s",
+    "per_request",
     "plain_resolver",
     "plain_server",
     "profidrive",

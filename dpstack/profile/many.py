@@ -16,6 +16,10 @@ Found = list[dict[str, object]]
 class ReadsMany(Protocol):
     """A parameter channel whose requests carry several parameters."""
 
+    @property
+    def per_request(self) -> int:
+        """How many one request carries."""
+
     def read_many(self, keys: Sequence[ParamKey], deadline: int) -> Steps[Found]:
         """One entry for each of ``keys``. Raises CommandError for what is no refusal of the drive."""
 
@@ -31,6 +35,11 @@ def read_many(access: ParameterChannel, keys: Sequence[ParamKey], deadline: int)
         except CommandError as error:
             found.append(refused(error))
     return found
+
+
+def per_request(access: object) -> int:
+    """How many parameters one request of ``access`` carries."""
+    return access.per_request if isinstance(access, ReadsMany) else 1
 
 
 def refused(error: CommandError) -> dict[str, object]:

@@ -11,9 +11,9 @@ from enum import Enum, auto
 from functools import lru_cache
 from typing import Final, NamedTuple
 
+from dpstack.dp.describe import render
 from dpstack.errors import DpError
 from dpstack.fdl.codec import decode
-from dpstack.fdl.describe import render
 from dpstack.fdl.telegram import FC_FUNCTION, FC_REQUEST, Kind, Req, Telegram
 from dpstack.params import BROADCAST, T_SYN, BusParams
 from dpstack.sim import uart

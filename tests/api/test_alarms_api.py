@@ -21,6 +21,7 @@ from dpstack.api.serving import ServedSlave
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.findings import Findings
 from dpstack.dp.setup import SlaveSetup
+from dpstack.dp.v1.alarm_book import AlarmBook
 from dpstack.dp.v1.alarm_handler import AlarmHandler
 from dpstack.dp.v1.status import Dpv1
 from dpstack.drivers.mirror import MasterMirror, Mirror, Source, StationMirror
@@ -254,6 +255,53 @@ def test_it_ends_with_the_bus_and_with_the_slave(world: WorldFactory) -> None:
     virtual(after())
 
 
+def test_an_alarm_of_a_slave_that_was_removed_is_not_one_of_the_slave_added_after_it(world: WorldFactory) -> None:
+    async def program(bus: dpstack.Bus, slave: ServedSlave) -> None:
+        old_stream = bus.slave(9).alarms(acknowledge=False)
+        raising = asyncio.create_task(slave.alarm(PROCESS, 1))
+        old = await anext(old_stream)
+        await bus.remove(bus.slave(9))
+        with pytest.raises(AlarmError):
+            await raising
+        added = await bus.add_slave(RIG.table(9))
+        await added.ready()
+        alarms = added.alarms(acknowledge=False)
+        raising = asyncio.create_task(slave.alarm(PROCESS, 2))
+        new = await anext(alarms)
+        for _ in range(2):
+            with pytest.raises(SlaveFault, match="left data exchange: its alarms are void"):
+                await old.acknowledge()
+        await asyncio.sleep(1)
+        assert not raising.done()
+        await new.acknowledge()
+        await raising
+
+    rig(world(), program)
+
+
+@pytest.mark.parametrize("listens", [True, False])
+def test_dpv1_off_and_on_again(world: WorldFactory, listens: bool) -> None:
+    async def program(bus: dpstack.Bus, slave: ServedSlave) -> None:
+        found = bus.slave(9)
+        alarms = found.alarms()
+        await asyncio.gather(slave.alarm(PROCESS, 1), anext(alarms))
+        await found.reparameterise(dpv1=False)
+        await found.ready()
+        if not listens:
+            alarms.close()
+        await found.reparameterise(dpv1={"alarms": list(ALL)})
+        await found.ready()
+        raising = asyncio.create_task(slave.alarm(PROCESS, 2))
+        if listens:
+            assert (await anext(alarms)).slot == 2
+        await raising
+        await asyncio.sleep(0.1)
+        assert found.alarm_counts is not None
+        assert found.alarm_counts.raised == 2
+
+    rig(world(), program)
+
+
 def test_statuses(world: WorldFactory) -> None:
     async def program(bus: dpstack.Bus, slave: ServedSlave) -> None:
         statuses = bus.slave(9).status_messages()
@@ -283,9 +331,26 @@ def test_misuse(world: WorldFactory) -> None:
         async with bus:
             with pytest.raises(UsageError, match=r"slave 9 \(raw\) is not parameterised for DP-V1"):
                 bus.slave(9).alarms()
+            with pytest.raises(UsageError, match=r"slave 9 \(raw\) is not parameterised for DP-V1: no status messages"):
+                bus.slave(9).status_messages()
             assert bus.slave(9).alarm_counts is None
 
     virtual(main())
+
+
+def test_misuse_beside_one_who_listens(world: WorldFactory) -> None:
+    async def program(bus: dpstack.Bus, slave: ServedSlave) -> None:
+        found = bus.slave("rig")
+        listening = found.alarms()
+        await found.reparameterise(dpv1=False)
+        with pytest.raises(UsageError, match="not parameterised for DP-V1"):
+            found.alarms()
+        await bus.close()
+        with pytest.raises(UsageError, match="the bus is not open"):
+            found.alarms()
+        listening.close()
+
+    rig(world(), program)
 
 
 @pytest.mark.parametrize("rest", ["", "42 01 80 40 30"])
@@ -297,7 +362,9 @@ def test_the_words_of_the_gsd_file_in_either_process(rest: str) -> None:
     diagnosis = Diagnosis(8, 0x0C, 0, 2, 1, bytes.fromhex("05 21 03 01 01" + rest))
     there: list[dpstack.Event] = []
     for of in (setup, dataclasses.replace(setup, texts=None)):  # the bus process has none
-        AlarmHandler(of, Findings(9, "rig", there.append), there.append, lambda now: None).take(diagnosis, True, 1, 7)
+        AlarmHandler(of, Findings(9, "rig", there.append), there.append, lambda now: None, AlarmBook()).take(
+            diagnosis, True, 1, 7
+        )
     own, foreign = there
     assert isinstance(own, AlarmRaised)
     assert own.texts[0] == "fuse blown"

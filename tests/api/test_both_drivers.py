@@ -214,6 +214,8 @@ async def test_a_drive_over_record_47(driver: Driver, tmp_path: Path) -> None:
             await bus.ready(20)
             assert await bus.drive("pump").read(965, timeout=20) == 0x0328
             assert (await bus.drive("pump").write("dr-03", 2.5, timeout=20)).unit == "s"
+            several = await bus.drive("pump").read_many([965, dpstack.ParameterPlace(964, index=6)], timeout=20)
+            assert [one.value for one in several if not isinstance(one, dpstack.ParameterError)] == [0x0328, 0x0A6C]
             await bus.slave("pump").reparameterise(dpv1={"alarm_mode": 2, "response_timeout_ms": 2000}, timeout=20)
             assert await bus.slave("pump").parameters().read([Address(918)]) == [Values(6, (6,))]
 
@@ -278,7 +280,7 @@ async def test_two_masters_of_one_program_and_one_that_searches_the_rate(driver:
                 second = dpstack.open_bus(port=segment.paths[1], baud="auto", address=2, hsa=4, driver=driver)
                 async with second:
                     assert second.params.baud == 500_000
-                    assert second.station.las == {1, 2}
+                    await asyncio.wait_for(second.until(lambda: second.station.las == {1, 2}), 10)
                     await asyncio.wait_for(first.until(lambda: first.station.las == {1, 2}), 10)
                 await asyncio.wait_for(first.until(lambda: first.station.las == {1}), 10)
-                await first.ready(20)
+                await first.ready(20)  # a simulation that stood still for longer than its patience is taken up again

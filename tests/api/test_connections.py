@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import dataclasses
+import math
 from collections.abc import Callable, Coroutine
 from typing import Any
 
@@ -18,8 +19,10 @@ from dpstack.api.config import make_config
 from dpstack.api.events import Severity, event_json, severity_of
 from dpstack.api.ms2_config import Ms2Limits
 from dpstack.api.slave_config import SlaveConfig
+from dpstack.dp.acyclic import Acyclic
 from dpstack.dp.v1.ms2_orders import ConnectionOver
 from dpstack.dp.v1.times import least_send_timeout
+from dpstack.errors import BusError
 from dpstack.gsd.model import Device, DpV1
 from dpstack.profile.acyclic import Address, Values
 from dpstack.sim.world import World
@@ -177,6 +180,62 @@ def test_typed_errors() -> None:
         assert bus.class2.connections == 0
 
     beside(program)
+
+
+def test_each_is_opened_once() -> None:
+    async def program(bus: dpstack.Bus, server: Ms2Server) -> None:
+        connecting = bus.class2.connect(9)
+        async with connecting as connection:
+            with pytest.raises(UsageError, match=r"was opened before: call connect\(\) again"):
+                await connecting
+            assert (await connection.read(1, 2), len(server.sessions)) == (b"\1\2", 1)
+
+    beside(program)
+
+
+def test_times_that_are_none() -> None:
+    async def program(bus: dpstack.Bus, server: Ms2Server) -> None:
+        connect = bus.class2.connect
+        for wrong in (-1, math.nan, math.inf):
+            with pytest.raises(UsageError, match=f"send_timeout = {wrong} is no time for a service"):
+                connect(9, send_timeout=wrong)
+            with pytest.raises(UsageError, match=f"response_timeout = {wrong} is"):
+                connect(9, response_timeout=wrong)
+            with pytest.raises(UsageError, match=f"timeout = {wrong} is"):
+                connect(9, timeout=wrong)
+        for wrong, text in ((0, "a send time-out of 0 s or less"), (655.36, r"655.36 s is not possible: 0..655.35 s")):
+            with pytest.raises(UsageError, match=text):
+                await bus.class2.connect(9, send_timeout=wrong)
+        async with bus.class2.connect(9, send_timeout=655.35) as connection:
+            with pytest.raises(UsageError, match="timeout = nan"):
+                await connection.read(1, 2, timeout=math.nan)
+            assert connection.send_timeout == 655.35
+        with pytest.raises(UsageError, match="timeout = -1 "):
+            await bus.class2.config(9, timeout=-1)
+        assert [sap for sap, pdu in server.heard if pdu[:1] == b"\x57"] == [49]
+
+    beside(program)
+
+
+def test_after_a_defect_nobody_waits(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The simulated bus stands still then: an order raises what happened, and the end comes at once."""
+
+    def defect(*_: object) -> None:
+        raise ZeroDivisionError("a defect")
+
+    async def main() -> None:
+        world = World()
+        ms2_in(world)
+        async with bus_of(RAW, world=world) as bus:
+            await bus.ready()
+            connection = await bus.class2.connect(9)
+            monkeypatch.setattr(Acyclic, "token_received", defect)
+            for what in (connection.read(1, 2), connection.read(1, 2), _connected(bus, 9)):
+                with pytest.raises(BusError, match=r"stopped by a defect in dpstack \(ZeroDivisionError: a defect"):
+                    await what
+            await connection.close()
+
+    virtual(main())
 
 
 @pytest.mark.parametrize("after_ms", range(12))

@@ -12,10 +12,12 @@ import dpstack
 from dpstack import Im0
 from dpstack.api.bench import Unit
 from dpstack.api.config import slave_config
+from dpstack.api.control.programs import run_status
 from dpstack.api.control.server import Handler
 from dpstack.api.control.slaves import SlaveCommands
 from dpstack.api.control.specs import KINDS, find
 from dpstack.api.simulation import SimulatedSlave
+from dpstack.cli import ctl
 from dpstack.errors import UsageError
 from dpstack.params import BusParams
 
@@ -128,6 +130,39 @@ def test_its_alarms_reach_the_program_in_order_and_are_acknowledged(mode: int) -
             assert device.alarm_server.pending == ()
 
     virtual(main())
+
+
+def test_status_shows_its_slots(capsys: pytest.CaptureFixture[str]) -> None:
+    async def program(bus: dpstack.Bus, handlers: dict[str, Handler]) -> None:
+        bus.slave("io").outputs = b"\xa5"
+        for order in ("input io 1 05", "pull io 1", "wire-break io 3 1 on"):
+            name, *args = order.split()
+            handlers[name](args)
+        await settled(bus)
+        status = run_status(bus)["slaves"]
+        assert isinstance(status, dict)
+        assert "slots" not in status["9"]
+        assert status["8"]["slots"] == {
+            "1": {"module": "8 DI", "plugged": None, "state": "no module", "inputs": "00", "parameter": "01"},
+            "2": {"module": "8 DO", "plugged": "8 DO", "state": "ok", "outputs": "a5"},
+            "3": {
+                "module": "2 AI",
+                "plugged": "2 AI",
+                "state": "data invalid",
+                "inputs": "00007fff",
+                "parameter": "01",
+                "wire_breaks": [1],
+            },
+        }
+        ctl._show({"slots": status["8"]["slots"]})
+        assert capsys.readouterr().out == (
+            "slots:\n"
+            "  1: module 8 DI, plugged none, state no module, inputs 00, parameter 01\n"
+            "  2: module 8 DO, plugged 8 DO, state ok, outputs a5\n"
+            "  3: module 2 AI, plugged 2 AI, state data invalid, inputs 00007fff, parameter 01, wire_breaks 1\n"
+        )
+
+    plant(program)
 
 
 def test_switched_off_it_keeps_what_is_plugged() -> None:

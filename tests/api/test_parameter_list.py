@@ -170,7 +170,8 @@ def test_each_drive_is_dumped_and_compared(kind: str, tmp_path: Path) -> None:
             found = await it.dump(path, on_parameter=lambda number, of, one: seen.append(number))
             assert ParameterList.load(path) == found
             assert len(found.parameters) == count == len(seen)
-            assert bus.stats.slaves[9].exchanges >= cycles + count - len(found.unreadable)  # the bus went on
+            orders = (count - len(found.unreadable)) // it.per_request  # record 47 takes several
+            assert bus.stats.slaves[9].exchanges >= cycles + orders  # the bus went on
             same = await it.compare(path, read_only=True)
             assert same.differences == ()
             assert same.same == count - len(found.unreadable)

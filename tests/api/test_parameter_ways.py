@@ -19,11 +19,11 @@ class Counted:
 
     def __init__(self, records: ImRecords) -> None:
         self.services: list[str] = []
-        asked = records.ask
+        self.records = self.ask = records.ask
 
         def ask(ticket: Ticket) -> None:
             self.services.append(ticket.request.build().hex(" ").upper())
-            asked(ticket)
+            self.ask(ticket)
 
         vars(records)["ask"] = ask
 
@@ -114,6 +114,30 @@ def test_several_in_one_request_and_what_is_refused_in_its_place() -> None:
             await drive.read_many([918, "dr-xy"])
         with pytest.raises(UsageError, match="must be a parameter number or name"):
             await drive.read_many(nothing)
+
+    with_drive(drive_at("ls-s100", "ST1"), program)
+
+
+def test_a_dump_asks_for_as_many_as_a_request_takes() -> None:
+    async def program(drive: dpstack.Drive, counted: Counted | None) -> None:
+        assert counted is not None
+        found = await drive.dump()
+        asked = len(found.parameters) - len(found.unreadable)
+        assert drive.per_request == 8
+        assert asked / 8 <= len(counted.writes) <= asked / 8 + 10  # arrays are pieces of their own
+        assert (await drive.compare(found, read_only=True)).differences == ()
+        # one that is not answered is found among the eight
+        records = counted.records
+
+        def silent(ticket: Ticket) -> None:
+            if ticket.request.index != 47 or bytes.fromhex("1103") not in ticket.request.build():
+                records(ticket)
+
+        counted.ask = silent
+        after = await drive.dump()
+        (lost,) = (one for one in after.parameters if one.unreadable and one not in found.unreadable)
+        assert str(lost.unreadable).startswith("dr-03 (Acceleration time): Write of slot 1, index 47 ")
+        assert lost.name == "dr-03"
 
     with_drive(drive_at("ls-s100", "ST1"), program)
 

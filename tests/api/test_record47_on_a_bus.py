@@ -9,76 +9,70 @@ from api_kit import virtual
 from support import WorldFactory
 
 import dpstack
-from dpstack import DpSlave, RecordRefused, SlaveDescription
-from dpstack.profile import ParamSpec, ParamStore, ParamTable
-from dpstack.profile.acyclic import Address, ErrorValue, ParameterServer, Refused, StoreParameters, Values
-from dpstack.units import s_to_ns
+from bench.parameters import MIXER, mixer, read_out
+from dpstack.profile.acyclic import Address, ErrorValue, Values
 
 PUMP: dict[str, object] = {"name": "pump", "address": 6, "drive": "ls-s100", "telegram": "ST1"}
-MIXER = SlaveDescription.simple(0x1234, inputs=4, outputs=4, name="mixer", dpv1=True)
-
-
-def mixer() -> DpSlave:
-    """1000 parameters: 975 words from 1 on, 25 with eight data sets from 2000 on."""
-    words = [ParamSpec(number=n, name=f"p{n}", title="Word", factory=n % 1000) for n in range(1, 976)]
-    arrays = [
-        ParamSpec(number=n, name=f"p{n}", title="Sets", long=True, per_set=True, factory=7) for n in range(2000, 2025)
-    ]
-    server = ParameterServer(StoreParameters(ParamStore(ParamTable((*words, *arrays)), {}, sets=8)))
-
-    def now() -> int:
-        return s_to_ns(asyncio.get_running_loop().time())
-
-    async def read(slot: int, index: int) -> bytes:
-        answer = server.read_record(slot, index, 240, now())
-        if isinstance(answer, Refused):
-            raise RecordRefused(answer.code)
-        return answer
-
-    async def write(slot: int, index: int, data: bytes) -> None:
-        refused = server.write_record(slot, index, data, now())
-        if refused is not None:
-            raise RecordRefused(refused.code)
-
-    return DpSlave(MIXER, lambda outputs, elapsed: outputs, on_read=read, on_write=write)
 
 
 @pytest.mark.parametrize(
-    ("baud", "described", "seconds"),
+    ("baud", "described", "seconds", "services", "octets"),
     [
-        (500_000, False, 0.58),
-        (1_500_000, False, 0.195),
-        pytest.param(500_000, True, 3.76, marks=pytest.mark.soak),
-        pytest.param(1_500_000, True, 1.06, marks=pytest.mark.soak),
+        (500_000, False, 0.58, 82, 12_720),
+        (1_500_000, False, 0.195, 82, 12_720),
+        pytest.param(500_000, True, 3.76, 590, 69_456, marks=pytest.mark.soak),
+        pytest.param(1_500_000, True, 1.06, 590, 69_456, marks=pytest.mark.soak),
     ],
 )
-def test_1000_parameters_with_progress(world: WorldFactory, baud: int, described: bool, seconds: float) -> None:
+def test_the_time_of_1000_parameters(baud: int, described: bool, seconds: float, services: int, octets: int) -> None:
     """``described``: with 1000 descriptions and whole arrays; else the first values alone."""
-    took: list[float] = []
+    seen = read_out(baud, described=described)
+    assert seen.parameters == 1000
+    assert seen.seconds == pytest.approx(seconds, rel=0.05)
+    counters = seen.counters
+    assert (counters.services, counters.octets) == (services, octets)
+    assert counters.busy == counters.strays == counters.repeated == 0
+
+
+def test_1000_parameters_with_progress(world: WorldFactory) -> None:
+    """With the referee on the wire."""
 
     async def main() -> None:
         bench = world()
         async with (
-            dpstack.serve_slave(mixer(), world=bench, address=9, baud=baud),
-            dpstack.open_bus(port="virtual", baud=baud, slaves=[MIXER.table(9)], world=bench) as bus,
+            dpstack.serve_slave(mixer(), world=bench, address=9, baud=1_500_000),
+            dpstack.open_bus(port="virtual", baud=1_500_000, slaves=[MIXER.table(9)], world=bench) as bus,
+        ):
+            await bus.operate()
+            await bus.slave(9).ready()
+            told: list[tuple[int, int]] = []
+            found = await bus.slave(9).parameters().read_out(described=False, progress=lambda *one: told.append(one))
+            assert len(found) == 1000
+            assert found[-1].values == (7,)
+            assert told[-1] == (1000, 1000)
+            assert bus.slave(9).retries == bus.slave(9).timeouts == 0
+
+    virtual(main())
+
+
+def test_a_lost_request_is_written_again(world: WorldFactory) -> None:
+    async def main() -> None:
+        bench = world()
+        async with (
+            dpstack.serve_slave(mixer(), world=bench, address=9, baud=1_500_000),
+            dpstack.open_bus(port="virtual", baud=1_500_000, slaves=[MIXER.table(9)], world=bench) as bus,
         ):
             await bus.operate()
             await bus.slave(9).ready()
             parameters = bus.slave(9).parameters()
-            await parameters.limits()
-            told: list[tuple[int, int]] = []
-            loop = asyncio.get_running_loop()
-            begin = loop.time()
-            found = await parameters.read_out(described=described, progress=lambda *one: told.append(one))
-            took.append(loop.time() - begin)
-            assert len(found) == 1000
-            assert found[-1].values == (7,) * (8 if described else 1)
-            assert told[-1] == (1000, 1000)
-            assert parameters.counters.busy == parameters.counters.strays == 0
-            assert bus.slave(9).retries == bus.slave(9).timeouts == 0
+            bench.faults.drop(lambda tx: b"\x33\x33\x5f" in tx.octets, times=2)  # and its repetition
+            assert await parameters.read([Address(1)]) == [Values(6, (1,))]
+            assert parameters.counters.repeated == 1
+            bench.faults.drop(lambda tx: b"\x33\x33\x5f" in tx.octets, times=2)
+            with pytest.raises(dpstack.DriveTimeout, match="it may have been carried out: read it back"):
+                await parameters.change([(Address(1), Values(6, (2,)))])
 
     virtual(main())
-    assert took == [pytest.approx(seconds, rel=0.05)]
 
 
 def test_a_drive_by_name_in_a_telegram_without_a_channel() -> None:

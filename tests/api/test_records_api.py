@@ -14,9 +14,10 @@ import dpstack
 from dpstack import AcyclicError, DpSlave, Im0, Im1, Im3, RecordRefused, SlaveDescription
 from dpstack.api.config import parse_config
 from dpstack.api.serving import ServedSlave
+from dpstack.dp.v1.im import Im
 from dpstack.dp.v1.prm_blocks import PrmBlock
 from dpstack.dp.v1.status import Dpv1
-from dpstack.errors import ConfigError
+from dpstack.errors import ConfigError, SlaveTimeout
 from dpstack.sim.world import World
 
 RIG = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True)
@@ -91,6 +92,31 @@ def test_read_write_and_im(world: WorldFactory) -> None:
         assert slave.retries == slave.timeouts == 0
 
     assert not [text for text in rig(world(), program) if "refused" in text]
+
+
+def test_im_calls_at_once_each_get_their_own(world: WorldFactory) -> None:
+    records: dict[int, list[Im]] = {0: [Im0(order_id="RIG"), Im1("pump")], 3: [Im0(order_id="3")]}
+    device = DpSlave(RIG, lambda outputs, elapsed: outputs, im=records)
+
+    async def program(bus: dpstack.Bus, served: ServedSlave) -> None:
+        slave = bus.slave("rig")
+        calls = (slave.im(), slave.im(1), slave.write_im(Im1("fan")), slave.im(slot=3), slave.im(1))
+        found = list(await asyncio.gather(*calls))
+        own = Im0(order_id="RIG", supported=0b10)
+        assert found == [own, Im1("pump"), None, Im0(order_id="3"), Im1("fan")]
+        with pytest.raises(
+            AcyclicError, match=r"^I&M1 of slot 3: slave 9 refuses Write of slot 3, index 255: "
+        ) as caught:
+            await slave.im(1, slot=3)
+        assert (caught.value.service, caught.value.slot, caught.value.index) == ("Write", 3, 255)
+        # who waits for his turn waits no longer than he said, and takes nobody else's
+        first, late = await asyncio.gather(slave.im(), slave.im(1, timeout=0.001), return_exceptions=True)
+        assert first == own
+        assert isinstance(late, SlaveTimeout)
+        assert "I&M1 of slot 0 had no turn within 0.001 s: another I&M call is under way" in str(late)
+        assert await slave.im(1) == Im1("fan")
+
+    rig(world(), program, slave=device)
 
 
 @pytest.mark.parametrize(
@@ -227,26 +253,26 @@ def setup(keys: str) -> tuple[Dpv1 | None, str]:
         ("dpv1 = true\n", "80 00 00 07"),
         ("dpv1 = { check_cfg_mode = true, prm_cmd = true }\n", "80 01 80 07"),
         ('dpv1 = { alarms = ["process", "pull_plug"], alarm_mode = 2 }\n', "80 c0 02 07"),
-        ("fail_safe = true\nwatchdog_ms = 5\nwd_base_1ms = true\ndpv1 = true\n", "80 00 00 07"),
+        ("fail_safe = true\nwatchdog_ms = 5\nwd_base_1ms = true\ndpv1 = true\n", "c0 00 00 07"),
         (
             'dpv1 = { blocks = [{ type = 0x81, data = "01 02" }, { type = 2, slot = 3 }] }\n',
-            "80 00 08 07 06 81 00 00 01 02 08 02 03 00 00 00 00 00",
+            "80 00 08 05 81 00 00 07 06 81 00 00 01 02 08 02 03 00 00 00 00 00",
         ),
         (
             'dpv1 = { blocks = [{ type = "user_prm", data = "01" }, '
             '{ type = "prm_cmd", specifier = 8, function = 1, output_hold_time = 100 }] }\n',
-            "80 00 08 07 05 81 00 00 01 08 02 00 08 01 00 00 64",
+            "80 00 08 05 81 00 00 07 05 81 00 00 01 08 02 00 08 01 00 00 64",
         ),
         (
             'dpv1 = { blocks = [{ type = "dxb_links", entries = '
             "[{ publisher = 4, publisher_length = 8, sample_offset = 2, sample_length = 6 }] }] }\n",
-            "80 00 08 07 09 03 00 00 01 04 08 02 06",
+            "80 00 08 05 81 00 00 07 09 03 00 00 01 04 08 02 06",
         ),
         (
             'dpv1 = { blocks = [{ type = "isochronous", t_dp = 8, t_mapc = 2 }, '
             '{ type = 8, data = "00 0A 00 00 00 00 00 00 00 00" }] }\n',
-            "80 00 08 07 1c 04 00 00 01 00 00 05 dc 00 08 02 00 00 05 dc 00 00 00 00 00 00 00 00 00 0c 00 00"
-            " 0e 08 00 00 00 0a 00 00 00 00 00 00 00 00",
+            "80 00 08 05 81 00 00 07 1c 04 00 00 01 00 00 05 dc 00 08 02 00 00 05 dc 00 00 00 00 00 00 00 00"
+            " 00 0c 00 00 0e 08 00 00 00 0a 00 00 00 00 00 00 00 00",
         ),
     ],
 )
@@ -294,13 +320,44 @@ def test_left_out_it_is_on_where_the_parameters_say_so() -> None:
         (OCTETS + "dpv1 = { blocks = [{ type = 3 }] }\n", "entries is no list of tables; write [{ publisher = 0, "),
         (OCTETS + "dpv1 = { blocks = [{ type = 3, entries = [{ publisher = 1 }] }] }\n", "no publisher_length"),
         (OCTETS + f'dpv1 = {{ blocks = [{{ type = 1, data = "{"00" * 231}" }}] }}\n', "231 octets, 230 are possible"),
-        (OCTETS + f'dpv1 = {{ blocks = [{{ type = 1, data = "{"00" * 230}" }}] }}\n', "238 octets of user parameters"),
+        (OCTETS + f'dpv1 = {{ blocks = [{{ type = 1, data = "{"00" * 230}" }}] }}\n', "242 octets of user parameters"),
     ],
 )
 def test_refused(keys: str, text: str) -> None:
     with pytest.raises(ConfigError) as caught:
         setup(keys)
     assert text in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("keys", "text"),
+    [
+        ("dpv1 = 1\n", "10: [[slave]] io: dpv1 = 1 is an integer; it must be a table of its keys, true or false"),
+        (
+            'dpv1 = { alarms = ["process", "pull"] }\n',
+            "10: [[slave]] io: dpv1: alarms holds 'pull', which is none; it is a list of these: pull_plug, process, "
+            "diagnostic, manufacturer, status, update",
+        ),
+        (
+            'dpv1 = { alarms = [["process"]] }\n',
+            "10: [[slave]] io: dpv1: alarms holds ['process'], which is none; it is a list of these: pull_plug, "
+            "process, diagnostic, manufacturer, status, update",
+        ),
+        (
+            "dpv1 = { blocks = [{ type = 2, function = 256 }] }\n",
+            "10: [[slave]] io: dpv1: blocks 1: PrmCmd: function = 256 does not fit its octets; correct it",
+        ),
+        (
+            f'dpv1 = {{ blocks = [{{ type = 1, data = "{"00" * 231}" }}] }}\n',
+            "10: [[slave]] io: dpv1: blocks 1: parameter block of type 1: 231 octets, 230 are possible; correct it",
+        ),
+    ],
+)
+def test_a_refusal_says_once_where(keys: str, text: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        setup(OCTETS + keys)
+    place, _, told = str(caught.value).partition(":")
+    assert told == text, place
 
 
 def test_a_block_that_cannot_be() -> None:

@@ -137,10 +137,38 @@ async def test_a_slave_of_its_description_or_of_its_own_number() -> None:
         SlaveDescription.simple(1, inputs=1, outputs=1, ms2=50)
 
 
+def test_what_a_slave_says_no_to(world: WorldFactory) -> None:
+    """The master reads why, as one who opens the connection and as one who has it."""
+    refused: list[int] = []
+    made = world()
+
+    def judge(master: int, wanted: dpstack.InitiateReq) -> None:
+        if wanted.profile_ident != 7:
+            refused.append(master)
+            raise RecordRefused(0xB6)
+
+    async def main() -> None:
+        slave = DpSlave(RIG, lambda outputs, elapsed: outputs, on_initiate=judge)
+        async with (
+            dpstack.serve_slave(slave, world=made, address=8) as server,
+            dpstack.open_bus(world=made, baud=500_000, address=5, gap=1) as bus,
+        ):
+            with pytest.raises(dpstack.ServiceRefused, match=r"slave 8 refuses Initiate: .*access denied"):
+                await bus.class2.connect(8)
+            assert refused == [5]
+            connection = await bus.class2.connect(8, profile_ident=7)
+            (served,) = server.slave.connections
+            server.slave.abort_connection(served.sap, 3)
+            await connection.ended()
+            assert connection.reason == "the slave aborted it: its user, reason 3"
+
+    dpstack.run_virtual(main())
+
+
 def test_from_a_gsd_file() -> None:
     whole = device("whole")
     description = slave_description(whole)
-    assert (description.ms2, description.ms2_max_len) == (2, 240)
+    assert (description.ms2, description.ms2_max_len, description.ms2_max_initiate) == (2, 240, 52)
     slave = dpstack.slave_from_gsd(FILES / "whole.gsd", lambda outputs, elapsed: outputs, ["8 DO", "8 DI"])
     assert slave.ms2 == 2
 

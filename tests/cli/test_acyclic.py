@@ -130,6 +130,23 @@ def test_refusals(plant: Path, capsys: Out, args: list[str], code: int, text: st
     assert text in err
 
 
+@pytest.mark.usefixtures("world")
+def test_what_keeps_it_from_coming_up_is_told_once(plant: Path, capsys: Out) -> None:
+    plant.write_text(plant.read_text(encoding="utf-8").replace("10 20", "10 21", 1), encoding="utf-8")
+    assert run(capsys, str(plant), "8", "read", "1", "2", code=1)[1] == (
+        "dpstack: slave 8 (rig): refuses the configuration (Cfg_Fault): Chk_Cfg was 10 21, it has 10 20: octet 2 "
+        'differs; configure config = "10 20" (or its modules) or change the telegram set in the device\n'
+    )
+
+
+@pytest.mark.usefixtures("world")
+def test_a_device_without_parameters(plant: Path, capsys: Out) -> None:
+    assert run(capsys, str(plant), "8", "parameters", code=1)[1] == (
+        "dpstack: drive rig: record 47 of slot 1: the drive refuses the request: error B/0, invalid index; it has no "
+        "PROFIdrive parameters there; its manual says whether it has some, in which slot\n"
+    )
+
+
 def test_a_read_only_configuration(plant: Path, capsys: Out) -> None:
     plant.write_text(plant.read_text(encoding="utf-8").replace("[bus]", "[bus]\nread_only = true"), encoding="utf-8")
     assert "records need data exchange" in run(capsys, str(plant), "8", "read", "1", "2", code=2)[1]

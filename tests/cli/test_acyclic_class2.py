@@ -66,7 +66,10 @@ class Field:
         self.world.run_for(300_000_000)
         self.buses: list[dpstack.Bus] = []
 
-    def open_bus(self, config: Config, on_event: OnEvent | None = None) -> dpstack.Bus:
+    def open_bus(
+        self, config: Config, on_event: OnEvent | None = None, world: dpstack.World | None = None
+    ) -> dpstack.Bus:
+        assert world is None  # the field is real for the command
         self.buses.append(dpstack.open_bus(config, on_event=on_event, world=self.world))
         return self.buses[-1]
 
@@ -90,8 +93,8 @@ def field(monkeypatch: pytest.MonkeyPatch) -> Field:
     return found
 
 
-def run(capsys: Out, *args: str, code: int = 0) -> tuple[str, str]:
-    assert main(["acyclic", *args, "--class", "2"]) == code, capsys.readouterr()
+def run(capsys: Out, *args: str, code: int = 0, master: str = "2") -> tuple[str, str]:
+    assert main(["acyclic", *args, "--class", master]) == code, capsys.readouterr()
     printed = capsys.readouterr()
     return printed.out, printed.err
 
@@ -110,6 +113,19 @@ def test_beside_a_foreign_master(field: Field, plant: Path, capsys: Out) -> None
     field.check()
 
 
+def test_a_foreign_master_is_in_the_way_of_class_1(field: Field, plant: Path, capsys: Out) -> None:
+    beside = "; or ask beside that master with --class 2, where the slave has it\n"
+    assert run(capsys, str(plant), "8", "read", "1", "2", code=1, master="1")[1] == (
+        "dpstack: another station on the bus sends as address 2: staying out of the ring; give one of the two another "
+        f"address{beside}"
+    )
+    plant.write_text(plant.read_text(encoding="utf-8").replace("[bus]", "[bus]\naddress = 1"), encoding="utf-8")
+    assert run(capsys, str(plant), "8", "read", "1", "2", code=1, master="1")[1] == (
+        "dpstack: slave 8 (rig): is owned by master 2; it is never taken away: stop master 2, or remove the slave from "
+        f"one of the two configurations{beside}"
+    )
+
+
 @pytest.mark.parametrize(
     ("serve", "text"),
     [
@@ -122,6 +138,25 @@ def test_the_slave_refuses(field: Field, plant: Path, capsys: Out, serve: object
     field.server.serve = serve
     assert text in run(capsys, str(plant), "8", "read", "1", "2", code=1)[1]
     field.check()
+
+
+def test_a_simulated_slave_has_no_master(plant: Path, monkeypatch: pytest.MonkeyPatch, capsys: Out) -> None:
+    """On the port "virtual", too, nobody parameterises it."""
+    buses: list[dpstack.Bus] = []
+
+    def spy(config: Config, on_event: OnEvent | None, world: dpstack.World | None) -> dpstack.Bus:
+        buses.append(dpstack.open_bus(config, on_event=on_event, world=world))
+        return buses[-1]
+
+    monkeypatch.setattr(acyclic, "open_bus", spy)
+    monkeypatch.setattr("asyncio.run", dpstack.run_virtual)
+    settings = '[bus]\nport = "virtual"\nbaud = 500000\n[[slave]]\nname = "fan"\n'
+    plant.write_text(f'{settings}address = 8\ndrive = "ls-s100"\ntelegram = "PPO1"\n', encoding="utf-8")
+    told = json.loads(run(capsys, str(plant), "fan", "im", "--json")[0])
+    assert told["im"]["0"]["order_id"] == "CPDP-S100"
+    (bus,) = buses
+    assert (bus.slaves, bus.class2.connections) == ((), 0)
+    run(capsys, str(plant), "fan", "im", "--baud", "auto", code=2)
 
 
 def test_a_slave_without_class_2_connections(field: Field, plant: Path, capsys: Out) -> None:

@@ -107,7 +107,7 @@ def plant(tmp_path: Path) -> Path:
 def device(monkeypatch: pytest.MonkeyPatch) -> Device:
     """The foreground in virtual time, with the device at 8 in its world."""
     made = Device()
-    monkeypatch.setattr(acyclic, "open_bus", lambda config, on_event=None: open_bus(made, config, on_event))
+    monkeypatch.setattr(acyclic, "open_bus", lambda config, on_event=None, world=None: open_bus(made, config, on_event))
     monkeypatch.setattr("asyncio.run", dpstack.run_virtual)
     return made
 

@@ -219,6 +219,12 @@ WRONG: list[tuple[list[str], int, str]] = [
     (["sim", "PLANT"], 2, "dpstack sim: the following arguments are required: --port; see dpstack sim --help"),
     (["sim", "--port", "pty"], 2, "dpstack: sim: neither CONFIG nor --drive NAME with --address A; give one of them"),
     (["sim", "PLANT", "--drive", "x", "--port", "pty"], 2, "dpstack: sim: a CONFIG or --drive with --address, not bo"),
+    (["sim", "PLANT", "--gsd", "x", "--port", "pty"], 2, "dpstack: sim: a CONFIG or --gsd with --address, not both"),
+    (
+        ["sim", "--gsd", "io-station", "--modules", "1", "9 DI", "--address", "8", "--port", "pty"],
+        2,
+        "dpstack: sim: slave io-station: there is no module '9 DI'; nearest are '8 DI', '16 DI',",
+    ),
     (["sim", "PLANT", "--port", "virtual"], 2, 'dpstack: port "virtual" has no other end; take "pty" or a device'),
     (["sim", "PLANT", "--port", "/dev/nosuch"], 1, "dpstack: /dev/nosuch: no such port; "),
     (
@@ -344,3 +350,9 @@ def test_demo_says_which_story_failed(capsys: Out, monkeypatch: pytest.MonkeyPat
     printed = capsys.readouterr()
     assert printed.err == "dpstack: it will not\n"
     assert lines(printed.out)[-1]["stories"] == {"ended": 4, "of": 5}
+
+
+def test_one_device_of_a_gsd_file_is_simulated(capsys: pytest.CaptureFixture[str]) -> None:
+    args = ["--gsd", "io-station", "--modules", "1", "8 DO", "--address", "8", "--port", "pty", "--seconds", "0.05"]
+    assert main(["sim", *args]) == 0
+    assert "    8  io-station  (io-station)\n" in capsys.readouterr().out

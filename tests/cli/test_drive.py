@@ -18,7 +18,7 @@ from dpstack.api.control import alive
 from dpstack.api.control.client import connect
 from dpstack.api.control.drives import find_drive
 from dpstack.api.control.programs import control_run
-from dpstack.api.parameter_dump import dump
+from dpstack.api.parameter_dump import ParameterPlace, ParameterValue, dump
 from dpstack.api.parameter_list import ParameterList
 from dpstack.cli.main import main
 from dpstack.errors import BusError, DriveFault, DriveTimeout, ParameterError, UsageError
@@ -235,8 +235,16 @@ async def through(plant: Path, bus: Bus) -> None:
     with pytest.raises(DriveFault, match="412 is 44"):
         await found.order("start")
     with pytest.raises(ParameterError, match="error 0, inadmissible") as refused:
-        await found.parameter(999)
+        await found.order("read", "999")
     assert (refused.value.drive, refused.value.number) == ("hoist", 0)
+    wrong, there = await found.read_many([ParameterPlace(999), ParameterPlace(480, data_set=2)])
+    assert isinstance(wrong, ParameterError)
+    assert (wrong.drive, wrong.number, str(wrong)) == ("hoist", 0, str(refused.value))
+    assert isinstance(there, ParameterValue)
+    assert (there.number, there.data_set) == (480, 2)
+    for several in ("7", "[1]", '[{"numero":1}]', "["):
+        with pytest.raises(UsageError, match="write for instance"):
+            await found.order("read_many", several)
     with pytest.raises(UsageError, match="parameter numbers are"):
         await found.order("read", "5000")
     for args, says in (

@@ -116,6 +116,23 @@ def test_what_cannot_be_read(command: str, capsys: pytest.CaptureFixture[str], t
     assert "no GSD file: no line #Profibus_DP" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("command", ["show", "check"])
+def test_a_name_that_is_nearly_one(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["gsd", command, "io-sttion"]) == 2
+    assert capsys.readouterr().err == (
+        "dpstack: io-sttion: No such file or directory; did you mean io-station, or give the path of a GSD file?\n"
+    )
+
+
+def test_alarms_are_shown_by_their_names_in_a_configuration(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["gsd", "show", "io-station"]) == 0
+    assert "pull_plug, process, diagnostic, update; one of each at a time or 8 in all" in capsys.readouterr().out
+    assert main(["gsd", "show", "io-station", "--json"]) == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert shown["alarms"] == ["pull_plug", "process", "diagnostic", "update"]
+    assert (shown["alarms_required"], shown["alarm_sequence"]) == ([], 8)
+
+
 def configure(name: str, answers: list[str], monkeypatch: pytest.MonkeyPatch) -> int:
     monkeypatch.setattr("sys.stdin", io.StringIO("".join(answer + "\n" for answer in answers)))
     return main(["gsd", "configure", str(FILES / f"{name}.gsd")])

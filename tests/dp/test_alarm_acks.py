@@ -96,7 +96,7 @@ def test_an_acknowledgement_that_is_lost_is_repeated_the_alarm_is_not() -> None:
     assert kit.blocks == slave.taken == [PROCESS]
     assert kit.counts.repeated >= 1
     (remark,) = kit.remarks
-    assert remark.startswith("slave 4 does not answer Alarm_Ack of process alarm, slot 3, sequence number 0")
+    assert remark.startswith("does not answer Alarm_Ack of process alarm, slot 3, sequence number 0")
 
 
 def test_the_answer_to_it_is_lost_and_fetched() -> None:
@@ -174,7 +174,7 @@ def test_a_refused_one_is_over_and_told_once() -> None:
     assert kit.counts.refused == 2
     assert kit.blocks == [PROCESS, block(2, 4)]
     assert kit.remarks[0].startswith(
-        "slave 4 refuses Alarm_Ack of process alarm, slot 3, sequence number 0: invalid slot (80 B2 00"
+        "refuses Alarm_Ack of process alarm, slot 3, sequence number 0: invalid slot (80 B2 00"
     )
 
 

@@ -209,7 +209,16 @@ def test_the_port_vanishes_with_services_waiting_and_under_way() -> None:
     assert kit.done[0].outcome.text == (
         "Slave_Diag to slave 4 had no end when the port vanished (unplugged); it can be repeated when the port is back"
     )
+    # ordered meanwhile it waits for the port
+    outcome = kit.read(4, Service.INPUTS)
+    assert outcome.failure is ServiceFailure.LINE
+    assert outcome.text == (
+        "RD_Inp to slave 4 had no end after 5 s: the port vanished (unplugged); it can be repeated when the port is "
+        "back"
+    )
+    kit.send(ReadService(200, 4, Service.DIAGNOSIS))
     kit.send(LineUp())
+    assert kit.end(200).failure is None
     assert kit.read(4, Service.DIAGNOSIS).failure is None
 
 

@@ -78,12 +78,13 @@ _steps = st.lists(
         st.tuples(st.just("alarm"), st.sampled_from((1, 2))),
         st.tuples(st.sampled_from(("dx", "dx", "ack", "status", "leave", "withdraw")), st.integers(0, 31)),
     ),
+    min_size=10,
     max_size=60,
 )
 
 
 @examples(60)
-@given(_steps, st.sampled_from(tuple(LIMITS)), st.sampled_from((50, 51)), st.lists(_WIRE, max_size=80))
+@given(_steps, st.sampled_from(tuple(LIMITS)), st.sampled_from((50, 51)), st.lists(_WIRE, min_size=20, max_size=80))
 def test_each_alarm_ends_once_and_in_order(steps: list[tuple[str, int]], mode: int, sap: int, loss: list[str]) -> None:
     bench = AlarmBench(sequence=32, extra_sap=True).start(prm(mode=mode))
     master = LossyMaster(bench, sap, loss)

@@ -98,9 +98,17 @@ def test_the_same_refusal_is_told_once() -> None:
     bench.up()
     bench.prm(b"\x88")
     assert [type(event) for event in bench.app.take_events()] == [RequestRefused, SlaveAppStateChanged]
-    for n in range(60):  # another reason each time: all told, none kept for ever
+    for n in range(60):  # another reason each time: fifty are told, then it is enough
         bench.prm(PRM[:4] + bytes([n + 100]) + PRM[5:])
-    assert len(bench.app.take_events()) == 60
+    texts = bench.texts()
+    assert len(texts) == 49
+    assert texts[-1].endswith("this device is 0x0A35; further refusals to it are counted only")
+    bench.prm(b"\x88", sa=OTHER)
+    assert len(bench.texts()) == 1
+    assert bench.app.stats.refused == 68
+    bench.up()  # a good beginning: they are news again
+    bench.prm(b"\x88")
+    assert len(bench.app.take_events()) == 2
 
 
 @pytest.mark.parametrize("prm", ["A0 01 01 0B 0A 35 00", "90 01 01 0B 0A 35 00"])

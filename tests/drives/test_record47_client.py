@@ -9,7 +9,7 @@ from dpstack.dp.v1.records import ReadReq, WriteReq
 from dpstack.profile.acyclic.client import PLUGIN, PROGRAM, ParameterClient
 from dpstack.profile.acyclic.lists import defined, describe, read_limits, texts
 from dpstack.profile.acyclic.record47 import Address, ErrorValue, Values
-from dpstack.profile.acyclic.services import Answer, Refused, Service
+from dpstack.profile.acyclic.services import Answer, Refused, Service, Silent
 from dpstack.profile.acyclic.split import Limits
 from dpstack.profile.jobs import CommandError
 
@@ -78,6 +78,45 @@ def test_each_request_has_a_reference_of_its_own_and_never_0() -> None:
             said.append(drive.said[0][12:14])
         assert len(set(said)) == len(references)
         assert " ".join((*said[:2], *said[-2:])) == expected
+
+
+def test_a_lost_write_of_a_reading_request_is_repeated_that_of_a_change_is_not() -> None:
+    lost = Silent("slave 9 does not answer Write")
+    drive = Script(lost, lost, "", IS_965)
+    master = client()
+    assert talk(master.read([Address(965)]), drive) == [Values(6, (0x328,))]
+    assert drive.said == [READ_965, READ_965, READ_965, "5E 01 2F F0"]
+    assert (master.counters.requests, master.counters.services, master.counters.repeated) == (1, 4, 2)
+    for answers, order in (
+        ((lost, lost, lost), client().read([Address(965)])),
+        (("", lost), client().read([Address(965)])),  # a Read is repeated by MS1 itself
+        ((lost,), client().change([(Address(927), Values(6, (0,)))])),
+    ):
+        with pytest.raises(CommandError, match="slave 9 does not answer Write") as caught:
+            talk(order, Script(*answers))
+        assert caught.value.kind == "timeout"
+
+
+def test_a_response_that_was_lost_on_the_way_is_asked_for_anew() -> None:
+    class Lost(Script):
+        """The first response went out and did not arrive."""
+
+        def __call__(self, service: Service) -> Answer:
+            writes = sum(one.startswith("5F") for one in self.said)
+            if isinstance(service, ReadReq) and writes < 2:
+                self._answers.insert(0, BUSY)
+            return super().__call__(service)
+
+    drive = Lost("", "", IS_965)
+    master = client()
+    assert talk(master.read([Address(965)]), drive) == [Values(6, (0x328,))]
+    assert [one for one in drive.said if one.startswith("5F")] == [READ_965, READ_965]
+    assert drive.now == pytest.approx(1000 * MS, abs=60 * MS)
+    assert master.counters.repeated == 1
+    change = Script("", *[BUSY] * 100)
+    with pytest.raises(CommandError, match="within 2000 ms; it may have been carried out: read it back"):
+        talk(client().change([(Address(927), Values(6, (0,)))]), change)
+    assert [one[:2] for one in change.said].count("5F") == 1
 
 
 def test_a_request_that_somebody_elses_replaced_is_made_again_and_a_change_is_not() -> None:

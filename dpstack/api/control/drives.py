@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
+import json
+from collections.abc import AsyncIterator, Mapping, Sequence
 from typing import Any
 
 from dpstack.api.bus import Bus
 from dpstack.api.control.alive import kept_alive
 from dpstack.api.control.client import ControlClient, reach
-from dpstack.api.drive_words import carry_out
-from dpstack.api.parameter_dump import ParameterValue
+from dpstack.api.control.failures import failure
+from dpstack.api.drive_words import READ_MANY, carry_out
+from dpstack.api.parameter_dump import ParameterPlace, ParameterValue
 from dpstack.api.parts import SEARCHING
-from dpstack.errors import BusError, UsageError
+from dpstack.errors import BusError, ParameterError, UsageError
 from dpstack.profile import ListedParam
 
 
@@ -36,6 +38,8 @@ class RemoteDrive:
         self.pid = pid
         self.kind = ""
         self.address = 0
+        #: how many parameters one request to it carries, see :meth:`learn`
+        self.per_request = 1
         self._client = client
         self._parameters: tuple[ListedParam, ...] | None = None
 
@@ -55,6 +59,7 @@ class RemoteDrive:
         """Ask for its parameters."""
         told = await self.order("parameters")
         self._parameters = tuple(ListedParam(**one) for one in told["parameters"])
+        self.per_request = int(told["per_request"])
 
     async def order(self, word: str, *args: str) -> dict[str, Any]:
         """As :func:`~dpstack.api.drive_words.carry_out`, over there. Cancelled, the connection is gone."""
@@ -65,18 +70,26 @@ class RemoteDrive:
             raise
         return dict(answer)
 
-    async def parameter(
-        self, number: int | str, *, data_set: int | None = None, index: int | None = None, timeout: float = 5.0
-    ) -> ParameterValue:
-        """One parameter."""
-        places = {"data_set": data_set, "index": index, "timeout": timeout}
-        given = [f"{key}={value}" for key, value in places.items() if value is not None]
-        told = await self.order("read", str(number), *given)
-        return ParameterValue(**told["parameter"])
+    async def read_many(
+        self, parameters: Sequence[ParameterPlace], *, timeout: float = 5.0
+    ) -> list[ParameterValue | ParameterError]:
+        """Some parameters."""
+        places = json.dumps([one.as_dict() for one in parameters])
+        told = await self.order(READ_MANY, places, f"timeout={timeout}")
+        return [_entry(one) for one in told["parameters"]]
 
     def close(self) -> None:
         """Hang up; an order that is under way ends."""
         self._client.close()
+
+
+def _entry(told: Mapping[str, Any]) -> ParameterValue | ParameterError:
+    if "error" not in told:
+        return ParameterValue(**told)
+    error = failure(told)
+    if not isinstance(error, ParameterError):
+        raise error
+    return error
 
 
 async def find_drive(port: str, name: str) -> RemoteDrive | None:

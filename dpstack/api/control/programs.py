@@ -6,6 +6,7 @@ import dataclasses
 import os
 from typing import Final
 
+from dpstack.api.bench import station_status
 from dpstack.api.bus import Bus
 from dpstack.api.control import arguments
 from dpstack.api.control.drives import drive_order
@@ -103,6 +104,8 @@ def run_status(bus: Bus) -> dict[str, object]:
             entry["alarms"] = dataclasses.asdict(slave.alarm_counts)
         if slave.address in drives:
             entry["drive"] = drives[slave.address].status.as_dict()
+        if bus.bench is not None:
+            entry |= station_status(bus.bench.device(slave.address))
         slaves[str(slave.address)] = entry
     return {
         "seconds": round(bus.seconds, 3),

@@ -15,8 +15,7 @@ Decisions where the sources are silent:
 - After a request without an answer the frame count bit begins anew, and a slave cannot know whether its diagnosis was
   read: it may offer it again. So one data exchange comes between a diagnosis and an acknowledgement, and what was
   offered again after silence right behind a diagnosis is nothing new.
-- With the same octets right after the response the slave may not have taken the block away yet: it is the next one only
-  when it stands there after :data:`SETTLE`; in sequence mode, where numbers count on, never before it was gone.
+- With the same octets after the response it may be the old one still: :mod:`dpstack.dp.v1.alarm_settling`.
 - An acknowledgement without an answer is sent again as long as the slave is in data exchange. When another alarm has
   taken its place under the same number, or in mode 0 one of the same type, the slave has had it.
 - A refused one is over, and told. A second one that is refused shows that the first had arrived.
@@ -29,18 +28,19 @@ Decisions where the sources are silent:
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
-from typing import Final, NamedTuple
+from typing import Final
 
 from dpstack.dp.acyclic_job import Outcome, ServiceFailure
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.ext_diagnosis import DeviceBlock
 from dpstack.dp.findings import Findings
 from dpstack.dp.setup import SlaveSetup
-from dpstack.dp.v1.alarm_events import AlarmCounts, AlarmDone, AlarmRaised, StatusTold, texts_beside
+from dpstack.dp.v1.alarm_book import AlarmBook
+from dpstack.dp.v1.alarm_events import AlarmDone, AlarmRaised, StatusTold, texts_beside
+from dpstack.dp.v1.alarm_settling import Key, Settling
 from dpstack.dp.v1.alarms import Alarm, Status, alarm_name, kind_of, parse_block
 from dpstack.dp.v1.codes import Code
 from dpstack.dp.v1.status import ALARM_LIMITS, ALARM_MODE, ALARMS
@@ -50,26 +50,11 @@ from dpstack.units import NEVER, NS_PER_MS
 
 #: alarms of one slave that are open, or not taken by the application; those of a slave that keeps the rules are 32
 MAX_OPEN: Final = 64
-#: a slave has so long to take an acknowledged alarm out of its diagnosis
-SETTLE: Final = 100 * NS_PER_MS
 #: before an acknowledgement is sent again for the first time, the second ...
 _AGAIN: Final = (100 * NS_PER_MS, 200 * NS_PER_MS, 500 * NS_PER_MS, 1000 * NS_PER_MS)
 #: the slave did not look at it now: "later"
 _BUSY: Final = (Code.STATE_CONFLICT, Code.READ_CONSTRAINT, Code.WRITE_CONSTRAINT, Code.RESOURCE_BUSY)
 _NO: Final = (ServiceFailure.NEGATIVE, ServiceFailure.REFUSED, ServiceFailure.LENGTH, ServiceFailure.GUARDED)
-
-
-class Key(NamedTuple):
-    """What is one alarm while it is open."""
-
-    type: int
-    slot: int
-    sequence: int
-
-    @classmethod
-    def of(cls, alarm: Alarm) -> Key:
-        """Of ``alarm``."""
-        return cls(alarm.type, alarm.slot, alarm.sequence)
 
 
 class Stage(Enum):
@@ -88,6 +73,8 @@ class OpenAlarm:
     alarm: Alarm
     octets: bytes
     stage: Stage
+    #: nothing but that it stands in the diagnosis tells it from the one before
+    doubtful: bool = False
     #: acknowledgements begun
     attempts: int = 0
     #: one of them had no answer
@@ -105,7 +92,8 @@ class OpenAlarm:
 
 
 class AlarmHandler:
-    """The alarms of one slave. ``ask(now)`` has its diagnosis read; ``before``: its handling under other parameters."""
+    """The alarms of one slave under one set of parameters, ``book`` is what outlasts it; ``ask(now)`` has its diagnosis
+    read."""
 
     def __init__(
         self,
@@ -113,10 +101,9 @@ class AlarmHandler:
         findings: Findings,
         emit: Callable[[Event], None],
         ask: Callable[[int], None],
-        before: AlarmHandler | None = None,
+        book: AlarmBook,
     ) -> None:
         sent = setup.user_octets(None)
-        self.counts: AlarmCounts = AlarmCounts() if before is None else before.counts
         self._enabled = sent[1]
         #: in all; 0: one of each type
         self._limit = ALARM_LIMITS[sent[2] & ALARM_MODE]
@@ -124,15 +111,10 @@ class AlarmHandler:
         self._findings = findings
         self._emit = emit
         self._ask = ask
-        self._hold: bool = before is not None and before._hold
-        self._number: int = 0 if before is None else before._number
+        self._book = book
         self._open: dict[Key, OpenAlarm] = {}
-        #: numbers of those that are over, but not taken by the application yet
-        self._untaken: set[int] = set() if before is None else before._untaken
         self._asked: OpenAlarm | None = None
-        #: acknowledged, and in every diagnosis since: octets, and until when that means nothing
-        self._settling: dict[Key, tuple[bytes, int]] = {}
-        self._look_at = NEVER
+        self._settling = Settling(in_order=self._limit > 0)
         self._dropped = False
         self._silence_told = False
         self._last: Diagnosis | None = None
@@ -156,23 +138,24 @@ class AlarmHandler:
     def take(self, diagnosis: Diagnosis, flagged: bool, exchanges: int, now: int) -> None:
         """A diagnosis of the slave in data exchange, after so many ``exchanges``; ``flagged``: it asked for it (DH)."""
         last, self._last = self._last, diagnosis
-        renewed = flagged and not self._unsure and diagnosis == last
+        renewed = flagged and diagnosis == last
+        if self._unsure and renewed:  # offered again
+            flagged = renewed = False
         before = () if last is None or renewed else last.blocks
         self._read_after, self._unsure = exchanges, False
         self._before = {block.octets for block in before}
         messages = self._messages(diagnosis, now)
         statuses = {}
-        standing = set()
+        standing = {Key.of(message) for message, _ in messages if isinstance(message, Alarm)}
+        for displaced in self._settling.displaced(standing):
+            self._new(*displaced, doubtful=False, now=now)
         for message, octets in messages:
             if isinstance(message, Alarm):
-                standing.add(Key.of(message))
-                self._on_alarm(message, octets, diagnosis, now)
+                self._on_alarm(message, octets, diagnosis, flagged, now)
             else:
                 self._on_status(message, octets, now)
                 statuses[message.type, message.slot] = octets
         self._statuses = statuses
-        for key in [key for key in self._settling if key not in standing]:
-            del self._settling[key]
 
     def _messages(self, diagnosis: Diagnosis | None, now: int) -> list[tuple[Alarm | Status, bytes]]:
         found: list[tuple[Alarm | Status, bytes]] = []
@@ -181,22 +164,22 @@ class AlarmHandler:
                 try:
                     found.append((parse_block(block.octets), block.octets))
                 except PduError as error:
-                    if not self.counts.malformed:
+                    if not self._book.counts.malformed:
                         self._findings.remark(_MALFORMED.format(why=error, octets=block.octets.hex(" ")), now)
-                    self._count("malformed")
+                    self._book.count("malformed")
         return found
 
     def _on_status(self, status: Status, octets: bytes, now: int) -> None:
         if self._statuses.get((status.type, status.slot)) != octets:
             self._statuses[status.type, status.slot] = octets
-            self._count("statuses")
+            self._book.count("statuses")
             address, name = self._setup.address, self._setup.name
             self._emit(StatusTold(t_ns=now, address=address, name=name, status=status))
 
-    def _on_alarm(self, alarm: Alarm, octets: bytes, diagnosis: Diagnosis, now: int) -> None:
+    def _on_alarm(self, alarm: Alarm, octets: bytes, diagnosis: Diagnosis, flagged: bool, now: int) -> None:
         kind = kind_of(alarm.type)
         if not self._enabled & ALARMS[kind]:
-            self._count("not_enabled")
+            self._book.count("not_enabled")
             self._findings.remark(_NOT_ENABLED.format(what=alarm_name(alarm.type), kind=kind), now)
             return
         key = Key.of(alarm)
@@ -210,12 +193,9 @@ class AlarmHandler:
                 known.shown = known.shown or known.maybe_taken or known.octets != octets
                 return
             self._over(known, Outcome(), now)
-        settled, until = self._settling.get(key, (b"", 0))
-        if settled == octets and not fresh and (self._limit or now < until):
-            if not self._limit:
-                self._look_at = min(self._look_at, until)
-            return
-        self._new(alarm, octets, diagnosis, now)
+        if fresh or not self._settling.still(alarm, octets, diagnosis, flagged, now):
+            doubtful = not fresh and self._settling.doubtful(key, octets)
+            self._new(alarm, octets, diagnosis, doubtful=doubtful, now=now)
 
     def _conclude(self, alarm: Alarm, octets: bytes, now: int) -> None:
         """What ``alarm`` says of others whose acknowledgement had no answer."""
@@ -225,52 +205,50 @@ class AlarmHandler:
             if instead and known.unanswered and known.stage is Stage.WAITING:
                 self._over(known, Outcome(), now)
 
-    def _new(self, alarm: Alarm, octets: bytes, diagnosis: Diagnosis, now: int) -> None:
+    def _new(self, alarm: Alarm, octets: bytes, diagnosis: Diagnosis, *, doubtful: bool, now: int) -> None:
         setup = self._setup
         standing = [known.alarm.type for known in self._open.values() if not known.maybe_taken]
         if len(standing) >= self._limit if self._limit else alarm.type in standing:
             self._too_many(now)
-        if len(self._open) + len(self._untaken) >= MAX_OPEN:
-            self._count("dropped")
+        if len(self._open) + len(self._book.untaken) >= MAX_OPEN:
+            self._book.count("dropped")
             self._dropped = True
             self._findings.remark(f"raises alarms while {MAX_OPEN} wait to be taken: dropped, not acknowledged", now)
             return
-        self._number += 1
-        stage = Stage.HELD if self._hold else Stage.WAITING
-        self._open[Key.of(alarm)] = OpenAlarm(self._number, alarm, octets, stage)
-        self._count("raised")
+        self._book.number += 1
+        stage = Stage.HELD if self._book.hold else Stage.WAITING
+        self._open[Key.of(alarm)] = OpenAlarm(self._book.number, alarm, octets, stage, doubtful)
+        self._settling.raised(alarm)
+        self._book.count("raised")
         self._emit(
             AlarmRaised(
                 t_ns=now,
                 address=setup.address,
                 name=setup.name,
-                number=self._number,
+                number=self._book.number,
                 alarm=alarm,
                 diagnosis=diagnosis,
-                held=self._hold,
+                held=self._book.hold,
                 texts=texts_beside(diagnosis, alarm, setup.texts),
             )
         )
 
     def _too_many(self, now: int) -> None:
-        self._count("too_many")
+        self._book.count("too_many")
         agreed = f"{self._limit} at a time (alarm_mode)" if self._limit else "one of each type at a time"
         self._findings.remark(f"raises more alarms than agreed, which is {agreed}; see its counters", now)
 
     # --- from the application -----------------------------------------------------------------------------------
 
-    def hold(self, on: bool) -> None:
-        """See :class:`~dpstack.dp.v1.alarm_events.HoldAlarms`."""
-        self._hold = on
-        if not on:
-            self._untaken.clear()
-            for known in self._open.values():
-                if known.stage is Stage.HELD:
-                    known.stage = Stage.WAITING
+    def release(self, now: int) -> None:
+        """They are the station's to acknowledge again, those that wait included."""
+        for known in self._open.values():
+            if known.stage is Stage.HELD:
+                known.stage = Stage.WAITING
+        self._room(now)
 
     def acknowledge(self, number: int, now: int) -> None:
         """See :class:`~dpstack.dp.v1.alarm_events.AcknowledgeAlarm`; one that is over is no error."""
-        self._untaken.discard(number)
         for known in self._open.values():
             if known.number == number and known.stage is Stage.HELD:
                 known.stage = Stage.WAITING
@@ -285,13 +263,13 @@ class AlarmHandler:
     @property
     def busy(self) -> bool:
         """There is something to be looked at by :meth:`next_ack`, now or later."""
-        return bool(self._open) or self._look_at != NEVER
+        return bool(self._open) or self._settling.look_at != NEVER
 
     def next_ack(self, exchanges: int, now: int) -> OpenAlarm | None:
         """The alarm to be acknowledged now: one at a time, in the order they came. For every token hold while
         :attr:`busy`."""
-        if self._look_at <= now:
-            self._look_at = NEVER
+        if self._settling.look_at <= now:
+            self._settling.look_at = NEVER
             self._ask(now)
         if self._asked is not None or not self._open or exchanges == self._read_after:
             return None
@@ -307,7 +285,7 @@ class AlarmHandler:
         self._asked = known
         known.stage = Stage.ASKED
         if known.attempts:
-            self._count("repeated")
+            self._book.count("repeated")
         known.attempts += 1
 
     def ended(self, known: OpenAlarm, outcome: Outcome, now: int) -> None:
@@ -320,9 +298,9 @@ class AlarmHandler:
         if outcome.failure is None or (refused and known.unanswered):
             self._over(known, Outcome(), now)
         elif refused:
-            self._count("refused")
-            if self.counts.refused == 1:
-                self._findings.remark(_REFUSED.format(why=outcome.text), now)
+            self._book.count("refused")
+            if self._book.counts.refused == 1:
+                self._findings.remark(_REFUSED.format(why=self._said(outcome)), now)
             self._over(known, outcome, now)
         else:
             known.stage = Stage.WAITING
@@ -331,14 +309,18 @@ class AlarmHandler:
                 known.unanswered = True
                 if not self._silence_told:
                     self._silence_told = True
-                    self._findings.remark(f"{outcome.text}; it is acknowledged again until it answers", now)
+                    self._findings.remark(f"{self._said(outcome)}; it is acknowledged again until it answers", now)
+
+    def _said(self, outcome: Outcome) -> str:
+        """Without the slave, which stands in front of every remark."""
+        return outcome.text.removeprefix(f"slave {self._setup.address} ")
 
     def _over(self, known: OpenAlarm, outcome: Outcome, now: int) -> None:
         key = Key.of(known.alarm)
         del self._open[key]
-        self._settling[key] = (known.octets, now + SETTLE)
+        self._settling.over(key, known.octets, known.doubtful, now)
         if outcome.failure is None:
-            self._count("acknowledged")
+            self._book.count("acknowledged")
         self._done(known, outcome, now)
         if known.shown:
             self._ask(now)
@@ -350,7 +332,7 @@ class AlarmHandler:
 
     def _room(self, now: int) -> None:
         """What was dropped may still stand in its diagnosis."""
-        if self._dropped and len(self._open) + len(self._untaken) < MAX_OPEN:
+        if self._dropped and len(self._open) + len(self._book.untaken) < MAX_OPEN:
             self._dropped = False
             self._ask(now)
 
@@ -361,17 +343,13 @@ class AlarmHandler:
         text = f"slave {self._setup.address} ({self._setup.name}) left data exchange: its alarms are void"
         for known in self._open.values():
             if known.stage is Stage.HELD:
-                self._untaken.add(known.number)
+                self._book.untaken.add(known.number)
             self._done(known, Outcome(failure=ServiceFailure.CLOSED, text=text), now)
         self._open.clear()
         self._settling.clear()
         self._statuses.clear()
         self._last = self._asked = None
-        self._look_at = NEVER
         self._dropped = False
-
-    def _count(self, name: str) -> None:
-        self.counts = dataclasses.replace(self.counts, **{name: getattr(self.counts, name) + 1})
 
 
 def _busy(outcome: Outcome) -> bool:

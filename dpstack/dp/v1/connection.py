@@ -24,7 +24,7 @@ from dpstack.dp.v1.wire import (
     ResourceManagerOctets,
 )
 from dpstack.errors import PduError
-from dpstack.units import NS_PER_MS
+from dpstack.units import NS_PER_MS, ns_to_s
 
 #: the server SAPs that the resource manager gives out, from the highest down
 SERVER_SAPS: Final = range(49)
@@ -34,6 +34,8 @@ TIMEOUT_UNIT: Final = 10 * NS_PER_MS
 FEATURES: Final = 0x0100
 #: the head of a service, before the data of a record
 HEAD: Final = 4
+#: Initiate without network addresses
+LEAST_INITIATE: Final = 20
 _MAX_WORD: Final = 0xFFFF
 _ADDRESS: Final = 2
 _NET_ADDRESS: Final = 8
@@ -203,6 +205,10 @@ class Instance(IntEnum):
     USER = 2
 
 
+#: reasons are four bits, whatever the instance
+MAX_REASON: Final = 15
+
+
 class AbortReason(IntEnum):
     """Reasons of the instance MS2."""
 
@@ -259,10 +265,10 @@ class Abort:
         match self.instance:
             case Instance.MS2:
                 known = AbortReason(self.reason) if self.reason in AbortReason.__members__.values() else None
-                name, text = _REASONS[known] if known else (f"reason {self.reason}", "which is reserved")
+                name, text = _REASONS[known] if known else (f"reason {self.reason}", "a reserved reason")
                 return f"{text} ({name}{where})"
             case Instance.FDL:
-                name, text = _LINK.get(self.reason, (f"reason {self.reason}", "which is reserved"))
+                name, text = _LINK.get(self.reason, (f"reason {self.reason}", "a reserved reason"))
                 return f"its link layer: {text} ({name}{where})"
             case Instance.USER:
                 return f"its user, reason {self.reason}{where}"
@@ -285,7 +291,8 @@ def _counts(timeout_ns: int) -> int:
     """Rounded up: never shorter than what was meant."""
     counts = -(-timeout_ns // TIMEOUT_UNIT)
     if timeout_ns < 0 or counts > _MAX_WORD:
-        raise PduError(f"a send time-out of {timeout_ns} ns is not possible: 0..{_MAX_WORD * TIMEOUT_UNIT}")
+        longest = ns_to_s(_MAX_WORD * TIMEOUT_UNIT)
+        raise PduError(f"a send time-out of {ns_to_s(timeout_ns):g} s is not possible: 0..{longest:g} s")
     return counts
 
 

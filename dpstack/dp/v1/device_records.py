@@ -12,7 +12,7 @@ from weakref import WeakKeyDictionary
 from dpstack.dp.v1.codes import Code
 from dpstack.dp.v1.im import IM_FI, IM_INDEX, IM_LEN, RECORDS, Im, Im0, build_call, number_of, parse_call
 from dpstack.dp.v1.records import MAX_SLOT, ReadReq, WriteReq
-from dpstack.dp.v1.tickets import Asker, Records, Ticket
+from dpstack.dp.v1.tickets import Asker, Records, Ticket, put
 from dpstack.errors import PduError
 
 
@@ -39,6 +39,18 @@ class RecordTable:
         else:
             self.records[where] = request.data
             ticket.answer()
+
+
+class ByIndex:
+    """Records of some indexes by servers of their own, everything else handed on to ``others``."""
+
+    def __init__(self, served: Mapping[int, Records], others: Records | None) -> None:
+        self._served = dict(served)
+        self._others = others
+
+    def ask(self, ticket: Ticket) -> None:
+        """By whoever has the index."""
+        put(ticket, self._served.get(ticket.request.index, self._others))
 
 
 #: I&M of every slot alike, or slot -> those of this one

@@ -19,7 +19,6 @@ from dpstack.dp.events import SlaveState
 from dpstack.dp.master import Master
 from dpstack.dp.slave_handler import SlaveHandler
 from dpstack.dp.v1.alarm_events import AcknowledgeAlarm, HoldAlarms
-from dpstack.dp.v1.alarm_handler import AlarmHandler
 from dpstack.dp.v1.judging import service_outcome, title_of
 from dpstack.dp.v1.ms1_job import Ms1Job, Owed
 from dpstack.dp.v1.records import MAX_RECORD, Function, ReadReq, RecordReq, WriteReq
@@ -97,9 +96,9 @@ class Ms1:
         """HoldAlarms and AcknowledgeAlarm. Raises UsageError as for a service."""
         match order:
             case HoldAlarms(address, on):
-                self._alarms(address).hold(on)
+                self._hold(address, on, now)
             case AcknowledgeAlarm(address, number):
-                self._alarms(address).acknowledge(number, now)
+                self._acknowledge(address, number, now)
             case _:
                 return False
         return True
@@ -129,12 +128,16 @@ class Ms1:
             if handler.alarms is not None and (handler.alarms.busy or queue_at(handler.image.unit))
         ]
 
+    def slave(self, address: int) -> SlaveHandler:
+        """The slave's, whatever it is parameterised for. Raises UsageError."""
+        handlers = {} if self.master is None else self.master.handlers
+        if address not in handlers:
+            raise UsageError(f"station {address} is no slave of this master: MS1 is between a slave and its own master")
+        return handlers[address]
+
     def handler(self, address: int) -> SlaveHandler:
         """The slave's, where it is parameterised for DP-V1. Raises UsageError."""
-        handlers = {} if self.master is None else self.master.handlers
-        handler = handlers.get(address)
-        if handler is None:
-            raise UsageError(f"station {address} is no slave of this master: MS1 is between a slave and its own master")
+        handler = self.slave(address)
         if self.master is not None and self.master.read_only:
             raise UsageError("this bus is read-only: its slaves are not in data exchange with it; leave read_only out")
         if handler.setup.dpv1 is None:
@@ -151,10 +154,21 @@ class Ms1:
             if handler is not None and handler.alarms is not None:
                 handler.alarms.missed(handler.exchanges)
 
-    def _alarms(self, address: int) -> AlarmHandler:
-        alarms = self.handler(address).alarms
-        assert alarms is not None
-        return alarms
+    def _hold(self, address: int, on: bool, now: int) -> None:
+        """Who acknowledges the slave's alarms. Raises UsageError, ``on`` also as for a service."""
+        handler = self.handler(address) if on else self.slave(address)
+        handler.alarm_book.hold = on
+        if not on:
+            handler.alarm_book.untaken.clear()
+            if handler.alarms is not None:
+                handler.alarms.release(now)
+
+    def _acknowledge(self, address: int, number: int, now: int) -> None:
+        """An alarm of the slave; one that is over is no error. Raises UsageError."""
+        handler = self.slave(address)
+        handler.alarm_book.untaken.discard(number)
+        if handler.alarms is not None:
+            handler.alarms.acknowledge(number, now)
 
     def bar(self, handler: SlaveHandler, since: int) -> str:
         """Why no service to the slave of ``handler``, in data exchange ``since`` then, can end: MS1 closes on leaving

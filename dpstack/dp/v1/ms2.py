@@ -43,7 +43,7 @@ from dpstack.errors import PduError, UsageError
 from dpstack.fdl.user import Request
 from dpstack.params import UNADDRESSED
 from dpstack.trace import Event
-from dpstack.units import NEVER
+from dpstack.units import NEVER, ns_to_s
 
 #: how the refusal of a service over a connection that is over begins
 NO_CONNECTION: Final = "there is no open class 2 connection"
@@ -113,6 +113,10 @@ class Ms2:
             raise UsageError("the bus is being closed: no connection is opened any more")
         if len(self.connections) >= CAPACITY:
             raise UsageError(f"{CAPACITY} class 2 connections are open already: close one first")
+        if order.send_timeout_ns <= 0:
+            raise UsageError("a send time-out of 0 s or less ends a connection at once: 0.01 s is the least")
+        if order.response_ns < 0:
+            raise UsageError(f"{ns_to_s(order.response_ns):g} s is no time for an answer: 0 for as long as is usual")
         request = InitiateReq(
             order.send_timeout_ns,
             order.features,
@@ -154,19 +158,18 @@ class Ms2:
     def end(self, connection: Connection, reason: str, abort: Abort | None) -> None:
         """It is over, from either end; the slave is told by ``abort`` where it may hold anything. More than once is
         no error, the first reason stands."""
-        if connection.phase in (Phase.ENDING, Phase.GONE):
+        if connection.phase is Phase.ENDING:
             return
         connection.phase = Phase.ENDING
         connection.reason = reason
         if abort is not None and connection.taken:
-            connection.abort = connection.abort or abort
+            connection.abort = abort
             self.wanted.append((GiveBackJob(connection, self, abort), connection.send_timeout_ns))
         else:
             self.forget(connection, self.clock.now)
 
     def forget(self, connection: Connection, now: int) -> None:
         """The slave holds nothing any more, or cannot be told."""
-        connection.phase = Phase.GONE
         if self.connections.get(connection.ref) is not connection:
             return
         del self.connections[connection.ref]

@@ -31,6 +31,8 @@ from dpstack.units import NS_PER_MS, ns_to_s
 #: a silent slave is asked again after this, and then twice as long each time, up to the last
 _SILENT_PAUSE: Final = 10 * NS_PER_MS
 _SILENT_PAUSE_MAX: Final = 160 * NS_PER_MS
+#: in place of a connection's token, which are not negative: what goes on at the resource manager of a slave
+RESOURCE_MANAGER: Final = -1
 #: what a slave is told that was not heard, or not in time
 TIMED_OUT: Final = Abort(AbortReason.TIMEOUT)
 #: the program does not want the connection any more
@@ -40,6 +42,11 @@ _SILENT: Final = {
     Failure.GARBLED: "gives no readable answer to",
     Failure.WRONG: "gives answers that are none to",
 }
+_CHECK: Final = {
+    Failure.NO_ANSWER: "check its power and the cable",
+    Failure.GARBLED: "look for a second station with its address, and at cable and termination",
+    Failure.WRONG: "look for a second station with its address",
+}
 
 
 class Phase(Enum):
@@ -48,7 +55,6 @@ class Phase(Enum):
     OPENING = "opening"
     OPEN = "open"
     ENDING = "ending"  # over for whoever used it; the slave is still to be told
-    GONE = "gone"
 
 
 class Ended(NamedTuple):
@@ -103,8 +109,9 @@ class Connection:
 
     @property
     def lane(self) -> tuple[int, int]:
-        """Its services go one after the other."""
-        return self.address, self.ref
+        """Its services go one after the other; until it has its server SAP, all connections to the slave do: the
+        resource manager has one answer, and what it names goes to who polls."""
+        return self.address, RESOURCE_MANAGER if self.server_sap is None else self.ref
 
     @property
     def silent_text(self) -> str:
@@ -130,7 +137,6 @@ class Connection:
         """The first bit of one of its requests is on the wire."""
         if request.data:
             self.outstanding = request.data[0] != Function.ABORT
-            self.taken |= request.data[0] == Function.INITIATE
 
     # --- the course of a service ----------------------------------------------------------------------------------
 
@@ -225,7 +231,10 @@ class Connection:
 
     def _late(self, title: str, why: Failure | None = None) -> Ended:
         what = "has no answer to" if why is None else _SILENT[why]
-        text = f"{self.who} {what} {title} within {self.limit_text}; the connection was ended"
+        todo = "open a new one, with a longer response_timeout where it needs that"
+        if why is not None:
+            todo = f"{_CHECK[why]}, then open a new one"
+        text = f"{self.who} {what} {title} within {self.limit_text}; the connection was ended: {todo}"
         failure = ServiceFailure.LATE if why is None else NO_ANSWERS[why]
         return Ended(Outcome(failure=failure, text=text), f"{title} had no answer in time", TIMED_OUT)
 

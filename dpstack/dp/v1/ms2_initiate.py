@@ -112,6 +112,7 @@ class InitiateJob(ConnectionJob):
         octets, begun = self._octets, clock.now
         polls = unanswered = pause = 0
         while True:
+            connection.taken |= bool(octets)  # from when it is handed on: what the link layer has goes out
             answer = yield Step(connection.request(SAP_MS2_RM, octets, HEAD), pause)
             if not isinstance(answer, Telegram):
                 unanswered += bool(octets)
@@ -140,7 +141,8 @@ class InitiateJob(ConnectionJob):
                     polls += 1
             if clock.now - begun >= connection.limit_ns:
                 text = f"slave {self.address}: its resource manager has no answer to Initiate within"
-                return Ended(Outcome(failure=ServiceFailure.LATE, text=f"{text} {connection.limit_text}"))
+                todo = "try again, or give it longer (response_timeout)"
+                return Ended(Outcome(failure=ServiceFailure.LATE, text=f"{text} {connection.limit_text}; {todo}"))
 
     def _managed(self, octets: bytes) -> ResourceManagerRes | Ended | None:
         connection = self.connection
@@ -166,7 +168,8 @@ class InitiateJob(ConnectionJob):
         mine = ", ".join(fact for fact, known in zip(facts, (self._channels, own), strict=True) if known)
         text = (
             f"slave {self.address} refuses Initiate ({status} at SAP {SAP_MS2_RM}): all its class 2 connections are in "
-            f"use{f' ({mine})' if mine else ''}, or it has none (C2_Read_Write_supp of its GSD file)"
+            f"use{f' ({mine})' if mine else ''}, or it has none (C2_Read_Write_supp of its GSD file); close one, or "
+            "wait until another master does"
         )
         return Outcome(failure=ServiceFailure.REFUSED, text=text, status=status)
 
@@ -177,7 +180,8 @@ class InitiateJob(ConnectionJob):
         elif why is Failure.NO_ANSWER:
             text = f"slave {self.address} does not answer Initiate; check address and power"
         else:
-            text = f"slave {self.address} gives no readable answer to Initiate"
+            what = "look for a second station with its address, and at cable and termination"
+            text = f"slave {self.address} gives no readable answer to Initiate; {what}"
         return Outcome(failure=NO_ANSWERS[why], text=text)
 
     def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:

@@ -45,8 +45,12 @@ class ConnectionJob:
     def __init__(self, connection: Connection, ms2: Ms2) -> None:
         self.connection = connection
         self.address = connection.address
-        self.lane: Hashable | None = connection.lane
         self.ms2 = ms2
+
+    @property
+    def lane(self) -> Hashable | None:
+        """Moves on from the resource manager to the connection's own."""
+        return self.connection.lane
 
     @property
     def aftermath(self) -> str:
@@ -160,9 +164,9 @@ class IdleJob(ConnectionJob):
     def steps(self) -> Steps[Outcome]:
         """Idle, or the answer to a service that was given up."""
         connection = self.connection
-        drained = yield from connection.drained()
-        if drained is not None:
-            return self.over(drained)
+        if connection.outstanding:
+            drained = yield from connection.drained()
+            return Outcome() if drained is None else self.over(drained)
         found = yield from connection.asked(IDLE, self.title)
         if isinstance(found, Ended):
             return self.over(found)
@@ -210,15 +214,17 @@ class GiveBackJob(ConnectionJob):
         begun = clock.now
         polls = unanswered = 0
         poll = connection.request(SAP_MS2_RM, b"", HEAD)
-        while clock.now - begun < connection.limit_ns and unanswered < ATTEMPTS:
+        while unanswered < ATTEMPTS:
             answer = yield Step(poll, pause_before(polls))
             polls += 1
             if not isinstance(answer, Telegram):
                 unanswered += 1
             elif said(answer) is Said.DATA:
-                connection.server_sap = _server_sap(answer.data)
+                sap = _server_sap(answer.data)
+                if sap is not None and not self.ms2.uses(self.address, sap):
+                    connection.server_sap = sap  # else that is another connection's, and stays
                 return
-            elif said(answer) is Said.CLOSED:
+            elif said(answer) is Said.CLOSED or clock.now - begun >= connection.limit_ns:
                 return
 
     def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:

@@ -19,10 +19,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-from dpstack.dp.v1.connection import SERVER_SAPS, ResourceManagerRes
+from dpstack.dp.v1.connection import MAX_REASON, SERVER_SAPS, ResourceManagerRes
 from dpstack.dp.v1.ms2_server_connection import Connection, Served, ServerReport
 from dpstack.dp.v1.ms2_server_states import State
 from dpstack.dp.v1.tickets import Asker
+from dpstack.errors import UsageError
 from dpstack.fdl.telegram import Resp
 from dpstack.fdl.user import SC_REPLY, Reply
 from dpstack.units import NEVER
@@ -155,6 +156,19 @@ class Ms2Server:
                 connection.silence(now)
                 self._tidy(connection)
         self.at = min((one.deadline for one in self._connections.values()), default=NEVER)
+
+    def abort(self, sap: int, reason: int, now: int) -> None:
+        """End the connection at the server ``sap``; its master reads it in an Abort of the user with ``reason`` 0..15.
+
+        Raises UsageError.
+        """
+        connection = self._connections.get(sap)
+        if connection is None or connection.state is State.OVER:
+            raise UsageError(f"there is no open class 2 connection at server SAP {sap}; see connections")
+        if reason not in range(MAX_REASON + 1):
+            raise UsageError(f"an Abort has no reason {reason}: 0..{MAX_REASON}")
+        connection.abort(reason, now)
+        self._watch(connection)
 
     def end_all(self, why: str, now: int) -> None:
         """Every connection is over, without an Abort: nobody could fetch it."""

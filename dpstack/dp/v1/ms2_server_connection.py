@@ -19,7 +19,7 @@ from dpstack.dp.v1.tickets import (
     put,
     put_transport,
 )
-from dpstack.errors import PduError
+from dpstack.errors import PduError, RecordRefused
 from dpstack.units import NS_PER_MS
 
 
@@ -37,6 +37,13 @@ class Served(Protocol):
     @property
     def ms2_max_len(self) -> int:
         """Octets of data in one service, at most."""
+
+    @property
+    def ms2_max_initiate(self) -> int:
+        """Octets of an Initiate, at most."""
+
+    def initiate(self, master: int, wanted: InitiateReq) -> None:
+        """Raises RecordRefused where it does not want the connection."""
 
 
 class ServerReport(Told, Protocol):
@@ -99,6 +106,9 @@ class Connection:
     def initiate(self, octets: bytes, now: int) -> None:
         """What came to the resource manager: the connection is open, or over at once with an Abort as its answer."""
         try:
+            longest = self._device.ms2_max_initiate
+            if len(octets) > longest:
+                raise PduError(f"Initiate of {len(octets)} octets, {longest} are possible (Max_Initiate_PDU_Length)")
             wanted = InitiateReq.parse(octets)
         except PduError as error:
             self._refuse(AbortReason.REQUEST_PDU, str(error), now)
@@ -107,11 +117,29 @@ class Connection:
             reason = "D_Addr is an address in another network, and this slave is the end of the way"
             self._refuse(AbortReason.ADDRESS, reason, now)
             return
+        try:
+            self._device.initiate(self.asker.master, wanted)
+        except Exception as error:
+            self._unwanted(error, now)
+            return
         # the shorter time-out is not refused, the longer of both counts (VPC3+)
         self.send_timeout_ns = max(self.send_timeout_ns, wanted.send_timeout_ns)
         longest = self._device.ms2_max_len
         self._answer = InitiateRes(longest, source=wanted.destination, destination=wanted.source).build()
         self._report.connection_opened(self.asker, self.send_timeout_ns, now)
+
+    def _unwanted(self, error: Exception, now: int) -> None:
+        """Refused by the device: the negative response is its answer, and all that is left of it."""
+        if isinstance(error, RecordRefused):
+            negative = Negative(Function.INITIATE, error.code_1 & 0xFF, error.code_2 & 0xFF)
+            reason = f"its function: {negative.text}"
+        else:
+            negative = Negative(Function.INITIATE, Code.UNAVAILABLE)
+            reason = f"its function failed ({type(error).__name__}: {error})"
+        self._report.refused("Initiate", self.asker.master, reason, now)
+        self.asker.open = False
+        self.state = State.OVER
+        self._answer = negative.build()
 
     def _refuse(self, reason: AbortReason, text: str, now: int) -> None:
         self._report.refused("Initiate", self.asker.master, text, now)
@@ -174,6 +202,12 @@ class Connection:
     def free(self) -> bool:
         """Nothing is left of it."""
         return self.state is State.OVER and self._answer is None
+
+    def abort(self, reason: int, now: int) -> None:
+        """Its slave does not want it any more; ``reason`` 0..15 means something to both users."""
+        self._end(f"it was aborted here (reason {reason})", now)
+        self._answer = Abort(reason, Instance.USER).build()
+        self.heard = now
 
     def end(self, why: str, now: int) -> None:
         """It is over and nobody is told on the bus."""

@@ -15,6 +15,8 @@ from dpstack.errors import PduError
 
 #: octets of data in one record
 MAX_RECORD: Final = 240
+#: the record of PROFIdrive's parameter channel
+PARAMETER_INDEX: Final = 47
 MAX_SLOT: Final = 254
 _HEAD: Final = 4
 _NEGATIVE: Final = 0x80

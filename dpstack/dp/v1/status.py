@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from dpstack.dp.v1.prm_blocks import PrmBlock
+from dpstack.dp.v1.prm_blocks import BlockType, PrmBlock, parse_blocks
 from dpstack.dp.v1.records import MAX_RECORD
-from dpstack.errors import ConfigError
+from dpstack.errors import ConfigError, PduError
 
 DPV1_STATUS_LEN: Final = 3
 #: DPV1_Status_1
@@ -50,8 +50,9 @@ class Dpv1:
     """DP-V1 of one slave: DPV1_Enable, and what else is said there; None leaves bits as the parameters have them.
 
     ``alarms``: kinds that the slave may raise, keys of :data:`ALARMS`; ``alarm_mode`` 0 one of each kind at a time,
-    1..7 2, 4, 8, 12, 16, 24, 32 in all. ``blocks``: appended, and Prm_Structure is set. ``c1_response_timeout_ns``: in
-    which the slave answers Read and Write, 0: not known; ``c1_max_data_len``: octets of the longest record, 0..240.
+    1..7 2, 4, 8, 12, 16, 24, 32 in all. ``blocks``: appended, and Prm_Structure is set; with ``structured`` [GSD:
+    Prm_Block_Structure_req] it is without them, too. ``c1_response_timeout_ns``: in which the slave answers Read and
+    Write, 0: not known; ``c1_max_data_len``: octets of the longest record, 0..240.
     ``extra_alarm_sap``: alarms are acknowledged at SAP 50, not 51. ``required_alarms``: kinds that are enabled where
     ``alarms`` is None, beside those that the parameters enable. Raises ConfigError.
     """
@@ -65,6 +66,7 @@ class Dpv1:
     c1_max_data_len: int = MAX_RECORD
     extra_alarm_sap: bool = False
     required_alarms: tuple[str, ...] = ()
+    structured: bool = False
 
     def __post_init__(self) -> None:
         unknown = [name for name in self.alarms or () if name not in ALARMS]
@@ -76,7 +78,7 @@ class Dpv1:
             raise ConfigError(f"records of {self.c1_max_data_len} octets; {MAX_RECORD} are possible")
 
     def apply(self, octets: bytearray) -> None:
-        """Put it into the user parameters, whose first three octets are DPV1_Status."""
+        """Put it into the user parameters, whose first three octets are DPV1_Status. Raises ConfigError."""
         set_bit(octets, 0, DPV1_ENABLE, True)
         if self.alarms is None:
             for name in self.required_alarms:
@@ -88,10 +90,26 @@ class Dpv1:
         set_bit(octets, 2, PRM_CMD, self.prm_cmd)
         if self.alarm_mode is not None:
             octets[2] = octets[2] & ~ALARM_MODE | self.alarm_mode
-        if self.blocks:
-            set_bit(octets, 2, PRM_STRUCTURE, True)
-            for block in self.blocks:
-                octets += block.octets
+        if self.blocks or self.structured:
+            self._structure(octets)
+
+    def _structure(self, octets: bytearray) -> None:
+        """With Prm_Structure all behind DPV1_Status is blocks: what was none becomes one of type 0x81 (user_prm).
+
+        Octets that stand there with the bit set, and those of a GSD file that requires the structure, are blocks.
+        """
+        rest = bytes(octets[DPV1_STATUS_LEN:])
+        if self.structured or octets[2] & PRM_STRUCTURE:
+            try:
+                parse_blocks(rest, DPV1_STATUS_LEN + 1)
+            except PduError as error:
+                why = "its GSD file says Prm_Block_Structure_req = 1" if self.structured else "Prm_Structure is set"
+                raise ConfigError(f"user_prm: {error}; {why}: blocks have to follow DPV1_Status") from None
+        elif rest:
+            octets[DPV1_STATUS_LEN:] = PrmBlock(BlockType.USER_PRM, 0, rest).octets
+        set_bit(octets, 2, PRM_STRUCTURE, True)
+        for block in self.blocks:
+            octets += block.octets
 
 
 def set_bit(octets: bytearray, at: int, bit: int, on: bool | None) -> None:

@@ -39,6 +39,7 @@ from dpstack.profile.acyclic.services import (
     Pause,
     Refused,
     Service,
+    Silent,
     Talk,
 )
 from dpstack.profile.acyclic.split import Item, Limits
@@ -83,6 +84,7 @@ __all__ = [
     "Result",
     "Rules",
     "Service",
+    "Silent",
     "StoreParameters",
     "Talk",
     "TimedRecords",

@@ -11,7 +11,7 @@ from dpstack.dp.v1.unit_records import Outcome, ReadReq, RecordQueue, ServiceFai
 from dpstack.profile.acyclic.client import ParameterClient
 from dpstack.profile.acyclic.formats import FORMATS, Raw, Value
 from dpstack.profile.acyclic.record47 import Address, ErrorValue, Result, Values
-from dpstack.profile.acyclic.services import Answer, Pause, Refused, Talk
+from dpstack.profile.acyclic.services import Answer, Pause, Refused, Silent, Talk
 from dpstack.profile.channel import ParamKey
 from dpstack.profile.jobs import CommandError, Steps
 from dpstack.profile.many import Found, refused
@@ -115,6 +115,11 @@ class AcyclicAccess:
         self._turns: deque[object] = deque()
         self._formats: dict[Address, int] = {}
 
+    @property
+    def per_request(self) -> int:
+        """Parameters of one request."""
+        return self.client.limits.parameters
+
     def step(self, inputs: bytes, now: int) -> None:
         """Nothing of it is in the process data."""
 
@@ -133,7 +138,7 @@ class AcyclicAccess:
         places = [self._placed(key) for key in keys]
         runs = _runs(places)
         talk = self.client.read([run.address for run in runs], deadline)
-        results = yield from self.run(talk, deadline, "read_many")
+        results = yield from self.run(talk, deadline, places[0].label if len(places) == 1 else "read_many")
         found: Found = []
         for run, result in zip(runs, results, strict=True):
             if isinstance(result, Values) and len(result.raws) == len(run.places):
@@ -187,7 +192,7 @@ class AcyclicAccess:
                     until = self._clock() + service.ns
                     while self._clock() < until:
                         yield
-                    data: bytes | Refused = b""
+                    data: bytes | Refused | Silent = b""
                 else:
                     data = yield from self._carried_out(service, deadline, label)
                 service = talk.send(Answer(self._clock(), data))
@@ -201,7 +206,7 @@ class AcyclicAccess:
             talk.close()
             self._turns.remove(turn)
 
-    def _carried_out(self, service: WriteReq | ReadReq, deadline: int, label: str) -> Steps[bytes | Refused]:
+    def _carried_out(self, service: WriteReq | ReadReq, deadline: int, label: str) -> Steps[bytes | Refused | Silent]:
         pending = self._records.submit(service)
         try:
             while pending.outcome is None:
@@ -231,15 +236,17 @@ class AcyclicAccess:
             raise CommandError("parameter", f"{place.label}: {text}", result.number)
 
 
-def answer_of(outcome: Outcome) -> bytes | Refused:
-    """What came of a service, for a talk. Raises CommandError where nothing did."""
+def answer_of(outcome: Outcome) -> bytes | Refused | Silent:
+    """What came of a service, for a talk. Raises CommandError where the bus or the slave went away."""
     if outcome.failure is None:
         return outcome.data
     if outcome.codes is not None and outcome.codes[0] == Decode.DPV1:
         return Refused(outcome.codes[1])
     if outcome.failure in (ServiceFailure.REFUSED, ServiceFailure.NEGATIVE):
         return Refused(0, outcome.text)
-    raise CommandError("lost" if outcome.failure in _LOST else "timeout", outcome.text)
+    if outcome.failure in _LOST:
+        raise CommandError("lost", outcome.text)
+    return Silent(outcome.text)
 
 
 def _raw(spec: ParamSpec | None, number: int, value: float) -> Raw:

@@ -33,6 +33,11 @@ class ChosenAccess:
         return b"" if self._cyclic is None else self._cyclic.octets
 
     @property
+    def per_request(self) -> int:
+        """Parameters of one request over record 47; the cyclic channel takes as many orders."""
+        return self._acyclic.per_request
+
+    @property
     def busy(self) -> bool:
         """The cyclic channel wants to be stepped."""
         return self._cyclic is not None and self._cyclic.busy

@@ -17,10 +17,9 @@ from dpstack.profile.acyclic.record47 import INDEX, Address, ErrorValue, Request
 from dpstack.profile.acyclic.services import (
     ABSENT,
     AGAIN,
-    Answer,
     Pause,
     Refused,
-    Service,
+    Silent,
     Talk,
 )
 from dpstack.profile.acyclic.split import Item, Limits, Piece, batch, halves, joined, pieces
@@ -33,6 +32,9 @@ _FIRST_PAUSE: Final = 2 * NS_PER_MS
 _LONGEST_PAUSE: Final = 50 * NS_PER_MS
 #: how long a drive may take for one request where it does not say (PNU 974)
 PATIENCE_NS: Final = 2 * NS_PER_S
+
+#: of a Write without any answer: to ask twice does nothing to a drive, to change twice may
+_ATTEMPTS: Final = 3
 
 #: a request with less in it may do
 _ASK_LESS: Final = frozenset({TOO_LONG, TOO_MANY, ONE_ONLY})
@@ -54,7 +56,8 @@ class Counters:
     """``requests`` of record 47; ``services`` (Read and Write) and ``octets`` of their data, both ways.
 
     ``busy``: negative answers that were asked again; ``strays``: responses to another request; ``garbage``: records
-    that are no response; ``split``: requests that were made smaller because the drive wanted it.
+    that are no response; ``split``: requests that were made smaller because the drive wanted it;
+    ``repeated``: services that had no answer.
     """
 
     requests: int = 0
@@ -64,6 +67,7 @@ class Counters:
     strays: int = 0
     garbage: int = 0
     split: int = 0
+    repeated: int = 0
 
 
 class ParameterClient:
@@ -189,24 +193,35 @@ class ParameterClient:
         Raises CommandError: ``timeout`` after ``deadline`` (ns) or the drive's patience, ``parameter`` for a refusal.
         """
         self.counters.requests += 1
-        now = yield from self._written(octets, deadline, several=len(request.addresses) > 1)
+        reads = request.id == RequestId.READ
+        attempts = _ATTEMPTS if reads else 1
+        now = yield from self._written(octets, deadline, attempts, several=len(request.addresses) > 1)
         if now is None:
             return None
         patience = self._patience
         until = min(deadline, now + patience)
+        # a response whose telegram was lost is gone: the drive says "not ready" for ever
+        lost_at = now + patience // 2 if reads else NEVER
         told = f"the drive did not answer within {patience // NS_PER_MS} ms"
+        told += "" if reads else "; it may have been carried out: read it back"
         pause = _FIRST_PAUSE
         while True:
             now, data = yield from self._service(ReadReq(self.slot, INDEX, self.limits.octets))
             if isinstance(data, Refused):
                 self._again(data, "the response")
+                if now >= lost_at:
+                    lost_at = NEVER
+                    now, data = yield from self._service(WriteReq(self.slot, INDEX, octets), attempts)
+                    if not isinstance(data, Refused):  # else it still works at it
+                        self.counters.repeated += 1
+                        until, pause = min(deadline, now + patience), _FIRST_PAUSE
             else:
                 response, why = self._fitting(request, data)
                 if response is not None:
                     return response
                 told = why
                 if request.id == RequestId.READ and data and data[0] not in self._references:
-                    yield from self._written(octets, deadline)  # that one took the place of ours
+                    yield from self._written(octets, deadline, attempts)  # that one took the place of ours
             if now >= until:
                 raise CommandError("timeout", f"{self._place}: {told}")
             yield Pause(min(pause, until - now))
@@ -216,12 +231,12 @@ class ParameterClient:
     def _patience(self) -> int:
         return max(2 * self.limits.latency_ns, PATIENCE_NS)
 
-    def _written(self, octets: bytes, deadline: int, *, several: bool = False) -> Talk[int | None]:
+    def _written(self, octets: bytes, deadline: int, attempts: int, *, several: bool = False) -> Talk[int | None]:
         """When the request was taken; None where it is too long, or has too many parameters (``several``)."""
         until: int | None = None
         pause = _FIRST_PAUSE
         while True:
-            now, data = yield from self._service(WriteReq(self.slot, INDEX, octets))
+            now, data = yield from self._service(WriteReq(self.slot, INDEX, octets), attempts)
             if not isinstance(data, Refused):
                 return now
             if data.code == Code.WRITE_LENGTH or (several and data.code == Code.INVALID_RANGE):
@@ -233,18 +248,32 @@ class ParameterClient:
             yield Pause(min(pause, until - now))
             pause = min(2 * pause, _LONGEST_PAUSE)
 
-    def _service(self, service: Service) -> Talk[Answer]:
-        answer = yield service
-        self.counters.services += 1
-        self.counters.octets += len(service.data) if isinstance(service, WriteReq) else 0
-        self.counters.octets += 0 if isinstance(answer.data, Refused) else len(answer.data)
-        return answer
+    def _service(self, service: WriteReq | ReadReq, attempts: int = 1) -> Talk[tuple[int, bytes | Refused]]:
+        """Time and answer; after ``attempts`` without one CommandError."""
+        while True:
+            now, data = yield service
+            attempts -= 1
+            self.counters.services += 1
+            self.counters.octets += len(service.data) if isinstance(service, WriteReq) else 0
+            if not isinstance(data, Silent):
+                break
+            if not attempts:
+                raise CommandError("timeout", data.why)
+            self.counters.repeated += 1
+        self.counters.octets += 0 if isinstance(data, Refused) else len(data)
+        return now, data
 
     def _again(self, refused: Refused, what: str) -> None:
         """A refusal that passes is counted, any other one ends the order."""
         if refused.code not in AGAIN:
-            kind = NoRecordError if refused.code in ABSENT else CommandError
-            raise kind("parameter", f"{self._place}: the drive refuses {what}: {refused}", refused.code)
+            text = f"{self._place}: the drive refuses {what}: {refused}"
+            if refused.code in ABSENT:
+                if refused.code:  # where there is none the text says itself what to do
+                    text += (
+                        "; it has no PROFIdrive parameters there; its manual says whether it has some, in which slot"
+                    )
+                raise NoRecordError("parameter", text, refused.code)
+            raise CommandError("parameter", text, refused.code)
         self.counters.busy += 1
 
     @property

@@ -12,11 +12,12 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final, NamedTuple
 
+from dpstack.dp.v1.records import PARAMETER_INDEX
 from dpstack.errors import PduError
 from dpstack.profile.acyclic.formats import ERROR, ZERO, Raw, format_of
 
 #: the record's index, and its longest content
-INDEX: Final = 47
+INDEX: Final = PARAMETER_INDEX
 MAX_OCTETS: Final = 240
 #: parameters of one request that fit into 240 octets: 4 + 6 n
 MAX_PARAMETERS: Final = 39

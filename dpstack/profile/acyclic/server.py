@@ -50,12 +50,13 @@ class RecordServer(Protocol):
 class TimedRecords:
     """Records of a slave application (:class:`~dpstack.dp.v1.tickets.Records`) over a server, for several who ask.
 
-    ``clock``: from the bus's time of a request to the drive's, both in ns. The drive carries out one request of record
-    47 at a time: while one is carried out or its response waits for whoever asked (as long as that one can fetch it,
-    for 2 s at most), a Write of somebody else is answered 0xC2, a Read 0xB5 as before any request (readings).
+    ``clock``: from the bus's time of a request to the drive's, both in ns; default the bus's. The drive carries out one
+    request of record 47 at a time: while one is carried out or its response waits for whoever asked (as long as that
+    one can fetch it, for 2 s at most), a Write of somebody else is answered 0xC2, a Read 0xB5 as before any request
+    (readings).
     """
 
-    def __init__(self, server: RecordServer, clock: Callable[[int], int]) -> None:
+    def __init__(self, server: RecordServer, clock: Callable[[int], int] = lambda bus: bus) -> None:
         self._server = server
         self._clock = clock
         self._holder: Asker | None = None

@@ -41,11 +41,17 @@ class Refused(NamedTuple):
         return self.why or f"error {self.code >> 4:X}/{self.code & 15:X}, {code_text(self.code)}"
 
 
+class Silent(NamedTuple):
+    """No answer, and nothing is known to have become of the service: it may have been carried out."""
+
+    why: str
+
+
 class Answer(NamedTuple):
-    """What came of a service, and when (ns): what was read, b"" after a write or a pause, or a negative answer."""
+    """What came of a service, and when (ns): what was read, b"" after a write or a pause, or why there is nothing."""
 
     now: int
-    data: bytes | Refused = b""
+    data: bytes | Refused | Silent = b""
 
 
 #: Yields services until it returns its result or raises CommandError.

@@ -113,6 +113,23 @@ class Slot:
         """For people."""
         return f"slot {self.number} ({self.module.name})"
 
+    def as_dict(self) -> dict[str, object]:
+        """As JSON shows it; ``plugged`` null: no module. ``inputs`` as the master reads them, ``outputs`` as driven."""
+        shown: dict[str, object] = {
+            "module": self.module.name,
+            "plugged": None if self.plugged is None else self.plugged.name,
+            "state": self.state.text,
+        }
+        if self.module.inputs:
+            shown["inputs"] = self.inputs.hex()
+        if self.module.outputs:
+            shown["outputs"] = self.outputs.hex()
+        if self.module.prm is not None:
+            shown["parameter"] = f"{self.prm:02x}"
+        if self.broken:
+            shown["wire_breaks"] = sorted(self.broken)
+        return shown
+
 
 def edges(before: bytes, after: bytes, prm: int) -> bytes:
     """The bits of digital inputs that changed in a way that raises a process alarm; all zeros for none."""

@@ -86,6 +86,10 @@ class IoStation(DpSlave):
             "dpv1": {"alarms": list(ALARMS), "alarm_mode": 0},
         }
 
+    def as_dict(self) -> dict[str, object]:
+        """Its slots by number as JSON shows them; an empty one is left out."""
+        return {str(place.number): place.as_dict() for place in self.slots if place is not None}
+
     # --- what happens to it from outside --------------------------------------------------------------------------
 
     def set_input(self, slot: int, octets: bytes) -> str | None:

@@ -1,0 +1,105 @@
+"""Record 47 of a slave that users build: literally at MS1, and read by name over a bus."""
+
+from __future__ import annotations
+
+from api_kit import virtual
+from slave_kit import Bench
+
+import dpstack
+from dpstack import DpSlave, SlaveDescription
+from dpstack.dp.events import SlaveState
+from dpstack.fdl.telegram import Resp
+from dpstack.fdl.user import SC_REPLY
+from dpstack.profile import ParamSpec, ParamStore, ParamTable
+from dpstack.profile.acyclic import (
+    Address,
+    ErrorValue,
+    Limits,
+    ParameterServer,
+    Rules,
+    StoreParameters,
+    TimedRecords,
+    Values,
+)
+from dpstack.units import NS_PER_MS
+
+TABLE = ParamTable(
+    (
+        ParamSpec(number=965, name="profile", title="Profile", factory=0x0328, read_only=True),
+        ParamSpec(number=10, name="ramp", title="Ramp", unit="s", decimals=1, factory=50),
+    )
+)
+RIG = SlaveDescription(ident=0x1234, name="rig", configs=(bytes.fromhex("10 20"),), dpv1=True, ms2=1)
+
+
+def rig(store: ParamStore, busy_ms: int = 0) -> DpSlave:
+    server = ParameterServer(StoreParameters(store), Rules(slots=frozenset({1}), busy_ns=busy_ms * NS_PER_MS))
+
+    async def read(slot: int, index: int) -> bytes:
+        return bytes((slot, index))
+
+    return DpSlave(RIG, lambda outputs, elapsed: bytes(1), on_read=read, parameters=TimedRecords(server))
+
+
+def test_literally() -> None:
+    bench = Bench(rig(ParamStore(TABLE, {}), busy_ms=5))
+    bench.prm(bytes.fromhex("88 01 0A 0B 12 34 00 80 00 00"))
+    bench.cfg(bytes.fromhex("10 20"))
+    for now, request, response in (
+        (0, "5E 01 2F F0", "DE 80 B5 00"),  # nothing was asked
+        (0, "5F 02 2F 0A 01 01 01 01 10 00 03 C5 00 00", "DF 80 B2 00"),
+        (0, "5F 01 2F 0A 01 01 01 01 10 00 03 C5 00 00", "5F 01 2F 0A"),
+        (4, "5E 01 2F F0", "DE 80 B5 00"),
+        (6, "5E 01 2F F0", "5E 01 2F 08 01 01 01 01 06 01 03 28"),
+        (6, "5E 01 2E F0", "DE 80 B0 00"),
+    ):
+        bench.now = now * NS_PER_MS
+        assert bench.ask(51, bytes.fromhex(request)) == SC_REPLY
+        reply = bench.ask(51, b"")
+        assert (reply.status, reply.data.hex(" ").upper()) == (Resp.DL, response)
+
+
+def test_over_a_bus_by_both_classes_of_master() -> None:
+    store = ParamStore(TABLE, {})
+
+    async def main() -> None:
+        world = dpstack.World()
+        async with (
+            dpstack.serve_slave(rig(store, busy_ms=3), world=world, address=9),
+            dpstack.open_bus(world=world, baud=500_000, slaves=[RIG.table(9)]) as bus,
+        ):
+            await bus.ready()
+            parameters = bus.slave(9).parameters()
+            assert await parameters.read([Address(965), Address(11)]) == [Values(6, (0x0328,)), ErrorValue(0)]
+            assert await parameters.change([(Address(10), Values(6, (75,)))]) == [Values(0x40)]
+            async with bus.class2.connect(9) as connection:
+                assert await connection.parameters().read([Address(10)]) == [Values(6, (75,))]
+            assert [one.pnu for one in await parameters.read_out()] == [10, 965]
+            assert await bus.slave(9).read(3, 4) == b"\x03\x04"  # the others go to the functions
+            assert bus.slave(9).state is SlaveState.DATA_EXCHANGE
+        assert store.value("ramp") == 7.5
+
+    virtual(main())
+
+
+def test_a_list_is_read_within_the_limits_that_the_drive_tells() -> None:
+    table = ParamTable(ParamSpec(number=n, name=f"p{n}", title="Word") for n in range(1, 60))
+    limits = Limits(octets=56, parameters=4)
+    server = ParameterServer(StoreParameters(ParamStore(table, {}), limits=limits), Rules(limits=limits))
+    slave = DpSlave(RIG, lambda outputs, elapsed: bytes(1), parameters=TimedRecords(server))
+
+    async def main() -> None:
+        world = dpstack.World()
+        async with (
+            dpstack.serve_slave(slave, world=world, address=9),
+            dpstack.open_bus(world=world, baud=500_000, slaves=[RIG.table(9)]) as bus,
+        ):
+            await bus.ready()
+            parameters = bus.slave(9).parameters()
+            assert len(await parameters.read_out()) == 59
+            first = parameters.counters.requests
+            assert parameters.counters.split == 0  # nothing was tried in vain
+            await parameters.read_out()
+            assert parameters.counters.requests == 2 * first - 1  # asked for once
+
+    virtual(main())

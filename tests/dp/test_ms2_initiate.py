@@ -1,0 +1,286 @@
+"""Initiate of the master against slaves of octets: each way it ends, and nothing is kept."""
+
+from __future__ import annotations
+
+import pytest
+from ms2_kit import DL, MS, SC, Ms2Bus, sd2
+from ring_bus import Sent
+
+from dpstack.dp.acyclic import CancelService
+from dpstack.dp.acyclic_job import ServiceFailure
+from dpstack.dp.reading import reading_only
+from dpstack.dp.v1.ms2_orders import (
+    CloseConnection,
+    ConnectionOver,
+    InitiateDone,
+)
+
+RDL = 0x0C
+
+
+def failed(kit: Ms2Bus, **more: int) -> InitiateDone:
+    """An Initiate that leaves nothing."""
+    done = kit.open(**more)
+    kit.freed()
+    assert not kit.told(ConnectionOver)
+    assert done.outcome.failure is not None
+    return done
+
+
+def test_no_connection_left_or_none_at_all() -> None:
+    kit = Ms2Bus()
+    kit.slave.free = [48]
+    kit.open()
+    done = kit.open()
+    assert done.outcome.failure is ServiceFailure.REFUSED
+    assert done.outcome.status == "RS"
+    assert done.text == (
+        "slave 4 refuses Initiate (RS at SAP 49): all its class 2 connections are in use (1 of them from here), or it "
+        "has none (C2_Read_Write_supp of its GSD file); close one, or wait until another master does"
+    )
+    assert kit.read(1).outcome.data == b"\1\2"
+    kit.close(1)
+    assert kit.open().server_sap == 48
+
+
+def test_nobody_there() -> None:
+    kit = Ms2Bus(())
+    done = failed(kit)
+    assert done.outcome.failure is ServiceFailure.SILENT
+    assert done.text == "slave 4 does not answer Initiate; check address and power"
+
+
+@pytest.mark.parametrize(
+    ("answer", "failure", "text"),
+    [
+        ("58 00 1F", ServiceFailure.ABORTED, "it has no connection left (ABT_RES)"),
+        ("58 02 12", ServiceFailure.ABORTED, "a request that cannot be read (ABT_FE in a remote subnet)"),
+        ("58", ServiceFailure.ABORTED, "the slave aborted it, but why cannot be read"),
+        ("D7 80 C3 00", ServiceFailure.NEGATIVE, "slave 4 refuses Initiate: resource unavailable (80 C3 00"),
+        ("57 F0", ServiceFailure.LENGTH, "cannot be read"),
+        ("56 31 00 64", ServiceFailure.LENGTH, "49 is no server SAP"),
+        ("56 30 00", ServiceFailure.LENGTH, "cannot be read"),
+        ("5E 01 02 00", ServiceFailure.LENGTH, "octet 1 is 0x5E"),
+    ],
+)
+def test_the_resource_manager_says_something_else(answer: str, failure: ServiceFailure, text: str) -> None:
+    kit = Ms2Bus()
+    kit.slave.says[49] = lambda octets: SC if octets[9:-2] else sd2(2, 4, DL, 50, 49, bytes.fromhex(answer))
+    done = kit.open()
+    assert done.outcome.failure is failure
+    assert text in done.text
+    kit.freed()
+
+
+@pytest.mark.parametrize(
+    ("answer", "failure", "text"),
+    [
+        (
+            "58 00 16",
+            ServiceFailure.ABORTED,
+            "is too short (ABT_STO); ask for 200 ms or more",
+        ),
+        ("58 00 17", ServiceFailure.ABORTED, "ABT_IA"),
+        ("58 00 25", ServiceFailure.ABORTED, "its user, reason 5"),
+        ("D7 80 B2 00", ServiceFailure.NEGATIVE, "slave 4 refuses Initiate: invalid slot"),
+        ("57 F0 01 00", ServiceFailure.LENGTH, "cannot be read"),
+        ("57 F0 01 00 00 00 00 00 00 02 00 09 00 00 00 00", ServiceFailure.LENGTH, "2 and 9 octets of addresses"),
+        ("5E 01 02 00", ServiceFailure.LENGTH, "slave 4 answers Initiate with what cannot be read"),
+    ],
+)
+def test_the_server_sap_refuses(answer: str, failure: ServiceFailure, text: str) -> None:
+    kit = Ms2Bus()
+    kit.slave.initiate = bytes.fromhex(answer)
+    done = failed(kit)
+    assert done.outcome.failure is failure
+    assert text in done.text
+    if failure is ServiceFailure.ABORTED:
+        octets = bytes.fromhex(answer)
+        assert done.outcome.codes == (octets[1], octets[2] >> 4, octets[2] & 15)
+    told = [pdu for sap, pdu in kit.slave.heard if pdu[:1] == b"\x58"]
+    assert told == ([b"\x58\x00\x14"] if failure is ServiceFailure.LENGTH else [])  # ABT_RE
+
+
+def test_the_longer_send_timeout_counts() -> None:
+    kit = Ms2Bus()
+    kit.slave.timeout = b"\x01\x90"
+    assert kit.open(send_timeout_ns=100 * MS).send_timeout_ns == 4_000 * MS
+    assert kit.open(send_timeout_ns=5_000 * MS).send_timeout_ns == 5_000 * MS
+
+
+def test_a_slave_that_never_answers_initiate() -> None:
+    kit = Ms2Bus()
+    kit.slave.polls = 1 << 20
+    done = failed(kit, response_ns=300 * MS)
+    assert done.outcome.failure is ServiceFailure.LATE
+    assert "has no answer to Initiate within 0.3 s (its C2_Response_Timeout)" in done.text
+    assert kit.slave.heard[-1] == (48, b"\x58\x00\x13")  # ABT_TO
+
+
+def test_a_resource_manager_that_never_answers() -> None:
+    kit = Ms2Bus()
+    kit.slave.says[49] = lambda octets: SC
+    done = failed(kit, response_ns=300 * MS)
+    assert done.outcome.failure is ServiceFailure.LATE
+    assert "its resource manager has no answer to Initiate within 0.3 s" in done.text
+
+
+def test_a_server_sap_given_out_twice_stays_whose_it_is() -> None:
+    kit = Ms2Bus()
+    kit.slave.free = [48, 48]
+    kit.open()
+    done = kit.open()
+    assert done.outcome.failure is ServiceFailure.WRONG
+    assert "gives out server SAP 48, which is in use by this master" in done.text
+    assert all(pdu[:1] != b"\x58" for _, pdu in kit.slave.heard)
+
+
+@pytest.mark.parametrize("lost", [(0,), (0, 1), (1,), (1, 2), (2, 3), (3,), (4,), (5,)])
+def test_telegrams_of_initiate_are_lost(lost: tuple[int, ...]) -> None:
+    """Requests and answers, with their repetitions: there is a connection in the end, and nothing else."""
+    kit = Ms2Bus()
+    count = [0]
+
+    def drop(sent: Sent) -> bool:
+        octets = sent.octets
+        if octets[0] not in (0x68, 0xE5):
+            return False
+        count[0] += 1
+        return count[0] - 1 in lost
+
+    kit.bus.drop = drop
+    done = kit.open()
+    assert done.outcome.failure is None, done.text
+    assert kit.read(1).outcome.data == b"\1\2"
+
+
+def test_an_initiate_whose_answers_are_lost_is_asked_for_and_not_sent_again() -> None:
+    kit = Ms2Bus()
+    dropped: list[Sent] = []
+
+    def drop(sent: Sent) -> bool:
+        if sent.octets[0] != 0xE5 or len(dropped) == 2:
+            return False
+        dropped.append(sent)
+        return True
+
+    kit.bus.drop = drop
+    assert kit.open().server_sap == 48
+    assert [(sap, pdu[:1].hex()) for sap, pdu in kit.slave.heard] == [(49, "57"), (49, ""), (48, "")]
+    assert list(kit.slave.sessions) == [48]
+
+
+def test_an_answer_to_an_earlier_master_is_given_away_first() -> None:
+    """RDL: the Initiate was not taken."""
+    kit = Ms2Bus()
+    usual, times = kit.slave.service, [2]
+
+    def say(octets: bytes) -> bytes | None:
+        if times[0]:
+            times[0] -= 1
+            return sd2(2, 4, RDL, 50, 49, b"\x56\x11\x00\x64")
+        kit.slave.says.clear()
+        return usual(octets)
+
+    kit.slave.says[49] = say
+    done = kit.open()
+    assert (done.outcome.failure, done.server_sap) == (None, 48)
+    assert [pdu[:1].hex() for _, pdu in kit.slave.heard] == ["57", "", ""]
+
+
+@pytest.mark.parametrize("step", range(24))
+def test_cancelled_or_closed_at_every_step(step: int) -> None:
+    """Of Initiate and the Read after it: the slave keeps nothing, and gives out all its connections again."""
+    for order in (CancelService, CloseConnection):
+        kit = Ms2Bus()
+        kit.slave.polls = 3
+        kit.order_open()
+        kit.bus.run(step * MS // 4)
+        kit.send(order(1))
+        kit.bus.run(100 * MS)
+        done = kit.end(1, InitiateDone)
+        if done.outcome.failure is None and order is CancelService:
+            kit.close(1)  # it was too late to cancel it
+        kit.freed()
+        assert kit.slave.free == [48, 47]
+        assert len(kit.told(ConnectionOver)) == (done.outcome.failure is None)
+
+
+def test_closed_at_every_moment() -> None:
+    """Also between handing on and sending: what the link layer has already goes out. One that was open ends as such,
+    one that was not is never told as open."""
+    opened = 0
+    for step in range(0, 3_200, 24):
+        kit = Ms2Bus()
+        kit.order_open()
+        kit.bus.run(step * 1_000)
+        was_open = bool(kit.told(InitiateDone))
+        kit.send(CloseConnection(1))
+        done = kit.end(1, InitiateDone)
+        assert done.outcome.failure is (None if was_open else ServiceFailure.ABORTED)
+        kit.freed()
+        assert len(kit.told(ConnectionOver)) == was_open
+        opened += was_open
+    assert 0 < opened < 100
+
+
+def test_initiate_has_its_time() -> None:
+    kit = Ms2Bus()
+    kit.slave.polls = 1 << 20
+    token = kit.order_open(timeout_ns=50 * MS)
+    done = kit.end(token, InitiateDone)
+    assert done.outcome.failure is ServiceFailure.LATE
+    kit.freed()
+
+
+def test_a_read_only_bus() -> None:
+    kit = Ms2Bus(guard=reading_only)
+    done = failed(kit)
+    assert done.outcome.failure is ServiceFailure.GUARDED
+    assert done.text == "slave 4: Initiate was not sent; this bus is read-only"
+
+
+# --- one after the other ------------------------------------------------------------------------------------------
+
+
+def at_the_manager(kit: Ms2Bus) -> str:
+    """What was said at SAP 49: I for Initiate, n for polls until the next one."""
+    return "".join("I" if pdu else "n" for sap, pdu in kit.slave.heard if sap == 49)
+
+
+def test_the_resource_manager_is_asked_for_one_connection_at_a_time() -> None:
+    """A slave chip has one Resource_Manager answer: the next Initiate waits until the last one has its server SAP."""
+    kit = Ms2Bus()
+    kit.slave.free = [48, 47, 46]
+    tokens = [kit.order_open() for _ in range(3)]
+    assert sorted(kit.end(token, InitiateDone).server_sap for token in tokens) == [46, 47, 48]
+    assert at_the_manager(kit) == "InInIn"
+
+
+@pytest.mark.parametrize("step", range(12))
+def test_the_next_initiate_waits_until_one_that_was_given_up_is_given_back(step: int) -> None:
+    """Else it would be given the server SAP of that one, which is to be aborted."""
+    kit = Ms2Bus()
+    kit.slave.free = [48, 47, 46]
+    tokens = [kit.order_open() for _ in range(3)]
+    kit.bus.run(step * MS // 4)
+    kit.send(CancelService(tokens[0]))
+    kit.end(tokens[0], InitiateDone)
+    done = [kit.end(token, InitiateDone) for token in tokens[1:]]
+    assert [end.outcome.failure for end in done] == [None, None], [end.text for end in done]
+    assert all(kit.read(token).outcome.data == b"\1\2" for token in tokens[1:])
+    assert "II" not in at_the_manager(kit)
+
+
+def test_a_server_sap_in_use_is_not_given_back_for_one_that_was_given_up() -> None:
+    """The slave still names the server SAP that it gave out last."""
+    kit = Ms2Bus()
+    kit.open()
+    kit.slave.says[49] = lambda octets: SC
+    token = kit.order_open()
+    kit.bus.run(3 * MS)
+    kit.slave.says[49] = lambda octets: sd2(2, 4, DL, 50, 49, b"\x56\x30\x00\x0a")
+    kit.send(CancelService(token))
+    kit.end(token, InitiateDone)
+    kit.bus.run(100 * MS)
+    assert kit.read(1).outcome.data == b"\1\2"

@@ -1,0 +1,138 @@
+"""A slave that does not want a connection of class 2: refused by its device, too long, aborted by its application."""
+
+from __future__ import annotations
+
+import pytest
+from octet_class2 import ABORT_REQUEST, INITIATE, OPENED, RS, SC, Class2
+from octet_wire import MS, Wire
+from slave_kit import Recorder
+
+from dpstack.dp.slaveapp import SlaveApp, make_slave
+from dpstack.dp.v1.connection import InitiateReq
+from dpstack.dp.v1.tickets import Ticket
+from dpstack.errors import ConfigError, RecordRefused, UsageError
+from dpstack.params import BusParams
+
+READ = "5E 00 01 F0"
+
+
+class Picky(Recorder):
+    """It opens connections for the profile 0x1234 only, and fails over 0x9999; its records never answer."""
+
+    def __init__(self, longest: int = 244) -> None:
+        super().__init__()
+        self.ms2 = 1
+        self.ms2_max_initiate = longest
+        self.records = self
+        self.dropped = 0
+
+    def initiate(self, master: int, wanted: InitiateReq) -> None:
+        if wanted.profile_ident == 0x9999:
+            raise ZeroDivisionError("no such profile")
+        if wanted.profile_ident != 0x1234:
+            raise RecordRefused(0xB6, master)
+
+    def ask(self, ticket: Ticket) -> None:
+        ticket.abandoned = self.drop
+
+    def drop(self) -> None:
+        self.dropped += 1
+
+
+class Bench:
+    """Slave 8, and a master of class 2."""
+
+    def __init__(self, longest: int = 244) -> None:
+        self.device = Picky(longest)
+        station = make_slave(8, self.device, BusParams.preset(500_000))
+        assert isinstance(station.responder, SlaveApp)
+        self.app = station.responder
+        self.wire = Wire(station)
+        self.master = Class2(self.wire)
+
+    def texts(self) -> list[str]:
+        return [event.text.removeprefix("slave 8 (recorder): ") for event in self.wire.station.take_events()]
+
+
+def initiate(profile: int, extra: str = "") -> str:
+    """For ``profile``; ``extra``: network address and MAC of the source."""
+    kind = f"01 {2 + len(bytes.fromhex(extra)):02X}" if extra else "00 02"
+    return f"57 00 00 00 00 64 01 00 00 00 {profile:04X} {kind} 00 02 00 00 {extra} 00 00"
+
+
+@pytest.mark.parametrize(
+    ("profile", "answer", "told"),
+    [
+        (0, "D7 80 B6 01", "Initiate of master 1 refused: its function: "),
+        (
+            0x9999,
+            "D7 80 C3 00",
+            "Initiate of master 1 refused: its function failed (ZeroDivisionError: no such profile)",
+        ),
+    ],
+)
+def test_a_device_refuses_initiate_by_a_negative_response(profile: int, answer: str, told: str) -> None:
+    bench = Bench()
+    sap = bench.master.initiate(initiate(profile))
+    assert bench.app.connections == ()
+    assert bench.master.ask(sap) == answer
+    assert bench.master.ask(sap) == RS
+    (text,) = bench.texts()
+    assert text.startswith(told)
+    assert bench.app.stats.connections == 0
+    sap = bench.master.initiate(initiate(0x1234))
+    assert bench.master.ask(sap) == OPENED.replace("01 00 00 00 00 00", "01 00 00 00 00 00")
+    assert bench.device.calls == []
+
+
+def test_an_initiate_that_is_too_long() -> None:
+    bench = Bench(longest=27)
+    longer = initiate(0x1234, "00 01 02 03 04 05 06 07")
+    assert len(bytes.fromhex(longer)) == 28
+    sap = bench.master.initiate(longer)
+    assert bench.master.ask(sap) == ABORT_REQUEST
+    (text,) = bench.texts()
+    assert "Initiate of 28 octets, 27 are possible (Max_Initiate_PDU_Length)" in text
+    bench.device.ms2_max_initiate = 28
+    sap = bench.master.initiate(longer)
+    assert bench.master.ask(sap)[:2] == "57"
+
+
+@pytest.mark.parametrize("longest", [19, 245])
+def test_lengths_of_initiate_that_cannot_be(longest: int) -> None:
+    with pytest.raises(ConfigError, match="ms2_max_initiate"):
+        Bench(longest)
+
+
+@pytest.mark.parametrize("step", ["opened", "working"])
+@pytest.mark.parametrize("reason", [0, 15])
+def test_the_application_aborts(step: str, reason: int) -> None:
+    """Its master fetches the Abort; who works at a service is told; then there is room again."""
+    bench = Bench()
+    sap = bench.master.initiate(initiate(0x1234))
+    assert bench.master.ask(sap)[:2] == "57"
+    if step == "working":
+        assert bench.master.ask(sap, READ) == SC
+    bench.app.abort(sap, reason, bench.wire.now)
+    assert bench.app.connections == ()
+    assert bench.device.dropped == (step == "working")
+    assert bench.master.ask(sap) == f"58 00 2{reason:X}"
+    assert bench.master.ask(sap) == RS
+    assert bench.texts()[-1].endswith(f"services: it was aborted here (reason {reason})")
+    assert bench.app.connections_free == 1
+    with pytest.raises(UsageError, match=f"no open class 2 connection at server SAP {sap}; see connections"):
+        bench.app.abort(sap, 0, bench.wire.now)
+
+
+def test_an_abort_that_nobody_fetches_holds_nothing() -> None:
+    bench = Bench()
+    sap = bench.master.initiate(initiate(0x1234))
+    bench.master.ask(sap)
+    with pytest.raises(UsageError, match=r"an Abort has no reason 16: 0\.\.15"):
+        bench.app.abort(sap, 16, bench.wire.now)
+    bench.app.abort(sap, 0, bench.wire.now)
+    with pytest.raises(UsageError, match="no open class 2 connection"):
+        bench.app.abort(sap, 0, bench.wire.now)
+    bench.wire.pass_time(2_001 * MS)
+    assert bench.master.ask(sap) == RS
+    assert bench.master.initiate(INITIATE) == sap

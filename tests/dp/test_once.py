@@ -1,0 +1,32 @@
+"""What is told once, and not without end."""
+
+from __future__ import annotations
+
+from dpstack.dp.events import SlaveRemark
+from dpstack.dp.findings import Findings
+from dpstack.dp.once import News, Once
+from dpstack.trace import Event
+
+
+def test_up_to_a_limit() -> None:
+    once = Once(3)
+    assert [once.news(what) for what in "aabacbd"] == [
+        News.NEW,
+        News.KNOWN,
+        News.NEW,
+        News.KNOWN,
+        News.LAST,
+        News.KNOWN,
+        News.KNOWN,
+    ]
+
+
+def test_a_slave_that_deviates_in_another_way_each_time_fills_no_log() -> None:
+    told: list[Event] = []
+    findings = Findings(4, "s4", told.append)
+    for number in range(1000):
+        findings.remark(f"answers Slave_Diag with {number % 500} octets", number)
+    texts = [event.message for event in told if isinstance(event, SlaveRemark)]
+    assert len(texts) == len(set(texts)) == 20
+    assert texts[-1] == "answers Slave_Diag with 19 octets; further deviations are not told"
+    assert texts[-2] == "answers Slave_Diag with 18 octets"
