@@ -219,9 +219,9 @@ class AlarmDesk:
         await held.ended.wait()
         assert held.end is not None
         if held.end.failure is not None:
-            raised = held.raised
-            alarm = raised.alarm
-            raise error_of(raised.address, Function.ALARM_ACK.title, held.end, (alarm.slot, alarm.type))
+            alarm = held.raised.alarm
+            where = (alarm.slot, alarm.type)
+            raise error_of(held.raised.address, Function.ALARM_ACK.title, held.end, where)
 
     def _let_go(self, held: _Held, listener: _Listener) -> None:
         if listener in held.keepers:
