@@ -1,0 +1,121 @@
+"""Alarms and the GSD file: its words in either process, what it has not is refused, what it requires is enabled."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, cast
+
+import pytest
+from gsd_kit import device
+
+import dpstack
+from dpstack.api.config import parse_config
+from dpstack.api.events import AlarmRaised
+from dpstack.dp.diagnosis import Diagnosis
+from dpstack.dp.findings import Findings
+from dpstack.dp.setup import SlaveSetup
+from dpstack.dp.v1.alarm_book import AlarmBook
+from dpstack.dp.v1.alarm_handler import AlarmHandler
+from dpstack.dp.v1.status import Dpv1
+from dpstack.drivers.mirror import MasterMirror, Mirror, Source, StationMirror
+from dpstack.errors import ConfigError
+from dpstack.gsd.diag_texts import DiagTexts as GsdTexts
+from dpstack.params import BusParams
+from dpstack.phy.patience import EXACT
+
+ALL = ("pull_plug", "process", "diagnostic", "manufacturer", "status", "update")
+
+
+@pytest.mark.parametrize("rest", ["", "42 01 80 40 30"])
+def test_the_words_of_the_gsd_file_in_either_process(rest: str) -> None:
+    texts = GsdTexts(device("diagnosis"), [None])
+    setup = SlaveSetup(
+        address=9, name="rig", ident=1, config=b"\x10", user_prm=bytes(3), dpv1=Dpv1(alarms=ALL), texts=texts
+    )
+    diagnosis = Diagnosis(8, 0x0C, 0, 2, 1, bytes.fromhex("05 21 03 01 01" + rest))
+    there: list[dpstack.Event] = []
+    for of in (setup, dataclasses.replace(setup, texts=None)):  # the bus process has none
+        AlarmHandler(of, Findings(9, "rig", there.append), there.append, lambda now: None, AlarmBook()).take(
+            diagnosis, True, 1, 7
+        )
+    own, foreign = there
+    assert isinstance(own, AlarmRaised)
+    assert own.texts[0] == "fuse blown"
+    if rest:
+        module, channel = own.texts[-2:]
+        assert module == "modules with a diagnosis: 0"
+        assert channel == "module 0, input channel 0 (bit): sensor missing (plug it in)"
+    master = MasterMirror((setup,), cast(Source, None), read_only=False)
+    station = StationMirror(BusParams.preset(500_000), EXACT, cast(Source, None))
+    assert Mirror(master, station, None).worded(foreign) == own
+
+
+GSD = """#Profibus_DP
+GSD_Revision = 5
+Vendor_Name = "none"
+Model_Name = "rig"
+Revision = "1"
+Ident_Number = 0x1234
+Protocol_Ident = 0
+Station_Type = 0
+Hardware_Release = "1"
+Software_Release = "1"
+500_supp = 1
+MaxTsdr_500 = 100
+Slave_Family = 0
+Max_Diag_Data_Len = 64
+User_Prm_Data_Len = 3
+User_Prm_Data = 0x00,0x08,0x00
+Modular_Station = 0
+DPV1_Slave = 1
+C1_Read_Write_supp = 1
+C1_Max_Data_Len = 64
+C1_Response_Timeout = 100
+Diagnostic_Alarm_supp = 1
+Process_Alarm_supp = 1
+Process_Alarm_required = 1
+Status_Alarm_supp = 1
+Extra_Alarm_SAP_supp = 1
+Alarm_Sequence_Mode_Count = 4
+Module = "io" 0x20, 0x10
+EndModule
+"""
+
+
+@pytest.mark.parametrize(
+    ("dpv1", "told"),
+    [
+        (
+            '{ alarms = ["diagnostic"] }',
+            "alarms lacks process, but its GSD file says Process_Alarm_required = 1; add it",
+        ),
+        ('{ alarms = ["update", "process"] }', "alarms holds update, but its GSD file says Update_Alarm_supp = 0"),
+        ("{ alarm_mode = 3 }", "alarm_mode 3 is 8 alarms at a time, its GSD file says Alarm_Sequence_Mode_Count = 4"),
+    ],
+)
+def test_what_the_gsd_file_does_not_have_is_refused(tmp_path: Any, dpv1: str, told: str) -> None:
+    (tmp_path / "rig.gsd").write_text(GSD, encoding="latin-1")
+    with pytest.raises(ConfigError, match=told.replace(".", r"\.")):
+        parse_config(plant(dpv1), str(tmp_path / "plant.toml"))
+
+
+@pytest.mark.parametrize(
+    ("dpv1", "sent"),
+    [
+        ("true", "80 48 00"),  # what it requires, beside what its parameters enable
+        ('{ alarms = ["process", "diagnostic"], alarm_mode = 2 }', "80 60 02"),
+    ],
+)
+def test_what_is_enabled(tmp_path: Any, dpv1: str, sent: str) -> None:
+    (tmp_path / "rig.gsd").write_text(GSD, encoding="latin-1")
+    setup = parse_config(plant(dpv1), str(tmp_path / "plant.toml")).slaves[0].setup(500_000)
+    assert setup.user_octets(None).hex(" ") == sent
+    assert setup.dpv1 is not None
+    assert setup.dpv1.extra_alarm_sap
+
+
+def plant(dpv1: str) -> str:
+    return (
+        '[bus]\nport = "/dev/ttyUSB0"\nbaud = 500000\n[[slave]]\nname = "rig"\naddress = 9\ngsd = "rig.gsd"\n'
+        f'modules = ["io"]\ndpv1 = {dpv1}\n'
+    )
