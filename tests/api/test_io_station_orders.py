@@ -56,7 +56,9 @@ def ext(slave: dpstack.Slave) -> str:
 def test_what_happens_to_it_reaches_the_master() -> None:
     async def program(bus: dpstack.Bus, handlers: dict[str, Handler]) -> None:
         left_out = "done, without an alarm: slave io: process alarm, slot 1: its master did not enable process alarms"
-        assert handlers["input"](["io", "1", "05"]) == f"{left_out} in Set_Prm"
+        assert handlers["input"](["io", "1", "05"]) == (
+            f'{left_out} in Set_Prm; add "process" to alarms of [slave.dpv1] there'
+        )
         assert handlers["input"](["8", "3", "01 02 03 04"]) is None
         slave = await settled(bus)
         assert slave.inputs.hex() == "0501020304"

@@ -159,7 +159,7 @@ def test_parameters_changed_at_the_device() -> None:
 def test_only_what_is_enabled_and_nothing_without_dpv1() -> None:
     bench = Station(PRM[:7] + b"\x80\x00\x00" + PRM[10:])
     assert bench.io.pull(1) == "slave io: pull alarm, slot 1, appears, slot disturbed: its master did not enable " + (
-        "pull_plug alarms in Set_Prm"
+        'pull_plug alarms in Set_Prm; add "pull_plug" to alarms of [slave.dpv1] there'
     )
     assert bench.fetch() == "06 82 00 00 03 00 42 01"
     bench = Station(PRM[:7] + b"\x00\xfc\x00" + PRM[10:])

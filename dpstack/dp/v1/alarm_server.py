@@ -143,7 +143,8 @@ class AlarmServer:
             raise AlarmError(f"{what}: this slave has no {kind} alarms; name them in its description", "not supported")
         self._check_open(what)
         if kind not in self._enabled:
-            raise AlarmError(f"{what}: its master did not enable {kind} alarms in Set_Prm", "not enabled")
+            todo = f'add "{kind}" to alarms of [slave.dpv1] there'
+            raise AlarmError(f"{what}: its master did not enable {kind} alarms in Set_Prm; {todo}", "not enabled")
         if len(self._waiting) >= MAX_WAITING:
             raise AlarmError(
                 f"{what}: {MAX_WAITING} alarms wait already; its master does not acknowledge them", "queue full"
