@@ -14,6 +14,7 @@ from dpstack.api.record_parameters import RecordParameters
 from dpstack.api.slave import Slave
 from dpstack.api.tables import parse_hex
 from dpstack.dp.v1.im import Im, Im0
+from dpstack.dp.v1.records import MAX_RECORD, MAX_SLOT
 from dpstack.errors import AcyclicError, SlaveFault, UsageError
 from dpstack.profile.acyclic import Progress
 
@@ -53,6 +54,8 @@ class Target(Protocol):
         """Record 47."""
 
 
+#: of each number, by its name in a usage
+_HIGHEST: Final = {"SLOT": MAX_SLOT, "INDEX": 255, "LENGTH": MAX_RECORD, "OBJECT": 255}
 #: what is being read, how many of it, of how many
 OnProgress = Callable[[str, int, int], None]
 #: slot and object where nothing is said
@@ -66,7 +69,7 @@ def check(word: str, args: Sequence[str], *, class2: bool = False) -> None:
     spec = find_word(word, (*WORDS, TRANSPORT), "dpstack acyclic")
     spec.check(list(args))
     for name, text in zip(spec.usage.split(), args, strict=False):
-        _octets(text) if name.strip("[]") == "HEX" else _number(name.strip("[]"), text)
+        _octets(text) if name.strip("[]") == "HEX" else _check_number(name.strip("[]"), text)
 
 
 async def carry_out(
@@ -81,24 +84,24 @@ async def carry_out(
     head = {"order": word, "slave": slave.name, "address": slave.address}
     match word:
         case "read":
-            slot, index, *length = (_number("SLOT", text) for text in args)
+            slot, index, *length = _numbers(args)
             data = await slave.read(slot, index, *length)
             return {**head, "slot": slot, "index": index, "length": len(data), "data": data.hex()}
         case "write":
-            slot, index = (_number("SLOT", text) for text in args[:2])
+            slot, index = _numbers(args[:2])
             octets = _octets(args[2])
             await slave.write(slot, index, octets)
             return {**head, "slot": slot, "index": index, "length": len(octets)}
         case "transport":
             assert isinstance(slave, Connection)
-            slot, index = (_number("SLOT", text) for text in args[:2])
+            slot, index = _numbers(args[:2])
             back = await slave.transport(slot, index, _octets(args[2]) if len(args) > 2 else b"")
             return {**head, "slot": slot, "index": index, "length": len(back), "data": back.hex()}
         case "parameters":
-            slot, axis = (*(_number("SLOT", text) for text in args), *_FIRST_OBJECT[len(args) :])
+            slot, axis = (*_numbers(args), *_FIRST_OBJECT[len(args) :])
             return {**head, "slot": slot, "object": axis, **await _all_parameters(slave, slot, axis, progress)}
         case _:
-            slot = _number("SLOT", args[0]) if args else 0
+            (slot,) = _numbers(args) or (0,)
             return {**head, "slot": slot, "im": await _all_im(slave, slot)}
 
 
@@ -138,14 +141,19 @@ def _plain(record: Im) -> dict[str, object]:
     return {name: value.hex() if isinstance(value, bytes) else value for name, value in fields.items()}
 
 
-def _number(name: str, text: str) -> int:
+def _check_number(name: str, text: str) -> None:
     try:
         value = int(text, 0)
     except ValueError:
         value = -1
-    if not 0 <= value <= 255:
-        raise UsageError(f"{text!r} is no {name}: write a number 0..255, 0x2F for instance")
-    return value
+    highest = _HIGHEST[name]
+    if not 0 <= value <= highest:
+        raise UsageError(f"{text!r} is no {name}: write a number 0..{highest}, 0x2F for instance")
+
+
+def _numbers(args: Sequence[str]) -> tuple[int, ...]:
+    """What :func:`check` has found to be numbers."""
+    return tuple(int(text, 0) for text in args)
 
 
 def _octets(text: str) -> bytes:

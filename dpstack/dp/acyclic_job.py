@@ -7,6 +7,7 @@ A job is a generator of :class:`Step`: it gives the next request and is sent wha
 
 from __future__ import annotations
 
+import abc
 from collections.abc import Generator, Hashable
 from dataclasses import dataclass
 from enum import Enum
@@ -61,7 +62,7 @@ class Outcome:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ServiceEnd(Event):
+class ServiceEnd(Event, abc.ABC):
     """The one end of the service that was ordered with ``token``, whatever the service and the way to the slave."""
 
     token: int
@@ -74,14 +75,14 @@ class ServiceEnd(Event):
         return True
 
     @property
+    @abc.abstractmethod
     def title(self) -> str:
         """The service by the standard's name."""
-        raise NotImplementedError
 
     @property
+    @abc.abstractmethod
     def result(self) -> str:
         """What came of it where it has not failed."""
-        raise NotImplementedError
 
     @property
     def text(self) -> str:

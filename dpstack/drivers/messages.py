@@ -8,6 +8,7 @@ stands as a pair of the class's name and its fields.
 from __future__ import annotations
 
 import functools
+import inspect
 import signal
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -356,7 +357,8 @@ def event_classes() -> dict[str, type[Event]]:
 
 def _below(kind: type[Event]) -> Iterator[type[Event]]:
     for sub in kind.__subclasses__():
-        yield sub
+        if not inspect.isabstract(sub):
+            yield sub
         yield from _below(sub)
 
 

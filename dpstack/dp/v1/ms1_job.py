@@ -12,6 +12,7 @@ sources are silent:
 
 from __future__ import annotations
 
+import abc
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -36,7 +37,7 @@ class Owed:
     job: Ms1Job
 
 
-class Ms1Job:
+class Ms1Job(abc.ABC):
     """One service of the slave that ``handler`` handles: ``octets`` to ``sap``, with up to ``longest`` octets back."""
 
     #: nothing is known to have happened to the slave
@@ -65,9 +66,9 @@ class Ms1Job:
         self._limit_of = "its C1_Response_Timeout" if told else "no C1_Response_Timeout is known of it"
 
     @property
+    @abc.abstractmethod
     def title(self) -> str:
         """What is asked."""
-        raise NotImplementedError
 
     @property
     def overdue(self) -> str:
@@ -173,9 +174,9 @@ class Ms1Job:
         """The slave's answer came after this service was over; True where that is still of use."""
         return False
 
+    @abc.abstractmethod
     def judged(self, octets: bytes) -> Outcome | None:
         """The end that ``octets`` are (not empty), None where they answer another request."""
-        raise NotImplementedError
 
     def _told(self, octets: bytes) -> Outcome | None:
         outcome = self.judged(octets)
