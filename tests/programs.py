@@ -10,6 +10,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from dpstack.api.control.places import socket_path
+
 PLANT = """
 [bus]
 port = "{port}"
@@ -33,6 +35,15 @@ address = 9
 ident = 0x1234
 config = "20 10"
 """
+
+
+def wait_for_socket(port: Path) -> None:
+    """Until the program on ``port`` holds it and can be talked to."""
+    path = socket_path(str(port))
+    end = time.monotonic() + 20
+    while not path.exists():
+        assert time.monotonic() < end, f"nobody answers for {port}"
+        time.sleep(0.02)
 
 
 class Program:

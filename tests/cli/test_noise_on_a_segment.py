@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from programs import Starter
+from programs import Starter, wait_for_socket
 
 import dpstack
 from dpstack.api.control.client import connect
@@ -94,6 +94,7 @@ async def hold_against_the_truth(tmp_path: Path, start: Starter, seconds: float)
     config = tmp_path / "plant.toml"
     config.write_text(SLAVES.format(port=directory / "1"), encoding="utf-8")
     sim = start("sim", str(config), "--port", str(directory / "0"), "--json")
+    wait_for_socket(directory / "0")  # what is damaged before the slaves listen no slave can count
     with connect(str(directory)) as ctl:  # it is there
         assert ctl.call("status")["error_rate"] == 1e-3
     async with dpstack.open_bus(config) as bus:

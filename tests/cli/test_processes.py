@@ -19,9 +19,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from programs import PLANT, Starter
+from programs import PLANT, Starter, wait_for_socket
 
-from dpstack.api.control.places import socket_path
 from dpstack.cli.main import main
 
 
@@ -40,15 +39,6 @@ def segment(tmp_path: Path, start: Starter) -> Path:
     program = start("segment", "--stations", "2", "--dir", str(directory))
     program.wait_for(str(directory / "1"))
     return directory
-
-
-def wait_for_socket(port: Path) -> None:
-    """Until the program on ``port`` can be talked to."""
-    path = socket_path(str(port))
-    end = time.monotonic() + 20
-    while not path.exists():
-        assert time.monotonic() < end, f"nobody answers for {port}"
-        time.sleep(0.02)
 
 
 def plant(tmp_path: Path, port: object) -> str:
