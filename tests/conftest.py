@@ -38,11 +38,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def runtime_directory() -> Iterator[str]:
     """Programs under test, in this process and in others, keep their sockets to themselves (short: a socket's path).
 
-    They are compiled once, not at every start, whatever the environment says.
+    What they are made of is compiled once, not at every start, whatever the environment says.
     """
     with tempfile.TemporaryDirectory(prefix="dp") as path, pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_RUNTIME_DIR", path)
-        patch.setenv("PYTHONPYCACHEPREFIX", f"{path}/compiled")
         patch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)
         yield path
 

@@ -8,21 +8,24 @@ import os
 import socket
 import termios
 import threading
+import time
 import tty
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Final
 
 import serial
 from serial import rfc2217
 
+#: What did not happen for so long will not. For hangs only: no test shows how long something takes
+HANG_S: Final = 60.0
+
 
 async def until(condition: Callable[[], bool], what: str) -> None:
-    """Wait for something to happen; the time limit is for hangs only."""
-    for _ in range(10_000):
-        if condition():
-            return
+    """Wait for something to happen."""
+    end = time.monotonic() + HANG_S
+    while not condition():
+        assert time.monotonic() < end, f"did not happen: {what}"
         await asyncio.sleep(0.001)
-    raise AssertionError(f"did not happen: {what}")
 
 
 class FarEnd:
@@ -47,7 +50,7 @@ class FarEnd:
 
     async def recv(self, count: int) -> bytes:
         got = b""
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(HANG_S):
             while len(got) < count:
                 got += self.take()
                 await asyncio.sleep(0.001)

@@ -10,10 +10,14 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Literal
 
+from far_ends import HANG_S
 from support_responder import Responder
 
 import dpstack
 from dpstack.drivers.process import ProcessRuntime
+
+#: [bus] of tests in which nobody may be lost: the other end may have to wait 16 times 50 ms for a busy computer
+UNHURRIED: dict[str, Any] = {"gap": 0, "max_retry": 15}
 
 Driver = Literal["asyncio", "process"]
 DRIVERS: tuple[Driver, ...] = ("asyncio", "process")
@@ -54,7 +58,7 @@ def octet_slaves(*specs: str) -> Iterator[tuple[str, Responder]]:
 
 
 def bus_on(path: str, driver: Driver, *slaves: dict[str, object], **more: Any) -> dpstack.Bus:
-    return dpstack.open_bus(port=path, baud=1_500_000, slaves=slaves, gap=0, driver=driver, **more)
+    return dpstack.open_bus(port=path, baud=1_500_000, slaves=slaves, driver=driver, **UNHURRIED | more)
 
 
 def runtime_of(bus: dpstack.Bus) -> ProcessRuntime:
@@ -80,7 +84,7 @@ def runs(pid: int) -> bool:
 
 
 def eventually(condition: Callable[[], bool], what: str) -> None:
-    end = time.monotonic() + 20
+    end = time.monotonic() + HANG_S
     while not condition():
         assert time.monotonic() < end, f"did not happen: {what}"
         time.sleep(0.005)

@@ -10,12 +10,17 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from far_ends import HANG_S
+
+from dpstack.api.control.client import connect
 from dpstack.api.control.places import socket_path
 
+#: a slave is lost when it does not answer within 8 times 50 ms: programs may have to wait for a busy computer
 PLANT = """
 [bus]
 port = "{port}"
 baud = 500000
+max_retry = 7
 
 [[slave]]
 name = "hoist"
@@ -40,9 +45,23 @@ config = "20 10"
 def wait_for_socket(port: Path) -> None:
     """Until the program on ``port`` holds it and can be talked to."""
     path = socket_path(str(port))
-    end = time.monotonic() + 20
+    end = time.monotonic() + HANG_S
     while not path.exists():
         assert time.monotonic() < end, f"nobody answers for {port}"
+        time.sleep(0.02)
+
+
+def wait_for_exchanges(port: Path, more: int) -> None:
+    """Until the run on ``port`` had so many more exchanges with each of its slaves."""
+
+    def exchanges() -> list[int]:
+        with connect(str(port)) as client:
+            return [slave["exchanges"] for slave in client.call("stats")["slaves"].values()]
+
+    before = exchanges()
+    end = time.monotonic() + HANG_S
+    while any(now < was + more for now, was in zip(exchanges(), before, strict=True)):
+        assert time.monotonic() < end, f"the bus on {port} does not go on"
         time.sleep(0.02)
 
 
@@ -68,10 +87,10 @@ class Program:
     def lines(self) -> list[dict[str, Any]]:
         return [json.loads(line) for line in self.out.splitlines() if line.endswith("}")]
 
-    def wait_for(self, text: str, times: int = 1, limit: float = 20.0) -> None:
+    def wait_for(self, text: str, times: int = 1, limit: float = HANG_S) -> None:
         self._wait(lambda: self.out.count(text) >= times, repr(text), limit)
 
-    def wait_for_slaves(self, count: int, limit: float = 20.0) -> None:
+    def wait_for_slaves(self, count: int, limit: float = HANG_S) -> None:
         """Until ``count`` slaves of this ``run --json`` are in data exchange, each one whatever became of it before."""
 
         def exchanging() -> bool:
@@ -87,7 +106,7 @@ class Program:
             assert time.monotonic() < end, f"{what} not seen in: {self.out}{self.err}"
             time.sleep(0.02)
 
-    def end(self, number: int | None = None, limit: float = 20.0) -> int:
+    def end(self, number: int | None = None, limit: float = HANG_S) -> int:
         if number is not None:
             self.process.send_signal(number)
         return self.process.wait(limit)

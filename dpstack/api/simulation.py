@@ -68,6 +68,11 @@ class SimulatedSlave:
         """How often its watchdog ended data exchange since it was switched on."""
         return self.unit.app.stats.watchdogs
 
+    @property
+    def too_late(self) -> int:
+        """Answers that it had, and kept: when they could be sent another telegram was there already."""
+        return self.unit.station.stats.dropped
+
 
 class Simulation:
     """All slaves of ``config`` as stations behind one ``port``; ``async with`` opens and closes it.
@@ -165,6 +170,7 @@ class Simulation:
                 "state": slave.state.value if slave.unit.powered else "off",
                 "exchanges": slave.exchanges,
                 "watchdogs": slave.watchdogs,
+                "too_late": slave.too_late,
                 **station_status(slave.unit.device),
             }
         status: dict[str, object] = {"seconds": round(self.seconds, 3), "baud": self.baud}

@@ -117,13 +117,15 @@ def _summary(simulation: Simulation, json: bool) -> None:
                 "state": s.state.value,
                 "exchanges": s.exchanges,
                 "watchdogs": s.watchdogs,
+                "too_late": s.too_late,
             }
             for s in simulation.slaves
         }
         heard = {"telegrams": simulation.telegrams, "bad": simulation.bad}
         output.json_line({"event": "summary", "t": round(simulation.seconds, 3), **heard, "slaves": slaves})
         return
-    rows = [(s.address, s.name, s.state.value, s.exchanges, s.watchdogs) for s in simulation.slaves]
-    output.table("Slaves", ("address", "name", "state", "exchanges", "watchdog expired"), rows)
+    rows = [(s.address, s.name, s.state.value, s.exchanges, s.watchdogs, s.too_late) for s in simulation.slaves]
+    columns = ("address", "name", "state", "exchanges", "watchdog expired", "answers too late")
+    output.table("Slaves", columns, rows)
     bad = ", ".join(f"{count} {cause.replace('_', ' ')}" for cause, count in simulation.bad.items())
     output.line(f"{simulation.telegrams} telegrams heard" + (f", bad: {bad}" if bad else ", none of them bad"))

@@ -6,7 +6,7 @@ import asyncio
 
 import pytest
 from far_ends import until
-from process_kit import DRIVERS, Driver
+from process_kit import DRIVERS, UNHURRIED, Driver
 
 import dpstack
 from dpstack import AlarmType, DpSlave, SlaveDescription, Specifier, StatusType
@@ -22,7 +22,12 @@ async def test_alarms_over_a_pty(driver: Driver) -> None:
     async with (
         dpstack.serve_slave(device, port="pty", baud=500_000, address=9) as server,
         dpstack.open_bus(
-            port=server.port_name, baud=500_000, driver=driver, slaves=[RIG.table(9)], on_event=told.append
+            port=server.port_name,
+            baud=500_000,
+            driver=driver,
+            slaves=[RIG.table(9)],
+            on_event=told.append,
+            **UNHURRIED,
         ) as bus,
     ):
         await bus.ready(20)

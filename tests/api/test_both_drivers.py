@@ -33,12 +33,12 @@ async def test_process_data_events_and_the_end(driver: Driver) -> None:
             assert bus.slave(event.address).state is event.state
 
     with octet_slaves(SPEC, LAMPS_SPEC) as (path, there):
-        bus = bus_on(path, driver, VALVES, LAMPS, on_event=on_event)
+        bus = bus_on(path, driver, VALVES | {"watchdog_ms": 3000}, LAMPS, on_event=on_event)
         bus.slave("lamps").outputs = b"\x0f"  # before there is anybody to send it
         async with bus:
             assert bus.driver == driver
             assert bus.runtime.port_name == path
-            await bus.ready()
+            await bus.ready(60)
             valves = bus.slave("valves")
             assert mode_of(bus) == Mode.CLEAR
             await bus.operate()
@@ -59,7 +59,7 @@ async def test_process_data_events_and_the_end(driver: Driver) -> None:
             assert stats.host_us is not None
             assert valves.diagnosis is not None
             assert valves.diagnosis.ident == 0x1234
-            assert valves.watchdog_ms == there_watchdog(valves)
+            assert valves.watchdog_ms == 3000
             assert bus.station.in_ring
             assert bus.station.las == {2}
         # safe values, then Clear's zeros; Clear_Data to all
@@ -74,16 +74,10 @@ def mode_of(bus: dpstack.Bus) -> Mode:
     return bus.mode
 
 
-def there_watchdog(slave: dpstack.Slave) -> int:
-    watchdog = slave.setup.watchdog(1000)
-    assert watchdog is not None
-    return watchdog.ms
-
-
 async def test_misuse_raises_at_once_and_changes_nothing(driver: Driver) -> None:
     with octet_slaves(SPEC) as (path, _there):
         async with bus_on(path, driver, VALVES) as bus:
-            await bus.ready()
+            await bus.ready(60)
             valves = bus.slave(4)
             with pytest.raises(UsageError, match="1 output octets given"):
                 valves.outputs = b"\x01"
@@ -110,7 +104,7 @@ async def test_misuse_raises_at_once_and_changes_nothing(driver: Driver) -> None
 async def test_slaves_come_and_go(driver: Driver) -> None:
     with octet_slaves(SPEC, LAMPS_SPEC) as (path, there):
         async with bus_on(path, driver, VALVES) as bus:
-            await bus.ready()
+            await bus.ready(60)
             await bus.operate()
             lamps = await bus.add_slave(LAMPS)
             await lamps.ready()
@@ -135,7 +129,7 @@ async def test_slaves_come_and_go(driver: Driver) -> None:
 async def test_groups(driver: Driver) -> None:
     with octet_slaves(SPEC, LAMPS_SPEC) as (path, there):
         async with bus_on(path, driver, VALVES, LAMPS) as bus:
-            await bus.ready()
+            await bus.ready(60)
             await bus.operate()
             async with bus.group(1) as group:
                 await group.write({"valves": b"\x01\x02", "lamps": b"\x03"})
@@ -174,7 +168,7 @@ async def test_cycles(driver: Driver) -> None:
 async def test_outputs_set_in_one_go_leave_in_one(driver: Driver) -> None:
     with octet_slaves(SPEC, LAMPS_SPEC) as (path, there):
         async with bus_on(path, driver, VALVES, LAMPS) as bus:
-            await bus.ready()
+            await bus.ready(60)
             await bus.operate()
             bus.slave("valves").outputs = b"\x11\x22"
             end = time.monotonic() + 0.05
@@ -189,7 +183,7 @@ async def test_class_2_and_scan(driver: Driver) -> None:
     with octet_slaves(SPEC, "7:0696:f3f1:12:12,owner=1") as (path, _there):
         # of a busy computer nobody is given less than a slave in data exchange
         async with bus_on(path, driver, VALVES, host_slack_ms=50) as bus:
-            await bus.ready()
+            await bus.ready(60)
             assert (await bus.class2.config(4)).octets == b"\x21\x11"
             assert (await bus.class2.diagnosis(7)).master == 1
             with pytest.raises(SlaveTimeout, match="slave 9 does not answer"):
@@ -224,7 +218,7 @@ async def test_a_drive(driver: Driver, tmp_path: Path) -> None:
     async with Segment(2, tmp_path / "bus", baud=1_500_000) as segment:
         plant = make_config(segment.paths[1], 1_500_000, slaves=[FAN])
         async with Simulation(plant, segment.paths[1], 1_500_000) as simulation:
-            bus = dpstack.open_bus(port=segment.paths[0], baud=1_500_000, gap=0, driver=driver)
+            bus = dpstack.open_bus(port=segment.paths[0], baud=1_500_000, gap=0, max_retry=7, driver=driver)
             async with bus:
                 await bus.operate()
                 await bus.add_slave(FAN)

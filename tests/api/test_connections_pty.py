@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 
 import pytest
-from process_kit import DRIVERS, Driver
+from process_kit import DRIVERS, UNHURRIED, Driver
 
 import dpstack
 from dpstack import AcyclicError, ConnectionEnded, DpSlave, Im0, RecordRefused, ServiceRefused, SlaveDescription
@@ -35,7 +35,12 @@ async def test_connections_over_a_pty(driver: Driver) -> None:
     told: list[dpstack.Event] = []
     async with dpstack.serve_slave(slave, port="pty", baud=500_000, address=9) as server:
         async with dpstack.open_bus(
-            port=server.port_name, baud=500_000, driver=driver, slaves=[RIG.table(9)], on_event=told.append
+            port=server.port_name,
+            baud=500_000,
+            driver=driver,
+            slaves=[RIG.table(9)],
+            on_event=told.append,
+            **UNHURRIED,
         ) as bus:
             await bus.ready(20)
             async with bus.class2.connect(9, timeout=20) as connection:

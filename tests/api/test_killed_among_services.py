@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 from far_ends import until
-from process_kit import DRIVERS, Driver, process_of
+from process_kit import DRIVERS, UNHURRIED, Driver, process_of
 
 import dpstack
 from dpstack import BusError, DpError, DpSlave, SlaveAppState, SlaveDescription
@@ -54,7 +54,9 @@ async def ends(*services: Awaitable[object]) -> list[object]:
 async def test_the_bus_process_is_killed() -> None:
     rig = Rig()
     async with dpstack.serve_slave(rig.slave, port="pty", baud=1_500_000, address=9) as server:
-        bus = dpstack.open_bus(port=server.port_name, baud=1_500_000, driver="process", slaves=[RIG.table(9)])
+        bus = dpstack.open_bus(
+            port=server.port_name, baud=1_500_000, driver="process", slaves=[RIG.table(9)], **UNHURRIED
+        )
         async with bus:
             await bus.ready(20)
             found = bus.slave(9)
@@ -76,7 +78,7 @@ async def test_the_bus_process_is_killed() -> None:
         await until(lambda: not server.slave.connections, "its connections given back")
         await server.slave.reached(SlaveAppState.WAIT_PRM, 20)
         assert rig.at_work == 0
-        async with dpstack.open_bus(port=server.port_name, baud=1_500_000, slaves=[RIG.table(9)]) as again:
+        async with dpstack.open_bus(port=server.port_name, baud=1_500_000, slaves=[RIG.table(9)], **UNHURRIED) as again:
             await again.ready(20)
             assert await again.slave(9).read(1, 3, timeout=20) == b"\1\3"
             async with again.class2.connect(9, timeout=20) as connection:

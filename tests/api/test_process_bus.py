@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from far_ends import until
-from process_kit import LAMPS, LAMPS_SPEC, SPEC, VALVES, bus_on, eventually, octet_slaves
+from process_kit import LAMPS, LAMPS_SPEC, SPEC, UNHURRIED, VALVES, bus_on, eventually, octet_slaves
 from support_responder import Responder
 
 import dpstack
@@ -32,7 +32,7 @@ async def test_rounds_that_could_not_be_told_are_skipped_ones() -> None:
     wide: dict[str, object] = {"name": "wide", "address": 4, "ident": 0x1234, "config": "5F" * 7}
     with octet_slaves(f"4:1234:{'5f' * 7}:224:0") as (path, there):
         async with bus_on(path, "process", wide) as bus:
-            await bus.ready()
+            await bus.ready(60)
             read = skipped = first = 0
             async for cycle in bus.cycles():
                 read += 1
@@ -61,10 +61,11 @@ async def test_rate_groups_cyclic_control_and_the_books() -> None:
             async for cycle in bus.cycles():
                 numbers.append(cycle.number)
                 fresh.append(cycle.fresh)
-                if len(numbers) == 7:
+                if len(numbers) >= 7 and {frozenset({"valves"}), frozenset({"valves", "lamps"})} <= set(fresh):
                     break
             assert numbers == sorted(set(numbers))
-            assert sum("lamps" in names for names in fresh) < sum("valves" in names for names in fresh)
+            # one cycle in three is its turn; when that was left out, a later one before the next turn
+            assert sum("lamps" in names for names in fresh) <= (numbers[-1] - numbers[0] + 2) // 3 + 1
             book = bus.stats.cycles
             assert book is not None
             assert book.missed == book.begun_late + book.left_out == sum(book.reasons.values())
@@ -76,7 +77,7 @@ async def test_parameters_are_listed_dumped_and_compared(tmp_path: Path) -> None
         plant = make_config(segment.paths[1], 1_500_000, slaves=[INVERTER])
         async with Simulation(plant, segment.paths[1], 1_500_000):
             bus = dpstack.open_bus(
-                port=segment.paths[0], baud=1_500_000, gap=0, driver="process", slaves=[INVERTER], host_slack_ms=200
+                port=segment.paths[0], baud=1_500_000, driver="process", slaves=[INVERTER], **UNHURRIED
             )
             async with bus:
                 await bus.operate()
@@ -127,7 +128,7 @@ async def test_a_port_that_vanishes_is_lost_and_back(tmp_path: Path) -> None:
             link.symlink_to(first)
             bus = bus_on(str(link), "process", VALVES, on_event=lambda event: told.append(type(event).__name__))
             await bus.open()
-            await bus.ready()
+            await bus.ready(60)
             await bus.operate()
             link.unlink()
             link.symlink_to(second)

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from programs import PLANT, Starter, wait_for_socket
+from programs import PLANT, Starter, wait_for_exchanges, wait_for_socket
 
 from dpstack.cli.main import main
 
@@ -52,8 +52,11 @@ def test_a_plant_on_a_segment(tmp_path: Path, start: Starter, segment: Path, dri
     config = plant(tmp_path, segment / "1")
     sim = start("sim", config, "--port", str(segment / "0"))
     sim.wait_for("raw")
-    run = start("run", config, "--seconds", "2", "--json", "--outputs", "9=5A", "--driver", driver)
-    assert run.end() == 0
+    run = start("run", config, "--json", "--outputs", "9=5A", "--driver", driver)
+    run.wait_for('"mode":"operate"')
+    run.wait_for_slaves(3)
+    wait_for_exchanges(segment / "1", 51)
+    assert run.end(signal.SIGTERM) == 0
     assert run.err == ""
     assert run.lines[0]["driver"] == driver
     summary = run.lines[-1]

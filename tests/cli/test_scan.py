@@ -8,12 +8,14 @@ from __future__ import annotations
 import functools
 import json
 import signal
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from api_kit import slave_in
+from far_ends import HANG_S
 from programs import PLANT, Starter
 
 import dpstack
@@ -118,15 +120,19 @@ def test_beside_a_master_and_read_only(
     config.write_text(text, encoding="utf-8")
     run = starter("run", str(config), "--json")
     run.wait_for_slaves(3)
-    code, out, err = scan(capsys, bus / "2", "--json")
-    assert (code, err) == (0, "")
-    stations = json.loads(out)["stations"]
-    assert [(s["address"], s["type"], s["state"], s["master"]) for s in stations] == [
+    there = [
         (2, "master_in_ring", None, None),
         (3, "slave", "data_exchange", 2),
         (4, "slave", "data_exchange", 2),
         (9, "slave", "data_exchange", 2),
     ]
+    found, end = None, time.monotonic() + HANG_S
+    while found != there:  # who answers too late, on a busy computer, is not in a list; nobody else ever is
+        code, out, err = scan(capsys, bus / "2", "--json")
+        found = [(s["address"], s["type"], s["state"], s["master"]) for s in json.loads(out)["stations"]]
+        assert set(found) <= {*there, *((address, kind, None, None) for address, kind, *_ in there)}
+        assert (code, err) == (0, "") or not found
+        assert time.monotonic() < end, found
     watch = tmp_path / "watch.toml"
     watch.write_text(text.replace("hsa = 5", "hsa = 5\naddress = 1\nread_only = true"), encoding="utf-8")
     reader = starter("run", str(watch), "--port", str(bus / "2"), "--json")

@@ -129,8 +129,10 @@ async def test_a_line_without_echo_is_recognised_too() -> None:
 async def test_octets_held_for_an_echo_are_given_back_when_a_deadline_is_due() -> None:
     async with Rig(echo=Echo.AUTO) as rig:
         rig.driver.command(REQUEST)
-        rig.driver.command(3 * NS_PER_MS)
         rig.far.write(REQUEST[:2])
+        await rig.settle()
+        assert not rig.machine.did("receive")
+        rig.driver.command(NS_PER_MS)
         await until(lambda: bool(rig.machine.did("wake")), "the deadline")
         assert [entry[1] for entry in rig.machine.did("receive")] == [REQUEST[:2]]
 

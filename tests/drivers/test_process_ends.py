@@ -10,7 +10,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -33,7 +32,7 @@ sys.path.insert(0, {tests!r})
 from process_kit import VALVES, bus_on, process_of
 async def main():
     async with bus_on({path!r}, "process", VALVES) as bus:
-        await bus.ready()
+        await bus.ready(60)
         await bus.operate()
         bus.slave("valves").outputs = b"\\x11\\x22"
         while bus.slave("valves").inputs != b"\\x11\\x22":
@@ -45,21 +44,20 @@ asyncio.run(main())
 
 
 @contextlib.contextmanager
-def recorded(there: Responder, watchdog_s: float) -> Iterator[list[str]]:
-    """What slave 4 is told from now on: outputs in hex, "clear"; and "watchdog" when there was nothing for so long."""
+def recorded(there: Responder) -> Iterator[list[str]]:
+    """What slave 4 is told from now on: outputs in hex, "clear"; and "left out" where a rotation passed it over."""
     heard: list[str] = []
     slave, take_control = there.slaves[4], there.request
-    last = time.monotonic()
+    last = there.tokens
 
     def request(body: bytes) -> bytes:
         nonlocal last
         before, slave.control = slave.exchanges, b""
         answer = take_control(body)
-        now = time.monotonic()
         if slave.exchanges != before:
-            if now - last > watchdog_s:
-                heard.append("watchdog")
-            last = now
+            if there.tokens > last + 1:
+                heard.append("left out")
+            last = there.tokens
             heard.append(slave.outputs.hex())
         if slave.control == b"\x02\x00":
             heard.append("clear")
@@ -76,7 +74,7 @@ async def test_the_bus_process_is_killed() -> None:
         lamps = LAMPS | {"watchdog_ms": 0}
         bus = bus_on(path, "process", VALVES | {"watchdog_ms": 200}, lamps, on_event=lambda e: told.append(e.text))
         async with bus:
-            await bus.ready()
+            await bus.ready(60)
             await bus.operate()
             bus.slave("lamps").outputs = b"\x11"
             await until(lambda: bus.slave("lamps").inputs == b"\x11", "its mirror")
@@ -99,7 +97,7 @@ async def test_the_bus_process_is_killed() -> None:
             with pytest.raises(BusError, match="killed by SIGKILL"):
                 await bus.operate()
             with pytest.raises(BusError, match="killed by SIGKILL"):
-                await bus.ready()
+                await bus.ready(60)
             assert not bus.station.in_ring
             assert not bus.slave("lamps").ready_now
             assert bus.stats.slaves[5].exchanges > 0  # what is known stays
@@ -112,7 +110,7 @@ async def test_the_bus_process_is_killed() -> None:
 async def test_the_bus_process_is_told_to_end() -> None:
     with octet_slaves(SPEC) as (path, there):
         async with bus_on(path, "process", VALVES) as bus:
-            await bus.ready()
+            await bus.ready(60)
             await bus.operate()
             bus.slave(4).outputs = b"\x11\x22"
             await until(lambda: bus.slave(4).inputs == b"\x11\x22", "its mirror")
@@ -133,7 +131,7 @@ async def test_ctrl_c_while_the_bus_process_starts() -> None:
         await until(lambda: runtime_of(bus).pid is not None, "its start")
         os.kill(process_of(bus), signal.SIGINT)
         await opening
-        await bus.ready()
+        await bus.ready(60)
         await bus.close()
 
 
@@ -150,7 +148,7 @@ async def test_its_last_words_are_heard_by_who_asks_in_a_handler() -> None:
 
         bus = bus_on(path, "process", VALVES, on_event=on_event)
         async with bus:
-            await bus.ready()
+            await bus.ready(60)
             os.kill(process_of(bus), signal.SIGTERM)
             with pytest.raises(BusError, match=r"has ended: it was told to end \(SIGTERM\)"):
                 await bus.rotated(None, 20)
@@ -164,7 +162,7 @@ async def test_a_bus_process_that_hangs_at_the_end_is_killed_and_that_is_told(mo
         async with bus_on(
             path, "process", VALVES | {"watchdog_ms": 500}, on_event=lambda e: told.append(e.text)
         ) as bus:
-            await bus.ready()
+            await bus.ready(60)
             monkeypatch.setattr("dpstack.drivers.link.ANSWER_S", 0.05)
             monkeypatch.setattr("dpstack.drivers.link._AGAIN_S", 0.01)
             os.kill(process_of(bus), signal.SIGSTOP)
@@ -197,17 +195,17 @@ def test_the_application_is_killed(then: str) -> None:
             assert application.stdout is not None
             child = int(application.stdout.readline())
             assert there.slaves[4].outputs == b"\x11\x22"
-            with recorded(there, watchdog_s=1.0) as heard:
+            with recorded(there) as heard:
                 application.kill()
                 eventually(lambda: not runs(child), "the end of the bus process")
-            # all of it before a watchdog of the slave, which is running from one exchange to the next, expires
+            # all of it while it is asked in every rotation: its watchdog has no reason to expire
             values = [what for what, _ in itertools.groupby(heard)]
             safe = values.index("a55a")
             assert set(values[:safe]) <= {"1122"}
             assert values.index("clear") > safe
             assert heard.count("clear") == 2
             assert "1122" not in values[safe:]
-            assert "watchdog" not in heard
+            assert "left out" not in heard[: heard.index("clear")]
         port = open_port(path, 1_500_000)
         asyncio.run(port.open())  # nobody holds it
         port.close()
@@ -234,7 +232,7 @@ async def test_an_application_that_does_not_read_for_a_while() -> None:
     """Its loop is held up while slaves come and go: the bus goes on, and it learns the latest state."""
     with octet_slaves(SPEC, LAMPS_SPEC) as (path, there):
         async with bus_on(path, "process", VALVES, LAMPS) as bus:
-            await bus.ready()
+            await bus.ready(60)
             await bus.operate()
             exchanges = there.slaves[4].exchanges
             gone = there.slaves.pop(5)
@@ -256,7 +254,7 @@ async def test_a_bus_process_that_hangs(monkeypatch: pytest.MonkeyPatch) -> None
                 await bus.operate()
             monkeypatch.setattr("dpstack.drivers.link.ANSWER_S", 5.0)
             os.kill(pid, signal.SIGCONT)
-            await bus.ready()
+            await bus.ready(60)
             await bus.until(lambda: bus.mode is dpstack.Mode.OPERATE, 20)  # it was carried out late
             await bus.clear()  # and its answer is not taken for this one's
             await bus.until(lambda: bus.mode is dpstack.Mode.CLEAR, 20)
@@ -280,7 +278,7 @@ def test_it_runs_in_a_thread_of_the_application() -> None:
     async def program() -> None:
         with octet_slaves(SPEC) as (path, _there):
             async with bus_on(path, "process", VALVES) as bus:
-                await bus.ready()
+                await bus.ready(60)
 
     failed: list[BaseException] = []
 
