@@ -5,11 +5,12 @@ from __future__ import annotations
 import asyncio
 import json
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from far_ends import until
 from programs import PLANT, Starter
 
 import dpstack
@@ -91,15 +92,6 @@ async def ask(server: ControlServer, *order: str) -> Any:
     return await asyncio.to_thread(call)
 
 
-async def until(condition: Callable[[], object]) -> None:
-    """What programs beside us bring about; there is nothing to be woken by."""
-    for _ in range(4000):
-        if condition():
-            return
-        await asyncio.sleep(0.005)
-    raise TimeoutError
-
-
 async def test_a_run_in_the_virtual_world_has_its_slaves_commands(tmp_path: Path) -> None:
     path = tmp_path / "plant.toml"
     path.write_text(PLANT.format(port="virtual"), encoding="utf-8")
@@ -108,7 +100,7 @@ async def test_a_run_in_the_virtual_world_has_its_slaves_commands(tmp_path: Path
         await bus.ready()
         hoist = bus.drive("hoist")
         await ask(server, "trip", "3", "F2100")
-        await until(lambda: hoist.status.fault)
+        await until(lambda: bool(hoist.status.fault), "the fault")
         await ask(server, "warn", "4", "0080")
         await ask(server, "load", "fan", "0.6")
         assert bus.bench is not None
@@ -122,13 +114,13 @@ async def test_a_run_in_the_virtual_world_has_its_slaves_commands(tmp_path: Path
             await ask(server, "jog", "fan", "forward")
 
         await ask(server, "power-off", "raw")
-        await until(lambda: not bus.slave("raw").ready_now)
+        await until(lambda: not bus.slave("raw").ready_now, "its loss")
         status = await ask(server, "status")
         assert status["slaves"]["3"]["drive"]["faults"]
         assert status["masters"] == [2]
         assert (await ask(server, "stats"))["slaves"]["9"]["name"] == "raw"
         await ask(server, "clear")
-        await until(lambda: bus.mode.name == "CLEAR")
+        await until(lambda: bus.mode.name == "CLEAR", "Clear")
 
 
 async def treat(path: Path) -> None:
@@ -215,27 +207,27 @@ async def test_a_simulation_and_its_segment(tmp_path: Path) -> None:
             control_sim(simulation, segment.paths[0]) as server,
             dpstack.open_bus(config.with_bus(port=segment.paths[1])) as bus,
         ):
-            await bus.ready(20)
+            await bus.ready(60)
             await ask(server, "power-off", "9")
             await ask(server, "power-off", "9")
             await ask(server, "silence", "9")
             await ask(server, "resume", "9")
             assert (await ask(server, "status"))["slaves"]["9"]["state"] == "off"
-            await until(lambda: not bus.slave(9).ready_now)
+            await until(lambda: not bus.slave(9).ready_now, "its loss")
             await ask(server, "power-on", "9")
-            await until(lambda: bus.slave(9).ready_now)
+            await until(lambda: bus.slave(9).ready_now, "its return")
             await ask(server, "silence", "3", "1s")
-            await until(lambda: not bus.slave(3).ready_now)
-            await until(lambda: bus.slave(3).ready_now)
+            await until(lambda: not bus.slave(3).ready_now, "its loss")
+            await until(lambda: bus.slave(3).ready_now, "its return")
             before = segment.stats()
             await ask(wire, "silence", "0", "1s")  # a computer that stalls for part of it
-            await until(lambda: not bus.slave(3).ready_now)
-            await until(lambda: bus.slave(3).ready_now)
+            await until(lambda: not bus.slave(3).ready_now, "its loss")
+            await until(lambda: bus.slave(3).ready_now, "its return")
             assert before != segment.stats()
             await ask(wire, "silence", "0")
-            await until(lambda: not bus.slave(3).ready_now)
+            await until(lambda: not bus.slave(3).ready_now, "its loss")
             await ask(wire, "resume", "0")
-            await until(lambda: bus.slave(3).ready_now)
+            await until(lambda: bus.slave(3).ready_now, "its return")
         for order, says in (
             (("noise", "1"), "leaves nothing"),
             (("noise", "-1"), "is no number from 0 to 1"),
