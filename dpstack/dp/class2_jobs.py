@@ -114,11 +114,14 @@ def request(address: int, service: Service, data: bytes = b"") -> Request:
 def asked(request: Request, attempts: int = ATTEMPTS) -> Steps[Telegram | Failure]:
     """Up to ``attempts`` times, until there is an answer other than "busy"; others have their turn meanwhile.
 
-    The pauses grow: a computer that stands still for 30 ms must not use up all attempts at once.
+    The pauses grow: a computer that stands still for 30 ms must not use up all attempts at once. The last time the
+    answer is waited for as long as that of a station that matters: somebody has named this one.
     """
     answer: Telegram | Failure = Failure.NO_ANSWER
     pause = 0
     for attempt in range(attempts):
+        if 0 < attempt == attempts - 1:
+            request = request._replace(patient=True)
         answer = yield Step(request, pause)
         if answer is Failure.REFUSED:
             break

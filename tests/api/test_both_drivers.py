@@ -47,7 +47,7 @@ async def test_process_data_events_and_the_end(driver: Driver) -> None:
             await until(lambda: valves["level"] == -1234, "its mirror")
             assert valves.inputs_valid
             assert there.slaves[4].outputs == (-1234).to_bytes(2, "big", signed=True)
-            assert there.slaves[5].outputs == b"\x0f"
+            await until(lambda: there.slaves[5].outputs == b"\x0f", "the outputs that were set before")
             rotations = bus.stats.rotations
             await bus.rotated(rotations + 3, 10)
             stats = bus.stats

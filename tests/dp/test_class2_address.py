@@ -11,7 +11,7 @@ from support import WorldFactory
 from dpstack.dp.acyclic import Acyclic
 from dpstack.dp.acyclic_job import Outcome, ServiceFailure
 from dpstack.dp.class2 import ChangeAddress
-from dpstack.dp.class2_jobs import ServiceDone
+from dpstack.dp.class2_jobs import Service, ServiceDone, asked, request
 from dpstack.dp.mirror import MirrorDevice
 from dpstack.dp.reading import reading_only
 from dpstack.dp.slaveapp import SlaveApp
@@ -19,7 +19,7 @@ from dpstack.errors import UsageError
 from dpstack.fdl.commands import AttachUser
 from dpstack.fdl.passive import PassiveStation
 from dpstack.fdl.telegram import Telegram
-from dpstack.fdl.user import SC_REPLY, Reply, StationControl
+from dpstack.fdl.user import SC_REPLY, Failure, Reply, StationControl
 from dpstack.machine import LineDown
 from dpstack.params import BusParams
 from dpstack.trace import Notice
@@ -301,3 +301,13 @@ def test_beside_a_running_class_1_master_nobody_loses_an_exchange(world: WorldFa
     assert bus.exchanging
     stats = bus.station.stats
     assert [(stats.stations[a].retries, stats.stations[a].timeouts) for a in (3, 4)] == [(0, 0)] * 2
+
+
+def test_whoever_is_named_is_waited_for_before_it_is_said_to_be_silent() -> None:
+    """The first times no longer than for any address; the last time as for a station whose silence is news."""
+    steps = asked(request(9, Service.DIAGNOSIS))
+    assert not next(steps).request.patient
+    assert [steps.send(Failure.NO_ANSWER).request.patient for _ in range(3)] == [False, False, True]
+    with pytest.raises(StopIteration) as end:
+        steps.send(Failure.NO_ANSWER)
+    assert end.value.value is Failure.NO_ANSWER
