@@ -23,7 +23,7 @@ class ErrorText(NamedTuple):
 
 ILLEGAL_NUMBER, READ_ONLY, LIMITS, BAD_SUBINDEX, NO_ARRAY, BAD_TYPE, ONLY_RESET = range(7)
 NO_DESCRIPTION, NO_RIGHTS, NO_TEXT, OPERATING_STATE = 0x09, 0x0B, 0x0F, 0x11
-TOO_MANY, ONE_ONLY = 0x22, 0x23
+NO_SERVICE, TOO_MANY, ONE_ONLY = 0x21, 0x22, 0x23
 NOT_PERMITTED, TOO_LONG, BAD_ADDRESS, BAD_FORMAT, BAD_COUNT, NO_OBJECT = 0x14, 0x15, 0x16, 0x17, 0x18, 0x19
 
 _ROWS: Final[Mapping[int, ErrorText]] = {
@@ -48,7 +48,7 @@ _ROWS: Final[Mapping[int, ErrorText]] = {
     BAD_COUNT: ErrorText("number of values inconsistent"),
     NO_OBJECT: ErrorText("there is no such drive object"),
     0x20: ErrorText("the text cannot be changed", SUBINDEX),
-    0x21: ErrorText("the service is not supported"),
+    NO_SERVICE: ErrorText("the service is not supported"),
     TOO_MANY: ErrorText("too many parameters in one request"),
     ONE_ONLY: ErrorText("only one parameter a request is possible"),
 }
