@@ -79,6 +79,11 @@ class Connection(RecordAccess):
     @property
     def max_data_len(self) -> int:
         """Octets of data in one service, at most: what the slave said in Initiate, and its GSD file."""
+        return self.longest
+
+    @property
+    def longest(self) -> int:
+        """As :attr:`max_data_len`."""
         return self._longest
 
     @property
@@ -120,7 +125,7 @@ class Connection(RecordAccess):
 
     def parameters(self, slot: int = 1, *, object: int = 1, timeout: float = TIMEOUT) -> RecordParameters:
         """PROFIdrive's parameter access over this connection, otherwise as :meth:`Slave.parameters`."""
-        return RecordParameters(self.name, over_records(self, timeout), slot, object=object)
+        return RecordParameters(self.name, over_records(self, timeout), slot, object=object, longest=self.longest)
 
     async def ident(self) -> int:
         """The slave's ident number, by Slave_Diag."""

@@ -263,7 +263,8 @@ class Slave:
 
         ``object``: axis or drive object; ``timeout`` in seconds for each Read and Write. Make one and keep it.
         """
-        return RecordParameters(self.name, over_records(self._records, timeout), slot, object=object)
+        records = self._records
+        return RecordParameters(self.name, over_records(records, timeout), slot, object=object, longest=records.longest)
 
     def alarms(self, *, acknowledge: bool = True) -> AlarmStream:
         """Alarms from now on: an async iterator of :class:`~dpstack.api.alarms.SlaveAlarm`, each one once, in order.

@@ -42,7 +42,7 @@ from dpstack.dp.v1.alarm_book import AlarmBook
 from dpstack.dp.v1.alarm_events import AlarmDone, AlarmRaised, StatusTold, texts_beside
 from dpstack.dp.v1.alarm_settling import Key, Settling
 from dpstack.dp.v1.alarms import Alarm, Status, alarm_name, kind_of, parse_block
-from dpstack.dp.v1.codes import Code
+from dpstack.dp.v1.codes import AGAIN
 from dpstack.dp.v1.status import ALARM_LIMITS, ALARM_MODE, ALARMS
 from dpstack.errors import PduError
 from dpstack.trace import Event
@@ -52,8 +52,6 @@ from dpstack.units import NEVER, NS_PER_MS
 MAX_OPEN: Final = 64
 #: before an acknowledgement is sent again for the first time, the second ...
 _AGAIN: Final = (100 * NS_PER_MS, 200 * NS_PER_MS, 500 * NS_PER_MS, 1000 * NS_PER_MS)
-#: the slave did not look at it now: "later"
-_BUSY: Final = (Code.STATE_CONFLICT, Code.READ_CONSTRAINT, Code.WRITE_CONSTRAINT, Code.RESOURCE_BUSY)
 _NO: Final = (ServiceFailure.NEGATIVE, ServiceFailure.REFUSED, ServiceFailure.LENGTH, ServiceFailure.GUARDED)
 
 
@@ -353,7 +351,7 @@ class AlarmHandler:
 
 
 def _busy(outcome: Outcome) -> bool:
-    return outcome.codes is not None and outcome.codes[1] in _BUSY
+    return outcome.codes is not None and outcome.codes[1] in AGAIN
 
 
 _MALFORMED: Final = "its diagnosis holds a device block that is neither alarm nor status ({why}): {octets}"

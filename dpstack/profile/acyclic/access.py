@@ -19,7 +19,7 @@ from dpstack.profile.param_errors import error_text
 from dpstack.profile.params import ParamSpec, ParamTable
 
 T = TypeVar("T")
-#: octets that are a number all the same: PNU 965 is an OctetString of 2 (TR-Electronic LMP-30 manual p141: "(Unsigned16)")
+#: octets that are a number all the same: PNU 965 is an OctetString of 2, an Unsigned16 (TR LMP-30 manual p141)
 _NUMBERS: Final = frozenset({OCTET_STRING, BIT_STRING})
 _LONGEST_NUMBER: Final = 4
 #: the bus or the slave went away

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from dpstack.dp.v1.codes import Code
+from dpstack.dp.v1.codes import AGAIN, Code
 from dpstack.dp.v1.records import ReadReq, WriteReq
 from dpstack.errors import PduError
 from dpstack.profile.acyclic.formats import ZERO
@@ -27,7 +27,6 @@ from dpstack.profile.acyclic.record47 import (
 )
 from dpstack.profile.acyclic.services import (
     ABSENT,
-    AGAIN,
     Pause,
     Refused,
     Silent,
