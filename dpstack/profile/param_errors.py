@@ -1,7 +1,7 @@
 """The error numbers of PROFIdrive's parameter access and their texts, for PKW and for record 47 alike.
 
 Sources: LS CPDP-S100 manual 6.2.1; ABB RETA-02 manual p87 and p88; Siemens G130 manual p230 (16, of its own; what goes
-with a number) and G120C manual p225 (12 and Siemens' own); PI's sample of a PROFIdrive 4.2 drive (33 to 35). 101 and
+with a number), G120C manual p225 (12 and Siemens' own) and SINAMICS manual p100 (127 to 133); PI's sample of a PROFIdrive 4.2 drive (33 to 35). 101 and
 above are the maker's: the same number is another error with each.
 """
 
@@ -59,6 +59,12 @@ SIEMENS: Final[Mapping[int, str]] = {
     0x68: "the parameter takes only certain values",
     0x6A: "there is no such request",
     0x6B: "no change while the controller is enabled",
+    0x7F: "can be changed in device commissioning only (p0009 is not 0)",
+    0x81: "no change during a download",
+    0x82: "the master control cannot be transferred (BI: p0806)",
+    0x83: "this BICO interconnection is not possible",
+    0x84: "the change is inhibited (p0300, p0400, p0922)",
+    0x85: "there is no access method",
     0x86: "can be changed in commissioning only (p0010 = 15)",
     0x87: "protected as know-how",
     0xC8: "below the limit that is valid now",
