@@ -1,8 +1,8 @@
 """The error numbers of PROFIdrive's parameter access and their texts, for PKW and for record 47 alike.
 
 Sources: LS CPDP-S100 manual 6.2.1; ABB RETA-02 manual p87 and p88; Siemens G130 manual p230 (16, of its own; what goes
-with a number), G120C manual p225 (12 and Siemens' own) and SINAMICS manual p100 (127 to 133); PI's sample of a PROFIdrive 4.2 drive (33 to 35). 101 and
-above are the maker's: the same number is another error with each.
+with a number), G120C manual p225 (12 and Siemens' own) and SINAMICS manual p100 (127 to 133); PI's sample of a
+PROFIdrive 4.2 drive (33 to 35). 101 and above are the maker's: the same number is another error with each.
 """
 
 from __future__ import annotations

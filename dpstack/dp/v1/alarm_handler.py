@@ -19,6 +19,8 @@ Decisions where the sources are silent:
 - An acknowledgement without an answer is sent again as long as the slave is in data exchange. When another alarm has
   taken its place under the same number, or in mode 0 one of the same type, the slave has had it.
 - A refused one is over, and told. A second one that is refused shows that the first had arrived.
+- Where SAP 50 is closed (RS), though GSD file or configuration say Extra_Alarm_SAP, it goes to SAP 51 from then on,
+  which takes it in every case (VPC3+: SAP 50 only where the slave was built for it).
 - More at a time than agreed are delivered all the same, up to :data:`MAX_OPEN`; what is beyond is dropped without
   acknowledgement, and the diagnosis is read again when there is room.
 - A kind that Set_Prm did not enable is neither delivered nor acknowledged: it may be no alarm at all, but a device
@@ -106,6 +108,8 @@ class AlarmHandler:
         #: in all; 0: one of each type
         self._limit = ALARM_LIMITS[sent[2] & ALARM_MODE]
         self._setup = setup
+        #: they are acknowledged at SAP 50
+        self.extra_sap = self._has_extra_sap
         self._findings = findings
         self._emit = emit
         self._ask = ask
@@ -293,7 +297,11 @@ class AlarmHandler:
         if self._open.get(Key.of(known.alarm)) is not known:
             return  # the slave left data exchange meanwhile
         refused = outcome.failure in _NO and not _busy(outcome)
-        if outcome.failure is None or (refused and known.unanswered):
+        if outcome.failure is ServiceFailure.REFUSED and self.extra_sap:
+            self.extra_sap = False
+            known.stage = Stage.WAITING
+            self._findings.remark(_NO_EXTRA_SAP, now)
+        elif outcome.failure is None or (refused and known.unanswered):
             self._over(known, Outcome(), now)
         elif refused:
             self._book.count("refused")
@@ -336,8 +344,13 @@ class AlarmHandler:
 
     # --- the end ------------------------------------------------------------------------------------------------
 
+    @property
+    def _has_extra_sap(self) -> bool:
+        return self._setup.dpv1 is not None and self._setup.dpv1.extra_alarm_sap
+
     def closed(self, now: int) -> None:
         """Data exchange is over, and with it all that is open."""
+        self.extra_sap = self._has_extra_sap
         text = f"slave {self._setup.address} ({self._setup.name}) left data exchange: its alarms are void"
         for known in self._open.values():
             if known.stage is Stage.HELD:
@@ -358,5 +371,8 @@ _MALFORMED: Final = "its diagnosis holds a device block that is neither alarm no
 _NOT_ENABLED: Final = (
     "its diagnosis holds a {what}, a kind that Set_Prm did not enable: neither delivered nor acknowledged; where it "
     'raises them put "{kind}" into dpv1 = {{ alarms = [...] }}'
+)
+_NO_EXTRA_SAP: Final = (
+    "SAP 50 is closed, though it says Extra_Alarm_SAP: its alarms are acknowledged at SAP 51 (extra_alarm_sap = false)"
 )
 _REFUSED: Final = "{why}; the alarm was delivered, but the slave may wait for ever"
