@@ -37,7 +37,10 @@ _LEAST: Final = 3
 
 
 class Redundancy(NamedTuple):
-    """``sequence`` 0..31: that of the PrmCmd. ``own``: the side that says it, ``other``: the second one."""
+    """``sequence`` 0..31: that of the PrmCmd. ``own``: the side that says it, ``other``: the second one.
+
+    Red_State_1 and 2: to AUMA the primary's and the backup's, to VIPA those of the side that is asked and of the other.
+    """
 
     sequence: int
     function: PrmFunction
