@@ -156,7 +156,7 @@ class RecordParameters:
                 return DriveError(self._name, text)
 
 
-def over_records(records: RecordAccess, timeout: float) -> CarryOut:
+def over_records(records: RecordAccess, timeout: float | None) -> CarryOut:
     """What the slave refuses is an answer, and so is its silence; other failures are raised as by Read and Write."""
 
     async def carry_out(request: ReadReq | WriteReq) -> bytes | Refused | Silent:

@@ -15,21 +15,32 @@ from dpstack.dp.v1.im import IM_ANSWER, IM_INDEX, Im, Im0, build_call, number_of
 from dpstack.dp.v1.ms1 import ReadRecord, RecordDone, WriteRecord
 from dpstack.dp.v1.records import MAX_RECORD
 from dpstack.errors import AcyclicError, PduError, SlaveFault, SlaveTimeout, UsageError
+from dpstack.units import ns_to_s
 
 if TYPE_CHECKING:
     from dpstack.api.services import Services
 
 T = TypeVar("T")
-#: in seconds, for one service from the order on, those before it included
+#: in seconds, for one service from the order on, those before it included; longer where the slave may take longer
 TIMEOUT: Final = 10.0
+#: beyond what the slave may take
+_MARGIN: Final = 1.0
 #: in seconds: how long a slave may not be ready for a call, and the pauses before it is asked again
 _PATIENCE: Final = 2.0
 _FIRST_PAUSE: Final = 0.002
 _LONGEST_PAUSE: Final = 0.05
 
 
+def usual_timeout(response_ns: int) -> float:
+    """In seconds: 10, longer where the slave may work at a service for ``response_ns`` (0: not known)."""
+    return max(TIMEOUT, ns_to_s(response_ns) + _MARGIN)
+
+
 class RecordAccess(abc.ABC):
-    """Read and Write of one slave, and what is made of them. A ``timeout`` in seconds counts from the call."""
+    """Read and Write of one slave, and what is made of them.
+
+    A ``timeout`` in seconds counts from the call; None: :func:`usual_timeout`.
+    """
 
     @property
     @abc.abstractmethod
@@ -48,18 +59,23 @@ class RecordAccess(abc.ABC):
 
     @property
     @abc.abstractmethod
+    def usual_timeout(self) -> float:
+        """Of a service where nothing is said, in seconds."""
+
+    @property
+    @abc.abstractmethod
     def im_call(self) -> asyncio.Lock:
         """Held over an I&M call and what it gives: the slave knows one call at a time."""
 
     @abc.abstractmethod
-    async def read(self, slot: int, index: int, length: int | None = None, *, timeout: float = TIMEOUT) -> bytes:
+    async def read(self, slot: int, index: int, length: int | None = None, *, timeout: float | None = None) -> bytes:
         """Up to ``length`` octets of a record, None: as many as it can have."""
 
     @abc.abstractmethod
-    async def write(self, slot: int, index: int, data: bytes, *, timeout: float = TIMEOUT) -> None:
+    async def write(self, slot: int, index: int, data: bytes, *, timeout: float | None = None) -> None:
         """All of ``data``."""
 
-    async def im(self, number: int = 0, *, slot: int = 0, timeout: float = TIMEOUT) -> Im:
+    async def im(self, number: int = 0, *, slot: int = 0, timeout: float | None = None) -> Im:
         """I&M ``number`` 0..4 of ``slot``: the call, then what it gives. Raises as :meth:`read`.
 
         A slave that is not ready (0xB5, 0xC0 to 0xC2: the codes of the parameter channel) is asked again for up to 2 s.
@@ -76,7 +92,7 @@ class RecordAccess(abc.ABC):
         except PduError as error:
             raise SlaveFault(self.address, f"{self.who} gives no I&M{number}: {error}") from None
 
-    async def write_im(self, record: Im, *, slot: int = 0, timeout: float = TIMEOUT) -> None:
+    async def write_im(self, record: Im, *, slot: int = 0, timeout: float | None = None) -> None:
         """Write I&M1 to I&M4. Raises as :meth:`read`."""
         if isinstance(record, Im0):
             raise UsageError("I&M0 is what the device is: it cannot be written")
@@ -87,9 +103,14 @@ class RecordAccess(abc.ABC):
         async with self._calling(f"I&M{number_of(record)} of slot {slot}", timeout):
             await _until_ready(lambda: self.write(slot, IM_INDEX, call, timeout=timeout))
 
+    def _time(self, timeout: float | None) -> int:
+        """In ns. Raises UsageError."""
+        return time_of(self.usual_timeout if timeout is None else timeout)
+
     @contextlib.asynccontextmanager
-    async def _calling(self, what: str, timeout: float) -> AsyncIterator[None]:
+    async def _calling(self, what: str, given: float | None) -> AsyncIterator[None]:
         """The only I&M call to this slave; a negative answer is told as one to ``what``."""
+        timeout = self.usual_timeout if given is None else given
         try:
             async with asyncio.timeout(timeout):
                 await self.im_call.acquire()
@@ -140,22 +161,28 @@ class Records(RecordAccess):
         """One for all who ask this slave."""
         return self._services.im_call(self.address)
 
-    async def read(self, slot: int, index: int, length: int | None = None, *, timeout: float = TIMEOUT) -> bytes:
+    async def read(self, slot: int, index: int, length: int | None = None, *, timeout: float | None = None) -> bytes:
         """Up to ``length`` octets, None: as many as it can have."""
         token = self._services.token()
         wanted = self.longest if length is None else length
-        command = ReadRecord(token, self.address, slot, index, wanted, time_of(timeout))
+        command = ReadRecord(token, self.address, slot, index, wanted, self._time(timeout))
         return (await self._services.do(token, command, RecordDone)).outcome.data
 
-    async def write(self, slot: int, index: int, data: bytes, *, timeout: float = TIMEOUT) -> None:
+    async def write(self, slot: int, index: int, data: bytes, *, timeout: float | None = None) -> None:
         """All of ``data``."""
         if self.longest < len(data) <= MAX_RECORD:
             raise UsageError(
                 f"{self.who}: {len(data)} octets, its GSD file says C1_Max_Data_Len = {self.longest}: write less"
             )
         token = self._services.token()
-        command = WriteRecord(token, self.address, slot, index, bytes(data), time_of(timeout))
+        command = WriteRecord(token, self.address, slot, index, bytes(data), self._time(timeout))
         await self._services.do(token, command, RecordDone)
+
+    @property
+    def usual_timeout(self) -> float:
+        """By C1_Response_Timeout."""
+        dpv1 = self._setup.dpv1
+        return usual_timeout(0 if dpv1 is None else dpv1.c1_response_timeout_ns)
 
     @property
     def longest(self) -> int:
