@@ -101,8 +101,8 @@ async def test_a_late_timer_reads_the_port_before_it_judges() -> None:
             rig.machine.deadline = NEVER
 
         rig.machine.on_receive = answered
-        rig.driver.command(NS_PER_MS)
-        end = monotonic_ns() + 3 * NS_PER_MS
+        rig.driver.command(20 * NS_PER_MS)
+        end = monotonic_ns() + 25 * NS_PER_MS
         while monotonic_ns() < end:  # the application holds the loop up: deadline and answer are both there afterwards
             pass
         rig.far.write(TOKEN)
@@ -118,9 +118,9 @@ async def test_an_order_after_the_loop_was_held_up_reads_the_port_before_deadlin
             rig.machine.deadline = NEVER
 
         rig.machine.on_receive = answered
-        rig.driver.command(NS_PER_MS)
+        rig.driver.command(20 * NS_PER_MS)
         rig.far.write(TOKEN)
-        end = monotonic_ns() + 3 * NS_PER_MS
+        end = monotonic_ns() + 25 * NS_PER_MS
         while monotonic_ns() < end:  # the application holds the loop up, and then gives an order
             pass
         rig.driver.command("something")
