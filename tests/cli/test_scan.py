@@ -117,6 +117,7 @@ def test_beside_a_master_and_read_only(
     config = tmp_path / "few.toml"
     # hsa: its GAP is short, so that it soon lets others in
     text = Path(plant(tmp_path, bus / "1")).read_text(encoding="utf-8").replace("500000", "500000\nhsa = 5")
+    text = text.replace("max_retry = 7", "max_retry = 15")  # it keeps its slaves on a busy computer, too
     config.write_text(text, encoding="utf-8")
     run = starter("run", str(config), "--json")
     run.wait_for_slaves(3)
@@ -132,7 +133,8 @@ def test_beside_a_master_and_read_only(
         found = [(s["address"], s["type"], s["state"], s["master"]) for s in json.loads(out)["stations"]]
         unasked = [(address, kind, None, None) for address, kind, *_ in there]
         assert set(found) <= {*there, *unasked, (2, "master_ready", None, None)}
-        assert (code, err) == (0, "") or not found
+        assert code == 0 or not found
+        assert not found or all("no token for T_TO, claiming it" in line for line in err.splitlines())
         assert time.monotonic() < end, found
     watch = tmp_path / "watch.toml"
     watch.write_text(text.replace("hsa = 5", "hsa = 5\naddress = 1\nread_only = true"), encoding="utf-8")

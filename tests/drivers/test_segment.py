@@ -47,7 +47,7 @@ class Flood:
     def _run(self) -> None:
         while not self._over.is_set():
             try:
-                os.write(self._fd, TELEGRAM * 400)
+                os.write(self._fd, TELEGRAM * 20)
             except BlockingIOError:
                 self._over.wait(0.0005)
 
