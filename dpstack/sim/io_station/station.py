@@ -30,13 +30,16 @@ from dpstack.dp.v1.status import DPV1_STATUS_LEN
 from dpstack.errors import AlarmError, ConfigError
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.sim.io_station.modules import EMPTY, MODULES, Slot, edges, module_named
-from dpstack.sim.io_station.records import StationRecords
+from dpstack.sim.io_station.records import StationRecords, loop_back
 
 IDENT: Final = 0x10D5
 MAX_MODULES: Final = 8
 ALARMS: Final = ("pull_plug", "process", "diagnostic", "update")
 SEQUENCE: Final = 8
 MAX_DIAG: Final = 64
+#: class 2 connections, and octets of an Initiate
+CONNECTIONS: Final = 2
+MAX_INITIATE: Final = 52
 #: of channel related diagnosis
 _LINE_BREAK: Final = 6
 
@@ -64,7 +67,9 @@ class IoStation(DpSlave):
         self._entered = False
         self._prm = self._defaults = bytes(slot.prm for slot in self._with_parameters)
         super().__init__(description or _described(config, name, len(self._prm)), self._cycle, config=config)
-        self.records = StationRecords(self.slots, self._change_parameter)
+        self._station_records = StationRecords(self.slots, self._change_parameter)
+        self.records = self._station_records
+        self.transport = loop_back
 
     @classmethod
     def of(cls, modules: Sequence[str], name: str = "io-station") -> IoStation:
@@ -143,7 +148,8 @@ class IoStation(DpSlave):
         return self._alarm(AlarmType.PLUG, place, how, bytes((place.plugged.config,)))
 
     def inherit(self, before: IoStation) -> None:
-        """Switched on again: what is plugged and the process are as they were."""
+        """Switched on again: what is plugged, the process and its I&M are as they were."""
+        self._station_records.keep(before._station_records)
         for place, was in zip(self.slots, before.slots, strict=True):
             if place is not None and was is not None:
                 place.plugged, place.process, place.broken = was.plugged, was.process, was.broken
@@ -273,6 +279,8 @@ def _described(config: bytes, name: str, parameters: int) -> SlaveDescription:
         alarms=ALARMS,
         alarm_sequence=SEQUENCE,
         max_diag_len=MAX_DIAG,
+        ms2=CONNECTIONS,
+        ms2_max_initiate=MAX_INITIATE,
     )
 
 
