@@ -135,15 +135,19 @@ async def test_on_ptys_beside_a_foreign_class_1_master(tmp_path: Path) -> None:
     """Three stations: the simulation, whoever runs the plant, and one without slaves that only asks."""
     async with Segment(3, tmp_path / "bus", baud=1_500_000) as segment:
         config = make_config(segment.paths[0], 1_500_000, 2, [IO])
-        async with Simulation(config, segment.paths[0], 1_500_000) as simulation:
-            async with dpstack.open_bus(
+        async with (
+            Simulation(config, segment.paths[0], 1_500_000) as simulation,
+            dpstack.open_bus(
                 port=segment.paths[1], baud=1_500_000, address=2, gap=1, hsa=4, slaves=[{**IO, "watchdog_ms": 10_000}]
-            ) as plant:
-                await plant.operate()
-                await plant.ready(20)
-                async with dpstack.open_bus(port=segment.paths[2], baud=1_500_000, address=1, hsa=4) as visitor:
-                    async with visitor.class2.connect(8, timeout=20) as connection:
-                        await everything(connection, 20)
-                        assert simulation.slaves[0].unit.app.master == 2
-                assert plant.slave("io").ready_now
-                assert await plant.slave("io").read(1, 1, timeout=20) == b"\x03"
+            ) as plant,
+        ):
+            await plant.operate()
+            await plant.ready(20)
+            async with (
+                dpstack.open_bus(port=segment.paths[2], baud=1_500_000, address=1, hsa=4) as visitor,
+                visitor.class2.connect(8, timeout=20) as connection,
+            ):
+                await everything(connection, 20)
+                assert simulation.slaves[0].unit.app.master == 2
+            assert plant.slave("io").ready_now
+            assert await plant.slave("io").read(1, 1, timeout=20) == b"\x03"
