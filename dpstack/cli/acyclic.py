@@ -24,6 +24,7 @@ from dpstack.api.virtual import World, simulate
 from dpstack.api.visiting import joined
 from dpstack.cli import options, output
 from dpstack.cli.acyclic_lists import COMPARE, FILES, show_comparison, show_dump, show_list
+from dpstack.cli.foreground import tell_simulated
 from dpstack.cli.progress import progress_bar
 from dpstack.cli.signals import StopSignal
 from dpstack.cli.streams import warn
@@ -172,6 +173,7 @@ async def _as_master(asked: _Asked, progress: OnProgress) -> Mapping[str, Any]:
     config, slave = asked.config, asked.slave
     if config.bus.read_only:
         raise UsageError("the configuration is read only: records need data exchange; leave read_only out")
+    tell_simulated(config)
     foreign = up = False
 
     def on_event(event: Event) -> None:
@@ -202,6 +204,7 @@ async def _as_class2(asked: _Asked, progress: OnProgress) -> Mapping[str, Any]:
     config, slave = asked.config, asked.slave
     if config.bus.read_only:
         raise UsageError("the configuration is read only: a connection is to be opened; leave read_only out")
+    tell_simulated(config)
     world = None
     if config.virtual:
         world = World()
