@@ -19,6 +19,7 @@ from dpstack.dp.class2_jobs import Service, ServiceDone
 from dpstack.dp.diag_texts import block_texts
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.fields import Value
+from dpstack.dp.given import octets, whole
 from dpstack.dp.v1.ms2_orders import OpenConnection
 from dpstack.dp.v1.times import least_send_timeout
 from dpstack.errors import ConfigError, PduError, UsageError
@@ -124,6 +125,7 @@ class Class2:
         """
         if self._bus.config.bus.read_only:
             raise UsageError("this bus is read-only: no slave gets another address; leave read_only out")
+        whole("old", old), whole("new", new)
         if not force:
             self._check_settable(old, new, ident)
         token = self._bus.services.token()
@@ -162,8 +164,8 @@ class Class2:
             limits.response_ns if response_timeout is None else time_of(response_timeout, "response_timeout"),
             profile_features=profile_features,
             profile_ident=profile_ident,
-            source=bytes(source),
-            destination=bytes(destination),
+            source=octets("source", source),
+            destination=octets("destination", destination),
             channels=limits.channels,
             timeout_ns=time_of(timeout),
         )
@@ -188,9 +190,14 @@ class Class2:
 
     def _address(self, slave: Slave | str | int) -> int:
         """Addresses 0..126, whether this bus knows the slave or not; those it knows also by name."""
-        if isinstance(slave, int):
+        if isinstance(slave, int) and not isinstance(slave, bool):
             return slave
-        return self._bus.slave(slave).address if isinstance(slave, str) else slave.address
+        if isinstance(slave, str):
+            return self._bus.slave(slave).address
+        address = getattr(slave, "address", None)
+        if not isinstance(address, int):
+            raise UsageError(f"{slave!r} is no slave: give its address, 0..126, its name, or bus.slave(...)")
+        return address
 
     def _config(self, slave: Slave | str | int) -> SlaveConfig | None:
         known = self._known(self._address(slave))

@@ -7,8 +7,17 @@ from collections.abc import Awaitable, Callable, Sequence
 from typing import TypeVar
 
 from dpstack.api.records import RecordAccess
+from dpstack.dp.given import whole
 from dpstack.dp.v1.codes import Decode
-from dpstack.errors import AcyclicError, DriveError, DriveTimeout, ParameterError, ServiceRefused, SlaveTimeout
+from dpstack.errors import (
+    AcyclicError,
+    DriveError,
+    DriveTimeout,
+    ParameterError,
+    ServiceRefused,
+    SlaveTimeout,
+    UsageError,
+)
 from dpstack.profile import CommandError
 from dpstack.profile.acyclic import (
     PROGRAM,
@@ -52,6 +61,7 @@ class RecordParameters:
     def __init__(
         self, name: str, carry_out: CarryOut, slot: int, *, object: int = 1, limits: Limits | None = None
     ) -> None:
+        whole("slot", slot), whole("object", object)
         self._name = name
         self._carry_out = carry_out
         self._client = ParameterClient(slot, object=object, limits=limits, references=PROGRAM)
@@ -73,6 +83,8 @@ class RecordParameters:
         self, items: Sequence[Address | Item], *, timeout: float | None = None, progress: Progress | None = None
     ) -> list[Result]:
         """A result for each, in as few requests as the drive takes."""
+        if not isinstance(items, Sequence) or not all(isinstance(one, (Address, Item)) for one in items):
+            raise UsageError(f"{items!r} is no list of parameters: read([Address(965), Address(944, subindex=1)])")
         return await self._run(lambda deadline: self._client.read(items, deadline, progress), timeout)
 
     async def change(

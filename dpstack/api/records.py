@@ -9,8 +9,9 @@ from collections.abc import AsyncIterator
 from typing import TYPE_CHECKING, Final
 
 from dpstack.api.services import time_of
+from dpstack.dp.given import octets, whole
 from dpstack.dp.setup import SlaveSetup
-from dpstack.dp.v1.im import IM_INDEX, Im, Im0, build_call, number_of, parse_answer
+from dpstack.dp.v1.im import IM_INDEX, RECORDS, Im, Im0, build_call, number_of, parse_answer
 from dpstack.dp.v1.ms1 import ReadRecord, RecordDone, WriteRecord
 from dpstack.dp.v1.records import MAX_RECORD
 from dpstack.errors import AcyclicError, PduError, SlaveFault, SlaveTimeout, UsageError
@@ -50,19 +51,21 @@ class RecordAccess(abc.ABC):
 
     async def im(self, number: int = 0, *, slot: int = 0, timeout: float = TIMEOUT) -> Im:
         """I&M ``number`` 0..4 of ``slot``: the call, then what it gives. Raises as :meth:`read`."""
-        if not 0 <= number <= 4:
+        if not 0 <= whole("number of I&M", number) <= 4:
             raise UsageError(f"there is no I&M{number}: 0..4")
         what = f"I&M{number} of slot {slot}"
         async with self._calling(what, timeout):
             await self.write(slot, IM_INDEX, build_call(number), timeout=timeout)
-            octets = await self.read(slot, IM_INDEX, timeout=timeout)
+            answer = await self.read(slot, IM_INDEX, timeout=timeout)
         try:
-            return parse_answer(octets, number)
+            return parse_answer(answer, number)
         except PduError as error:
             raise SlaveFault(self.address, f"{self.who} gives no I&M{number}: {error}") from None
 
     async def write_im(self, record: Im, *, slot: int = 0, timeout: float = TIMEOUT) -> None:
         """Write I&M1 to I&M4. Raises as :meth:`read`."""
+        if not isinstance(record, RECORDS):
+            raise UsageError(f"{record!r} is no I&M record: give Im1(tag_function=...), Im2(date=...), Im3 or Im4")
         if isinstance(record, Im0):
             raise UsageError("I&M0 is what the device is: it cannot be written")
         try:
@@ -75,6 +78,7 @@ class RecordAccess(abc.ABC):
     @contextlib.asynccontextmanager
     async def _calling(self, what: str, timeout: float) -> AsyncIterator[None]:
         """The only I&M call to this slave; a negative answer is told as one to ``what``."""
+        time_of(timeout)
         try:
             async with asyncio.timeout(timeout):
                 await self.im_call.acquire()
@@ -114,18 +118,21 @@ class Records(RecordAccess):
     async def read(self, slot: int, index: int, length: int | None = None, *, timeout: float = TIMEOUT) -> bytes:
         """Up to ``length`` octets, None: as many as it can have."""
         token = self._services.token()
-        wanted = self._longest if length is None else length
-        command = ReadRecord(token, self.address, slot, index, wanted, time_of(timeout))
+        wanted = self._longest if length is None else whole("length", length)
+        place = whole("slot", slot), whole("index", index)
+        command = ReadRecord(token, self.address, *place, wanted, time_of(timeout))
         return (await self._services.do(token, command, RecordDone)).outcome.data
 
     async def write(self, slot: int, index: int, data: bytes, *, timeout: float = TIMEOUT) -> None:
         """All of ``data``."""
+        data = octets("data", data)
         if self._longest < len(data) <= MAX_RECORD:
             raise UsageError(
                 f"{self.who}: {len(data)} octets, its GSD file says C1_Max_Data_Len = {self._longest}: write less"
             )
         token = self._services.token()
-        command = WriteRecord(token, self.address, slot, index, bytes(data), time_of(timeout))
+        place = whole("slot", slot), whole("index", index)
+        command = WriteRecord(token, self.address, *place, data, time_of(timeout))
         await self._services.do(token, command, RecordDone)
 
     @property

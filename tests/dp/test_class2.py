@@ -207,7 +207,8 @@ def test_the_port_vanishes_with_services_waiting_and_under_way() -> None:
     kit.send(LineDown("unplugged"))
     assert [done.outcome.failure for done in kit.done] == [ServiceFailure.LINE] * 3
     assert kit.done[0].outcome.text == (
-        "Slave_Diag to slave 4 was not over when the port vanished (unplugged); it can be repeated when the port is back"
+        "Slave_Diag to slave 4 was not over when the port vanished (unplugged); it can be repeated when the port is "
+        "back"
     )
     # ordered meanwhile it waits for the port
     outcome = kit.read(4, Service.INPUTS)

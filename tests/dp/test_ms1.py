@@ -329,7 +329,9 @@ def test_stop_leaves_a_service_without_data_exchange() -> None:
     kit.send(SetMode(Mode.STOP))
     outcome = kit.end(token).outcome
     assert outcome.failure is ServiceFailure.CLOSED
-    assert outcome.text.endswith("was given up: the master is in Stop, where nothing is sent to slaves; repeat it in Clear or Operate")
+    assert outcome.text.endswith(
+        "was given up: the master is in Stop, where nothing is sent to slaves; repeat it in Clear or Operate"
+    )
 
 
 def test_cancelled_under_way_its_answer_is_fetched_later() -> None:

@@ -19,10 +19,11 @@ the order returns why.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Final
 
 from dpstack.dp.dp_slave import DpSlave
+from dpstack.dp.given import octets, whole
 from dpstack.dp.slave_description import SlaveDescription
 from dpstack.dp.user_diag import UserDiag, channel_block, identifier_block
 from dpstack.dp.v1.alarms import Alarm, AlarmType, ModuleState, Specifier, module_status
@@ -52,6 +53,7 @@ class IoStation(DpSlave):
     """
 
     def __init__(self, config: bytes, description: SlaveDescription | None = None, *, name: str = "io-station") -> None:
+        config = octets(f"I/O station {name}: config", config, ConfigError)
         unknown = [octet for octet in config if octet not in MODULES and octet != EMPTY]
         if unknown or not 1 <= len(config) <= MAX_MODULES or not any(config):
             what = f"identifier octet {unknown[0]:02X}" if unknown else f"{len(config)} slots"
@@ -74,6 +76,8 @@ class IoStation(DpSlave):
     @classmethod
     def of(cls, modules: Sequence[str], name: str = "io-station") -> IoStation:
         """A station with these modules plugged, by name from slot 1 on, "" for an empty slot. Raises ConfigError."""
+        if isinstance(modules, (str, bytes)) or not isinstance(modules, Iterable):
+            raise ConfigError(f'I/O station {name}: modules = {modules!r} is no list: write ["8 DI", "8 DO"]')
         try:
             config = bytes(module_named(module).config if module else EMPTY for module in modules)
         except ValueError as error:
@@ -97,12 +101,13 @@ class IoStation(DpSlave):
 
     # --- what happens to it from outside --------------------------------------------------------------------------
 
-    def set_input(self, slot: int, octets: bytes) -> str | None:
+    def set_input(self, slot: int, inputs: bytes) -> str | None:
         """The process changes: all inputs of a module, octets as the master reads them."""
         place = self._slot(slot)
-        if not place.module.inputs or len(octets) != place.module.inputs:
-            raise ValueError(f"{place.text} has {place.module.inputs} octets of inputs, {len(octets)} were given")
-        before, place.process = place.inputs, bytes(octets)
+        inputs = octets("inputs", inputs, ValueError)
+        if not place.module.inputs or len(inputs) != place.module.inputs:
+            raise ValueError(f"{place.text} has {place.module.inputs} octets of inputs, {len(inputs)} were given")
+        before, place.process = place.inputs, inputs
         if not place.module.analogue_inputs and place.present:
             changed = edges(before, place.inputs, place.prm)
             if any(changed):
@@ -112,7 +117,7 @@ class IoStation(DpSlave):
     def wire_break(self, slot: int, channel: int, broken: bool) -> str | None:
         """The wire of an analogue input channel, 0 or 1, breaks or is whole again."""
         place = self._slot(slot)
-        if not place.module.analogue_inputs or not 0 <= channel < place.module.channels:
+        if not place.module.analogue_inputs or not 0 <= whole("channel", channel, ValueError) < place.module.channels:
             raise ValueError(f"{place.text} has no analogue input channel {channel}; channels count from 0")
         before = place.faults
         place.broken = place.broken | {channel} if broken else place.broken - {channel}
@@ -201,7 +206,7 @@ class IoStation(DpSlave):
         return inputs
 
     def _slot(self, number: int) -> Slot:
-        place = self.slots[number - 1] if 1 <= number <= len(self.slots) else None
+        place = self.slots[number - 1] if 1 <= whole("slot", number, ValueError) <= len(self.slots) else None
         if place is None:
             known = ", ".join(place.text for place in self.slots if place is not None)
             raise ValueError(f"there is no module in slot {number}; there are: {known}")
@@ -285,6 +290,7 @@ def _described(config: bytes, name: str, parameters: int) -> SlaveDescription:
 
 
 def _unknown_bits(place: Slot, octet: int) -> str | None:
+    whole("parameter octet", octet, ValueError)
     if place.module.prm is None:
         return f"{place.text} has no parameters"
     if octet & ~place.module.mask:
