@@ -146,7 +146,9 @@ class DpSlave(FunctionDevice):
         self.on_transport = on_transport
         self.ms2 = description.ms2 if ms2 is None else whole(f"slave {self.name}: ms2", ms2, ConfigError)
         if not 0 <= self.ms2 <= MAX_CONNECTIONS:
-            raise ConfigError(f"slave {self.name}: ms2 = {ms2}: 0 to {MAX_CONNECTIONS} class 2 connections are possible")
+            raise ConfigError(
+                f"slave {self.name}: ms2 = {ms2}: 0 to {MAX_CONNECTIONS} class 2 connections are possible"
+            )
         self.ms2_max_len = description.ms2_max_len
         self.ms2_max_initiate = description.ms2_max_initiate
         self._on_initiate = on_initiate

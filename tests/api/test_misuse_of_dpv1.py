@@ -80,8 +80,9 @@ def test_orders_to_an_io_station() -> None:
     ],
 )
 def test_a_slave_that_cannot_be(given: dict[str, Any], error: type[Exception], text: str) -> None:
+    arguments: dict[str, Any] = {"description": VALVES, "on_cycle": cycle, **given}
     with pytest.raises(error) as caught:
-        DpSlave(**({"description": VALVES, "on_cycle": cycle} | given))
+        DpSlave(**arguments)
     assert text in str(caught.value)
 
 
