@@ -11,8 +11,10 @@ SERVICE_TIMEOUT: Final = 10 * NS_PER_S
 #: how long a slave works at a service at most, where its GSD file has no C1_Response_Timeout or C2_Response_Timeout
 RESPONSE_TIMEOUT: Final = NS_PER_S
 
-#: before a request is repeated that the slave did not take ("not now")
+#: before a request is repeated that the slave did not take ("not now"), or did not answer for the first time
 BUSY_PAUSE: Final = 10 * NS_PER_MS
+#: before it is asked again after silence, at most
+_SILENT_PAUSE: Final = 16 * BUSY_PAUSE
 #: so many polls in as many token holds, then with pauses that grow up to the last
 _EAGER: Final = 4
 _PAUSES: Final = (NS_PER_MS, 2 * NS_PER_MS, 5 * NS_PER_MS, 10 * NS_PER_MS)
@@ -27,9 +29,12 @@ def pause_before(polls: int) -> int:
     return 0 if polls < _EAGER else _PAUSES[min(polls - _EAGER, len(_PAUSES) - 1)]
 
 
-def polls_within(limit_ns: int) -> int:
-    """So many polls last for ``limit_ns`` or a little longer."""
-    return limit_ns // _PAUSES[-1] + 1
+def pause_after_silence(silent: int) -> int:
+    """Before a slave is asked again, after ``silent`` times without an answer (1 or more) one after the other.
+
+    It grows: a computer that stands still for 30 ms must not use up all attempts at once.
+    """
+    return min(BUSY_PAUSE << (silent - 1), _SILENT_PAUSE)
 
 
 def least_send_timeout(baud: int) -> int:
