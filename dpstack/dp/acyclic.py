@@ -244,12 +244,12 @@ class Acyclic:
         if isinstance(outcome, Telegram):
             self._known.add(request.da)
             self._share(request, outcome, now)
-            self._ms2.heard(request, outcome, now)
         elif outcome is Failure.NO_ANSWER:
             self._known.discard(request.da)
         elif outcome is Failure.ABANDONED and self._ms2.may_be_taken(request):
             outcome = Failure.NO_ANSWER
-        self._ms1.heard(request.da, outcome)
+        self._ms1.heard(request, outcome)
+        self._ms2.heard(request, outcome, now)
         if outcome not in (Failure.ABANDONED, Failure.HELD_BACK):  # else it is asked again
             begun, entry.begun = entry.begun, None
             try:

@@ -7,6 +7,7 @@ Slaves are octets; the times are those of the sources' decisions, written down h
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 
 import pytest
 from ms1_kit import Ms1Bus, answer
@@ -160,7 +161,7 @@ SILENT = [10, 20, 40, 80, 160, 160]
 
 
 def gaps_ms(starts: list[int]) -> Iterator[float]:
-    return ((late - early) / MS for early, late in zip(starts, starts[1:], strict=False))
+    return ((late - early) / MS for early, late in pairwise(starts))
 
 
 def test_polls_get_rarer_at_ms1() -> None:

@@ -39,9 +39,10 @@ from dpstack.dp.v1.ms2_orders import (
     WriteOver,
 )
 from dpstack.dp.v1.records import ReadReq, WriteReq
+from dpstack.dp.v1.times import QUIET_SHARE
 from dpstack.errors import PduError, UsageError
 from dpstack.fdl.telegram import Telegram
-from dpstack.fdl.user import Request
+from dpstack.fdl.user import Failure, Request
 from dpstack.params import UNADDRESSED
 from dpstack.trace import Event
 from dpstack.units import NEVER, ns_to_s
@@ -50,8 +51,6 @@ from dpstack.units import NEVER, ns_to_s
 NO_CONNECTION: Final = "there is no open class 2 connection"
 #: connections at a time, to all slaves
 CAPACITY: Final = 64
-#: Idle after this share of the send time-out
-_QUIET: Final = 3
 _ADDRESS: Final = 2
 
 
@@ -117,11 +116,11 @@ class Ms2:
             raise UsageError(f"{ns_to_s(order.response_ns):g} s is no time for an answer: 0 for as long as is usual")
         request = InitiateReq(
             order.send_timeout_ns,
-            order.features,
-            order.profile_features,
-            order.profile_ident,
-            _address_of(order.source),
-            _address_of(order.destination),
+            features=order.features,
+            profile_features=order.profile_features,
+            profile_ident=order.profile_ident,
+            source=_address_of(order.source),
+            destination=_address_of(order.destination),
         )
         connection = Connection(order.token, address, order.send_timeout_ns, order.response_ns)
         try:
@@ -209,7 +208,7 @@ class Ms2:
         for connection in self.connections.values():
             if connection.phase is Phase.OPEN and connection.lane not in busy:
                 quiet_ns = now - connection.heard_at
-                if connection.outstanding or quiet_ns >= connection.send_timeout_ns // _QUIET:
+                if connection.outstanding or quiet_ns >= connection.send_timeout_ns // QUIET_SHARE:
                     yield IdleJob(connection, self)
 
     def started(self, request: Request) -> None:
@@ -217,10 +216,10 @@ class Ms2:
         if isinstance(request.tag, Connection):
             request.tag.started(request)
 
-    def heard(self, request: Request, answer: Telegram, now: int) -> None:
-        """A request has an answer."""
-        if isinstance(request.tag, Connection):
-            request.tag.heard(request, answer, now)
+    def heard(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
+        """The end of a request to any station."""
+        if isinstance(request.tag, Connection) and isinstance(outcome, Telegram):
+            request.tag.heard(request, outcome, now)
 
     def may_be_taken(self, request: Request) -> bool:
         """Whether a request that was given up may have reached the slave: it is not to be sent again."""

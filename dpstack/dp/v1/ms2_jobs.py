@@ -16,7 +16,7 @@ from dpstack.dp.v1.ms1 import RecordDone
 from dpstack.dp.v1.ms2_connection import Connection, Ended, Phase
 from dpstack.dp.v1.ms2_orders import TransportDone
 from dpstack.dp.v1.polling import Course, Said
-from dpstack.dp.v1.records import MAX_RECORD, Function, ReadReq, WriteReq
+from dpstack.dp.v1.records import MAX_RECORD, Function, ReadReq
 from dpstack.errors import PduError
 from dpstack.fdl.telegram import SAP_MS2_RM
 from dpstack.trace import Event
@@ -137,18 +137,7 @@ class ServiceJob(ConnectionJob):
                     stale=self._stale,
                 )
             ]
-        return [
-            RecordDone(
-                t_ns=now,
-                token=token,
-                address=self.address,
-                write=isinstance(service, WriteReq),
-                slot=service.slot,
-                index=service.index,
-                outcome=outcome,
-                stale=self._stale,
-            )
-        ]
+        return [RecordDone.of(service, token, self.address, outcome, self._stale, now)]
 
 
 class IdleJob(ConnectionJob):

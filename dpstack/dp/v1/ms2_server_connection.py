@@ -19,6 +19,7 @@ from dpstack.dp.v1.tickets import (
     put,
     put_transport,
 )
+from dpstack.dp.v1.times import PATIENCE, WORKING_SHARE
 from dpstack.errors import PduError, RecordRefused
 from dpstack.units import NS_PER_MS
 
@@ -65,8 +66,8 @@ class Connection:
     __slots__ = (
         "_answer",
         "_device",
+        "_lived",
         "_report",
-        "_said",
         "_ticket",
         "asker",
         "heard",
@@ -85,7 +86,8 @@ class Connection:
         self.state = State.ANSWERED
         self.heard = now
         self.services = 0
-        self._said = now
+        #: it told its master that it lives
+        self._lived = now
         self._answer: bytes | None = None
         self._ticket: AnyTicket | None = None
         self._device = device
@@ -94,7 +96,7 @@ class Connection:
     @property
     def deadline(self) -> int:
         """When silence ends it, in ns: the send time-out, twice that while nothing is asked (VPC3+)."""
-        patience = 2 if self.state is State.OPEN else 1
+        patience = PATIENCE if self.state is State.OPEN else 1
         return self.heard + patience * self.send_timeout_ns
 
     def is_of(self, sa: int, ssap: int | None) -> bool:
@@ -179,8 +181,8 @@ class Connection:
                 answer, self._answer = self._answer, None
                 return answer
             case Act.LOOK:
-                if now - self._said >= self.send_timeout_ns // 2:
-                    self._said = now
+                if now - self._lived >= self.send_timeout_ns // WORKING_SHARE:
+                    self._lived = now
                     return IDLE
             case Act.FREE:
                 answer, self._answer = self._answer, None
@@ -235,7 +237,7 @@ class Connection:
 
     def _serve(self, octets: bytes, now: int) -> None:
         """A service: what its application can be asked, else a negative response like that of MS1."""
-        self._said = now
+        self._lived = now
         self.state = State.WORKING
         try:
             request = parse_transport(octets) if octets[0] == Function.DATA_TRANSPORT else parse_request(octets)

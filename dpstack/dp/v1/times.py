@@ -23,6 +23,14 @@ _PAUSES: Final = (NS_PER_MS, 2 * NS_PER_MS, 5 * NS_PER_MS, 10 * NS_PER_MS)
 #: (protocol facts C2)
 _SEND_TIMEOUTS: Final = {1_500_000: NS_PER_S, 500_000: 2 * NS_PER_S, 0: 4 * NS_PER_S}
 
+#: a master says Idle over a connection that was quiet for this share of its send time-out: a slave waits twice the
+#: whole for a request (VPC3+), so two may be lost
+QUIET_SHARE: Final = 3
+#: a slave that works at a service says Idle to the first poll after this share of it
+WORKING_SHARE: Final = 2
+#: send time-outs that a slave waits for a request (VPC3+); while it has something to be fetched it waits for one
+PATIENCE: Final = 2
+
 
 def pause_before(polls: int) -> int:
     """Before the next poll for an answer, after ``polls`` of them."""
