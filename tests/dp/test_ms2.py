@@ -7,7 +7,6 @@ from collections.abc import Callable
 import pytest
 from ms2_kit import DL, MS, SC, Ms2Bus, OctetMs2Slave, sd1, sd2, served
 from octet_slave import NR, RR, UE
-from ring_bus import Sent
 
 from dpstack.dp.acyclic import CancelService
 from dpstack.dp.acyclic_job import ServiceFailure
@@ -252,16 +251,7 @@ def test_telegrams_of_a_read_are_lost(lost: tuple[int, ...]) -> None:
     """It ends once; a request that was lost with its repetition ends the connection, for it may have been taken."""
     kit = Ms2Bus()
     kit.open(response_ns=200 * MS)
-    count = [0]
-
-    def drop(sent: Sent) -> bool:
-        octets = sent.octets
-        if octets[0] not in (0x68, 0xE5):
-            return False
-        count[0] += 1
-        return count[0] - 1 in lost
-
-    kit.bus.drop = drop
+    kit.lose(lost)
     done = kit.read(1)
     if lost == (0, 1):
         assert done.outcome.failure is ServiceFailure.LATE

@@ -139,16 +139,7 @@ def test_a_server_sap_given_out_twice_stays_whose_it_is() -> None:
 def test_telegrams_of_initiate_are_lost(lost: tuple[int, ...]) -> None:
     """Requests and answers, with their repetitions: there is a connection in the end, and nothing else."""
     kit = Ms2Bus()
-    count = [0]
-
-    def drop(sent: Sent) -> bool:
-        octets = sent.octets
-        if octets[0] not in (0x68, 0xE5):
-            return False
-        count[0] += 1
-        return count[0] - 1 in lost
-
-    kit.bus.drop = drop
+    kit.lose(lost)
     done = kit.open()
     assert done.outcome.failure is None, done.text
     assert kit.read(1).outcome.data == b"\1\2"
