@@ -251,7 +251,7 @@ class Ms2Bus:
         return one
 
     def lose(self, lost: Collection[int]) -> None:
-        """Of the telegrams of services from now on, counted from 0, these get lost; repetitions count, tokens do not."""
+        """Of the services' telegrams from now on, counted from 0, these get lost (repetitions count, tokens do not)."""
         count = itertools.count()
         self.bus.drop = lambda sent: sent.octets[0] in (0x68, 0xE5) and next(count) in lost
 

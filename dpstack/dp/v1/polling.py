@@ -26,12 +26,14 @@ from dpstack.fdl.telegram import Kind, Resp, Telegram
 from dpstack.fdl.user import Failure, Request
 from dpstack.units import NEVER
 
-#: FC status of an answer that says "not yet" to a request or a poll
-_NOT_YET: Final = frozenset((int(Resp.OK), int(Resp.NR)))
-#: "not now": the request was not taken
-_NOT_NOW: Final = frozenset((int(Resp.RR), int(Resp.UE)))
 #: old data are given away, and the request was not taken
 _NOT_TAKEN: Final = frozenset((int(Resp.RDL), int(Resp.RDH)))
+#: FC status of an answer with a PDU
+_WITH_PDU: Final = DATA_STATUS | _NOT_TAKEN
+#: without one: "not yet", to a request or a poll
+_NOT_YET: Final = DATA_STATUS | {int(Resp.OK), int(Resp.NR)}
+#: "not now": the request was not taken
+_NOT_NOW: Final = _NOT_TAKEN | {int(Resp.RR), int(Resp.UE)}
 
 #: what a service without any answer that can be used is called
 NO_ANSWERS: Final = {
@@ -61,11 +63,12 @@ def said(answer: Telegram | Failure, *, requested: bool) -> Said:
         return Said.GUARDED if answer is Failure.REFUSED else Said.NOTHING
     if answer.kind is Kind.SC:
         return Said.WAIT
-    if answer.data and answer.function in DATA_STATUS | _NOT_TAKEN:
-        return Said.OLD if requested and answer.function in _NOT_TAKEN else Said.DATA
-    if answer.function in _NOT_YET | DATA_STATUS:
+    status = answer.function
+    if answer.data and status in _WITH_PDU:
+        return Said.OLD if requested and status in _NOT_TAKEN else Said.DATA
+    if status in _NOT_YET:
         return Said.WAIT
-    return Said.AGAIN if answer.function in _NOT_NOW | _NOT_TAKEN else Said.CLOSED
+    return Said.AGAIN if status in _NOT_NOW else Said.CLOSED
 
 
 class Course:
