@@ -127,6 +127,38 @@ def in_time(bus: RingBus, sap: int, end: int, since: int = 0) -> None:
     assert asked[-1] - asked[0] < LIMIT + SOON
 
 
+def busy_at_ms1(limit: int) -> tuple[int, list[int], int]:
+    """A slave that never has its answer, at MS1: the first request's first bit, the ends of answers, the service's."""
+    kit = Ms1Bus(dpv1=Dpv1(c1_response_timeout_ns=limit))
+    kit.bus.run(5 * MS)
+    since = kit.bus.now
+    end = kit.read().t_ns
+    return to_sap(kit.bus, 51, since)[0], answers(kit.bus, since), end
+
+
+def busy_over_ms2(limit: int) -> tuple[int, list[int], int]:
+    """The same over a connection."""
+    kit = Ms2Bus()
+    kit.open(send_timeout_ns=2_000 * MS, response_ns=limit)
+    kit.slave.says[48] = lambda octets: SC
+    since = kit.bus.now
+    end = kit.read(1).t_ns
+    return to_sap(kit.bus, 48, since)[0], answers(kit.bus, since), end
+
+
+def answers(bus: RingBus, since: int) -> list[int]:
+    return [sent.end for sent in bus.log if sent.octets == SC and sent.start >= since]
+
+
+@pytest.mark.parametrize("busy", [busy_at_ms1, busy_over_ms2])
+def test_a_slaves_time_is_exact(busy: Callable[[int], tuple[int, list[int], int]]) -> None:
+    """It is over with the answer that ends in that nanosecond; one nanosecond more is another poll."""
+    first, found, _ = busy(LIMIT)
+    limit = found[5] - first
+    assert busy(limit)[::2] == (first, found[5])
+    assert busy(limit + 1)[::2] == (first, found[6])
+
+
 def test_the_time_counts_from_the_request_and_not_from_the_order() -> None:
     """The second Read waits for the first one, and then has all its time."""
     kit = Ms1Bus(dpv1=Dpv1(c1_response_timeout_ns=LIMIT))
