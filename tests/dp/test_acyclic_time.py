@@ -246,6 +246,53 @@ def test_a_read_that_is_not_answered_goes_out_four_times() -> None:
     assert all(pause <= gap < pause + 6 for pause, gap in zip(SILENT, found, strict=False))
 
 
+@pytest.mark.parametrize("status", [RR, UE, RDL])
+def test_a_request_that_is_not_taken_now_is_repeated_every_10_ms(status: int) -> None:
+    """By either way; RDL: old data are given away."""
+    old = status == RDL
+    ms1 = Ms1Bus()
+    ms1.slave.ms1 = lambda data: answer(4, "5E 09 09 01 11", RDL) if old else ms1_status(4, status)
+    ms1.order_read()
+    ms2 = Ms2Bus()
+    ms2.open(send_timeout_ns=2_000 * MS)
+    begun = ms2.bus.now
+    given = sd2(2, 4, RDL, 50, 48, bytes.fromhex("5E 09 09 01 11"))
+    ms2.slave.says[48] = lambda octets: given if old else sd1(2, 4, status)
+    ms2.order_read(1)
+    for bus, sap, since in ((ms1.bus, 51, 0), (ms2.bus, 48, begun)):
+        bus.run(100 * MS)
+        found = list(gaps_ms(to_sap(bus, sap, since)))
+        assert len(found) >= 7
+        assert all(10 <= gap < 13 for gap in found)
+
+
+def test_a_slave_at_ms1_is_given_up_after_four_polls_without_an_answer_in_a_row() -> None:
+    """Three, an answer, three again: it goes on. Each has its repetition."""
+    kit = Ms1Bus()
+    script = iter("......w......w")
+
+    def ms1(data: bytes) -> bytes | None:
+        if data:
+            return SC
+        return {".": None, "w": SC}.get(next(script, ""), answer(4, "5E 01 02 01 55"))
+
+    kit.slave.ms1 = ms1
+    assert kit.read().outcome.data == b"\x55"
+    script = iter("......w" + "." * 8)
+    assert kit.read().outcome.failure is ServiceFailure.SILENT
+    assert next(script, "") == ""
+
+
+def test_an_initiate_nobody_answers_goes_out_four_times_with_a_poll_between() -> None:
+    kit = Ms2Bus(())
+    assert kit.open().outcome.failure is ServiceFailure.SILENT
+    asked = [sent.octets for sent in kit.bus.log if sent.octets[0] == 0x68 and sent.octets[7] == 49]
+    said = "".join("n" if len(octets) == 11 else "I" for octets in asked)
+    assert said.rstrip("n") == "InInInI"
+    found = list(gaps_ms(to_sap(kit.bus, 49)))[:6]
+    assert all(pause <= gap < pause + 6 for pause, gap in zip(SILENT, found, strict=False))
+
+
 def test_one_request_a_token_hold_whatever_it_belongs_to() -> None:
     """Read of two slaves, a class 2 service, Initiate to a station that is not there."""
     kit = Ms1Bus((4, 5))
