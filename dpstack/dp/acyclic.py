@@ -232,8 +232,7 @@ class Acyclic:
         if entry is not None:
             entry.asked = True
             entry.turn = next(self._turns)
-            if entry.begun is None:
-                entry.begun = at
+            entry.begun = at
 
     def result(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
         """The end of a request: on with its service, or its end."""

@@ -218,6 +218,22 @@ def test_an_initiate_that_arrived_at_last_is_not_sent_again() -> None:
     assert (initiates(kit), list(kit.slave.sessions)) == (1, [48])
 
 
+def test_a_slave_that_is_there_and_has_heard_no_initiate_is_sent_it_again() -> None:
+    """More often than one that is silent: it says at each poll that it has nothing."""
+    kit = Ms2Bus()
+    lost: list[Sent] = []
+
+    def drop(sent: Sent) -> bool:
+        is_initiate = sent.sender == 2 and len(sent.octets) > 12 and sent.octets[9] == 0x57
+        if is_initiate:
+            lost.append(sent)
+        return is_initiate and len(lost) <= 2 * 6  # each with its repetition
+
+    kit.bus.drop = drop
+    assert kit.open().outcome.failure is None
+    assert (initiates(kit), list(kit.slave.sessions)) == (1, [48])
+
+
 def test_an_answer_to_an_earlier_master_is_given_away_first() -> None:
     """RDL: the Initiate was not taken."""
     kit = Ms2Bus()
