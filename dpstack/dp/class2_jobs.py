@@ -84,7 +84,6 @@ class Reading:
     #: it changes nothing
     aftermath: str = ""
     lane: Hashable | None = None
-    overdue: str = ""
 
     @property
     def title(self) -> str:
@@ -122,7 +121,7 @@ def asked(request: Request, attempts: int = ATTEMPTS) -> Steps[Telegram | Failur
     for attempt in range(attempts):
         if 0 < attempt == attempts - 1:
             request = request._replace(patient=True)
-        answer = yield Step(request, pause)
+        answer = (yield Step(request, pause)).answer
         if answer is Failure.REFUSED:
             break
         if isinstance(answer, Telegram) and (answer.kind is Kind.SC or answer.function not in _BUSY):

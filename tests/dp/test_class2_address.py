@@ -9,7 +9,7 @@ from octet_slave import RS, OctetSlave, sd1
 from support import WorldFactory
 
 from dpstack.dp.acyclic import Acyclic
-from dpstack.dp.acyclic_job import Outcome, ServiceFailure
+from dpstack.dp.acyclic_job import Heard, Outcome, ServiceFailure
 from dpstack.dp.class2 import ChangeAddress
 from dpstack.dp.class2_jobs import Service, ServiceDone, asked, request
 from dpstack.dp.mirror import MirrorDevice
@@ -305,9 +305,10 @@ def test_beside_a_running_class_1_master_nobody_loses_an_exchange(world: WorldFa
 
 def test_whoever_is_named_is_waited_for_before_it_is_said_to_be_silent() -> None:
     """The first times no longer than for any address; the last time as for a station whose silence is news."""
+    silence = Heard(Failure.NO_ANSWER, 0, 0)
     steps = asked(request(9, Service.DIAGNOSIS))
     assert not next(steps).request.patient
-    assert [steps.send(Failure.NO_ANSWER).request.patient for _ in range(3)] == [False, False, True]
+    assert [steps.send(silence).request.patient for _ in range(3)] == [False, False, True]
     with pytest.raises(StopIteration) as end:
-        steps.send(Failure.NO_ANSWER)
+        steps.send(silence)
     assert end.value.value is Failure.NO_ANSWER
