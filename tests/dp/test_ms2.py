@@ -13,6 +13,7 @@ from dpstack.dp.acyclic import CancelService
 from dpstack.dp.acyclic_job import ServiceFailure
 from dpstack.dp.v1.ms1 import RecordDone
 from dpstack.dp.v1.ms2_orders import (
+    ConnectionOver,
     InitiateDone,
     OpenConnection,
     ReadOver,
@@ -173,6 +174,28 @@ def test_services_are_signs_of_life() -> None:
         kit.read(1)
         kit.bus.run(50 * MS)
     assert all(pdu[:1] != b"\x48" for _, pdu in kit.slave.heard)
+
+
+def test_an_idle_that_is_lost_is_sent_again() -> None:
+    """With every attempt, and then the slave answers polls: it never heard of it."""
+    kit = Ms2Bus()
+    connection = kit.open(send_timeout_ns=600 * MS).token
+    idles = 0
+
+    def say(octets: bytes) -> bytes | None:
+        """Every other Idle does not come through, with both attempts."""
+        nonlocal idles
+        idles += octets[9:-2] == b"\x48\x01"
+        if octets[9:-2] == b"\x48\x01" and idles % 3:
+            return None
+        answer = kit.slave.ms2(48, octets[9:-2])
+        return SC if answer is None else sd2(2, 4, DL, 50, 48, answer)
+
+    kit.slave.says[48] = say
+    kit.bus.run(4_000 * MS)
+    assert kit.told(ConnectionOver) == []
+    assert 27 <= idles <= 30  # after 200 ms twice, and 200 ms later again
+    assert kit.read(connection).outcome.failure is None
 
 
 def test_idle_that_is_not_answered_ends_it() -> None:

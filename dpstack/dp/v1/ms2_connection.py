@@ -7,7 +7,8 @@ Decisions where the sources are silent:
 
 - Any answer of the link layer is a sign of life, Idle or not; the time-out counts from the last one.
 - A request without an answer may have been taken, and a second one would be an error of sequence: the slave is polled
-  for the answer instead.
+  for the answer instead. Only Idle is sent again, when polls were answered for a third of the time and it did not come:
+  a slave that has had it ignores the second (VPC3+).
 - Idle while a service is under way says that the slave still works at it: its time begins anew.
 """
 
@@ -19,7 +20,7 @@ from typing import Final, NamedTuple
 
 from dpstack.dp.acyclic_job import Outcome, ServiceFailure, Step, Steps
 from dpstack.dp.ms0 import refusal_text
-from dpstack.dp.v1.connection import HEAD, Abort, AbortReason, Instance
+from dpstack.dp.v1.connection import HEAD, IDLE, Abort, AbortReason, Instance
 from dpstack.dp.v1.judging import NO_ANSWERS, NOT_TAKEN, Said, said
 from dpstack.dp.v1.records import Function
 from dpstack.dp.v1.times import BUSY_PAUSE, RESPONSE_TIMEOUT, pause_before
@@ -31,6 +32,8 @@ from dpstack.units import NS_PER_MS, ns_to_s
 #: a silent slave is asked again after this, and then twice as long each time, up to the last
 _SILENT_PAUSE: Final = 10 * NS_PER_MS
 _SILENT_PAUSE_MAX: Final = 160 * NS_PER_MS
+#: a lost Idle is sent again after this share of the time in which the slave must answer it
+_PATIENT: Final = 3
 #: in place of a connection's token, which are not negative: what goes on at the resource manager of a slave
 RESOURCE_MANAGER: Final = -1
 #: what a slave is told that was not heard, or not in time
@@ -150,12 +153,14 @@ class Connection:
         idle = octets[:1] == bytes((Function.IDLE,))
         begun = clock.now if begun is None else begun
         polls = unanswered = pause = 0
+        unheard = False
         while True:
             outcome = yield Step(self.request(sap, octets, answer), pause)
             now = clock.now
             if not isinstance(outcome, Telegram):
                 if outcome is Failure.REFUSED:
                     return self._guarded(title)
+                unheard = unheard or octets != b""
                 octets, pause = b"", min(_SILENT_PAUSE << unanswered, _SILENT_PAUSE_MAX)
                 unanswered += 1
                 if now - begun >= self.limit_ns:
@@ -169,6 +174,8 @@ class Connection:
                 case Said.WAIT:
                     octets, pause = b"", pause_before(polls)
                     polls += 1
+                    if idle and unheard and now - begun >= min(self.send_timeout_ns, self.limit_ns) // _PATIENT:
+                        octets, begun, unheard = IDLE, now, False
                 case Said.AGAIN:
                     self.outstanding &= not octets
                     pause = BUSY_PAUSE
