@@ -7,8 +7,8 @@ Decisions where the sources are silent:
 
 - Any answer of the link layer is a sign of life, Idle or not; the time-out counts from the last one.
 - A request without an answer may have been taken, and a second one would be an error of sequence: the slave is polled
-  for the answer instead. Only Idle is sent again, when polls were answered for a third of the time and it did not come:
-  a slave that has had it ignores the second (VPC3+).
+  for the answer instead. Only Idle is sent again, where it or its answer may have been lost and polls say for a third
+  of the time that there is nothing: a slave that has it ignores the second (VPC3+).
 - Idle while a service is under way says that the slave still works at it: its time begins anew.
 """
 
@@ -160,7 +160,7 @@ class Connection:
             if not isinstance(outcome, Telegram):
                 if outcome is Failure.REFUSED:
                     return self._guarded(title)
-                unheard = unheard or octets != b""
+                unheard = True  # what was sent, or the answer that was fetched
                 octets, pause = b"", min(_SILENT_PAUSE << unanswered, _SILENT_PAUSE_MAX)
                 unanswered += 1
                 if now - begun >= self.limit_ns:
