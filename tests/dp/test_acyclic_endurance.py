@@ -1,6 +1,6 @@
 """Acyclic services, connections and alarms without end, telegrams lost among them: nothing piles up at either end.
 
-A small share here, 100 000 services and virtual hours in soak.
+A small share here, 100 000 services and a virtual hour in soak.
 """
 
 from __future__ import annotations
@@ -296,8 +296,8 @@ def test_idle_keeps_connections_for_minutes(world: WorldFactory) -> None:
 
 @pytest.mark.soak
 @pytest.mark.parametrize("seed", range(2))
-def test_idle_keeps_connections_for_hours(world: WorldFactory, seed: int) -> None:
-    idle(world, 4 * 3600, seed)
+def test_idle_keeps_connections_for_an_hour(world: WorldFactory, seed: int) -> None:
+    idle(world, 3600, seed)
 
 
 def alarms(world: WorldFactory, count: int, mode: int, seed: int) -> None:
@@ -338,5 +338,5 @@ def test_sequence_numbers_wrap(world: WorldFactory, mode: int) -> None:
 
 @pytest.mark.soak
 @pytest.mark.parametrize("mode", [0, 1, 7])
-def test_sequence_numbers_wrap_for_an_hour(world: WorldFactory, mode: int) -> None:
-    alarms(world, 30_000, mode, mode)
+def test_sequence_numbers_wrap_again_and_again(world: WorldFactory, mode: int) -> None:
+    alarms(world, 5_000, mode, mode)
