@@ -7,9 +7,18 @@ from collections.abc import Awaitable, Callable, Sequence
 from typing import TypeVar
 
 from dpstack.api.records import RecordAccess
+from dpstack.dp.given import whole
 from dpstack.dp.v1.codes import Decode
 from dpstack.dp.v1.records import MAX_RECORD
-from dpstack.errors import AcyclicError, DriveError, DriveTimeout, ParameterError, ServiceRefused, SlaveTimeout
+from dpstack.errors import (
+    AcyclicError,
+    DriveError,
+    DriveTimeout,
+    ParameterError,
+    ServiceRefused,
+    SlaveTimeout,
+    UsageError,
+)
 from dpstack.profile import CommandError
 from dpstack.profile.acyclic import (
     PROGRAM,
@@ -61,6 +70,7 @@ class RecordParameters:
         limits: Limits | None = None,
         longest: int = MAX_RECORD,
     ) -> None:
+        whole("slot", slot), whole("object", object)
         self._name = name
         self._carry_out = carry_out
         known = Limits(octets=longest) if limits is None else limits
@@ -83,6 +93,8 @@ class RecordParameters:
         self, items: Sequence[Address | Item], *, timeout: float | None = None, progress: Progress | None = None
     ) -> list[Result]:
         """A result for each, in as few requests as the drive takes."""
+        if not isinstance(items, Sequence) or not all(isinstance(one, (Address, Item)) for one in items):
+            raise UsageError(f"{items!r} is no list of parameters: read([Address(965), Address(944, subindex=1)])")
         return await self._run(lambda deadline: self._client.read(items, deadline, progress), timeout)
 
     async def change(

@@ -27,7 +27,7 @@ D = TypeVar("D", bound=ServiceEnd)
 
 def time_of(seconds: float, what: str = "timeout") -> int:
     """A time that a user gives for a service, in ns. Raises UsageError for what is none."""
-    if not math.isfinite(seconds) or seconds < 0:
+    if isinstance(seconds, bool) or not isinstance(seconds, (int, float)) or not 0 <= seconds < math.inf:
         raise UsageError(f"{what} = {seconds!r} is no time for a service: seconds are wanted, 0 or more")
     return s_to_ns(seconds)
 
