@@ -25,11 +25,13 @@ check: $(VENV)/.check
 	$(PY) -m mypy
 	$(PY) -m pytest tests/test_docs.py tests/test_imports.py
 
+# About an hour on a processor of its own, several where others compute beside it; the longest are fdl/test_autobaud.py,
+# drives/test_attacked_devices.py and test_endurance.py. make soak TESTS=tests/dp runs a part (ptys: tests/cli, tests/drivers),
 # make soak SEED=... looks again where an earlier run looked
 soak: SEED := $(shell date +%s)
 soak: $(VENV)/.test
 	@echo "what hypothesis tries: SEED=$(SEED)"
-	$(PY) -m pytest -m soak --hypothesis-profile=soak --hypothesis-seed=$(SEED)
+	$(PY) -m pytest -m soak --hypothesis-profile=soak --hypothesis-seed=$(SEED) $(TESTS)
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info drives/*.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

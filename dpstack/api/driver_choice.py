@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from importlib import import_module
 from typing import Final
 
 from dpstack.api.config import Config
@@ -33,6 +34,9 @@ def driver_for(config: Config, port: Port | None) -> str:
             raise _refusal(config, "this program is one file without a Python beside it", 'take driver = "asyncio"')
         if _needs_asyncio(port):
             raise _refusal(config, f"the port {config.port} is of a kind that needs asyncio", 'take driver = "asyncio"')
+        if why := _no_messages():
+            what = 'install it beside the program (a zip archive cannot hold it), or take driver = "asyncio"'
+            raise _refusal(config, f"msgspec, which it needs, cannot be imported ({why})", what)
         return PROCESS
     return PROCESS if wanted == "auto" and _worth_it(port) else ASYNCIO
 
@@ -41,12 +45,21 @@ def _worth_it(port: Port) -> bool:
     """A real line, a second processor, and the right to go before everybody else."""
     if sys.platform != "linux" or port.delivery is not Delivery.ADAPTER or _needs_asyncio(port) or _frozen():
         return False
-    return len(os.sched_getaffinity(0)) > 1 and not rights().no_priority()
+    return len(os.sched_getaffinity(0)) > 1 and not rights().no_priority() and not _no_messages()
 
 
 def _frozen() -> bool:
     """The program was packed: starting its executable again starts the program, not an interpreter."""
     return not sys.executable or bool(getattr(sys, "frozen", False))
+
+
+def _no_messages() -> str:
+    """Why the messages between both processes cannot be written: msgspec is compiled, a zipapp cannot hold it."""
+    try:
+        import_module("msgspec")
+    except ImportError as error:
+        return str(error)
+    return ""
 
 
 def _needs_asyncio(port: Port) -> bool:

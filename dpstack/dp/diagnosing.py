@@ -38,8 +38,8 @@ class Diagnoses:
         self._own = own
         self._findings = findings
         self._emit = emit
-        #: the slave wants to be read: DH since the last one
-        self.flagged = False
+        #: the slave wants to be read: number of the first exchange with DH since the last one, 0 without
+        self.flagged = 0
         self.alarms = None if setup.dpv1 is None else AlarmHandler(setup, findings, emit, ask, book)
 
     def read(self, octets: bytes, now: int) -> Diagnosis | None:
@@ -72,11 +72,15 @@ class Diagnoses:
         if self.alarms is not None:
             self.alarms.opened(self.last, now)
 
+    def flag(self, exchange: int) -> None:
+        """The answer to that Data_Exchange had DH."""
+        self.flagged = self.flagged or exchange
+
     def exchanging(self, diagnosis: Diagnosis, exchanges: int, now: int) -> None:
         """``diagnosis`` was read in data exchange, after so many ``exchanges``, and is of our slave."""
         if self.alarms is not None:
             self.alarms.take(diagnosis, self.flagged, exchanges, now)
-        self.flagged = False
+        self.flagged = 0
 
     def closed(self, now: int) -> None:
         """Data exchange is over."""

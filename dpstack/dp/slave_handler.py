@@ -140,7 +140,7 @@ class SlaveHandler:
                     if not self._odd.none:
                         self._odd.clear()
                     if status == _DH:
-                        self.diagnoses.flagged = True
+                        self.diagnoses.flag(self.exchanges)
                         self._want_diagnosis(now)
                     return
         self._odd_data(outcome, now)

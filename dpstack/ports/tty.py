@@ -175,6 +175,8 @@ class TtyPort(FdPort):
         if tuning is not None:
             self._counted.update(tuning.damage())
             tuning.restore()
+        with contextlib.suppress(OSError):  # a process forked meanwhile has the descriptor too, and with it the lock
+            fcntl.flock(fd, fcntl.LOCK_UN)
         os.close(fd)
 
 

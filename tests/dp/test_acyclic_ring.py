@@ -12,7 +12,7 @@ from itertools import pairwise
 from typing import Final
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from property_kit import examples
 from support import MS, S, WorldFactory
@@ -154,12 +154,23 @@ def _others(params: BusParams, plants: Sequence[list[SlaveSetup]], own: int, cas
 
 
 def hold(world: World, counts: Sequence[int], t_tr: int | None, t_sdr: int) -> None:
-    """Within the longest rotation of the plan, and every slave's service has its turn: one request for each hold."""
+    """Within the longest rotation of the plan, and every slave's service has its turn: one request for each hold.
+
+    Where T_TR has room for a service in every hold too, no round goes over two holds, and nothing is repeated here: all
+    normal rounds and their services. Where not, the other masters may come in between once more.
+    """
     began = world.now
     masters, planned = ring(world, counts, t_tr, t_sdr)
+    normal = [rotation(each.params, each.slaves, Case.NORMAL) for each in masters]
+    loaded = [(r.bits + p.acyclic_bits, r.hold + p.acyclic_bits) for r, p in zip(normal, planned, strict=True)]
+    everybody, longest_hold = sum(bits for bits, _ in loaded), max(hold for _, hold in loaded)
     for each, plan in zip(masters, planned, strict=True):
         longest = plan.ns(Case.LONGEST)
-        assert 0 < each.master.rotation.max_ns <= longest
+        if each.params.t_tr >= everybody + longest_hold:
+            bound = each.params.ns(everybody)
+        else:
+            bound = longest + each.params.ns(plan.rotations[Case.LONGEST].others)
+        assert 0 < each.master.rotation.max_ns <= bound
         assert all(done.outcome.failure is None for done in each.done)
         # all slaves in turn, a service in one of two rounds at the least: where T_TR is no more than needed, what small
         # masters spend beside their few slaves is taken from the hold of a large one
@@ -175,8 +186,18 @@ def test_beside_other_masters_with_traffic_of_their_own(
     hold(world(), counts, t_tr, 11)
 
 
+def test_a_round_over_two_holds_is_longer_than_the_longest_in_one(world: WorldFactory) -> None:
+    """A large master between small ones, T_TR without room for their services: they come in between once more."""
+    masters, planned = ring(world(), [1, 8, 1, 1], None, 100)
+    large, plan = masters[1], planned[1]
+    others = large.params.ns(plan.rotations[Case.LONGEST].others)
+    assert plan.ns(Case.LONGEST) < large.master.rotation.max_ns <= plan.ns(Case.LONGEST) + others
+
+
 @pytest.mark.soak
 @examples(4)
+@example([1, 8, 1, 1], None, 100)
+@example([1, 8, 1, 1], 31_966, 100)  # room for a service of each, and one more
 @given(
     st.lists(st.integers(1, 8), min_size=2, max_size=4), st.sampled_from((None, 50_000, 100_000)), st.integers(11, 100)
 )

@@ -221,3 +221,29 @@ def test_answers_to_others_and_not_now_come_before_it() -> None:
     kit.until(lambda: bool(kit.ends))
     assert kit.ends[0].outcome.failure is None
     assert not kit.remarks
+
+
+@pytest.mark.parametrize("offers_again", [False, True])
+def test_the_next_one_exactly_alike_long_after_silence_right_behind_a_diagnosis(offers_again: bool) -> None:
+    """What a slave may offer again it offers in the first exchange after the silence; what comes later is new."""
+    kit = AlarmBus()
+    slave = kit.alarm_slave
+    slave.polls, slave.offers_again = 4, offers_again
+    first, alike, other = block(1, 1), block(6, 0), block(32, 1)
+    lost: list[str] = []
+
+    def loses() -> str:
+        """Both attempts of the poll that comes right behind the diagnosis with ``alike``: the slave has heard it."""
+        if len(lost) == 1 or (not lost and slave.unsure and slave.shown == alike):
+            lost.append("a")
+            return "a"
+        return ""
+
+    slave.loses = loses
+    slave.raises(first)
+    kit.until(lambda: bool(slave.taken))
+    slave.raises(alike, alike, other)  # while the response to the first is fetched
+    kit.until(lambda: len(kit.ends) == 4)
+    assert lost == ["a", "a"]
+    assert kit.blocks == [first, alike, alike, other]
+    assert slave.taken == [first, alike, alike, other]

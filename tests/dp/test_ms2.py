@@ -12,6 +12,7 @@ from dpstack.dp.acyclic import CancelService
 from dpstack.dp.acyclic_job import ServiceFailure
 from dpstack.dp.v1.ms1 import RecordDone
 from dpstack.dp.v1.ms2_orders import (
+    ConnectionOver,
     InitiateDone,
     OpenConnection,
     ReadOver,
@@ -172,6 +173,37 @@ def test_services_are_signs_of_life() -> None:
         kit.read(1)
         kit.bus.run(50 * MS)
     assert all(pdu[:1] != b"\x48" for _, pdu in kit.slave.heard)
+
+
+@pytest.mark.parametrize("answers", [False, True], ids=["Idle", "its answer"])
+def test_an_idle_that_is_lost_is_sent_again(answers: bool) -> None:
+    """With every attempt, and then the slave says at polls that there is nothing."""
+    kit = Ms2Bus()
+    connection = kit.open(send_timeout_ns=600 * MS).token
+    idles = lost = 0
+
+    def say(octets: bytes) -> bytes | None:
+        """Every other Idle does not come through, or the poll that has fetched its answer."""
+        nonlocal idles, lost
+        idle = octets[9:-2] == b"\x48\x01"
+        idles += idle
+        if lost == 1 or (not answers and idle and lost == 0):
+            lost += 1
+            return None
+        answer = kit.slave.ms2(48, octets[9:-2])
+        if answers and answer is not None and lost == 0:
+            lost = 1
+            return None
+        if answer is not None:
+            lost = 0
+        return SC if answer is None else sd2(2, 4, DL, 50, 48, answer)
+
+    kit.slave.says[48] = say
+    kit.bus.run(4_000 * MS)
+    assert kit.told(ConnectionOver) == []
+    assert idles in (range(18, 22) if answers else range(27, 31))  # after 200 ms, and 200 ms later again
+    lost = 9
+    assert kit.read(connection).outcome.failure is None
 
 
 def test_idle_that_is_not_answered_ends_it() -> None:

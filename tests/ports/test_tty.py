@@ -226,6 +226,21 @@ async def test_a_held_port_names_its_holder(far: PtyFarEnd) -> None:
     far.hang_up()
 
 
+async def test_a_closed_port_is_free_though_a_process_was_forked_meanwhile(far: PtyFarEnd) -> None:
+    """``multiprocessing`` with fork: the child has every descriptor, and lives on."""
+    port = TtyPort(far.path, 9600)
+    await port.open()
+    forked = os.dup(port._fd)  # the same open file, as a fork's
+    try:
+        port.close()
+        again = TtyPort(far.path, 9600)
+        await again.open()
+        again.close()
+    finally:
+        os.close(forked)
+        far.hang_up()
+
+
 async def test_a_port_that_cannot_be_locked_is_used_with_a_notice(
     far: PtyFarEnd, monkeypatch: pytest.MonkeyPatch
 ) -> None:

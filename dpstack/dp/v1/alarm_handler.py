@@ -14,7 +14,7 @@ Decisions where the sources are silent:
   says that the slave has had the acknowledgement; otherwise the diagnosis is read again after the response.
 - After a request without an answer the frame count bit begins anew, and a slave cannot know whether its diagnosis was
   read: it may offer it again. So one data exchange comes between a diagnosis and an acknowledgement, and what was
-  offered again after silence right behind a diagnosis is nothing new.
+  offered again after silence right behind a diagnosis, in the first data exchange, is nothing new.
 - With the same octets after the response it may be the old one still: :mod:`dpstack.dp.v1.alarm_settling`.
 - An acknowledgement without an answer is sent again as long as the slave is in data exchange. When another alarm has
   taken its place under the same number, or in mode 0 one of the same type, the slave has had it.
@@ -137,11 +137,13 @@ class AlarmHandler:
             else:
                 self._ask(now)
 
-    def take(self, diagnosis: Diagnosis, flagged: bool, exchanges: int, now: int) -> None:
-        """A diagnosis of the slave in data exchange, after so many ``exchanges``; ``flagged``: it asked for it (DH)."""
+    def take(self, diagnosis: Diagnosis, flagged_at: int, exchanges: int, now: int) -> None:
+        """A diagnosis of the slave in data exchange, after so many ``exchanges``; ``flagged_at``: the first of them in
+        which it asked for it (DH), 0: it did not."""
         last, self._last = self._last, diagnosis
+        flagged = flagged_at > 0
         renewed = flagged and diagnosis == last
-        if self._unsure and renewed:  # offered again
+        if self._unsure and renewed and flagged_at == self._read_after + 1:  # offered again
             flagged = renewed = False
         before = () if last is None or renewed else last.blocks
         self._read_after, self._unsure = exchanges, False

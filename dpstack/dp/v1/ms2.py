@@ -8,7 +8,7 @@ They take nothing away from the slave's own master, and need none. Every connect
 Decisions where the sources are silent:
 
 - Idle goes out when a connection was quiet for a third of its send time-out. A slave chip waits twice that time-out for
-  a request (VPC3+), so two may be lost.
+  a request (VPC3+), so two may be lost. One that had no answer of the link layer is sent again when the slave is heard.
 - A connection over which nothing was heard for the send time-out is over, and so is one whose slave does not answer a
   service in its time, or answers what cannot be read. The slave is told by Abort.
 - What ends a service from outside (cancelled, its time is over) leaves the connection: the answer is fetched first.

@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 
 from dpstack.dp.acyclic_job import Outcome, ServiceFailure, Steps
 from dpstack.dp.ms0 import refusal_text
-from dpstack.dp.v1.connection import HEAD, Abort, AbortReason, Instance
+from dpstack.dp.v1.connection import HEAD, IDLE, Abort, AbortReason, Instance
 from dpstack.dp.v1.polling import NO_ANSWERS, Course, Said, said
 from dpstack.dp.v1.records import Function
 from dpstack.dp.v1.times import RESPONSE_TIMEOUT
@@ -163,7 +163,23 @@ class Connection:
                     course.anew()
                 case _:  # taken, or maybe taken
                     pass
-            found = yield from course.polled()
+            found = yield from self._idled(course) if idle else course.polled()
+
+    def _idled(self, course: Course) -> Steps[Said]:
+        """Polls for the answer to Idle. Where one of both may have been lost, and polls say for a third of the time
+        that there is nothing, Idle is sent again: a slave that has it ignores the second (VPC3+)."""
+        lost = not isinstance(course.answer, Telegram)
+        octets = b""
+        while True:
+            found = yield from course.ask(octets)
+            lost = lost or found is Said.NOTHING
+            if found not in (Said.WAIT, Said.AGAIN, Said.NOTHING):
+                return found
+            again = lost and found is Said.WAIT and course.worked_ns >= min(self.send_timeout_ns, self.limit_ns) // 3
+            octets = IDLE if again else b""
+            if again:
+                lost = False
+                course.anew()
 
     def drained(self, course: Course) -> Steps[Ended | None]:
         """Fetch the answer to a request that nobody waits for any more: before that the slave takes no other one."""

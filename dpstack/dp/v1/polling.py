@@ -97,6 +97,11 @@ class Course:
         """What came, after DATA and OLD."""
         return self.answer.data if isinstance(self.answer, Telegram) else b""
 
+    @property
+    def worked_ns(self) -> int:
+        """How long the slave has had until now."""
+        return self.now - self._begun
+
     def anew(self) -> None:
         """The slave says that it works at it: its time begins now."""
         self._begun = self.now
