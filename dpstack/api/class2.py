@@ -10,9 +10,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from dpstack.api.arguments import octets_of, time_of
 from dpstack.api.connection import Connecting
 from dpstack.api.ms2_config import Ms2Limits
-from dpstack.api.services import time_of
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.dp.class2 import ChangeAddress, ReadService
 from dpstack.dp.class2_jobs import Service, ServiceDone
@@ -113,7 +113,9 @@ class Class2:
         if self._bus.config.bus.read_only:
             raise UsageError("this bus is read-only: no slave gets another address; leave read_only out")
         token = self._bus.services.token()
-        command = ChangeAddress(token, old, new, ident, no_change, rem_slave_data, time_of(timeout))
+        command = ChangeAddress(
+            token, old, new, ident, no_change, octets_of(rem_slave_data, "rem_slave_data"), time_of(timeout)
+        )
         return _diagnosis(await self._bus.services.do(token, command, ServiceDone))
 
     def connect(
@@ -148,8 +150,8 @@ class Class2:
             limits.response_ns if response_timeout is None else time_of(response_timeout, "response_timeout"),
             profile_features=profile_features,
             profile_ident=profile_ident,
-            source=bytes(source),
-            destination=bytes(destination),
+            source=octets_of(source, "source"),
+            destination=octets_of(destination, "destination"),
             channels=limits.channels,
             timeout_ns=time_of(timeout),
         )

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import weakref
 from collections.abc import Generator
 from types import TracebackType
 from typing import TYPE_CHECKING, TypeVar
 
+from dpstack.api.arguments import octets_of, time_of
 from dpstack.api.ms2_config import Ms2Limits
 from dpstack.api.record_parameters import RecordParameters, over_records
 from dpstack.api.records import TIMEOUT, RecordAccess
-from dpstack.api.services import Ending, time_of
+from dpstack.api.services import Ending
 from dpstack.dp.v1.connection import Address, InitiateReq
 from dpstack.dp.v1.ms1 import RecordDone
 from dpstack.dp.v1.ms2 import NO_CONNECTION
@@ -35,7 +37,8 @@ Done = TypeVar("Done", RecordDone, TransportDone)
 
 
 class Connection(RecordAccess):
-    """An open connection. Its services queue, up to 32; it is kept alive until it is closed, or the bus is.
+    """An open connection. Its services queue, up to 32; it is kept alive until it is closed, or the bus is, or nothing
+    refers to it any more: slaves have few.
 
     All raise ConnectionEnded once it is over (also those under way), otherwise as :meth:`Slave.read` does:
     AcyclicError, SlaveTimeout, SlaveFault, UsageError, BusError. ``timeout`` in seconds from the call; what takes the
@@ -50,6 +53,9 @@ class Connection(RecordAccess):
         self._im_call = asyncio.Lock()
         #: the slave's name on this bus, or "slave" and its address
         self.name = name
+        # who forgets it does not say so
+        left = weakref.finalize(self, _close_later, bus, done.token, ending, asyncio.get_running_loop())
+        left.atexit = False
 
     @property
     def address(self) -> int:
@@ -106,16 +112,16 @@ class Connection(RecordAccess):
 
     async def write(self, slot: int, index: int, data: bytes, *, timeout: float = TIMEOUT) -> None:
         """Write all of ``data`` into a record."""
-        self._check(data)
+        octets = self._checked(data)
         token = self._bus.services.token()
-        order = WriteOver(token, self._done.token, slot, index, bytes(data), time_of(timeout))
+        order = WriteOver(token, self._done.token, slot, index, octets, time_of(timeout))
         await self._do(token, order, RecordDone)
 
     async def transport(self, slot: int, index: int, data: bytes = b"", *, timeout: float = TIMEOUT) -> bytes:
         """Data_Transport: ``data`` to the slave, what it sends back."""
-        self._check(data)
+        octets = self._checked(data)
         token = self._bus.services.token()
-        order = TransportOver(token, self._done.token, slot, index, bytes(data), time_of(timeout))
+        order = TransportOver(token, self._done.token, slot, index, octets, time_of(timeout))
         return (await self._do(token, order, TransportDone)).outcome.data
 
     def parameters(self, slot: int = 1, *, object: int = 1, timeout: float = TIMEOUT) -> RecordParameters:
@@ -132,9 +138,7 @@ class Connection(RecordAccess):
 
     async def close(self) -> None:
         """End it by Abort, and wait until the slave has it back or cannot be told. May be repeated."""
-        if self.is_open and self._bus.is_open:
-            with contextlib.suppress(DpError):  # the bus may have ended meanwhile
-                self._bus.command(CloseConnection(self._done.token))
+        _close(self._bus, self._done.token, self._ending)
         await self._ending.told.wait()
 
     async def __aenter__(self) -> Connection:
@@ -162,10 +166,24 @@ class Connection(RecordAccess):
             text = f"{ending.over.text}; open a new one"
             raise ConnectionEnded(self.address, text, abort=ending.over.abort)
 
-    def _check(self, data: bytes) -> None:
-        if self._longest < len(data) <= MAX_RECORD:
-            what = f"{len(data)} octets, it takes {self._longest} in one service"
+    def _checked(self, data: bytes) -> bytes:
+        octets = octets_of(data)
+        if self._longest < len(octets) <= MAX_RECORD:
+            what = f"{len(octets)} octets, it takes {self._longest} in one service"
             raise UsageError(f"{self.who}: {what} (C2_Max_Data_Len, Max_Len_Data_Unit of Initiate): send less")
+        return octets
+
+
+def _close(bus: Bus, token: int, ending: Ending) -> None:
+    if bus.is_open and not ending.told.is_set():
+        with contextlib.suppress(DpError):  # the bus may have ended meanwhile
+            bus.command(CloseConnection(token))
+
+
+def _close_later(bus: Bus, token: int, ending: Ending, loop: asyncio.AbstractEventLoop) -> None:
+    """From a finalizer, which may run anywhere."""
+    with contextlib.suppress(RuntimeError):  # the loop is over, and the bus with it
+        loop.call_soon_threadsafe(_close, bus, token, ending)
 
 
 class Connecting:

@@ -8,7 +8,7 @@ import contextlib
 from collections.abc import AsyncIterator
 from typing import TYPE_CHECKING, Final
 
-from dpstack.api.services import time_of
+from dpstack.api.arguments import octets_of, time_of
 from dpstack.dp.setup import SlaveSetup
 from dpstack.dp.v1.im import IM_INDEX, Im, Im0, build_call, number_of, parse_answer
 from dpstack.dp.v1.ms1 import ReadRecord, RecordDone, WriteRecord
@@ -50,8 +50,8 @@ class RecordAccess(abc.ABC):
 
     async def im(self, number: int = 0, *, slot: int = 0, timeout: float = TIMEOUT) -> Im:
         """I&M ``number`` 0..4 of ``slot``: the call, then what it gives. Raises as :meth:`read`."""
-        if not 0 <= number <= 4:
-            raise UsageError(f"there is no I&M{number}: 0..4")
+        if not isinstance(number, int) or not 0 <= number <= 4:
+            raise UsageError(f"there is no I&M{number!r}: 0..4")
         what = f"I&M{number} of slot {slot}"
         async with self._calling(what, timeout):
             await self.write(slot, IM_INDEX, build_call(number), timeout=timeout)
@@ -63,6 +63,10 @@ class RecordAccess(abc.ABC):
 
     async def write_im(self, record: Im, *, slot: int = 0, timeout: float = TIMEOUT) -> None:
         """Write I&M1 to I&M4. Raises as :meth:`read`."""
+        if not isinstance(record, Im):
+            raise UsageError(
+                f"{record!r} is no I&M record: give one of Im1 to Im4, for instance Im1(tag_function='...')"
+            )
         if isinstance(record, Im0):
             raise UsageError("I&M0 is what the device is: it cannot be written")
         try:
@@ -120,12 +124,13 @@ class Records(RecordAccess):
 
     async def write(self, slot: int, index: int, data: bytes, *, timeout: float = TIMEOUT) -> None:
         """All of ``data``."""
-        if self._longest < len(data) <= MAX_RECORD:
+        octets = octets_of(data)
+        if self._longest < len(octets) <= MAX_RECORD:
             raise UsageError(
-                f"{self.who}: {len(data)} octets, its GSD file says C1_Max_Data_Len = {self._longest}: write less"
+                f"{self.who}: {len(octets)} octets, its GSD file says C1_Max_Data_Len = {self._longest}: write less"
             )
         token = self._services.token()
-        command = WriteRecord(token, self.address, slot, index, bytes(data), time_of(timeout))
+        command = WriteRecord(token, self.address, slot, index, octets, time_of(timeout))
         await self._services.do(token, command, RecordDone)
 
     @property

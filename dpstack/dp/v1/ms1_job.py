@@ -40,8 +40,6 @@ class Owed:
 class Ms1Job(abc.ABC):
     """One service of the slave that ``handler`` handles: ``octets`` to ``sap``, with up to ``longest`` octets back."""
 
-    #: nothing is known to have happened to the slave
-    aftermath = ""
     #: a request without any answer is repeated
     repeats = False
     #: what to do when it has no answer
@@ -61,6 +59,7 @@ class Ms1Job(abc.ABC):
         self._longest = longest
         self._since = handler.since
         self._busy = False
+        self._sent = False
         told = 0 if handler.setup.dpv1 is None else handler.setup.dpv1.c1_response_timeout_ns
         self._limit_ns = told or RESPONSE_TIMEOUT
         self._limit_of = "its C1_Response_Timeout" if told else "no C1_Response_Timeout is known of it"
@@ -69,6 +68,11 @@ class Ms1Job(abc.ABC):
     @abc.abstractmethod
     def title(self) -> str:
         """What is asked."""
+
+    @property
+    def aftermath(self) -> str:
+        """Nothing is known to have happened to the slave."""
+        return ""
 
     @property
     def overdue(self) -> str:
@@ -95,6 +99,7 @@ class Ms1Job(abc.ABC):
         request = self._srd(self._octets)
         unanswered = pause = 0
         while True:
+            self._sent = True
             self._owe()  # until there is an answer, whatever ends this service
             answer = yield Step(request, pause, self._limit_ns)
             pause = BUSY_PAUSE
