@@ -30,12 +30,12 @@ def failure_text(error: BaseException) -> str:
 
 def origin_of(error: BaseException) -> str:
     """Function, file and line; empty where it was raised on behalf of the device. What asyncio raised (a time-out)
-    comes from whoever called it."""
+    and an error that cannot be made so come from whoever called it."""
     trace, found = error.__traceback__, ""
     while trace is not None:
         code = trace.tb_frame.f_code
         path = code.co_filename.replace("\\", "/")
-        if "/asyncio/" not in path:
+        if "/asyncio/" not in path and not path.endswith("dpstack/errors.py"):
             file = path.rpartition("/")[2]
             found = "" if file in _OURS else f"{code.co_name}(), {file} line {trace.tb_lineno}"
         trace = trace.tb_next
