@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from dpstack.api.arguments import octets_of, time_of
 from dpstack.api.connection import Connecting
 from dpstack.api.ms2_config import Ms2Limits
+from dpstack.api.records import usual_timeout
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.dp.class2 import ChangeAddress, ReadService
 from dpstack.dp.class2_jobs import Service, ServiceDone
@@ -128,32 +129,33 @@ class Class2:
         profile_features: int = 0,
         source: bytes = bytes(2),
         destination: bytes = bytes(2),
-        timeout: float = 10.0,
+        timeout: float | None = None,
     ) -> Connecting:
         """Open a class 2 connection (MS2) to any slave: ``async with bus.class2.connect(7) as connection``.
 
         It needs no parameterisation and takes the slave away from nobody. ``send_timeout`` in seconds: the longest
         silence, to be agreed on (default by baud rate); ``response_timeout``: for one service (default: its
         C2_Response_Timeout). ``source``, ``destination``: API and access level, and octets of network and MAC address
-        where the end is not on this bus. Raises ServiceRefused (no connection left, or none at all), ConnectionEnded
-        (the slave aborts), SlaveTimeout, SlaveFault, UsageError, BusError.
+        where the end is not on this bus. ``timeout`` as of its services. Raises ServiceRefused (no connection left, or
+        none at all), ConnectionEnded (the slave aborts), SlaveTimeout, SlaveFault, UsageError, BusError.
         """
         known = slave if isinstance(slave, SlaveConfig) else self._config(slave)
         limits = Ms2Limits() if known is None else known.ms2
         address = slave.address if isinstance(slave, SlaveConfig) else self._address(slave)
         usual = least_send_timeout(self._bus.params.baud)
         silence = usual if send_timeout is None else time_of(send_timeout, "send_timeout")
+        response = limits.response_ns if response_timeout is None else time_of(response_timeout, "response_timeout")
         order = OpenConnection(
             self._bus.services.token(),
             address,
             silence,
-            limits.response_ns if response_timeout is None else time_of(response_timeout, "response_timeout"),
+            response,
             profile_features=profile_features,
             profile_ident=profile_ident,
             source=octets_of(source, "source"),
             destination=octets_of(destination, "destination"),
             channels=limits.channels,
-            timeout_ns=time_of(timeout),
+            timeout_ns=time_of(usual_timeout(response) if timeout is None else timeout),
         )
         return Connecting(self._bus, order, f"slave{address}" if known is None else known.name, limits)
 

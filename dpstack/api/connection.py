@@ -9,10 +9,10 @@ from collections.abc import Generator
 from types import TracebackType
 from typing import TYPE_CHECKING, TypeVar
 
-from dpstack.api.arguments import octets_of, time_of
+from dpstack.api.arguments import octets_of
 from dpstack.api.ms2_config import Ms2Limits
 from dpstack.api.record_parameters import RecordParameters, over_records
-from dpstack.api.records import TIMEOUT, RecordAccess
+from dpstack.api.records import RecordAccess, usual_timeout
 from dpstack.api.services import Ending
 from dpstack.dp.v1.connection import Address, InitiateReq
 from dpstack.dp.v1.ms1 import RecordDone
@@ -41,12 +41,13 @@ class Connection(RecordAccess):
     refers to it any more: slaves have few.
 
     All raise ConnectionEnded once it is over (also those under way), otherwise as :meth:`Slave.read` does:
-    AcyclicError, SlaveTimeout, SlaveFault, UsageError, BusError. ``timeout`` in seconds from the call; what takes the
-    slave longer than its C2_Response_Timeout ends the connection.
+    AcyclicError, SlaveTimeout, SlaveFault, UsageError, BusError. ``timeout`` in seconds from the call (None: 10, longer
+    where C2_Response_Timeout is); what takes the slave longer than that ends the connection.
     """
 
-    def __init__(self, bus: Bus, done: InitiateDone, ending: Ending, name: str, longest: int) -> None:
+    def __init__(self, bus: Bus, done: InitiateDone, ending: Ending, name: str, longest: int, response_ns: int) -> None:
         self._bus = bus
+        self._response_ns = response_ns
         self._done = done
         self._ending = ending
         self._longest = min(longest, done.max_len)
@@ -85,6 +86,16 @@ class Connection(RecordAccess):
     @property
     def max_data_len(self) -> int:
         """Octets of data in one service, at most: what the slave said in Initiate, and its GSD file."""
+        return self.longest
+
+    @property
+    def usual_timeout(self) -> float:
+        """By C2_Response_Timeout."""
+        return usual_timeout(self._response_ns)
+
+    @property
+    def longest(self) -> int:
+        """As :attr:`max_data_len`."""
         return self._longest
 
     @property
@@ -103,30 +114,30 @@ class Connection(RecordAccess):
         ending = self._ending
         return ending.over.reason if ending.over is not None else None if ending.lost is None else str(ending.lost)
 
-    async def read(self, slot: int, index: int, length: int | None = None, *, timeout: float = TIMEOUT) -> bytes:
+    async def read(self, slot: int, index: int, length: int | None = None, *, timeout: float | None = None) -> bytes:
         """Read a record: up to ``length`` octets, as many as it can have where nothing is said."""
         token = self._bus.services.token()
         wanted = self._longest if length is None else length
-        order = ReadOver(token, self._done.token, slot, index, wanted, time_of(timeout))
+        order = ReadOver(token, self._done.token, slot, index, wanted, self._time(timeout))
         return (await self._do(token, order, RecordDone)).outcome.data
 
-    async def write(self, slot: int, index: int, data: bytes, *, timeout: float = TIMEOUT) -> None:
+    async def write(self, slot: int, index: int, data: bytes, *, timeout: float | None = None) -> None:
         """Write all of ``data`` into a record."""
         octets = self._checked(data)
         token = self._bus.services.token()
-        order = WriteOver(token, self._done.token, slot, index, octets, time_of(timeout))
+        order = WriteOver(token, self._done.token, slot, index, octets, self._time(timeout))
         await self._do(token, order, RecordDone)
 
-    async def transport(self, slot: int, index: int, data: bytes = b"", *, timeout: float = TIMEOUT) -> bytes:
+    async def transport(self, slot: int, index: int, data: bytes = b"", *, timeout: float | None = None) -> bytes:
         """Data_Transport: ``data`` to the slave, what it sends back."""
         octets = self._checked(data)
         token = self._bus.services.token()
-        order = TransportOver(token, self._done.token, slot, index, octets, time_of(timeout))
+        order = TransportOver(token, self._done.token, slot, index, octets, self._time(timeout))
         return (await self._do(token, order, TransportDone)).outcome.data
 
-    def parameters(self, slot: int = 1, *, object: int = 1, timeout: float = TIMEOUT) -> RecordParameters:
+    def parameters(self, slot: int = 1, *, object: int = 1, timeout: float | None = None) -> RecordParameters:
         """PROFIdrive's parameter access over this connection, otherwise as :meth:`Slave.parameters`."""
-        return RecordParameters(self.name, over_records(self, timeout), slot, object=object)
+        return RecordParameters(self.name, over_records(self, timeout), slot, object=object, longest=self.longest)
 
     async def ident(self) -> int:
         """The slave's ident number, by Slave_Diag."""
@@ -228,7 +239,7 @@ class Connecting:
         except BaseException:
             services.connections.pop(order.token, None)
             raise
-        return Connection(self._bus, done, ending, self._name, limits.max_data_len)
+        return Connection(self._bus, done, ending, self._name, limits.max_data_len, order.response_ns)
 
 
 def _check_initiate(who: str, order: OpenConnection, limits: Ms2Limits) -> None:

@@ -9,7 +9,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final, Protocol
 
-from dpstack.api.parameter_list import FileToBe, ParameterList, Place, SavedParam
+from dpstack.api.list_file import FileToBe
+from dpstack.api.parameter_list import ParameterList, Place, SavedParam
 from dpstack.errors import ConfigError, DriveError, DriveTimeout, ParameterError, UsageError
 from dpstack.profile import ListedParam
 

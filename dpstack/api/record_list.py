@@ -3,38 +3,30 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, NoReturn
+from typing import Any, Final
 
+from dpstack.api.list_file import ListFile
 from dpstack.api.toml_text import quoted
-from dpstack.errors import ConfigError
 from dpstack.profile.acyclic import ReadParameter
 
-_FORMAT: Final = 1
-_KIND: Final = "record 47"
-_MAKE: Final = "make the file by `dpstack acyclic ... dump`"
-_HEAD: Final[dict[str, tuple[type, ...]]] = {
-    "format": (int,),
-    "kind": (str,),
-    "name": (str,),
-    "address": (int,),
-    "ident": (int,),
-    "slot": (int,),
-    "object": (int,),
-    "time": (str,),
-    "parameters": (list,),
-}
-_ENTRY: Final[dict[str, tuple[type, ...]]] = {
-    "number": (int,),
-    "name": (str,),
-    "format": (str,),
-    "values": (list,),
-    "unreadable": (str,),
-    "read_only": (bool,),
-}
+_FILE: Final = ListFile(
+    program="dpstack acyclic",
+    comment="Parameters of a device; `dpstack acyclic CONFIG ADDRESS compare FILE` tells where a device differs.",
+    kind="record 47",
+    head={"name": str, "address": int, "ident": int, "slot": int, "object": int, "time": str},
+    entry={
+        "number": (int,),
+        "name": (str,),
+        "format": (str,),
+        "values": (list,),
+        "unreadable": (str,),
+        "read_only": (bool,),
+    },
+    value="values",
+)
 
 #: of one element: a number in its unit, a truth value, a text; octets that are nothing else as hex
 Element = int | float | bool | str
@@ -131,77 +123,37 @@ class RecordList:
     def text(self) -> str:
         """As it stands in a file."""
         head = [
-            "# Parameters of a device; `dpstack acyclic CONFIG ADDRESS compare FILE` tells where a device differs.",
-            f"format = {_FORMAT}",
-            f"kind = {quoted(_KIND)}",
             f"name = {quoted(self.name)}",
             f"address = {self.address}",
             f"ident = 0x{self.ident:04X}",
             f"slot = {self.slot}",
             f"object = {self.object}",
             f"time = {quoted(self.time)}",
-            "parameters = [",
         ]
-        return "\n".join([*head, *(one.line() for one in self.parameters), "]", ""])
+        return _FILE.text(head, (one.line() for one in self.parameters))
 
     @classmethod
     def parse(cls, text: str, where: str = "parameters") -> RecordList:
         """From a file's text. Raises ConfigError naming ``where`` and the parameter."""
-        try:
-            table = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:
-            raise ConfigError(f"{where}: no TOML: {error}; {_MAKE}") from None
-        if table.get("format") != _FORMAT or table.get("kind") != _KIND:
-            _refuse(where, f"kind = {quoted(_KIND)} is missing: this is no list of parameters of `dpstack acyclic`")
-        for key, kinds in _HEAD.items():
-            if type(table.get(key)) not in kinds:
-                _refuse(where, f"{key} is missing or of the wrong type")
-        if unknown := [key for key in table if key not in _HEAD]:
-            _refuse(where, f"there is no key {unknown[0]!r}")
-        entries = tuple(_entry(entry, f"{where}: entry {n}") for n, entry in enumerate(table["parameters"], 1))
-        seen: set[int] = set()
-        for one in entries:
-            if one.number in seen:
-                _refuse(where, f"parameter {one.number} is there twice")
-            seen.add(one.number)
-        head = {key: table[key] for key in ("name", "address", "ident", "slot", "object", "time")}
-        return cls(**head, parameters=entries)
+        head, entries = _FILE.parse(text, where)
+        params = tuple(_entry(entry, f"{where}: entry {n}") for n, entry in enumerate(entries, 1))
+        _FILE.once(where, ((one.number, f"parameter {one.number}") for one in params))
+        return cls(**head, parameters=params)
 
     @classmethod
     def load(cls, path: str | Path) -> RecordList:
         """From a file. Raises ConfigError."""
-        try:
-            text = Path(path).read_text(encoding="utf-8")
-        except OSError as error:
-            raise ConfigError(f"{path}: {error.strerror or error}; {_MAKE}") from None
-        except UnicodeDecodeError:
-            raise ConfigError(f"{path}: not UTF-8 text; {_MAKE}") from None
-        return cls.parse(text, str(path))
+        return cls.parse(_FILE.load(path), str(path))
 
 
 def _entry(entry: object, where: str) -> ListedValues:
-    if not isinstance(entry, Mapping):
-        _refuse(where, "is no table")
-    number = entry.get("number")
-    if type(number) is not int:
-        _refuse(where, "needs a number")
-    where = f"{where} (parameter {number})"
-    for key, value in entry.items():
-        kinds = _ENTRY.get(key)
-        if kinds is None:
-            _refuse(where, f"there is no key {key!r}; there are {', '.join(_ENTRY)}")
-        if type(value) not in kinds:
-            _refuse(where, f"{key} = {value!r} is of the wrong type")
-    if ("values" in entry) == ("unreadable" in entry):
-        _refuse(where, "needs either values or unreadable")
-    for at, value in enumerate(entry.get("values", ())):
+    if isinstance(entry, Mapping) and type(entry.get("number")) is int:
+        where = f"{where} (parameter {entry['number']})"
+    told = _FILE.check(entry, where, ("number",))
+    for at, value in enumerate(told.get("values", ())):
         if type(value) not in (int, float, bool, str):
-            _refuse(where, f"element {at} of its values, {value!r}, is neither a number nor a text")
-    return ListedValues.from_dict(entry)
-
-
-def _refuse(where: str, what: str) -> NoReturn:
-    raise ConfigError(f"{where}: {what}; correct the line, or make the file anew by `dpstack acyclic ... dump`")
+            _FILE.refuse(where, f"element {at} of its values, {value!r}, is neither a number nor a text")
+    return ListedValues.from_dict(told)
 
 
 def _toml(value: Element) -> str:

@@ -9,7 +9,7 @@ from typing import TypeVar
 from dpstack.api.arguments import whole
 from dpstack.api.records import RecordAccess
 from dpstack.dp.v1.codes import Decode
-from dpstack.dp.v1.records import MAX_SLOT
+from dpstack.dp.v1.records import MAX_RECORD, MAX_SLOT
 from dpstack.errors import (
     AcyclicError,
     DriveError,
@@ -57,16 +57,25 @@ class RecordParameters:
 
     ``timeout`` in seconds, None: as long as every single answer is in time. What the drive refuses is an ErrorValue in
     its place; all methods raise DriveTimeout where it does not answer, ParameterError where it has no record 47.
+    ``longest``: octets that one Read or Write takes, where ``limits`` does not say it.
     """
 
     def __init__(
-        self, name: str, carry_out: CarryOut, slot: int, *, object: int = 1, limits: Limits | None = None
+        self,
+        name: str,
+        carry_out: CarryOut,
+        slot: int,
+        *,
+        object: int = 1,
+        limits: Limits | None = None,
+        longest: int = MAX_RECORD,
     ) -> None:
         self._name = name
         self._carry_out = carry_out
         whole(slot, "slot", 0, MAX_SLOT)
         whole(object, "object", 0, 255)
-        self._client = ParameterClient(slot, object=object, limits=limits, references=PROGRAM)
+        known = Limits(octets=longest) if limits is None else limits
+        self._client = ParameterClient(slot, object=object, limits=known, references=PROGRAM)
         self._limits_known = limits is not None
         self._one_by_one = asyncio.Lock()
 
@@ -172,7 +181,7 @@ def _wanted(items: Iterable[Address | Item | int]) -> list[Address | Item]:
     return [Address(one) if isinstance(one, int) else one for one in found]
 
 
-def over_records(records: RecordAccess, timeout: float) -> CarryOut:
+def over_records(records: RecordAccess, timeout: float | None) -> CarryOut:
     """What the slave refuses is an answer, and so is its silence; other failures are raised as by Read and Write."""
 
     async def carry_out(request: ReadReq | WriteReq) -> bytes | Refused | Silent:

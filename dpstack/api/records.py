@@ -5,25 +5,42 @@ from __future__ import annotations
 import abc
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator
-from typing import TYPE_CHECKING, Final
+from collections.abc import AsyncIterator, Awaitable, Callable
+from typing import TYPE_CHECKING, Final, TypeVar
 
 from dpstack.api.arguments import octets_of, time_of
 from dpstack.dp.setup import SlaveSetup
-from dpstack.dp.v1.im import IM_INDEX, Im, Im0, build_call, number_of, parse_answer
+from dpstack.dp.v1.codes import AGAIN, Decode
+from dpstack.dp.v1.im import IM_ANSWER, IM_INDEX, Im, Im0, build_call, number_of, parse_answer
 from dpstack.dp.v1.ms1 import ReadRecord, RecordDone, WriteRecord
 from dpstack.dp.v1.records import MAX_RECORD
 from dpstack.errors import AcyclicError, PduError, SlaveFault, SlaveTimeout, UsageError
+from dpstack.units import ns_to_s
 
 if TYPE_CHECKING:
     from dpstack.api.services import Services
 
-#: in seconds, for one service from the order on, those before it included
+T = TypeVar("T")
+#: in seconds, for one service from the order on, those before it included; longer where the slave may take longer
 TIMEOUT: Final = 10.0
+#: beyond what the slave may take
+_MARGIN: Final = 1.0
+#: in seconds: how long a slave may not be ready for a call, and the pauses before it is asked again
+_PATIENCE: Final = 2.0
+_FIRST_PAUSE: Final = 0.002
+_LONGEST_PAUSE: Final = 0.05
+
+
+def usual_timeout(response_ns: int) -> float:
+    """In seconds: 10, longer where the slave may work at a service for ``response_ns`` (0: not known)."""
+    return max(TIMEOUT, ns_to_s(response_ns) + _MARGIN)
 
 
 class RecordAccess(abc.ABC):
-    """Read and Write of one slave, and what is made of them. A ``timeout`` in seconds counts from the call."""
+    """Read and Write of one slave, and what is made of them.
+
+    A ``timeout`` in seconds counts from the call; None: :func:`usual_timeout`.
+    """
 
     @property
     @abc.abstractmethod
@@ -37,31 +54,45 @@ class RecordAccess(abc.ABC):
 
     @property
     @abc.abstractmethod
+    def longest(self) -> int:
+        """Octets of data in one service, at most."""
+
+    @property
+    @abc.abstractmethod
+    def usual_timeout(self) -> float:
+        """Of a service where nothing is said, in seconds."""
+
+    @property
+    @abc.abstractmethod
     def im_call(self) -> asyncio.Lock:
         """Held over an I&M call and what it gives: the slave knows one call at a time."""
 
     @abc.abstractmethod
-    async def read(self, slot: int, index: int, length: int | None = None, *, timeout: float = TIMEOUT) -> bytes:
+    async def read(self, slot: int, index: int, length: int | None = None, *, timeout: float | None = None) -> bytes:
         """Up to ``length`` octets of a record, None: as many as it can have."""
 
     @abc.abstractmethod
-    async def write(self, slot: int, index: int, data: bytes, *, timeout: float = TIMEOUT) -> None:
+    async def write(self, slot: int, index: int, data: bytes, *, timeout: float | None = None) -> None:
         """All of ``data``."""
 
-    async def im(self, number: int = 0, *, slot: int = 0, timeout: float = TIMEOUT) -> Im:
-        """I&M ``number`` 0..4 of ``slot``: the call, then what it gives. Raises as :meth:`read`."""
+    async def im(self, number: int = 0, *, slot: int = 0, timeout: float | None = None) -> Im:
+        """I&M ``number`` 0..4 of ``slot``: the call, then what it gives. Raises as :meth:`read`.
+
+        A slave that is not ready (0xB5, 0xC0 to 0xC2: the codes of the parameter channel) is asked again for up to 2 s.
+        """
         if not isinstance(number, int) or not 0 <= number <= 4:
             raise UsageError(f"there is no I&M{number!r}: 0..4")
         what = f"I&M{number} of slot {slot}"
         async with self._calling(what, timeout):
-            await self.write(slot, IM_INDEX, build_call(number), timeout=timeout)
-            octets = await self.read(slot, IM_INDEX, timeout=timeout)
+            await _until_ready(lambda: self.write(slot, IM_INDEX, build_call(number), timeout=timeout))
+            length = min(IM_ANSWER, self.longest)
+            octets = await _until_ready(lambda: self.read(slot, IM_INDEX, length, timeout=timeout))
         try:
             return parse_answer(octets, number)
         except PduError as error:
             raise SlaveFault(self.address, f"{self.who} gives no I&M{number}: {error}") from None
 
-    async def write_im(self, record: Im, *, slot: int = 0, timeout: float = TIMEOUT) -> None:
+    async def write_im(self, record: Im, *, slot: int = 0, timeout: float | None = None) -> None:
         """Write I&M1 to I&M4. Raises as :meth:`read`."""
         if not isinstance(record, Im):
             raise UsageError(
@@ -74,11 +105,16 @@ class RecordAccess(abc.ABC):
         except PduError as error:
             raise UsageError(str(error)) from None
         async with self._calling(f"I&M{number_of(record)} of slot {slot}", timeout):
-            await self.write(slot, IM_INDEX, call, timeout=timeout)
+            await _until_ready(lambda: self.write(slot, IM_INDEX, call, timeout=timeout))
+
+    def _time(self, timeout: float | None) -> int:
+        """In ns. Raises UsageError."""
+        return time_of(self.usual_timeout if timeout is None else timeout)
 
     @contextlib.asynccontextmanager
-    async def _calling(self, what: str, timeout: float) -> AsyncIterator[None]:
+    async def _calling(self, what: str, given: float | None) -> AsyncIterator[None]:
         """The only I&M call to this slave; a negative answer is told as one to ``what``."""
+        timeout = self.usual_timeout if given is None else given
         try:
             async with asyncio.timeout(timeout):
                 await self.im_call.acquire()
@@ -91,6 +127,20 @@ class RecordAccess(abc.ABC):
             raise error.about(what) from None
         finally:
             self.im_call.release()
+
+
+async def _until_ready(service: Callable[[], Awaitable[T]]) -> T:
+    """The result of ``service``, which is asked for again while the slave says that it is not ready."""
+    loop = asyncio.get_running_loop()
+    until, pause = loop.time() + _PATIENCE, _FIRST_PAUSE
+    while True:
+        try:
+            return await service()
+        except AcyclicError as error:
+            if error.error_decode != Decode.DPV1 or error.code_1 not in AGAIN or loop.time() + pause > until:
+                raise
+        await asyncio.sleep(pause)
+        pause = min(2 * pause, _LONGEST_PAUSE)
 
 
 class Records(RecordAccess):
@@ -115,25 +165,32 @@ class Records(RecordAccess):
         """One for all who ask this slave."""
         return self._services.im_call(self.address)
 
-    async def read(self, slot: int, index: int, length: int | None = None, *, timeout: float = TIMEOUT) -> bytes:
+    async def read(self, slot: int, index: int, length: int | None = None, *, timeout: float | None = None) -> bytes:
         """Up to ``length`` octets, None: as many as it can have."""
         token = self._services.token()
-        wanted = self._longest if length is None else length
-        command = ReadRecord(token, self.address, slot, index, wanted, time_of(timeout))
+        wanted = self.longest if length is None else length
+        command = ReadRecord(token, self.address, slot, index, wanted, self._time(timeout))
         return (await self._services.do(token, command, RecordDone)).outcome.data
 
-    async def write(self, slot: int, index: int, data: bytes, *, timeout: float = TIMEOUT) -> None:
+    async def write(self, slot: int, index: int, data: bytes, *, timeout: float | None = None) -> None:
         """All of ``data``."""
         octets = octets_of(data)
-        if self._longest < len(octets) <= MAX_RECORD:
+        if self.longest < len(octets) <= MAX_RECORD:
             raise UsageError(
-                f"{self.who}: {len(octets)} octets, its GSD file says C1_Max_Data_Len = {self._longest}: write less"
+                f"{self.who}: {len(octets)} octets, its GSD file says C1_Max_Data_Len = {self.longest}: write less"
             )
         token = self._services.token()
-        command = WriteRecord(token, self.address, slot, index, octets, time_of(timeout))
+        command = WriteRecord(token, self.address, slot, index, octets, self._time(timeout))
         await self._services.do(token, command, RecordDone)
 
     @property
-    def _longest(self) -> int:
+    def usual_timeout(self) -> float:
+        """By C1_Response_Timeout."""
+        dpv1 = self._setup.dpv1
+        return usual_timeout(0 if dpv1 is None else dpv1.c1_response_timeout_ns)
+
+    @property
+    def longest(self) -> int:
+        """C1_Max_Data_Len."""
         dpv1 = self._setup.dpv1
         return MAX_RECORD if dpv1 is None else dpv1.c1_max_data_len

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Unpack
 
 from dpstack.api.alarms import AlarmStream, StatusStream
 from dpstack.api.record_parameters import RecordParameters, over_records
-from dpstack.api.records import TIMEOUT, Records
+from dpstack.api.records import Records
 from dpstack.api.slave_changes import Changes, changed
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.dp import faults
@@ -236,34 +236,36 @@ class Slave:
 
     # --- DP-V1 --------------------------------------------------------------------------------------------------
 
-    async def read(self, slot: int, index: int, length: int | None = None, *, timeout: float = TIMEOUT) -> bytes:
+    async def read(self, slot: int, index: int, length: int | None = None, *, timeout: float | None = None) -> bytes:
         """Read a record of DP-V1: ``slot`` 0..254, ``index`` 0..255; up to ``length`` octets (None: all there are).
 
         Open in data exchange, where the slave is parameterised for it (``dpv1``). One service per slave is under way,
-        others wait; the cycle goes on. ``timeout`` in seconds from the call; the slave has its C1_Response_Timeout.
+        others wait; the cycle goes on. ``timeout`` in seconds from the call (None: 10, longer where C1_Response_Timeout
+        is); the slave has its C1_Response_Timeout.
         Raises AcyclicError (the slave refuses: class, code, text), ServiceRefused (it has no Read and Write),
         SlaveTimeout, SlaveFault (it left data exchange, or answers what cannot be), UsageError, BusError.
         """
         return await self._records.read(slot, index, length, timeout=timeout)
 
-    async def write(self, slot: int, index: int, data: bytes, *, timeout: float = TIMEOUT) -> None:
+    async def write(self, slot: int, index: int, data: bytes, *, timeout: float | None = None) -> None:
         """Write a record of DP-V1, up to 240 octets; otherwise as :meth:`read`."""
         await self._records.write(slot, index, data, timeout=timeout)
 
-    async def im(self, number: int = 0, *, slot: int = 0, timeout: float = TIMEOUT) -> Im:
+    async def im(self, number: int = 0, *, slot: int = 0, timeout: float | None = None) -> Im:
         """I&M ``number`` 0..4 of ``slot``. Raises as :meth:`read`; AcyclicError where the slave has it not."""
         return await self._records.im(number, slot=slot, timeout=timeout)
 
-    async def write_im(self, record: Im, *, slot: int = 0, timeout: float = TIMEOUT) -> None:
+    async def write_im(self, record: Im, *, slot: int = 0, timeout: float | None = None) -> None:
         """Write I&M1 to I&M4. Raises as :meth:`read`."""
         await self._records.write_im(record, slot=slot, timeout=timeout)
 
-    def parameters(self, slot: int = 1, *, object: int = 1, timeout: float = TIMEOUT) -> RecordParameters:
+    def parameters(self, slot: int = 1, *, object: int = 1, timeout: float | None = None) -> RecordParameters:
         """PROFIdrive's parameter access, record 47 of ``slot``: many parameters, arrays, the drive's own list.
 
         ``object``: axis or drive object; ``timeout`` in seconds for each Read and Write. Make one and keep it.
         """
-        return RecordParameters(self.name, over_records(self._records, timeout), slot, object=object)
+        records = self._records
+        return RecordParameters(self.name, over_records(records, timeout), slot, object=object, longest=records.longest)
 
     def alarms(self, *, acknowledge: bool = True) -> AlarmStream:
         """Alarms from now on: an async iterator of :class:`~dpstack.api.alarms.SlaveAlarm`, each one once, in order.

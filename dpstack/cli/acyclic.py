@@ -14,9 +14,9 @@ from dpstack.api.config import Config, load_config
 from dpstack.api.control.records import through_run
 from dpstack.api.drive_words import find_word
 from dpstack.api.events import AddressCollision, Event, FaultKind, Notice, Severity, SlaveFaulted, severity_of
+from dpstack.api.list_file import FileToBe
 from dpstack.api.one_drive import READY_S
 from dpstack.api.opening import open_bus
-from dpstack.api.parameter_list import FileToBe
 from dpstack.api.record_dump import list_of
 from dpstack.api.record_list import RecordList
 from dpstack.api.slave_config import SlaveConfig

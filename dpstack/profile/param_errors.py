@@ -1,8 +1,8 @@
 """The error numbers of PROFIdrive's parameter access and their texts, for PKW and for record 47 alike.
 
 Sources: LS CPDP-S100 manual 6.2.1; ABB RETA-02 manual p87 and p88; Siemens G130 manual p230 (16, of its own; what goes
-with a number) and G120C manual p225 (12 and Siemens' own); PI's sample of a PROFIdrive 4.2 drive (33 to 35). 101 and
-above are the maker's: the same number is another error with each.
+with a number), G120C manual p225 (12 and Siemens' own) and SINAMICS manual p100 (127 to 133); PI's sample of a
+PROFIdrive 4.2 drive (33 to 35). 101 and above are the maker's: the same number is another error with each.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class ErrorText(NamedTuple):
 
 ILLEGAL_NUMBER, READ_ONLY, LIMITS, BAD_SUBINDEX, NO_ARRAY, BAD_TYPE, ONLY_RESET = range(7)
 NO_DESCRIPTION, NO_RIGHTS, NO_TEXT, OPERATING_STATE = 0x09, 0x0B, 0x0F, 0x11
-TOO_MANY, ONE_ONLY = 0x22, 0x23
+NO_SERVICE, TOO_MANY, ONE_ONLY = 0x21, 0x22, 0x23
 NOT_PERMITTED, TOO_LONG, BAD_ADDRESS, BAD_FORMAT, BAD_COUNT, NO_OBJECT = 0x14, 0x15, 0x16, 0x17, 0x18, 0x19
 
 _ROWS: Final[Mapping[int, ErrorText]] = {
@@ -48,7 +48,7 @@ _ROWS: Final[Mapping[int, ErrorText]] = {
     BAD_COUNT: ErrorText("number of values inconsistent"),
     NO_OBJECT: ErrorText("there is no such drive object"),
     0x20: ErrorText("the text cannot be changed", SUBINDEX),
-    0x21: ErrorText("the service is not supported"),
+    NO_SERVICE: ErrorText("the service is not supported"),
     TOO_MANY: ErrorText("too many parameters in one request"),
     ONE_ONLY: ErrorText("only one parameter a request is possible"),
 }
@@ -59,6 +59,12 @@ SIEMENS: Final[Mapping[int, str]] = {
     0x68: "the parameter takes only certain values",
     0x6A: "there is no such request",
     0x6B: "no change while the controller is enabled",
+    0x7F: "can be changed in device commissioning only (p0009 is not 0)",
+    0x81: "no change during a download",
+    0x82: "the master control cannot be transferred (BI: p0806)",
+    0x83: "this BICO interconnection is not possible",
+    0x84: "the change is inhibited (p0300, p0400, p0922)",
+    0x85: "there is no access method",
     0x86: "can be changed in commissioning only (p0010 = 15)",
     0x87: "protected as know-how",
     0xC8: "below the limit that is valid now",

@@ -36,7 +36,7 @@ CALLS: dict[str, tuple[Call, str]] = {
     "a slot": (lambda s, c: s.read(odd("1"), 1), "slot = '1' is no whole number"),
     "an index": (lambda s, c: c.read(1, odd(1.0)), "index = 1.0 is no whole number"),
     "a length": (lambda s, c: s.read(1, 1, odd("2")), "length = '2' is no whole number"),
-    "no time": (lambda s, c: s.read(1, 1, timeout=ODD), "timeout = None is no time for a service: seconds are"),
+    "no time": (lambda s, c: s.read(1, 1, timeout=odd("1")), "timeout = .1. is no time for a service: seconds are"),
     "an I&M number": (lambda s, c: s.im(odd("0")), "there is no I&M'0': 0..4"),
     "an I&M class": (lambda s, c: s.write_im(odd(Im1)), "is no I&M record: give one of Im1 to Im4"),
     "an I&M table": (lambda s, c: s.write_im(odd({"date": "2026"})), "is no I&M record: give one of Im1 to Im4"),

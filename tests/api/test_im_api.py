@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable, Coroutine
 from typing import Any
 
@@ -13,7 +14,9 @@ import dpstack
 from dpstack import AcyclicError, DpSlave, Im0, Im1, Im2, RecordRefused, SlaveDescription
 from dpstack.api.acyclic_words import carry_out
 from dpstack.dp.v1.device_records import RecordTable
-from dpstack.dp.v1.im import Im, Im3, number_of
+from dpstack.dp.v1.im import Im, Im3, build_call, number_of
+from dpstack.dp.v1.records import WriteReq
+from dpstack.dp.v1.tickets import Ticket
 from dpstack.sim.world import World
 
 RIG = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True)
@@ -141,3 +144,58 @@ def test_i_and_m_beside_records(world: WorldFactory) -> None:
         assert await slave.im() == Im0()
 
     with_slave(world(), served, program)
+
+
+class Slow:
+    """A slave whose calls take their time: it is not ready as often as ``busy`` says, with these codes."""
+
+    def __init__(self, busy: int, code: int) -> None:
+        self.busy = busy
+        self.code = code
+        self.asked: list[str] = []
+        self._left = busy
+
+    def ask(self, ticket: Ticket) -> None:
+        request = ticket.request
+        self.asked.append(request.build().hex(" ").upper())
+        self._left -= 1
+        if self._left >= 0:
+            ticket.refuse(self.code)
+            return
+        self._left = self.busy
+        ticket.answer(b"" if isinstance(request, WriteReq) else build_call(1) + Im1("pump").build())
+
+
+@pytest.mark.parametrize("code", [0xB5, 0xC0, 0xC2])
+def test_a_slave_that_is_not_ready_is_asked_again(world: WorldFactory, code: int) -> None:
+    slow = Slow(3, code)
+
+    async def program(slave: dpstack.Slave) -> None:
+        assert await slave.im(1) == Im1("pump")
+        await slave.write_im(Im1("fan"))
+
+    with_slave(world(), served(slow), program)
+    read = ["5E 00 FF 44"] * 4  # as L10 prints it
+    assert slow.asked[:8] == ["5F 00 FF 04 08 00 FD E9"] * 4 + read
+    assert len(slow.asked) == 12
+
+
+@pytest.mark.parametrize(("code", "asked"), [(0xB5, 40), (0xB0, 1)])
+def test_one_that_never_is_ready_and_one_that_has_none(world: WorldFactory, code: int, asked: int) -> None:
+    slow = Slow(1000, code)
+
+    async def program(slave: dpstack.Slave) -> None:
+        begun = asyncio.get_running_loop().time()
+        with pytest.raises(AcyclicError, match="I&M1 of slot 0: slave 9 refuses Write of slot 0, index 255") as caught:
+            await slave.im(1)
+        assert caught.value.code_1 == code
+        assert asyncio.get_running_loop().time() - begun <= 2.2
+
+    with_slave(world(), served(slow), program)
+    assert asked // 2 <= len(slow.asked) <= asked * 2
+
+
+def served(records: Slow) -> DpSlave:
+    slave = DpSlave(RIG, lambda outputs, elapsed: outputs)
+    slave.records = records
+    return slave

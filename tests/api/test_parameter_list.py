@@ -14,7 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import dpstack
-from dpstack.api.parameter_list import FileToBe, ParameterList, SavedParam
+from dpstack.api.list_file import FileToBe
+from dpstack.api.parameter_list import ParameterList, SavedParam
 from dpstack.errors import ConfigError, UsageError
 from dpstack.profile import DriveDevice
 
@@ -108,12 +109,12 @@ def test_what_is_written_is_read(params: list[SavedParam], name: str, complete: 
         ("address = 3", 'address = "3"', "address is missing or of the wrong type"),
         ("complete = true", "complete = 1", "complete is missing or of the wrong type"),
         ("address = 3", "address = 3\nnode = 3", "there is no key 'node'"),
-        ("value = 15", "value = true", "parameter 3: value = True is of the wrong type"),
-        ("value = 15", "value = nan", "parameter 3: value = nan is of the wrong type"),
-        ("value = 15,", "", "parameter 3: F26 needs either value or unreadable"),
-        ("value = 15", 'value = 15, unreadable = ""', "F26 needs either value or unreadable"),
-        ("subindex = 26", "sub = 26", "parameter 3: there is no key 'sub'; there are name, number, subindex"),
-        ("number = 260, ", "", "parameter 3: needs name and number"),
+        ("value = 15", "value = true", "parameter 3 (F26): value = True is of the wrong type"),
+        ("value = 15", "value = nan", "parameter 3 (F26): value = nan is of the wrong type"),
+        ("value = 15,", "", "parameter 3 (F26): needs either value or unreadable"),
+        ("value = 15", 'value = 15, unreadable = ""', "parameter 3 (F26): needs either value or unreadable"),
+        ("subindex = 26", "sub = 26", "parameter 3 (F26): there is no key 'sub'; there are name, number, subindex"),
+        ("number = 260, ", "", "parameter 3 (F26): needs name and number"),
         ('name = "F26"', 'name = "Fixed_Frequency_1", data_set = 3', "Fixed_Frequency_1, data set 3, index 0"),
         ('  { name = "F26"', '  5, { name = "F26"', "parameter 3: is no table"),
         ("parameters = [", "parameters = [[", "no TOML"),

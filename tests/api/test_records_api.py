@@ -186,6 +186,30 @@ def test_other_errors(world: WorldFactory) -> None:
     rig(world(), program, dpv1={"response_timeout_ms": 50})
 
 
+def test_a_slave_may_take_longer_than_10_s_where_that_is_known() -> None:
+    async def read(slot: int, index: int) -> bytes:
+        await asyncio.sleep(11)
+        return b"\x07"
+
+    slow = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True, ms2=1)
+    served = DpSlave(slow, lambda outputs, elapsed: outputs, on_read=read)
+
+    async def main() -> None:
+        world = World()
+        table = slow.table(9) | {"dpv1": {"response_timeout_ms": 12_000}}
+        async with (
+            dpstack.serve_slave(served, world=world, address=9, baud=9600),
+            dpstack.open_bus(world=world, baud=9600, slaves=[table]) as bus,  # few telegrams
+        ):
+            await bus.ready()
+            mine = bus.class2.connect(9, response_timeout=12)
+            async with mine as connection:
+                first, second = await asyncio.gather(bus.slave(9).read(1, 1), connection.read(1, 1))
+            assert first == second == b"\x07"
+
+    virtual(main())
+
+
 def test_the_slave_goes_while_it_is_read(world: WorldFactory) -> None:
     async def program(bus: dpstack.Bus, served: ServedSlave) -> None:
         reading = asyncio.create_task(bus.slave(9).read(1, 11))

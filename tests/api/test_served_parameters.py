@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from api_kit import virtual
 from slave_kit import Bench
 
 import dpstack
 from dpstack import DpSlave, SlaveDescription
 from dpstack.dp.events import SlaveState
+from dpstack.dp.v1.records import WriteReq
+from dpstack.dp.v1.tickets import Ticket
 from dpstack.fdl.telegram import Resp
 from dpstack.fdl.user import SC_REPLY
 from dpstack.profile import ParamSpec, ParamStore, ParamTable
@@ -103,3 +107,47 @@ def test_a_list_is_read_within_the_limits_that_the_drive_tells() -> None:
             assert parameters.counters.requests == 2 * first - 1  # asked for once
 
     virtual(main())
+
+
+class Lengths:
+    """Record 47, and how long the Writes and Reads of it were."""
+
+    def __init__(self, server: TimedRecords) -> None:
+        self._server = server
+        self.written: list[int] = []
+        self.read: list[int] = []
+
+    def ask(self, ticket: Ticket) -> None:
+        request = ticket.request
+        if isinstance(request, WriteReq):
+            self.written.append(len(request.data))
+        else:
+            self.read.append(request.length)
+        self._server.ask(ticket)
+
+
+def test_no_request_is_longer_than_c1_max_data_len(tmp_path: Path) -> None:
+    gsd = tmp_path / "drive.gsd"
+    gsd.write_text(
+        "#Profibus_DP\nGSD_Revision = 5\nIdent_Number = 0x1234\n500_supp = 1\nMaxTsdr_500 = 100\nDPV1_Slave = 1\n"
+        "C1_Read_Write_supp = 1\nC1_Max_Data_Len = 64\nMax_User_Prm_Data_Len = 3\n"
+        'Ext_User_Prm_Data_Const(0) = 0, 0, 0\nModule = "word" 0x10, 0x20\n1\nEndModule\n'
+    )
+    table = ParamTable(ParamSpec(number=n, name=f"p{n}", title="Word", factory=n) for n in range(1, 40))
+    records = Lengths(TimedRecords(ParameterServer(StoreParameters(ParamStore(table, {})))))
+    slave = DpSlave(RIG, lambda outputs, elapsed: bytes(1), parameters=records)
+
+    async def main() -> None:
+        world = dpstack.World()
+        rigged = {"name": "rig", "address": 9, "gsd": str(gsd), "modules": [1]}
+        async with (
+            dpstack.serve_slave(slave, world=world, address=9),
+            dpstack.open_bus(world=world, baud=500_000, slaves=[rigged]) as bus,
+        ):
+            await bus.ready()
+            found = await bus.slave(9).parameters().read([Address(n) for n in range(1, 40)])
+            assert found == [Values(6, (n,)) for n in range(1, 40)]
+
+    virtual(main())
+    assert max(records.written) <= 64
+    assert set(records.read) == {64}

@@ -61,6 +61,17 @@ def test_at_sap_50_beside_a_read_that_takes_its_time() -> None:
     kit.end(token)
 
 
+def test_at_sap_51_where_sap_50_is_closed_after_all() -> None:
+    kit = AlarmBus(dpv1=Dpv1(alarms=ALL, extra_alarm_sap=True))
+    slave = kit.alarm_slave
+    slave.says[50] = lambda octets: status(4, RS)
+    slave.raises(PROCESS, block(2, 4), block(2, 5))
+    kit.until(lambda: len(kit.ends) == 3)
+    assert slave.taken == [PROCESS, block(2, 4), block(2, 5)]
+    assert (kit.counts.raised, kit.counts.acknowledged, kit.counts.refused) == (3, 3, 0)
+    assert len([remark for remark in kit.remarks if "SAP 50 is closed" in remark]) == 1
+
+
 def test_at_sap_51_before_reads_that_wait() -> None:
     kit = AlarmBus()
     slave = kit.alarm_slave

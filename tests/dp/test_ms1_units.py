@@ -8,6 +8,7 @@ from ms1_kit import DL, MS, SC, Ms1Bus, answer
 
 from dpstack.dp.acyclic import CAPACITY
 from dpstack.dp.commands import Mode, SetMode
+from dpstack.dp.v1.status import Dpv1
 from dpstack.dp.v1.unit_records import Outcome, PendingRecord, ReadReq, RecordQueue, ServiceFailure, WriteReq
 
 
@@ -33,8 +34,8 @@ class Unit:
         return []
 
 
-def bus_with_unit() -> tuple[Ms1Bus, RecordQueue]:
-    bus = Ms1Bus()
+def bus_with_unit(dpv1: Dpv1 | None = None) -> tuple[Ms1Bus, RecordQueue]:
+    bus = Ms1Bus() if dpv1 is None else Ms1Bus(dpv1=dpv1)
     unit = Unit()
     bus.master.handlers[4].image.unit = unit
     bus.send(SetMode(Mode.OPERATE))
@@ -73,6 +74,16 @@ def test_a_negative_answer_and_what_cannot_be() -> None:
     wrong = end(bus, queue.submit(ReadReq(1, 300, 240)))
     assert wrong.failure is ServiceFailure.LENGTH
     assert said(bus) == ["5E 01 2F F0"]
+
+
+def test_no_record_is_longer_than_the_slave_takes() -> None:
+    bus, queue = bus_with_unit(Dpv1(c1_max_data_len=64))
+    bus.slave.ms1 = lambda data: answer(4, {b"\x5f": "5F 01 2F 40", b"\x5e": "5E 01 2F 01 0A"}[data[:1]])
+    refused = end(bus, queue.submit(WriteReq(1, 47, bytes(65))))
+    assert (refused.failure, refused.codes) == (ServiceFailure.NEGATIVE, (0x80, 0xB1, 0))
+    assert end(bus, queue.submit(WriteReq(1, 47, bytes(64)))) == Outcome()
+    assert end(bus, queue.submit(ReadReq(1, 47, 240))) == Outcome(b"\x0a")
+    assert said(bus) == [f"5F 01 2F 40{64 * ' 00'}", "5E 01 2F 40"]
 
 
 def test_it_waits_for_its_turn_when_a_program_has_many() -> None:

@@ -21,6 +21,7 @@ from dpstack.dp.v1.alarms import (
     parse_block,
     status_name,
 )
+from dpstack.dp.v1.redundancy import PrmFunction, RedState, Redundancy
 from dpstack.errors import PduError
 
 BLOCKS: list[tuple[Alarm | Status, str, str]] = [
@@ -133,3 +134,41 @@ def test_any_octets_are_a_block_or_an_error(octets: bytes) -> None:
         assert pdu.text
     with contextlib.suppress(PduError):
         assert AlarmAck.parse(octets).build() == octets
+
+
+PRIMARY = "primary, data exchange, baud rate found"
+
+
+@pytest.mark.parametrize(
+    ("octets", "found", "told"),
+    [
+        (  # AUMA AC 01.2 manual p46, table 34
+            "08 9E 00 18 02 2A 21 00",
+            Redundancy(3, PrmFunction.PRIMARY_REQUEST, RedState(0x2A), RedState(0x21)),
+            "PrmCmdAck, slot 0, sequence number 3, function: primary request; "
+            f"this side: {PRIMARY}; the other side: backup, baud rate found",
+        ),
+        (
+            "08 9F 00 F8 00 45 12 00",
+            Redundancy(31, PrmFunction(0), RedState(0x45), RedState(0x12)),
+            "Red_State, slot 0, sequence number 31, function: none; "
+            "this side: backup, hardware defect, output hold time; the other side: primary, master state clear",
+        ),
+        (
+            "07 9E 00 00 DC 88 00",
+            Redundancy(0, PrmFunction(0xDC), RedState(0x88), RedState(0)),
+            "PrmCmdAck, slot 0, sequence number 0, function: stop ms1, start ms1, check properties, "
+            "master state clear, 0x80 (reserved); this side: data exchange, 0x80 (reserved); the other side: none",
+        ),
+        ("06 9E 00 08 02 2A", None, "PrmCmdAck, slot 0, data 02 2a"),
+        ("08 81 00 00 02 2A 21 00", None, "status message, slot 0, data 02 2a 21 00"),
+    ],
+)
+def test_what_a_redundant_slave_says(octets: str, found: Redundancy | None, told: str) -> None:
+    status = parse_block(bytes.fromhex(octets))
+    assert isinstance(status, Status)
+    assert status.redundancy == found
+    assert status.told == told
+    assert status.build() == bytes.fromhex(octets)
+    if found is not None and len(status.data) == 4:
+        assert found.octets == status.data

@@ -66,6 +66,8 @@ def read(name: str | int, response: str, index: int | None = None) -> dict[str, 
         (1520, "01 01 01 01 08 01 41 F0 00 00", 30.0, 0x41F00000),
         (2000, "01 01 01 01 71 01 20 00", 0.5, 0x2000),  # N2
         (2001, "01 01 01 01 01 01 01 00", True, 1),
+        (965, "01 01 01 01 0A 02 03 2A", 0x032A, 0x032A),  # an OctetString of two in profile 4.2
+        (975, "01 01 01 01 0E 01 81 00", 0x81, 0x81),  # BitString
     ],
 )
 def test_values_in_their_units(name: str | int, response: str, value: object, raw: int) -> None:
@@ -103,6 +105,8 @@ def test_where_one_of_them_is_refused_each_is_asked_by_itself() -> None:
 def test_what_is_no_number_says_what_it_is() -> None:
     with pytest.raises(CommandError, match="parameter 919 is no number but VisibleString: 'LS'"):
         read(919, "01 01 01 01 09 02 4C 53")
+    with pytest.raises(CommandError, match="parameter 919 is no number but OctetString: b'12345'"):
+        read(919, "01 01 01 01 0A 05 31 32 33 34 35 00")
 
 
 @pytest.mark.parametrize(

@@ -168,6 +168,17 @@ def test_changes_that_succeed_and_that_fail_in_part() -> None:
         talk(master.change([(Address(5, 0, 2), Values(6, (1,)))]), drive)
 
 
+@pytest.mark.parametrize("answer", ["02 80 01 02 44 01 00 21", "02 80 01 02"])
+def test_a_drive_that_does_not_have_the_request_id(answer: str) -> None:
+    drive = Script("", "01 01 01 01 06 01 00 05", "", answer)
+    master = client()
+    assert talk(master.read([Address(922)]), drive) == [Values(6, (5,))]
+    both = [(Address(1), Values(6, (1,))), (Address(2), Values(6, (2,)))]
+    assert talk(master.change(both), drive) == [ErrorValue(0x21), ErrorValue(0x21)]
+    assert drive.said[-1] == "5E 01 2F F0"  # asked for once
+    assert master.counters.strays == 0
+
+
 def test_one_error_for_a_whole_request_counts_for_each() -> None:
     drive = Script("", "01 81 05 01 44 01 00 19")
     master = ParameterClient(1, object=5)
@@ -331,3 +342,12 @@ def test_texts_of_16_characters() -> None:
     with pytest.raises(CommandError, match="texts of parameter 300: error 15, no text array"):
         talk(texts(master, 300, 1, first=2), drive)
     assert drive.said[2] == "5F 01 2F 0A 02 01 01 01 30 01 01 2C 00 02"
+
+
+@pytest.mark.parametrize("answer", ["01 81 01 01 44 01 00 16", "01 01 01 01 09 10 {off}"])
+def test_a_drive_that_gives_one_text_for_an_address(answer: str) -> None:
+    off, on = (name.ljust(16).encode().hex(" ") for name in ("off", "on"))
+    drive = Script("", answer.format(off=off), "", f"02 01 01 02 09 10 {off} 09 10 {on}")
+    assert talk(texts(client(), 300, 2, first=4), drive) == ["off", "on"]
+    assert drive.said[0] == "5F 01 2F 0A 01 01 01 01 30 02 01 2C 00 04"
+    assert drive.said[2] == "5F 01 2F 10 02 01 01 02 30 01 01 2C 00 04 30 01 01 2C 00 05"

@@ -331,6 +331,8 @@ ERROR_TEXTS = {
     0x23: "only one parameter",
     0x65: "the maker's own (Siemens: the parameter is switched off",
     0x6B: "the maker's own (Siemens: no change while the controller is enabled",
+    0x7F: "device commissioning only (p0009 is not 0)",
+    0x84: "the change is inhibited (p0300, p0400, p0922)",
     0x86: "commissioning only",
     0xC9: "above the limit",
     0xFE: "the maker's own",

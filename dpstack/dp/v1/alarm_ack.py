@@ -28,8 +28,7 @@ class AckJob(Ms1Job):
     why_closed = "see Extra_Alarm_SAP_supp of its GSD file (dpv1 = { extra_alarm_sap = ... })"
 
     def __init__(self, known: OpenAlarm, alarms: AlarmHandler, handler: SlaveHandler, ms1: Ms1) -> None:
-        dpv1 = handler.setup.dpv1
-        sap = SAP_MS1_ALARM if dpv1 is not None and dpv1.extra_alarm_sap else SAP_MS1
+        sap = SAP_MS1_ALARM if alarms.extra_sap else SAP_MS1
         self._ack = known.alarm.ack
         super().__init__(handler, ms1, self._ack.build(), HEAD, sap)
         self._known = known

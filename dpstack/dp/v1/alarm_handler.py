@@ -19,6 +19,8 @@ Decisions where the sources are silent:
 - An acknowledgement without an answer is sent again as long as the slave is in data exchange. When another alarm has
   taken its place under the same number, or in mode 0 one of the same type, the slave has had it.
 - A refused one is over, and told. A second one that is refused shows that the first had arrived.
+- Where SAP 50 is closed (RS), though GSD file or configuration say Extra_Alarm_SAP, it goes to SAP 51 from then on,
+  which takes it in every case (VPC3+: SAP 50 only where the slave was built for it).
 - More at a time than agreed are delivered all the same, up to :data:`MAX_OPEN`; what is beyond is dropped without
   acknowledgement, and the diagnosis is read again when there is room.
 - A kind that Set_Prm did not enable is neither delivered nor acknowledged: it may be no alarm at all, but a device
@@ -42,7 +44,7 @@ from dpstack.dp.v1.alarm_book import AlarmBook
 from dpstack.dp.v1.alarm_events import AlarmDone, AlarmRaised, StatusTold, texts_beside
 from dpstack.dp.v1.alarm_settling import Key, Settling
 from dpstack.dp.v1.alarms import Alarm, Status, alarm_name, kind_of, parse_block
-from dpstack.dp.v1.codes import Code
+from dpstack.dp.v1.codes import AGAIN
 from dpstack.dp.v1.status import ALARM_LIMITS, ALARM_MODE, ALARMS
 from dpstack.errors import PduError
 from dpstack.trace import Event
@@ -52,8 +54,6 @@ from dpstack.units import NEVER, NS_PER_MS
 MAX_OPEN: Final = 64
 #: before an acknowledgement is sent again for the first time, the second ...
 _AGAIN: Final = (100 * NS_PER_MS, 200 * NS_PER_MS, 500 * NS_PER_MS, 1000 * NS_PER_MS)
-#: the slave did not look at it now: "later"
-_BUSY: Final = (Code.STATE_CONFLICT, Code.READ_CONSTRAINT, Code.WRITE_CONSTRAINT, Code.RESOURCE_BUSY)
 _NO: Final = (ServiceFailure.NEGATIVE, ServiceFailure.REFUSED, ServiceFailure.LENGTH, ServiceFailure.GUARDED)
 
 
@@ -108,6 +108,8 @@ class AlarmHandler:
         #: in all; 0: one of each type
         self._limit = ALARM_LIMITS[sent[2] & ALARM_MODE]
         self._setup = setup
+        #: they are acknowledged at SAP 50
+        self.extra_sap = self._has_extra_sap
         self._findings = findings
         self._emit = emit
         self._ask = ask
@@ -295,7 +297,11 @@ class AlarmHandler:
         if self._open.get(Key.of(known.alarm)) is not known:
             return  # the slave left data exchange meanwhile
         refused = outcome.failure in _NO and not _busy(outcome)
-        if outcome.failure is None or (refused and known.unanswered):
+        if outcome.failure is ServiceFailure.REFUSED and self.extra_sap:
+            self.extra_sap = False
+            known.stage = Stage.WAITING
+            self._findings.remark(_NO_EXTRA_SAP, now)
+        elif outcome.failure is None or (refused and known.unanswered):
             self._over(known, Outcome(), now)
         elif refused:
             self._book.count("refused")
@@ -338,8 +344,13 @@ class AlarmHandler:
 
     # --- the end ------------------------------------------------------------------------------------------------
 
+    @property
+    def _has_extra_sap(self) -> bool:
+        return self._setup.dpv1 is not None and self._setup.dpv1.extra_alarm_sap
+
     def closed(self, now: int) -> None:
         """Data exchange is over, and with it all that is open."""
+        self.extra_sap = self._has_extra_sap
         text = f"slave {self._setup.address} ({self._setup.name}) left data exchange: its alarms are void"
         for known in self._open.values():
             if known.stage is Stage.HELD:
@@ -353,12 +364,15 @@ class AlarmHandler:
 
 
 def _busy(outcome: Outcome) -> bool:
-    return outcome.codes is not None and outcome.codes[1] in _BUSY
+    return outcome.codes is not None and outcome.codes[1] in AGAIN
 
 
 _MALFORMED: Final = "its diagnosis holds a device block that is neither alarm nor status ({why}): {octets}"
 _NOT_ENABLED: Final = (
     "its diagnosis holds a {what}, a kind that Set_Prm did not enable: neither delivered nor acknowledged; where it "
     'raises them put "{kind}" into dpv1 = {{ alarms = [...] }}'
+)
+_NO_EXTRA_SAP: Final = (
+    "SAP 50 is closed, though it says Extra_Alarm_SAP: its alarms are acknowledged at SAP 51 (extra_alarm_sap = false)"
 )
 _REFUSED: Final = "{why}; the alarm was delivered, but the slave may wait for ever"

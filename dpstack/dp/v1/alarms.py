@@ -10,6 +10,7 @@ from enum import IntEnum
 from typing import Final
 
 from dpstack.dp.v1.records import MAX_SLOT, Function
+from dpstack.dp.v1.redundancy import Redundancy
 from dpstack.dp.v1.wire import ALARM_ACK, MESSAGE, AlarmAckOctets, MessageOctets
 from dpstack.errors import PduError
 
@@ -178,17 +179,26 @@ class Status:
 
     @property
     def text(self) -> str:
-        """One line; of a module status every module that is not ok."""
+        """One line; of a module status every module that is not ok, of PrmCmdAck and Red_State what they say."""
         if self.type == StatusType.MODULES:
             bad = [f"slot {n} {state.text}" for n, state in enumerate(self.modules, 1) if state]
             return f"{self.title}: {', '.join(bad) or 'all modules ok'}"
-        how = Specifier(self.specifier).text
+        redundancy = self.redundancy
+        how = Specifier(self.specifier).text if redundancy is None else redundancy.text
         return f"{self.title}, slot {self.slot}" + (f", {how}" if how else "")
 
     @property
     def told(self) -> str:
         """:attr:`text` with its data, where they are not in it."""
-        return self.text if self.type == StatusType.MODULES else self.text + _hex(self.data)
+        decoded = self.type == StatusType.MODULES or self.redundancy is not None
+        return self.text if decoded else self.text + _hex(self.data)
+
+    @property
+    def redundancy(self) -> Redundancy | None:
+        """What a PrmCmdAck or Red_State says; None for all others, and where the data are too short."""
+        if self.type not in (StatusType.PRM_CMD_ACK, StatusType.RED_STATE):
+            return None
+        return Redundancy.of(self.reserved << 2 | self.specifier, self.data)
 
     @property
     def modules(self) -> tuple[ModuleState, ...]:

@@ -49,6 +49,8 @@ class Code(IntEnum):
     UNAVAILABLE = 0xC3
 
 
+#: not now: worth another try
+AGAIN: Final = frozenset({Code.STATE_CONFLICT, Code.READ_CONSTRAINT, Code.WRITE_CONSTRAINT, Code.RESOURCE_BUSY})
 _CLASSES: Final = {
     ErrorClass.APPLICATION: "application",
     ErrorClass.ACCESS: "access",

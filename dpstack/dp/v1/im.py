@@ -30,6 +30,8 @@ from dpstack.errors import PduError
 #: the record of every slot that calls go through
 IM_INDEX: Final = 255
 IM_LEN: Final = 64
+#: octets that a call gives: its head and the record
+IM_ANSWER: Final = 4 + IM_LEN
 _CALL: Final = 0x08
 _FIRST: Final = 65000
 #: FI_Index of I&M records: 65000..65199 are reserved for them

@@ -1,8 +1,8 @@
 """Structured parameters of Set_Prm (Prm_Structure in DPV1_Status_3): blocks, each with a head of four octets.
 
 Layouts: protocol facts C1 (VPC3+; ABB FPBA-01 manual p79); isochronous mode, VPC3+S manual p76; all others, numbers of
-types included, Hilscher's header of the DP slave stack (PBDPS_STRUCTURED_PARAMETER_...). The bits of PrmCmd's function
-and properties, and the units of its time, are in no public source: they stay as they stand.
+types included, Hilscher's header of the DP slave stack (PBDPS_STRUCTURED_PARAMETER_...); PrmCmd also AUMA AC 01.2
+manual p45 and p46 (table 33).
 """
 
 from __future__ import annotations
@@ -38,7 +38,11 @@ NAMES: Final = {int(one): one.name.lower() for one in BlockType}
 
 
 class PrmCmd(NamedTuple):
-    """A command to a redundant slave; its sequence number is in the specifier of the block's head."""
+    """A command to a redundant slave; its sequence number is in the specifier of the block's head, bits 7..3.
+
+    ``function``: :class:`~dpstack.dp.v1.redundancy.PrmFunction`. ``properties``: bit 0 Primary Request for MS0 and MS1
+    is used, 1 start and stop of MS1 are used, 2 the address changes, 3 by 64. ``output_hold_time`` in 10 ms.
+    """
 
     function: int = 0
     properties: int = 0

@@ -9,7 +9,7 @@ from typing import Final, NamedTuple, TypeVar
 from dpstack.dp.v1.codes import Decode
 from dpstack.dp.v1.unit_records import Outcome, ReadReq, RecordQueue, ServiceFailure, WriteReq
 from dpstack.profile.acyclic.client import ParameterClient
-from dpstack.profile.acyclic.formats import FORMATS, Raw, Value
+from dpstack.profile.acyclic.formats import BIT_STRING, FORMATS, OCTET_STRING, Raw, Value
 from dpstack.profile.acyclic.record47 import Address, ErrorValue, Result, Values
 from dpstack.profile.acyclic.services import Answer, Pause, Refused, Silent, Talk
 from dpstack.profile.channel import ParamKey
@@ -19,6 +19,9 @@ from dpstack.profile.param_errors import error_text
 from dpstack.profile.params import ParamSpec, ParamTable
 
 T = TypeVar("T")
+#: octets that are a number all the same: PNU 965 is an OctetString of 2, an Unsigned16 (TR LMP-30 manual p141)
+_NUMBERS: Final = frozenset({OCTET_STRING, BIT_STRING})
+_LONGEST_NUMBER: Final = 4
 #: the bus or the slave went away
 _LOST: Final = frozenset({ServiceFailure.LINE, ServiceFailure.CLOSED, ServiceFailure.CANCELLED})
 
@@ -265,7 +268,9 @@ def _outcome(place: Place, values: Values) -> dict[str, object]:
     spec = place.spec
     form = FORMATS[values.format]
     first = values.raws[0]
-    value: Value = form.value(first)
+    if isinstance(first, bytes) and form.number in _NUMBERS and 0 < len(first) <= _LONGEST_NUMBER:
+        first = int.from_bytes(first, "big")
+    value: Value = first if form.number in _NUMBERS else form.value(first)
     if isinstance(value, (str, bytes)):
         raise CommandError("parameter", f"{place.label} is no number but {form.name}: {value!r}")
     raw = first if isinstance(first, int) else int.from_bytes(form.pack((first,)), "big")

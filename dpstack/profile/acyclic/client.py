@@ -1,6 +1,7 @@
 """The master's end of record 47: a Write, then Reads until the drive has its response ready; requests one by one.
 
-Source: PROFIdrive base mode as SINAMICS, ABB and LS print it; "not ready" is the negative answer 0xB5 (LS 6.2.2).
+Source: PROFIdrive base mode as SINAMICS, ABB and LS print it; "not ready" is the negative answer 0xB5 (LS 6.2.2). A
+drive of profile 4.2 answers request ids that it does not have with 0x80 (Siemens' sample of such a drive).
 """
 
 from __future__ import annotations
@@ -9,14 +10,23 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from dpstack.dp.v1.codes import Code
+from dpstack.dp.v1.codes import AGAIN, Code
 from dpstack.dp.v1.records import ReadReq, WriteReq
 from dpstack.errors import PduError
 from dpstack.profile.acyclic.formats import ZERO
-from dpstack.profile.acyclic.record47 import INDEX, Address, ErrorValue, Request, RequestId, Response, Result, Values
+from dpstack.profile.acyclic.record47 import (
+    INDEX,
+    UNSUPPORTED,
+    Address,
+    ErrorValue,
+    Request,
+    RequestId,
+    Response,
+    Result,
+    Values,
+)
 from dpstack.profile.acyclic.services import (
     ABSENT,
-    AGAIN,
     Pause,
     Refused,
     Silent,
@@ -24,7 +34,7 @@ from dpstack.profile.acyclic.services import (
 )
 from dpstack.profile.acyclic.split import Item, Limits, Piece, batch, halves, joined, pieces
 from dpstack.profile.jobs import CommandError
-from dpstack.profile.param_errors import ONE_ONLY, TOO_LONG, TOO_MANY
+from dpstack.profile.param_errors import NO_SERVICE, ONE_ONLY, TOO_LONG, TOO_MANY
 from dpstack.units import NEVER, NS_PER_MS, NS_PER_S
 
 #: between two questions whether the response is there: short first, then twice as long each time
@@ -177,6 +187,9 @@ class ParameterClient:
         """One for each address. Raises CommandError where the drive answers something else."""
         count = len(request.addresses)
         results = response.results
+        if response.id == UNSUPPORTED:
+            error = next((one for one in results if isinstance(one, ErrorValue)), ErrorValue(NO_SERVICE))
+            return [error] * count
         if not response.negative and request.id == RequestId.CHANGE:
             return [Values(ZERO)] * count
         if response.negative and len(results) == 1 and isinstance(results[0], ErrorValue):
@@ -289,7 +302,7 @@ class ParameterClient:
                 raise CommandError("parameter", f"{self._place}: {error}") from None
             self.counters.garbage += 1
             return None, str(error)
-        if response.reference != request.reference or response.id != request.id:
+        if response.reference != request.reference or response.id not in (request.id, UNSUPPORTED):
             self.counters.strays += 1
             return None, f"the drive answers request {response.reference} (id {response.id}) instead of ours"
         return response, ""

@@ -100,7 +100,7 @@ class Format:
 
 
 BOOLEAN, INTEGER8, INTEGER16, INTEGER32, UNSIGNED8, UNSIGNED16, UNSIGNED32, FLOAT = range(1, 9)
-VISIBLE_STRING, OCTET_STRING = 9, 10
+VISIBLE_STRING, OCTET_STRING, BIT_STRING = 9, 10, 14
 #: no value: an answer to a change that succeeded beside others that did not
 ZERO: Final = 0x40
 BYTE, WORD, DOUBLE_WORD, ERROR = 0x41, 0x42, 0x43, 0x44
@@ -119,7 +119,7 @@ def _formats() -> Iterator[Format]:
     yield Format(OCTET_STRING, "OctetString", 1, string=True)
     yield Format(12, "TimeOfDay with date", 6)
     yield Format(13, "TimeDifference", 4, "I")
-    yield Format(14, "BitString", 1, string=True)
+    yield Format(BIT_STRING, "BitString", 1, string=True)
     yield Format(15, "FloatingPoint64", 8, "d")
     yield Format(50, "Date", 7)
     yield Format(52, "TimeOfDay", 4, "I")
@@ -156,9 +156,13 @@ _PROFILE: Final = (
 FORMATS: Final[Mapping[int, Format]] = {one.number: one for one in _formats()}
 
 
+class UnknownFormatError(PduError):
+    """The number of a format that is none: what follows it cannot be told apart."""
+
+
 def format_of(number: int) -> Format:
-    """Raises PduError for a number that is none."""
+    """Raises UnknownFormatError for a number that is none."""
     found = FORMATS.get(number)
     if found is None:
-        raise PduError(f"record 47: format {number:#04x} is none of the profile's")
+        raise UnknownFormatError(f"record 47: format {number:#04x} is none of the profile's")
     return found

@@ -250,13 +250,27 @@ def _description(result: Result) -> Description | None:
 
 
 def texts(client: ParameterClient, pnu: int, count: int, deadline: int = NEVER, *, first: int = 0) -> Talk[list[str]]:
-    """``count`` texts of 16 characters from ``first`` on, without trailing spaces. Raises CommandError."""
-    address = Address(pnu, first, count, Attribute.TEXT)
-    (found,) = yield from client.read([Item(address, width=TEXT_LEN)], deadline)
-    if isinstance(found, ErrorValue):
-        raise CommandError("parameter", f"texts of parameter {pnu}: {error_text(*found)}", found.number)
-    octets = format_of(found.format).pack(found.raws)
+    """``count`` texts of 16 characters from ``first`` on, without trailing spaces. Raises CommandError.
+
+    A drive may give only one text for an address (Siemens' sample of a profile 4.2 drive): one address for each then.
+    """
+    whole = Address(pnu, first, count, Attribute.TEXT)
+    found = yield from client.read([Item(whole, width=TEXT_LEN)], deadline)
+    if count > 1 and _is_short(found[0], count):
+        singly = [Item(whole._replace(subindex=at, elements=1), width=TEXT_LEN) for at in range(first, first + count)]
+        found = yield from client.read(singly, deadline)
+    octets = b""
+    for one in found:
+        if isinstance(one, ErrorValue):
+            raise CommandError("parameter", f"texts of parameter {pnu}: {error_text(*one)}", one.number)
+        octets += format_of(one.format).pack(one.raws)
     return [octets[at : at + TEXT_LEN].decode("latin-1").rstrip("\0 ") for at in range(0, count * TEXT_LEN, TEXT_LEN)]
+
+
+def _is_short(result: Result, count: int) -> bool:
+    if isinstance(result, ErrorValue):
+        return result.number == BAD_ADDRESS
+    return len(format_of(result.format).pack(result.raws)) < count * TEXT_LEN
 
 
 def read_out(

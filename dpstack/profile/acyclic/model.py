@@ -26,8 +26,8 @@ from dpstack.profile.acyclic.record47 import Address, ErrorValue, Result, Values
 from dpstack.profile.acyclic.split import Limits
 from dpstack.profile.param_errors import (
     BAD_ADDRESS,
-    BAD_FORMAT,
     BAD_SUBINDEX,
+    BAD_TYPE,
     ILLEGAL_NUMBER,
     LIMITS,
     NO_ARRAY,
@@ -128,7 +128,7 @@ class StoreParameters:
     def _checked(self, spec: ParamSpec, number: int, raw: Raw, subindex: int) -> int | ErrorValue:
         form = format_number(spec)
         if number not in (form, _SUBSTITUTES[form]) or not isinstance(raw, int):
-            return ErrorValue(BAD_FORMAT)
+            return ErrorValue(BAD_TYPE)
         if spec.read_only:
             return ErrorValue(READ_ONLY, subindex)
         checked = spec.from_pwe(raw)

@@ -6,6 +6,7 @@ construct: the master's end works between two Data_Exchange, 39 parameters a res
 
 from __future__ import annotations
 
+import dataclasses
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -28,6 +29,8 @@ ADDRESS_LEN: Final = 6
 VALUE_HEADER_LEN: Final = 2
 _ADDRESS: Final = struct.Struct(">BBHH")
 _NEGATIVE: Final = 0x80
+#: the id of a response to a request id that the drive does not have, without the bit of a negative one
+UNSUPPORTED: Final = 0
 
 
 class RequestId(IntEnum):
@@ -126,6 +129,23 @@ class Request:
     @classmethod
     def parse(cls, octets: bytes) -> Request:
         """Read ``octets``. Raises PduError naming what is wrong."""
+        request = cls.parse_addresses(octets)
+        count = len(request.addresses)
+        end = HEADER_LEN + ADDRESS_LEN * count
+        if request.id == RequestId.CHANGE:
+            found = tuple(_groups(octets, end, count))
+            if len(found) != count:
+                raise PduError(f"record 47: values of {count} parameters announced, there are {len(found)}")
+            # an error is no value: without one the server finds the number of values wrong
+            values = tuple(one if isinstance(one, Values) else Values(ERROR) for one in found)
+            return dataclasses.replace(request, values=values)
+        if len(octets) > end:
+            raise PduError(f"record 47: {len(octets) - end} octets too many after {count} addresses")
+        return request
+
+    @classmethod
+    def parse_addresses(cls, octets: bytes) -> Request:
+        """The same, without the values of a change."""
         reference, ident, drive_object, count = _header(octets, "request")
         if ident not in (RequestId.READ, RequestId.CHANGE):
             raise PduError(f"record 47: request id {ident:#04x} is neither 1 (read) nor 2 (change)")
@@ -136,16 +156,7 @@ class Request:
             Address(pnu, subindex, elements, attribute)
             for attribute, elements, pnu, subindex in _ADDRESS.iter_unpack(octets[HEADER_LEN:end])
         )
-        values: tuple[Values, ...] = ()
-        if ident == RequestId.CHANGE:
-            found = tuple(_groups(octets, end, count))
-            if len(found) != count:
-                raise PduError(f"record 47: values of {count} parameters announced, there are {len(found)}")
-            # an error is no value: without one the server finds the number of values wrong
-            values = tuple(one if isinstance(one, Values) else Values(ERROR) for one in found)
-        elif len(octets) > end:
-            raise PduError(f"record 47: {len(octets) - end} octets too many after {count} addresses")
-        return cls(reference, ident, drive_object, addresses, values)
+        return cls(reference, ident, drive_object, addresses)
 
 
 @dataclass(frozen=True, slots=True)

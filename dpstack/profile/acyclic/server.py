@@ -2,7 +2,8 @@
 
 Source: LS CPDP-S100 manual 6.2.2: 0xB5 while a request is carried out. Readings: a response is given once, after that,
 and before any request, a Read is answered 0xB5; a new request drops a response that nobody read; what is no request is
-answered 0xB7.
+answered 0xB7. Error 05 is a type that the parameter does not have, 17 a format that nobody knows (Siemens SINAMICS DCM
+manual p446).
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from dpstack.dp.v1.codes import Code
 from dpstack.dp.v1.records import ReadReq, WriteReq
 from dpstack.dp.v1.tickets import Asker, Ticket
 from dpstack.errors import PduError
-from dpstack.profile.acyclic.formats import ZERO
+from dpstack.profile.acyclic.formats import ZERO, UnknownFormatError
 from dpstack.profile.acyclic.record47 import (
     HEADER_LEN,
     INDEX,
@@ -30,7 +31,7 @@ from dpstack.profile.acyclic.record47 import (
 )
 from dpstack.profile.acyclic.services import Refused
 from dpstack.profile.acyclic.split import Limits
-from dpstack.profile.param_errors import BAD_ADDRESS, BAD_COUNT, NO_OBJECT, TOO_LONG
+from dpstack.profile.param_errors import BAD_ADDRESS, BAD_COUNT, BAD_FORMAT, NO_OBJECT, TOO_LONG
 
 _BUSY: Final = Refused(Code.STATE_CONFLICT)
 #: how long a response is kept for whoever asked while others want the drive
@@ -143,11 +144,15 @@ class ParameterServer:
             return Refused(Code.WRITE_LENGTH)
         try:
             request = Request.parse(data)
+            formats_known = True
+        except UnknownFormatError:
+            request, formats_known = Request.parse_addresses(data), False
         except PduError:
             return Refused(Code.INVALID_RANGE)
         if not request.reference or not request.addresses or len(request.addresses) > self.rules.limits.parameters:
             return Refused(Code.INVALID_RANGE)
-        self._response = self._carried_out(request).build()
+        response = self._carried_out(request) if formats_known else _failed(request, BAD_FORMAT)
+        self._response = response.build()
         self._ready_at = now + self.rules.busy_ns
         return None
 
@@ -172,8 +177,8 @@ class ParameterServer:
     def _carried_out(self, request: Request) -> Response:
         results: Sequence[Result]
         if request.object not in self.rules.objects:
-            results = [ErrorValue(NO_OBJECT)] * len(request.addresses)
-        elif request.id == RequestId.READ:
+            return _failed(request, NO_OBJECT)
+        if request.id == RequestId.READ:
             results = self._fitting([self._read(one) for one in request.addresses])
         else:
             changes = zip(request.addresses, request.values, strict=True)
@@ -216,3 +221,9 @@ class ParameterServer:
 
     def _permitted(self, address: Address) -> bool:
         return address.attribute in self.rules.attributes and address.elements <= self.rules.limits.elements
+
+
+def _failed(request: Request, error: int) -> Response:
+    """``error`` for each of its parameters."""
+    count = len(request.addresses)
+    return Response(request.reference, request.id, request.object, count, (ErrorValue(error),) * count, True)

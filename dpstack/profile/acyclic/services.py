@@ -17,8 +17,6 @@ T = TypeVar("T")
 
 #: there is no such record; 0: the slave does not take the service at all
 ABSENT: Final = frozenset({0, Code.INVALID_INDEX, Code.INVALID_SLOT})
-#: not now: worth another try
-AGAIN: Final = frozenset({Code.STATE_CONFLICT, Code.READ_CONSTRAINT, Code.WRITE_CONSTRAINT, Code.RESOURCE_BUSY})
 
 
 @dataclass(frozen=True, slots=True)

@@ -49,7 +49,7 @@ class LsParameters:
             return spec
         raw = values.raws[0]
         if values.format not in (acyclic.UNSIGNED16, acyclic.WORD) or not isinstance(raw, int):
-            return acyclic.ErrorValue(0x17)
+            return acyclic.ErrorValue(0x05)
         error = self._module.write(spec, raw)
         return None if error is None else acyclic.ErrorValue(error)
 
