@@ -33,6 +33,10 @@ _OWN: Final = 2
 _PATIENCE_NS: Final = 60_000_000_000
 _BLOCK_S: Final = 0.05
 _BLOCK_EVERY_S: Final = 0.5
+#: the application does something so often; it is held up when that is so much later; so many such times are told
+_TURN_NS: Final = 50_000_000
+_HELD_UP_NS: Final = 20_000_000
+_LONGEST: Final = 5
 
 
 class Ended(threading.Event):
@@ -85,16 +89,28 @@ async def dpstack_master(args: argparse.Namespace, ended: Ended) -> None:
         opened = monotonic_ns()
         await bus.operate()
         await bus.ready(timeout=_PATIENCE_NS / 1e9)
-        told(ready=monotonic_ns(), imported=imported, opening=opening, opened=opened, events=events)
+        ready = monotonic_ns()
+        told(ready=ready, imported=imported, opening=opening, opened=opened, events=events)
         events.clear()
         reading = [asyncio.create_task(_read(slave, args.records)) for slave in bus.slaves if args.records]
-        await application(args.app, ended)
+        held_up = await application(args.app, ended)
         failed = [task.exception() for task in reading if task.done()]
         for task in reading:
             task.cancel()
-        lost = [slave.name for slave in bus.slaves if slave.state.value != "data_exchange"]
+        states = {slave.name: slave.state.value for slave in bus.slaves}
+        end, counted = monotonic_ns(), bus.stats
+    lost = {name: state for name, state in states.items() if state != "data_exchange"}
     if lost or failed:
-        told(lost=lost, failed=[str(error) for error in failed], events=events[-5:])
+        told(
+            lost=lost,
+            failed=[str(error) for error in failed],
+            ready=ready,
+            end=end,
+            events=[event for event in events if event[1] <= end],
+            held_up=held_up,
+            host_us=counted.host_us,
+            asked={s.name: (s.link.requests, s.retries, s.timeouts, s.link.late) for s in counted.slaves.values()},
+        )
 
 
 async def _read(slave: Any, octets: int) -> None:
@@ -102,16 +118,22 @@ async def _read(slave: Any, octets: int) -> None:
         await slave.read(1, 1, octets)
 
 
-async def application(kind: str, ended: Ended) -> None:
-    """What the rest of the program does, until the end."""
+async def application(kind: str, ended: Ended) -> list[tuple[int, int]]:
+    """What the rest of the program does, until the end. Returns when it was held up for how long (ns), the longest."""
     if kind == "burn":
         threading.Thread(target=_burn, args=(ended,), daemon=True).start()
+    held_up: list[tuple[int, int]] = []
     turn = 0
     while not ended.is_set():
-        await asyncio.sleep(0.05)
+        due = monotonic_ns() + _TURN_NS
+        await asyncio.sleep(_TURN_NS / 1e9)
+        late = monotonic_ns() - due
+        if late > _HELD_UP_NS:
+            held_up = sorted((*held_up, (due, late)), key=lambda t: -t[1])[:_LONGEST]
         turn += 1
-        if kind == "block" and turn % round(_BLOCK_EVERY_S / 0.05) == 0:
+        if kind == "block" and turn % round(_BLOCK_EVERY_S * 1e9 / _TURN_NS) == 0:
             time.sleep(_BLOCK_S)  # noqa: ASYNC251 - an application that blocks is what is measured
+    return held_up
 
 
 def _burn(ended: Ended) -> None:

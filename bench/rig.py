@@ -18,6 +18,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any, Final, NamedTuple
 
+from bench.losses import stolen_ns, story
 from bench.masters import CONFIG, DRIVERS, FIRST, IDENT, OCTETS
 from bench.records import Record
 from bench.report import Report
@@ -112,6 +113,8 @@ class Process:
             text=True,
             cwd=_ROOT,
             env=env,
+            # Linux shares the time out by sessions (autogroup), and within one the wire's priority took the master's
+            start_new_session=True,
         )
         if processor is not None:
             os.sched_setaffinity(self._process.pid, {processor})
@@ -192,6 +195,13 @@ class Bench:
     def first_at(self) -> int:
         """When the first octets came to a free wire, in ns."""
         return int(self._data()["first_at"])
+
+    def of_wire(self) -> dict[str, Any]:
+        """What the wire has to tell; only why it is over when it is no more."""
+        try:
+            return self._data()
+        except RuntimeError as error:
+            return {"over": str(error)}
 
     def _data(self) -> dict[str, Any]:
         path = self._folder / "taken.json"
@@ -282,10 +292,13 @@ def bench(
         facts = json.loads(master.line() or "{}")
         if "ready" not in facts:
             raise MasterFailedError(f"{kind}, {slaves} slaves: {facts.get('error', 'the master ended without a word')}")
-        yield Bench(wire, master, slaves, facts, folder)
+        stolen = stolen_ns()
+        running = Bench(wire, master, slaves, facts, folder)
+        yield running
         told += master.end()
         if told:
-            raise MasterFailedError(f"{kind}, {slaves} slaves: {told[0]}")
+            why = story(told[0], running.of_wire(), stolen_ns() - stolen)
+            raise MasterFailedError(f"{kind}, {slaves} slaves: {why}")
 
 
 def _probed(port: str, folder: Path) -> dict[str, str]:

@@ -38,6 +38,9 @@ _SPIN: Final = 150 * _US
 #: so long it looks for octets without sleeping: what comes later comes from a master that has nothing urgent
 _LOOK: Final = 400 * _US
 _FOREVER: Final = 1 << 62
+#: who does not run for so long while there is something to do is held up; so many such times are told
+_HELD_UP: Final = 10 * _MS
+_LONGEST: Final = 5
 
 #: one telegram of the master: read here, begins on the wire, ends there, the answer's end there (or 0), when the
 #: answer's last octet was due at the master and when it was written (or 0), first octet, DA (or -1), octets, octets of
@@ -72,17 +75,34 @@ class Wire:
         self.cpu = 0
         #: of a free line: when the first octets came
         self.first_at = 0
+        #: when this process had something to do and did not run, and for how long, in ns: the longest times
+        self.held_up: list[tuple[int, int]] = []
+        #: why it serves no more
+        self.over = ""
 
     def bits(self, count: float) -> int:
         """``count`` bit times in ns."""
         return round(count * self._bit)
 
+    def serve(self) -> None:
+        """Serve until the process is ended, or the line."""
+        try:
+            (self.run if self._options.paced else self.run_free)()
+            self.over = "its line was closed"
+        except Exception as error:
+            self.over = f"{type(error).__name__}: {error}"
+            raise
+
     def run(self) -> None:
-        """Serve until the process is ended."""
+        """On a paced wire."""
         looking_until = 0
+        runs_at = _FOREVER  # it was to go on then
         while True:
             due = self.pieces[0][0] if self.pieces else _FOREVER
             now = monotonic_ns()
+            if now - runs_at > _HELD_UP:
+                self.held_up = sorted((*self.held_up, (runs_at, now - runs_at)), key=lambda t: -t[1])[:_LONGEST]
+            runs_at = now
             if due <= now:
                 os.write(self._fd, self.pieces.pop(0)[1])
                 now = monotonic_ns()
@@ -92,6 +112,7 @@ class Wire:
                 continue
             if due - now > _SPIN and (self.pieces or now > looking_until):
                 wait = 0.05 if due == _FOREVER else (due - now - _SPIN // 2) / 1e9
+                runs_at = now + round(wait * 1e9)
                 if not select.select((self._fd,), (), (), wait)[0]:
                     continue
             try:
@@ -198,6 +219,8 @@ class Wire:
                     "exchanges": self.exchanges() - self.count,
                     "cpu": process_time_ns() - self.cpu,
                     "first_at": self.first_at,
+                    "held_up": self.held_up,
+                    "over": self.over,
                 }
                 Path(path).write_text(json.dumps(data), encoding="utf-8")
             print(self.exchanges() - self.count, flush=True)
@@ -227,8 +250,10 @@ def main() -> int:
         ctypes.CDLL(None).prctl(29, 1, 0, 0, 0)  # PR_SET_TIMERSLACK: sleeps end in time
     with contextlib.suppress(OSError):
         os.nice(-20)  # where it is permitted: other programs shall not change the wire's time
+        # where the system shares its time out by sessions, among those of this one only; a session's own:
+        Path("/proc/self/autogroup").write_text("-20", encoding="ascii")
     wire = Wire(options.slaves, options)
-    threading.Thread(target=wire.run if options.paced else wire.run_free, daemon=True).start()
+    threading.Thread(target=wire.serve, daemon=True).start()
     print(json.dumps({"port": wire.name}), flush=True)
     wire.obey()
     return 0

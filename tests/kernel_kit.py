@@ -1,7 +1,8 @@
 """The real-time drivers on a system of its own: a clock that stands still but for what is done, one line, no waiting.
 
 Octets arrive when the test says; whoever sleeps is woken up ``LATE_NS`` after what it slept for. So wake-ups can be
-counted and times compared, whatever the computer that runs the test has to do.
+counted and times compared, whatever the computer that runs the test has to do. ``held_up`` keeps the processor from the
+driver, at any place a test likes: the line goes on meanwhile.
 """
 
 from __future__ import annotations
@@ -39,10 +40,14 @@ class Kernel:
         self.written: list[tuple[int, bytes]] = []
         self.woken: list[int] = []  # when somebody who slept was woken up
         self.far: Callable[[bytes, int], None] = lambda _octets, _now: None
+        #: told what was done ("clock", "octets" or "nothing" read, "write", "woken"): how long the driver stands still
+        self.held_up: Callable[[str], int] = lambda _what: 0
 
     def clock(self) -> int:
         self.now += TICK_NS
-        return self.now
+        now = self.now
+        self.now += self.held_up("clock")
+        return now
 
     def arrive(self, at: int, octets: bytes) -> None:
         self.coming.append((at, octets))
@@ -57,6 +62,7 @@ class Kernel:
         octets = b""
         while self.readable and len(octets) + len(self.coming[0][1]) <= size:
             octets += self.coming.pop(0)[1]
+        self.now += self.held_up("octets" if octets else "nothing")
         if not octets:
             raise BlockingIOError
         return octets
@@ -65,6 +71,7 @@ class Kernel:
         self.now += 10 * TICK_NS
         self.written.append((self.now, octets))
         self.far(octets, self.now)
+        self.now += self.held_up("write")
         return len(octets)
 
     def sleep(self, until: int, listening: bool) -> None:
@@ -72,7 +79,7 @@ class Kernel:
         if listening and self.coming:
             until = min(until, self.coming[0][0])
         if until > self.now:
-            self.now = until + LATE_NS
+            self.now = until + LATE_NS + self.held_up("woken")
             self.woken.append(self.now)
 
 
@@ -146,6 +153,8 @@ class _Asyncio:
         self._at = NEVER
         self._due: Callable[[], None] = lambda: None
         self.stopping = False
+        #: the timer calls so much too early
+        self.early_ns = 0
 
     def add_reader(self, _fd: int, callback: Callable[[], object], /) -> None:
         self._kernel.now += TICK_NS
@@ -186,10 +195,11 @@ class _Asyncio:
             for call in soon:
                 if call.callback is not None:
                     call.callback()
-            kernel.sleep(kernel.now if self._soon else min(self._at, until), self._reader is not None)
+            at = self._at - self.early_ns
+            kernel.sleep(kernel.now if self._soon else min(at, until), self._reader is not None)
             if self._reader is not None and kernel.readable:
                 self._reader()
-            if self._at <= kernel.now:
+            if self._at - self.early_ns <= kernel.now:
                 self._at = NEVER
                 self._due()
 
@@ -198,7 +208,14 @@ class Driven:
     """``machine`` on the line of ``kernel`` with one of the drivers, ``asyncio`` or ``plain``."""
 
     def __init__(
-        self, kind: str, machine: Machine, kernel: Kernel, patch: pytest.MonkeyPatch, *, paced: bool = False
+        self,
+        kind: str,
+        machine: Machine,
+        kernel: Kernel,
+        patch: pytest.MonkeyPatch,
+        *,
+        paced: bool = False,
+        early_ns: int = 0,
     ) -> None:
         self.kernel = kernel
         self.events: list[Any] = []
@@ -209,6 +226,7 @@ class Driven:
         port.open_now()
         if kind == "asyncio":
             asyncio_loop = _Asyncio(kernel)
+            asyncio_loop.early_ns = early_ns
             runtime: Any = AsyncioRuntime(port, machine, self.events.extend, echo=Echo.OFF)
             runtime._begin(asyncio_loop, asyncio_loop.timer(runtime._timer_due))
             self._run = asyncio_loop.run

@@ -27,6 +27,8 @@ WORDS: Final = (
     ),
     Spec("im", "[SLOT]", "I&M0, and those of I&M1 to 4 that it says there are", ""),
 )
+#: what `dpstack acyclic` makes of PARAMETERS itself: a run writes no files
+DUMP, COMPARE = "dump", "compare"
 TRANSPORT: Final = Spec("transport", "SLOT INDEX [HEX]", "Data_Transport (class 2): to the slave and back", "0 1 00FF")
 
 
@@ -62,11 +64,11 @@ OnProgress = Callable[[str, int, int], None]
 _FIRST_OBJECT: Final = (1, 1)
 
 
-def check(word: str, args: Sequence[str], *, class2: bool = False) -> None:
-    """Raises UsageError where ``word`` or what belongs to it cannot be."""
+def check(word: str, args: Sequence[str], *, class2: bool = False, who: str = "dpstack acyclic") -> None:
+    """Raises UsageError where ``word`` or what belongs to it cannot be; ``who``: has been told."""
     if word == TRANSPORT.name and not class2:
-        raise UsageError("Data_Transport is a service of class 2 connections: add --class 2")
-    spec = find_word(word, (*WORDS, TRANSPORT), "dpstack acyclic")
+        raise UsageError("Data_Transport is a service of class 2 connections: add --class 2 (`ctl`: class2)")
+    spec = find_word(word, (*WORDS, TRANSPORT) if class2 else WORDS, who)
     spec.check(list(args))
     for name, text in zip(spec.usage.split(), args, strict=False):
         _octets(text) if name.strip("[]") == "HEX" else _check_number(name.strip("[]"), text)

@@ -7,18 +7,20 @@ request in time that is left in a token hold; it has one result or one error.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING
 
-from dpstack.api.arguments import octets_of, time_of
 from dpstack.api.connection import Connecting
 from dpstack.api.ms2_config import Ms2Limits
 from dpstack.api.records import usual_timeout
+from dpstack.api.services import time_of
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.dp.class2 import ChangeAddress, ReadService
 from dpstack.dp.class2_jobs import Service, ServiceDone
+from dpstack.dp.diag_texts import block_texts
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.fields import Value
+from dpstack.dp.given import octets, whole
 from dpstack.dp.v1.ms2_orders import OpenConnection
 from dpstack.dp.v1.times import least_send_timeout
 from dpstack.errors import ConfigError, PduError, UsageError
@@ -59,6 +61,16 @@ class Configuration:
             return cls(octets, finding=str(error))
 
 
+@dataclass(frozen=True, slots=True)
+class ReadDiagnosis(Diagnosis):
+    """A diagnosis, and ``diagnosis_texts``: what it says, for people, as :attr:`dpstack.Slave.diagnosis_texts` has it.
+
+    The texts of its GSD file are among them where this bus has such a slave there.
+    """
+
+    diagnosis_texts: tuple[str, ...] = ()
+
+
 class Class2:
     """The class 2 services of one bus. A ``timeout`` in seconds counts from the call: others may be waiting before.
 
@@ -70,10 +82,9 @@ class Class2:
     def __init__(self, bus: Bus) -> None:
         self._bus = bus
 
-    async def diagnosis(self, slave: Slave | str | int, *, timeout: float = 5.0) -> Diagnosis:
+    async def diagnosis(self, slave: Slave | str | int, *, timeout: float = 5.0) -> ReadDiagnosis:
         """Slave_Diag. (Of a slave in data exchange with this very master, the master takes notice of it too.)"""
-        done = await self._read(slave, Service.DIAGNOSIS, timeout)
-        return _diagnosis(done)
+        return self._told(await self._read(slave, Service.DIAGNOSIS, timeout))
 
     async def config(self, slave: Slave | str | int, *, timeout: float = 5.0) -> Configuration:
         """Get_Cfg: the real configuration."""
@@ -99,25 +110,28 @@ class Class2:
         ident: int | None = None,
         no_change: bool = False,
         rem_slave_data: bytes = b"",
+        force: bool = False,
         timeout: float = 15.0,
-    ) -> Diagnosis:
+    ) -> ReadDiagnosis:
         """Set_Slave_Add: give the slave at ``old`` (126: as delivered) the address ``new``, 0..125.
 
         Before: ``ident`` is the slave's, nobody owns it, nobody answers at ``new``. Afterwards: the same device answers
         at ``new``, nobody at ``old``; its diagnosis from there is returned. ``no_change``: it shall refuse any further
         change (for good; only a reset at the device, if it has one, opens it again). ``rem_slave_data``: 0..240 octets
-        that mean something to the device only.
+        that mean something to the device only. A slave whose GSD file does not say Set_Slave_Add_supp = 1 (where this
+        bus has one with that ``ident``, at ``old`` or at ``new``) is asked with ``force`` only.
 
         Raises as the others do. ServiceRefused with status "ignored": it was asked and kept its address. SlaveFault:
         another device, owned by a master, ``new`` in use, or still somebody at ``old``.
         """
         if self._bus.config.bus.read_only:
             raise UsageError("this bus is read-only: no slave gets another address; leave read_only out")
+        whole("old", old), whole("new", new)
+        if not force:
+            self._check_settable(old, new, ident)
         token = self._bus.services.token()
-        command = ChangeAddress(
-            token, old, new, ident, no_change, octets_of(rem_slave_data, "rem_slave_data"), time_of(timeout)
-        )
-        return _diagnosis(await self._bus.services.do(token, command, ServiceDone))
+        command = ChangeAddress(token, old, new, ident, no_change, rem_slave_data, time_of(timeout))
+        return self._told(await self._bus.services.do(token, command, ServiceDone))
 
     def connect(
         self,
@@ -152,8 +166,8 @@ class Class2:
             response,
             profile_features=profile_features,
             profile_ident=profile_ident,
-            source=octets_of(source, "source"),
-            destination=octets_of(destination, "destination"),
+            source=octets("source", source),
+            destination=octets("destination", destination),
             channels=limits.channels,
             timeout_ns=time_of(usual_timeout(response) if timeout is None else timeout),
         )
@@ -178,9 +192,14 @@ class Class2:
 
     def _address(self, slave: Slave | str | int) -> int:
         """Addresses 0..126, whether this bus knows the slave or not; those it knows also by name."""
-        if isinstance(slave, int):
+        if isinstance(slave, int) and not isinstance(slave, bool):
             return slave
-        return self._bus.slave(slave).address if isinstance(slave, str) else slave.address
+        if isinstance(slave, str):
+            return self._bus.slave(slave).address
+        address = getattr(slave, "address", None)
+        if not isinstance(address, int):
+            raise UsageError(f"{slave!r} is no slave: give its address, 0..126, its name, or bus.slave(...)")
+        return address
 
     def _config(self, slave: Slave | str | int) -> SlaveConfig | None:
         known = self._known(self._address(slave))
@@ -189,9 +208,25 @@ class Class2:
     def _known(self, address: int) -> Slave | None:
         return next((slave for slave in self._bus.slaves if slave.address == address), None)
 
+    def _check_settable(self, old: int, new: int, ident: int | None) -> None:
+        """Raises UsageError where its GSD file says that it cannot be given an address."""
+        alike = [slave for slave in self._bus.slaves if ident is not None and slave.config.ident == ident]
+        known = self._known(old) or (alike[0] if alike else self._known(new) if ident is None else None)
+        device = None if known is None else known.config.device
+        if known is not None and device is not None and not device.set_slave_add:
+            raise UsageError(
+                f"slave {known.address} ({known.name}): its GSD file does not say Set_Slave_Add_supp = 1: its address "
+                f"is set at the device (switches, its keypad); force=True asks it all the same"
+            )
 
-def _diagnosis(done: ServiceDone) -> Diagnosis:
-    found = Diagnosis.parse(done.outcome.data)
-    if found is None:  # judged before it came here
-        raise PduError(f"slave {done.address}: {len(done.outcome.data)} octets are no diagnosis")
-    return found
+    def _told(self, done: ServiceDone) -> ReadDiagnosis:
+        found = Diagnosis.parse(done.outcome.data)
+        if found is None:  # judged before it came here
+            raise PduError(f"slave {done.address}: {len(done.outcome.data)} octets are no diagnosis")
+        known = self._known(done.address)
+        if known is not None and known.setup.ident not in (found.ident, None):
+            known = None  # another device stands there
+        texts = None if known is None else known.setup.texts
+        said = block_texts(found, texts, dpv1=known is not None and known.setup.dpv1 is not None)
+        plain = {one.name: getattr(found, one.name) for one in fields(found)}
+        return ReadDiagnosis(**plain, diagnosis_texts=found.texts + said)

@@ -9,11 +9,11 @@ from collections.abc import Generator
 from types import TracebackType
 from typing import TYPE_CHECKING, TypeVar
 
-from dpstack.api.arguments import octets_of
 from dpstack.api.ms2_config import Ms2Limits
 from dpstack.api.record_parameters import RecordParameters, over_records
 from dpstack.api.records import RecordAccess, usual_timeout
 from dpstack.api.services import Ending
+from dpstack.dp.given import octets, whole
 from dpstack.dp.v1.connection import Address, InitiateReq
 from dpstack.dp.v1.ms1 import RecordDone
 from dpstack.dp.v1.ms2 import NO_CONNECTION
@@ -117,22 +117,22 @@ class Connection(RecordAccess):
     async def read(self, slot: int, index: int, length: int | None = None, *, timeout: float | None = None) -> bytes:
         """Read a record: up to ``length`` octets, as many as it can have where nothing is said."""
         token = self._bus.services.token()
-        wanted = self._longest if length is None else length
-        order = ReadOver(token, self._done.token, slot, index, wanted, self._time(timeout))
+        wanted = self._longest if length is None else whole("length", length)
+        order = ReadOver(token, self._done.token, *_place(slot, index), wanted, self._time(timeout))
         return (await self._do(token, order, RecordDone)).outcome.data
 
     async def write(self, slot: int, index: int, data: bytes, *, timeout: float | None = None) -> None:
         """Write all of ``data`` into a record."""
-        octets = self._checked(data)
+        data = self._checked(data)
         token = self._bus.services.token()
-        order = WriteOver(token, self._done.token, slot, index, octets, self._time(timeout))
+        order = WriteOver(token, self._done.token, *_place(slot, index), data, self._time(timeout))
         await self._do(token, order, RecordDone)
 
     async def transport(self, slot: int, index: int, data: bytes = b"", *, timeout: float | None = None) -> bytes:
         """Data_Transport: ``data`` to the slave, what it sends back."""
-        octets = self._checked(data)
+        data = self._checked(data)
         token = self._bus.services.token()
-        order = TransportOver(token, self._done.token, slot, index, octets, self._time(timeout))
+        order = TransportOver(token, self._done.token, *_place(slot, index), data, self._time(timeout))
         return (await self._do(token, order, TransportDone)).outcome.data
 
     def parameters(self, slot: int = 1, *, object: int = 1, timeout: float | None = None) -> RecordParameters:
@@ -177,12 +177,12 @@ class Connection(RecordAccess):
             text = f"{ending.over.text}; open a new one"
             raise ConnectionEnded(self.address, text, abort=ending.over.abort)
 
-    def _checked(self, data: bytes) -> bytes:
-        octets = octets_of(data)
-        if self._longest < len(octets) <= MAX_RECORD:
-            what = f"{len(octets)} octets, it takes {self._longest} in one service"
+    def _checked(self, given: bytes) -> bytes:
+        data = octets("data", given)
+        if self._longest < len(data) <= MAX_RECORD:
+            what = f"{len(data)} octets, it takes {self._longest} in one service"
             raise UsageError(f"{self.who}: {what} (C2_Max_Data_Len, Max_Len_Data_Unit of Initiate): send less")
-        return octets
+        return data
 
 
 def _close(bus: Bus, token: int, ending: Ending) -> None:
@@ -242,14 +242,18 @@ class Connecting:
         return Connection(self._bus, done, ending, self._name, limits.max_data_len, order.response_ns)
 
 
+def _place(slot: int, index: int) -> tuple[int, int]:
+    return whole("slot", slot), whole("index", index)
+
+
 def _check_initiate(who: str, order: OpenConnection, limits: Ms2Limits) -> None:
     try:
         source, destination = (Address(a[0], a[1], a[2:]) for a in (order.source, order.destination))
-        octets = InitiateReq(order.send_timeout_ns, source=source, destination=destination).build()
+        pdu = InitiateReq(order.send_timeout_ns, source=source, destination=destination).build()
     except (PduError, IndexError):
         return  # refused by the machine, with its reason
-    if 0 < limits.max_initiate_len < len(octets):
+    if 0 < limits.max_initiate_len < len(pdu):
         raise UsageError(
-            f"{who}: Initiate has {len(octets)} octets with these addresses, its GSD file says "
+            f"{who}: Initiate has {len(pdu)} octets with these addresses, its GSD file says "
             f"Max_Initiate_PDU_Length = {limits.max_initiate_len}: leave network addresses out"
         )

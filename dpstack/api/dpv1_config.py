@@ -104,7 +104,7 @@ def _alarms(table: Table, device: Device | None) -> tuple[str, ...] | None:
         if not isinstance(name, str) or name not in ALARMS:
             table.fail("alarms", f"alarms holds {name!r}, which is none", kinds)
     for name in given:
-        if device is not None and ALARM_KEYWORDS[name] not in device.dpv1.alarms:
+        if device is not None and ALARM_KEYWORDS[name] not in (*device.dpv1.alarms, *device.dpv1.required):
             problem = f"alarms holds {name}, but its GSD file says {ALARM_KEYWORDS[name]}_supp = 0"
             table.fail("alarms", problem, "leave it out")
     for name in _required(device):

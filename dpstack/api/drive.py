@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import itertools
-from collections.abc import AsyncIterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -154,6 +154,8 @@ class Drive:
         One entry for each, in their order; what the drive refuses is the error in its place. Raises as :meth:`read`
         for everything else.
         """
+        if isinstance(parameters, str) or not isinstance(parameters, Iterable):
+            raise UsageError(f"parameters = {parameters!r} is no list: read_many([480, 'F26', ParameterPlace(...)])")
         tables = [one.as_dict() if isinstance(one, ParameterPlace) else {"number": one} for one in parameters]
         found = (await self._order("read_many", timeout, parameters=tables)).get("values")
         if not isinstance(found, (list, tuple)):

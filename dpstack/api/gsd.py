@@ -101,6 +101,7 @@ def gsd_dict(file: GsdFile) -> dict[str, object]:
         "min_slave_interval": device.min_slave_interval,
         "max_tsdr": {str(speed.baud): speed.max_tsdr for speed in device.speeds},
         "supports": list(supports(file)),
+        "requires": list(requires(file)),
         "alarms": list(alarm_kinds(device.dpv1.alarms)),
         "alarms_required": list(alarm_kinds(device.dpv1.required)),
         "alarm_sequence": device.dpv1.alarm_sequence_mode_count,
@@ -173,6 +174,19 @@ def supports(file: GsdFile) -> tuple[str, ...]:
         "watchdog base 1 ms": d.dpv1.wd_base_1ms,
         "isochronous": d.isochronous.supported,
         "publisher": d.isochronous.publisher,
+    }
+    return tuple(name for name, there in known.items() if there)
+
+
+def requires(file: GsdFile) -> tuple[str, ...]:
+    """What the device wants of its master, in words; alarms beside."""
+    d = file.device
+    known = {
+        "fail-safe": d.dpv1.fail_safe_required,
+        "structured parameters": d.dpv1.prm_block_structure_required,
+        "acyclic class 1": d.dpv1.c1_read_write_required,
+        "acyclic class 2": d.dpv1.c2_read_write_required,
+        "isochronous": d.isochronous.required,
     }
     return tuple(name for name, there in known.items() if there)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from dpstack.dp.v1.connection import LEAST_INITIATE
 from dpstack.dp.v1.records import MAX_RECORD
 from dpstack.gsd.model import Device
 
@@ -25,11 +26,11 @@ class Ms2Limits:
         """Of the device's GSD file; without one nothing is known, and it may have them."""
         if device is None:
             return cls()
-        dpv1 = device.dpv1
+        dpv1, longest = device.dpv1, device.dpv1.max_initiate_pdu_length
         return cls(
             supported=dpv1.c2_read_write,
             response_ns=dpv1.c2_response_ns,
             max_data_len=min(dpv1.c2_max_data_len or MAX_RECORD, MAX_RECORD),
             channels=dpv1.c2_max_count_channels,
-            max_initiate_len=dpv1.max_initiate_pdu_length,
+            max_initiate_len=max(LEAST_INITIATE, longest) if longest else 0,
         )

@@ -6,10 +6,10 @@ import asyncio
 from collections.abc import Awaitable, Callable, Iterable, Sequence
 from typing import TypeVar
 
-from dpstack.api.arguments import whole
 from dpstack.api.records import RecordAccess
+from dpstack.dp.given import whole
 from dpstack.dp.v1.codes import Decode
-from dpstack.dp.v1.records import MAX_RECORD, MAX_SLOT
+from dpstack.dp.v1.records import MAX_RECORD
 from dpstack.errors import (
     AcyclicError,
     DriveError,
@@ -70,10 +70,9 @@ class RecordParameters:
         limits: Limits | None = None,
         longest: int = MAX_RECORD,
     ) -> None:
+        whole("slot", slot), whole("object", object)
         self._name = name
         self._carry_out = carry_out
-        whole(slot, "slot", 0, MAX_SLOT)
-        whole(object, "object", 0, 255)
         known = Limits(octets=longest) if limits is None else limits
         self._client = ParameterClient(slot, object=object, limits=known, references=PROGRAM)
         self._limits_known = limits is not None

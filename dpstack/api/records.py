@@ -8,10 +8,11 @@ import contextlib
 from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import TYPE_CHECKING, Final, TypeVar
 
-from dpstack.api.arguments import octets_of, time_of
+from dpstack.api.services import time_of
+from dpstack.dp.given import octets, whole
 from dpstack.dp.setup import SlaveSetup
 from dpstack.dp.v1.codes import AGAIN, Decode
-from dpstack.dp.v1.im import IM_ANSWER, IM_INDEX, Im, Im0, build_call, number_of, parse_answer
+from dpstack.dp.v1.im import IM_ANSWER, IM_INDEX, RECORDS, Im, Im0, build_call, number_of, parse_answer
 from dpstack.dp.v1.ms1 import ReadRecord, RecordDone, WriteRecord
 from dpstack.dp.v1.records import MAX_RECORD
 from dpstack.errors import AcyclicError, PduError, SlaveFault, SlaveTimeout, UsageError
@@ -80,24 +81,22 @@ class RecordAccess(abc.ABC):
 
         A slave that is not ready (0xB5, 0xC0 to 0xC2: the codes of the parameter channel) is asked again for up to 2 s.
         """
-        if not isinstance(number, int) or not 0 <= number <= 4:
-            raise UsageError(f"there is no I&M{number!r}: 0..4")
+        if not 0 <= whole("number of I&M", number) <= 4:
+            raise UsageError(f"there is no I&M{number}: 0..4")
         what = f"I&M{number} of slot {slot}"
         async with self._calling(what, timeout):
             await _until_ready(lambda: self.write(slot, IM_INDEX, build_call(number), timeout=timeout))
             length = min(IM_ANSWER, self.longest)
-            octets = await _until_ready(lambda: self.read(slot, IM_INDEX, length, timeout=timeout))
+            answer = await _until_ready(lambda: self.read(slot, IM_INDEX, length, timeout=timeout))
         try:
-            return parse_answer(octets, number)
+            return parse_answer(answer, number)
         except PduError as error:
             raise SlaveFault(self.address, f"{self.who} gives no I&M{number}: {error}") from None
 
     async def write_im(self, record: Im, *, slot: int = 0, timeout: float | None = None) -> None:
         """Write I&M1 to I&M4. Raises as :meth:`read`."""
-        if not isinstance(record, Im):
-            raise UsageError(
-                f"{record!r} is no I&M record: give one of Im1 to Im4, for instance Im1(tag_function='...')"
-            )
+        if not isinstance(record, RECORDS):
+            raise UsageError(f"{record!r} is no I&M record: give Im1(tag_function=...), Im2(date=...), Im3 or Im4")
         if isinstance(record, Im0):
             raise UsageError("I&M0 is what the device is: it cannot be written")
         try:
@@ -115,6 +114,7 @@ class RecordAccess(abc.ABC):
     async def _calling(self, what: str, given: float | None) -> AsyncIterator[None]:
         """The only I&M call to this slave; a negative answer is told as one to ``what``."""
         timeout = self.usual_timeout if given is None else given
+        time_of(timeout)
         try:
             async with asyncio.timeout(timeout):
                 await self.im_call.acquire()
@@ -168,19 +168,21 @@ class Records(RecordAccess):
     async def read(self, slot: int, index: int, length: int | None = None, *, timeout: float | None = None) -> bytes:
         """Up to ``length`` octets, None: as many as it can have."""
         token = self._services.token()
-        wanted = self.longest if length is None else length
-        command = ReadRecord(token, self.address, slot, index, wanted, self._time(timeout))
+        wanted = self.longest if length is None else whole("length", length)
+        place = whole("slot", slot), whole("index", index)
+        command = ReadRecord(token, self.address, *place, wanted, self._time(timeout))
         return (await self._services.do(token, command, RecordDone)).outcome.data
 
     async def write(self, slot: int, index: int, data: bytes, *, timeout: float | None = None) -> None:
         """All of ``data``."""
-        octets = octets_of(data)
-        if self.longest < len(octets) <= MAX_RECORD:
+        data = octets("data", data)
+        if self.longest < len(data) <= MAX_RECORD:
             raise UsageError(
-                f"{self.who}: {len(octets)} octets, its GSD file says C1_Max_Data_Len = {self.longest}: write less"
+                f"{self.who}: {len(data)} octets, its GSD file says C1_Max_Data_Len = {self.longest}: write less"
             )
         token = self._services.token()
-        command = WriteRecord(token, self.address, slot, index, octets, self._time(timeout))
+        place = whole("slot", slot), whole("index", index)
+        command = WriteRecord(token, self.address, *place, data, self._time(timeout))
         await self._services.do(token, command, RecordDone)
 
     @property

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from dpstack.dp.v1.alarm_server import AlarmEnd, AlarmServer, Raised
 from dpstack.dp.v1.alarms import Alarm, ModuleState, Status, module_status
@@ -43,7 +43,12 @@ class ServedAlarms:
 
     def module_status(self, states: Sequence[ModuleState]) -> None:
         """A module status of ``states``, slot 1 first."""
-        self.status(module_status(tuple(states)))
+        given = tuple(states) if isinstance(states, Iterable) else (states,)
+        if not given or any(not isinstance(state, int) or state not in range(4) for state in given):
+            raise UsageError(
+                f"{states!r} is no list of ModuleState: ModuleState.OK, .INVALID, .WRONG or .MISSING for each"
+            )
+        self.status(module_status(tuple(ModuleState(state) for state in given)))
 
     def _known(self) -> AlarmServer:
         if self._server is None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import inspect
 from collections.abc import Awaitable, Coroutine
 from typing import TypeVar
 
@@ -57,7 +56,7 @@ class AsyncRecords:
             if self._on_transport is None:
                 ticket.refuse(Code.NOT_SUPPORTED)
                 return
-            data = await _async("on_transport", self._on_transport(request.slot, request.index, request.data))
+            data = await _awaited("on_transport", self._on_transport(request.slot, request.index, request.data))
             if not isinstance(data, (bytes, bytearray)):
                 raise TypeError(f"on_transport returned {type(data).__name__}, what goes back is bytes")
             ticket.answer(bytes(data))
@@ -71,20 +70,20 @@ class AsyncRecords:
                 if self._on_read is None:
                     ticket.refuse(Code.ACCESS_DENIED)
                     return
-                data = await _async("on_read", self._on_read(request.slot, request.index))
+                data = await _awaited("on_read", self._on_read(request.slot, request.index))
                 if not isinstance(data, (bytes, bytearray)):
                     raise TypeError(f"on_read returned {type(data).__name__}, a record is bytes")
                 ticket.answer(bytes(data))
             elif self._on_write is None:
                 ticket.refuse(Code.ACCESS_DENIED)
             else:
-                await _async("on_write", self._on_write(request.slot, request.index, request.data))
+                await _awaited("on_write", self._on_write(request.slot, request.index, request.data))
                 ticket.answer()
         except Exception as error:  # the user's: answered, told, and nothing else is disturbed
             ticket.fail(error)
 
 
-def _async(name: str, called: Awaitable[T]) -> Awaitable[T]:
-    if not inspect.isawaitable(called):
-        raise TypeError(f"{name} is no async function: define it with `async def`")
-    return called
+def _awaited(name: str, result: Awaitable[T]) -> Awaitable[T]:
+    if not isinstance(result, Awaitable):
+        raise TypeError(f"{name} is an ordinary function, it has to be an async one: write async def")
+    return result

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import itertools
+import math
 from collections import defaultdict
 from typing import TYPE_CHECKING, TypeVar
 
@@ -14,13 +15,21 @@ from dpstack.dp.acyclic import CancelService
 from dpstack.dp.acyclic_job import ServiceEnd, ServiceFailure
 from dpstack.dp.v1.ms1 import RecordDone
 from dpstack.dp.v1.ms2_orders import ConnectionOver, ConnectionsClosed, TransportDone
-from dpstack.errors import BusError, DpError
+from dpstack.errors import BusError, DpError, UsageError
 from dpstack.trace import Event
+from dpstack.units import s_to_ns
 
 if TYPE_CHECKING:
     from dpstack.api.bus import Bus
 
 D = TypeVar("D", bound=ServiceEnd)
+
+
+def time_of(seconds: float, what: str = "timeout") -> int:
+    """A time that a user gives for a service, in ns. Raises UsageError for what is none."""
+    if isinstance(seconds, bool) or not isinstance(seconds, (int, float)) or not 0 <= seconds < math.inf:
+        raise UsageError(f"{what} = {seconds!r} is no time for a service: seconds are wanted, 0 or more")
+    return s_to_ns(seconds)
 
 
 class Ending:
@@ -73,7 +82,7 @@ class Services:
         if done.outcome.failure is not None:
             record = (done.slot, done.index) if isinstance(done, (RecordDone, TransportDone)) else None
             if done.outcome.failure is ServiceFailure.CLOSED and not bus.is_open:  # nothing is wrong with the slave
-                raise BusError(f"{done.outcome.text}: this bus was closed")
+                raise BusError(f"this bus was closed: {done.outcome.text}")
             raise error_of(done.address, done.title, done.outcome, record)
         return done
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
 
-from dpstack.api.arguments import octets_of
 from dpstack.api.served_alarms import ServedAlarms
 from dpstack.api.served_records import AsyncRecords
 from dpstack.api.streams import OnEvent, Waiters, hand_to
 from dpstack.dp.device import Device
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.dp_slave import DpSlave
+from dpstack.dp.given import octets, whole
 from dpstack.dp.slaveapp import SlaveApp, SlaveAppState, SlaveAppStats
 from dpstack.dp.v1.alarms import Alarm, ModuleState, Specifier, Status
 from dpstack.dp.v1.ms2_server import ServedConnection
@@ -151,13 +151,15 @@ class ServedSlave:
         addition. It may be called at any time, any number of times at once; up to 32 alarms wait. Raises AlarmError
         where it cannot go out or ends otherwise, SlaveTimeout, UsageError, PduError where it cannot be.
         """
-        alarm = Alarm(type, slot, specifier, data=octets_of(data), add_ack=add_ack)
+        place = whole("type", type), whole("slot", slot), whole("specifier", specifier)
+        alarm = Alarm(*place, data=octets("data", data), add_ack=add_ack)
         await self._alarms.alarm(alarm, self.address, timeout)
 
     def status(self, type: int, slot: int = 0, specifier: int = Specifier.NONE, data: bytes = b"") -> None:
         """Tell a status once, which nobody acknowledges: ``type`` 1..3, 30, 31 (:class:`~dpstack.StatusType`) or
         32..126, the rest as of an alarm. Raises AlarmError where it cannot go out, UsageError, PduError."""
-        self._alarms.status(Status(type, slot, specifier, octets_of(data)))
+        place = whole("type", type), whole("slot", slot), whole("specifier", specifier)
+        self._alarms.status(Status(*place, octets("data", data)))
 
     def module_status(self, states: Sequence[ModuleState]) -> None:
         """Tell the state of its modules, slot 1 first; otherwise as :meth:`status`."""

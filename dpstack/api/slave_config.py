@@ -8,6 +8,7 @@ from typing import Final
 
 from dpstack.api.dpv1_config import read_dpv1
 from dpstack.api.field_config import read_fields
+from dpstack.api.gsd_remarks import remarks
 from dpstack.api.ms2_config import Ms2Limits
 from dpstack.api.slave_basis import Basis, basis_of
 from dpstack.api.tables import Table
@@ -178,8 +179,9 @@ def _build(table: Table, address: int, basis: Basis) -> SlaveConfig:
     name = table.text("name") or f"slave{address}"
     profile = basis.profile
     interval_ns = basis.interval_ns if interval is None else interval * INTERVAL_UNIT
-    remarks = (ident_note, _hurried(basis, interval_ns), *basis.notes)
-    notes = [f"slave {address} ({name}): {note}" for note in remarks if note]
+    dpv1 = read_dpv1(table, device, user_prm)
+    told_of_it = (ident_note, _hurried(basis, interval_ns), *basis.notes, *remarks(device, dpv1))
+    notes = [f"slave {address} ({name}): {note}" for note in told_of_it if note]
     if profile is not None and profile.telegram(basis.telegram).made_up:
         notes.append(
             f"slave {address} ({name}): the identifier octets {basis.config.hex(' ').upper()} of {profile.name} are in "
@@ -212,7 +214,7 @@ def _build(table: Table, address: int, basis: Basis) -> SlaveConfig:
         freeze=_mode(table, "freeze", None if device is None else device.freeze, "Freeze_Mode_supp"),
         wd_base_1ms=_wd_base_1ms(table, device, told),
         ignore_auto_clear=table.flag("ignore_auto_clear", False),
-        dpv1=read_dpv1(table, device, user_prm),
+        dpv1=dpv1,
         ms2=Ms2Limits.of(device),
         input_fields=input_fields,
         output_fields=output_fields,

@@ -8,7 +8,7 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
-from dpstack.api.acyclic_words import PARAMETERS, TRANSPORT, WORDS, OnProgress, carry_out, check
+from dpstack.api.acyclic_words import COMPARE, PARAMETERS, TRANSPORT, WORDS, OnProgress, carry_out, check
 from dpstack.api.bus import Bus
 from dpstack.api.config import Config, load_config
 from dpstack.api.control.records import through_run
@@ -23,7 +23,8 @@ from dpstack.api.slave_config import SlaveConfig
 from dpstack.api.virtual import World, simulate
 from dpstack.api.visiting import joined
 from dpstack.cli import options, output
-from dpstack.cli.acyclic_lists import COMPARE, FILES, show_comparison, show_dump, show_list
+from dpstack.cli.acyclic_lists import FILES, show_comparison, show_dump, show_list
+from dpstack.cli.foreground import tell_simulated
 from dpstack.cli.progress import progress_bar
 from dpstack.cli.signals import StopSignal
 from dpstack.cli.streams import warn
@@ -172,6 +173,7 @@ async def _as_master(asked: _Asked, progress: OnProgress) -> Mapping[str, Any]:
     config, slave = asked.config, asked.slave
     if config.bus.read_only:
         raise UsageError("the configuration is read only: records need data exchange; leave read_only out")
+    tell_simulated(config)
     foreign = up = False
 
     def on_event(event: Event) -> None:
@@ -202,6 +204,7 @@ async def _as_class2(asked: _Asked, progress: OnProgress) -> Mapping[str, Any]:
     config, slave = asked.config, asked.slave
     if config.bus.read_only:
         raise UsageError("the configuration is read only: a connection is to be opened; leave read_only out")
+    tell_simulated(config)
     world = None
     if config.virtual:
         world = World()
@@ -237,11 +240,23 @@ def _show(told: Mapping[str, Any]) -> None:
             output.line(f"{who}: slot {told['slot']}, index {told['index']}: {told['length']} octets written")
         case _:
             rows = [
-                (f"I&M{n}", name, output.visible(str(value)))
+                (f"I&M{n}", name, output.visible(_im_text(name, value)))
                 for n, record in told["im"].items()
                 for name, value in record.items()
             ]
             output.table(f"{who}: slot {told['slot']}", ("record", "what", "value"), rows)
+
+
+def _im_text(name: str, value: Any) -> str:
+    """A field of an I&M record as people read it."""
+    match name, value:
+        case "version", [major, minor]:
+            return f"{major}.{minor}"
+        case "supported", int():
+            there = [f"I&M{n}" if n else "profile specific" for n in range(16) if value >> n & 1]
+            return f"{', '.join(there) or 'I&M0 only'} (0x{value:04X})"
+        case _:
+            return str(value)
 
 
 def _slave_of(config: Config, name: str) -> SlaveConfig:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final
 
+from dpstack.api.acyclic_words import COMPARE, DUMP
 from dpstack.api.control.specs import Spec
 from dpstack.api.record_dump import RecordComparison, compared, list_of
 from dpstack.api.record_list import RecordList
 from dpstack.cli import output
 
-DUMP, COMPARE = "dump", "compare"
 FILES: Final = (
     Spec(DUMP, "FILE [SLOT] [OBJECT]", "that list into a file", "pump.toml"),
     Spec(COMPARE, "FILE [SLOT] [OBJECT]", "where the device differs from such a file", "pump.toml"),

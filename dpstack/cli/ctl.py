@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from dpstack.api.control.client import connect
+from dpstack.api.control.records import ask
 from dpstack.cli import options, output
 
 #: what an entry may take to stand in one line
@@ -31,7 +32,7 @@ def add_to(commands: options.Commands) -> None:
 def execute(args: argparse.Namespace) -> int:
     """Ask and print the answer."""
     with connect(args.port) as client:
-        result = client.call(args.order, *args.args)
+        result = ask(client, args.order, *args.args)
     if args.json:
         output.json_line({"result": result})
     elif args.order == "help":

@@ -26,6 +26,7 @@ from dpstack.api.one_drive import OneDrive
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.cli import options, output
 from dpstack.cli.drive_orders import DUMP_AND_COMPARE, Order, Orders, status_text
+from dpstack.cli.foreground import tell_simulated
 from dpstack.cli.outlet import unhurried
 from dpstack.cli.signals import StopSignal
 from dpstack.cli.streams import warn
@@ -114,6 +115,7 @@ async def _as_master(
 ) -> int:
     if config.bus.read_only:
         raise UsageError("the configuration is read only: no drive can be given an order; leave read_only out")
+    tell_simulated(config)
     shown = _Shown(slave.name, json=args.json)
     async with OneDrive(config.only(slave), on_event=shown.event, on_stopping=shown.stopping) as drive:
         work = Orders(drive, orders, through="master", json=args.json)

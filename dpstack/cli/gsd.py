@@ -13,6 +13,7 @@ from dpstack.api.gsd import (
     module_lengths,
     module_prm,
     read_gsd,
+    requires,
     supports,
 )
 from dpstack.cli import gsd_configure, options, output
@@ -120,6 +121,8 @@ def _show(file: GsdFile) -> None:
     if data["user_prm"] != data["user_prm_const"]:
         rows.append(("constants beneath", data["user_prm_const"]))
     rows.append(("supports", ", ".join(supports(file)) or "nothing beyond the basics"))
+    if requires(file):
+        rows.append(("requires", ", ".join(requires(file))))
     alarms = alarms_text(file.device)
     if alarms is not None:
         rows.append(("alarms", alarms))

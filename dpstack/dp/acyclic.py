@@ -95,7 +95,7 @@ class Acyclic:
 
     @property
     def waiting(self) -> int:
-        """Services that have no end yet."""
+        """Services that are not over yet."""
         return len(self._queue)
 
     @property
@@ -117,7 +117,7 @@ class Acyclic:
             case LineDown(reason):
                 self._no_line = reason
                 for entry in tuple(self._queue):
-                    what = f"had no end when the port vanished ({reason}); it can be repeated when the port is back"
+                    what = f"was not over when the port vanished ({reason}); it can be repeated when the port is back"
                     self._cut(entry, ServiceFailure.LINE, what, now)
                 self._ms2.line_down(reason, now)
                 self._take_wanted(now)
@@ -289,7 +289,7 @@ class Acyclic:
             entry.over = entry.over or (ServiceFailure.LATE, entry.job.overdue)
 
     def _why_late(self, entry: _Entry) -> str:
-        after = f"had no end after {ns_to_s(entry.timeout_ns):g} s"
+        after = f"was not over after {ns_to_s(entry.timeout_ns):g} s"
         if self._no_line:
             return f"{after}: the port vanished ({self._no_line}); it can be repeated when the port is back"
         if self._tokens == entry.since:

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Awaitable, Callable, Iterator, Mapping
+from collections.abc import Awaitable, Callable, Iterator
 from typing import Protocol
 
 from dpstack.dp.device import FunctionDevice, Leave, OnCycle
 from dpstack.dp.diagnosis import FIXED_LEN
+from dpstack.dp.given import functions, octets, whole
 from dpstack.dp.slave_description import SlaveDescription
 from dpstack.dp.user_diag import NO_DIAG, UserDiag
 from dpstack.dp.v1.alarm_server import AlarmServer
 from dpstack.dp.v1.connection import InitiateReq
 from dpstack.dp.v1.device_records import ByIndex, ImOf, ImRecords
 from dpstack.dp.v1.im import Im
+from dpstack.dp.v1.ms2_server import MAX_CONNECTIONS
 from dpstack.dp.v1.prm_blocks import PrmBlock
 from dpstack.dp.v1.records import PARAMETER_INDEX
 from dpstack.dp.v1.tickets import Records
@@ -95,14 +97,30 @@ class DpSlave(FunctionDevice):
         parameters: Records | None = None,
         ms2: int | None = None,
     ) -> None:
+        _check_description(description)
+        functions(
+            f"slave {description.name}",
+            ConfigError,
+            on_cycle=on_cycle,
+            on_prm=on_prm,
+            on_blocks=on_blocks,
+            on_address=on_address,
+            on_leave=on_leave,
+            on_read=on_read,
+            on_write=on_write,
+            on_transport=on_transport,
+            on_initiate=on_initiate,
+            on_im=on_im,
+        )
         first = description.configs[0] if description.configs else description.modules[0].config
-        real = first if config is None else config
+        real = first if config is None else octets(f"slave {description.name}: config", config, ConfigError)
         reason = description.check_cfg(real)
         if reason is not None:
             raise ConfigError(f"slave {description.name}: {reason}")
         super().__init__(description.ident, real, on_cycle, description.name)
         self.description = description
         self.configs = tuple(dict.fromkeys((real, *description.configs)))
+        safe = None if safe is None else octets(f"slave {self.name}: safe", safe, ConfigError)
         if safe is not None and description.modules:
             raise ConfigError(f"slave {self.name}: a modular slave has zeros as safe outputs; leave safe out")
         if safe is not None and {len(safe)} != {io_lengths(known)[1] for known in self.configs}:
@@ -126,12 +144,20 @@ class DpSlave(FunctionDevice):
         self.on_read = on_read
         self.on_write = on_write
         self.on_transport = on_transport
-        self.ms2 = description.ms2 if ms2 is None else ms2
+        self.ms2 = description.ms2 if ms2 is None else whole(f"slave {self.name}: ms2", ms2, ConfigError)
+        if not 0 <= self.ms2 <= MAX_CONNECTIONS:
+            raise ConfigError(
+                f"slave {self.name}: ms2 = {ms2}: 0 to {MAX_CONNECTIONS} class 2 connections are possible"
+            )
         self.ms2_max_len = description.ms2_max_len
         self.ms2_max_initiate = description.ms2_max_initiate
         self._on_initiate = on_initiate
         self._on_im = on_im
-        given = im if isinstance(im, Mapping) else tuple(im)
+        given = tuple(im) if isinstance(im, Iterator) else im
+        if parameters is not None and not hasattr(parameters, "ask"):
+            raise ConfigError(
+                f"slave {self.name}: parameters = {parameters!r}: give dpstack.profile.acyclic.TimedRecords"
+            )
         self._parameters = parameters
         self._im = ImRecords(given, changed=self._im_written) if given else None
         self.serve_records(None)
@@ -240,3 +266,11 @@ class DpSlave(FunctionDevice):
             yield
         finally:
             self.inside = False
+
+
+def _check_description(given: object) -> None:
+    if not isinstance(given, SlaveDescription):
+        raise ConfigError(
+            f"a DpSlave is made of a SlaveDescription, not of {given!r}: SlaveDescription.simple(0x1234, inputs=2, "
+            f"outputs=1) for instance; slave_from_gsd(...) makes one of a GSD file"
+        )

@@ -29,6 +29,8 @@ from dpstack.units import NEVER, NS_PER_US
 SPIN_NS: Final = 20 * NS_PER_US
 #: A deadline missed by more than this is judged only after the port was read again.
 _LATE_NS: Final = 30 * NS_PER_US
+#: A line that is never silent is not looked at more often before a deadline is judged.
+_LOOKS: Final = 4
 #: Steps without giving the loop a turn; a lone master's token at 12 Mbit/s is due every few microseconds.
 _BURST: Final = 8
 
@@ -174,7 +176,10 @@ class Stepping(ABC):
         steps = _BURST
         heard, sent_at, spun = 0, 0, 0
         try:
-            arrived = now = monotonic_ns()
+            now = monotonic_ns()
+            if now >= self._deadline:
+                chunk, now = self._look(chunk, now)
+            arrived = now
             if chunk:
                 heard = self._answers.heard(len(chunk), now)
                 if heard:
@@ -192,7 +197,7 @@ class Stepping(ABC):
                     spun += deadline - now
                     while now < deadline:
                         now = monotonic_ns()
-                chunk = self._drain() if now - deadline > _LATE_NS else b""
+                chunk, now = self._look(b"", now) if now - deadline > _LATE_NS else (b"", now)
             if machine.baud != self._port.baud and self._attempts is None:
                 follow(self._port, machine)
                 self._wire_ns = wire_times(self._port)
@@ -242,11 +247,25 @@ class Stepping(ABC):
             return
         while now < deadline:
             now = monotonic_ns()
-        # It may fire late, or the loop was held up: what arrived meanwhile counts before the deadline is judged.
-        chunk = self._drain()
-        if self._echo is not None:
-            chunk = self._echo.release() + chunk
+        echo, chunk = self._echo, b""
+        if echo is not None:  # a deadline is due: the rest of what is held does not come
+            chunk = self._drain()
+            chunk = echo.release() + chunk
         self._step(chunk)
+
+    def _look(self, chunk: bytes, now: int) -> tuple[bytes, int]:
+        """A deadline has passed at ``now``: ``chunk`` with what arrived since it was read, and the time to judge at.
+
+        Timers fire late, and a process can be held up anywhere, also between reading the line and reading the clock,
+        and for longer than a slot time. So the clock is read first: up to the time that counts nothing was missed.
+        """
+        for _ in range(_LOOKS):
+            more = self._drain()
+            if not more:
+                break
+            chunk += more
+            now = monotonic_ns()  # the idle time after these octets counts from here
+        return chunk, now
 
     def _drain(self) -> bytes:
         octets = self._port.read_now()

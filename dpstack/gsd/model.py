@@ -243,13 +243,18 @@ class Speed:
 
 @dataclass(frozen=True, slots=True)
 class DpV1:
-    """The DP-V1 keywords. Lengths in octets, time-outs in 10 ms; ``alarms``: supported, ``required``: without fail."""
+    """The DP-V1 keywords. Lengths in octets, time-outs in 10 ms; ``alarms``: supported, ``required``: without fail.
+
+    ``c1_read_write_required``: it is of use only to a master that has MS1; ``c2_...``: to somebody with class 2.
+    """
 
     slave: bool = False
     c1_read_write: bool = False
+    c1_read_write_required: bool = False
     c1_max_data_len: int = 0
     c1_response_timeout: int = 0
     c2_read_write: bool = False
+    c2_read_write_required: bool = False
     c2_max_data_len: int = 0
     c2_response_timeout: int = 0
     c2_max_count_channels: int = 0

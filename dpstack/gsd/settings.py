@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final
 
+from dpstack.gsd.dpv1_check import oddities
 from dpstack.gsd.findings import Findings
 from dpstack.gsd.keywords import ALARMS, RATES
 from dpstack.gsd.lexer import Statement, first_number, number, string
@@ -56,7 +57,9 @@ _TEXTS: Final = {
 _V1_FLAGS: Final = {
     "slave": "dpv1_slave",
     "c1_read_write": "c1_read_write_supp",
+    "c1_read_write_required": "c1_read_write_required",
     "c2_read_write": "c2_read_write_supp",
+    "c2_read_write_required": "c2_read_write_required",
     "extra_alarm_sap": "extra_alarm_sap_supp",
     "alarm_type_mode": "alarm_type_mode_supp",
     "wd_base_1ms": "wd_base_1ms_supp",
@@ -66,15 +69,16 @@ _V1_FLAGS: Final = {
     "prm_block_structure_required": "prm_block_structure_req",
     "ident_maintenance": "ident_maintenance_supp",
 }
-_V1_INTS: Final = (
-    "c1_max_data_len",
-    "c1_response_timeout",
-    "c2_max_data_len",
-    "c2_response_timeout",
-    "c2_max_count_channels",
-    "max_initiate_pdu_length",
-    "alarm_sequence_mode_count",
-)
+#: keyword -> highest value
+_V1_INTS: Final = {
+    "c1_max_data_len": 240,
+    "c1_response_timeout": 0xFFFF,
+    "c2_max_data_len": 240,
+    "c2_response_timeout": 0xFFFF,
+    "c2_max_count_channels": 49,
+    "max_initiate_pdu_length": 244,
+    "alarm_sequence_mode_count": 32,
+}
 _ISO_FLAGS: Final = {
     "supported": "isochron_mode_supp",
     "required": "isochron_mode_required",
@@ -197,11 +201,16 @@ class Settings:
         fields: dict[str, Any] = {}
         for field, keyword in _V1_FLAGS.items():
             self._into(fields, field, self._flag(keyword))
-        for keyword in _V1_INTS:
-            self._into(fields, keyword, self._int(keyword))
+        for keyword, highest in _V1_INTS.items():
+            self._into(fields, keyword, self._int(keyword, 0, highest))
         for field, ending in (("alarms", "supp"), ("required", "required")):
             fields[field] = tuple(alarm for alarm in ALARMS if self._flag(f"{alarm.lower()}_{ending}"))
-        return DpV1(**fields)
+        dpv1 = DpV1(**fields)
+        for keyword, text in oddities(dpv1):
+            if keyword in self._settings:
+                statement, line = self._settings[keyword]
+                self._findings.warning(line, statement.column, text)
+        return dpv1
 
     def _isochronous(self) -> Isochronous:
         fields: dict[str, Any] = {}

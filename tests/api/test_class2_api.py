@@ -156,7 +156,7 @@ Call = Callable[[Class2], Coroutine[Any, Any, object]]
             "another device: ident 0x4321 instead of 0x0001",
         ),
         (lambda c: c.set_address(20, 21, ident=-1), dpstack.UsageError, "ident = -1 does not fit"),
-        (lambda c: c.diagnosis(77, timeout=0.0), dpstack.SlaveTimeout, "had no end after 0 s"),
+        (lambda c: c.diagnosis(77, timeout=0.0), dpstack.SlaveTimeout, "was not over after 0 s"),
     ],
 )
 def test_every_error_is_typed(call: Call, kind: type[dpstack.DpError], text: str) -> None:

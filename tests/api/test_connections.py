@@ -286,7 +286,7 @@ def test_a_service_that_is_given_up_leaves_the_connection() -> None:
             with pytest.raises(TimeoutError):
                 async with asyncio.timeout(0.01):
                     await connection.read(5, 5)
-            with pytest.raises(SlaveTimeout, match=r"had no end after 0\.01 s"):
+            with pytest.raises(SlaveTimeout, match=r"was not over after 0\.01 s"):
                 await connection.read(6, 6, timeout=0.01)
             assert await connection.read(1, 2) == b"\1\2"
             assert connection.is_open

@@ -99,9 +99,25 @@ def test_im(plant: Path, capsys: Out) -> None:
     assert "I&M0    order_id           RIG" in out
     assert "I&M1    tag_function       fan" in out
     assert "I&M2" not in out
+    rows = [" ".join(line.split()) for line in out.splitlines()]
+    assert "I&M0 version 1.1" in rows
+    assert "I&M0 supported I&M1 (0x0002)" in rows
     told = json.loads(run(capsys, str(plant), "8", "im", "--json")[0])
     assert told["im"]["0"]["serial_number"] == "7"
+    assert (told["im"]["0"]["version"], told["im"]["0"]["supported"]) == ([1, 1], 2)
     assert told["im"]["1"] == {"tag_function": "fan", "tag_location": ""}
+
+
+@pytest.mark.parametrize(
+    ("supported", "text"),
+    [(0, "I&M0 only (0x0000)"), (0b11110, "I&M1, I&M2, I&M3, I&M4 (0x001E)"), (1, "profile specific (0x0001)")],
+)
+def test_which_im_records_there_are(supported: int, text: str, capsys: Out) -> None:
+    fields = {"supported": supported, "version": [2, 0]}
+    acyclic._show({"order": "im", "address": 8, "slave": "rig", "slot": 0, "im": {"0": fields}})
+    out = capsys.readouterr().out
+    assert text in out
+    assert "version    2.0" in out
 
 
 def test_a_text_that_is_no_text(capsys: Out) -> None:
@@ -170,6 +186,15 @@ async def through() -> None:
         await through_run("virtual", 7, "read", ["1", "9"])
     with pytest.raises(UsageError, match="dpv1 = true"):
         await through_run("virtual", 9, "read", ["1", "9"])
+    for word in ("dump", "compare"):
+        with pytest.raises(UsageError) as wrong:
+            await through_run("virtual", 8, word, ["rig.toml"])
+        assert str(wrong.value) == (
+            f"ctl acyclic has no files: `dpstack acyclic CONFIG 8 {word} FILE` has, and goes through this run; "
+            "parameters gives the same list"
+        )
+    with pytest.raises(UsageError, match="ctl acyclic does not know 'look'; it knows read, write, parameters, im"):
+        await through_run("virtual", 8, "look", [])
 
 
 async def test_a_run_carries_the_orders_out(plant: Path) -> None:

@@ -18,6 +18,7 @@ from dpstack.api.config import Config
 from dpstack.api.control.programs import control_run
 from dpstack.api.control.records import through_run
 from dpstack.cli import acyclic
+from dpstack.cli.main import main
 from dpstack.profile.acyclic import (
     Address,
     Description,
@@ -273,7 +274,9 @@ def test_wrong_use(plant: Path, capsys: Out, args: list[str], text: str) -> None
     assert text in run(capsys, str(plant), "8", *args, code=2)[1]
 
 
-async def test_through_a_run_it_comes_in_pieces_with_progress(plant: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_through_a_run_it_comes_in_pieces_with_progress(
+    plant: Path, capsys: Out, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("dpstack.api.control.records._IN_A_LINE", 3)
     monkeypatch.setattr("dpstack.api.control.alive._SIGN_OF_LIFE_S", 0.01)
     device = Device()
@@ -288,6 +291,12 @@ async def test_through_a_run_it_comes_in_pieces_with_progress(plant: Path, monke
         assert isinstance(found, dict)
         assert [one["number"] for one in found["parameters"]] == list(range(11, 19))
         assert (found["slot"], found["object"], found["slave"]) == (1, 1, "pump")
+        capsys.readouterr()
+        assert await asyncio.to_thread(main, ["ctl", "virtual", "acyclic", "8", "parameters", "--json"]) == 0
+        shown = json.loads(capsys.readouterr().out)["result"]
+        assert [one["number"] for one in shown["parameters"]] == list(range(11, 19))
+        assert await asyncio.to_thread(main, ["ctl", "virtual", "acyclic", "8", "dump", "f.toml"]) == 2
+        assert "ctl acyclic has no files: `dpstack acyclic CONFIG 8 dump FILE` has" in capsys.readouterr().err
         del device.values[980]
         with pytest.raises(dpstack.ParameterError, match="it has no list of its parameters") as caught:
             await asyncio.to_thread(ask)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from cli_kit import SIMULATED
 from programs import PLANT, Program, Starter
 
 import dpstack
@@ -78,10 +79,11 @@ def plant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def drive(capsys: Out, *args: str, code: int = 0) -> tuple[list[str], list[str]]:
-    """Lines on standard output and standard error."""
+    """Lines on standard output and standard error; that the slaves are simulated is left out."""
     assert main(["drive", *args]) == code, capsys.readouterr()
     printed = capsys.readouterr()
-    told = [line for line in printed.err.splitlines() if "its ident number is" not in line]
+    err = printed.err.replace(SIMULATED, "", 1)
+    told = [line for line in err.splitlines() if "its ident number is" not in line]
     return printed.out.splitlines(), told
 
 

@@ -207,13 +207,14 @@ def test_the_port_vanishes_with_services_waiting_and_under_way() -> None:
     kit.send(LineDown("unplugged"))
     assert [done.outcome.failure for done in kit.done] == [ServiceFailure.LINE] * 3
     assert kit.done[0].outcome.text == (
-        "Slave_Diag to slave 4 had no end when the port vanished (unplugged); it can be repeated when the port is back"
+        "Slave_Diag to slave 4 was not over when the port vanished (unplugged); it can be repeated when the port is "
+        "back"
     )
     # ordered meanwhile it waits for the port
     outcome = kit.read(4, Service.INPUTS)
     assert outcome.failure is ServiceFailure.LINE
     assert outcome.text == (
-        "RD_Inp to slave 4 had no end after 5 s: the port vanished (unplugged); it can be repeated when the port is "
+        "RD_Inp to slave 4 was not over after 5 s: the port vanished (unplugged); it can be repeated when the port is "
         "back"
     )
     kit.send(ReadService(200, 4, Service.DIAGNOSIS))
@@ -229,7 +230,7 @@ def test_without_a_token_it_ends_in_time() -> None:
     begun = kit.bus.now
     outcome = kit.read(4, Service.INPUTS)
     assert outcome.failure is ServiceFailure.LATE
-    assert outcome.text.startswith("RD_Inp to slave 4 had no end after 5 s: this station was given no token")
+    assert outcome.text.startswith("RD_Inp to slave 4 was not over after 5 s: this station was given no token")
     assert 5_000 * MS <= kit.bus.now - begun <= 5_002 * MS
     kit.send(GoOnline())
     OctetSlave(kit.bus, 4, master=1)
@@ -342,7 +343,7 @@ def test_without_time_to_spare_it_ends_and_says_so(world: WorldFactory) -> None:
     outcome = ends(bus.events)[1].outcome
     assert outcome.failure is ServiceFailure.LATE
     assert outcome.text == (
-        "Get_Cfg to slave 3 had no end after 0.3 s: no token hold had time left for it; "
+        "Get_Cfg to slave 3 was not over after 0.3 s: no token hold had time left for it; "
         "T_TR is too short, or too many services wait"
     )
     assert bus.exchanging

@@ -293,7 +293,7 @@ def test_the_slave_leaves_data_exchange() -> None:
     for token in tokens:
         outcome = kit.end(token, 500 * MS).outcome
         assert outcome.failure in (ServiceFailure.CLOSED, ServiceFailure.SILENT), outcome
-    assert "has no end: the slave is not in data exchange but in " in kit.end(tokens[1]).outcome.text
+    assert "was given up: the slave is not in data exchange but in " in kit.end(tokens[1]).outcome.text
     kit.slave.mute = False
     kit.slave.ms1 = lambda data: answer(4, "5E 01 02 01 22") if data else SC
     kit.until_exchanging()
@@ -329,7 +329,9 @@ def test_stop_leaves_a_service_without_data_exchange() -> None:
     kit.send(SetMode(Mode.STOP))
     outcome = kit.end(token).outcome
     assert outcome.failure is ServiceFailure.CLOSED
-    assert outcome.text.endswith("has no end: the master is in Stop, where nothing is sent to slaves")
+    assert outcome.text.endswith(
+        "was given up: the master is in Stop, where nothing is sent to slaves; repeat it in Clear or Operate"
+    )
 
 
 def test_cancelled_under_way_its_answer_is_fetched_later() -> None:

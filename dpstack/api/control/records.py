@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncGenerator, Sequence
+from collections.abc import AsyncGenerator, Mapping, Sequence
 from typing import Any, Final
 
-from dpstack.api.acyclic_words import PARAMETERS, OnProgress, carry_out, check
+from dpstack.api.acyclic_words import COMPARE, DUMP, PARAMETERS, OnProgress, carry_out, check
 from dpstack.api.bus import Bus
 from dpstack.api.control.alive import kept_alive
-from dpstack.api.control.client import reach
+from dpstack.api.control.client import ControlClient, reach
 from dpstack.api.control.server import Result
 from dpstack.api.parts import SEARCHING
-from dpstack.errors import BusError
+from dpstack.errors import BusError, UsageError
 
 #: parameters in one line of an answer: it stays well below what the server keeps for a slow reader
 _IN_A_LINE: Final = 100
@@ -33,7 +33,14 @@ async def acyclic_order(bus: Bus, args: list[str], *, class2: bool = False) -> A
         raise BusError(f"{SEARCHING}: the slaves are known once it is found")
     name, word, *rest = args
     slave = bus.slave(int(name) if name.isdecimal() else name)
-    check(word, rest, class2=class2)
+    who = f"ctl {COMMANDS[2 if class2 else 1]}"
+    if word in (DUMP, COMPARE):
+        with_class = " --class 2" if class2 else ""
+        raise UsageError(
+            f"{who} has no files: `dpstack acyclic CONFIG {name} {word} FILE{with_class}` has, and goes through this "
+            f"run; {PARAMETERS} gives the same list"
+        )
+    check(word, rest, class2=class2, who=who)
     progress: list[object] = []
 
     def sign() -> dict[str, object]:
@@ -70,13 +77,20 @@ async def through_run(
     client = reach(port, kind="run")  # at once: there is a socket or there is none
     if client is None:
         return None
+    with client:
+        told = await asyncio.to_thread(ask, client, COMMANDS[master], str(slave), word, *args, progress=progress)
+    return {PARAMETERS: [], **told} if word == PARAMETERS else told
+
+
+def ask(client: ControlClient, command: str, *args: str, progress: OnProgress | None = None) -> Any:
+    """The result of ``command`` as :meth:`ControlClient.call` has it, with the parameters that came in items before."""
     found: list[object] = []
 
     def on_item(item: Any) -> None:
-        found.extend(item.get(PARAMETERS, ()))
-        if progress is not None and "progress" in item:
-            progress(*item["progress"])
+        if isinstance(item, Mapping):
+            found.extend(item.get(PARAMETERS, ()))
+            if progress is not None and "progress" in item:
+                progress(*item["progress"])
 
-    with client:
-        told = await asyncio.to_thread(client.call, COMMANDS[master], str(slave), word, *args, on_item=on_item)
-    return {**told, **({PARAMETERS: found} if word == PARAMETERS else {})}
+    told = client.call(command, *args, on_item=on_item)
+    return {**told, PARAMETERS: found} if found and isinstance(told, Mapping) else told

@@ -9,6 +9,7 @@ import dataclasses
 from collections.abc import Callable, Iterable, Mapping
 from weakref import WeakKeyDictionary
 
+from dpstack.dp.given import whole
 from dpstack.dp.v1.codes import Code
 from dpstack.dp.v1.im import IM_FI, IM_INDEX, IM_LEN, RECORDS, Im, Im0, build_call, number_of, parse_call
 from dpstack.dp.v1.records import MAX_SLOT, ReadReq, WriteReq
@@ -72,7 +73,7 @@ class ImRecords:
         self._slots: dict[int | None, dict[int, Im]] = {}
         if isinstance(records, Mapping):
             for slot, found in records.items():
-                if not 0 <= slot <= MAX_SLOT:
+                if not 0 <= whole("slot of I&M", slot, PduError) <= MAX_SLOT:
                     raise PduError(f"I&M of slot {slot}: slots are 0..{MAX_SLOT}")
                 self._slots[slot] = _of_one_slot(found)
         else:
@@ -137,7 +138,13 @@ class ImRecords:
 
 
 def _of_one_slot(records: Iterable[Im]) -> dict[int, Im]:
-    found = {number_of(record): record for record in records}
+    if isinstance(records, (*RECORDS, str)) or not isinstance(records, Iterable):
+        raise PduError(f"I&M = {records!r} is no list: write [Im0(order_id=...), Im1()]")
+    given = tuple(records)
+    for record in given:
+        if not isinstance(record, RECORDS):
+            raise PduError(f"{record!r} is no I&M record: give Im0(order_id=...), Im1(), Im2(), Im3() or Im4()")
+    found = {number_of(record): record for record in given}
     bits = sum(1 << number for number in found if number)
     known = found.get(0, Im0())
     assert isinstance(known, Im0)

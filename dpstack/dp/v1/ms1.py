@@ -179,7 +179,8 @@ class Ms1:
         if master is None or master.handlers.get(handler.setup.address) is not handler:
             return "the slave was removed from this bus, or parameterised anew; repeat it afterwards"
         if master.mode <= Mode.STOP:
-            return f"the master is in {master.mode.name.capitalize()}, where nothing is sent to slaves"
+            mode = master.mode.name.capitalize()
+            return f"the master is in {mode}, where nothing is sent to slaves; repeat it in Clear or Operate"
         state = handler.state
         if state is SlaveState.DATA_EXCHANGE and handler.since == since:
             return ""

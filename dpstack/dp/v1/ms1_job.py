@@ -87,7 +87,7 @@ class Ms1Job(abc.ABC):
     def bar(self) -> str:
         """See :meth:`~dpstack.dp.v1.ms1.Ms1.bar`."""
         why = self._ms1.bar(self._handler, self._since)
-        return f"has no end: {why}" if why else ""
+        return f"was given up: {why}" if why else ""
 
     # --- the course ---------------------------------------------------------------------------------------------
 

@@ -182,9 +182,6 @@ def parse_response(octets: bytes) -> RecordRes:
 
 
 def _check(slot: int, index: int, length: int) -> None:
-    for name, number in (("slot", slot), ("index", index), ("length", length)):
-        if not isinstance(number, int):
-            raise PduError(f"{name} = {number!r} is no whole number")
     if not 0 <= slot <= MAX_SLOT:
         raise PduError(f"slot {slot} does not exist: 0..{MAX_SLOT}")
     if not 0 <= index <= 255:

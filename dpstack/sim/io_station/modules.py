@@ -57,7 +57,7 @@ EMPTY: Final = 0x00
 
 def module_named(name: str) -> IoModule:
     """By name, blanks and case aside. Raises ValueError naming those there are."""
-    for module in MODULES.values():
+    for module in MODULES.values() if isinstance(name, str) else ():
         if module.name.replace(" ", "").lower() == name.replace(" ", "").lower():
             return module
     raise ValueError(f"there is no module {name!r}; there are: {', '.join(m.name for m in MODULES.values())}")

@@ -6,6 +6,9 @@
 | 1 .. | 1 | the parameter octet of the module; written, it counts until the next Set_Prm |
 | 1 .. | 2 | its state, the identifier octet configured, the one that is plugged (0: none), a bit for each broken wire |
 | all | 255 | I&M0; at the head also I&M1 to 4, which can be written |
+
+Masters of both classes reach them: MS1 in data exchange, class 2 connections at any time. Data_Transport, which class 2
+only has, is a loop back at slot 0, index 0: what is sent comes back.
 """
 
 from __future__ import annotations
@@ -17,11 +20,13 @@ from dpstack.dp.v1.codes import Code
 from dpstack.dp.v1.device_records import ImRecords
 from dpstack.dp.v1.im import IM_INDEX, Im0, Im1, Im2, Im3, Im4
 from dpstack.dp.v1.records import WriteReq
-from dpstack.dp.v1.tickets import Ticket
+from dpstack.dp.v1.tickets import Ticket, TransportTicket
 from dpstack.sim.io_station.modules import EMPTY, Slot
 
 PARAMETERS: Final = 1
 STATE: Final = 2
+#: slot and index of the loop back
+_LOOP: Final = (0, 0)
 
 
 class StationRecords:
@@ -55,6 +60,10 @@ class StationRecords:
         else:
             ticket.refuse(Code.INVALID_INDEX)
 
+    def keep(self, before: StationRecords) -> None:
+        """Switched on again: I&M that a master wrote is what it was."""
+        self._head = before._head
+
     def _ask_head(self, ticket: Ticket) -> None:
         if ticket.request.index == STATE:
             _read_only(ticket, bytes(0 if slot is None else slot.state for slot in self._slots))
@@ -78,6 +87,15 @@ class StationRecords:
             ticket.refuse(Code.INVALID_RANGE)
         else:
             ticket.answer()
+
+
+def loop_back(ticket: TransportTicket) -> None:
+    """Data_Transport: a test of the connection; at once."""
+    request = ticket.request
+    if (request.slot, request.index) == _LOOP:
+        ticket.answer(request.data)
+    else:
+        ticket.refuse(Code.INVALID_INDEX if request.slot == _LOOP[0] else Code.INVALID_SLOT)
 
 
 def _im0(order_id: str, number: int) -> Im0:

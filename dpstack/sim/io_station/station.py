@@ -19,10 +19,11 @@ the order returns why.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Final
 
 from dpstack.dp.dp_slave import DpSlave
+from dpstack.dp.given import octets, whole
 from dpstack.dp.slave_description import SlaveDescription
 from dpstack.dp.user_diag import UserDiag, channel_block, identifier_block
 from dpstack.dp.v1.alarms import Alarm, AlarmType, ModuleState, Specifier, module_status
@@ -30,13 +31,16 @@ from dpstack.dp.v1.status import DPV1_STATUS_LEN
 from dpstack.errors import AlarmError, ConfigError
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.sim.io_station.modules import EMPTY, MODULES, Slot, edges, module_named
-from dpstack.sim.io_station.records import StationRecords
+from dpstack.sim.io_station.records import StationRecords, loop_back
 
 IDENT: Final = 0x10D5
 MAX_MODULES: Final = 8
 ALARMS: Final = ("pull_plug", "process", "diagnostic", "update")
 SEQUENCE: Final = 8
 MAX_DIAG: Final = 64
+#: class 2 connections, and octets of an Initiate
+CONNECTIONS: Final = 2
+MAX_INITIATE: Final = 52
 #: of channel related diagnosis
 _LINE_BREAK: Final = 6
 
@@ -49,6 +53,7 @@ class IoStation(DpSlave):
     """
 
     def __init__(self, config: bytes, description: SlaveDescription | None = None, *, name: str = "io-station") -> None:
+        config = octets(f"I/O station {name}: config", config, ConfigError)
         unknown = [octet for octet in config if octet not in MODULES and octet != EMPTY]
         if unknown or not 1 <= len(config) <= MAX_MODULES or not any(config):
             what = f"identifier octet {unknown[0]:02X}" if unknown else f"{len(config)} slots"
@@ -64,11 +69,15 @@ class IoStation(DpSlave):
         self._entered = False
         self._prm = self._defaults = bytes(slot.prm for slot in self._with_parameters)
         super().__init__(description or _described(config, name, len(self._prm)), self._cycle, config=config)
-        self.records = StationRecords(self.slots, self._change_parameter)
+        self._station_records = StationRecords(self.slots, self._change_parameter)
+        self.records = self._station_records
+        self.transport = loop_back
 
     @classmethod
     def of(cls, modules: Sequence[str], name: str = "io-station") -> IoStation:
         """A station with these modules plugged, by name from slot 1 on, "" for an empty slot. Raises ConfigError."""
+        if isinstance(modules, (str, bytes)) or not isinstance(modules, Iterable):
+            raise ConfigError(f'I/O station {name}: modules = {modules!r} is no list: write ["8 DI", "8 DO"]')
         try:
             config = bytes(module_named(module).config if module else EMPTY for module in modules)
         except ValueError as error:
@@ -92,12 +101,13 @@ class IoStation(DpSlave):
 
     # --- what happens to it from outside --------------------------------------------------------------------------
 
-    def set_input(self, slot: int, octets: bytes) -> str | None:
+    def set_input(self, slot: int, inputs: bytes) -> str | None:
         """The process changes: all inputs of a module, octets as the master reads them."""
         place = self._slot(slot)
-        if not place.module.inputs or len(octets) != place.module.inputs:
-            raise ValueError(f"{place.text} has {place.module.inputs} octets of inputs, {len(octets)} were given")
-        before, place.process = place.inputs, bytes(octets)
+        inputs = octets("inputs", inputs, ValueError)
+        if not place.module.inputs or len(inputs) != place.module.inputs:
+            raise ValueError(f"{place.text} has {place.module.inputs} octets of inputs, {len(inputs)} were given")
+        before, place.process = place.inputs, inputs
         if not place.module.analogue_inputs and place.present:
             changed = edges(before, place.inputs, place.prm)
             if any(changed):
@@ -107,7 +117,7 @@ class IoStation(DpSlave):
     def wire_break(self, slot: int, channel: int, broken: bool) -> str | None:
         """The wire of an analogue input channel, 0 or 1, breaks or is whole again."""
         place = self._slot(slot)
-        if not place.module.analogue_inputs or not 0 <= channel < place.module.channels:
+        if not place.module.analogue_inputs or not 0 <= whole("channel", channel, ValueError) < place.module.channels:
             raise ValueError(f"{place.text} has no analogue input channel {channel}; channels count from 0")
         before = place.faults
         place.broken = place.broken | {channel} if broken else place.broken - {channel}
@@ -143,7 +153,8 @@ class IoStation(DpSlave):
         return self._alarm(AlarmType.PLUG, place, how, bytes((place.plugged.config,)))
 
     def inherit(self, before: IoStation) -> None:
-        """Switched on again: what is plugged and the process are as they were."""
+        """Switched on again: what is plugged, the process and its I&M are as they were."""
+        self._station_records.keep(before._station_records)
         for place, was in zip(self.slots, before.slots, strict=True):
             if place is not None and was is not None:
                 place.plugged, place.process, place.broken = was.plugged, was.process, was.broken
@@ -195,7 +206,7 @@ class IoStation(DpSlave):
         return inputs
 
     def _slot(self, number: int) -> Slot:
-        place = self.slots[number - 1] if 1 <= number <= len(self.slots) else None
+        place = self.slots[number - 1] if 1 <= whole("slot", number, ValueError) <= len(self.slots) else None
         if place is None:
             known = ", ".join(place.text for place in self.slots if place is not None)
             raise ValueError(f"there is no module in slot {number}; there are: {known}")
@@ -273,10 +284,13 @@ def _described(config: bytes, name: str, parameters: int) -> SlaveDescription:
         alarms=ALARMS,
         alarm_sequence=SEQUENCE,
         max_diag_len=MAX_DIAG,
+        ms2=CONNECTIONS,
+        ms2_max_initiate=MAX_INITIATE,
     )
 
 
 def _unknown_bits(place: Slot, octet: int) -> str | None:
+    whole("parameter octet", octet, ValueError)
     if place.module.prm is None:
         return f"{place.text} has no parameters"
     if octet & ~place.module.mask:

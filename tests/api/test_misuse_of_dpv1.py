@@ -1,0 +1,197 @@
+"""Misuse of what DP-V1 has for programs raises at once, typed, and says what is wanted; nothing goes to the bus."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+import pytest
+from api_kit import HOIST, bus_of, virtual
+
+import dpstack
+from dpstack import ConfigError, DpSlave, Im0, Im1, IoStation, SlaveDescription, UsageError
+from dpstack.errors import PduError
+
+VALVES = SlaveDescription.simple(0x4711, inputs=2, outputs=1, name="valves", dpv1=True, alarms=("process",))
+
+
+def cycle(outputs: bytes, elapsed: int) -> bytes:
+    return bytes(2)
+
+
+@pytest.mark.parametrize(
+    ("modules", "text"),
+    [
+        ([1, 2], "there is no module 1; there are: 8 DI, 16 DI"),
+        ([b"8 DI"], "there is no module b'8 DI'"),
+        ("8 DI", 'modules = \'8 DI\' is no list: write ["8 DI", "8 DO"]'),
+        (None, "modules = None is no list"),
+        (5, "modules = 5 is no list"),
+    ],
+)
+def test_modules_of_an_io_station(modules: Any, text: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        IoStation.of(modules)
+    assert text in str(caught.value)
+
+
+@pytest.mark.parametrize("config", ["10", 16, None])
+def test_identifier_octets_of_an_io_station(config: Any) -> None:
+    with pytest.raises(ConfigError, match="is no octets: give bytes"):
+        IoStation(config)
+
+
+def test_orders_to_an_io_station() -> None:
+    io: Any = IoStation.of(["8 DI", "8 DO", "2 AI"])
+    orders: list[tuple[Callable[[], object], str]] = [
+        (lambda: io.set_input(1, "05"), "inputs = '05' is no octets"),
+        (lambda: io.set_input(1, 5), "inputs = 5 is no octets"),
+        (lambda: io.pull("1"), "slot = '1' is no whole number"),
+        (lambda: io.pull(None), "slot = None is no whole number"),
+        (lambda: io.wire_break(3, "0", True), "channel = '0' is no whole number"),
+        (lambda: io.set_parameter(1, b"\1"), "parameter octet = b'\\x01' is no whole number"),
+    ]
+    for order, text in orders:
+        with pytest.raises(ValueError, match="is no") as caught:
+            order()
+        assert text in str(caught.value)
+    io.pull(2)
+    with pytest.raises(ValueError, match="there is no module 3"):
+        io.plug(2, 3)
+
+
+@pytest.mark.parametrize(
+    ("given", "error", "text"),
+    [
+        ({"description": {}}, ConfigError, "made of a SlaveDescription, not of {}: SlaveDescription.simple(0x1234"),
+        ({"on_cycle": None}, ConfigError, "slave valves: on_cycle = None is no function"),
+        ({"on_read": 5}, ConfigError, "slave valves: on_read = 5 is no function"),
+        ({"on_im": "x"}, ConfigError, "slave valves: on_im = 'x' is no function"),
+        ({"ms2": 50}, ConfigError, "slave valves: ms2 = 50: 0 to 49 class 2 connections are possible"),
+        ({"ms2": -1}, ConfigError, "ms2 = -1: 0 to 49"),
+        ({"ms2": "2"}, ConfigError, "ms2 = '2' is no whole number"),
+        ({"config": "10"}, ConfigError, "slave valves: config = '10' is no octets"),
+        ({"safe": "00"}, ConfigError, "slave valves: safe = '00' is no octets"),
+        ({"parameters": 5}, ConfigError, "parameters = 5: give dpstack.profile.acyclic.TimedRecords"),
+        ({"im": ["x"]}, PduError, "'x' is no I&M record: give Im0(order_id=...)"),
+        ({"im": Im0(order_id="V")}, PduError, "is no list: write [Im0(order_id=...), Im1()]"),
+        ({"im": 5}, PduError, "I&M = 5 is no list"),
+        ({"im": {"1": [Im0()]}}, PduError, "slot of I&M = '1' is no whole number"),
+    ],
+)
+def test_a_slave_that_cannot_be(given: dict[str, Any], error: type[Exception], text: str) -> None:
+    arguments: dict[str, Any] = {"description": VALVES, "on_cycle": cycle, **given}
+    with pytest.raises(error) as caught:
+        DpSlave(**arguments)
+    assert text in str(caught.value)
+
+
+def test_im_from_a_generator() -> None:
+    slave = DpSlave(VALVES, cycle, im=(record for record in (Im0(order_id="V"), Im1("fan"))))
+    assert [type(record) for record in slave.im] == [Im0, Im1]
+
+
+Use = Callable[[], Awaitable[object]]
+
+
+async def refused(uses: list[tuple[Use, str]], error: type[Exception] = UsageError) -> None:
+    for use, text in uses:
+        with pytest.raises(error) as caught:
+            await use()
+        assert text in str(caught.value)
+
+
+def test_at_the_bus() -> None:
+    async def program() -> None:
+        world = dpstack.World()
+
+        def read(slot: int, index: int) -> bytes:
+            return b"x"
+
+        ordinary: Any = read
+        slave = DpSlave(VALVES, cycle, on_read=ordinary, im=[Im0(order_id="V")], ms2=1)
+        told: list[dpstack.Event] = []
+        async with dpstack.serve_slave(slave, world=world, address=9, on_event=told.append) as server:
+            served: Any = server.slave
+            await refused(
+                [
+                    (lambda: served.alarm("process", 1), "type = 'process' is no whole number"),
+                    (lambda: served.alarm(2, "1"), "slot = '1' is no whole number"),
+                    (lambda: served.alarm(2, 1, data="x"), "data = 'x' is no octets"),
+                ]
+            )
+            for states in (5, ["ok"], [4], []):
+                with pytest.raises(UsageError, match="is no list of ModuleState"):
+                    served.module_status(states)
+            async with dpstack.open_bus(world=world, baud=500_000, slaves=[VALVES.table(9)]) as bus:
+                await bus.ready()
+                one: Any = bus.slave("valves")
+                class2: Any = bus.class2
+                at_it: list[tuple[Use, str]] = [
+                    (lambda: one.read("1", 2), "slot = '1' is no whole number"),
+                    (lambda: one.read(1, None), "index = None is no whole number"),
+                    (lambda: one.read(1, 2, "3"), "length = '3' is no whole number"),
+                    (lambda: one.read(1, 2, timeout="x"), "timeout = 'x' is no time for a service"),
+                    (lambda: one.write(1, 2, "ab"), "data = 'ab' is no octets"),
+                    (lambda: one.write(1, 2, 5), "data = 5 is no octets"),
+                    (lambda: one.write(1, 2, [256]), "data = [256] is no octets"),
+                    (lambda: one.im("0"), "number of I&M = '0' is no whole number"),
+                    (lambda: one.im(0, slot="x"), "slot = 'x' is no whole number"),
+                    (lambda: one.im(0, timeout="x"), "timeout = 'x' is no time"),
+                    (lambda: one.write_im("x"), "'x' is no I&M record: give Im1(tag_function=...)"),
+                    (lambda: one.parameters(1).read(5), "5 is no list of parameters: read([Address(965)"),
+                ]
+                await refused(at_it)
+                for wrong, text in (({"slot": "1"}, "slot = '1'"), ({"object": "q"}, "object = 'q'")):
+                    with pytest.raises(UsageError, match=f"{text} is no whole number"):
+                        one.parameters(**wrong)
+                for wrong, text in (
+                    ({"source": "ab"}, "source = 'ab' is no octets"),
+                    ({"send_timeout": "1"}, "no time"),
+                ):
+                    with pytest.raises(UsageError, match=text):
+                        class2.connect(9, **wrong)
+                for nobody in (1.5, None):
+                    with pytest.raises(UsageError, match=f"{nobody} is no slave: give its address, 0..126, its name"):
+                        class2.connect(nobody)
+                await refused(
+                    [
+                        (lambda: class2.diagnosis(None), "None is no slave"),
+                        (lambda: class2.set_address("126", "5"), "old = '126' is no whole number"),
+                    ]
+                )
+                async with bus.class2.connect(9) as opened:
+                    connection: Any = opened
+                    await refused(
+                        [
+                            (lambda: connection.read("1", 2), "slot = '1' is no whole number"),
+                            (lambda: connection.write(1, 2, "ab"), "data = 'ab' is no octets"),
+                            (lambda: connection.transport(0, 0, "ab"), "data = 'ab' is no octets"),
+                            (lambda: connection.im("x"), "number of I&M = 'x' is no whole number"),
+                        ]
+                    )
+                    assert opened.is_open
+                    assert [there.services for there in server.slave.connections] == [0]
+                # what is written where it is an ordinary function is answered, and told with what to do
+                with pytest.raises(dpstack.AcyclicError, match="read error"):
+                    await one.read(1, 2)
+        assert any(
+            "on_read is an ordinary function, it has to be an async one: write async def" in e.text for e in told
+        )
+
+    virtual(program())
+
+
+def test_several_parameters_of_a_drive() -> None:
+    async def program() -> None:
+        async with bus_of(HOIST) as bus:
+            await bus.ready()
+            hoist: Any = bus.drive("hoist")
+            await refused(
+                [
+                    (lambda: hoist.read_many(5), "parameters = 5 is no list"),
+                    (lambda: hoist.read_many("x"), "is no list"),
+                ]
+            )
+
+    virtual(program())

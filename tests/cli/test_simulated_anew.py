@@ -1,0 +1,95 @@
+"""``drive`` and ``acyclic`` on the port "virtual" without a run: that its slaves are made for this command is told."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import threading
+from pathlib import Path
+
+import pytest
+from cli_kit import SIMULATED
+
+import dpstack
+from dpstack.api.control.programs import control_run
+from dpstack.cli.main import main
+
+Out = pytest.CaptureFixture[str]
+PLANT = """
+[bus]
+port = "virtual"
+baud = 500000
+
+[[slave]]
+name = "io"
+address = 8
+gsd = "io-station"
+modules = ["8 DI", "8 DO"]
+
+[[slave]]
+name = "pump"
+address = 3
+drive = "demag-dedrive"
+"""
+IM0 = ["acyclic", "PLANT", "8", "im", "2"]
+COMMANDS = [IM0, [*IM0, "--class", "2"], ["drive", "PLANT", "pump", "status"]]
+
+pytestmark = pytest.mark.usefixtures("alone")
+
+
+@pytest.fixture
+def plant(tmp_path: Path) -> str:
+    path = tmp_path / "plant.toml"
+    path.write_text(PLANT, encoding="utf-8")
+    return str(path)
+
+
+def given(command: list[str], plant: str) -> list[str]:
+    return [plant if word == "PLANT" else word for word in command]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_in_one_line_beside_the_json(
+    command: list[str], plant: str, capsys: Out, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("asyncio.run", dpstack.run_virtual)
+    assert main([*given(command, plant), "--json"]) == 0
+    printed = capsys.readouterr()
+    assert printed.err == SIMULATED
+    (line,) = printed.out.splitlines()
+    told = json.loads(line)
+    assert told["through"] == "master"
+    if told["order"] == "im":
+        assert told["im"]["0"]["order_id"] == "8 DO"
+
+
+def test_what_is_refused_before_is_refused_in_one_line(plant: str, capsys: Out) -> None:
+    path = Path(plant)
+    path.write_text(PLANT.replace("[bus]", "[bus]\nread_only = true"), encoding="utf-8")
+    for command in COMMANDS:
+        assert main(given(command, plant)) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert "leave read_only out" in line
+
+
+def test_a_run_that_holds_it_is_asked_and_nothing_is_told(plant: str, capsys: Out) -> None:
+    up, over = threading.Event(), threading.Event()
+
+    async def run() -> None:
+        async with dpstack.open_bus(plant) as bus, control_run(bus, "virtual"):
+            await bus.ready()
+            up.set()
+            await asyncio.to_thread(over.wait)
+
+    holder = threading.Thread(target=lambda: asyncio.run(run()))
+    holder.start()
+    try:
+        assert up.wait(20)
+        for command in COMMANDS:
+            assert main([*given(command, plant), "--json"]) == 0
+            printed = capsys.readouterr()
+            assert printed.err == ""
+            assert json.loads(printed.out)["through"] == "run"
+    finally:
+        over.set()
+        holder.join()
