@@ -96,13 +96,14 @@ class Ms1Bus:
     mode: str = "whole"
     dpv1: Dpv1 | None = field(default_factory=Dpv1)
     kind: type[OctetMs1Slave] = OctetMs1Slave
+    baud: int = 500_000
     bus: RingBus = field(init=False)
     tokens: int = 0
 
     def __post_init__(self) -> None:
-        self.bus = RingBus(mode=self.mode)
+        self.bus = RingBus(self.baud, self.mode)
         self.slaves = {address: self.kind(self.bus, address) for address in self.addresses}
-        params = BusParams.preset(500_000, address=2, gap=0)
+        params = BusParams.preset(self.baud, address=2, gap=0)
         self.master = Master(params, [setup(address, self.dpv1) for address in self.addresses])
         self.acyclic = Acyclic(2, self.master)
         self.station = ActiveStation(params, [self.master, self.acyclic])

@@ -5,7 +5,8 @@ The slave knows telegrams as numbers only; nothing of the project is used to rea
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
@@ -248,6 +249,11 @@ class Ms2Bus:
             self.bus.run(MS)
         (one,) = found
         return one
+
+    def lose(self, lost: Collection[int]) -> None:
+        """Of the services' telegrams from now on, counted from 0, these get lost (repetitions count, tokens do not)."""
+        count = itertools.count()
+        self.bus.drop = lambda sent: sent.octets[0] in (0x68, 0xE5) and next(count) in lost
 
     def told(self, kind: type[E]) -> list[E]:
         return [event for event in self.bus.events if isinstance(event, kind)]

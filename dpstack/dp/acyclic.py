@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from dpstack.dp import class2
-from dpstack.dp.acyclic_job import Job, Outcome, ServiceFailure, Step, Steps
+from dpstack.dp.acyclic_job import Heard, Job, Outcome, ServiceFailure, Step, Steps
 from dpstack.dp.events import SlaveState
 from dpstack.dp.master import Master
 from dpstack.dp.ms0 import positive
@@ -62,8 +62,8 @@ class _Entry:
     step: Step | None = None
     due: int = 0
     asked: bool = False
-    #: the slave must have answered by then; looked at once more after it (Step.within_ns)
-    answer_by: int = NEVER
+    #: the first bit of the request of ``step`` was on the wire
+    begun: int | None = None
     #: it must end as soon as the request under way does
     over: tuple[ServiceFailure, str] | None = None
 
@@ -123,7 +123,7 @@ class Acyclic:
                 self._take_wanted(now)
                 return False
             case _:
-                order = self._job_of(command, now)
+                order = self._job_of(command)
                 if order is not None:
                     self._take(*order, now)
                 elif not (self._ms1.command(command, now) or self._ms2.command(command, now)):
@@ -131,10 +131,10 @@ class Acyclic:
         self._take_wanted(now)
         return True
 
-    def _job_of(self, command: object, now: int) -> tuple[int, Job, int] | None:
+    def _job_of(self, command: object) -> tuple[int, Job, int] | None:
         """Token, job and time-out of a service, whichever way it goes."""
         order = class2.job_of(command, self.own, self.master)
-        return order or self._ms1.job_of(command) or self._ms2.job_of(command, now)
+        return order or self._ms1.job_of(command) or self._ms2.job_of(command)
 
     def _take(self, token: int, job: Job, timeout_ns: int, now: int) -> None:
         if not self._room(job.lane):
@@ -202,7 +202,6 @@ class Acyclic:
                 self._take(UNORDERED, job, SERVICE_TIMEOUT, now)
 
     def _keep_alive(self, now: int) -> None:
-        self._ms2.clock.now = now
         for job in tuple(self._ms2.quiet({entry.job.lane for entry in self._queue}, now)):
             self._queue.append(self._entry(UNORDERED, job, SERVICE_TIMEOUT, now))
 
@@ -233,15 +232,13 @@ class Acyclic:
         if entry is not None:
             entry.asked = True
             entry.turn = next(self._turns)
-            if entry.step is not None and entry.step.within_ns and entry.answer_by == NEVER:
-                entry.answer_by = at + entry.step.within_ns
+            entry.begun = at
 
     def result(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
         """The end of a request: on with its service, or its end."""
         entry, self._asked = self._asked, None
         if entry is None:
             return
-        self._ms2.clock.now = now
         self._unheard.ended(request.da, outcome)
         if isinstance(outcome, Telegram):
             self._known.add(request.da)
@@ -250,10 +247,12 @@ class Acyclic:
             self._known.discard(request.da)
         elif outcome is Failure.ABANDONED and self._ms2.may_be_taken(request):
             outcome = Failure.NO_ANSWER
-        self._ms1.heard(request.da, outcome)
+        self._ms1.heard(request, outcome)
+        self._ms2.heard(request, outcome, now)
         if outcome not in (Failure.ABANDONED, Failure.HELD_BACK):  # else it is asked again
+            begun, entry.begun = entry.begun, None
             try:
-                entry.step = entry.steps.send(outcome)
+                entry.step = entry.steps.send(Heard(outcome, now if begun is None else begun, now))
                 entry.due = now + entry.step.pause_ns
             except StopIteration as end:
                 self._end(entry, end.value, now)
@@ -273,20 +272,17 @@ class Acyclic:
         """When the time of a service is over."""
         services = NEVER
         for entry in self._queue:
-            services = min(services, entry.deadline, entry.answer_by)
+            services = min(services, entry.deadline)
         return min(services, self._ms2.wake_at()) if self._ms2.connections else services
 
     def tick(self, now: int) -> None:
-        """End what had its time; a request under way is waited for, and a slave's time ends with a last look."""
+        """End what had its time; a request under way is waited for."""
         if self._ms2.tick(now):
             self._end_barred(now)
             self._take_wanted(now)
         for entry in [entry for entry in self._queue if entry.deadline <= now]:
             entry.deadline = NEVER
             self._cut(entry, ServiceFailure.LINE if self._no_line else ServiceFailure.LATE, self._why_late(entry), now)
-        for entry in [entry for entry in self._queue if entry.answer_by <= now]:
-            entry.answer_by = NEVER
-            entry.over = entry.over or (ServiceFailure.LATE, entry.job.overdue)
 
     def _why_late(self, entry: _Entry) -> str:
         after = f"was not over after {ns_to_s(entry.timeout_ns):g} s"
@@ -320,6 +316,5 @@ class Acyclic:
 
     def _end(self, entry: _Entry, outcome: Outcome, now: int) -> None:
         self._queue.remove(entry)
-        self._ms2.clock.now = now
         self._events += entry.job.ends(entry.token, outcome, now)
         self._take_wanted(now)

@@ -1,6 +1,7 @@
 """What everything acyclic is to the queue (:mod:`dpstack.dp.acyclic`): a job with one end.
 
-A job is a generator of :class:`Step`: it gives the next request and is sent what became of it. Its end is one
+A job is a generator of :class:`Step`: it gives the next request and is sent what became of it, and when
+(:class:`Heard`): that is all the time that a job knows, and it judges by it how long the slave has had. Its end is one
 :class:`Outcome`, told by one :class:`ServiceEnd` where a program waits for it. Jobs are in
 :mod:`dpstack.dp.class2_jobs`, :mod:`dpstack.dp.v1.ms1_job` and :mod:`dpstack.dp.v1.ms2_jobs`.
 """
@@ -92,18 +93,25 @@ class ServiceEnd(Event, abc.ABC):
 
 
 class Step(NamedTuple):
-    """The next request of a job, not earlier than ``pause_ns`` after the last one's end.
-
-    ``within_ns``: from its start on the slave has so long for its answer; 0: nothing begins here.
-    """
+    """The next request of a job, not earlier than ``pause_ns`` after the last one's end."""
 
     request: Request
     pause_ns: int = 0
-    within_ns: int = 0
+
+
+class Heard(NamedTuple):
+    """What became of a request: its first bit was on the wire at ``begun``, it was over at ``now``, both in ns.
+
+    One that was never sent began at its end.
+    """
+
+    answer: Telegram | Failure
+    begun: int
+    now: int
 
 
 #: What a job is while it runs: the end of each request goes in, the result comes out.
-Steps = Generator[Step, "Telegram | Failure", T]
+Steps = Generator[Step, Heard, T]
 
 
 class Job(Protocol):
@@ -124,10 +132,6 @@ class Job(Protocol):
     @property
     def aftermath(self) -> str:
         """What has to be said of it when it is cut short now; empty when nothing has happened to the slave."""
-
-    @property
-    def overdue(self) -> str:
-        """What is to be said where ``Step.within_ns`` is over; its title stands in front."""
 
     def bar(self) -> str:
         """Why it can never end any more; its title stands in front. Empty while it can. Asked in every token hold."""

@@ -45,7 +45,6 @@ class AddressChange:
     service: Service = Service.SET_ADDRESS
     aftermath: str = ""
     lane: Hashable | None = None
-    overdue: str = ""
 
     @property
     def title(self) -> str:
@@ -113,7 +112,7 @@ class AddressChange:
     def _verified(self, ident: int, acknowledged: bool) -> Steps[Outcome]:
         at_new = request(self.new, Service.DIAGNOSIS)
         for look in range(_LOOKS):
-            answer = yield Step(at_new, _LOOK_PAUSE)
+            answer = (yield Step(at_new, _LOOK_PAUSE)).answer
             found = diagnosis_of(answer)
             if found is not None and isinstance(answer, Telegram):
                 return (yield from self._arrived(ident, found.ident, answer.data))
@@ -157,6 +156,6 @@ def _silent(address: int) -> Steps[bool]:
     answer is waited for as long as that of a station that matters: two stations with one address are worse."""
     for patient in (False, True):
         poll = Request(address, Req.FDL_STATUS, patient=patient, retry=False)
-        if (yield Step(poll)) is not Failure.NO_ANSWER:
+        if (yield Step(poll)).answer is not Failure.NO_ANSWER:
             return False
     return True

@@ -84,7 +84,6 @@ class Reading:
     #: it changes nothing
     aftermath: str = ""
     lane: Hashable | None = None
-    overdue: str = ""
 
     @property
     def title(self) -> str:
@@ -119,7 +118,7 @@ def asked(request: Request, attempts: int = ATTEMPTS) -> Steps[Telegram | Failur
     answer: Telegram | Failure = Failure.NO_ANSWER
     pause = 0
     for attempt in range(attempts):
-        answer = yield Step(request, pause)
+        answer = (yield Step(request, pause)).answer
         if answer is Failure.REFUSED:
             break
         if isinstance(answer, Telegram) and (answer.kind is Kind.SC or answer.function not in _BUSY):

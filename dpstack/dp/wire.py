@@ -34,13 +34,15 @@ class Layout(Generic[R]):
         self.fields: tuple[str, ...] = cast(Any, record)._fields
         self._struct: Any = cs.Bitwise(cs.Struct(*fields))
 
-    def parse(self, octets: bytes) -> R:
-        """Read ``octets``. Raises PduError naming the field that is missing; octets too many are the caller's case."""
+    def parse(self, octets: bytes, before: int = 0) -> R:
+        """Read ``octets``, which stand behind so many others ``before`` them. Raises PduError naming the field that is
+        missing; octets too many are the caller's case."""
         try:
             container = self._struct.parse(octets)
         except cs.ConstructError as error:
             raise PduError(
-                f"{self.name} ends after {len(octets)} octets: octet {len(octets) + 1} ({_field(error)}) is missing"
+                f"{self.name} ends after {before + len(octets)} octets: octet {before + len(octets) + 1} "
+                f"({_field(error)}) is missing"
             ) from None
         record: R = self._record(*(container[key] for key in self._record._fields))
         return record

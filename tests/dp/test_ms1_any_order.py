@@ -8,10 +8,12 @@ from __future__ import annotations
 from collections import Counter
 
 from bus_kit import IDENT, PPO1
+from fault_steps import fault_step
 from hypothesis import given, note
 from hypothesis import strategies as st
 from ms1_kit import MS, Ms1Bus, answer, status
 from octet_slave import NR, RR, RS, SC, UE
+from patient_kit import Patient
 from property_kit import examples
 from support import wire_log
 
@@ -20,16 +22,12 @@ from dpstack.dp.acyclic_job import ServiceFailure
 from dpstack.dp.commands import Mode, SetMode
 from dpstack.dp.events import SlaveState
 from dpstack.dp.master import Master
-from dpstack.dp.mirror import MirrorDevice
 from dpstack.dp.setup import SlaveSetup
 from dpstack.dp.slaveapp import make_slave
-from dpstack.dp.v1.codes import Code
 from dpstack.dp.v1.ms1 import ReadRecord, RecordDone, WriteRecord
 from dpstack.dp.v1.status import Dpv1
-from dpstack.dp.v1.tickets import Ticket
 from dpstack.fdl.active import ActiveStation
-from dpstack.fdl.commands import GoOffline, GoOnline
-from dpstack.machine import LineDown, LineUp
+from dpstack.fdl.commands import GoOnline
 from dpstack.params import BusParams
 from dpstack.sim.transmission import Transmission
 from dpstack.sim.world import World
@@ -105,30 +103,6 @@ def test_a_slave_that_answers_anything(answers: list[bytes | None], steps: list[
     assert kit.read(address=5).outcome.data == b"\x22"
 
 
-class Patient(MirrorDevice):
-    """Answers a record after so many exchanges (its index), 99: never, 98: no. The data begin with a serial number."""
-
-    def __init__(self) -> None:
-        super().__init__(IDENT, PPO1)
-        self.records = self
-        self.serial = 0
-        self.working: list[tuple[Ticket, int, int]] = []
-
-    def ask(self, ticket: Ticket) -> None:
-        self.serial += 1
-        if ticket.request.index == 98:
-            ticket.refuse(Code.INVALID_INDEX, self.serial)
-        else:
-            self.working.append((ticket, ticket.request.index, self.serial))
-
-    def exchange(self, outputs: bytes, now: int) -> bytes:
-        for at, (ticket, left, serial) in enumerate(self.working):
-            if left == 0:
-                ticket.answer(bytes((serial, ticket.request.slot, ticket.request.index)))
-            self.working[at] = (ticket, left - 1, serial)
-        return super().exchange(outputs, now)
-
-
 _orders = st.tuples(
     st.sampled_from("rrw"), st.sampled_from((3, 4)), st.integers(0, 2), st.sampled_from((0, 1, 5, 98, 99))
 )
@@ -176,25 +150,10 @@ def test_both_ends_with_loss(steps: list[tuple[str, int, int, int]], seed: int) 
                 world.command(station, WriteRecord(taken, number, slot, index, b"\1", timeout_ns=S))
             case "run":
                 world.run_for(number * MS // 4)
-            case "lose":
-                world.faults.drop(_ms1, times=number)
-            case "damage":
-                world.faults.damage(_ms1, times=number)
-            case "lose all":
-                world.faults.drop(lambda sent: len(sent.octets) > 3, times=number)
-            case "noise":
-                world.faults.noise(number * 1e-4)
-            case "quiet":
-                world.faults.noise(0)
             case "cancel":
                 world.command(station, CancelService(taken))
-            case "line":
-                world.command(station, LineDown("out"))
-                world.command(station, LineUp())
-            case "off":
-                world.command(station, GoOffline())
-                world.run_for(number * 20 * MS)
-                world.command(station, GoOnline())
+            case _:
+                fault_step(world, station, what, number, _ms1)
     world.faults.noise(0)
     end = world.now + 1_100 * MS
     while acyclic.waiting and world.now < end:

@@ -7,7 +7,6 @@ from collections.abc import Callable
 import pytest
 from ms2_kit import DL, MS, SC, Ms2Bus, OctetMs2Slave, sd1, sd2, served
 from octet_slave import NR, RR, UE
-from ring_bus import Sent
 
 from dpstack.dp.acyclic import CancelService
 from dpstack.dp.acyclic_job import ServiceFailure
@@ -247,21 +246,26 @@ def test_a_cancelled_service_that_was_never_sent_owes_nothing() -> None:
     assert kit.read(1, 7, 8).stale == 0
 
 
+def test_a_cancelled_service_that_the_slave_did_not_take_owes_nothing() -> None:
+    """It said "not now": waiting for the answer would end the connection."""
+    kit = Ms2Bus()
+    kit.open()
+    kit.slave.says[48] = lambda octets: sd1(2, 4, 0x02)
+    token = kit.order_read(1)
+    kit.bus.run(5 * MS)
+    kit.send(CancelService(token))
+    assert kit.end(token, RecordDone).outcome.failure is ServiceFailure.CANCELLED
+    kit.slave.says.clear()
+    done = kit.read(1, 7, 8)
+    assert (done.outcome.data, done.stale) == (b"\7\x08", 0)
+
+
 @pytest.mark.parametrize("lost", [(0,), (1,), (0, 1), (1, 2), (2,), (3,), (2, 3)])
 def test_telegrams_of_a_read_are_lost(lost: tuple[int, ...]) -> None:
     """It ends once; a request that was lost with its repetition ends the connection, for it may have been taken."""
     kit = Ms2Bus()
     kit.open(response_ns=200 * MS)
-    count = [0]
-
-    def drop(sent: Sent) -> bool:
-        octets = sent.octets
-        if octets[0] not in (0x68, 0xE5):
-            return False
-        count[0] += 1
-        return count[0] - 1 in lost
-
-    kit.bus.drop = drop
+    kit.lose(lost)
     done = kit.read(1)
     if lost == (0, 1):
         assert done.outcome.failure is ServiceFailure.LATE

@@ -9,8 +9,10 @@ from __future__ import annotations
 from collections import Counter
 
 from bus_kit import IDENT, PPO1
+from fault_steps import fault_step
 from hypothesis import given, note
 from hypothesis import strategies as st
+from patient_kit import CONNECTIONS, Patient
 from property_kit import examples
 from support import wire_log
 
@@ -19,10 +21,8 @@ from dpstack.dp.acyclic_job import ServiceFailure
 from dpstack.dp.commands import Mode, SetMode
 from dpstack.dp.events import SlaveState
 from dpstack.dp.master import Master
-from dpstack.dp.mirror import MirrorDevice
 from dpstack.dp.setup import SlaveSetup
 from dpstack.dp.slaveapp import SlaveApp, make_slave
-from dpstack.dp.v1.codes import Code
 from dpstack.dp.v1.ms1 import ReadRecord, RecordDone, WriteRecord
 from dpstack.dp.v1.ms2_orders import (
     CloseConnection,
@@ -36,11 +36,9 @@ from dpstack.dp.v1.ms2_orders import (
     WriteOver,
 )
 from dpstack.dp.v1.status import Dpv1
-from dpstack.dp.v1.tickets import Ticket, TransportTicket
 from dpstack.errors import UsageError
 from dpstack.fdl.active import ActiveStation
 from dpstack.fdl.commands import GoOffline, GoOnline
-from dpstack.machine import LineDown, LineUp
 from dpstack.params import BusParams
 from dpstack.sim.transmission import Transmission
 from dpstack.sim.world import World
@@ -49,33 +47,6 @@ from dpstack.trace import Event
 MS = 1_000_000
 S = 1_000 * MS
 LIMIT = 60 * MS
-CONNECTIONS = 2
-
-
-class Patient(MirrorDevice):
-    """Answers after so many exchanges (the index), 99: never, 98: no. The data begin with a serial number."""
-
-    def __init__(self) -> None:
-        super().__init__(IDENT, PPO1)
-        self.records = self
-        self.transport = self.ask
-        self.ms2 = CONNECTIONS
-        self.serial = 0
-        self.working: list[tuple[Ticket | TransportTicket, int, int]] = []
-
-    def ask(self, ticket: Ticket | TransportTicket) -> None:
-        self.serial += 1
-        if ticket.request.index == 98:
-            ticket.refuse(Code.INVALID_INDEX, self.serial)
-        else:
-            self.working.append((ticket, ticket.request.index, self.serial))
-
-    def exchange(self, outputs: bytes, now: int) -> bytes:
-        for ticket, left, serial in self.working:
-            if left == 0:
-                ticket.answer(bytes((serial, ticket.request.slot, ticket.request.index)))
-        self.working = [(ticket, left - 1, serial) for ticket, left, serial in self.working if left]
-        return super().exchange(outputs, now)
 
 
 class Both:
@@ -148,8 +119,8 @@ class Both:
         return [one for one in self.events if isinstance(one, RecordDone | TransportDone | InitiateDone)]
 
 
-_what = st.sampled_from(("open", "open", "read", "write", "read over", "read over", "write over", "carry over"))
-_orders = st.tuples(_what, st.integers(0, 3), st.integers(0, 2), st.sampled_from((0, 1, 5, 98, 99)))
+SERVICES = ("open", "open", "read", "write", "read over", "read over", "write over", "carry over")
+_orders = st.tuples(st.sampled_from(SERVICES), st.integers(0, 3), st.integers(0, 2), st.sampled_from((0, 1, 5, 98, 99)))
 _runs = st.tuples(st.just("run"), st.integers(1, 200), st.just(0), st.just(0))
 _faults = st.tuples(
     st.sampled_from(("lose", "damage", "lose all", "noise", "quiet", "cancel", "close", "line", "restart", "off")),
@@ -176,16 +147,6 @@ def test_one_end_each_with_loss(steps: list[tuple[str, int, int, int]], seed: in
         match what:
             case "run":
                 world.run_for(number * MS // 4)
-            case "lose":
-                world.faults.drop(_acyclic, times=number)
-            case "damage":
-                world.faults.damage(_acyclic, times=number)
-            case "lose all":
-                world.faults.drop(lambda sent: len(sent.octets) > 3, times=number)
-            case "noise":
-                world.faults.noise(number * 1e-4)
-            case "quiet":
-                world.faults.noise(0)
             case "cancel":
                 both.send(CancelService(both.tokens))
             case "close":
@@ -193,15 +154,10 @@ def test_one_end_each_with_loss(steps: list[tuple[str, int, int, int]], seed: in
                     both.send(CloseConnection(both.opened[number % len(both.opened)]))
             case "restart":
                 both.apps[number % 2].restart(world.now)
-            case "line":
-                both.send(LineDown("out"))
-                both.send(LineUp())
-            case "off":
-                both.send(GoOffline())
-                world.run_for(number * 20 * MS)
-                both.send(GoOnline())
-            case _:
+            case _ if what in SERVICES:
                 both.take(what, number, slot, index)
+            case _:
+                fault_step(world, both.station, what, number, _acyclic)
     world.faults.noise(0)
     end = world.now + 1_100 * MS
     while both.acyclic.waiting and world.now < end:

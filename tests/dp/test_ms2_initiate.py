@@ -139,16 +139,7 @@ def test_a_server_sap_given_out_twice_stays_whose_it_is() -> None:
 def test_telegrams_of_initiate_are_lost(lost: tuple[int, ...]) -> None:
     """Requests and answers, with their repetitions: there is a connection in the end, and nothing else."""
     kit = Ms2Bus()
-    count = [0]
-
-    def drop(sent: Sent) -> bool:
-        octets = sent.octets
-        if octets[0] not in (0x68, 0xE5):
-            return False
-        count[0] += 1
-        return count[0] - 1 in lost
-
-    kit.bus.drop = drop
+    kit.lose(lost)
     done = kit.open()
     assert done.outcome.failure is None, done.text
     assert kit.read(1).outcome.data == b"\1\2"
@@ -168,6 +159,79 @@ def test_an_initiate_whose_answers_are_lost_is_asked_for_and_not_sent_again() ->
     assert kit.open().server_sap == 48
     assert [(sap, pdu[:1].hex()) for sap, pdu in kit.slave.heard] == [(49, "57"), (49, ""), (48, "")]
     assert list(kit.slave.sessions) == [48]
+
+
+def slow_manager(kit: Ms2Bus, polls: int) -> None:
+    """It acknowledges Initiate, and names the server SAP at poll number ``polls``."""
+    left = [polls]
+
+    def say(octets: bytes) -> bytes | None:
+        pdu = octets[9:-2]
+        if not pdu:
+            left[0] -= 1
+            if left[0] > 0:
+                return SC
+        answer = kit.slave.manage(pdu)
+        return SC if answer is None else sd2(2, 4, DL, 50, 49, answer)
+
+    kit.slave.says[49] = say
+
+
+def initiates(kit: Ms2Bus) -> int:
+    """How many reached the slave, repetitions of the link layer left out."""
+    asked = [octets for octets in kit.slave.requests if octets[0] == 0x68 and octets[7] == 49]
+    return sum(octets[9] == 0x57 for octets in asked if len(octets) > 12)
+
+
+def test_an_initiate_that_was_acknowledged_is_not_sent_again_when_a_poll_is_lost() -> None:
+    """It would be another connection."""
+    kit = Ms2Bus()
+    kit.open()
+    kit.close(1)
+    kit.slave.requests.clear()
+    slow_manager(kit, 4)
+    polls = [0]
+
+    def drop(sent: Sent) -> bool:
+        is_poll = sent.sender == 2 and len(sent.octets) == 11 and sent.octets[7] == 49
+        polls[0] += is_poll
+        return is_poll and polls[0] <= 2  # with its repetition
+
+    kit.bus.drop = drop
+    assert kit.open().outcome.failure is None
+    assert (initiates(kit), list(kit.slave.sessions)) == (1, [48])
+
+
+def test_an_initiate_that_arrived_at_last_is_not_sent_again() -> None:
+    """The first one and the question for it were lost, the second one is acknowledged, and its answer takes a while."""
+    kit = Ms2Bus()
+    slow_manager(kit, 3)
+    sent_to_49 = [0]
+
+    def drop(sent: Sent) -> bool:
+        to_49 = sent.sender == 2 and sent.octets[0] == 0x68 and sent.octets[7] == 49
+        sent_to_49[0] += to_49
+        return to_49 and sent_to_49[0] <= 4  # Initiate and a poll, each with its repetition
+
+    kit.bus.drop = drop
+    assert kit.open().outcome.failure is None
+    assert (initiates(kit), list(kit.slave.sessions)) == (1, [48])
+
+
+def test_a_slave_that_is_there_and_has_heard_no_initiate_is_sent_it_again() -> None:
+    """More often than one that is silent: it says at each poll that it has nothing."""
+    kit = Ms2Bus()
+    lost: list[Sent] = []
+
+    def drop(sent: Sent) -> bool:
+        is_initiate = sent.sender == 2 and len(sent.octets) > 12 and sent.octets[9] == 0x57
+        if is_initiate:
+            lost.append(sent)
+        return is_initiate and len(lost) <= 2 * 6  # each with its repetition
+
+    kit.bus.drop = drop
+    assert kit.open().outcome.failure is None
+    assert (initiates(kit), list(kit.slave.sessions)) == (1, [48])
 
 
 def test_an_answer_to_an_earlier_master_is_given_away_first() -> None:

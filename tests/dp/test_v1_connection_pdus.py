@@ -31,7 +31,14 @@ PDUS: list[tuple[Pdu, str]] = [
     (ResourceManagerRes(0, 0), "56 00 00 00"),
     (InitiateReq(4000 * NS_PER_MS), "57 00 00 00 01 90 01 00 00 00 00 00 00 02 00 02 00 00 00 00"),
     (
-        InitiateReq(10 * NS_PER_MS, 0x0300, 0x8000, 0x9700, Address(5, 1), REMOTE),
+        InitiateReq(
+            10 * NS_PER_MS,
+            features=0x0300,
+            profile_features=0x8000,
+            profile_ident=0x9700,
+            source=Address(5, 1),
+            destination=REMOTE,
+        ),
         "57 00 00 00 00 01 03 00 80 00 97 00 00 02 01 09 05 01 01 02 01 02 03 04 05 06 21",
     ),
     (InitiateRes(), "57 F0 01 00 00 00 00 00 00 02 00 02 00 00 00 00"),

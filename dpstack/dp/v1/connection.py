@@ -8,16 +8,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Final
+from typing import Any, Final
 
 from dpstack.dp.v1.records import MAX_RECORD, MAX_SLOT, Function
 from dpstack.dp.v1.wire import (
     ABORT,
+    INITIATE,
     INITIATE_REQ,
     INITIATE_RES,
     RECORD,
     RESOURCE_MANAGER,
     AbortOctets,
+    InitiateOctets,
     InitiateReqOctets,
     InitiateResOctets,
     RecordOctets,
@@ -85,78 +87,69 @@ class ResourceManagerRes:
         return cls(raw.server_sap, raw.send_timeout * TIMEOUT_UNIT)
 
 
-@dataclass(frozen=True, slots=True)
-class InitiateReq:
-    """Open a connection. ``features``, ``profile_features``: two octets each; ``profile_ident``: 0 for none."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Initiate:
+    """What both ends say in Initiate: ``features``, ``profile_features``: two octets each; ``profile_ident``: 0 for
+    none; ``source``: the end that says it."""
 
-    send_timeout_ns: int
     features: int = FEATURES
     profile_features: int = 0
     profile_ident: int = 0
     source: Address = Address()
     destination: Address = Address()
 
-    def build(self) -> bytes:
-        """The octets, at least 20. Raises PduError where a value does not fit."""
-        raw = InitiateReqOctets(
-            function=Function.INITIATE,
-            reserved=bytes(3),
-            send_timeout=_counts(self.send_timeout_ns),
+    def common(self) -> bytes:
+        """The octets behind those that request and response have each of their own. Raises PduError where a value does
+        not fit."""
+        source, destination = self.source.build(), self.destination.build()
+        raw = InitiateOctets(
             features=self.features,
             profile_features=self.profile_features,
             profile_ident=self.profile_ident,
             s_type=self.source.kind,
-            s_len=len(self.source.build()),
+            s_len=len(source),
             d_type=self.destination.kind,
-            d_len=len(self.destination.build()),
-            addresses=self.source.build() + self.destination.build(),
+            d_len=len(destination),
+            addresses=source + destination,
         )
-        return INITIATE_REQ.build(raw)
+        return INITIATE.build(raw)
+
+
+@dataclass(frozen=True, slots=True)
+class InitiateReq(Initiate):
+    """Open a connection."""
+
+    send_timeout_ns: int
+
+    def build(self) -> bytes:
+        """The octets, at least 20. Raises PduError where a value does not fit."""
+        send_timeout = _counts(self.send_timeout_ns)
+        return INITIATE_REQ.build(InitiateReqOctets(Function.INITIATE, bytes(3), send_timeout, self.common()))
 
     @classmethod
     def parse(cls, octets: bytes) -> InitiateReq:
         """Raises PduError naming the octet; reserved octets may be anything."""
         raw = INITIATE_REQ.parse(octets)
         _is(Function.INITIATE, raw.function)
-        source, destination = _addresses(raw)
-        timeout = raw.send_timeout * TIMEOUT_UNIT
-        return cls(timeout, raw.features, raw.profile_features, raw.profile_ident, source, destination)
+        return cls(raw.send_timeout * TIMEOUT_UNIT, **_common(octets, raw.common))
 
 
 @dataclass(frozen=True, slots=True)
-class InitiateRes:
+class InitiateRes(Initiate):
     """The connection is open: ``max_len``: octets of data in one service, at most."""
 
     max_len: int = MAX_RECORD
-    features: int = FEATURES
-    profile_features: int = 0
-    profile_ident: int = 0
-    source: Address = Address()
-    destination: Address = Address()
 
     def build(self) -> bytes:
         """The octets, at least 16. Raises PduError where a value does not fit."""
-        raw = InitiateResOctets(
-            function=Function.INITIATE,
-            max_len_data_unit=self.max_len,
-            features=self.features,
-            profile_features=self.profile_features,
-            profile_ident=self.profile_ident,
-            s_type=self.source.kind,
-            s_len=len(self.source.build()),
-            d_type=self.destination.kind,
-            d_len=len(self.destination.build()),
-            addresses=self.source.build() + self.destination.build(),
-        )
-        return INITIATE_RES.build(raw)
+        return INITIATE_RES.build(InitiateResOctets(Function.INITIATE, self.max_len, self.common()))
 
     @classmethod
     def parse(cls, octets: bytes) -> InitiateRes:
         """Raises PduError naming the octet."""
         raw = INITIATE_RES.parse(octets)
         _is(Function.INITIATE, raw.function)
-        source, destination = _addresses(raw)
-        return cls(raw.max_len_data_unit, raw.features, raw.profile_features, raw.profile_ident, source, destination)
+        return cls(raw.max_len_data_unit, **_common(octets, raw.common))
 
 
 @dataclass(frozen=True, slots=True)
@@ -296,12 +289,19 @@ def _counts(timeout_ns: int) -> int:
     return counts
 
 
-def _addresses(raw: InitiateReqOctets | InitiateResOctets) -> tuple[Address, Address]:
+def _common(octets: bytes, common: bytes) -> dict[str, Any]:
+    """The fields of :class:`Initiate` in the last part of ``octets``."""
+    raw = INITIATE.parse(common, len(octets) - len(common))
     if raw.s_len + raw.d_len != len(raw.addresses):
         announced = f"{raw.s_len} and {raw.d_len} octets of addresses are announced"
         raise PduError(f"Initiate: {announced}, {len(raw.addresses)} came")
-    source, destination = raw.addresses[: raw.s_len], raw.addresses[raw.s_len :]
-    return _address("S_Addr", raw.s_type, source), _address("D_Addr", raw.d_type, destination)
+    return {
+        "features": raw.features,
+        "profile_features": raw.profile_features,
+        "profile_ident": raw.profile_ident,
+        "source": _address("S_Addr", raw.s_type, raw.addresses[: raw.s_len]),
+        "destination": _address("D_Addr", raw.d_type, raw.addresses[raw.s_len :]),
+    }
 
 
 def _address(name: str, kind: int, octets: bytes) -> Address:

@@ -2,54 +2,13 @@
 
 from __future__ import annotations
 
-from enum import Enum
-from typing import Final
-
 from dpstack.dp.acyclic_job import Outcome, ServiceFailure
-from dpstack.dp.ms0 import DATA_STATUS
 from dpstack.dp.v1.codes import Decode, remedy
 from dpstack.dp.v1.connection import DataTransport
 from dpstack.dp.v1.records import Function, Negative, ReadReq, ReadRes, RecordReq, WriteReq, parse_response
 from dpstack.errors import PduError
-from dpstack.fdl.telegram import Kind, Resp, Telegram
-from dpstack.fdl.user import Failure
 
 Service = RecordReq | DataTransport
-
-#: FC status of an answer that says "not yet" to a request or a poll
-NOT_YET: Final = frozenset((int(Resp.OK), int(Resp.NR)))
-#: "not now": the request was not taken
-NOT_NOW: Final = frozenset((int(Resp.RR), int(Resp.UE)))
-#: old data are given away, and the request was not taken (A3)
-NOT_TAKEN: Final = frozenset((int(Resp.RDL), int(Resp.RDH)))
-
-#: what a service without any answer that can be used is called
-NO_ANSWERS: Final = {
-    Failure.NO_ANSWER: ServiceFailure.SILENT,
-    Failure.GARBLED: ServiceFailure.UNREADABLE,
-    Failure.WRONG: ServiceFailure.WRONG,
-    Failure.REFUSED: ServiceFailure.GUARDED,
-}
-
-
-class Said(Enum):
-    """What the answer of a slave's link layer to a request or a poll says."""
-
-    DATA = "data"
-    WAIT = "wait"  # acknowledged, or not yet
-    AGAIN = "again"  # not now: the request was not taken
-    CLOSED = "closed"  # the service access point is
-
-
-def said(answer: Telegram) -> Said:
-    """By its FC (A3)."""
-    if answer.kind is Kind.SC:
-        return Said.WAIT
-    if answer.data and answer.function in DATA_STATUS | NOT_TAKEN:
-        return Said.DATA
-    if answer.function in NOT_YET | DATA_STATUS:
-        return Said.WAIT
-    return Said.AGAIN if answer.function in NOT_NOW | NOT_TAKEN else Said.CLOSED
 
 
 def function_of(service: Service) -> Function:

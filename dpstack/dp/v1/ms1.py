@@ -26,7 +26,7 @@ from dpstack.dp.v1.times import SERVICE_TIMEOUT
 from dpstack.dp.v1.unit_records import queue_at
 from dpstack.errors import PduError, UsageError
 from dpstack.fdl.telegram import Telegram
-from dpstack.fdl.user import Failure
+from dpstack.fdl.user import Failure, Request
 from dpstack.trace import Event
 
 _HEAD: Final = 4
@@ -71,6 +71,20 @@ class RecordDone(ServiceEnd):
     slot: int
     index: int
     stale: int = 0
+
+    @classmethod
+    def of(cls, request: RecordReq, token: int, address: int, outcome: Outcome, stale: int, now: int) -> RecordDone:
+        """The end of ``request``, whichever way it went."""
+        return cls(
+            t_ns=now,
+            token=token,
+            address=address,
+            write=isinstance(request, WriteReq),
+            slot=request.slot,
+            index=request.index,
+            outcome=outcome,
+            stale=stale,
+        )
 
     @property
     def title(self) -> str:
@@ -148,10 +162,10 @@ class Ms1:
             )
         return handler
 
-    def heard(self, address: int, outcome: Telegram | Failure) -> None:
+    def heard(self, request: Request, outcome: Telegram | Failure) -> None:
         """The end of a request to any station."""
         if not isinstance(outcome, Telegram) and outcome not in (Failure.ABANDONED, Failure.HELD_BACK, Failure.REFUSED):
-            handler = None if self.master is None else self.master.handlers.get(address)
+            handler = None if self.master is None else self.master.handlers.get(request.da)
             if handler is not None and handler.alarms is not None:
                 handler.alarms.missed(handler.exchanges)
 
@@ -218,19 +232,7 @@ class RecordJob(Ms1Job):
 
     def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:
         """One event."""
-        request = self._request
-        return [
-            RecordDone(
-                t_ns=now,
-                token=token,
-                address=self.address,
-                write=self._write,
-                slot=request.slot,
-                index=request.index,
-                outcome=outcome,
-                stale=self.stale,
-            )
-        ]
+        return [RecordDone.of(self._request, token, self.address, outcome, self.stale, now)]
 
     def judged(self, octets: bytes) -> Outcome | None:
         """See :func:`~dpstack.dp.v1.judging.service_outcome`; a response to Alarm_Ack is one to an earlier request."""

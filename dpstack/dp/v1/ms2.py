@@ -25,7 +25,7 @@ from dpstack.dp.acyclic_job import Job
 from dpstack.dp.master import Master
 from dpstack.dp.v1.connection import Abort, Address, DataTransport, InitiateReq
 from dpstack.dp.v1.judging import Service
-from dpstack.dp.v1.ms2_connection import NOT_WANTED, TIMED_OUT, Clock, Connection, Phase
+from dpstack.dp.v1.ms2_connection import NOT_WANTED, TIMED_OUT, Connection, Phase
 from dpstack.dp.v1.ms2_initiate import InitiateJob
 from dpstack.dp.v1.ms2_jobs import GiveBackJob, IdleJob, ServiceJob
 from dpstack.dp.v1.ms2_orders import (
@@ -39,8 +39,10 @@ from dpstack.dp.v1.ms2_orders import (
     WriteOver,
 )
 from dpstack.dp.v1.records import ReadReq, WriteReq
+from dpstack.dp.v1.times import QUIET_SHARE
 from dpstack.errors import PduError, UsageError
-from dpstack.fdl.user import Request
+from dpstack.fdl.telegram import Telegram
+from dpstack.fdl.user import Failure, Request
 from dpstack.params import UNADDRESSED
 from dpstack.trace import Event
 from dpstack.units import NEVER, ns_to_s
@@ -49,8 +51,6 @@ from dpstack.units import NEVER, ns_to_s
 NO_CONNECTION: Final = "there is no open class 2 connection"
 #: connections at a time, to all slaves
 CAPACITY: Final = 64
-#: Idle after this share of the send time-out
-_QUIET: Final = 3
 _ADDRESS: Final = 2
 
 
@@ -60,7 +60,6 @@ class Ms2:
 
     own: int
     master: Master | None
-    clock: Clock = field(default_factory=Clock)
     connections: dict[int, Connection] = field(default_factory=dict)
     #: jobs that nobody ordered, for the queue, with their time-outs
     wanted: list[tuple[Job, int]] = field(default_factory=list)
@@ -72,24 +71,22 @@ class Ms2:
 
     def command(self, order: object, now: int) -> bool:
         """CloseConnection and CloseConnections."""
-        self.clock.now = now
         match order:
             case CloseConnection(ref):
                 connection = self.connections.get(ref)
                 if connection is not None:
-                    self._close(connection, "it was closed here")
+                    self._close(connection, "it was closed here", now)
             case CloseConnections():
                 self._closing = True
                 for connection in tuple(self.connections.values()):
-                    self._close(connection, "the bus was closed here")
+                    self._close(connection, "the bus was closed here", now)
                 self._closed_all(now)
             case _:
                 return False
         return True
 
-    def job_of(self, order: object, now: int) -> tuple[int, Job, int] | None:
+    def job_of(self, order: object) -> tuple[int, Job, int] | None:
         """Token, job and time-out in ns of ``order``; None when it is none for MS2. Raises UsageError."""
-        self.clock.now = now
         match order:
             case OpenConnection(token=token, timeout_ns=timeout_ns):
                 return token, self._opening(order), timeout_ns
@@ -119,13 +116,13 @@ class Ms2:
             raise UsageError(f"{ns_to_s(order.response_ns):g} s is no time for an answer: 0 for as long as is usual")
         request = InitiateReq(
             order.send_timeout_ns,
-            order.features,
-            order.profile_features,
-            order.profile_ident,
-            _address_of(order.source),
-            _address_of(order.destination),
+            features=order.features,
+            profile_features=order.profile_features,
+            profile_ident=order.profile_ident,
+            source=_address_of(order.source),
+            destination=_address_of(order.destination),
         )
-        connection = Connection(order.token, address, order.send_timeout_ns, order.response_ns, self.clock)
+        connection = Connection(order.token, address, order.send_timeout_ns, order.response_ns)
         try:
             job = InitiateJob(connection, self, request, order.channels)
         except PduError as error:
@@ -149,13 +146,13 @@ class Ms2:
             )
         return ServiceJob(connection, self, service, octets)
 
-    def _close(self, connection: Connection, reason: str) -> None:
+    def _close(self, connection: Connection, reason: str, now: int) -> None:
         connection.ordered |= connection.phase is Phase.OPEN
-        self.end(connection, reason, NOT_WANTED)
+        self.end(connection, reason, NOT_WANTED, now)
 
     # --- one connection -------------------------------------------------------------------------------------------
 
-    def end(self, connection: Connection, reason: str, abort: Abort | None) -> None:
+    def end(self, connection: Connection, reason: str, abort: Abort | None, now: int) -> None:
         """It is over, from either end; the slave is told by ``abort`` where it may hold anything. More than once is
         no error, the first reason stands."""
         if connection.phase is Phase.ENDING:
@@ -166,7 +163,7 @@ class Ms2:
             connection.abort = abort
             self.wanted.append((GiveBackJob(connection, self, abort), connection.send_timeout_ns))
         else:
-            self.forget(connection, self.clock.now)
+            self.forget(connection, now)
 
     def forget(self, connection: Connection, now: int) -> None:
         """The slave holds nothing any more, or cannot be told."""
@@ -211,7 +208,7 @@ class Ms2:
         for connection in self.connections.values():
             if connection.phase is Phase.OPEN and connection.lane not in busy:
                 quiet_ns = now - connection.heard_at
-                if connection.outstanding or quiet_ns >= connection.send_timeout_ns // _QUIET:
+                if connection.outstanding or quiet_ns >= connection.send_timeout_ns // QUIET_SHARE:
                     yield IdleJob(connection, self)
 
     def started(self, request: Request) -> None:
@@ -219,15 +216,19 @@ class Ms2:
         if isinstance(request.tag, Connection):
             request.tag.started(request)
 
+    def heard(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
+        """The end of a request to any station."""
+        if isinstance(request.tag, Connection) and isinstance(outcome, Telegram):
+            request.tag.heard(request, outcome, now)
+
     def may_be_taken(self, request: Request) -> bool:
         """Whether a request that was given up may have reached the slave: it is not to be sent again."""
         return isinstance(request.tag, Connection) and request.tag.outstanding
 
     def line_down(self, reason: str, now: int) -> None:
         """The port vanished. Slaves are told when it is back before they give the connections up themselves."""
-        self.clock.now = now
         for connection in tuple(self.connections.values()):
-            self.end(connection, f"the port vanished ({reason})", NOT_WANTED)
+            self.end(connection, f"the port vanished ({reason})", NOT_WANTED, now)
 
     def wake_at(self) -> int:
         """When a connection was silent for too long."""
@@ -237,11 +238,10 @@ class Ms2:
 
     def tick(self, now: int) -> bool:
         """End the connections that were; whether there were any."""
-        self.clock.now = now
         open_ones = [c for c in self.connections.values() if c.phase is Phase.OPEN]
         silent = [c for c in open_ones if now >= c.heard_at + c.send_timeout_ns]
         for connection in silent:
-            self.end(connection, connection.silent_text, TIMED_OUT)
+            self.end(connection, connection.silent_text, TIMED_OUT, now)
         return bool(silent)
 
     def take_events(self) -> list[Event]:

@@ -1,9 +1,6 @@
 """One class 2 connection at the master: what is known of it, and the course of every service over it.
 
-A service is one SRD to a SAP of the slave, then empty SRDs until its answer is there (facts C3, J; Felser:
-"poll cycles"). It is a generator as all acyclic services are (:mod:`dpstack.dp.class2_jobs`).
-
-Decisions where the sources are silent:
+How a slave is polled is :mod:`dpstack.dp.v1.polling`'s. Decisions where the sources are silent:
 
 - Any answer of the link layer is a sign of life, Idle or not; the time-out counts from the last one.
 - A request without an answer may have been taken, and a second one would be an error of sequence: the slave is polled
@@ -17,20 +14,17 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final, NamedTuple
 
-from dpstack.dp.acyclic_job import Outcome, ServiceFailure, Step, Steps
+from dpstack.dp.acyclic_job import Outcome, ServiceFailure, Steps
 from dpstack.dp.ms0 import refusal_text
 from dpstack.dp.v1.connection import HEAD, Abort, AbortReason, Instance
-from dpstack.dp.v1.judging import NO_ANSWERS, NOT_TAKEN, Said, said
+from dpstack.dp.v1.polling import NO_ANSWERS, Course, Said, said
 from dpstack.dp.v1.records import Function
-from dpstack.dp.v1.times import BUSY_PAUSE, RESPONSE_TIMEOUT, pause_before
+from dpstack.dp.v1.times import RESPONSE_TIMEOUT
 from dpstack.errors import PduError
 from dpstack.fdl.telegram import SSAP_MS2, Req, Telegram
 from dpstack.fdl.user import Failure, Request
-from dpstack.units import NS_PER_MS, ns_to_s
+from dpstack.units import ns_to_s
 
-#: a silent slave is asked again after this, and then twice as long each time, up to the last
-_SILENT_PAUSE: Final = 10 * NS_PER_MS
-_SILENT_PAUSE_MAX: Final = 160 * NS_PER_MS
 #: in place of a connection's token, which are not negative: what goes on at the resource manager of a slave
 RESOURCE_MANAGER: Final = -1
 #: what a slave is told that was not heard, or not in time
@@ -68,22 +62,14 @@ class Ended(NamedTuple):
     abort: Abort | None = None
 
 
-@dataclass(slots=True)
-class Clock:
-    """The time of the last call into the machine in ns."""
-
-    now: int = 0
-
-
 @dataclass(slots=True, eq=False)
 class Connection:
-    """State of the connection ``ref`` to ``address``; ``clock`` is the machine's."""
+    """State of the connection ``ref`` to ``address``."""
 
     ref: int
     address: int
     send_timeout_ns: int
     response_ns: int
-    clock: Clock
     server_sap: int | None = None
     max_len: int = 0
     phase: Phase = Phase.OPENING
@@ -129,67 +115,61 @@ class Connection:
         of = "its C2_Response_Timeout" if self.response_ns else "no C2_Response_Timeout is known of it"
         return f"{ns_to_s(self.limit_ns):g} s ({of})"
 
-    def request(self, sap: int, octets: bytes, answer: int) -> Request:
-        """An SRD of this connection, as all services of DP here with high priority; slaves take both (VPC3+)."""
-        return Request(self.address, Req.SRD_HIGH, octets, sap, SSAP_MS2, answer=answer, tag=self)
-
     def started(self, request: Request) -> None:
         """The first bit of one of its requests is on the wire."""
         if request.data:
             self.outstanding = request.data[0] != Function.ABORT
 
+    def heard(self, request: Request, answer: Telegram, now: int) -> None:
+        """The slave answered one of its requests."""
+        self.heard_at = now
+        if request.data and said(answer, requested=True) is Said.AGAIN:
+            self.outstanding = False
+
     # --- the course of a service ----------------------------------------------------------------------------------
 
-    def asked(self, octets: bytes, title: str, *, answer: int = HEAD, begun: int | None = None) -> Steps[bytes | Ended]:
+    def course(self, sap: int, answer: int = HEAD) -> Course:
+        """Of a service at ``sap`` with up to so many octets as its ``answer``."""
+
+        def srd(octets: bytes) -> Request:  # high priority as all services of DP here; slaves take both (VPC3+)
+            return Request(self.address, Req.SRD_HIGH, octets, sap, SSAP_MS2, answer=answer, tag=self)
+
+        return Course(srd, self.limit_ns)
+
+    def asked(self, course: Course, octets: bytes, title: str) -> Steps[bytes | Ended]:
         """Send ``octets`` to the server SAP (empty: poll only) until a PDU is there: Idle only as the answer to Idle.
 
-        ``begun``: since when the slave has worked at it; ``title``: for texts.
+        ``title``: for texts.
         """
-        clock, sap = self.clock, self.server_sap
-        assert sap is not None
         idle = octets[:1] == bytes((Function.IDLE,))
-        begun = clock.now if begun is None else begun
-        polls = unanswered = pause = 0
+        found = yield from course.requested(octets) if octets else course.polled()
         while True:
-            outcome = yield Step(self.request(sap, octets, answer), pause)
-            now = clock.now
-            if not isinstance(outcome, Telegram):
-                if outcome is Failure.REFUSED:
-                    return self._guarded(title)
-                octets, pause = b"", min(_SILENT_PAUSE << unanswered, _SILENT_PAUSE_MAX)
-                unanswered += 1
-                if now - begun >= self.limit_ns:
-                    return self._late(title, outcome)
-                continue
-            unanswered = 0
-            self.heard_at = now
-            match said(outcome):
+            match found:
                 case Said.CLOSED:
-                    return self._closed(title, outcome)
-                case Said.WAIT:
-                    octets, pause = b"", pause_before(polls)
-                    polls += 1
-                case Said.AGAIN:
-                    self.outstanding &= not octets
-                    pause = BUSY_PAUSE
-                case Said.DATA:
-                    pdu = self._read(outcome.data, title, idle=idle)
+                    return self._closed(title, course.answer)
+                case Said.GUARDED:
+                    return self._guarded(title)
+                case Said.LATE:
+                    return self._late(title, course.answer)
+                case Said.DATA | Said.OLD:
+                    pdu = self._read(course.pdu, title, idle=idle)
                     self.outstanding &= pdu is None
-                    if octets and outcome.function in NOT_TAKEN and not isinstance(pdu, Ended):
-                        self.stale += 1  # of an earlier request: this one was not taken
-                    elif pdu is not None:
+                    if found is Said.OLD and not isinstance(pdu, Ended):
+                        self.stale += 1
+                        found = yield from course.requested(octets)
+                        continue
+                    if pdu is not None:
                         return pdu
-                    else:
-                        octets, begun = b"", now
-                    pause = 0
-            if now - begun >= self.limit_ns:
-                return self._late(title)
+                    course.anew()
+                case _:  # taken, or maybe taken
+                    pass
+            found = yield from course.polled()
 
-    def drained(self) -> Steps[Ended | None]:
+    def drained(self, course: Course) -> Steps[Ended | None]:
         """Fetch the answer to a request that nobody waits for any more: before that the slave takes no other one."""
         if not self.outstanding:
             return None
-        found = yield from self.asked(b"", "a service that was given up")
+        found = yield from self.asked(course, b"", "a service that was given up")
         if isinstance(found, Ended):
             return found
         self.stale += 1
@@ -220,8 +200,9 @@ class Connection:
         text = f"{self.who}: {title} has no answer, the class 2 connection is over: {self.reason}"
         return Outcome(failure=ServiceFailure.ABORTED, text=text, codes=codes)
 
-    def _closed(self, title: str, answer: Telegram) -> Ended:
+    def _closed(self, title: str, answer: Telegram | Failure) -> Ended:
         self.taken = False
+        assert isinstance(answer, Telegram)
         what = f"the slave has closed server SAP {self.server_sap} ({refusal_text(answer)})"
         return self._over(title, f"{what}: it was restarted, or gave it up because it heard nothing for too long")
 
@@ -229,18 +210,17 @@ class Connection:
         self.reason = reason
         return Ended(self.ended(title), reason)
 
-    def _late(self, title: str, why: Failure | None = None) -> Ended:
-        what = "has no answer to" if why is None else _SILENT[why]
-        todo = "open a new one, with a longer response_timeout where it needs that"
-        if why is not None:
-            todo = f"{_CHECK[why]}, then open a new one"
+    def _late(self, title: str, last: Telegram | Failure) -> Ended:
+        """``last``: what came of the last poll."""
+        if isinstance(last, Telegram):
+            failure, what = ServiceFailure.LATE, "has no answer to"
+            todo = "open a new one, with a longer response_timeout where it needs that"
+        else:
+            failure, what = NO_ANSWERS[last], _SILENT[last]
+            todo = f"{_CHECK[last]}, then open a new one"
         text = f"{self.who} {what} {title} within {self.limit_text}; the connection was ended: {todo}"
-        failure = ServiceFailure.LATE if why is None else NO_ANSWERS[why]
         return Ended(Outcome(failure=failure, text=text), f"{title} had no answer in time", TIMED_OUT)
 
     def _guarded(self, title: str) -> Ended:
         text = f"{self.who}: {title} was not sent; this bus is read-only"
         return Ended(Outcome(failure=ServiceFailure.GUARDED, text=text))
-
-
-__all__ = ["NOT_WANTED", "TIMED_OUT", "Clock", "Connection", "Ended", "Phase"]

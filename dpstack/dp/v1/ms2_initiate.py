@@ -11,15 +11,14 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING, Final
 
-from dpstack.dp.acyclic_job import ATTEMPTS, Outcome, ServiceFailure, Step, Steps
+from dpstack.dp.acyclic_job import ATTEMPTS, Outcome, ServiceFailure, Steps
 from dpstack.dp.ms0 import refusal_text
-from dpstack.dp.v1.connection import HEAD, AbortReason, InitiateReq, InitiateRes, Instance, ResourceManagerRes
-from dpstack.dp.v1.judging import NO_ANSWERS, NOT_TAKEN, Said, said
+from dpstack.dp.v1.connection import AbortReason, InitiateReq, InitiateRes, Instance, ResourceManagerRes
 from dpstack.dp.v1.ms2_connection import NOT_WANTED, TIMED_OUT, Connection, Ended, Phase
 from dpstack.dp.v1.ms2_jobs import ConnectionJob
 from dpstack.dp.v1.ms2_orders import InitiateDone
+from dpstack.dp.v1.polling import NO_ANSWERS, Course, Said
 from dpstack.dp.v1.records import MAX_RECORD, Function, Negative, parse_response
-from dpstack.dp.v1.times import BUSY_PAUSE, pause_before
 from dpstack.errors import PduError
 from dpstack.fdl.telegram import SAP_MS2_RM, Telegram
 from dpstack.fdl.user import Failure
@@ -31,7 +30,6 @@ if TYPE_CHECKING:
 
 #: by whoever wanted it
 _GIVEN_UP: Final = (ServiceFailure.CANCELLED, ServiceFailure.ABORTED)
-_PAUSE: Final = 10 * NS_PER_MS
 _NEGATIVE: Final = 0x80
 #: octets of Initiate, response, without addresses
 _INITIATE_RES: Final = 12
@@ -51,20 +49,52 @@ class InitiateJob(ConnectionJob):
 
     def steps(self) -> Steps[Outcome]:
         """SAP 49 until it names a server SAP, then that one until Initiate is answered."""
-        managed = yield from self._manager()
-        if isinstance(managed, Ended):
-            return self._refused(managed)
         connection = self.connection
+        course = connection.course(SAP_MS2_RM)
+        managed = yield from self._managed(course)
+        if isinstance(managed, Ended):
+            return self._refused(managed, course.now)
         wrong = self._check(managed)
         if wrong is not None:
             return wrong
         connection.server_sap = managed.server_sap
         connection.send_timeout_ns = max(connection.send_timeout_ns, managed.send_timeout_ns)
-        connection.heard_at = connection.clock.now
-        found = yield from connection.asked(b"", self.title, answer=self._answer)
+        course = self.course(self._answer)
+        found = yield from connection.asked(course, b"", self.title)
         if isinstance(found, Ended):
-            return self._refused(found)
-        return self._judged(found)
+            return self._refused(found, course.now)
+        return self._judged(found, course.now)
+
+    def _managed(self, course: Course) -> Steps[ResourceManagerRes | Ended]:
+        """Initiate at the resource manager until it names a server SAP."""
+        self.connection.taken = True  # from when it is handed on: what the link layer has goes out
+        found = yield from course.requested(self._octets)
+        while True:
+            match found:
+                case Said.OLD:
+                    found = yield from course.requested(self._octets)
+                case Said.WAIT:
+                    found = yield from course.polled()
+                case Said.DATA:
+                    managed = self._read(course.pdu, course.now)
+                    if managed is not None:
+                        return managed
+                    found = yield from course.polled()
+                case Said.NOTHING if course.unanswered < ATTEMPTS:
+                    found = yield from self._looked_for(course)
+                case _:
+                    return Ended(self._unmanaged(found, course.answer))
+
+    def _looked_for(self, course: Course) -> Steps[Said]:
+        """An Initiate without an answer: a poll tells whether it was taken. Where it was not it goes out again."""
+        found = Said.AGAIN
+        while found is Said.AGAIN:
+            found = yield from course.ask(b"")
+        if found in (Said.WAIT, Said.CLOSED):  # the slave is there, and has nothing
+            course.unanswered = 0
+        elif found is not Said.NOTHING:
+            return found
+        return (yield from course.requested(self._octets))
 
     def _check(self, managed: ResourceManagerRes) -> Outcome | None:
         """A server SAP that this master uses already cannot be another connection's."""
@@ -74,7 +104,7 @@ class InitiateJob(ConnectionJob):
         text = f"slave {self.address} gives out server SAP {managed.server_sap}, which is in use by this master"
         return Outcome(failure=ServiceFailure.WRONG, text=f"{text}; close that connection first")
 
-    def _judged(self, octets: bytes) -> Outcome:
+    def _judged(self, octets: bytes, now: int) -> Outcome:
         connection = self.connection
         try:
             if octets[0] == Function.INITIATE | _NEGATIVE:
@@ -87,7 +117,7 @@ class InitiateJob(ConnectionJob):
             self._response = InitiateRes.parse(octets)
         except PduError as error:
             text = f"slave {self.address} answers Initiate with what cannot be read: {error}"
-            return self.over(connection.unreadable(Outcome(failure=ServiceFailure.LENGTH, text=text)))
+            return self.over(connection.unreadable(Outcome(failure=ServiceFailure.LENGTH, text=text)), now)
         if connection.phase is not Phase.OPENING:  # closed meanwhile
             return connection.ended(self.title)
         connection.max_len = min(self._response.max_len or MAX_RECORD, MAX_RECORD)
@@ -95,56 +125,18 @@ class InitiateJob(ConnectionJob):
         connection.opened = True
         return Outcome()
 
-    def _refused(self, ended: Ended) -> Outcome:
+    def _refused(self, ended: Ended, now: int) -> Outcome:
         """Abort and closed SAPs are the slave's no; whether it holds anything is known to the connection."""
         if ended.abort is not None:
-            self.ms2.end(self.connection, ended.reason, ended.abort)
+            self.ms2.end(self.connection, ended.reason, ended.abort, now)
         outcome = ended.outcome
         if outcome.codes is not None and outcome.codes[1:] == (Instance.MS2, AbortReason.SEND_TIMEOUT):
             least = self.connection.send_timeout_ns
             outcome = dataclasses.replace(outcome, text=f"{outcome.text}; ask for {least // NS_PER_MS} ms or more")
         return outcome
 
-    def _manager(self) -> Steps[ResourceManagerRes | Ended]:
-        """Initiate at the resource manager. One that had no answer may have been taken: it is asked for the answer
-        before it is sent again."""
-        connection, clock = self.connection, self.connection.clock
-        octets, begun = self._octets, clock.now
-        polls = unanswered = pause = 0
-        while True:
-            connection.taken |= bool(octets)  # from when it is handed on: what the link layer has goes out
-            answer = yield Step(connection.request(SAP_MS2_RM, octets, HEAD), pause)
-            if not isinstance(answer, Telegram):
-                unanswered += bool(octets)
-                if answer is Failure.REFUSED or unanswered == ATTEMPTS:
-                    return Ended(self._unanswered(answer))
-                octets, pause = b"" if octets else self._octets, _PAUSE << unanswered
-                continue
-            sent, octets, pause = octets, b"", 0
-            # a poll for the answer to an Initiate that had none: nothing there, so it was not taken
-            not_taken = unanswered and not sent
-            match said(answer):
-                case Said.DATA if sent and answer.function in NOT_TAKEN:
-                    octets = sent
-                case Said.DATA:
-                    found = self._managed(answer.data)
-                    if found is not None:
-                        return found
-                case Said.AGAIN:
-                    octets, pause = sent, BUSY_PAUSE
-                case Said.CLOSED if not not_taken:
-                    return Ended(self._no_service(answer))
-                case _ if not_taken:
-                    octets, unanswered = self._octets, 0
-                case _:
-                    pause = pause_before(polls)
-                    polls += 1
-            if clock.now - begun >= connection.limit_ns:
-                text = f"slave {self.address}: its resource manager has no answer to Initiate within"
-                todo = "try again, or give it longer (response_timeout)"
-                return Ended(Outcome(failure=ServiceFailure.LATE, text=f"{text} {connection.limit_text}; {todo}"))
-
-    def _managed(self, octets: bytes) -> ResourceManagerRes | Ended | None:
+    def _read(self, octets: bytes, now: int) -> ResourceManagerRes | Ended | None:
+        """A PDU of the resource manager, None for Idle."""
         connection = self.connection
         who = f"slave {self.address}"
         if octets[0] == Function.ABORT:
@@ -153,11 +145,23 @@ class InitiateJob(ConnectionJob):
             return None
         try:
             if octets[0] == Function.INITIATE | _NEGATIVE:
-                return Ended(self._judged(octets))
+                return Ended(self._judged(octets, now))
             return ResourceManagerRes.parse(octets)
         except PduError as error:
             text = f"{who}: its resource manager answers Initiate with what cannot be read: {error}"
             return Ended(Outcome(failure=ServiceFailure.LENGTH, text=text))
+
+    def _unmanaged(self, found: Said, last: Telegram | Failure) -> Outcome:
+        """No server SAP, and ``last`` was what came."""
+        if not isinstance(last, Telegram):
+            return self._unanswered(last)
+        if found is Said.CLOSED:
+            return self._no_service(last)
+        text = (
+            f"slave {self.address}: its resource manager has no answer to Initiate within "
+            f"{self.connection.limit_text}; try again, or give it longer (response_timeout)"
+        )
+        return Outcome(failure=ServiceFailure.LATE, text=text)
 
     def _no_service(self, answer: Telegram) -> Outcome:
         """RS: the resource manager is closed for good, or has no server SAP left (Felser)."""
@@ -190,7 +194,7 @@ class InitiateJob(ConnectionJob):
         if outcome.failure is ServiceFailure.CLOSED:
             outcome = connection.ended(self.title)
         if outcome.failure is not None:
-            self.ms2.end(connection, outcome.text, NOT_WANTED if outcome.failure in _GIVEN_UP else TIMED_OUT)
+            self.ms2.end(connection, outcome.text, NOT_WANTED if outcome.failure in _GIVEN_UP else TIMED_OUT, now)
             return [InitiateDone(t_ns=now, token=token, address=self.address, outcome=outcome)]
         response = self._response
         assert response is not None

@@ -7,39 +7,27 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Hashable
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
-from dpstack.dp.acyclic_job import ATTEMPTS, Outcome, ServiceFailure, Step, Steps
-from dpstack.dp.v1.connection import (
-    HEAD,
-    IDLE,
-    Abort,
-    DataTransport,
-    ResourceManagerRes,
-)
-from dpstack.dp.v1.judging import Said, Service, said, service_outcome, title_of
+from dpstack.dp.acyclic_job import ATTEMPTS, Outcome, ServiceFailure, Steps
+from dpstack.dp.v1.connection import HEAD, IDLE, Abort, DataTransport, ResourceManagerRes
+from dpstack.dp.v1.judging import Service, service_outcome, title_of
 from dpstack.dp.v1.ms1 import RecordDone
 from dpstack.dp.v1.ms2_connection import Connection, Ended, Phase
 from dpstack.dp.v1.ms2_orders import TransportDone
-from dpstack.dp.v1.records import MAX_RECORD, Function, ReadReq, WriteReq
-from dpstack.dp.v1.times import pause_before
+from dpstack.dp.v1.polling import Course, Said
+from dpstack.dp.v1.records import MAX_RECORD, Function, ReadReq
 from dpstack.errors import PduError
-from dpstack.fdl.telegram import SAP_MS2_RM, Telegram
-from dpstack.fdl.user import Failure
+from dpstack.fdl.telegram import SAP_MS2_RM
 from dpstack.trace import Event
-from dpstack.units import NS_PER_MS
 
 if TYPE_CHECKING:
     from dpstack.dp.v1.ms2 import Ms2
-
-#: before an Abort is repeated, growing
-_PAUSE: Final = 10 * NS_PER_MS
 
 
 class ConnectionJob:
     """What the jobs of a connection share. The lane is the connection's: one service at a time, others wait."""
 
-    overdue = ""
     title = ""
 
     def __init__(self, connection: Connection, ms2: Ms2) -> None:
@@ -64,10 +52,16 @@ class ConnectionJob:
             return ""
         return f"has no answer, the class 2 connection is over: {connection.reason}"
 
-    def over(self, ended: Ended) -> Outcome:
+    def course(self, answer: int = HEAD) -> Course:
+        """Of a service at its server SAP."""
+        sap = self.connection.server_sap
+        assert sap is not None
+        return self.connection.course(sap, answer)
+
+    def over(self, ended: Ended, now: int) -> Outcome:
         """A service that ended so; its connection with it, if need be."""
         if ended.reason:
-            self.ms2.end(self.connection, ended.reason, ended.abort)
+            self.ms2.end(self.connection, ended.reason, ended.abort, now)
         return ended.outcome
 
 
@@ -94,9 +88,9 @@ class ServiceJob(ConnectionJob):
         """What changes something in the slave may have done so without an answer."""
         return "it may have been carried out" if self._sent and not isinstance(self._service, ReadReq) else ""
 
-    def over(self, ended: Ended) -> Outcome:
+    def over(self, ended: Ended, now: int) -> Outcome:
         """With what has to be said of it."""
-        return self._with_aftermath(super().over(ended))
+        return self._with_aftermath(super().over(ended, now))
 
     def _with_aftermath(self, outcome: Outcome) -> Outcome:
         after = self.aftermath
@@ -106,23 +100,24 @@ class ServiceJob(ConnectionJob):
         """What an earlier service left behind, the request, then polls."""
         connection = self.connection
         before = connection.stale
-        drained = yield from connection.drained()
+        earlier, course = self.course(), self.course(self._answer)
+        drained = yield from connection.drained(earlier)
         if drained is not None:
-            return self.over(drained)
-        octets, begun = self._octets, connection.clock.now
+            return self.over(drained, earlier.now)
+        octets = self._octets
         self._sent = True
         while True:
-            found = yield from connection.asked(octets, self.title, answer=self._answer, begun=begun)
+            found = yield from connection.asked(course, octets, self.title)
             self._stale = connection.stale - before
             if isinstance(found, Ended):
-                return self.over(found)
+                return self.over(found, course.now)
             outcome = service_outcome(self.address, self._service, found)
             if outcome is None:  # to another request
                 connection.stale += 1
                 octets = b""
                 continue
             if outcome.failure is ServiceFailure.LENGTH:
-                return self.over(connection.unreadable(outcome))
+                return self.over(connection.unreadable(outcome), course.now)
             return outcome
 
     def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:
@@ -142,18 +137,7 @@ class ServiceJob(ConnectionJob):
                     stale=self._stale,
                 )
             ]
-        return [
-            RecordDone(
-                t_ns=now,
-                token=token,
-                address=self.address,
-                write=isinstance(service, WriteReq),
-                slot=service.slot,
-                index=service.index,
-                outcome=outcome,
-                stale=self._stale,
-            )
-        ]
+        return [RecordDone.of(service, token, self.address, outcome, self._stale, now)]
 
 
 class IdleJob(ConnectionJob):
@@ -163,13 +147,13 @@ class IdleJob(ConnectionJob):
 
     def steps(self) -> Steps[Outcome]:
         """Idle, or the answer to a service that was given up."""
-        connection = self.connection
+        connection, course = self.connection, self.course()
         if connection.outstanding:
-            drained = yield from connection.drained()
-            return Outcome() if drained is None else self.over(drained)
-        found = yield from connection.asked(IDLE, self.title)
+            drained = yield from connection.drained(course)
+            return Outcome() if drained is None else self.over(drained, course.now)
+        found = yield from connection.asked(course, IDLE, self.title)
         if isinstance(found, Ended):
-            return self.over(found)
+            return self.over(found, course.now)
         if found[0] != Function.IDLE:
             connection.stale += 1
         return Outcome()
@@ -197,35 +181,18 @@ class GiveBackJob(ConnectionJob):
 
     def steps(self) -> Steps[Outcome]:
         """The server SAP where it is not known yet, then Abort until it is acknowledged."""
-        connection = self.connection
-        if connection.server_sap is None:
+        if self.connection.server_sap is None:
             yield from self._fetch_sap()
-        sap = connection.server_sap
-        if sap is not None:
-            request = connection.request(sap, self._abort.build(), HEAD)
-            for attempt in range(ATTEMPTS):
-                answer = yield Step(request, _PAUSE << attempt if attempt else 0)
-                if isinstance(answer, Telegram) or answer is Failure.REFUSED:
-                    break
+        if self.connection.server_sap is not None:
+            yield from self.course().requested(self._abort.build(), ATTEMPTS)
         return Outcome()
 
     def _fetch_sap(self) -> Steps[None]:
-        connection, clock = self.connection, self.connection.clock
-        begun = clock.now
-        polls = unanswered = 0
-        poll = connection.request(SAP_MS2_RM, b"", HEAD)
-        while unanswered < ATTEMPTS:
-            answer = yield Step(poll, pause_before(polls))
-            polls += 1
-            if not isinstance(answer, Telegram):
-                unanswered += 1
-            elif said(answer) is Said.DATA:
-                sap = _server_sap(answer.data)
-                if sap is not None and not self.ms2.uses(self.address, sap):
-                    connection.server_sap = sap  # else that is another connection's, and stays
-                return
-            elif said(answer) is Said.CLOSED or clock.now - begun >= connection.limit_ns:
-                return
+        course = self.connection.course(SAP_MS2_RM)
+        if (yield from course.polled(ATTEMPTS)) is Said.DATA:
+            sap = _server_sap(course.pdu)
+            if sap is not None and not self.ms2.uses(self.address, sap):
+                self.connection.server_sap = sap  # else that is another connection's, and stays
 
     def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:
         """The connection is no more."""

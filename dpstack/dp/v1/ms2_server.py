@@ -130,7 +130,7 @@ class Ms2Server:
 
     def _take_back(self, connection: Connection, now: int) -> None:
         connection.end("another Initiate of its master came before the answer was fetched", now)
-        self._tidy(connection)
+        self._give_back(connection)
 
     # --- server SAPs ------------------------------------------------------------------------------------------------
 
@@ -139,11 +139,11 @@ class Ms2Server:
         connection = self._connections.get(sap)
         if connection is None or not connection.is_of(sa, ssap):
             return None
-        self._arrived(connection)
+        self._forget_offer(connection)
         if octets:
             connection.take(octets, now)
         answer = connection.poll(now) if not octets or (self.at_once and not connection.free) else None
-        self._tidy(connection)
+        self._give_back(connection)
         self._watch(connection)
         return SC_REPLY if answer is None else Reply(Resp.DL, answer)
 
@@ -154,7 +154,7 @@ class Ms2Server:
         for connection in list(self._connections.values()):
             if connection.deadline <= now:
                 connection.silence(now)
-                self._tidy(connection)
+                self._give_back(connection)
         self.at = min((one.deadline for one in self._connections.values()), default=NEVER)
 
     def abort(self, sap: int, reason: int, now: int) -> None:
@@ -174,7 +174,7 @@ class Ms2Server:
         """Every connection is over, without an Abort: nobody could fetch it."""
         for connection in list(self._connections.values()):
             connection.end(why, now)
-            self._tidy(connection)
+            self._give_back(connection)
         self._offers.clear()
         self.at = NEVER
 
@@ -182,16 +182,16 @@ class Ms2Server:
         if not connection.free:
             self.at = min(self.at, connection.deadline)
 
-    def _tidy(self, connection: Connection) -> None:
+    def _give_back(self, connection: Connection) -> None:
         """Give back what is free, and forget its offer."""
         sap = connection.asker.sap
         if not connection.free or self._connections.get(sap) is not connection:
             return
         del self._connections[sap]
         self._free.append(sap)
-        self._arrived(connection)
+        self._forget_offer(connection)
 
-    def _arrived(self, connection: Connection) -> None:
+    def _forget_offer(self, connection: Connection) -> None:
         """Its Resource_Manager PDU is not wanted any more."""
         whose = (connection.asker.master, connection.ssap)
         offers = self._offers.get(whose)

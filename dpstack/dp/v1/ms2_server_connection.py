@@ -20,6 +20,7 @@ from dpstack.dp.v1.tickets import (
     put,
     put_transport,
 )
+from dpstack.dp.v1.times import PATIENCE, WORKING_SHARE
 from dpstack.errors import PduError, RecordRefused
 from dpstack.units import NS_PER_MS
 
@@ -66,8 +67,8 @@ class Connection:
     __slots__ = (
         "_answer",
         "_device",
+        "_lived",
         "_report",
-        "_said",
         "_ticket",
         "asker",
         "heard",
@@ -86,7 +87,8 @@ class Connection:
         self.state = State.ANSWERED
         self.heard = now
         self.services = 0
-        self._said = now
+        #: it told its master that it lives
+        self._lived = now
         self._answer: bytes | None = None
         self._ticket: AnyTicket | None = None
         self._device = device
@@ -95,7 +97,7 @@ class Connection:
     @property
     def deadline(self) -> int:
         """When silence ends it, in ns: the send time-out, twice that while nothing is asked (VPC3+)."""
-        patience = 2 if self.state is State.OPEN else 1
+        patience = PATIENCE if self.state is State.OPEN else 1
         return self.heard + patience * self.send_timeout_ns
 
     def is_of(self, sa: int, ssap: int | None) -> bool:
@@ -112,11 +114,11 @@ class Connection:
                 raise PduError(f"Initiate of {len(octets)} octets, {longest} are possible (Max_Initiate_PDU_Length)")
             wanted = InitiateReq.parse(octets)
         except PduError as error:
-            self._refuse(AbortReason.REQUEST_PDU, str(error), now)
+            self._refuse(str(error), Abort(AbortReason.REQUEST_PDU).build(), now)
             return
         if wanted.destination.net:
             reason = "D_Addr is an address in another network, and this slave is the end of the way"
-            self._refuse(AbortReason.ADDRESS, reason, now)
+            self._refuse(reason, Abort(AbortReason.ADDRESS).build(), now)
             return
         try:
             self._device.initiate(self.asker.master, wanted)
@@ -137,15 +139,14 @@ class Connection:
         else:
             negative = Negative(Function.INITIATE, Code.UNAVAILABLE)
             reason = failure_text(error)
-        self._report.refused("Initiate", self.asker.master, reason, now)
+        self._refuse(reason, negative.build(), now)
+
+    def _refuse(self, why: str, answer: bytes, now: int) -> None:
+        """It was never open."""
+        self._report.refused("Initiate", self.asker.master, why, now)
         self.asker.open = False
         self.state = State.OVER
-        self._answer = negative.build()
-
-    def _refuse(self, reason: AbortReason, text: str, now: int) -> None:
-        self._report.refused("Initiate", self.asker.master, text, now)
-        self.asker.open = False
-        self._abort(reason)
+        self._answer = answer
 
     # --- what is heard --------------------------------------------------------------------------------------------
 
@@ -163,9 +164,9 @@ class Connection:
             case Act.FREE:
                 self.end(f"its master aborted it: {why}", now)
             case Act.SEQUENCE:
-                self._end_with(AbortReason.SEQUENCE, f"{why} in the state '{self.state.value}'", now)
+                self.end(f"{why} in the state '{self.state.value}'", now, Abort(AbortReason.SEQUENCE))
             case Act.REQUEST_PDU:
-                self._end_with(AbortReason.REQUEST_PDU, why, now)
+                self.end(why, now, Abort(AbortReason.REQUEST_PDU))
             case _:
                 pass
 
@@ -180,8 +181,8 @@ class Connection:
                 answer, self._answer = self._answer, None
                 return answer
             case Act.LOOK:
-                if now - self._said >= self.send_timeout_ns // 2:
-                    self._said = now
+                if now - self._lived >= self.send_timeout_ns // WORKING_SHARE:
+                    self._lived = now
                     return IDLE
             case Act.FREE:
                 answer, self._answer = self._answer, None
@@ -197,7 +198,7 @@ class Connection:
             return
         waited = (now - self.heard) // NS_PER_MS
         self.heard = now
-        self._end_with(AbortReason.TIMEOUT, f"nothing was heard of its master for {waited} ms", now)
+        self.end(f"nothing was heard of its master for {waited} ms", now, Abort(AbortReason.TIMEOUT))
 
     @property
     def free(self) -> bool:
@@ -206,14 +207,19 @@ class Connection:
 
     def abort(self, reason: int, now: int) -> None:
         """Its slave does not want it any more; ``reason`` 0..15 means something to both users."""
-        self._end(f"it was aborted here (reason {reason})", now)
-        self._answer = Abort(reason, Instance.USER).build()
+        self.end(f"it was aborted here (reason {reason})", now, Abort(reason, Instance.USER))
         self.heard = now
 
-    def end(self, why: str, now: int) -> None:
-        """It is over and nobody is told on the bus."""
-        self._end(why, now)
-        self._answer = None
+    def end(self, why: str, now: int, abort: Abort | None = None) -> None:
+        """It is over; its master may fetch ``abort``, without one nobody is told on the bus."""
+        if self.state is not State.OVER:
+            self.state = State.OVER
+            self.asker.open = False
+            ticket, self._ticket = self._ticket, None
+            if ticket is not None:
+                ticket.drop()
+            self._report.connection_closed(self.asker, self.services, why, now)
+        self._answer = None if abort is None else abort.build()
 
     # --- inside ---------------------------------------------------------------------------------------------------
 
@@ -236,7 +242,7 @@ class Connection:
 
     def _serve(self, octets: bytes, now: int) -> None:
         """A service: what its application can be asked, else a negative response like that of MS1."""
-        self._said = now
+        self._lived = now
         self.state = State.WORKING
         try:
             request = parse_transport(octets) if octets[0] == Function.DATA_TRANSPORT else parse_request(octets)
@@ -267,24 +273,6 @@ class Connection:
             self._ticket = None
             self._answer = answer
             self.state = State.ANSWERED
-
-    def _end_with(self, reason: AbortReason, why: str, now: int) -> None:
-        self._end(why, now)
-        self._abort(reason)
-
-    def _end(self, why: str, now: int) -> None:
-        if self.state is State.OVER:
-            return
-        self.state = State.OVER
-        self.asker.open = False
-        ticket, self._ticket = self._ticket, None
-        if ticket is not None:
-            ticket.drop()
-        self._report.connection_closed(self.asker, self.services, why, now)
-
-    def _abort(self, reason: AbortReason) -> None:
-        self.state = State.OVER
-        self._answer = Abort(reason, Instance.MS2).build()
 
 
 def parse_transport(octets: bytes) -> DataTransport:

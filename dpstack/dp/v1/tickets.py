@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final, Protocol, TypeVar
 
 from dpstack.dp.origin import failure_text
 from dpstack.dp.v1.codes import Code
@@ -80,6 +80,9 @@ class AnyTicket:
             self.response = response
 
 
+T = TypeVar("T", bound=AnyTicket)
+
+
 class Ticket(AnyTicket):
     """A Read or Write."""
 
@@ -135,21 +138,19 @@ class Told(Protocol):
 
 def put(ticket: Ticket, records: Records | None) -> None:
     """Let ``records`` answer it; a device that has none refuses."""
-    if records is None:
-        ticket.refuse(Code.INVALID_INDEX)
-        return
-    try:
-        records.ask(ticket)
-    except Exception as error:
-        ticket.fail(error)
+    _put(ticket, None if records is None else records.ask, Code.INVALID_INDEX)
 
 
 def put_transport(ticket: TransportTicket, transport: Transport | None) -> None:
     """Let ``transport`` answer it; a device that has none refuses."""
-    if transport is None:
-        ticket.refuse(Code.NOT_SUPPORTED)
+    _put(ticket, transport, Code.NOT_SUPPORTED)
+
+
+def _put(ticket: T, serve: Callable[[T], object] | None, otherwise: Code) -> None:
+    if serve is None:
+        ticket.refuse(otherwise)
         return
     try:
-        transport(ticket)
+        serve(ticket)
     except Exception as error:
         ticket.fail(error)

@@ -11,8 +11,10 @@ SERVICE_TIMEOUT: Final = 10 * NS_PER_S
 #: how long a slave works at a service at most, where its GSD file has no C1_Response_Timeout or C2_Response_Timeout
 RESPONSE_TIMEOUT: Final = NS_PER_S
 
-#: before a request is repeated that the slave did not take ("not now")
+#: before a request is repeated that the slave did not take ("not now"), or did not answer for the first time
 BUSY_PAUSE: Final = 10 * NS_PER_MS
+#: before it is asked again after silence, at most
+_SILENT_PAUSE: Final = 16 * BUSY_PAUSE
 #: so many polls in as many token holds, then with pauses that grow up to the last
 _EAGER: Final = 4
 _PAUSES: Final = (NS_PER_MS, 2 * NS_PER_MS, 5 * NS_PER_MS, 10 * NS_PER_MS)
@@ -21,15 +23,26 @@ _PAUSES: Final = (NS_PER_MS, 2 * NS_PER_MS, 5 * NS_PER_MS, 10 * NS_PER_MS)
 #: (protocol facts C2)
 _SEND_TIMEOUTS: Final = {1_500_000: NS_PER_S, 500_000: 2 * NS_PER_S, 0: 4 * NS_PER_S}
 
+#: a master says Idle over a connection that was quiet for this share of its send time-out: a slave waits twice the
+#: whole for a request (VPC3+), so two may be lost
+QUIET_SHARE: Final = 3
+#: a slave that works at a service says Idle to the first poll after this share of it
+WORKING_SHARE: Final = 2
+#: send time-outs that a slave waits for a request (VPC3+); while it has something to be fetched it waits for one
+PATIENCE: Final = 2
+
 
 def pause_before(polls: int) -> int:
     """Before the next poll for an answer, after ``polls`` of them."""
     return 0 if polls < _EAGER else _PAUSES[min(polls - _EAGER, len(_PAUSES) - 1)]
 
 
-def polls_within(limit_ns: int) -> int:
-    """So many polls last for ``limit_ns`` or a little longer."""
-    return limit_ns // _PAUSES[-1] + 1
+def pause_after_silence(silent: int) -> int:
+    """Before a slave is asked again, after ``silent`` times without an answer (1 or more) one after the other.
+
+    It grows: a computer that stands still for 30 ms must not use up all attempts at once.
+    """
+    return min(BUSY_PAUSE << (silent - 1), _SILENT_PAUSE)
 
 
 def least_send_timeout(baud: int) -> int:

@@ -120,19 +120,12 @@ RESOURCE_MANAGER: Final = Layout(
 
 
 class InitiateReqOctets(NamedTuple):
-    """Initiate, request; ``addresses`` are both addresses, S_Len and D_Len octets."""
+    """Initiate, request; what it has in ``common`` with the response is :class:`InitiateOctets`."""
 
     function: int
     reserved: bytes
     send_timeout: int
-    features: int
-    profile_features: int
-    profile_ident: int
-    s_type: int
-    s_len: int
-    d_type: int
-    d_len: int
-    addresses: bytes
+    common: bytes
 
 
 INITIATE_REQ: Final = Layout(
@@ -141,22 +134,30 @@ INITIATE_REQ: Final = Layout(
     "function" / OCTET,
     "reserved" / octets(3),
     "send_timeout" / WORD,
-    "features" / WORD,
-    "profile_features" / WORD,
-    "profile_ident" / WORD,
-    "s_type" / OCTET,
-    "s_len" / OCTET,
-    "d_type" / OCTET,
-    "d_len" / OCTET,
-    "addresses" / REST,
+    "common" / REST,
 )
 
 
 class InitiateResOctets(NamedTuple):
-    """Initiate, positive response."""
+    """Initiate, positive response; what it has in ``common`` with the request is :class:`InitiateOctets`."""
 
     function: int
     max_len_data_unit: int
+    common: bytes
+
+
+INITIATE_RES: Final = Layout(
+    "Initiate response",
+    InitiateResOctets,
+    "function" / OCTET,
+    "max_len_data_unit" / OCTET,
+    "common" / REST,
+)
+
+
+class InitiateOctets(NamedTuple):
+    """What both ends say in Initiate; ``addresses`` are both addresses, S_Len and D_Len octets."""
+
     features: int
     profile_features: int
     profile_ident: int
@@ -167,11 +168,9 @@ class InitiateResOctets(NamedTuple):
     addresses: bytes
 
 
-INITIATE_RES: Final = Layout(
-    "Initiate response",
-    InitiateResOctets,
-    "function" / OCTET,
-    "max_len_data_unit" / OCTET,
+INITIATE: Final = Layout(
+    "Initiate",
+    InitiateOctets,
     "features" / WORD,
     "profile_features" / WORD,
     "profile_ident" / WORD,
