@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from dpstack.api.virtual import IoStation, World, run_virtual, simulate
     from dpstack.dp.dp_slave import DpSlave
     from dpstack.dp.slave_description import SlaveDescription, SlaveModule
+    from dpstack.dp.slave_events import DeviceFailed, RequestRefused
     from dpstack.dp.slaveapp import SlaveApp, SlaveAppState
     from dpstack.dp.user_diag import UserDiag, channel_block, device_block, identifier_block, revision_block
     from dpstack.dp.v1.alarms import AlarmType, ModuleState, Specifier, StatusType
@@ -81,6 +82,7 @@ __all__ = [
     "Connection",
     "ConnectionEnded",
     "Cycle",
+    "DeviceFailed",
     "DpError",
     "DpSlave",
     "Drive",
@@ -105,6 +107,7 @@ __all__ = [
     "PortError",
     "PrmBlock",
     "RecordRefused",
+    "RequestRefused",
     "ServiceRefused",
     "Slave",
     "SlaveAlarm",
@@ -165,6 +168,8 @@ _WHERE: Final = {
     "SlaveAppState": "dp.slaveapp",
     "SlaveDescription": "dp.slave_description",
     "SlaveModule": "dp.slave_description",
+    "DeviceFailed": "dp.slave_events",
+    "RequestRefused": "dp.slave_events",
     "UserDiag": "dp.user_diag",
     "channel_block": "dp.user_diag",
     "device_block": "dp.user_diag",

@@ -159,10 +159,13 @@ class RecordRefused(DpError):
     """What a function that serves records raises to refuse one: ``code_1`` is Error_Code_1, class and code.
 
     0xB0 invalid index, 0xB2 invalid slot, 0xB5 state conflict, 0xB6 access denied ... (``dpstack.dp.v1.codes.Code``);
-    ``code_2``: one's own.
+    ``code_2``: one's own. Both are octets; raises UsageError for anything else.
     """
 
     def __init__(self, code_1: int, code_2: int = 0) -> None:
+        for name, code in (("code_1", code_1), ("code_2", code_2)):
+            if not isinstance(code, int) or not 0 <= code <= 0xFF:
+                raise UsageError(f"RecordRefused: {name} = {code!r} is no octet; 0xB0 says invalid index, for instance")
         super().__init__(f"record refused: Error_Code_1 0x{code_1:02X}, Error_Code_2 0x{code_2:02X}")
         self.code_1 = code_1
         self.code_2 = code_2

@@ -13,7 +13,9 @@ import time
 import dpstack
 
 SIMULATION = ["sim", "--drive", "fuji-frenic", "--address", "4", "--port", "pty", "--baud", "1500000", "--json"]
-FAN = {"name": "fan", "address": 4, "drive": "fuji-frenic"}
+# at the other end is an ordinary program, which a busy computer keeps waiting: a long watchdog, and patience with every
+# answer (beside no other master: asking for one, too, would wait so long)
+FAN = {"name": "fan", "address": 4, "drive": "fuji-frenic", "watchdog_ms": 5000}
 
 
 def compute(seconds: float) -> None:
@@ -24,7 +26,7 @@ def compute(seconds: float) -> None:
 
 
 async def main(port: str) -> None:
-    bus = dpstack.open_bus(port=port, baud=1_500_000, slaves=[FAN], driver="process")
+    bus = dpstack.open_bus(port=port, baud=1_500_000, slaves=[FAN], driver="process", host_slack_ms=300, gap=0)
     async with bus:  # whatever ends this program: safe values, Clear twice, out of the ring
         await bus.operate()
         await bus.ready(20)

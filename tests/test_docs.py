@@ -109,6 +109,29 @@ def test_examples_run(example: Path, capsys: pytest.CaptureFixture[str]) -> None
             "the lamp was told 0.25 times a cycle",
         ],
         "own_slave": ["level 40 %", "ext_diag, wd_on 80 40 07", "valve closed"],
+        "alarms": [
+            "pull alarm, slot 2; module status: slot 2 no module; modules with a diagnosis: 1 (8 DO)",
+            "  slots 00 03 00",
+            "plug alarm, slot 2; module status: all modules ok",
+            "process alarm, slot 1",
+        ],
+        "im_inventory": [
+            "  1  master in ring",
+            "  3  ident 0x4711, master 1: V-8, serial number 0042, V1.0.0, cooling",
+            "  4  ident 0x4711, master 1: refuses I&M (0xB0)",
+            "  5  ident 0x1234, master 1: no class 2 connection (or none free)",
+        ],
+        "dpv1_slave": [
+            "b'water' b'milk'",
+            "over class 2: b'water', MIX-1",
+            "slave 9 (mixer): process alarm, slot 1, data 01",
+            "1 of 1 parameters",
+            "10 Ramp time (50,)",
+            "slave 9 refuses Write of slot 1, index 12: write length error (80 B1 00: class access, code 1); "
+            "give the record exactly the octets its manual names",
+            "slave 9 (mixer): Write of slot 1, index 13 of master 2 refused: its function failed "
+            "(OSError: disk full), in write(), dpv1_slave.py line 35",
+        ],
         "two_drives": ["hoist at 25 Hz", "fan at 24 Hz", "fan at -24 Hz"],
         "valves_in_step": [
             "step 3 {'north': '03', 'south': '03'}",

@@ -165,9 +165,13 @@ class Bus(Composed):
 
     def command(self, command: object) -> None:
         """Hand an order to the machine. Raises UsageError when the bus is not open."""
+        self.check_open()
+        self._hand_on(command)
+
+    def check_open(self) -> None:
+        """Raises UsageError when the bus is not open."""
         if not self._open:
             raise UsageError("the bus is not open: use it inside `async with open_bus(...)`")
-        self._hand_on(command)
 
     def _hand_on(self, command: object) -> None:
         try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import weakref
 from collections.abc import Generator
 from types import TracebackType
 from typing import TYPE_CHECKING, TypeVar
@@ -36,7 +37,8 @@ Done = TypeVar("Done", RecordDone, TransportDone)
 
 
 class Connection(RecordAccess):
-    """An open connection. Its services queue, up to 32; it is kept alive until it is closed, or the bus is.
+    """An open connection. Its services queue, up to 32; it is kept alive until it is closed, or the bus is, or nothing
+    refers to it any more: slaves have few.
 
     All raise ConnectionEnded once it is over (also those under way), otherwise as :meth:`Slave.read` does:
     AcyclicError, SlaveTimeout, SlaveFault, UsageError, BusError. ``timeout`` in seconds from the call (None: 10, longer
@@ -52,6 +54,9 @@ class Connection(RecordAccess):
         self._im_call = asyncio.Lock()
         #: the slave's name on this bus, or "slave" and its address
         self.name = name
+        # who forgets it does not say so
+        left = weakref.finalize(self, _close_later, bus, done.token, ending, asyncio.get_running_loop())
+        left.atexit = False
 
     @property
     def address(self) -> int:
@@ -144,9 +149,7 @@ class Connection(RecordAccess):
 
     async def close(self) -> None:
         """End it by Abort, and wait until the slave has it back or cannot be told. May be repeated."""
-        if self.is_open and self._bus.is_open:
-            with contextlib.suppress(DpError):  # the bus may have ended meanwhile
-                self._bus.command(CloseConnection(self._done.token))
+        _close(self._bus, self._done.token, self._ending)
         await self._ending.told.wait()
 
     async def __aenter__(self) -> Connection:
@@ -180,6 +183,18 @@ class Connection(RecordAccess):
             what = f"{len(data)} octets, it takes {self._longest} in one service"
             raise UsageError(f"{self.who}: {what} (C2_Max_Data_Len, Max_Len_Data_Unit of Initiate): send less")
         return data
+
+
+def _close(bus: Bus, token: int, ending: Ending) -> None:
+    if bus.is_open and not ending.told.is_set():
+        with contextlib.suppress(DpError):  # the bus may have ended meanwhile
+            bus.command(CloseConnection(token))
+
+
+def _close_later(bus: Bus, token: int, ending: Ending, loop: asyncio.AbstractEventLoop) -> None:
+    """From a finalizer, which may run anywhere."""
+    with contextlib.suppress(RuntimeError):  # the loop is over, and the bus with it
+        loop.call_soon_threadsafe(_close, bus, token, ending)
 
 
 class Connecting:

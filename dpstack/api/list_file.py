@@ -5,6 +5,8 @@ What the lists hold is in :mod:`dpstack.api.parameter_list` and :mod:`dpstack.ap
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import os
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
@@ -116,19 +118,24 @@ class Kept(Protocol):
 class FileToBe:
     """A file that is made aside and takes its name at the end, so that no half of it is ever there under that name.
 
+    A link stays, what it leads to is written; a device or a pipe is refused, whose name would be taken away from it.
+
     Entering raises UsageError where it cannot be written: before any work is done. Left without :meth:`keep` there
     is no file, and what stood under the name stays.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
+        self._real = Path(os.path.realpath(self.path)) if self.path.is_symlink() else self.path
         #: where a list that was cut short is kept
-        self.part = self.path.with_name(self.path.name + ".part")
-        self._new = self.path.with_name(f".{self.path.name}.{os.getpid()}")
+        self.part = self._real.with_name(self._real.name + ".part")
+        self._new = self._real.with_name(f".{self._real.name}.{os.getpid()}")
 
     def __enter__(self) -> FileToBe:
         if self.path.is_dir():
             raise UsageError(f"{self.path}: is a directory; name a file")
+        if self.path.exists() and not self.path.is_file():
+            raise UsageError(f"{self.path}: is a device or a pipe; name an ordinary file")
         self._writing("")
         return self
 
@@ -140,7 +147,7 @@ class FileToBe:
         path = self.path if found.complete else self.part
         self._writing(found.text())
         try:
-            os.replace(self._new, path)
+            os.replace(self._new, self._real if found.complete else self.part)
         except OSError as error:
             raise _unwritten(path, error) from None
         return path
@@ -152,8 +159,12 @@ class FileToBe:
                 file.flush()
                 os.fsync(file.fileno())
         except OSError as error:
+            with contextlib.suppress(OSError):
+                self._new.unlink(missing_ok=True)
             raise _unwritten(self.path, error) from None
 
 
 def _unwritten(path: Path, error: OSError) -> UsageError:
-    return UsageError(f"{path}: cannot be written ({error.strerror or error}); name a file in a directory of yours")
+    full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+    todo = "make room there, or name a file elsewhere" if full else "name a file in a directory of yours"
+    return UsageError(f"{path}: cannot be written ({error.strerror or error}); {todo}")

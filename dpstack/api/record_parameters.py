@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Sequence
 from typing import TypeVar
 
 from dpstack.api.records import RecordAccess
@@ -90,17 +90,18 @@ class RecordParameters:
         return found
 
     async def read(
-        self, items: Sequence[Address | Item], *, timeout: float | None = None, progress: Progress | None = None
+        self, items: Sequence[Address | Item | int], *, timeout: float | None = None, progress: Progress | None = None
     ) -> list[Result]:
-        """A result for each, in as few requests as the drive takes."""
-        if not isinstance(items, Sequence) or not all(isinstance(one, (Address, Item)) for one in items):
-            raise UsageError(f"{items!r} is no list of parameters: read([Address(965), Address(944, subindex=1)])")
-        return await self._run(lambda deadline: self._client.read(items, deadline, progress), timeout)
+        """A result for each, in as few requests as the drive takes; a number alone is a parameter that is no array."""
+        wanted = _wanted(items)
+        return await self._run(lambda deadline: self._client.read(wanted, deadline, progress), timeout)
 
     async def change(
         self, items: Sequence[tuple[Address, Values]], *, timeout: float | None = None, progress: Progress | None = None
     ) -> list[Result]:
         """Write; Values of format Zero where the drive took it. Raises ValueError for values that do not fit."""
+        if not all(isinstance(one, tuple) and [*map(type, one)] == [Address, Values] for one in items):
+            raise UsageError(f"{items!r}: give a list of (Address(pnu), Values(format, (value,)))")
         return await self._run(lambda deadline: self._client.change(items, deadline, progress), timeout)
 
     async def defined(self, timeout: float | None = None) -> list[int]:
@@ -166,6 +167,17 @@ class RecordParameters:
                 return ParameterError(self._name, -1 if error.number is None else error.number, text)
             case _:
                 return DriveError(self._name, text)
+
+
+def _wanted(items: Iterable[Address | Item | int]) -> list[Address | Item]:
+    """A list of addresses, whatever way they are named. Raises UsageError for what is none."""
+    if not isinstance(items, Iterable) or isinstance(items, (Address, Item, str)):
+        raise UsageError(f"{items!r} is no list of parameters: give for instance [930, Address(964, 0, 7)]")
+    found = list(items)
+    wrong = next((one for one in found if not isinstance(one, (Address, Item, int))), None)
+    if wrong is not None:
+        raise UsageError(f"{wrong!r} is no parameter: give its number, or Address(pnu, subindex, elements)")
+    return [Address(one) if isinstance(one, int) else one for one in found]
 
 
 def over_records(records: RecordAccess, timeout: float | None) -> CarryOut:

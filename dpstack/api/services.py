@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, TypeVar
 from dpstack.api.alarms import AlarmDesk
 from dpstack.api.service_errors import error_of
 from dpstack.dp.acyclic import CancelService
-from dpstack.dp.acyclic_job import ServiceEnd
+from dpstack.dp.acyclic_job import ServiceEnd, ServiceFailure
 from dpstack.dp.v1.ms1 import RecordDone
 from dpstack.dp.v1.ms2_orders import ConnectionOver, ConnectionsClosed, TransportDone
-from dpstack.errors import DpError, UsageError
+from dpstack.errors import BusError, DpError, UsageError
 from dpstack.trace import Event
 from dpstack.units import s_to_ns
 
@@ -81,6 +81,8 @@ class Services:
         assert isinstance(done, kind)
         if done.outcome.failure is not None:
             record = (done.slot, done.index) if isinstance(done, (RecordDone, TransportDone)) else None
+            if done.outcome.failure is ServiceFailure.CLOSED and not bus.is_open:  # nothing is wrong with the slave
+                raise BusError(f"this bus was closed: {done.outcome.text}")
             raise error_of(done.address, done.title, done.outcome, record)
         return done
 

@@ -282,8 +282,9 @@ class Slave:
         """Status messages, module status, PrmCmdAck ... from now on, as :class:`~dpstack.dp.v1.alarms.Status`: an
         async iterator; nobody acknowledges them, of a reader that does not read the oldest are dropped.
 
-        Raises UsageError for a slave without DP-V1.
+        Raises UsageError for a slave without DP-V1 and a bus that is not open.
         """
+        self._bus.check_open()
         if self.setup.dpv1 is None:
             raise UsageError(
                 f"slave {self.address} ({self.name}) is not parameterised for DP-V1: no status messages; "

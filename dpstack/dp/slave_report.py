@@ -9,6 +9,7 @@ from typing import Final
 
 from dpstack.dp.device import Device
 from dpstack.dp.once import News, Once
+from dpstack.dp.origin import error_text, origin_of
 from dpstack.dp.slave_events import (
     AddressChanged,
     AlarmAcknowledged,
@@ -28,8 +29,6 @@ from dpstack.trace import Event
 #: of one master
 _MAX_TOLD: Final = 50
 _NO_MORE: Final = "; further refusals to it are counted only"
-#: where exceptions are raised on behalf of the device: their text says it all
-_OURS: Final = ("slaveapp.py", "slave_core.py", "slave_services.py", "slave_data.py", "slave_clock.py")
 
 
 @dataclass(slots=True)
@@ -135,7 +134,7 @@ class Report:
     def failed(self, during: str, error: Exception, now: int) -> None:
         """An exception in the device."""
         self.stats.failures += 1
-        name, text, origin = self._device.name, f"{type(error).__name__}: {error}", _origin(error)
+        name, text, origin = self._device.name, error_text(error), origin_of(error)
         self._events.append(
             DeviceFailed(t_ns=now, address=self.address, name=name, during=during, error=text, origin=origin)
         )
@@ -158,14 +157,3 @@ class Report:
         self._events.append(
             RequestRefused(t_ns=now, address=self.address, name=name, service=service, master=master, reason=reason)
         )
-
-
-def _origin(error: Exception) -> str:
-    trace = error.__traceback__
-    if trace is None:
-        return ""
-    while trace.tb_next is not None:
-        trace = trace.tb_next
-    code = trace.tb_frame.f_code
-    file = code.co_filename.replace("\\", "/").rpartition("/")[2]
-    return "" if file in _OURS else f"{code.co_name}(), {file} line {trace.tb_lineno}"

@@ -56,6 +56,31 @@ def beside(program: Program) -> list[dpstack.Event]:
     return told
 
 
+def test_one_that_nothing_refers_to_any_more_is_given_back() -> None:
+    """A program that fails before it can close: the slave has two connections only."""
+
+    async def read_first(bus: dpstack.Bus) -> None:
+        connection = await bus.class2.connect(9)
+        assert await connection.read(1, 2) == b"\1\2"
+
+    async def program(bus: dpstack.Bus, server: Ms2Server) -> None:
+        for _ in range(3):  # it has two
+            await read_first(bus)
+            await asyncio.sleep(0.1)
+        assert bus.class2.connections == 0
+        parameters = (await bus.class2.connect(9)).parameters()  # it stays open while this does
+        await asyncio.sleep(0.2)
+        assert bus.class2.connections == 1
+        del parameters
+        await asyncio.sleep(0.1)
+        assert bus.class2.connections == 0
+
+    told = beside(program)
+    overs = [event.text for event in told if isinstance(event, ConnectionOver)]
+    assert len(overs) == 4
+    assert all(text.endswith("it was closed here") for text in overs)
+
+
 def test_everything_over_one_connection_beside_the_slaves_own_master() -> None:
     async def program(bus: dpstack.Bus, server: Ms2Server) -> None:
         async with bus.class2.connect(9) as connection:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import errno
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -140,6 +142,42 @@ def test_files_that_cannot_be(tmp_path: Path) -> None:
         LIST.save(tmp_path)
     with pytest.raises(UsageError, match="cannot be written"):
         LIST.save(tmp_path / "no" / "file.toml")
+
+
+def test_what_is_no_ordinary_file_keeps_its_name(tmp_path: Path) -> None:
+    """A name in /dev, a pipe: it would have become a file."""
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    (tmp_path / "lead").symlink_to(pipe)
+    for name in ("pipe", "lead"):
+        with pytest.raises(UsageError, match="is a device or a pipe; name an ordinary file"):
+            LIST.save(tmp_path / name)
+    assert pipe.is_fifo()
+    kept = tmp_path / "kept" / "hoist.toml"
+    kept.parent.mkdir()
+    (tmp_path / "link.toml").symlink_to(kept)
+    for _ in range(2):
+        LIST.save(tmp_path / "link.toml")
+        assert (tmp_path / "link.toml").is_symlink()
+        assert kept.read_text(encoding="utf-8") == TEXT
+    replace(LIST, complete=False).save(tmp_path / "link.toml")
+    assert [path.name for path in kept.parent.iterdir() if path != kept] == ["hoist.toml.part"]
+
+
+def test_the_disk_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "hoist.toml"
+    path.write_text("old", encoding="utf-8")
+
+    def full(file: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("os.fsync", full)
+    with pytest.raises(
+        UsageError, match=r"cannot be written \(No space left on device\); make room there, or name a f"
+    ):
+        LIST.save(path)
+    assert path.read_text(encoding="utf-8") == "old"
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_a_file_is_there_whole_or_not_at_all(tmp_path: Path) -> None:

@@ -360,6 +360,33 @@ def test_silence_a_read_is_repeated_a_write_is_not() -> None:
     assert kit.read().outcome.failure is ServiceFailure.SILENT
 
 
+@pytest.mark.parametrize("cut", ["its time", "the slave's time", "data exchange", "the port", "Stop"])
+def test_a_write_that_is_cut_short_may_have_been_carried_out(cut: str) -> None:
+    kit = Ms1Bus()
+    tokens = (1, 2, 3)
+    kit.slave.ms1 = lambda data: SC  # taken, and never answered
+    timeout = 200 * MS if cut == "its time" else 1_500 * MS
+    kit.send(WriteRecord(1, 4, 1, 2, b"\1", timeout))
+    kit.send(ReadRecord(2, 4, 1, 2, 240, timeout))
+    kit.send(WriteRecord(3, 4, 1, 3, b"\1", timeout))
+    kit.bus.run(20 * MS)
+    match cut:
+        case "data exchange":
+            kit.slave.mute = True
+        case "the port":
+            kit.send(LineDown("unplugged"))
+        case "Stop":
+            kit.send(SetMode(Mode.STOP))
+        case _:
+            pass
+    outcomes = [kit.end(token).outcome for token in tokens]
+    assert all(outcome.failure is not None for outcome in outcomes)
+    asked, read, never_asked = (outcome.text for outcome in outcomes)
+    assert asked.endswith("; it may have been carried out: read it back")
+    assert "carried out" not in read
+    assert "carried out" not in never_asked
+
+
 def test_misuse_raises_at_once() -> None:
     kit = Ms1Bus()
     for wrong, what in [

@@ -156,9 +156,10 @@ def test_a_function_that_raises_is_answered_and_told_and_data_exchange_goes_on()
 
     bench = bench_with(Broken())
     assert answer_to(bench, "5E 00 01 F0") == "DE 80 A0 00"
+    line = Broken.ask.__code__.co_firstlineno + 3
     assert bench.texts() == [
         "slave 8 (recorder): Read of slot 0, index 1 of master 2 refused: its function failed "
-        "(ZeroDivisionError: records are broken)"
+        f"(ZeroDivisionError: records are broken), in ask(), test_ms1_slave.py line {line}"
     ]
     assert answer_to(bench, "5F 00 01 00") == "DF 80 B5 07"
     assert bench.app.state is SlaveAppState.DATA_EXCH

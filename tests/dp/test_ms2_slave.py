@@ -204,8 +204,10 @@ def test_functions_that_fail() -> None:
     assert slave.master.service(sap, READ) == "DE 80 A0 00"
     assert slave.master.service(sap, "51 01 02 00") == "D1 80 C2 07"
     assert slave.master.service(sap, "51 00 02 00") == "D1 80 A1 00"
+    line = Broken.ask.__code__.co_firstlineno + 1
     assert slave.texts() == [
-        "Read of slot 0, index 1 of master 1 refused: its function failed (ZeroDivisionError: records are broken)",
+        "Read of slot 0, index 1 of master 1 refused: its function failed (ZeroDivisionError: records are broken), "
+        f"in ask(), test_ms2_slave.py line {line}",
         "Data_Transport to slot 0, index 2 of master 1 refused: its function failed "
         "(PduError: 241 octets of data, 240 are possible in one service)",
     ]

@@ -30,6 +30,7 @@ from dpstack.fdl.user import Failure, Request
 from dpstack.trace import Event
 
 _HEAD: Final = 4
+_MAYBE: Final = "it may have been carried out: read it back"
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,7 +208,8 @@ class RecordJob(Ms1Job):
     """One Read or Write, to the slave that ``handler`` handles."""
 
     why_closed = (
-        "it has no Read and Write (C1_Read_Write_supp of its GSD file), or takes them only with other parameters"
+        "it was switched off and on just now, has no Read and Write (C1_Read_Write_supp of its GSD file), "
+        "or takes them only with other parameters"
     )
 
     def __init__(self, request: RecordReq, octets: bytes, handler: SlaveHandler, ms1: Ms1) -> None:
@@ -216,7 +218,12 @@ class RecordJob(Ms1Job):
         self._write = isinstance(request, WriteReq)
         self.repeats = not self._write
         if self._write:
-            self.hint = "; it may have been carried out: read it back"
+            self.hint = f"; {_MAYBE}"
+
+    @property
+    def aftermath(self) -> str:
+        """A Write whose response is missing, whatever cut it short."""
+        return _MAYBE if self._write and self._sent else ""
 
     @property
     def title(self) -> str:

@@ -39,8 +39,6 @@ class Owed:
 class Ms1Job(abc.ABC):
     """One service of the slave that ``handler`` handles: ``octets`` to ``sap``, with up to ``longest`` octets back."""
 
-    #: nothing is known to have happened to the slave
-    aftermath = ""
     #: a request without any answer is repeated
     repeats = False
     #: what to do when it has no answer
@@ -59,6 +57,7 @@ class Ms1Job(abc.ABC):
         self._sap = sap
         self._longest = longest
         self._since = handler.since
+        self._sent = False
         told = 0 if handler.setup.dpv1 is None else handler.setup.dpv1.c1_response_timeout_ns
         self._limit_ns = told or RESPONSE_TIMEOUT
         self._limit_of = "its C1_Response_Timeout" if told else "no C1_Response_Timeout is known of it"
@@ -67,6 +66,11 @@ class Ms1Job(abc.ABC):
     @abc.abstractmethod
     def title(self) -> str:
         """What is asked."""
+
+    @property
+    def aftermath(self) -> str:
+        """Nothing is known to have happened to the slave."""
+        return ""
 
     def bar(self) -> str:
         """See :meth:`~dpstack.dp.v1.ms1.Ms1.bar`."""
@@ -82,6 +86,7 @@ class Ms1Job(abc.ABC):
             return Outcome()
         course = Course(self._srd, self._limit_ns)
         attempts = ATTEMPTS if self.repeats else 1
+        self._sent = True
         self._ms1.owed[self._lane] = Owed(self._since, self)  # until there is an answer, whatever ends this service
         found = yield from course.requested(self._octets, attempts)
         while True:
@@ -166,7 +171,7 @@ class Ms1Job(abc.ABC):
         return (
             f"{self.title} to slave {self.address} had no answer{others} within {ns_to_s(self._limit_ns):g} s "
             f"({self._limit_of}): {why}; try again, or give it longer (dpv1 = {{ response_timeout_ms = ... }})"
-        )
+        ) + (f"; {self.aftermath}" if self.aftermath else "")
 
     def _answered(self) -> None:
         """It owes nothing."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
+from dpstack.dp.origin import failure_text
 from dpstack.dp.v1.codes import Code
 from dpstack.dp.v1.connection import IDLE, Abort, AbortReason, DataTransport, InitiateReq, InitiateRes, Instance
 from dpstack.dp.v1.ms2_server_states import TABLE, Act, Ev, State
@@ -137,7 +138,7 @@ class Connection:
             reason = f"its function: {negative.text}"
         else:
             negative = Negative(Function.INITIATE, Code.UNAVAILABLE)
-            reason = f"its function failed ({type(error).__name__}: {error})"
+            reason = failure_text(error)
         self._refuse(reason, negative.build(), now)
 
     def _refuse(self, why: str, answer: bytes, now: int) -> None:

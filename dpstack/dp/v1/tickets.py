@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Protocol, TypeVar
 
+from dpstack.dp.origin import failure_text
 from dpstack.dp.v1.codes import Code
 from dpstack.dp.v1.connection import DataTransport
 from dpstack.dp.v1.records import MAX_RECORD, Function, Negative, ReadRes, RecordReq, RecordRes, WriteReq, WriteRes
@@ -58,7 +59,7 @@ class AnyTicket:
             return
         if not self.open:
             return
-        self.failure = f"{type(error).__name__}: {error}"
+        self.failure = failure_text(error)
         self.refuse(Code.READ_ERROR if self.function is Function.READ else Code.WRITE_ERROR)
 
     def drop(self) -> None:
@@ -70,7 +71,7 @@ class AnyTicket:
     def take(self, report: Told, now: int) -> bytes | None:
         """The answer in octets once there is one; what failed is told to ``report``."""
         if self.failure is not None:
-            report.refused(self.title, self.asker.master, f"its function failed ({self.failure})", now)
+            report.refused(self.title, self.asker.master, self.failure, now)
             self.failure = None
         return None if self.response is None else self.response.build()
 
@@ -91,8 +92,11 @@ class Ticket(AnyTicket):
         self.request = request
 
     def answer(self, data: bytes = b"") -> None:
-        """It is done; ``data`` of a Read: what is longer than was asked for is cut off."""
+        """It is done; ``data`` of a Read: what is longer than was asked for is cut off. Raises PduError where it is
+        longer than any record."""
         request = self.request
+        if len(data) > MAX_RECORD:
+            raise PduError(f"{len(data)} octets of data, {MAX_RECORD} are possible in one record")
         if isinstance(request, WriteReq):
             self._respond(WriteRes(request.slot, request.index, len(request.data)))
         else:
