@@ -22,6 +22,7 @@ T = TypeVar("T")
 #: octets that are a number all the same: PNU 965 is an OctetString of 2, an Unsigned16 (TR LMP-30 manual p141)
 _NUMBERS: Final = frozenset({OCTET_STRING, BIT_STRING})
 _LONGEST_NUMBER: Final = 4
+_NO_ANSWER: Final = "the drive did not answer over record 47 in time"
 #: the bus or the slave went away
 _LOST: Final = frozenset({ServiceFailure.LINE, ServiceFailure.CLOSED, ServiceFailure.CANCELLED})
 
@@ -187,8 +188,9 @@ class AcyclicAccess:
         self._turns.append(turn)
         try:
             while self._turns[0] is not turn:
-                self._in_time(deadline, label)
+                self._in_time(deadline, f"{label}: {_NO_ANSWER}")
                 yield
+            silence = _NO_ANSWER
             service = next(talk)
             while True:
                 if isinstance(service, Pause):
@@ -197,7 +199,8 @@ class AcyclicAccess:
                         yield
                     data: bytes | Refused | Silent = b""
                 else:
-                    data = yield from self._carried_out(service, deadline, label)
+                    data = yield from self._carried_out(service, deadline, f"{label}: {silence}")
+                    silence = data.why if isinstance(data, Silent) else _NO_ANSWER
                 service = talk.send(Answer(self._clock(), data))
         except StopIteration as end:
             result: T = end.value
@@ -209,19 +212,19 @@ class AcyclicAccess:
             talk.close()
             self._turns.remove(turn)
 
-    def _carried_out(self, service: WriteReq | ReadReq, deadline: int, label: str) -> Steps[bytes | Refused | Silent]:
+    def _carried_out(self, service: WriteReq | ReadReq, deadline: int, late: str) -> Steps[bytes | Refused | Silent]:
         pending = self._records.submit(service)
         try:
             while pending.outcome is None:
-                self._in_time(deadline, label)
+                self._in_time(deadline, late)
                 yield
         finally:
             self._records.cancel(pending)
         return answer_of(pending.outcome)
 
-    def _in_time(self, deadline: int, label: str) -> None:
+    def _in_time(self, deadline: int, late: str) -> None:
         if self._clock() >= deadline:
-            raise CommandError("timeout", f"{label}: the drive did not answer over record 47 in time")
+            raise CommandError("timeout", late)
 
     def _values(self, place: Place, deadline: int, result: Result | None = None) -> Steps[Values]:
         if result is None:
