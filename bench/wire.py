@@ -76,7 +76,8 @@ class Wire:
         #: of a free line: when the first octets came
         self.first_at = 0
         #: when this process had something to do and did not run, and for how long, in ns: the longest times
-        self.held_up: list[tuple[int, int]] = []
+        self._held_up: list[tuple[int, int]] = []
+        self._runs_at = _FOREVER  # it was to go on then
         #: why it serves no more
         self.over = ""
 
@@ -96,13 +97,11 @@ class Wire:
     def run(self) -> None:
         """On a paced wire."""
         looking_until = 0
-        runs_at = _FOREVER  # it was to go on then
         while True:
             due = self.pieces[0][0] if self.pieces else _FOREVER
             now = monotonic_ns()
-            if now - runs_at > _HELD_UP:
-                self.held_up = sorted((*self.held_up, (runs_at, now - runs_at)), key=lambda t: -t[1])[:_LONGEST]
-            runs_at = now
+            self._held_up = self.held_up(now)
+            self._runs_at = now
             if due <= now:
                 os.write(self._fd, self.pieces.pop(0)[1])
                 now = monotonic_ns()
@@ -112,7 +111,7 @@ class Wire:
                 continue
             if due - now > _SPIN and (self.pieces or now > looking_until):
                 wait = 0.05 if due == _FOREVER else (due - now - _SPIN // 2) / 1e9
-                runs_at = now + round(wait * 1e9)
+                self._runs_at = now + round(wait * 1e9)
                 if not select.select((self._fd,), (), (), wait)[0]:
                     continue
             try:
@@ -203,6 +202,13 @@ class Wire:
             yield max(at, ends[upto - 1]), answer[taken:upto]
             self._packet_at, taken = at, upto
 
+    def held_up(self, now: int) -> list[tuple[int, int]]:
+        """When and for how long, with what may still last."""
+        late = now - self._runs_at
+        if late <= _HELD_UP:
+            return self._held_up
+        return sorted((*self._held_up, (self._runs_at, late)), key=lambda pause: -pause[1])[:_LONGEST]
+
     # --- orders ---
     def obey(self) -> None:
         """Orders from standard input, until it ends."""
@@ -219,7 +225,7 @@ class Wire:
                     "exchanges": self.exchanges() - self.count,
                     "cpu": process_time_ns() - self.cpu,
                     "first_at": self.first_at,
-                    "held_up": self.held_up,
+                    "held_up": self.held_up(monotonic_ns()),  # it may not have run again yet
                     "over": self.over,
                 }
                 Path(path).write_text(json.dumps(data), encoding="utf-8")

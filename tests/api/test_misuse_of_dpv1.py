@@ -139,7 +139,7 @@ def test_at_the_bus() -> None:
                     (lambda: one.im(0, slot="x"), "slot = 'x' is no whole number"),
                     (lambda: one.im(0, timeout="x"), "timeout = 'x' is no time"),
                     (lambda: one.write_im("x"), "'x' is no I&M record: give Im1(tag_function=...)"),
-                    (lambda: one.parameters(1).read(5), "5 is no list of parameters: read([Address(965)"),
+                    (lambda: one.parameters(1).read(5), "5 is no list of parameters: give for instance [930, Address("),
                 ]
                 await refused(at_it)
                 for wrong, text in (({"slot": "1"}, "slot = '1'"), ({"object": "q"}, "object = 'q'")):
