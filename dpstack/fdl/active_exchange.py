@@ -249,7 +249,7 @@ def _answered(link: Link, telegram: Telegram, now: int) -> None:
     if _SERVICES[request.function].counted and link.fcb.answered(da):
         text = (
             f"station {da} answered a request with FCV = 1 after three silent ones with FCV = 0: "
-            "it does not know the standard's first request, or it was switched on just then"
+            "it was switched on just then, its answers came too late, or it does not know the standard's first request"
         )
         link.events.append(Notice(t_ns=now, source="fdl", message=text, severity=Severity.WARNING))
     if not telegram.data and telegram.empty_le3 and da not in link.told_le3:
