@@ -1,4 +1,4 @@
-"""Services of MS1 that are cut short: the slave is silent or leaves data exchange, the port, Stop, time, their caller."""
+"""Services of MS1 that are cut short: the slave is silent or leaves data exchange, the port, Stop, time, cancelled."""
 
 from __future__ import annotations
 
