@@ -127,7 +127,8 @@ def test_beside_a_master_and_read_only(
         (4, "slave", "data_exchange", 2),
         (9, "slave", "data_exchange", 2),
     ]
-    found, err, end = None, "", time.monotonic() + HANG_S
+    found: list[tuple[int, str, str | None, int | None]] = []
+    err, end = "", time.monotonic() + HANG_S
     # On a busy computer who answers too late is not in a list, nobody else ever is; and a master that has to wait for a
     # processor with its token makes the scan claim one after T_TO (that the scan itself does not: dp/test_scanner.py).
     # Both pass, the second one perhaps not soon.
