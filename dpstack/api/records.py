@@ -15,6 +15,7 @@ from dpstack.dp.v1.codes import AGAIN, Decode
 from dpstack.dp.v1.im import IM_ANSWER, IM_INDEX, RECORDS, Im, Im0, build_call, number_of, parse_answer
 from dpstack.dp.v1.ms1 import ReadRecord, RecordDone, WriteRecord
 from dpstack.dp.v1.records import MAX_RECORD
+from dpstack.dp.v1.times import service_timeout
 from dpstack.errors import AcyclicError, PduError, SlaveFault, SlaveTimeout, UsageError
 from dpstack.units import ns_to_s
 
@@ -22,10 +23,6 @@ if TYPE_CHECKING:
     from dpstack.api.services import Services
 
 T = TypeVar("T")
-#: in seconds, for one service from the order on, those before it included; longer where the slave may take longer
-TIMEOUT: Final = 10.0
-#: beyond what the slave may take
-_MARGIN: Final = 1.0
 #: in seconds: how long a slave may not be ready for a call, and the pauses before it is asked again
 _PATIENCE: Final = 2.0
 _FIRST_PAUSE: Final = 0.002
@@ -33,8 +30,9 @@ _LONGEST_PAUSE: Final = 0.05
 
 
 def usual_timeout(response_ns: int) -> float:
-    """In seconds: 10, longer where the slave may work at a service for ``response_ns`` (0: not known)."""
-    return max(TIMEOUT, ns_to_s(response_ns) + _MARGIN)
+    """In seconds, for one service from the order on, those before it included: 10, longer where the slave may work at
+    it for ``response_ns`` (0: not known)."""
+    return ns_to_s(service_timeout(response_ns))
 
 
 class RecordAccess(abc.ABC):
