@@ -77,15 +77,16 @@ class RecordAccess(abc.ABC):
     async def im(self, number: int = 0, *, slot: int = 0, timeout: float | None = None) -> Im:
         """I&M ``number`` 0..4 of ``slot``: the call, then what it gives. Raises as :meth:`read`.
 
-        A slave that is not ready (0xB5, 0xC0 to 0xC2: the codes of the parameter channel) is asked again for up to 2 s.
+        A slave that is not ready (0xB5, 0xC0 to 0xC2: the codes of the parameter channel) is asked again for up to 2 s,
+        or ``timeout`` where that is shorter.
         """
         if not 0 <= whole("number of I&M", number) <= 4:
             raise UsageError(f"there is no I&M{number}: 0..4")
         what = f"I&M{number} of slot {slot}"
         async with self._calling(what, timeout):
-            await _until_ready(lambda: self.write(slot, IM_INDEX, build_call(number), timeout=timeout))
+            await _until_ready(lambda: self.write(slot, IM_INDEX, build_call(number), timeout=timeout), timeout)
             length = min(IM_ANSWER, self.longest)
-            answer = await _until_ready(lambda: self.read(slot, IM_INDEX, length, timeout=timeout))
+            answer = await _until_ready(lambda: self.read(slot, IM_INDEX, length, timeout=timeout), timeout)
         try:
             return parse_answer(answer, number)
         except PduError as error:
@@ -102,7 +103,7 @@ class RecordAccess(abc.ABC):
         except PduError as error:
             raise UsageError(str(error)) from None
         async with self._calling(f"I&M{number_of(record)} of slot {slot}", timeout):
-            await _until_ready(lambda: self.write(slot, IM_INDEX, call, timeout=timeout))
+            await _until_ready(lambda: self.write(slot, IM_INDEX, call, timeout=timeout), timeout)
 
     def _time(self, timeout: float | None) -> int:
         """In ns. Raises UsageError."""
@@ -127,10 +128,10 @@ class RecordAccess(abc.ABC):
             self.im_call.release()
 
 
-async def _until_ready(service: Callable[[], Awaitable[T]]) -> T:
-    """The result of ``service``, which is asked for again while the slave says that it is not ready."""
+async def _until_ready(service: Callable[[], Awaitable[T]], timeout: float | None) -> T:
+    """The result of ``service``, asked for again while the slave says that it is not ready, and there is time."""
     loop = asyncio.get_running_loop()
-    until, pause = loop.time() + _PATIENCE, _FIRST_PAUSE
+    until, pause = loop.time() + min(_PATIENCE, _PATIENCE if timeout is None else timeout), _FIRST_PAUSE
     while True:
         try:
             return await service()

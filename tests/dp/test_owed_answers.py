@@ -6,7 +6,7 @@ Slaves are octets.
 
 from __future__ import annotations
 
-import pytest
+from alarm_kit import ALL, AlarmBus, block
 from ms1_kit import Ms1Bus, answer
 from ms2_kit import DL, MS, RS, SC, Ms2Bus, sd1, sd2
 from octet_slave import RR
@@ -38,7 +38,7 @@ def test_what_is_there_is_fetched_though_the_slave_has_had_its_time() -> None:
     """Nobody asked for a while: one look is due all the same."""
     kit = Ms1Bus(dpv1=Dpv1(c1_response_timeout_ns=1_000 * MS))
     assert short_read(kit) is short_read(kit) is ServiceFailure.LATE
-    kit.bus.run(5_000 * MS)
+    kit.bus.run(1_000 * MS)
     old = ["5E 01 02 01 11"]
 
     def ms1(data: bytes) -> bytes:
@@ -66,16 +66,22 @@ def test_over_a_connection_it_ends_with_the_slaves_time() -> None:
     assert 1_000 * MS <= over.t_ns - begun < 1_100 * MS
 
 
-@pytest.mark.parametrize("what", ["Idle", "a service"])
-def test_a_connection_whose_slave_has_longer_than_a_service_as_a_rule(what: str) -> None:
-    """What has no answer in 30 s ends it, though what the station asks on its own has 10 s."""
+def test_what_the_station_asks_on_its_own_waits_as_long_as_a_programs_service() -> None:
+    """A slave that may work for more than 10 s at a service."""
+    alarms = AlarmBus(dpv1=Dpv1(alarms=ALL, c1_response_timeout_ns=15_000 * MS))
+    alarms.alarm_slave.says[51] = lambda octets: SC
+    alarms.alarm_slave.raises(block(2, 3))
+    alarms.run(50)
+    assert len(alarms.alarm_slave.open) == alarms.acyclic.waiting == 1
+    assert alarms.acyclic.wake_at() - alarms.bus.now > 15_500 * MS
+
     kit = Ms2Bus()
     connection = kit.open(send_timeout_ns=30_000 * MS).token
     kit.slave.says[48] = lambda octets: SC
-    if what == "a service":
-        assert kit.read(connection, timeout_ns=300 * MS).outcome.failure is ServiceFailure.LATE
-    over = kit.over(connection, 60_000 * MS)
-    assert over.reason.endswith("had no answer in time")
+    assert kit.read(connection, timeout_ns=30 * MS).outcome.failure is ServiceFailure.LATE
+    kit.bus.run(5 * MS)
+    assert kit.acyclic.waiting == 1  # its answer is fetched
+    assert kit.acyclic.wake_at() - kit.bus.now > 29_500 * MS
 
 
 def test_an_idle_that_is_sent_again_is_not_taken_at_once() -> None:
