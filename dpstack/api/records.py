@@ -15,6 +15,7 @@ from dpstack.dp.v1.codes import AGAIN, Decode
 from dpstack.dp.v1.im import IM_ANSWER, IM_INDEX, RECORDS, Im, Im0, build_call, number_of, parse_answer
 from dpstack.dp.v1.ms1 import ReadRecord, RecordDone, WriteRecord
 from dpstack.dp.v1.records import MAX_RECORD
+from dpstack.dp.v1.times import service_timeout
 from dpstack.errors import AcyclicError, PduError, SlaveFault, SlaveTimeout, UsageError
 from dpstack.units import ns_to_s
 
@@ -22,10 +23,6 @@ if TYPE_CHECKING:
     from dpstack.api.services import Services
 
 T = TypeVar("T")
-#: in seconds, for one service from the order on, those before it included; longer where the slave may take longer
-TIMEOUT: Final = 10.0
-#: beyond what the slave may take
-_MARGIN: Final = 1.0
 #: in seconds: how long a slave may not be ready for a call, and the pauses before it is asked again
 _PATIENCE: Final = 2.0
 _FIRST_PAUSE: Final = 0.002
@@ -33,8 +30,9 @@ _LONGEST_PAUSE: Final = 0.05
 
 
 def usual_timeout(response_ns: int) -> float:
-    """In seconds: 10, longer where the slave may work at a service for ``response_ns`` (0: not known)."""
-    return max(TIMEOUT, ns_to_s(response_ns) + _MARGIN)
+    """In seconds, for one service from the order on, those before it included: 10, longer where the slave may work at
+    it for ``response_ns`` (0: not known)."""
+    return ns_to_s(service_timeout(response_ns))
 
 
 class RecordAccess(abc.ABC):
@@ -79,15 +77,16 @@ class RecordAccess(abc.ABC):
     async def im(self, number: int = 0, *, slot: int = 0, timeout: float | None = None) -> Im:
         """I&M ``number`` 0..4 of ``slot``: the call, then what it gives. Raises as :meth:`read`.
 
-        A slave that is not ready (0xB5, 0xC0 to 0xC2: the codes of the parameter channel) is asked again for up to 2 s.
+        A slave that is not ready (0xB5, 0xC0 to 0xC2: the codes of the parameter channel) is asked again for up to 2 s,
+        or ``timeout`` where that is shorter.
         """
         if not 0 <= whole("number of I&M", number) <= 4:
             raise UsageError(f"there is no I&M{number}: 0..4")
         what = f"I&M{number} of slot {slot}"
         async with self._calling(what, timeout):
-            await _until_ready(lambda: self.write(slot, IM_INDEX, build_call(number), timeout=timeout))
+            await _until_ready(lambda: self.write(slot, IM_INDEX, build_call(number), timeout=timeout), timeout)
             length = min(IM_ANSWER, self.longest)
-            answer = await _until_ready(lambda: self.read(slot, IM_INDEX, length, timeout=timeout))
+            answer = await _until_ready(lambda: self.read(slot, IM_INDEX, length, timeout=timeout), timeout)
         try:
             return parse_answer(answer, number)
         except PduError as error:
@@ -104,7 +103,7 @@ class RecordAccess(abc.ABC):
         except PduError as error:
             raise UsageError(str(error)) from None
         async with self._calling(f"I&M{number_of(record)} of slot {slot}", timeout):
-            await _until_ready(lambda: self.write(slot, IM_INDEX, call, timeout=timeout))
+            await _until_ready(lambda: self.write(slot, IM_INDEX, call, timeout=timeout), timeout)
 
     def _time(self, timeout: float | None) -> int:
         """In ns. Raises UsageError."""
@@ -129,10 +128,10 @@ class RecordAccess(abc.ABC):
             self.im_call.release()
 
 
-async def _until_ready(service: Callable[[], Awaitable[T]]) -> T:
-    """The result of ``service``, which is asked for again while the slave says that it is not ready."""
+async def _until_ready(service: Callable[[], Awaitable[T]], timeout: float | None) -> T:
+    """The result of ``service``, asked for again while the slave says that it is not ready, and there is time."""
     loop = asyncio.get_running_loop()
-    until, pause = loop.time() + _PATIENCE, _FIRST_PAUSE
+    until, pause = loop.time() + min(_PATIENCE, _PATIENCE if timeout is None else timeout), _FIRST_PAUSE
     while True:
         try:
             return await service()

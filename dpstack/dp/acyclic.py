@@ -24,7 +24,6 @@ from dpstack.dp.v1 import units
 from dpstack.dp.v1.alarm_ack import ack_jobs
 from dpstack.dp.v1.ms1 import Ms1
 from dpstack.dp.v1.ms2 import Ms2
-from dpstack.dp.v1.times import SERVICE_TIMEOUT
 from dpstack.errors import UsageError
 from dpstack.fdl.telegram import SAP_SLAVE_DIAG, Telegram
 from dpstack.fdl.user import Failure, Request
@@ -196,14 +195,14 @@ class Acyclic:
     def _take_asked(self, handlers: list[SlaveHandler], now: int) -> None:
         """What a unit wants since the Data_Exchange of this hold goes out in the same one."""
         for ack in ack_jobs(handlers, self._ms1, now):
-            self._put_first(self._entry(ACKS, ack, SERVICE_TIMEOUT, now))
+            self._put_first(self._entry(ACKS, ack, ack.timeout_ns, now))
         for handler, queue in units.asking(handlers):
             if self._room(handler.setup.address) and (job := units.unit_job(self._ms1, handler, queue)) is not None:
-                self._take(UNORDERED, job, SERVICE_TIMEOUT, now)
+                self._take(UNORDERED, job, job.timeout_ns, now)
 
     def _keep_alive(self, now: int) -> None:
         for job in tuple(self._ms2.quiet({entry.job.lane for entry in self._queue}, now)):
-            self._queue.append(self._entry(UNORDERED, job, SERVICE_TIMEOUT, now))
+            self._queue.append(self._entry(UNORDERED, job, job.timeout_ns, now))
 
     def _next(self, now: int) -> _Entry | None:
         """Services with the same lane come one after the other: the queue is in the order of their orders."""

@@ -15,6 +15,7 @@ from typing import Final
 from dpstack.dp.acyclic_job import ATTEMPTS, Job, Outcome, ServiceEnd, ServiceFailure, Step, Steps
 from dpstack.dp.diagnosis import FIXED_LEN, MAX_LEN, Diagnosis
 from dpstack.dp.ms0 import EMPTY_STATUS, SERVICE_NAMES, positive, refusal_text
+from dpstack.dp.v1.times import pause_after_silence
 from dpstack.fdl.telegram import (
     SAP_GET_CFG,
     SAP_RD_INP,
@@ -29,9 +30,7 @@ from dpstack.fdl.telegram import (
 )
 from dpstack.fdl.user import Failure, Request
 from dpstack.trace import Event
-from dpstack.units import NS_PER_MS
 
-_PAUSE: Final = 10 * NS_PER_MS
 #: "later": asked again; everything else that is negative is an answer
 _BUSY: Final = frozenset((int(Resp.UE), int(Resp.RR)))
 _NO_DATA: Final = EMPTY_STATUS | {int(Resp.NR)}
@@ -113,8 +112,7 @@ def request(address: int, service: Service, data: bytes = b"") -> Request:
 def asked(request: Request, attempts: int = ATTEMPTS) -> Steps[Telegram | Failure]:
     """Up to ``attempts`` times, until there is an answer other than "busy"; others have their turn meanwhile.
 
-    The pauses grow: a computer that stands still for 30 ms must not use up all attempts at once. The last time the
-    answer is waited for as long as that of a station that matters: somebody has named this one.
+    The last time the answer is waited for as long as that of a station that matters: somebody has named this one.
     """
     answer: Telegram | Failure = Failure.NO_ANSWER
     pause = 0
@@ -126,7 +124,7 @@ def asked(request: Request, attempts: int = ATTEMPTS) -> Steps[Telegram | Failur
             break
         if isinstance(answer, Telegram) and (answer.kind is Kind.SC or answer.function not in _BUSY):
             break
-        pause = _PAUSE << attempt
+        pause = pause_after_silence(attempt + 1)
     return answer
 
 

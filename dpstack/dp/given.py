@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Set
 from typing import Any
 
 from dpstack.errors import UsageError
@@ -16,8 +16,8 @@ def whole(what: str, value: Any, error: type[Exception] = UsageError) -> int:
 
 
 def octets(what: str, value: Any, error: type[Exception] = UsageError) -> bytes:
-    """``value`` as octets: bytes and their like, or numbers 0..255. Raises ``error``."""
-    if not isinstance(value, (str, int)) and isinstance(value, (bytes, bytearray, memoryview, Iterable)):
+    """``value`` as octets: bytes and their like, or numbers 0..255 in an order. Raises ``error``."""
+    if not isinstance(value, (str, int, Mapping, Set)) and isinstance(value, (bytes, bytearray, memoryview, Iterable)):
         try:
             return bytes(value)
         except (TypeError, ValueError):

@@ -195,6 +195,16 @@ def test_one_that_never_is_ready_and_one_that_has_none(world: WorldFactory, code
     assert asked // 2 <= len(slow.asked) <= asked * 2
 
 
+def test_one_that_is_not_ready_is_asked_for_as_long_as_was_said(world: WorldFactory) -> None:
+    async def program(slave: dpstack.Slave) -> None:
+        begun = asyncio.get_running_loop().time()
+        with pytest.raises(AcyclicError):
+            await slave.im(1, timeout=0.3)
+        assert asyncio.get_running_loop().time() - begun <= 0.4
+
+    with_slave(world(), served(Slow(1000, 0xB5)), program)
+
+
 def served(records: Slow) -> DpSlave:
     slave = DpSlave(RIG, lambda outputs, elapsed: outputs)
     slave.records = records

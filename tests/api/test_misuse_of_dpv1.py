@@ -35,7 +35,7 @@ def test_modules_of_an_io_station(modules: Any, text: str) -> None:
     assert text in str(caught.value)
 
 
-@pytest.mark.parametrize("config", ["10", 16, None])
+@pytest.mark.parametrize("config", ["10", 16, None, {0x10: 0x20}, {0x10, 0x20}])
 def test_identifier_octets_of_an_io_station(config: Any) -> None:
     with pytest.raises(ConfigError, match="is no octets: give bytes"):
         IoStation(config)

@@ -72,6 +72,29 @@ def test_at_sap_51_where_sap_50_is_closed_after_all() -> None:
     assert len([remark for remark in kit.remarks if "SAP 50 is closed" in remark]) == 1
 
 
+def test_sap_50_that_is_closed_by_a_second_acknowledgement_has_taken_the_first() -> None:
+    """Every response to it was lost. SAP 51 would be closed by a third one (DPC31), and with it Read and Write."""
+    kit = AlarmBus(dpv1=Dpv1(alarms=ALL, extra_alarm_sap=True, c1_response_timeout_ns=20 * MS))
+    slave = kit.alarm_slave
+    slave.sap, slave.polls = 50, 1
+    slave.raises(PROCESS)
+    kit.until(lambda: len(kit.ends) == 1)
+    slave.raises(block(2, 4))
+    lost = iter(["", *"aaaaaaaa"])
+    slave.loses = lambda: next(lost, "")
+    kit.until(lambda: len(slave.taken) == 2)
+    slave.says[50] = lambda octets: status(4, RS) if octets[9:-2] else SC
+    at_51: list[bytes] = []
+
+    def say(octets: bytes) -> bytes:
+        at_51.append(octets)
+        return status(4, RS)
+
+    slave.says[51] = say
+    kit.until(lambda: len(kit.ends) == 2)
+    assert (kit.counts.acknowledged, kit.counts.refused, at_51) == (2, 0, [])
+
+
 def test_at_sap_51_before_reads_that_wait() -> None:
     kit = AlarmBus()
     slave = kit.alarm_slave

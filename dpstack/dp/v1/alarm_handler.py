@@ -20,7 +20,8 @@ Decisions where the sources are silent:
   taken its place under the same number, or in mode 0 one of the same type, the slave has had it.
 - A refused one is over, and told. A second one that is refused shows that the first had arrived.
 - Where SAP 50 is closed (RS), though GSD file or configuration say Extra_Alarm_SAP, it goes to SAP 51 from then on,
-  which takes it in every case (VPC3+: SAP 50 only where the slave was built for it).
+  which takes it in every case (VPC3+: SAP 50 only where the slave was built for it). Where SAP 50 took one before, and
+  a second acknowledgement finds it closed, the first had arrived: see DPC31 above.
 - More at a time than agreed are delivered all the same, up to :data:`MAX_OPEN`; what is beyond is dropped without
   acknowledgement, and the diagnosis is read again when there is room.
 - A kind that Set_Prm did not enable is neither delivered nor acknowledged: it may be no alarm at all, but a device
@@ -110,6 +111,7 @@ class AlarmHandler:
         self._setup = setup
         #: they are acknowledged at SAP 50
         self.extra_sap = self._has_extra_sap
+        self._extra_sap_took = False
         self._findings = findings
         self._emit = emit
         self._ask = ask
@@ -299,7 +301,9 @@ class AlarmHandler:
         if self._open.get(Key.of(known.alarm)) is not known:
             return  # the slave left data exchange meanwhile
         refused = outcome.failure in _NO and not _busy(outcome)
-        if outcome.failure is ServiceFailure.REFUSED and self.extra_sap:
+        self._extra_sap_took |= self.extra_sap and outcome.failure is None
+        taken = known.unanswered and self._extra_sap_took
+        if outcome.failure is ServiceFailure.REFUSED and self.extra_sap and not taken:
             self.extra_sap = False
             known.stage = Stage.WAITING
             self._findings.remark(_NO_EXTRA_SAP, now)

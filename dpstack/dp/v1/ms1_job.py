@@ -6,7 +6,8 @@ Read and Write are in :mod:`dpstack.dp.v1.ms1`, Alarm_Ack in :mod:`dpstack.dp.v1
 - An answer to another service is one to an earlier request: counted, dropped, polled again.
 - A slave that answers its polls no more is given up soon: it is in data exchange, so it is there.
 - A service that ended without its answer leaves one behind: it is fetched before the next request goes out, for as long
-  as a slave may take for an answer, and shown to the service that it answers (:meth:`Ms1Job.late`).
+  as a slave may take for an answer, and shown to the service that it answers (:meth:`Ms1Job.late`). All who come fetch
+  it in the same time: one after the other could have less of it than the slave.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from dpstack.dp.acyclic_job import ATTEMPTS, Outcome, ServiceFailure, Steps
 from dpstack.dp.ms0 import refusal_text
 from dpstack.dp.slave_handler import SlaveHandler
 from dpstack.dp.v1.polling import NO_ANSWERS, Course, Said
-from dpstack.dp.v1.times import RESPONSE_TIMEOUT
+from dpstack.dp.v1.times import RESPONSE_TIMEOUT, service_timeout
 from dpstack.fdl.telegram import SAP_MS1, Req, Telegram
 from dpstack.fdl.user import Failure, Request
 from dpstack.units import ns_to_s
@@ -30,10 +31,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Owed:
-    """The answer to a service that is over. ``since``: the slave was in data exchange since then."""
+    """The answer to a service that is over. ``since``: the slave was in data exchange since then. ``course``: how it is
+    fetched, by whoever comes next."""
 
     since: int
     job: Ms1Job
+    course: Course
 
 
 class Ms1Job(abc.ABC):
@@ -77,6 +80,11 @@ class Ms1Job(abc.ABC):
         why = self._ms1.bar(self._handler, self._since)
         return f"was given up: {why}" if why else ""
 
+    @property
+    def timeout_ns(self) -> int:
+        """How long it may wait and take where no program says so."""
+        return service_timeout(self._limit_ns)
+
     # --- the course ---------------------------------------------------------------------------------------------
 
     def steps(self) -> Steps[Outcome]:
@@ -87,7 +95,8 @@ class Ms1Job(abc.ABC):
         course = Course(self._srd, self._limit_ns)
         attempts = ATTEMPTS if self.repeats else 1
         self._sent = True
-        self._ms1.owed[self._lane] = Owed(self._since, self)  # until there is an answer, whatever ends this service
+        owed = Owed(self._since, self, Course(self._srd, self._limit_ns))
+        self._ms1.owed[self._lane] = owed  # until there is an answer, whatever ends this service
         found = yield from course.requested(self._octets, attempts)
         while True:
             match found:
@@ -109,8 +118,7 @@ class Ms1Job(abc.ABC):
         debt = owed.get(self._lane)
         if debt is None or debt.since != self._since:
             return
-        course = Course(self._srd, self._limit_ns)
-        if (yield from course.polled()) is Said.DATA and not debt.job.late(course.pdu):
+        if (yield from debt.course.polled()) is Said.DATA and not debt.job.late(debt.course.pdu):
             self.stale += 1
         owed.pop(self._lane, None)
 

@@ -200,7 +200,7 @@ class Ms2:
 
     # --- from the queue -------------------------------------------------------------------------------------------
 
-    def quiet(self, busy: Collection[object], now: int) -> Iterator[Job]:
+    def quiet(self, busy: Collection[object], now: int) -> Iterator[IdleJob]:
         """What connections want over which nothing goes: Idle, or the answer to a service that was given up.
 
         ``busy``: lanes with services.

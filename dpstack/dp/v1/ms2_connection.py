@@ -87,6 +87,8 @@ class Connection:
     abort: Abort | None = None
     #: answers to requests that nobody waited for any more
     stale: int = 0
+    #: the last service: its slave's time is the same for whoever fetches the answer when it was given up
+    last: Course | None = None
 
     @property
     def who(self) -> str:
@@ -142,6 +144,7 @@ class Connection:
         ``title``: for texts.
         """
         idle = octets[:1] == bytes((Function.IDLE,))
+        self.last = course
         found = yield from course.requested(octets) if octets else course.polled()
         while True:
             match found:
@@ -171,7 +174,7 @@ class Connection:
         lost = not isinstance(course.answer, Telegram)
         octets = b""
         while True:
-            found = yield from course.ask(octets)
+            found = yield from course.requested(octets) if octets else course.ask(octets)
             lost = lost or found is Said.NOTHING
             if found not in (Said.WAIT, Said.AGAIN, Said.NOTHING):
                 return found
@@ -181,11 +184,14 @@ class Connection:
                 lost = False
                 course.anew()
 
-    def drained(self, course: Course) -> Steps[Ended | None]:
-        """Fetch the answer to a request that nobody waits for any more: before that the slave takes no other one."""
-        if not self.outstanding:
-            return None
-        found = yield from self.asked(course, b"", "a service that was given up")
+    @property
+    def owed(self) -> Course | None:
+        """The service that was given up without its answer, if any: before that is fetched the slave takes no other."""
+        return self.last if self.outstanding else None
+
+    def drained(self, owed: Course) -> Steps[Ended | None]:
+        """Fetch the answer that nobody waits for any more."""
+        found = yield from self.asked(owed, b"", "a service that was given up")
         if isinstance(found, Ended):
             return found
         self.stale += 1

@@ -17,6 +17,7 @@ from dpstack.dp.v1.ms2_connection import Connection, Ended, Phase
 from dpstack.dp.v1.ms2_orders import TransportDone
 from dpstack.dp.v1.polling import Course, Said
 from dpstack.dp.v1.records import MAX_RECORD, Function, ReadReq
+from dpstack.dp.v1.times import service_timeout
 from dpstack.errors import PduError
 from dpstack.fdl.telegram import SAP_MS2_RM
 from dpstack.trace import Event
@@ -100,10 +101,12 @@ class ServiceJob(ConnectionJob):
         """What an earlier service left behind, the request, then polls."""
         connection = self.connection
         before = connection.stale
-        earlier, course = self.course(), self.course(self._answer)
-        drained = yield from connection.drained(earlier)
-        if drained is not None:
-            return self.over(drained, earlier.now)
+        owed = connection.owed
+        if owed is not None:
+            drained = yield from connection.drained(owed)
+            if drained is not None:
+                return self.over(drained, owed.now)
+        course = self.course(self._answer)
         octets = self._octets
         self._sent = True
         while True:
@@ -145,12 +148,19 @@ class IdleJob(ConnectionJob):
 
     title = "Idle"
 
+    @property
+    def timeout_ns(self) -> int:
+        """How long it may wait and take."""
+        return service_timeout(self.connection.limit_ns)
+
     def steps(self) -> Steps[Outcome]:
         """Idle, or the answer to a service that was given up."""
-        connection, course = self.connection, self.course()
-        if connection.outstanding:
-            drained = yield from connection.drained(course)
-            return Outcome() if drained is None else self.over(drained, course.now)
+        connection = self.connection
+        owed = connection.owed
+        if owed is not None:
+            drained = yield from connection.drained(owed)
+            return Outcome() if drained is None else self.over(drained, owed.now)
+        course = self.course()
         found = yield from connection.asked(course, IDLE, self.title)
         if isinstance(found, Ended):
             return self.over(found, course.now)

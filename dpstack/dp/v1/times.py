@@ -10,6 +10,8 @@ from dpstack.units import NS_PER_MS, NS_PER_S
 SERVICE_TIMEOUT: Final = 10 * NS_PER_S
 #: how long a slave works at a service at most, where its GSD file has no C1_Response_Timeout or C2_Response_Timeout
 RESPONSE_TIMEOUT: Final = NS_PER_S
+#: a service that takes the slave all its time has so much more
+_MARGIN: Final = NS_PER_S
 
 #: before a request is repeated that the slave did not take ("not now"), or did not answer for the first time
 BUSY_PAUSE: Final = 10 * NS_PER_MS
@@ -30,6 +32,12 @@ QUIET_SHARE: Final = 3
 WORKING_SHARE: Final = 2
 #: send time-outs that a slave waits for a request (VPC3+); while it has something to be fetched it waits for one
 PATIENCE: Final = 2
+
+
+def service_timeout(response_ns: int) -> int:
+    """From the order to the end of a service where nobody says another time, and the slave may work at it for
+    ``response_ns`` (0: not known)."""
+    return max(SERVICE_TIMEOUT, response_ns + _MARGIN)
 
 
 def pause_before(polls: int) -> int:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable, Iterator
 
-from dpstack.dp.acyclic_job import Job, Outcome, ServiceFailure
+from dpstack.dp.acyclic_job import Outcome, ServiceFailure
 from dpstack.dp.events import SlaveState
 from dpstack.dp.slave_handler import SlaveHandler
 from dpstack.dp.v1.codes import Code
@@ -28,7 +28,7 @@ def asking(handlers: Iterable[SlaveHandler]) -> Iterator[tuple[SlaveHandler, Rec
             yield handler, queue
 
 
-def unit_job(ms1: Ms1, handler: SlaveHandler, queue: RecordQueue) -> Job | None:
+def unit_job(ms1: Ms1, handler: SlaveHandler, queue: RecordQueue) -> UnitJob | None:
     """The next service of a unit; None where it cannot be, which the unit is told."""
     pending = queue.take()
     if pending is None:
