@@ -12,7 +12,7 @@ from typing import Final
 from dpstack.errors import ConfigError, UsageError
 from dpstack.fdl.codec import SC_OCTETS, encode_sd1, request_octets
 from dpstack.fdl.commands import AtStation
-from dpstack.fdl.decoder import Decoder
+from dpstack.fdl.decoder import Decoder, DecoderStats
 from dpstack.fdl.events import le3_notice
 from dpstack.fdl.telegram import FC_FCB, FC_FCV, FC_FUNCTION, FC_REQUEST, Req, Resp, Telegram
 from dpstack.fdl.user import RS_REPLY, Reply, Responder
@@ -122,6 +122,11 @@ class PassiveStation:
     def params(self) -> BusParams:
         """Rate and times."""
         return self._params
+
+    @property
+    def decoder_stats(self) -> DecoderStats:
+        """The counters of its receiver."""
+        return self.decoder.stats
 
     @property
     def hears_all(self) -> bool:

@@ -220,9 +220,7 @@ async def test_a_simulation_and_its_segment(tmp_path: Path) -> None:
             await until(lambda: not bus.slave(3).ready_now, "its loss")
             await until(lambda: bus.slave(3).ready_now, "its return")
             before = segment.stats()
-            await ask(
-                wire, "silence", "0", "4s"
-            )  # three slaves, each is lost after 8 times 50 ms; the computer may stall for part of it
+            await ask(wire, "silence", "0", "4s")  # three slaves, 8 attempts of 50 ms each; it may stall
             await until(lambda: not bus.slave(3).ready_now, "its loss")
             await until(lambda: bus.slave(3).ready_now, "its return")
             assert before != segment.stats()
