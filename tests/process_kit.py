@@ -19,6 +19,17 @@ from dpstack.drivers.process import ProcessRuntime
 #: [bus] of tests in which nobody may be lost: the other end may have to wait 16 times 50 ms for a busy computer
 UNHURRIED: dict[str, Any] = {"gap": 0, "max_retry": 15}
 
+#: s in which each answer of a slave comes that is a task of the test's own program (1 and 2 s where nothing is said)
+ANSWER_S = 20
+
+
+def unhurried(table: dict[str, object]) -> dict[str, object]:
+    """The ``table`` of a DP-V1 slave whose services may take ``ANSWER_S``."""
+    dpv1 = table["dpv1"]
+    more = dpv1 if isinstance(dpv1, dict) else {}
+    return table | {"dpv1": {**more, "response_timeout_ms": ANSWER_S * 1000}}
+
+
 Driver = Literal["asyncio", "process"]
 DRIVERS: tuple[Driver, ...] = ("asyncio", "process")
 

@@ -46,6 +46,7 @@ class Slave:
         self.prm_fault = False
         self.cfg_fault = False
         self.watchdog = False
+        self.watchdog_factors = b""
         self.exchanges = 0
         self.repeats = 0
         self.control = b""
@@ -147,7 +148,7 @@ class Slave:
         elif data[0] & 0x80:
             self.prm_fault = self.cfg_fault = self.cfg_ok = False
             self.prm_ok, self.owner = True, sa
-            self.watchdog = bool(data[0] & 0x08)
+            self.watchdog, self.watchdog_factors = bool(data[0] & 0x08), data[1:3]
             self.user_prm = data[7:]
 
     def chk_cfg(self, sa: int, data: bytes) -> None:
@@ -240,6 +241,7 @@ class Responder:
         made = [parse(s) if isinstance(s, str) else s for s in slaves]
         self.slaves = {slave.address: slave for slave in made}
         self.tokens = 0
+        self.idle = 0  # looks of 50 ms each in which nobody sent anything
         self.fd = os.open(path, os.O_RDWR | os.O_NOCTTY)
         with contextlib.suppress(termios.error):
             tty.setraw(self.fd)
@@ -298,6 +300,7 @@ class Responder:
             if stop in ready:
                 return
             if not ready:
+                self.idle += 1
                 self._buffer.clear()
                 continue
             try:

@@ -108,7 +108,7 @@ async def dump(
     """Read the drive's parameters, as many by a request as it carries; ``data_set`` None: of all data sets.
 
     With ``path`` into that file, whole or not at all; cut short (cancelled, the drive lost) what was read is kept in
-    a file of that name with ``.part`` behind it. Raises UsageError, DriveError.
+    a file of that name with ``.part`` behind it, which the error has as a note. Raises UsageError, DriveError.
     """
     wanted = _chosen(drive, data_set)
     found: list[SavedParam] = []
@@ -118,13 +118,22 @@ async def dump(
     with FileToBe(path) as file:
         try:
             await _read_all(drive, wanted, found, on_parameter)
-        except BaseException:
+        except BaseException as error:
             if found:
-                file.keep(_list_of(drive, found, complete=False))
+                error.add_note(_kept(file, _list_of(drive, found, complete=False)))
             raise
         whole = _list_of(drive, found, complete=True)
         file.keep(whole)
         return whole
+
+
+def _kept(file: FileToBe, part: ParameterList) -> str:
+    """Where the ``part`` is of a list that was cut short. What cut it short is told, not that there is no room, too."""
+    read = f"cut short: the {len(part.parameters)} parameters read so far are"
+    try:
+        return f"{read} in {file.keep(part)}"
+    except UsageError as failed:
+        return f"{read} lost: {failed}"
 
 
 async def compare(

@@ -76,7 +76,7 @@ class Orders:
 
     async def _dump(self, order: Order) -> None:
         (path,) = order.args
-        async with self._progress(f"{path}.part") as progress:
+        async with self._progress() as progress:
             found = await dump(self._drive, path, data_set=_data_set(order), on_parameter=progress)
         unreadable = found.unreadable
         if self._json:
@@ -92,7 +92,7 @@ class Orders:
     async def _compare(self, order: Order) -> None:
         (path,) = order.args
         everything = bool(order.options.get("all"))
-        async with self._progress(None) as progress:
+        async with self._progress() as progress:
             found = await compare(
                 self._drive, path, data_set=_data_set(order), read_only=everything, on_parameter=progress
             )
@@ -116,22 +116,19 @@ class Orders:
         output.json_line({**head, **more, "through": self._through})
 
     @asynccontextmanager
-    async def _progress(self, part: str | None) -> AsyncIterator[OnParameter]:
+    async def _progress(self) -> AsyncIterator[OnParameter]:
         """Shows on a terminal how far it is; cut short, says where what was read is."""
-        read = 0
         title = f"parameters of {self._drive.name}"
         try:
             with progress_bar(title) as tell:
 
                 def on_parameter(number: int, count: int, _one: SavedParam) -> None:
-                    nonlocal read
-                    read = number
                     tell(title, number, count)
 
                 yield on_parameter
-        except BaseException:
-            if part is not None and read:
-                warn(f"cut short: the {read} parameters read so far are in {part}")
+        except BaseException as error:
+            for note in getattr(error, "__notes__", ()):
+                warn(note)
             raise
 
 

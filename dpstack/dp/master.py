@@ -340,7 +340,7 @@ class Master:
         if request.dsap is None:
             handler.data_result(outcome, now)
             return
-        self._turns.polled(handler, now - self._token.sent_at, now)
+        self._turns.polled(handler, now - self._token.sent_at, now, long=request.extra_ns > 0)
         handler.service_result(request, outcome, now)
 
     # --- without a token ----------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""When a slave is asked next: the back-off of retries."""
+"""When a slave is asked next: the back-off of retries; when an absent one is looked for with patience."""
 
 from __future__ import annotations
 
@@ -13,6 +13,9 @@ _POLL_PAUSE: Final = 10 * NS_PER_MS
 _STATIC_PAUSE: Final = 100 * NS_PER_MS
 #: shorter stays in data exchange do not reset the back-off: a slave that flaps is not re-initialised for ever
 _STABLE: Final = NS_PER_S
+#: So many polls in vain come before one that is waited for as if the slave were there: before the first, then between
+#: two. A slave simulated on a busy computer, or behind a slow adapter, answers no request with another one behind it
+_IN_VAIN: Final = (2, 7)
 
 
 class Backoff:
@@ -37,17 +40,27 @@ class Backoff:
 class Pacing:
     """``due``: no service request to the slave before this time, in ns."""
 
-    __slots__ = ("_absent", "_flapping", "_refused", "due")
+    __slots__ = ("_absent", "_flapping", "_polls", "_refused", "due", "searched")
 
     def __init__(self) -> None:
         self.due = 0
         self._absent = Backoff(*_ABSENT)
         self._refused = Backoff(*_REFUSED)
         self._flapping = False
+        self._polls = _IN_VAIN[0]  # so many more before a long one
+        #: it was polled with patience since it was there
+        self.searched = False
 
-    def absent(self, now: int) -> None:
-        """It did not answer."""
+    @property
+    def long_due(self) -> bool:
+        """It was polled in vain often enough: the next poll is one with patience."""
+        return self._polls <= 0
+
+    def absent(self, now: int, *, long: bool = False) -> None:
+        """It did not answer; ``long``: although it was waited for with patience."""
         self.due = now + self._absent.take()
+        self._polls = _IN_VAIN[1] if long else self._polls - 1
+        self.searched |= long
 
     def refused(self, now: int) -> None:
         """It answered, and cannot be had."""
@@ -77,6 +90,8 @@ class Pacing:
         self._flapping = not (stable or silent)
         if stable or silent:
             self._absent.reset()
+            self._polls = _IN_VAIN[0]
+            self.searched = False
         if stable:
             self._refused.reset()
 

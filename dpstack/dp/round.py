@@ -126,7 +126,7 @@ class Round:
         if not fixed and (request := self._service(now)) is not None:
             return request
         self._end(now)
-        return self._between(now) if fixed else None
+        return self._between(now, room=True) if fixed else None
 
     # --- its course ---------------------------------------------------------------------------------------------
 
@@ -210,19 +210,24 @@ class Round:
         # Clear: a Fail_Safe slave gets an empty frame, the others zeros (section J, Siemens CP5613)
         return b"" if handler.setup.fail_safe else bytes(handler.image.output_len)
 
-    def _service(self, now: int) -> Request | None:
+    def _service(self, now: int, *, room: bool = True) -> Request | None:
         while self._services:
             self._services -= 1
-            chosen = self._turns.next(now, self._farewells.awaits)
+            chosen = self._turns.next(now, self._farewells.awaits, room=room)
             if chosen is not None:
-                return chosen.service_request(now)
+                return chosen.service_request(now, long=self._turns.waits_long(chosen, now))
         return None
 
-    def _between(self, now: int) -> Request | None:
-        """What waits for a time between two cycles; what a cycle brought up does not wait for the next one."""
+    def _between(self, now: int, *, room: bool = False) -> Request | None:
+        """What waits for a time between two cycles; what a cycle brought up does not wait for the next one.
+
+        ``room``: the gap has just begun.
+        """
         self._turns.sort(self._handlers)
         request = self._controls.repetition(self._course.mode, now)
-        if request is None and (request := self._service(now)) is not None and isinstance(request.tag, SlaveHandler):
+        if request is None:
+            request = self._service(now, room=room)
+        if request is not None and isinstance(request.tag, SlaveHandler):
             longest = request.tag.setup.max_diag_len
             last = request.tag.diagnoses.last
             if longest is None:

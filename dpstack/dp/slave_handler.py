@@ -178,8 +178,13 @@ class SlaveHandler:
             case _:
                 return False
 
-    def service_request(self, now: int) -> Request:
-        """The next step of the bring-up, or the diagnosis while in data exchange."""
+    def long_due(self, *, spared: bool) -> bool:
+        """It is absent, and its next poll is one with patience; while others had theirs (``spared``) only its first."""
+        pacing = self._pacing
+        return self.state is SlaveState.OFFLINE and pacing.long_due and not (spared and pacing.searched)
+
+    def service_request(self, now: int, *, long: bool = False) -> Request:
+        """The next step of the bring-up, or the diagnosis in data exchange. ``long``: wait for an absent slave."""
         if self.state is SlaveState.FAULT:
             self.restart = True
             self._step(Ev.RETRY, now)
@@ -192,11 +197,12 @@ class SlaveHandler:
         if state is SlaveState.CHK_CFG:
             self._ready.cfg_sent = True
             return self._service(SAP_CHK_CFG, self.setup.config)
-        return self._service(SAP_SLAVE_DIAG, b"")
+        return self._service(SAP_SLAVE_DIAG, b"", long=long)
 
-    def _service(self, sap: int, data: bytes) -> Request:
+    def _service(self, sap: int, data: bytes, *, long: bool = False) -> Request:
         restart, self.restart = self.restart, False
-        return self._requests.service(sap, data, patient=self.state is not SlaveState.OFFLINE, restart=restart)
+        patient = self.state is not SlaveState.OFFLINE
+        return self._requests.service(sap, data, patient=patient, restart=restart, long=long)
 
     def set_prm(self) -> bytes:
         """The octets of Set_Prm for this slave."""
@@ -211,7 +217,7 @@ class SlaveHandler:
         if request.dsap == SAP_GET_CFG:
             self._refuse(faults.cfg_fault(self.setup, good.data if good else None), now)
         elif not isinstance(outcome, Telegram):
-            self._on_silence(service, now)
+            self._on_silence(service, now, long=request.extra_ns > 0)
         else:
             self._silent = 0
             if good is None:
@@ -223,10 +229,10 @@ class SlaveHandler:
             else:
                 self._step(Ev.ACK, now)
 
-    def _on_silence(self, service: str, now: int) -> None:
+    def _on_silence(self, service: str, now: int, *, long: bool) -> None:
         if self.state is SlaveState.OFFLINE:
             self._silent += 1
-            self._pacing.absent(now)
+            self._pacing.absent(now, long=long)
             if self._silent >= _TOLD_ABSENT_AFTER and not self.findings.silence_told:
                 self.findings.tell(faults.absent(self.setup.address, self.baud), now)
             self._step(Ev.SILENT, now)

@@ -19,14 +19,17 @@ class Turns:
 
     ``interval``: the shortest time in ns between the beginnings of two rounds, by the Min_Slave_Interval of those that
     are spoken with (section J); ``interval_all``: the same beside a round that leaves nobody out. ``absent_share``:
-    while any slave is in data exchange, silent polls of absent ones take at most 1/absent_share of the bus time; 0 = no
-    limit.
+    while any slave is in data exchange, silent polls of absent ones take at most 1/absent_share of the bus time, and so
+    do those among them that are waited for with patience, on an account of their own: they hold up others no longer
+    than any poll, and the first one of a slave that fell silent costs no more than its last exchange. 0 = no limit.
     """
 
     __slots__ = (
         "_absent_share",
         "_fresh",
         "_held",
+        "_long_from",
+        "_pause",
         "_poll_from",
         "_services",
         "_stale",
@@ -44,7 +47,8 @@ class Turns:
         self._services: deque[SlaveHandler] = deque()
         self._stale = True
         self._fresh = False
-        self._poll_from = 0
+        self._poll_from = self._long_from = 0
+        self._pause = 0  # after the last poll without patience
         #: whose service does not fit before the next cycle: what is left of this one only gets shorter
         self._held: set[SlaveHandler] = set()
 
@@ -105,15 +109,16 @@ class Turns:
             self._services.remove(handler)
             self._services.appendleft(handler)
 
-    def next(self, now: int, blocked: Callable[[int], bool]) -> SlaveHandler | None:
+    def next(self, now: int, blocked: Callable[[int], bool], *, room: bool = True) -> SlaveHandler | None:
         """The next slave that wants a service and whose address is not ``blocked``.
 
         Fairly in turn, but while data are exchanged a bring-up under way goes first (its watchdog runs), and a slave
-        that always has a diagnosis waiting takes every other turn at most.
+        that always has a diagnosis waiting takes every other turn at most. ``room`` False: between two cycles something
+        was before it, so that a poll with patience waits for the next gap, all of which it may need.
         """
         chosen: SlaveHandler | None = None
         for handler in self._services:
-            if not self._may(handler, now, blocked):
+            if not self._may(handler, now, blocked) or (not room and self.waits_long(handler, now)):
                 continue
             if handler.under_way and self.exchanging:
                 chosen = handler
@@ -132,7 +137,16 @@ class Turns:
             return False
         return handler not in self._held and not blocked(handler.setup.address)
 
-    def polled(self, handler: SlaveHandler, took_ns: int, now: int) -> None:
+    def waits_long(self, handler: SlaveHandler, now: int) -> bool:
+        """Whether a poll of ``handler`` now is one with patience."""
+        return handler.long_due(spared=now < self._long_from)
+
+    def polled(self, handler: SlaveHandler, took_ns: int, now: int, *, long: bool) -> None:
         """A service to ``handler`` took so long: an absent one's is charged to the share of all absent ones."""
         if handler.state is SlaveState.OFFLINE and self._absent_share and self.exchanging:
-            self._poll_from = now + took_ns * self._absent_share
+            pause = took_ns * self._absent_share
+            if long:
+                self._long_from = now + pause
+            else:
+                self._pause = pause
+            self._poll_from = now + self._pause

@@ -7,8 +7,9 @@ about 80 us with two stations: no judge of timing from 1.5 Mbit/s up.
 The rate of a station is that of its tty. A station at another rate than the sender's gets what its UART would sample of
 the waveform. Noise inverts bits. What a UART with IGNPAR drops is dropped: on a pty errors cannot be marked.
 
-Nothing a station does holds up the others: of one that never stops sending only so much is read at a time, what a paced
-wire cannot take and what nobody reads is dropped, counted, and told once.
+Nothing a station does holds up the others. Of one that never stops sending only so much is read at a time: after those
+that had nothing to say before, and far less than a pty holds, so that who reads on finds the others' telegrams too.
+What a paced wire cannot take and what nobody reads is dropped, counted, and told once.
 """
 
 from __future__ import annotations
@@ -37,8 +38,7 @@ from dpstack.ports.runtime_dir import own_directory, runtime_path
 from dpstack.units import BAUD_RATES, baud_text, bits_to_ns, chars_to_ns, ns_to_s
 
 MAX_STATIONS: Final = 64
-_CHUNK: Final = 4096  # a pty hands over no more at once
-_CHUNKS: Final = 4  # read from one station before the others have their turn
+_CHUNK: Final = 4096  # read from one station before the others have their turn: a quarter of what a pty takes
 
 
 class Segment:
@@ -169,32 +169,36 @@ class Segment:
     # --- the way of the octets ----------------------------------------------------------------------------------------
 
     def _ready(self) -> None:
-        if self._epoll is None:
+        if not self._unread:  # else the turn that is due looks
+            self._turn()
+
+    def _turn(self) -> None:
+        """Every station that has something to say is read once; who was not through last time comes last."""
+        if self._epoll is None or self._loop is None:
             return
-        for fd, _event in self._epoll.poll(0):
-            self._read(self._by_fd[fd])
-
-    def _read_on(self) -> None:
         unread, self._unread = self._unread, {}
-        for station in unread:
-            self._read(station)
+        ready = [self._by_fd[fd] for fd, _event in self._epoll.poll(0)]
+        for station in [station for station in ready if station not in unread] + list(unread):
+            if self._read(station):
+                self._unread[station] = None
+        if self._unread:
+            self._loop.call_soon(self._turn)
 
-    def _read(self, station: SegmentStation) -> None:
-        """Forward what a station has sent. Edges come once: what is left is read in the loop's next turn."""
-        fd = station.master.fd
-        for _ in range(_CHUNKS):
+    def _read(self, station: SegmentStation) -> bool:
+        """Forward what a station has sent. Edges come once: True when there may be more, for the loop's next turn."""
+        read = 0
+        while read < _CHUNK:
             try:
-                chunk = os.read(fd, _CHUNK)
+                chunk = os.read(station.master.fd, _CHUNK - read)
             except BlockingIOError:
-                return
+                return False
             except OSError:  # EIO: everybody has closed it, which is normal
                 station.left()
-                return
+                return False
+            read += len(chunk)
             station.present = True
             self._forward(station, chunk)
-        if not self._unread and self._loop is not None:
-            self._loop.call_soon(self._read_on)
-        self._unread[station] = None
+        return True
 
     def _forward(self, sender: SegmentStation, chunk: bytes) -> None:
         sender.stats.sent += len(chunk)

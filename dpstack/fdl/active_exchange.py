@@ -93,7 +93,7 @@ def ends_at(link: Link, request: Request, now: int) -> int:
     late = any(until >= now and _alike(owed, request) for owed, until in link.owed.values())
     kept = _kept_back_ns(link) if late else 0
     answer = _longest_answer_ns(link, request)
-    return begins + (tries + 1) * (sending + slot + request.extra_ns) + answer + kept + line.t_id1_ns
+    return begins + (tries + 1) * (sending + slot) + answer + kept + line.t_id1_ns
 
 
 def _alike(owed: Request, request: Request) -> bool:
@@ -112,15 +112,29 @@ def _kept_back_ns(link: Link) -> int:
 def in_vain_until(link: Link, request: Request, at: int, then_ns: int = 0) -> int:
     """How long the answer of an address where nobody is known is waited for: ``at`` is the last bit of ``request``.
 
-    A port may be late, but before a fixed cycle ``then_ns`` (what follows) and T_ID1 have to fit in: as long as there
-    is room, and never so short that an answer could still be on the wire. One that is later than that is recognised.
+    A port may be late, and one look longer than others (``extra_ns``), but before a fixed cycle ``then_ns`` (what
+    follows) and T_ID1 have to fit in: as long as there is room, and never so short that an answer could still be on the
+    wire. One that is later than that is recognised.
     """
-    longest = at + link.slot_unknown_ns
+    longest = at + link.slot_unknown_ns + (_extra_ns(link, request) if request.extra_ns else 0)
     next_at = link.budget.next_at
     if next_at >= longest + then_ns + link.line.t_id1_ns:
         return longest
     shortest = at + link.slot_ns + link.patience.sending_ns + _longest_answer_ns(link, request)
     return min(longest, max(shortest, next_at - then_ns - link.line.t_id1_ns))
+
+
+def _extra_ns(link: Link, request: Request) -> int:
+    """Of ``extra_ns`` what makes nobody wait longer than for a station that is there, and no other master on a wire
+    claim the token meanwhile. (Where there is no wire the others are programs with a slack of their own.)
+    """
+    patience, ring = link.patience, link.ring
+    extra = min(request.extra_ns, patience.known_ns - patience.unknown_ns)
+    if patience.sending_ns and ring.ns != link.ts:
+        lowest = min(address for address in ring.members if address != link.ts)
+        t_to_ns = link.params.ns((6 + 2 * lowest) * link.params.t_sl)
+        extra = min(extra, t_to_ns - link.slot_unknown_ns - patience.unknown_ns)
+    return max(0, extra)
 
 
 def waits_long(link: Link, request: Request) -> bool:
@@ -176,7 +190,7 @@ def _await(link: Link, at: int) -> None:
     link.enter(_AWAIT_DATA_RESPONSE)
     request = link.request
     patient = request.patient or request.da in link.slow
-    link.deadline = (at + link.slot_known_ns if patient else in_vain_until(link, request, at)) + request.extra_ns
+    link.deadline = at + link.slot_known_ns if patient else in_vain_until(link, request, at)
     if link.exact:
         link.early_until = at + link.early_ns
 
@@ -249,7 +263,7 @@ def _answered(link: Link, telegram: Telegram, now: int) -> None:
     if _SERVICES[request.function].counted and link.fcb.answered(da):
         text = (
             f"station {da} answered a request with FCV = 1 after three silent ones with FCV = 0: "
-            "it does not know the standard's first request, or it was switched on just then"
+            "it was switched on just then, its answers came too late, or it does not know the standard's first request"
         )
         link.events.append(Notice(t_ns=now, source="fdl", message=text, severity=Severity.WARNING))
     if not telegram.data and telegram.empty_le3 and da not in link.told_le3:

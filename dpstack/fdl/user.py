@@ -26,8 +26,9 @@ class Request(NamedTuple):
     """One request a link user wants to have sent. ``data`` is the data unit without SAP octets (0..244 octets).
 
     ``function`` says the priority too (SRD_HIGH, SRD_LOW ...). ``patient`` asks for the slack of a station whose
-    silence has consequences; ``extra_ns`` is waited in addition. ``retry`` False makes it one attempt;
-    ``restart`` takes the station up afresh (FCV 0, FCB 1) whatever was known of it. ``tag`` is the user's own.
+    silence has consequences; where nobody is known ``extra_ns`` is waited in addition, up to that slack and as long as
+    a fixed cycle and other masters have room. ``retry`` False makes it one attempt; ``restart`` takes the station up
+    afresh (FCV 0, FCB 1) whatever was known of it. ``tag`` is the user's own.
     ``answer``: so many octets of data its answer has at most, as far as is known. ``cyclic``: it is part of a fixed
     cycle itself and never held back.
     """

@@ -6,7 +6,7 @@ import asyncio
 
 import pytest
 from far_ends import until
-from process_kit import DRIVERS, UNHURRIED, Driver
+from process_kit import DRIVERS, UNHURRIED, Driver, unhurried
 
 import dpstack
 from dpstack import AlarmType, DpSlave, SlaveDescription, Specifier, StatusType
@@ -25,7 +25,7 @@ async def test_alarms_over_a_pty(driver: Driver) -> None:
             port=server.port_name,
             baud=500_000,
             driver=driver,
-            slaves=[RIG.table(9)],
+            slaves=[unhurried(RIG.table(9))],
             on_event=told.append,
             **UNHURRIED,
         ) as bus,

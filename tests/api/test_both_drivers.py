@@ -60,6 +60,7 @@ async def test_process_data_events_and_the_end(driver: Driver) -> None:
             assert valves.diagnosis is not None
             assert valves.diagnosis.ident == 0x1234
             assert valves.watchdog_ms == 3000
+            assert there.slaves[4].watchdog_factors in (bytes((2, 150)), bytes((150, 2)))
             assert bus.station.in_ring
             assert bus.station.las == {2}
         # safe values, then Clear's zeros; Clear_Data to all

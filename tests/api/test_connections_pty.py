@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 
 import pytest
-from process_kit import DRIVERS, UNHURRIED, Driver
+from process_kit import ANSWER_S, DRIVERS, UNHURRIED, Driver, unhurried
 
 import dpstack
 from dpstack import AcyclicError, ConnectionEnded, DpSlave, Im0, RecordRefused, ServiceRefused, SlaveDescription
@@ -38,12 +38,12 @@ async def test_connections_over_a_pty(driver: Driver) -> None:
             port=server.port_name,
             baud=500_000,
             driver=driver,
-            slaves=[RIG.table(9)],
+            slaves=[unhurried(RIG.table(9))],
             on_event=told.append,
             **UNHURRIED,
         ) as bus:
             await bus.ready(20)
-            async with bus.class2.connect(9, timeout=20) as connection:
+            async with bus.class2.connect(9, timeout=20, response_timeout=ANSWER_S) as connection:
                 found = await asyncio.gather(*(connection.read(1, index, timeout=20) for index in range(5)))
                 assert found == [bytes((1, index)) * 20 for index in range(5)]
                 assert await connection.transport(0, 1, b"abc", timeout=20) == b"cba"
@@ -57,9 +57,9 @@ async def test_connections_over_a_pty(driver: Driver) -> None:
                     await connection.read(255, 0)
                 with pytest.raises(dpstack.UsageError, match="241 octets of data, 240"):
                     await connection.write(0, 0, bytes(241))
-                other = await bus.class2.connect("rig", timeout=20)
+                other = await bus.class2.connect("rig", timeout=20, response_timeout=ANSWER_S)
                 with pytest.raises(ServiceRefused, match="2 of them from here") as refused:
-                    await bus.class2.connect(9, timeout=20)
+                    await bus.class2.connect(9, timeout=20, response_timeout=ANSWER_S)
                 assert refused.value.status == "RS"
                 reading = asyncio.create_task(other.read(1, 100, timeout=20))
                 await asyncio.sleep(0)
@@ -68,7 +68,7 @@ async def test_connections_over_a_pty(driver: Driver) -> None:
                     await reading
                 assert (ended.value.address, ended.value.abort) == (9, (0, 2, 0))
             assert bus.class2.connections == 0
-            left_open = await bus.class2.connect(9, timeout=20)
+            left_open = await bus.class2.connect(9, timeout=20, response_timeout=ANSWER_S)
             assert bus.slave(9).ready_now
         assert left_open.reason == "the bus was closed here"
         reasons = [event.reason for event in told if isinstance(event, ConnectionOver)]

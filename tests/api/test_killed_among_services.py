@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 from far_ends import until
-from process_kit import DRIVERS, UNHURRIED, Driver, process_of
+from process_kit import ANSWER_S, DRIVERS, UNHURRIED, Driver, process_of, unhurried
 
 import dpstack
 from dpstack import BusError, DpError, DpSlave, SlaveAppState, SlaveDescription
@@ -55,13 +55,13 @@ async def test_the_bus_process_is_killed() -> None:
     rig = Rig()
     async with dpstack.serve_slave(rig.slave, port="pty", baud=1_500_000, address=9) as server:
         bus = dpstack.open_bus(
-            port=server.port_name, baud=1_500_000, driver="process", slaves=[RIG.table(9)], **UNHURRIED
+            port=server.port_name, baud=1_500_000, driver="process", slaves=[unhurried(RIG.table(9))], **UNHURRIED
         )
         async with bus:
             await bus.ready(20)
             found = bus.slave(9)
             listening = asyncio.create_task(listen(bus))
-            connection = await bus.class2.connect(9, timeout=20)
+            connection = await bus.class2.connect(9, timeout=20, response_timeout=ANSWER_S)
             assert await connection.read(1, 2, timeout=20) == b"\1\2"
             alarm = asyncio.create_task(server.slave.alarm(2, 1, timeout=30))
             services = asyncio.create_task(
@@ -78,10 +78,12 @@ async def test_the_bus_process_is_killed() -> None:
         await until(lambda: not server.slave.connections, "its connections given back")
         await server.slave.reached(SlaveAppState.WAIT_PRM, 20)
         assert rig.at_work == 0
-        async with dpstack.open_bus(port=server.port_name, baud=1_500_000, slaves=[RIG.table(9)], **UNHURRIED) as again:
+        async with dpstack.open_bus(
+            port=server.port_name, baud=1_500_000, slaves=[unhurried(RIG.table(9))], **UNHURRIED
+        ) as again:
             await again.ready(20)
             assert await again.slave(9).read(1, 3, timeout=20) == b"\1\3"
-            async with again.class2.connect(9, timeout=20) as connection:
+            async with again.class2.connect(9, timeout=20, response_timeout=ANSWER_S) as connection:
                 assert await connection.read(1, 4, timeout=20) == b"\1\4"
 
 
@@ -112,10 +114,12 @@ async def test_the_slaves_are_killed(driver: Driver, tmp_path: Path) -> None:
         try:
             assert process.stdout is not None
             assert await process.stdout.readline() == b"served\n"
-            async with dpstack.open_bus(port=two, baud=1_500_000, driver=driver, slaves=[RIG.table(9)]) as bus:
+            async with dpstack.open_bus(
+                port=two, baud=1_500_000, driver=driver, slaves=[unhurried(RIG.table(9))], **UNHURRIED
+            ) as bus:
                 await bus.ready(20)
                 found = bus.slave(9)
-                connection = await bus.class2.connect(9, timeout=20)
+                connection = await bus.class2.connect(9, timeout=20, response_timeout=ANSWER_S)
                 assert await connection.read(1, 2, timeout=20) == b"\1\2"
                 services = asyncio.create_task(
                     ends(*(found.read(2, n, timeout=20) for n in range(9)), connection.read(2, 0, timeout=20))

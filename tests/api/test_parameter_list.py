@@ -260,7 +260,12 @@ def test_a_telegram_without_a_channel_is_refused_at_once(tmp_path: Path) -> None
     virtual(program())
 
 
-def test_cut_short_it_keeps_what_was_read(tmp_path: Path) -> None:
+def no_room(file: FileToBe, text: str) -> None:
+    if text:
+        raise UsageError(f"{file.path}: is full")
+
+
+def test_cut_short_it_keeps_what_was_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "it.toml"
     path.write_text("older")
 
@@ -270,18 +275,29 @@ def test_cut_short_it_keeps_what_was_read(tmp_path: Path) -> None:
             it = bus.drive("it")
             reached = asyncio.Event()
 
+            async def cut_short() -> list[str]:
+                reached.clear()
+                task = asyncio.ensure_future(it.dump(path, on_parameter=on_parameter))
+                await reached.wait()
+                task.cancel()
+                with pytest.raises(asyncio.CancelledError) as cut:
+                    await task
+                return cut.value.__notes__
+
             def on_parameter(number: int, count: int, _one: SavedParam) -> None:
                 assert count == 44
                 if number == 5:
                     reached.set()
 
-            task = asyncio.ensure_future(it.dump(path, on_parameter=on_parameter))
-            await reached.wait()
-            task.cancel()
-            with pytest.raises(asyncio.CancelledError):
-                await task
+            assert await cut_short() == [f"cut short: the 5 parameters read so far are in {path}.part"]
             kept = ParameterList.load(tmp_path / "it.toml.part")
             assert (len(kept.parameters), kept.complete) == (5, False)
+            # there is no room for them: still what cut it short is what is raised, and nothing is said to be there
+            (tmp_path / "it.toml.part").unlink()
+            with monkeypatch.context() as patch:
+                patch.setattr(FileToBe, "_writing", no_room)
+                assert await cut_short() == [f"cut short: the 5 parameters read so far are lost: {path}: is full"]
+            assert list(tmp_path.iterdir()) == [path]
             # the drive falls silent: not 39 time-outs, and the reason
             assert bus.bench is not None
             bus.bench.power(5, False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 
 import pytest
-from process_kit import DRIVERS, UNHURRIED, Driver
+from process_kit import DRIVERS, UNHURRIED, Driver, unhurried
 
 import dpstack
 from dpstack import AcyclicError, DpSlave, Im0, RecordRefused, SlaveDescription
@@ -25,7 +25,9 @@ async def test_records_over_a_pty(driver: Driver) -> None:
     slave = DpSlave(RIG, lambda outputs, elapsed: outputs, on_read=read, im=[Im0(order_id="RIG")])
     async with (
         dpstack.serve_slave(slave, port="pty", baud=500_000, address=9) as server,
-        dpstack.open_bus(port=server.port_name, baud=500_000, driver=driver, slaves=[RIG.table(9)], **UNHURRIED) as bus,
+        dpstack.open_bus(
+            port=server.port_name, baud=500_000, driver=driver, slaves=[unhurried(RIG.table(9))], **UNHURRIED
+        ) as bus,
     ):
         await bus.ready(20)
         found = bus.slave(9)

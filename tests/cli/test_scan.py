@@ -127,15 +127,19 @@ def test_beside_a_master_and_read_only(
         (4, "slave", "data_exchange", 2),
         (9, "slave", "data_exchange", 2),
     ]
-    found, end = None, time.monotonic() + HANG_S
-    while found != there:  # on a busy computer who answers too late is not in a list; nobody else ever is
+    found: list[tuple[int, str, str | None, int | None]] = []
+    err, end = "", time.monotonic() + HANG_S
+    # On a busy computer who answers too late is not in a list, nobody else ever is; and a master that has to wait for a
+    # processor with its token makes the scan claim one after T_TO (that the scan itself does not: dp/test_scanner.py).
+    # Both pass, the second one perhaps not soon.
+    while (found, err) != (there, "") and (found != there or time.monotonic() < end - HANG_S / 2):
         code, out, err = scan(capsys, bus / "2", "--json")
         found = [(s["address"], s["type"], s["state"], s["master"]) for s in json.loads(out)["stations"]]
         unasked = [(address, kind, None, None) for address, kind, *_ in there]
         assert set(found) <= {*there, *unasked, (2, "master_ready", None, None)}
         assert code == 0 or not found
         assert not found or all("no token for T_TO, claiming it" in line for line in err.splitlines())
-        assert time.monotonic() < end, found
+        assert time.monotonic() < end, (found, err)
     watch = tmp_path / "watch.toml"
     watch.write_text(text.replace("hsa = 5", "hsa = 5\naddress = 1\nread_only = true"), encoding="utf-8")
     reader = starter("run", str(watch), "--port", str(bus / "2"), "--json")

@@ -20,6 +20,7 @@ from dpstack.dp.setup import SlaveSetup
 from dpstack.dp.slaveapp import SlaveApp, SlaveAppState
 from dpstack.fdl.active import ActiveStation
 from dpstack.fdl.commands import GoOffline, GoOnline
+from dpstack.fdl.events import TokenLost
 from dpstack.fdl.livelist import LiveList
 from dpstack.fdl.passive import PassiveStation
 from dpstack.fdl.telegram import Req, StationType
@@ -93,7 +94,9 @@ def test_beside_another_master_that_notices_nothing(world: WorldFactory) -> None
         w.run_for(500 * MS)
         before = len([e for e in bus.events if isinstance(e, SlaveStateChanged)])
         if scanned:
-            found = Scan(w, configs=True).run()
+            scan = Scan(w, configs=True)
+            found = scan.run()
+            assert not [event for event in scan.events if isinstance(event, TokenLost)]
             assert brief(found) == [
                 (2, "MASTER_IN_RING", None, None, None),
                 *((a, "SLAVE", IDENT, "data_exchange", 2) for a in (3, 4, 5)),

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import select
 import stat
+import subprocess
+import sys
 import termios
-import threading
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from time import monotonic_ns
@@ -36,27 +40,41 @@ def _leave(stations: list[FarEnd]) -> None:
         station.hang_up()
 
 
-class Flood:
+#: writes without end to the descriptor it is told: a process, because a thread would take this one's time
+_FLOOD = """
+import os, sys, time
+fd, octets = int(sys.argv[1]), bytes.fromhex(sys.argv[2]) * 20
+while True:
+    try:
+        os.write(fd, octets)
+    except BlockingIOError:
+        time.sleep(0.0005)
+"""
+
+
+@contextlib.contextmanager
+def flood(fd: int) -> Iterator[None]:
     """Somebody who never stops sending on ``fd``, whatever becomes of it, while it is entered."""
+    call = [sys.executable, "-I", "-S", "-c", _FLOOD, str(fd), TELEGRAM.hex()]
+    with subprocess.Popen(call, pass_fds=[fd]) as writer:
+        try:
+            yield
+        finally:
+            writer.kill()
 
-    def __init__(self, fd: int) -> None:
-        self._fd = fd
-        self._over = threading.Event()
-        self._thread = threading.Thread(target=self._run)
 
-    def _run(self) -> None:
-        while not self._over.is_set():
-            try:
-                os.write(self._fd, TELEGRAM * 20)
-            except BlockingIOError:
-                self._over.wait(0.0005)
+def _fill(station: FarEnd) -> None:
+    """Send until the pty takes no more."""
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(station.fd, TELEGRAM * 20)
 
-    def __enter__(self) -> None:
-        self._thread.start()
 
-    def __exit__(self, *_: object) -> None:
-        self._over.set()
-        self._thread.join()
+def _wait_for_octets(segment: Segment, number: int) -> None:
+    """The kernel has handed over what station ``number`` sent; the segment could not look yet."""
+    poll = select.poll()
+    poll.register(segment._stations[number].master.fd, select.POLLIN)
+    assert poll.poll(60_000)
 
 
 async def test_all_others_hear_what_one_sends(directory: Path) -> None:
@@ -274,11 +292,11 @@ def _has_sent(stats: StationStats, octets: int) -> bool:
 
 
 async def test_an_endless_writer_leaves_their_turn_to_the_others(directory: Path) -> None:
-    """Station 0 floods from another thread; 1 and 2 go on talking, what 3 does not read is counted."""
+    """Station 0 floods from another process; 1 and 2 go on talking, what 3 does not read is counted."""
     told_of: list[str] = []
     request = bytes.fromhex("10 02 63 49 AE 16")
     async with Segment(4, directory, on_notice=told_of.append) as segment:
-        flood, one, other, lazy = _stations(segment)
+        endless, one, other, lazy = _stations(segment)
 
         def got_through() -> bool:
             one.send(request)
@@ -287,22 +305,61 @@ async def test_an_endless_writer_leaves_their_turn_to_the_others(directory: Path
                     return True
             return False
 
-        with Flood(flood.fd):
+        with flood(endless.fd):
             for _ in range(5):
                 await until(got_through, "a telegram in the flood")
             await until(lambda: segment._stations[3].stats.dropped > 0, "nobody reads")
         assert "station 3 of the segment takes no more: what it does not read is dropped" in told_of
         assert len(told_of) == len(set(told_of))
-        _leave([flood, one, other, lazy])
+        _leave([endless, one, other, lazy])
+
+
+async def test_a_telegram_beside_an_endless_writer_arrives_at_a_station_that_reads(directory: Path) -> None:
+    """The writer is first each time and has more to say than a pty holds; the other one's telegrams all get through."""
+    request = bytes.fromhex("10 02 63 49 AE 16")
+    async with Segment(3, directory) as segment:
+        endless, one, other = _stations(segment)
+        stats = [station.stats for station in segment._stations]
+        for _ in range(4):
+            taken = stats[2].received
+            _fill(endless)
+            _wait_for_octets(segment, 0)
+            one.send(request)
+            _wait_for_octets(segment, 1)
+            sent = stats[1].sent + len(request)
+            await until(partial(_has_sent, stats[1], sent), "forwarded")
+            got = await other.recv(stats[2].received - taken)
+            assert request in got
+            await until(lambda: not segment._unread, "the rest of the flood")
+            await other.recv(stats[2].received - taken - len(got))
+        _leave([endless, one, other])
+
+
+async def test_a_station_whose_pty_was_full_hears_again_once_it_has_read(directory: Path) -> None:
+    async with Segment(2, directory) as segment:
+        one, lazy = _stations(segment)
+        heard = segment._stations[1].stats
+        for number in range(2):
+            taken, sent = heard.received, segment._stations[0].stats.sent
+            while heard.dropped == 0:
+                one.send(bytes(250))
+                sent += 250
+                await until(partial(_has_sent, segment._stations[0].stats, sent), "forwarded")
+            assert len(await lazy.recv(heard.received - taken)) > 4096
+            heard.dropped = 0
+            one.send(TELEGRAM)
+            assert await lazy.recv(len(TELEGRAM)) == TELEGRAM, number
+            assert heard.dropped == 0
+        _leave([one, lazy])
 
 
 async def test_what_a_paced_wire_cannot_take_is_dropped_and_told_once(directory: Path) -> None:
     told_of: list[str] = []
     async with Segment(2, directory, baud=93_750, paced=True, on_notice=told_of.append) as segment:
-        flood, other = _stations(segment)
+        endless, other = _stations(segment)
         wire = segment._wire
         assert wire is not None
-        with Flood(flood.fd):
+        with flood(endless.fd):
             await until(lambda: segment._stations[0].stats.overrun > 1_000_000, "the flood")
             now = monotonic_ns()  # what is due already waits for the loop only
             waiting = sum(len(piece) for at, _, _, piece, _ in wire._queue if at > now)
@@ -310,7 +367,7 @@ async def test_what_a_paced_wire_cannot_take_is_dropped_and_told_once(directory:
         assert told_of == [
             "station 0 of the segment sends faster than 93.75 kbit/s: what the wire cannot take is dropped"
         ]
-        _leave([flood, other])
+        _leave([endless, other])
 
 
 @pytest.mark.parametrize(

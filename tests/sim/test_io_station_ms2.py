@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 from api_kit import bus_of, virtual
@@ -133,19 +134,25 @@ def test_on_the_virtual_bus_beside_its_own_master() -> None:
 
 async def test_on_ptys_beside_a_foreign_class_1_master(tmp_path: Path) -> None:
     """Three stations: the simulation, whoever runs the plant, and one without slaves that only asks."""
+    unhurried: dict[str, Any] = {"hsa": 4, "max_retry": 15}  # a busy computer loses nobody
     async with Segment(3, tmp_path / "bus", baud=1_500_000) as segment:
         config = make_config(segment.paths[0], 1_500_000, 2, [IO])
         async with (
             Simulation(config, segment.paths[0], 1_500_000) as simulation,
             dpstack.open_bus(
-                port=segment.paths[1], baud=1_500_000, address=2, gap=1, hsa=4, slaves=[{**IO, "watchdog_ms": 10_000}]
+                port=segment.paths[1],
+                baud=1_500_000,
+                address=2,
+                gap=1,
+                slaves=[{**IO, "watchdog_ms": 10_000}],
+                **unhurried,
             ) as plant,
         ):
             await plant.operate()
             await plant.ready(20)
             async with (
-                dpstack.open_bus(port=segment.paths[2], baud=1_500_000, address=1, hsa=4) as visitor,
-                visitor.class2.connect(8, timeout=20) as connection,
+                dpstack.open_bus(port=segment.paths[2], baud=1_500_000, address=1, **unhurried) as visitor,
+                visitor.class2.connect(8, timeout=20, response_timeout=20) as connection,
             ):
                 await everything(connection, 20)
                 assert simulation.slaves[0].unit.app.master == 2
