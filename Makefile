@@ -25,9 +25,10 @@ check: $(VENV)/.check
 	$(PY) -m mypy
 	$(PY) -m pytest tests/test_docs.py tests/test_imports.py
 
-# About an hour on a processor of its own, several where others compute beside it; the longest are fdl/test_autobaud.py,
-# drives/test_attacked_devices.py and test_endurance.py. make soak TESTS=tests/dp runs a part (ptys: tests/cli, tests/drivers),
-# make soak SEED=... looks again where an earlier run looked
+# Summed up from its files, run one by one: about 40 minutes of a processor (some of it estimated), two hours where others
+# compute beside it. The longest, about five minutes each: fdl/test_autobaud.py, dp/test_acyclic_endurance.py.
+# make soak TESTS=tests/dp runs a part (ptys: tests/cli, tests/drivers), make soak SEED=... looks again where an earlier
+# run looked
 soak: SEED := $(shell date +%s)
 soak: $(VENV)/.test
 	@echo "what hypothesis tries: SEED=$(SEED)"
