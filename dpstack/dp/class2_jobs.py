@@ -28,7 +28,7 @@ from dpstack.fdl.telegram import (
     Resp,
     Telegram,
 )
-from dpstack.fdl.user import Failure, Request
+from dpstack.fdl.user import LONG_NS, Failure, Request
 from dpstack.trace import Event
 
 #: "later": asked again; everything else that is negative is an answer
@@ -112,13 +112,14 @@ def request(address: int, service: Service, data: bytes = b"") -> Request:
 def asked(request: Request, attempts: int = ATTEMPTS) -> Steps[Telegram | Failure]:
     """Up to ``attempts`` times, until there is an answer other than "busy"; others have their turn meanwhile.
 
-    The last time the answer is waited for as long as that of a station that matters: somebody has named this one.
+    The last time the answer is waited for as long as that of a station that is there, because somebody has named this
+    one; but before a fixed cycle, and beside other masters, only as long as there is room.
     """
     answer: Telegram | Failure = Failure.NO_ANSWER
     pause = 0
     for attempt in range(attempts):
         if 0 < attempt == attempts - 1:
-            request = request._replace(patient=True)
+            request = request._replace(extra_ns=LONG_NS)
         answer = (yield Step(request, pause)).answer
         if answer is Failure.REFUSED:
             break

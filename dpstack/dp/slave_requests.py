@@ -5,12 +5,9 @@ from __future__ import annotations
 from typing import Final
 
 from dpstack.fdl.telegram import MAX_DATA, SSAP_MS0, Req
-from dpstack.fdl.user import Request
-from dpstack.units import NS_PER_S
+from dpstack.fdl.user import LONG_NS, Request
 
 _SRD_HIGH: Final = Req.SRD_HIGH
-#: as long as the port's patience with a station that is there allows
-_LONG_NS: Final = NS_PER_S
 _NEW: Final = tuple.__new__  # NamedTuple's own constructor costs four times as much
 
 
@@ -36,5 +33,5 @@ class SlaveRequests:
 
     def service(self, sap: int, data: bytes, *, patient: bool, restart: bool, long: bool) -> Request:
         """A service of MS0. ``long``: a slave that is not there is waited for as if it were."""
-        to, tag, extra = self._address, self._tag, _LONG_NS if long else 0
+        to, tag, extra = self._address, self._tag, LONG_NS if long else 0
         return Request(to, _SRD_HIGH, data, sap, SSAP_MS0, patient=patient, restart=restart, tag=tag, extra_ns=extra)

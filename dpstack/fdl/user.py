@@ -8,10 +8,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
 
 from dpstack.fdl.telegram import MAX_DATA, Req, Resp, Telegram
 from dpstack.trace import Event
+from dpstack.units import NS_PER_S
+
+#: ``extra_ns`` of a request to nobody known that is waited for as if somebody were there, as far as there is room
+LONG_NS: Final = NS_PER_S
 
 
 class Expect(Enum):

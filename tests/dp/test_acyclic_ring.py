@@ -294,6 +294,19 @@ def test_on_a_port_that_delivers_late_silence_costs_what_a_dying_slave_costs(cla
     assert plant.exchanging
 
 
+def test_whom_nobody_knows_is_waited_for_on_a_late_port_between_two_cycles_only(world: WorldFactory) -> None:
+    """A class 2 service to an absent address: its last attempt has 50 ms, and never more than there is room."""
+    w = world()
+    plant = silent(w, cycle_ns=10 * MS, patience=HOST)
+    book = plant.master.cycles
+    missed = book.missed
+    w.command(plant.station, ReadService(1, 99, Service.DIAGNOSIS))
+    w.run_for(2 * S)
+    assert [each.outcome.failure for each in plant.others] == [ServiceFailure.SILENT]
+    assert book.missed == missed
+    assert plant.exchanging
+
+
 def test_in_stop_a_silent_slave_is_asked_as_often_as_otherwise(world: WorldFactory) -> None:
     """There is no Data_Exchange to wait for: four attempts, and an end that says so."""
     w = world()

@@ -19,7 +19,7 @@ from dpstack.errors import UsageError
 from dpstack.fdl.commands import AttachUser
 from dpstack.fdl.passive import PassiveStation
 from dpstack.fdl.telegram import Telegram
-from dpstack.fdl.user import SC_REPLY, Failure, Reply, StationControl
+from dpstack.fdl.user import LONG_NS, SC_REPLY, Failure, Reply, StationControl
 from dpstack.machine import LineDown
 from dpstack.params import BusParams
 from dpstack.trace import Notice
@@ -304,11 +304,12 @@ def test_beside_a_running_class_1_master_nobody_loses_an_exchange(world: WorldFa
 
 
 def test_whoever_is_named_is_waited_for_before_it_is_said_to_be_silent() -> None:
-    """The first times no longer than for any address; the last time as for a station whose silence is news."""
+    """The first times no longer than for any address; the last time as for one that is there, where there is room."""
     silence = Heard(Failure.NO_ANSWER, 0, 0)
     steps = asked(request(9, Service.DIAGNOSIS))
-    assert not next(steps).request.patient
-    assert [steps.send(silence).request.patient for _ in range(3)] == [False, False, True]
+    sent = [next(steps).request, *(steps.send(silence).request for _ in range(3))]
+    assert [one.extra_ns for one in sent] == [0, 0, 0, LONG_NS]
+    assert not any(one.patient for one in sent)
     with pytest.raises(StopIteration) as end:
         steps.send(silence)
     assert end.value.value is Failure.NO_ANSWER
