@@ -255,9 +255,9 @@ def main() -> int:
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(29, 1, 0, 0, 0)  # PR_SET_TIMERSLACK: sleeps end in time
     with contextlib.suppress(OSError):
-        os.nice(-20)  # where it is permitted: other programs shall not change the wire's time
-        # where the system shares its time out by sessions, among those of this one only; a session's own:
-        Path("/proc/self/autogroup").write_text("-20", encoding="ascii")
+        # Where it is permitted: other programs shall not change the wire's time. Not for its session as a whole
+        # (autogroup): that took the time of the kernel's workers, which carry a pty's octets (5 ms a rotation).
+        os.nice(-20)
     wire = Wire(options.slaves, options)
     threading.Thread(target=wire.serve, daemon=True).start()
     print(json.dumps({"port": wire.name}), flush=True)
