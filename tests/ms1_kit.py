@@ -88,6 +88,19 @@ def status(address: int, fc: int) -> bytes:
     return sd1(2, address, fc)
 
 
+def first_an_old_one(slave: OctetMs1Slave) -> list[str]:
+    """Polls fetch what it owes (11), then nothing; a request is answered at once (22). What is still owed is given."""
+    owed = ["5E 01 02 01 11"]
+
+    def ms1(data: bytes) -> bytes:
+        if data:
+            return answer(4, "5E 01 02 01 22")
+        return answer(4, owed.pop()) if owed else SC
+
+    slave.ms1 = ms1
+    return owed
+
+
 @dataclass
 class Ms1Bus:
     """Station 2, its slaves at ``addresses`` in data exchange."""

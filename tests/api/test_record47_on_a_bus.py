@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+from collections.abc import AsyncIterator
 
 import pytest
 from api_kit import virtual
@@ -11,6 +13,7 @@ from support import WorldFactory
 import dpstack
 from bench.parameters import MIXER, mixer, read_out
 from dpstack.profile.acyclic import Address, ErrorValue, Values
+from dpstack.sim.world import World
 
 PUMP: dict[str, object] = {"name": "pump", "address": 6, "drive": "ls-s100", "telegram": "ST1"}
 
@@ -34,17 +37,24 @@ def test_the_time_of_1000_parameters(baud: int, described: bool, seconds: float,
     assert counters.busy == counters.strays == counters.repeated == 0
 
 
+@contextlib.asynccontextmanager
+async def mixing(bench: World) -> AsyncIterator[dpstack.Bus]:
+    """A bus with the mixer at 9, in data exchange."""
+    async with (
+        dpstack.serve_slave(mixer(), world=bench, address=9, baud=1_500_000),
+        dpstack.open_bus(port="virtual", baud=1_500_000, slaves=[MIXER.table(9)], world=bench) as bus,
+    ):
+        await bus.operate()
+        await bus.slave(9).ready()
+        yield bus
+
+
 def test_1000_parameters_with_progress(world: WorldFactory) -> None:
     """With the referee on the wire."""
 
     async def main() -> None:
         bench = world()
-        async with (
-            dpstack.serve_slave(mixer(), world=bench, address=9, baud=1_500_000),
-            dpstack.open_bus(port="virtual", baud=1_500_000, slaves=[MIXER.table(9)], world=bench) as bus,
-        ):
-            await bus.operate()
-            await bus.slave(9).ready()
+        async with mixing(bench) as bus:
             told: list[tuple[int, int]] = []
             found = await bus.slave(9).parameters().read_out(described=False, progress=lambda *one: told.append(one))
             assert len(found) == 1000
@@ -58,12 +68,7 @@ def test_1000_parameters_with_progress(world: WorldFactory) -> None:
 def test_a_lost_request_is_written_again(world: WorldFactory) -> None:
     async def main() -> None:
         bench = world()
-        async with (
-            dpstack.serve_slave(mixer(), world=bench, address=9, baud=1_500_000),
-            dpstack.open_bus(port="virtual", baud=1_500_000, slaves=[MIXER.table(9)], world=bench) as bus,
-        ):
-            await bus.operate()
-            await bus.slave(9).ready()
+        async with mixing(bench) as bus:
             parameters = bus.slave(9).parameters()
             bench.faults.drop(lambda tx: b"\x33\x33\x5f" in tx.octets, times=2)  # and its repetition
             assert await parameters.read([Address(1)]) == [Values(6, (1,))]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from ms1_kit import MS, Ms1Bus, OctetMs1Slave, answer, status
+from ms1_kit import MS, Ms1Bus, OctetMs1Slave, answer, first_an_old_one, status
 from octet_slave import NR, RR, RS, SC, UE
 
 from dpstack.dp.acyclic import CAPACITY, CancelService
@@ -174,14 +174,7 @@ def test_what_was_not_fetched_is_fetched_before_the_next_request() -> None:
     """The answer comes after its time-out: it is not taken for the next one, though it looks the same."""
     kit = Ms1Bus(dpv1=Dpv1(c1_response_timeout_ns=100 * MS))
     assert kit.read().outcome.failure is ServiceFailure.LATE
-    old = ["5E 01 02 01 11"]
-
-    def ms1(data: bytes) -> bytes:
-        if data:
-            return answer(4, "5E 01 02 01 22")
-        return answer(4, old.pop()) if old else SC
-
-    kit.slave.ms1 = ms1
+    old = first_an_old_one(kit.slave)
     done = kit.read()
     assert (done.outcome.data, done.stale, old) == (b"\x22", 1, [])
     assert kit.read().stale == 0
@@ -194,14 +187,7 @@ def test_what_is_owed_outlives_a_service_that_was_cancelled_while_it_fetched() -
     kit.bus.run(20 * MS)
     kit.send(CancelService(token))
     assert kit.end(token).outcome.failure is ServiceFailure.CANCELLED
-    old = ["5E 01 02 01 11"]
-
-    def ms1(data: bytes) -> bytes:
-        if data:
-            return answer(4, "5E 01 02 01 22")
-        return answer(4, old.pop()) if old else SC
-
-    kit.slave.ms1 = ms1
+    old = first_an_old_one(kit.slave)
     assert (kit.read().outcome.data, old) == (b"\x22", [])
 
 

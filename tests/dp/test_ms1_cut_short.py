@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from ms1_kit import MS, Ms1Bus, answer
+from ms1_kit import MS, Ms1Bus, answer, first_an_old_one
 from octet_slave import SC
 
 from dpstack.dp.acyclic import CancelService
@@ -68,8 +68,7 @@ def test_cancelled_under_way_its_answer_is_fetched_later() -> None:
     kit.bus.run(20 * MS)
     kit.send(CancelService(token))
     assert kit.end(token).outcome.failure is ServiceFailure.CANCELLED
-    old = ["5E 01 02 01 11"]
-    kit.slave.ms1 = lambda data: answer(4, "5E 01 02 01 22") if data else answer(4, old.pop()) if old else SC
+    first_an_old_one(kit.slave)
     assert kit.read().outcome.data == b"\x22"
 
 

@@ -7,7 +7,7 @@ Slaves are octets.
 from __future__ import annotations
 
 from alarm_kit import ALL, AlarmBus, block
-from ms1_kit import Ms1Bus, answer
+from ms1_kit import Ms1Bus, answer, first_an_old_one
 from ms2_kit import DL, MS, RS, SC, Ms2Bus, sd1, sd2
 from octet_slave import RR
 
@@ -39,14 +39,7 @@ def test_what_is_there_is_fetched_though_the_slave_has_had_its_time() -> None:
     kit = Ms1Bus(dpv1=Dpv1(c1_response_timeout_ns=1_000 * MS))
     assert short_read(kit) is short_read(kit) is ServiceFailure.LATE
     kit.bus.run(1_000 * MS)
-    old = ["5E 01 02 01 11"]
-
-    def ms1(data: bytes) -> bytes:
-        if data:
-            return answer(4, "5E 01 02 01 22")
-        return answer(4, old.pop()) if old else SC
-
-    kit.slave.ms1 = ms1
+    old = first_an_old_one(kit.slave)
     done = kit.read()
     assert (done.outcome.data, done.stale, old) == (b"\x22", 1, [])
 

@@ -1,99 +1,20 @@
 """Every DP-V0 service at the slave in literal octets on the wire: right, too short, too long, wrong state, SAP, master.
 
-The rows are (what is asked, what is answered, the state afterwards); telegrams are put together by hand.
+The rows are (what is asked, what is answered, the state afterwards); telegrams are put together by hand. Many in any
+order: test_slave_octet_any_order.
 """
 
 from __future__ import annotations
 
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
-from octet_wire import BIT, MS, PARAMS, Wire, framed
-from property_kit import examples
+from asked_slave import CFG, DATA_EXCH, PRM, READS, SC, UNLOCK, WAIT_CFG, WAIT_PRM, Slave, answer
+from octet_wire import BIT, framed
 
-from dpstack.dp.dp_slave import DpSlave
-from dpstack.dp.slave_description import SlaveDescription
-from dpstack.dp.slaveapp import SlaveApp, SlaveAppState, make_slave
+from dpstack.dp.slaveapp import SlaveAppState
 
-WAIT_PRM, WAIT_CFG, DATA_EXCH = SlaveAppState.WAIT_PRM, SlaveAppState.WAIT_CFG, SlaveAppState.DATA_EXCH
-TYPE = SlaveDescription(
-    ident=0x0A35,
-    name="own",
-    configs=(bytes.fromhex("10 21"),),
-    user_prm_len=(1, 2),
-    sync=False,
-    freeze=False,
-    set_slave_add=True,
-)
-SC = "E5"
 #: RS (status 3) from slave 8 to master 2, and to 9
 RS = {2: "10 02 08 03 0D 16", 9: "10 09 08 03 14 16"}
 NR = "10 02 08 09 13 16"
-PRM = "3D 3E 88 01 0A 0B 0A 35 02 00"
-CFG = "3E 3E 10 21"
-UNLOCK = "3D 3E 40 01 01 00 0A 35 00"
-
-
-class Slave:
-    """Slave 8 on a wire; :meth:`ask` by data unit with SAPs, :meth:`exchange` by outputs."""
-
-    def __init__(self, description: SlaveDescription = TYPE) -> None:
-        self.seen: list[bytes] = []
-        self.device = DpSlave(description, self.cycle)
-        station = make_slave(8, self.device, PARAMS)
-        self.wire = Wire(station)
-        app = station.responder
-        assert isinstance(app, SlaveApp)
-        self.app = app
-        self.fcb = 0x6D
-
-    def cycle(self, outputs: bytes, elapsed: int) -> bytes:
-        self.seen.append(outputs)
-        return bytes([outputs[0] ^ 0xFF])
-
-    def _fc(self) -> int:
-        fc = self.fcb
-        self.fcb = 0x7D if fc == 0x5D else 0x5D
-        return fc
-
-    def ask(self, unit: str, sa: int = 2) -> str:
-        return self.wire.ask(framed(0x88, 0x80 | sa, self._fc(), unit))
-
-    def exchange(self, outputs: str, sa: int = 2) -> str:
-        """Without outputs it is an SD1 telegram."""
-        head = bytes((self.wire.station.address, sa, self._fc()))
-        if outputs:
-            return self.wire.ask(framed(head[0], head[1], head[2], outputs))
-        return self.wire.ask((b"\x10" + head + bytes((sum(head) & 0xFF, 0x16))).hex(" "))
-
-    def diagnosis(self, sa: int = 2) -> str:
-        """The data of the answer to Slave_Diag."""
-        answer = bytes.fromhex(self.ask("3C 3E", sa))
-        assert answer[:9] == bytes((0x68, len(answer) - 6, len(answer) - 6, 0x68, 0x80 | sa, 0x88, 0x08, 0x3E, 0x3C))
-        return answer[9:-2].hex(" ").upper()
-
-    def to(self, state: SlaveAppState) -> Slave:
-        if state is not WAIT_PRM:
-            assert self.ask(PRM) == SC
-        if state is DATA_EXCH:
-            assert self.ask(CFG) == SC
-            assert self.exchange("AA BB") == answer("55")
-        assert self.app.state is state
-        self.app.take_events()
-        return self
-
-
-def answer(data: str, dsap: str = "", sa: int = 2) -> str:
-    """A positive answer of slave 8: data, with SAPs crosswise where there are any."""
-    return framed(0x80 | sa if dsap else sa, 0x88 if dsap else 0x08, 0x08, f"{dsap} {data}").upper()
-
-
-READS = {
-    "Slave_Diag": "3C 3E",
-    "Get_Cfg": "3B 3E",
-    "RD_Inp": "38 3E",
-    "RD_Outp": "39 3E",
-}
 ANSWERS = {
     ("Slave_Diag", WAIT_PRM): "02 05 00 FF 0A 35",
     ("Slave_Diag", WAIT_CFG): "02 0C 00 02 0A 35",
@@ -298,108 +219,3 @@ def test_sync_and_freeze_that_are_not_supported_do_nothing() -> None:
     assert slave.exchange("01 02") == answer("FE")
     assert slave.app.outputs == b"\1\2"
     assert slave.diagnosis() == "00 0C 00 02 0A 35"
-
-
-# --- any order ----------------------------------------------------------------------------------------------------
-
-#: what a master of octets may send: (data unit or outputs, kind)
-UNITS = st.one_of(
-    st.sampled_from([PRM, CFG, UNLOCK, "3D 3E 88 01 0A 0B 0A 36 02 00", "3E 3E 11", "3D 3E 00 01 01 37 FF FF 00"]),
-    st.sampled_from([*READS.values(), "37 3E 09 0A 35 00", "37 3E 08 0A 35 FF"]),
-    st.binary(max_size=12).map(lambda octets: "3D 3E " + octets.hex(" ")),
-    st.binary(max_size=4).map(lambda octets: "3E 3E " + octets.hex(" ")),
-    st.tuples(st.integers(0, 63), st.binary(max_size=6)).map(lambda pair: f"{pair[0]:02x} 3e {pair[1].hex(' ')}"),
-)
-STEPS = st.one_of(
-    st.tuples(st.just("ask"), st.sampled_from([2, 9]), UNITS),
-    st.tuples(st.just("bring-up"), st.sampled_from([2, 2, 9]), st.just("")),
-    st.tuples(
-        st.just("exchange"), st.sampled_from([2, 2, 9]), st.sampled_from(["SS SS", "SS SS", "SS", "", "SS SS SS"])
-    ),
-    st.tuples(st.just("control"), st.sampled_from([2, 9]), st.binary(max_size=3).map(lambda octets: octets.hex(" "))),
-    st.tuples(st.just("control"), st.just(2), st.sampled_from(["20 00", "10 00", "02 00", "00 00", "22 00", "28 00"])),
-    st.tuples(st.just("time"), st.just(0), st.sampled_from(["1", "50", "99", "101", "400"])),
-    st.tuples(st.just("noise"), st.just(0), st.binary(min_size=1, max_size=9).map(lambda octets: octets.hex(" "))),
-    st.tuples(st.just("restart"), st.just(0), st.just("")),
-)
-SYNCABLE = SlaveDescription(ident=0x0A35, configs=(bytes.fromhex("10 21"),), user_prm_len=(0, 9), set_slave_add=True)
-
-
-class Player(Slave):
-    """A slave with SYNC, and what may befall it. Outputs tell who sent them: master 2 sends 02 02."""
-
-    def send(self, sa: int, unit: str) -> str:
-        return self.wire.ask(framed(0x80 | self.wire.station.address, 0x80 | sa, self._fc(), unit))
-
-    def play(self, what: str, sa: int, arg: str) -> str:
-        """The answer. The FCB does not turn after a request that had none (A4)."""
-        fcb = self.fcb
-        answered = self._play(what, sa, arg)
-        if not answered:
-            self.fcb = fcb
-        return answered
-
-    def _play(self, what: str, sa: int, arg: str) -> str:
-        match what:
-            case "ask":
-                return self.send(sa, arg)
-            case "bring-up":
-                self.send(sa, "3D 3E 88 01 0A 0B 0A 35 02")
-                return self.send(sa, CFG)
-            case "exchange":
-                return self.exchange(arg.replace("SS", f"{sa:02x}"), sa)
-            case "control":
-                return self.wire.ask(framed(0xFF, 0x80 | sa, 0x46, "3A 3E " + arg))
-            case "time":
-                self.wire.pass_time(int(arg) * MS)
-            case "noise":
-                return self.wire.ask(arg)
-            case "restart":
-                self.app.restart(self.wire.now)
-        return ""
-
-
-@examples(150)
-@example(
-    [("restart", 0, ""), ("ask", 2, "37 3E 09 0A 35 00"), ("ask", 9, PRM)]
-)  # the address of a master is given to it
-@example(
-    [("restart", 0, ""), ("ask", 2, "37 3E 09 0A 35 00"), ("ask", 2, PRM), ("ask", 9, PRM), ("exchange", 2, "SS SS")]
-)  # nor does what such a master sends stand between two requests of another one
-@given(st.lists(STEPS, max_size=30))
-def test_whatever_a_master_of_octets_sends(script: list[tuple[str, int, str]]) -> None:
-    slave = Player(SYNCABLE)
-    app = slave.app
-    owner_prm: int | None = None  # who sent the last Set_Prm that could lock the slave, as octets say
-    for what, sa, arg in [("bring-up", 2, ""), *script]:
-        state, held, master, address = app.state, app.outputs, app.master, slave.wire.station.address
-        synced = bool(app.diagnosis(slave.wire.now).sync)
-        slave.seen.clear()
-        answered = slave.play(what, sa, arg)
-        if what == "bring-up" or (what == "ask" and arg.upper().startswith("3D 3E")):
-            owner_prm = sa if master is None or master == sa else owner_prm
-        # what the process has is what the slave says, and safe as soon as it says nothing
-        if slave.seen:
-            assert slave.seen[-1] == (app.outputs or b"\0\0")
-        # data exchange only after Set_Prm and Chk_Cfg of one and the same master, the owner of the lock
-        if app.state is DATA_EXCH:
-            assert app.master is not None
-            assert app.master == owner_prm
-            assert set(app.outputs) <= {0, app.master}
-            assert state is not WAIT_PRM or what == "bring-up"
-        else:
-            assert app.outputs == b""
-            assert state is not DATA_EXCH or slave.seen[-1:] == [b"\0\0"]
-        assert (app.master is None) is (app.state is WAIT_PRM)
-        # outputs under SYNC change with Global_Control of the owner only, or to the safe ones
-        if synced and app.state is DATA_EXCH and state is DATA_EXCH and app.outputs != held:
-            assert (what, sa) == ("control", master) or what == "bring-up"
-        # only the owner is served data
-        if what == "exchange" and answered and not answered.endswith("03 " + answered[-5:]):
-            assert (state, sa) == (DATA_EXCH, master)
-        # one answer at most, from its own address, and every service has one, but for what seems to be its own
-        assert len(slave.wire.out) <= 1
-        if what in ("ask", "exchange"):
-            assert bool(answered) is (address != sa)
-        assert app.failure is None
-    assert all(event.text for event in app.take_events())
