@@ -8,6 +8,7 @@ from typing import Final, NoReturn
 
 from dpstack.api.gsd import read_gsd
 from dpstack.api.tables import Table
+from dpstack.dp.pdu import SET_PRM_LEN
 from dpstack.errors import ConfigError, GsdError
 from dpstack.gsd.configuration import Configuration, configure
 from dpstack.gsd.model import Device
@@ -15,6 +16,8 @@ from dpstack.gsd.prm import Reading, UserPrm
 
 #: keys that mean something beside ``gsd`` only
 GSD_KEYS: Final = ("modules", "parameters", "defaults")
+#: so many octets are named where two readings of a file differ
+_SHOWN_OCTETS: Final = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +28,8 @@ class GsdSlave:
     configuration: Configuration
     user_prm: bytes
     notes: tuple[str, ...]
+    #: what helps where the slave refuses ``user_prm``, see :attr:`~dpstack.dp.setup.SlaveSetup.prm_note`
+    prm_note: str = ""
 
     @property
     def max_tsdr(self) -> Mapping[int, int]:
@@ -66,7 +71,25 @@ def read_gsd_slave(table: Table, path: str, preset: Callable[[Device], Configura
             f"in its GSD file the defaults of {len(differing)} parameters contradict the constant octets (the first: "
             f'{differing[0].text}); the defaults are used, defaults = "const" takes the constants'
         )
-    return GsdSlave(file.device, configuration, prm.octets() if octets is None else octets, tuple(notes))
+    note = _other_reading(table, configuration, reading, prm) if octets is None else ""
+    return GsdSlave(file.device, configuration, prm.octets() if octets is None else octets, tuple(notes), note)
+
+
+def _other_reading(table: Table, configuration: Configuration, reading: Reading, prm: UserPrm) -> str:
+    """Where defaults and constants of the file contradict each other: in which octets of Set_Prm, and the way out."""
+    other = Reading.CONST if reading is Reading.REFS else Reading.REFS
+    others = configuration.user_prm(other)
+    _set_parameters(table, others)
+    pairs = enumerate(zip(prm.octets(), others.octets(), strict=True), SET_PRM_LEN + 1)
+    differing = [str(number) for number, (mine, its) in pairs if mine != its]
+    if not differing:
+        return ""
+    shown = ", ".join(differing[:_SHOWN_OCTETS]) + (" ..." if len(differing) > _SHOWN_OCTETS else "")
+    taken = ("defaults", "constants") if other is Reading.CONST else ("constants", "defaults")
+    return (
+        f"in its GSD file defaults and constants contradict each other (octet{'s' * (len(differing) > 1)} {shown} of "
+        f'Set_Prm): the {taken[0]} were sent, defaults = "{other.value}" sends the {taken[1]}, as some devices need it'
+    )
 
 
 def _modules(table: Table) -> list[int | str] | None:

@@ -39,6 +39,8 @@ class Basis:
     description: SlaveDescription | None = None
     texts: DiagTexts | None = None
     notes: tuple[str, ...] = ()
+    #: see :attr:`~dpstack.dp.setup.SlaveSetup.prm_note`
+    prm_note: str = ""
 
 
 def basis_of(table: Table) -> Basis:
@@ -72,6 +74,7 @@ def _gsd(table: Table, path: str) -> Basis:
         description=slave_description(found.device, found.configuration, ident=found.device.ident or 0),
         texts=found.configuration.texts(),
         notes=found.notes,
+        prm_note=found.prm_note,
     )
 
 

@@ -50,6 +50,8 @@ def changed(slave: SlaveConfig, changes: Changes) -> SlaveConfig:
         known = ", ".join(sorted(Changes.__annotations__))
         raise UsageError(f"{unknown[0]!r} cannot be changed; these can: {known}")
     plain: dict[str, Any] = {key: value for key, value in changes.items() if key != _DPV1}
+    if "user_prm" in plain:
+        plain["prm_note"] = ""  # these are not the GSD file's
     other = dataclasses.replace(slave, **plain)
     if _DPV1 in changes:
         other = dataclasses.replace(other, dpv1=_dpv1(other, changes["dpv1"]))

@@ -105,6 +105,8 @@ class SlaveConfig:
     #: Max_Diag_Data_Len of its GSD file
     max_diag_len: int | None = None
     notes: tuple[str, ...] = ()
+    #: see :attr:`~dpstack.dp.setup.SlaveSetup.prm_note`
+    prm_note: str = ""
 
     @property
     def input_len(self) -> int:
@@ -142,6 +144,7 @@ class SlaveConfig:
             ignore_auto_clear=self.ignore_auto_clear,
             dpv1=self.dpv1,
             texts=self.texts,
+            prm_note=self.prm_note,
         )
 
 
@@ -219,6 +222,7 @@ def _build(table: Table, address: int, basis: Basis) -> SlaveConfig:
         input_fields=input_fields,
         output_fields=output_fields,
         notes=tuple(notes),
+        prm_note=basis.prm_note,
     )
 
 

@@ -62,7 +62,7 @@ FLAGS: Final = (
     ),
     Flag(
         1, 0x02, "station_not_ready", _S, _W, _T, "is not ready for data exchange", "wait; then look at the device",
-        "after 10 s the fault not_ready",
+        "after 10 s the fault not_ready, with the octet in which Get_Cfg differs",
     ),
     Flag(
         1, 0x04, "cfg_fault", _S, _R, _R,

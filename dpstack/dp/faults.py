@@ -5,10 +5,18 @@ One function a fault kind, so that the wording of a finding stands in one place.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+from typing import Final
+
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.events import Fault, FaultKind
+from dpstack.dp.pdu import SET_PRM_LEN
 from dpstack.dp.setup import SlaveSetup
 from dpstack.units import baud_text
+
+#: a fault whose text needs the identifier octets of Get_Cfg: None where the slave does not tell them
+FaultOfCfg = Callable[[bytes | None], Fault]
 
 #: a remark, once: Set_Prm switched the watchdog on, the diagnosis says it is off
 NOT_WATCHING = (
@@ -67,64 +75,75 @@ def not_supported() -> Fault:
     )
 
 
-def refusal(setup: SlaveSetup, diagnosis: Diagnosis, sent: bytes) -> Fault | None:
-    """What a diagnosis says of Set_Prm, whose octets were ``sent``; None when it is about the configuration."""
+def refusal(setup: SlaveSetup, diagnosis: Diagnosis, sent: bytes) -> Fault | FaultOfCfg:
+    """What a diagnosis refuses: Set_Prm, whose octets were ``sent``, or Chk_Cfg."""
     if diagnosis.prm_fault:
         return prm_fault(setup, diagnosis, sent)
-    return not_supported() if diagnosis.not_supported else None
+    return not_supported() if diagnosis.not_supported else partial(cfg_fault, setup)
 
 
 def prm_fault(setup: SlaveSetup, diagnosis: Diagnosis, sent: bytes) -> Fault:
     """Set_Prm refused. ``sent`` are the octets of Set_Prm."""
     said = f", it adds {diagnosis.ext.hex(' ')}" if diagnosis.ext else ""
-    user = setup.user_prm.hex(" ") or "none"
+    user = sent[SET_PRM_LEN:].hex(" ") or "none"
+    doubt = f"; {setup.prm_note}" if setup.prm_note else ""
     return Fault(
         FaultKind.PRM_FAULT,
         f"refuses the parameters (Prm_Fault{said}): Set_Prm was {sent.hex(' ')}",
-        f"octets 5-6 are the ident, from octet 8 the user parameters ({user}): compare them with its GSD file",
+        f"octets 5-6 are the ident, from octet 8 the user parameters ({user}): compare them with its GSD file{doubt}",
     )
 
 
 def cfg_fault(setup: SlaveSetup, actual: bytes | None) -> Fault:
     """Chk_Cfg refused. ``actual`` is what Get_Cfg gave, None when it gave nothing."""
-    sent = setup.config
+    difference, correction = _compared(setup.config, actual)
     if actual is None:
-        detail, remedy = "", "compare config or telegram with its GSD file (it does not tell its own by Get_Cfg)"
-    elif actual == sent:
-        detail = ", although Get_Cfg names the same"
-        remedy = "check the parameters that choose its telegram"
-    else:
-        pairs = enumerate(zip(sent, actual, strict=False))
-        at = next((i for i, (a, b) in pairs if a != b), min(len(sent), len(actual)))
-        detail = f", it has {actual.hex(' ')}: octet {at + 1} differs"
-        remedy = (
-            f'configure config = "{actual.hex(" ").upper()}" (or its modules) or change the telegram set in the device'
-        )
+        correction = "compare config or telegram with its GSD file (it does not tell its own by Get_Cfg)"
     return Fault(
-        FaultKind.CFG_FAULT, f"refuses the configuration (Cfg_Fault): Chk_Cfg was {sent.hex(' ')}{detail}", remedy
+        FaultKind.CFG_FAULT,
+        f"refuses the configuration (Cfg_Fault): {difference}",
+        correction or "check the parameters that choose its telegram",
     )
 
 
-def not_ready(seconds: float) -> Fault:
-    """Accepts parameters and configuration, never gets ready."""
-    return Fault(
-        FaultKind.NOT_READY,
-        f"accepted parameters and configuration but is not ready after {seconds:g} s (Station_Not_Ready)",
-        "look at the device: it may wait for its own start-up or for modules",
+def _compared(sent: bytes, actual: bytes | None) -> tuple[str, str]:
+    """(what differs, what to do about it): Chk_Cfg as it was ``sent``, and the ``actual`` octets of Get_Cfg, if any.
+
+    The remedy is empty where nothing is known to differ.
+    """
+    said = f"Chk_Cfg was {sent.hex(' ')}"
+    if actual is None:
+        return said, ""
+    if actual == sent:
+        return f"{said}, although Get_Cfg names the same", ""
+    pairs = enumerate(zip(sent, actual, strict=False))
+    at = next((i for i, (a, b) in pairs if a != b), min(len(sent), len(actual)))
+    return (
+        f"{said}, it has {actual.hex(' ')}: octet {at + 1} differs",
+        f'configure config = "{actual.hex(" ").upper()}" (or its modules) or change the telegram set in the device',
     )
 
 
-def waited(diagnosis: Diagnosis, seconds: float) -> Fault:
-    """Never got ready: for which of the two reasons."""
-    return statically_ill(seconds) if diagnosis.stat_diag else not_ready(seconds)
-
-
-def not_taken() -> Fault:
-    """Prm_Req after everything was acknowledged, again and again."""
+def not_ready(setup: SlaveSetup, seconds: float, actual: bytes | None) -> Fault:
+    """Accepts parameters and configuration, never gets ready. ``actual`` as in :func:`cfg_fault`."""
+    difference, correction = _compared(setup.config, actual)
+    look = "look at the device: it may wait for its own start-up or for modules"
     return Fault(
         FaultKind.NOT_READY,
-        "acknowledges parameters and configuration, and then wants parameters again (Prm_Req)",
-        "check ident, config and user parameters with its GSD file, and whether its watchdog is too short for this bus",
+        f"accepted parameters and configuration but is not ready after {seconds:.0f} s (Station_Not_Ready): "
+        f"{difference}",
+        f"{correction}; or {look}" if correction else look,
+    )
+
+
+def not_taken(setup: SlaveSetup, actual: bytes | None) -> Fault:
+    """Prm_Req after everything was acknowledged, again and again. ``actual`` as in :func:`cfg_fault`."""
+    difference, correction = _compared(setup.config, actual)
+    return Fault(
+        FaultKind.NOT_READY,
+        f"acknowledges parameters and configuration, and then wants parameters again (Prm_Req): {difference}",
+        correction
+        or "check ident, config and user parameters with its GSD file; its watchdog may be too short for this bus",
     )
 
 
@@ -137,35 +156,62 @@ def statically_ill(seconds: float) -> Fault:
     )
 
 
-def wrong_length(expected: int, got: int) -> Fault:
-    """Data_Exchange answers of another length than the configuration says."""
+def wrong_length(setup: SlaveSetup, expected: int, got: int, actual: bytes | None) -> Fault:
+    """Data_Exchange answers with ``got`` octets instead of ``expected``. ``actual`` as in :func:`cfg_fault`."""
+    difference, correction = _compared(setup.config, actual)
     return Fault(
         FaultKind.WRONG_LENGTH,
-        f"answers Data_Exchange with {got} octets instead of {expected}",
-        "its real configuration differs from config or telegram here: compare both with its GSD file",
+        f"answers Data_Exchange with {got} octets instead of {expected}: {difference}",
+        correction or "its real configuration differs from config or telegram here: compare both with its GSD file",
     )
+
+
+#: what helps against a negative status of a service of MS0
+_REFUSED: Final = {
+    "RS": "the service access point is not active: another kind of device, or one that needs a restart",
+    "RR": "the device says that it has no resources left for it: it is busy or hangs, look at its fault display",
+    "UE": "the device's own application reports an error: look at its fault display",
+}
+#: the same for Data_Exchange, of a slave whose diagnosis wants no parameters
+_REFUSED_DATA: Final = _REFUSED | {
+    "RS": "it is not in data exchange, although its diagnosis wants no parameters (Prm_Req is 0); the master "
+    "parameterises it again; look at its fault display",
+}
+_NO_ANSWER_TO_IT: Final = "no standard has that answer: another kind of device, or two stations with this address"
 
 
 def refused(service: str, status: str) -> Fault:
-    """RS, UE or RR again and again."""
+    """A negative ``status`` (RS, UE, RR ...) again and again."""
+    known = _REFUSED_DATA if service == "Data_Exchange" else _REFUSED
+    return Fault(FaultKind.REFUSED, f"refuses {service} ({status})", known.get(status, _NO_ANSWER_TO_IT))
+
+
+def prm_silent(sent: bytes) -> Fault:
+    """Alive, but never acknowledges Set_Prm, whose octets were ``sent``."""
     return Fault(
         FaultKind.REFUSED,
-        f"refuses {service} ({status})",
-        "the service access point is not active: another kind of device, or one that needs a restart",
+        f"does not acknowledge Set_Prm although it answers Slave_Diag: Set_Prm was {sent.hex(' ')}",
+        _DROPPED,
     )
 
 
-def silent(service: str) -> Fault:
-    """Alive, but never acknowledges a service."""
+def cfg_silent(setup: SlaveSetup, actual: bytes | None) -> Fault:
+    """Alive, but never acknowledges Chk_Cfg. ``actual`` as in :func:`cfg_fault`."""
+    difference, correction = _compared(setup.config, actual)
     return Fault(
         FaultKind.REFUSED,
-        f"does not acknowledge {service} although it answers Slave_Diag",
-        "some devices drop what they cannot accept: check ident, length and content of what is sent",
+        f"does not acknowledge Chk_Cfg although it answers Slave_Diag: {difference}",
+        correction or _DROPPED,
     )
 
 
-def left(diagnosis: Diagnosis) -> Fault:
-    """Fell out of data exchange by itself."""
+_DROPPED: Final = "some devices drop what they cannot accept: check ident, length and content of what is sent"
+
+
+def left(diagnosis: Diagnosis, status: str) -> Fault:
+    """Fell out of data exchange by itself. ``status``: how it refused Data_Exchange, "" where it did not."""
+    if status and not diagnosis.prm_req:
+        return refused("Data_Exchange", status)
     return Fault(
         FaultKind.LEFT,
         "left data exchange by itself and wants parameters again"

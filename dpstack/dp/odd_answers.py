@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from dpstack.dp import faults
 from dpstack.dp.bringup import Ev
-from dpstack.dp.events import Fault
 from dpstack.fdl.telegram import Kind, Resp, Telegram
 
 _MAX_WRONG: Final = 3
@@ -28,16 +26,16 @@ class OddAnswers:
         self.none = True
         self._wrong = self._busy = 0
 
-    def judge(self, answer: Telegram, expected: int) -> tuple[Ev, Fault | None] | None:
-        """What ``answer`` means to a slave with ``expected`` octets of inputs; None: ask again in the next round."""
+    def judge(self, answer: Telegram) -> Ev | None:
+        """What ``answer`` to Data_Exchange means: WRONG_LENGTH, NOT_EXCHANGING (RS) or REFUSED; None: ask again in
+        the next round.
+        """
         self.none = False
         status = answer.fc & 0x0F
         if answer.kind is Kind.SC or status in _DATA:
             self._wrong += 1
-            if self._wrong < _MAX_WRONG:
-                return None
-            return Ev.WRONG_LENGTH, faults.wrong_length(expected, len(answer.data))
+            return None if self._wrong < _MAX_WRONG else Ev.WRONG_LENGTH
         if status == Resp.RS:
-            return Ev.NOT_EXCHANGING, None
+            return Ev.NOT_EXCHANGING
         self._busy += 1  # UE, RR, NR, RDL, RDH
-        return None if self._busy < _MAX_BUSY else (Ev.REFUSED, None)
+        return None if self._busy < _MAX_BUSY else Ev.REFUSED

@@ -21,8 +21,10 @@ from dpstack.dp.wire import (
 from dpstack.errors import PduError
 from dpstack.params import MAX_STATION
 
-__all__ = ["MAX_REM_SLAVE_DATA", "MAX_USER_PRM", "GlobalControl", "PduError", "SetPrm", "SetSlaveAdd"]
+__all__ = ["MAX_REM_SLAVE_DATA", "MAX_USER_PRM", "SET_PRM_LEN", "GlobalControl", "PduError", "SetPrm", "SetSlaveAdd"]
 
+#: The fixed octets of Set_Prm.
+SET_PRM_LEN: Final = 7
 #: Octets of user parameters that fit after the seven fixed ones.
 MAX_USER_PRM: Final = 237
 
@@ -86,7 +88,8 @@ class SetPrm:
         """Read ``octets``; reserved bits are ignored, factors of 0 are kept as they came. Raises PduError."""
         raw = SET_PRM.parse(octets)
         if len(raw.user_prm) > MAX_USER_PRM:
-            raise PduError(f"Set_Prm has {len(octets)} octets, octet {MAX_USER_PRM + 7} is the last possible one")
+            last = SET_PRM_LEN + MAX_USER_PRM
+            raise PduError(f"Set_Prm has {len(octets)} octets, octet {last} is the last possible one")
         return cls(
             ident=raw.ident,
             user_prm=raw.user_prm,

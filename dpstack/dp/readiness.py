@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Final
 
 from dpstack.dp import faults
@@ -9,11 +10,15 @@ from dpstack.dp.bringup import Ev
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.events import Fault, SlaveState
 from dpstack.dp.judge import verdict_ready
+from dpstack.dp.ms0 import SERVICE_NAMES
+from dpstack.dp.setup import SlaveSetup
+from dpstack.fdl.telegram import SAP_SET_PRM
 from dpstack.units import NS_PER_S
 
 _READY_LIMIT: Final = 10 * NS_PER_S
 _UNACKED_LIMIT: Final = NS_PER_S
 _MAX_PRM_ROUNDS: Final = 3
+_SET_PRM: Final = SERVICE_NAMES[SAP_SET_PRM]
 
 
 class Readiness:
@@ -35,16 +40,33 @@ class Readiness:
         if state is SlaveState.SET_PRM:
             self.cfg_sent = False
 
-    def judge(self, diagnosis: Diagnosis, waited_ns: int) -> tuple[Ev, Fault | None]:
-        """What ``diagnosis`` means ``waited_ns`` after the last step, and what is wrong."""
+    def judge(
+        self, setup: SlaveSetup, diagnosis: Diagnosis, prm_sent: bytes, waited_ns: int
+    ) -> tuple[Ev, Fault | faults.FaultOfCfg | None]:
+        """What ``diagnosis`` means ``waited_ns`` after the last step, and what is wrong.
+
+        ``setup``: of its slave; ``prm_sent``: the octets of its last Set_Prm.
+
+        A :data:`~dpstack.dp.faults.FaultOfCfg` needs the answer to Get_Cfg first.
+        """
         verdict = verdict_ready(diagnosis, cfg_sent=self.cfg_sent)
         if verdict is Ev.DIAG_WAIT:
             if self.unacked and waited_ns > _UNACKED_LIMIT:
-                return Ev.TOO_LONG, faults.silent(self.unacked)
+                return Ev.TOO_LONG, self._silent(setup, prm_sent)
             if waited_ns > _READY_LIMIT:
-                return Ev.TOO_LONG, faults.waited(diagnosis, _READY_LIMIT / NS_PER_S)
+                seconds = _READY_LIMIT / NS_PER_S
+                if diagnosis.stat_diag:
+                    return Ev.TOO_LONG, faults.statically_ill(seconds)
+                return Ev.TOO_LONG, partial(faults.not_ready, setup, seconds)
         elif verdict is Ev.DIAG_PRM_REQ:
             if self._prm_rounds >= _MAX_PRM_ROUNDS:
-                return Ev.REFUSED, faults.silent(self.unacked) if self.unacked else faults.not_taken()
+                if self.unacked:
+                    return Ev.REFUSED, self._silent(setup, prm_sent)
+                return Ev.REFUSED, partial(faults.not_taken, setup)
             self._prm_rounds += 1
+        elif verdict is Ev.DIAG_REFUSED:
+            return verdict, faults.refusal(setup, diagnosis, prm_sent)
         return verdict, None
+
+    def _silent(self, setup: SlaveSetup, prm_sent: bytes) -> Fault | faults.FaultOfCfg:
+        return faults.prm_silent(prm_sent) if self.unacked == _SET_PRM else partial(faults.cfg_silent, setup)

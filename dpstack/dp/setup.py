@@ -80,6 +80,8 @@ class SlaveSetup:
     texts: DiagTexts | None = field(default=None, compare=False, repr=False)
     #: what the drive or device does when its master stops, for people ("coasts after 200 ms")
     on_loss: str = ""
+    #: for people, where the slave refuses ``user_prm``: how its GSD file can be read otherwise, and how to ask for that
+    prm_note: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
         where = f"slave {self.address} ({self.name})"

@@ -8,6 +8,7 @@ The table of states is :mod:`dpstack.dp.bringup`, the texts of the faults :mod:`
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Final
 
 from dpstack.dp import faults
@@ -91,8 +92,12 @@ class SlaveHandler:
         #: the next service takes it up afresh (FCB)
         self.restart = True
         self._ready = Readiness()
-        self._ask_cfg = False
-        self._left = False
+        #: a fault that waits for the answer to Get_Cfg: its event, and its text from these octets (None: no answer)
+        self._inquiry: tuple[Ev, faults.FaultOfCfg] | None = None
+        #: why it left data exchange, until the next diagnosis says more: the status that refused it, "" for Prm_Req
+        self._left: str | None = None
+        #: the octets of the last Set_Prm
+        self._prm_sent = b""
         self._requests = SlaveRequests(setup.address, self)
         #: Data_Exchange with the outputs given; the same object as long as they stay the same
         self.data_request: Callable[[bytes], Request] = self._requests.data
@@ -151,11 +156,14 @@ class SlaveHandler:
         if not isinstance(outcome, Telegram):
             self._step(Ev.SILENT, now, faults.lost("Data_Exchange"))
             return
-        verdict = self._odd.judge(outcome, self.image.input_len)
-        if verdict is not None:
-            event, fault = verdict
-            self._left = fault is None
-            self._step(event, now, fault)
+        verdict = self._odd.judge(outcome)
+        if verdict is Ev.WRONG_LENGTH:
+            # safe outputs and Unlock at once; the fault is told with what Get_Cfg says
+            self._step(verdict, now)
+            self._inquire(verdict, partial(faults.wrong_length, self.setup, self.image.input_len, len(outcome.data)))
+        elif verdict is not None:
+            self._left = refusal_text(outcome)
+            self._step(verdict, now)
 
     # --- services -----------------------------------------------------------------------------------------------
 
@@ -163,6 +171,8 @@ class SlaveHandler:
         """True when a request other than Data_Exchange is due."""
         if self.state is SlaveState.DEACTIVATED:
             return False
+        if self._inquiry is not None:
+            return True
         return self._pacing.due <= now and (self.state is not _DATA_EXCHANGE or self.diag_due)
 
     @property
@@ -185,15 +195,16 @@ class SlaveHandler:
 
     def service_request(self, now: int, *, long: bool = False) -> Request:
         """The next step of the bring-up, or the diagnosis in data exchange. ``long``: wait for an absent slave."""
+        if self._inquiry is not None:
+            return self._service(SAP_GET_CFG, b"")
         if self.state is SlaveState.FAULT:
             self.restart = True
             self._step(Ev.RETRY, now)
         state = self.state
-        if self._ask_cfg:
-            return self._service(SAP_GET_CFG, b"")
         if state is SlaveState.SET_PRM:
             self.owned = True
-            return self._service(SAP_SET_PRM, self.set_prm())
+            self._prm_sent = set_prm(self.setup, self.ident, self.watchdog)
+            return self._service(SAP_SET_PRM, self._prm_sent)
         if state is SlaveState.CHK_CFG:
             self._ready.cfg_sent = True
             return self._service(SAP_CHK_CFG, self.setup.config)
@@ -204,10 +215,6 @@ class SlaveHandler:
         patient = self.state is not SlaveState.OFFLINE
         return self._requests.service(sap, data, patient=patient, restart=restart, long=long)
 
-    def set_prm(self) -> bytes:
-        """The octets of Set_Prm for this slave."""
-        return set_prm(self.setup, self.ident, self.watchdog)
-
     def service_result(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
         """The end of a request that :meth:`service_request` made."""
         if outcome is Failure.ABANDONED or self.state is SlaveState.DEACTIVATED:
@@ -215,7 +222,7 @@ class SlaveHandler:
         good = outcome if isinstance(outcome, Telegram) and positive(request.dsap, outcome) else None
         service = SERVICE_NAMES[request.dsap or 0]
         if request.dsap == SAP_GET_CFG:
-            self._refuse(faults.cfg_fault(self.setup, good.data if good else None), now)
+            self._cfg_told(good.data if good else None, now)
         elif not isinstance(outcome, Telegram):
             self._on_silence(service, now, long=request.extra_ns > 0)
         else:
@@ -270,17 +277,17 @@ class SlaveHandler:
         elif self.state is SlaveState.WAIT_READY:
             self._judge_ready(diagnosis, now)
         else:
-            if self._left:
-                self._left = False
-                self.findings.tell(faults.left(diagnosis), now)
+            if self._left is not None:
+                self.findings.tell(faults.left(diagnosis, self._left), now)
+                self._left = None
             if not self._pacing.pauses(now):
                 self._step(Ev.DIAG_FREE, now)
 
     def _judge_ready(self, diagnosis: Diagnosis, now: int) -> None:
         waited = now - self.since
-        verdict, fault = self._ready.judge(diagnosis, waited)
-        if verdict is Ev.DIAG_REFUSED:
-            self._judge_refusal(diagnosis, now)
+        verdict, fault = self._ready.judge(self.setup, diagnosis, self._prm_sent, waited)
+        if fault is not None and not isinstance(fault, Fault):
+            self._inquire(verdict, fault)
             return
         if verdict is Ev.DIAG_WAIT:
             self._pacing.not_ready(now, waited)
@@ -288,22 +295,37 @@ class SlaveHandler:
             self.findings.remark(faults.NOT_WATCHING, now)
         self._step(verdict, now, fault)
 
-    def _judge_refusal(self, diagnosis: Diagnosis, now: int) -> None:
-        fault = faults.refusal(self.setup, diagnosis, self.set_prm())
-        if fault is not None:
-            self._refuse(fault, now)
-        else:  # what it has instead belongs into the message
-            self._ask_cfg = True
+    def _inquire(self, event: Ev, fault: faults.FaultOfCfg) -> None:
+        """Ask Get_Cfg next: what the slave has instead belongs into the fault before it is told."""
+        self._inquiry = (event, fault)
+        if self.state is SlaveState.FAULT:
+            self.findings.fault = fault(None)
+
+    def _cfg_told(self, actual: bytes | None, now: int) -> None:
+        """The end of Get_Cfg."""
+        if self._inquiry is None:
+            return
+        (event, fault_of), self._inquiry = self._inquiry, None
+        if self.state is SlaveState.FAULT:
+            self.findings.tell(fault_of(actual), now)
+            self._changed(self, now)
+        else:
+            self._step(event, now, fault_of(actual))
 
     def _judge_exchanging(self, diagnosis: Diagnosis, now: int) -> None:
         verdict = verdict_exchanging(diagnosis)
         self.diag_due = verdict is Ev.DIAG_WAIT
         self._pacing.exchanging(now, static=self.diag_due)
         self.image.valid = verdict is Ev.DIAG_READY
-        self._left = verdict is Ev.DIAG_PRM_REQ
+        self._left = "" if verdict is Ev.DIAG_PRM_REQ else None
         fault = None
         if verdict is Ev.DIAG_REFUSED:
-            fault = faults.refusal(self.setup, diagnosis, self.set_prm()) or faults.cfg_fault(self.setup, None)
+            refusal = faults.refusal(self.setup, diagnosis, self._prm_sent)
+            if not isinstance(refusal, Fault):
+                self._step(verdict, now)
+                self._inquire(verdict, refusal)
+                return
+            fault = refusal
         self._step(verdict, now, fault)
         if self.state is SlaveState.DATA_EXCHANGE:
             self.diagnoses.exchanging(diagnosis, self.exchanges, now)
@@ -313,10 +335,6 @@ class SlaveHandler:
     def alarm_counts(self) -> AlarmCounts | None:
         """What came of its alarms; None where it can have none."""
         return None if self.alarms is None else self.alarm_book.counts
-
-    def _refuse(self, fault: Fault, now: int) -> None:
-        self._ask_cfg = False
-        self._step(Ev.DIAG_REFUSED, now, fault)
 
     def _want_diagnosis(self, now: int) -> None:
         if not self.diag_due:
@@ -351,7 +369,8 @@ class SlaveHandler:
             self._pacing.refused(now)
         elif state in (SlaveState.OFFLINE, SlaveState.DEACTIVATED):
             self.restart = True
-            self.owned = self._left = self._ask_cfg = False
+            self.owned = False
+            self._left = self._inquiry = None
             self._silent = 0
             self._pacing.absent(now)
         name, address = self.setup.name, self.setup.address

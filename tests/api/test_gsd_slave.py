@@ -43,7 +43,14 @@ def test_both_readings_and_the_remark() -> None:
         "0/Diagnosis@3.3: its default is 0 (off), the constant octets say 1 (on)); the defaults are used, "
         'defaults = "const" takes the constants',
     )
+    assert refs.setup(500_000).prm_note == (
+        "in its GSD file defaults and constants contradict each other (octets 11, 13, 14, 15 of Set_Prm): the defaults "
+        'were sent, defaults = "const" sends the constants, as some devices need it'
+    )
     const = config(keys + 'defaults = "const"\n').slaves[0]
+    assert const.setup(500_000).prm_note.endswith(
+        'the constants were sent, defaults = "refs" sends the defaults, as some devices need it'
+    )
     assert (const.user_prm.hex(" "), const.notes) == ("c0 00 00 ff 11 0f 00 05 00 00 00", ())
     assert config(keys + 'defaults = "refs"\n').slaves[0].notes == ()
 
@@ -51,6 +58,7 @@ def test_both_readings_and_the_remark() -> None:
 def test_user_prm_in_place_of_the_files() -> None:
     slave = config('gsd = "prm.gsd"\nmodules = ["PLAIN"]\nuser_prm = "01 02 03 04 05"\n').slaves[0]
     assert slave.user_prm == bytes((1, 2, 3, 4, 5))
+    assert slave.setup(500_000).prm_note == ""
 
 
 def test_modules_as_the_file_presets_them() -> None:

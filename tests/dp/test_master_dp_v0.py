@@ -41,7 +41,7 @@ TRANSCRIPTS: dict[str, tuple[str, list[Entry], str, str]] = {
     "ext_diag": ("08 0C 00 02 06 96 03 11 22", [*_UP, _DX], "data_exchange", ""),
     "not_supported": ("12 05 00 FF 06 96", _UP, "fault", "not_supported"),
     "prm_fault": ("42 05 00 FF 06 96", _UP, "fault", "prm_fault"),
-    "prm_req": ("02 05 00 FF 06 96", [*_UP, *(_UP[1:] * 3)], "fault", "not_ready"),
+    "prm_req": ("02 05 00 FF 06 96", [*_UP, *(_UP[1:] * 3), _GET], "fault", "not_ready"),
     "stat_diag": ("00 0E 00 02 06 96", _UP, "wait_ready", ""),
     "wd_on": ("00 0C 00 02 06 96", [*_UP, _DX], "data_exchange", ""),
     "freeze_mode": ("00 1C 00 02 06 96", [*_UP, _DX], "data_exchange", ""),

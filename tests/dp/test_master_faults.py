@@ -8,6 +8,7 @@ import pytest
 from scripted_link import DIAG_FREE, DIAG_READY, MS, ScriptedSlave, data, exchanging, link, setup
 
 from dpstack.dp.events import SlaveFaulted, SlaveState
+from dpstack.dp.v1.status import Dpv1
 from dpstack.fdl.telegram import Kind, Telegram
 from dpstack.fdl.user import Failure, Request
 
@@ -136,10 +137,119 @@ def test_lost_acknowledgement_of_set_prm_goes_on_with_chk_cfg() -> None:
     assert bus.states(3) == ["set_prm", "wait_ready", "chk_cfg", "wait_ready", "data_exchange"]
 
 
-def test_never_ready() -> None:
-    bus = link(setup(), slaves={3: ScriptedSlave(ready=bytes.fromhex("02 0C 00 02 06 96"))})
+#: what the slave answers to Get_Cfg, None: RS; and what the fault says of it
+_GET_CFG = [
+    (b"\xf1", "Chk_Cfg was 71, it has f1: octet 1 differs", 'configure config = "F1"'),
+    (b"\x71\x11", "Chk_Cfg was 71, it has 71 11: octet 2 differs", 'configure config = "71 11"'),
+    (b"\x71", "Chk_Cfg was 71, although Get_Cfg names the same", ""),
+    (None, "Chk_Cfg was 71", ""),
+]
+
+
+def _asked_for_its_cfg(slave: ScriptedSlave, actual: bytes | None) -> ScriptedSlave:
+    if actual is not None:
+        slave.answers[59] = lambda r: data(r, actual)
+    return slave
+
+
+@pytest.mark.parametrize(("actual", "words", "remedy"), _GET_CFG)
+def test_a_slave_that_is_never_ready_is_asked_for_its_configuration(
+    actual: bytes | None, words: str, remedy: str
+) -> None:
+    slave = _asked_for_its_cfg(ScriptedSlave(ready=bytes.fromhex("02 0C 00 02 06 96")), actual)
+    bus = link(setup(), slaves={3: slave})
     bus.run(10_500 * MS)
-    assert bus.faults(3) == ["not_ready"]
+    (told,) = (e.fault for e in bus.events if isinstance(e, SlaveFaulted))
+    assert told.kind.value == "not_ready"
+    assert told.message.endswith(f"is not ready after 10 s (Station_Not_Ready): {words}")
+    assert told.remedy.startswith(remedy)
+    assert "it may wait for its own start-up or for modules" in told.remedy
+    assert [r.dsap for r in bus.requests if r.dsap in (59, 61)] == [61, 59]  # asked once
+    assert bus.states(3)[-2:] == ["wait_ready", "fault"]
+
+
+@pytest.mark.parametrize(("actual", "words", "remedy"), _GET_CFG)
+def test_a_slave_that_never_acknowledges_chk_cfg_is_asked_for_its_configuration(
+    actual: bytes | None, words: str, remedy: str
+) -> None:
+    slave = _asked_for_its_cfg(ScriptedSlave(answers={62: lambda _r: Failure.NO_ANSWER}), actual)
+    slave.answers[60] = lambda r: data(r, bytes.fromhex("02 0C 00 02 06 96"))
+    bus = link(setup(), slaves={3: slave})
+    bus.run(1_500 * MS)
+    (told,) = (e.fault for e in bus.events if isinstance(e, SlaveFaulted))
+    assert told.message == f"does not acknowledge Chk_Cfg although it answers Slave_Diag: {words}"
+    assert told.remedy.startswith(remedy)
+
+
+@pytest.mark.parametrize(("actual", "words", "remedy"), _GET_CFG)
+def test_wrong_length_asks_for_the_configuration_after_safe_outputs_and_unlock(
+    actual: bytes | None, words: str, remedy: str
+) -> None:
+    bus = exchanging(setup(), slaves={3: _asked_for_its_cfg(ScriptedSlave(), actual)})
+    bus.slaves[3].inputs = b"\x01\x02"
+    bus.requests.clear()
+    bus.run(200 * MS)
+    (told,) = (e.fault for e in bus.events if isinstance(e, SlaveFaulted))
+    assert told.kind.value == "wrong_length"
+    assert told.message == f"answers Data_Exchange with 2 octets instead of 4: {words}"
+    assert told.remedy.startswith(remedy)
+    asked = [r.dsap for r in bus.requests if r.da == 3 and r.dsap is not None]
+    assert asked == [61, 59]  # Unlock, then Get_Cfg
+    assert next(r for r in bus.requests if r.dsap == 61).data[0] == 0x40
+    bus.slaves[3].inputs = bytes(4)
+    bus.slaves[3].configured = False
+    bus.run(1_500 * MS)
+    assert bus.master.handlers[3].state is SlaveState.DATA_EXCHANGE
+
+
+def test_cfg_fault_in_data_exchange_names_the_octet_that_differs() -> None:
+    bus = exchanging(setup(), slaves={3: _asked_for_its_cfg(ScriptedSlave(), b"\xf1")})
+    bus.slaves[3].ready = bytes.fromhex("04 0C 00 02 06 96")
+    bus.slaves[3].answers[None] = lambda r: data(r, bytes(4), fc=0x0A)
+    bus.run(200 * MS)
+    (told,) = (e.fault for e in bus.events if isinstance(e, SlaveFaulted))
+    assert told.message == "refuses the configuration (Cfg_Fault): Chk_Cfg was 71, it has f1: octet 1 differs"
+
+
+@pytest.mark.parametrize(
+    ("status", "name", "words"),
+    [(0x02, "RR", "no resources"), (0x01, "UE", "its fault display"), (0x03, "RS", "although its diagnosis wants no")],
+)
+def test_a_slave_that_refuses_data_exchange_and_wants_no_parameters(status: int, name: str, words: str) -> None:
+    bus = exchanging(setup())
+    bus.slaves[3].answers[None] = lambda r: Telegram(Kind.SD1, 2, r.da, status)
+    bus.run(30 * MS)
+    told = next(e.fault for e in bus.events if isinstance(e, SlaveFaulted))
+    assert told.kind.value == "refused"
+    assert told.message == f"refuses Data_Exchange ({name})"
+    assert words in told.remedy
+    assert "watchdog" not in told.text
+
+
+def test_a_slave_that_refuses_data_exchange_and_wants_parameters_has_left_it() -> None:
+    bus = exchanging(setup())
+    bus.slaves[3].answers[None] = lambda r: Telegram(Kind.SD1, 2, r.da, 0x02)
+    bus.slaves[3].ready = bytes.fromhex("02 0D 00 FF 06 96")
+    bus.run(30 * MS)
+    told = next(e.fault for e in bus.events if isinstance(e, SlaveFaulted))
+    assert told.message == "left data exchange by itself and wants parameters again (its watchdog was on)"
+
+
+def test_prm_fault_names_the_octets_that_were_sent_and_the_other_reading() -> None:
+    note = "its GSD file can be read otherwise"
+    bus = link(
+        setup(user_prm=bytes.fromhex("05 00 00"), fail_safe_told=True, fail_safe=True, dpv1=Dpv1(), prm_note=note),
+        slaves={3: ScriptedSlave(ready=bytes.fromhex("42 05 00 FF 06 96"))},
+    )
+    bus.run(20 * MS)
+    (sent,) = {r.data.hex(" ") for r in bus.requests if r.dsap == 61}
+    assert sent == "88 01 14 0b 06 96 00 c5 00 00"  # DPV1_Enable and Fail_Safe are set in the first user octet
+    fault = bus.master.handlers[3].fault
+    assert fault is not None
+    assert fault.text == (
+        "refuses the parameters (Prm_Fault): Set_Prm was 88 01 14 0b 06 96 00 c5 00 00; octets 5-6 are the ident, "
+        f"from octet 8 the user parameters (c5 00 00): compare them with its GSD file; {note}"
+    )
 
 
 def test_slave_dies_and_comes_back_with_a_fresh_start() -> None:
