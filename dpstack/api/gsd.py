@@ -152,9 +152,9 @@ def module_lengths(module: Module) -> tuple[int | None, int | None]:
 
 
 def module_prm(file: GsdFile, module: Module) -> bytes:
-    """The module's part of the user parameters with its defaults; empty where they fit no Set_Prm."""
+    """The module's part of the user parameters with its defaults, in no slot; empty where they fit no Set_Prm."""
     try:
-        return UserPrm(file.device, (module,)).octets_of(1)
+        return UserPrm(file.device, (module,), first_slot=None).octets_of(1)
     except ConfigError:
         return b""
 

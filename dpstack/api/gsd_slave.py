@@ -65,7 +65,7 @@ def read_gsd_slave(table: Table, path: str, preset: Callable[[Device], Configura
     _set_parameters(table, prm)
     octets = _given(table, prm)
     notes = list(configuration.notes)
-    differing = prm.contradictions()
+    differing = [contradiction for contradiction in prm.contradictions() if contradiction.matters]
     if differing and octets is None and reading is Reading.REFS and "defaults" not in table:
         notes.append(
             f"in its GSD file the defaults of {len(differing)} parameters contradict the constant octets (the first: "

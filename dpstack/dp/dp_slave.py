@@ -112,7 +112,7 @@ class DpSlave(FunctionDevice):
             on_initiate=on_initiate,
             on_im=on_im,
         )
-        first = description.configs[0] if description.configs else description.modules[0].config
+        first = description.default_config
         real = first if config is None else octets(f"slave {description.name}: config", config, ConfigError)
         reason = description.check_cfg(real)
         if reason is not None:

@@ -44,6 +44,8 @@ class SlaveModule:
 class SlaveDescription:
     """One type of slave. Fixed: ``configs``, all that it accepts, the default first. Modular: ``modules`` instead.
 
+    ``presets``: modules of a modular slave that stand first in every configuration [FixPresetModules].
+
     ``ident`` [Ident_Number]; ``max_modules`` [Max_Module]; ``max_input_len``, ``max_output_len``, ``max_data_len``
     [Max_Input_Len ...] in octets, the last for both together; ``user_prm_len``: fewest and most octets of user
     parameters [Max_User_Prm_Data_Len]; ``sync``, ``freeze``, ``fail_safe``, ``set_slave_add``, ``wd_base_1ms``
@@ -64,6 +66,7 @@ class SlaveDescription:
     name: str = "slave"
     configs: tuple[bytes, ...] = ()
     modules: tuple[SlaveModule, ...] = ()
+    presets: tuple[SlaveModule, ...] = ()
     max_modules: int = 1
     max_input_len: int = MAX_DATA
     max_output_len: int = MAX_DATA
@@ -109,6 +112,8 @@ class SlaveDescription:
             raise self._wrong(f"ident {self.ident:#x} does not fit two octets")
         if bool(self.configs) is bool(self.modules):
             raise self._wrong("give configs (a fixed slave) or modules (a modular one)")
+        if self.presets and not self.modules:
+            raise self._wrong("presets without modules: give configs that begin with them")
         for config in self.configs:
             reason = self._too_long(config)
             if reason is not None:
@@ -141,6 +146,13 @@ class SlaveDescription:
         return ConfigError(f"slave {self.name}: {what}")
 
     # --- what follows from it -----------------------------------------------------------------------------------
+
+    @property
+    def default_config(self) -> bytes:
+        """The identifier octets it has until Chk_Cfg says others: the first it accepts, its presets or first module."""
+        if self.configs:
+            return self.configs[0]
+        return b"".join(preset.config for preset in self.presets) or self.modules[0].config
 
     @property
     def alarm_support(self) -> AlarmSupport:
@@ -227,10 +239,16 @@ class SlaveDescription:
         return None
 
     def _check_modules(self, config: bytes) -> str | None:
-        """Whether ``config`` is a row of modules, each any number of times, ``max_modules`` together at most."""
+        """Whether ``config`` is ``presets`` and a row of modules, each any number of times, ``max_modules`` together at
+        most.
+        """
+        first = b"".join(preset.config for preset in self.presets)
+        if not config.startswith(first):
+            return f"the configuration does not begin with {first.hex(' ').upper()}, the fixed presets of this slave"
         known = {module.config for module in self.modules}  # there may be more than a thousand
         lengths = {len(octets) for octets in known}
-        fewest: list[int | None] = [0] + [None] * len(config)  # modules that make up the octets until here
+        fewest: list[int | None] = [None] * (len(config) + 1)  # modules that make up the octets until here
+        fewest[len(first)] = len(self.presets)
         reached = 0
         for at, count in enumerate(fewest):
             if count is None:

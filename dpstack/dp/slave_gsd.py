@@ -15,7 +15,7 @@ from dpstack.dp.v1.records import MAX_RECORD
 from dpstack.dp.v1.status import ALARM_KEYWORDS, ALARM_LIMITS, DPV1_STATUS_LEN
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
-from dpstack.gsd.configuration import Configuration
+from dpstack.gsd.configuration import Configuration, fixed_modules, plug
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.gsd.model import Device
 
@@ -30,9 +30,9 @@ def slave_description(
 
     ``chosen``: what is plugged into it, and nothing else is accepted then, nor user parameters of another length than
     these modules have (blocks may follow where the file has them). None: a compact station accepts any one of its
-    modules, a modular one any row of them and of empty slots within its limits, both up to Max_User_Prm_Data_Len octets
-    of user parameters; modules that the file breaks off in, or whose identifier octets contradict themselves, are left
-    out. ``ident`` where the file has none. Raises ConfigError.
+    modules, a modular one any row of them and of empty slots within its limits, behind its fixed presets, both up to
+    Max_User_Prm_Data_Len octets of user parameters; modules that the file breaks off in, or whose identifier octets
+    contradict themselves, are left out. ``ident`` where the file has none. Raises ConfigError.
     """
     number = device.ident if ident is None else ident
     if number is None:
@@ -42,12 +42,16 @@ def slave_description(
     prm = 0 if chosen is None else len(chosen.user_prm().octets())
     longest = _within(most, MAX_USER_PRM)
     dpv1 = device.dpv1.slave and (prm or longest) >= DPV1_STATUS_LEN
+    presets = fixed_modules(device) if chosen is None else ()
+    if presets and len(presets) == len(device.modules):
+        chosen, presets = plug(device, presets), ()
     structured = device.dpv1.prm_block_structure or device.dpv1.prm_block_structure_required
     return SlaveDescription(
         ident=number,
         name=name or device.model or "slave",
         configs=() if chosen is None else (chosen.config,),
         modules=_modules(device) if chosen is None else (),
+        presets=tuple(SlaveModule(m.name, m.config) for m in presets if m.config),
         max_modules=1 if compact else device.max_module or MAX_DATA,
         # a compact station has no need of these keywords: they count for a modular one
         max_input_len=_within(None if compact else device.max_input_len, MAX_DATA),
@@ -90,7 +94,10 @@ def _alarms(device: Device) -> dict[str, Any]:
 
 
 def _modules(device: Device) -> tuple[SlaveModule, ...]:
-    usable = tuple(SlaveModule(m.name, m.config) for m in device.modules if m.complete and _possible(m.config))
+    fixed = fixed_modules(device)
+    usable = tuple(
+        SlaveModule(m.name, m.config) for m in device.modules if m.complete and _possible(m.config) and m not in fixed
+    )
     if not usable:
         raise ConfigError(f"{device.model or 'the GSD file'} has no module with identifier octets")
     return (*usable, SlaveModule("empty slot", _EMPTY_SLOT)) if device.modular else usable

@@ -10,8 +10,8 @@ from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Final, TypeAlias
 
 from dpstack.gsd.findings import Findings
-from dpstack.gsd.lexer import Statement, first_number, number, ranges, string
-from dpstack.gsd.model import PrmKind, PrmType, Ranges, Raw, Slot, ranges_text
+from dpstack.gsd.lexer import Statement, first_number, number, ranges, ranges_only, string
+from dpstack.gsd.model import PrmKind, PrmType, Ranges, Raw, Slot, in_ranges, ranges_text
 
 #: (block, statement, line)
 Handler: TypeAlias = Callable[[Any, Statement, int], None]
@@ -51,7 +51,7 @@ def text_item(block: Block, statement: Statement, line: int, what: str) -> tuple
         if at is None or text is None or not closed:
             statement.item = False
         else:
-            item = statement.item = (at, text)
+            item = statement.item = (at, text.strip())
             return item
     if isinstance(item, tuple):
         return item
@@ -177,6 +177,9 @@ def _type_item(statement: Statement) -> _TypeItem | str:
     default, rest = first_number(statement.value)
     if default is None:
         return f"no default value in {statement.written} {statement.value}; the parameter is left out"
+    only = ranges_only(statement.value)
+    if only is not None:
+        return _without_default(kind, only)
     allowed = ranges(rest)
     if allowed is None:
         return kind, default, (), f"allowed values {rest!r} cannot be read; every value of {kind.text} is allowed"
@@ -189,6 +192,16 @@ def _type_item(statement: Statement) -> _TypeItem | str:
     if allowed and not any(a <= default <= b for a, b in allowed):
         return kind, default, allowed, f"default {default} is not among the allowed values {ranges_text(allowed)}"
     return kind, default, allowed, ""
+
+
+def _without_default(kind: PrmType, allowed: Ranges) -> _TypeItem:
+    """``Bit(0)  0-1``: the default is 0, or the lowest value where 0 is not allowed."""
+    default = 0 if in_ranges(0, allowed) else min(low for low, _ in allowed)
+    problem = f"no default value in front of the range {ranges_text(allowed)}; {default} is used"
+    lowest, highest = kind.limits
+    if any(not lowest <= low <= high <= highest for low, high in allowed):
+        problem = f"allowed values {ranges_text(allowed)} do not fit {kind.text}; the default is {default}"
+    return kind, default, allowed, problem
 
 
 def _bits(statement: Statement) -> PrmType | None:
@@ -217,6 +230,7 @@ class SlotBlock(Block):
         """``Slot(1) = "name" default allowed`` (module references)."""
         at = number(statement.index) if statement.index else None
         name, rest, _ = string(statement.value)
+        name = (name or "").strip()
         default, rest = first_number(rest)
         allowed = ranges(rest)
         if at is None or allowed is None:
@@ -230,7 +244,7 @@ class SlotBlock(Block):
         if any(slot.number == at for slot in self.slots):
             self.findings.warning(line, statement.column, f"Slot({at}) stands twice; the last one counts")
             self.slots = [slot for slot in self.slots if slot.number != at]
-        self.slots.append(Slot(at, name or "", default, allowed, line))
+        self.slots.append(Slot(at, name, default, allowed, line))
 
     handlers = {"slot": slot}
 

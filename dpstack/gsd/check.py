@@ -1,48 +1,68 @@
-"""What a whole file leaves to be said once it is read: defaults that contradict their constants, missing modules."""
+"""Findings on a whole GSD file: defaults against constants, slots nobody can plug, PROFIsafe, missing modules."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
 from dpstack.errors import GsdError
+from dpstack.gsd.configuration import f_notes, first_slot
 from dpstack.gsd.model import Device, Diagnostic, GsdFile, ordered
-from dpstack.gsd.prm import UserPrm
+from dpstack.gsd.prm import Contradiction, Reading, UserPrm
 from dpstack.trace import Severity
 
 
 def check(file: GsdFile) -> tuple[Diagnostic, ...]:
-    """The diagnostics of ``file`` and those on its user parameters and modules, by place."""
-    found = [*file.diagnostics, *_prm_findings(file.device)]
-    if file.device.modular and not file.device.modules:
+    """The diagnostics of ``file`` and those on its user parameters, slots and modules, by place."""
+    device = file.device
+    found = [*file.diagnostics, *_prm_findings(device), *_slot_findings(device)]
+    if device.modular and not device.modules:
         text = "a modular station (Modular_Station = 1) without any Module: the file may be cut short; get a whole copy"
         found.append(Diagnostic(0, 0, Severity.WARNING, text))
+    for text in f_notes(device, device.modules, None):
+        line = next((module.line for module in device.modules if module.f_parameters), 0)
+        found.append(Diagnostic(0 if device.f_parameters else line, 1, Severity.WARNING, text))
     return ordered(found)
 
 
 def _prm_findings(device: Device) -> Iterator[Diagnostic]:
+    """User parameters that fit nowhere, and one finding on all defaults that contradict constant octets."""
     try:
         own = UserPrm(device)
     except GsdError as error:
         yield Diagnostic(device.prm.line, 1, Severity.WARNING, str(error))
         return
-    yield from _contradictions(own, "the device", device.prm.line)
+    found = [(device.prm.line, "the device", contradiction) for contradiction in _contradictions(own)]
+    bare = Device(parameters=device.parameters)
     for module in device.modules:
         if module.prm.consts and module.prm.refs:
-            bare = Device(parameters=device.parameters)
             try:
-                yield from _contradictions(UserPrm(bare, (module,)), f"module {module.title}", module.prm.line)
+                prm = UserPrm(bare, (module,), first_slot=None)
             except GsdError as error:
                 yield Diagnostic(module.prm.line, 1, Severity.WARNING, f"module {module.title}: {error}")
-
-
-def _contradictions(prm: UserPrm, title: str, line: int) -> Iterator[Diagnostic]:
-    found = prm.contradictions()
+                continue
+            found += [(module.prm.line, f"module {module.title}", c) for c in _contradictions(prm)]
     if found:
-        more = f" and {len(found) - 1} more" if len(found) > 1 else ""
-        text = found[0].text.partition("/")[2]
+        line, title, first = min(found, key=lambda item: item[0])
+        more = f"; {len(found) - 1} more in this file" if len(found) > 1 else ""
         yield Diagnostic(
             line,
             1,
             Severity.WARNING,
-            f"{title}: defaults contradict the constant octets ({text}{more}); the defaults are used unless asked",
+            f"{title}: defaults contradict the constant octets ({first.field.local_key}: {first.readings}{more}); the "
+            f'defaults are used, defaults = "{Reading.CONST.value}" takes the constants',
         )
+
+
+def _contradictions(prm: UserPrm) -> list[Contradiction]:
+    return [contradiction for contradiction in prm.contradictions() if contradiction.matters]
+
+
+def _slot_findings(device: Device) -> Iterator[Diagnostic]:
+    """Slots of SlotDefinition that no module can ever be plugged into."""
+    first = first_slot(device)
+    last = first + device.max_module - 1 if device.max_module else None
+    for slot in device.slots:
+        if slot.number < first or (last is not None and slot.number > last):
+            slots = f"slots begin with {first}" if last is None else f"slots are {first}..{last}"
+            text = f"Slot({slot.number}) is never used: the {slots} (Modul_Offset, else 1; Max_Module)"
+            yield Diagnostic(slot.line, 1, Severity.WARNING, text)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import difflib
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,7 +10,7 @@ from dpstack.errors import ConfigError, GsdError
 from dpstack.gsd.diag_texts import DiagTexts
 from dpstack.gsd.identifiers import MAX_IO, io_lengths
 from dpstack.gsd.model import Device, Module, Slot, folded, in_ranges, ranges_text
-from dpstack.gsd.prm import Reading, UserPrm
+from dpstack.gsd.prm import Reading, UserPrm, near_names
 
 #: the identifier octet of an empty slot
 _EMPTY = b"\0"
@@ -39,10 +38,18 @@ class Configuration:
 
 
 def first_slot(device: Device) -> int:
-    """The number of the first slot: as SlotDefinition or Modul_Offset says, else 1."""
-    if device.slots:
-        return min(slot.number for slot in device.slots)
+    """The number of the first slot: Modul_Offset, else 1."""
     return 1 if device.modul_offset is None else device.modul_offset
+
+
+def fixed_modules(device: Device) -> tuple[Module, ...]:
+    """The modules that every configuration begins with: Preset = 1 in a file with FixPresetModules = 1.
+
+    Raises GsdError where one of them is damaged in the file.
+    """
+    if not device.fix_preset_modules:
+        return ()
+    return tuple(_usable(module) for module in device.modules if module.preset)
 
 
 def default_modules(device: Device) -> tuple[Module, ...] | None:
@@ -53,8 +60,13 @@ def default_modules(device: Device) -> tuple[Module, ...] | None:
     preset = tuple(module for module in usable if module.preset)
     if preset:
         return preset
-    found = [device.module_numbered(slot.default) for slot in device.slots if slot.default is not None]
-    if found and len(found) == len(device.slots) and all(found):
+    # a row without gaps from the first slot on: of a slot that is not listed the file says nothing
+    slots = {slot.number: slot for slot in device.slots}
+    numbers = range(first_slot(device), first_slot(device) + len(slots))
+    found = [
+        device.module_numbered(slot.default) for n in numbers if (slot := slots.get(n)) and slot.default is not None
+    ]
+    if found and len(found) == len(slots) and all(found):
         return tuple(module for module in found if module is not None)
     return None
 
@@ -75,7 +87,7 @@ def find_module(device: Device, wanted: int | str) -> Module:
     named = device.modules_named(wanted)
     if not named:
         return _usable(_by_digits(device, wanted))
-    if len({(m.config, m.prm.consts, m.prm.refs, m.prm.length) for m in named}) > 1:
+    if len({_sent(m) for m in named}) > 1:
         numbers = ", ".join(str(m.reference) for m in named if m.reference is not None)
         hint = f"give the reference number: {numbers}" if numbers else "the file gives them no numbers: use config"
         raise GsdError(f"{len(named)} modules are called {wanted!r}; {hint}")
@@ -88,14 +100,16 @@ def _by_digits(device: Device, wanted: str) -> Module:
         numbered = device.module_numbered(int(wanted))
         if numbered is not None:
             return numbered
-    by_fold = {folded(m.name): m.name for m in device.modules}
-    near = difflib.get_close_matches(folded(wanted), list(by_fold), n=3, cutoff=0.4)
-    if not near:
-        near = [name for name in by_fold if folded(wanted) in name][:3]
-    names = ", ".join(repr(by_fold[n]) for n in near) or ", ".join(repr(n) for n in list(by_fold.values())[:8])
+    near = near_names(wanted, (m.name for m in device.modules), 0.4)
+    names = ", ".join(map(repr, near or list(dict.fromkeys(m.name for m in device.modules))[:8]))
     raise GsdError(
         f"there is no module {wanted!r}; " + (f"nearest are {names}" if names else "the file has no modules")
     )
+
+
+def _sent(module: Module) -> tuple[object, ...]:
+    """Everything of a module that goes out on the wire."""
+    return module.config, module.prm.consts, module.prm.refs, module.prm.length
 
 
 def _usable(module: Module) -> Module:
@@ -110,7 +124,8 @@ def _usable(module: Module) -> Module:
 def configure(device: Device, wanted: Sequence[int | str] | None = None) -> Configuration:
     """Plug ``wanted`` (names or reference numbers in slot order, "" for an empty slot; None: what the file presets).
 
-    Raises GsdError (``what; what to do``): unknown modules, too many, too long, not allowed in their slot.
+    Fixed presets stand first; ``wanted`` begins with all of them, or leaves them out. Raises GsdError (``what; what to
+    do``): unknown modules, too many, too long, not allowed in their slot, fixed presets elsewhere.
     """
     if wanted is None:
         preset = default_modules(device)
@@ -118,8 +133,32 @@ def configure(device: Device, wanted: Sequence[int | str] | None = None) -> Conf
             raise GsdError(_no_choice(device))
         modules: tuple[Module | None, ...] = preset
     else:
-        modules = tuple(None if name == "" else find_module(device, name) for name in wanted)
+        modules = _named(device, wanted)
     return plug(device, modules)
+
+
+def _named(device: Device, wanted: Sequence[int | str]) -> tuple[Module | None, ...]:
+    """The modules called so. A name that a fixed preset shares with another module, the same in everything that is
+    sent, is the preset in front and the other one elsewhere.
+    """
+    modules = [None if name == "" else find_module(device, name) for name in wanted]
+    fixed = fixed_modules(device)
+    row = list(zip(wanted, modules, strict=True))
+    leading = len(row) >= len(fixed) and all(
+        module is preset or (isinstance(name, str) and module is not None and _twins(module, preset))
+        for (name, module), preset in zip(row, fixed, strict=False)
+    )
+    if leading:
+        modules[: len(fixed)] = fixed
+    for at, (name, module) in enumerate(row):
+        if isinstance(name, str) and module in fixed and not (leading and at < len(fixed)):
+            others = (m for m in device.modules if m not in fixed and m.complete and module and _twins(m, module))
+            modules[at] = next(others, module)
+    return tuple(modules)
+
+
+def _twins(one: Module, other: Module) -> bool:
+    return folded(one.name) == folded(other.name) and _sent(one) == _sent(other)
 
 
 def _no_choice(device: Device) -> str:
@@ -133,9 +172,10 @@ def configuration_like(device: Device, config: bytes, lengths: tuple[int, int]) 
     """What is plugged for a telegram: the preset, or one module, with the identifier octets ``config``, or else with
     ``lengths``, (input octets, output octets). Raises GsdError where there is none, or more than one.
     """
-    preset = default_modules(device)
+    preset, fixed = default_modules(device), fixed_modules(device)
     rows = [preset] if preset else []
-    rows += [(module,) for module in device.modules if module.complete and (module,) != preset]
+    others = [module for module in device.modules if module.complete and module not in fixed]
+    rows += [(*fixed, module) for module in others if (*fixed, module) != preset]
     possible: list[Configuration] = []
     for row in rows:
         with contextlib.suppress(GsdError):
@@ -151,11 +191,15 @@ def configuration_like(device: Device, config: bytes, lengths: tuple[int, int]) 
 
 
 def plug(device: Device, modules: Sequence[Module | None]) -> Configuration:
-    """A configuration of these very modules. Raises GsdError."""
-    _check_count(device, modules)
+    """A configuration of these very modules, behind the fixed presets where they do not begin with them.
+
+    Raises GsdError.
+    """
+    row = _behind_fixed(device, modules)
+    _check_count(device, row)
     first = first_slot(device)
-    _check_slots(device, modules, first)
-    config = b"".join(_EMPTY if module is None else module.config for module in modules)
+    _check_slots(device, row, first)
+    config = b"".join(_EMPTY if module is None else module.config for module in row)
     if not config:
         raise GsdError("no module with identifier octets is plugged; name at least one")
     if len(config) > MAX_IO:
@@ -172,35 +216,74 @@ def plug(device: Device, modules: Sequence[Module | None]) -> Configuration:
         # a compact device has no need of these keywords: 0 means nothing there
         if limit is not None and (device.modular or limit) and length > limit:
             raise GsdError(f"{length} octets of {what}, the device has at most {limit}; take out modules")
-    return Configuration(device, tuple(modules), first, config, inputs, outputs, _notes(device, modules))
+    found = Configuration(device, row, first, config, inputs, outputs, _notes(device, row, first))
+    found.user_prm()  # refuses what does not fit
+    return found
+
+
+def _behind_fixed(device: Device, modules: Sequence[Module | None]) -> tuple[Module | None, ...]:
+    """``modules`` with the fixed presets in front. Raises GsdError for one that stands elsewhere, or twice."""
+    fixed = fixed_modules(device)
+    rest = tuple(modules)
+    if rest[: len(fixed)] == fixed:
+        rest = rest[len(fixed) :]
+    for module in rest:
+        if module is not None and module in fixed:
+            raise GsdError(
+                f"module {module.title} is a fixed preset (FixPresetModules = 1) and stands once, in slot "
+                f"{first_slot(device) + fixed.index(module)}; leave it out, or let the modules begin with all fixed "
+                f"presets: {', '.join(preset.title for preset in fixed)}"
+            )
+    return fixed + rest
 
 
 def _check_count(device: Device, modules: Sequence[Module | None]) -> None:
     limit = device.max_module
     if limit and device.modular and len(modules) > limit:
-        raise GsdError(f"{len(modules)} modules, the device takes at most {limit} (Max_Module); take out some")
+        fixed = len(fixed_modules(device))
+        among = f" with the {fixed} fixed preset{'s' * (fixed > 1)}" if fixed else ""
+        raise GsdError(f"{len(modules)} modules{among}, the device takes at most {limit} (Max_Module); take out some")
 
 
 def _check_slots(device: Device, modules: Sequence[Module | None], first: int) -> None:
+    """A slot that SlotDefinition does not list takes every module."""
     slots = {slot.number: slot for slot in device.slots}
     for number, module in enumerate(modules, first):
         slot = slots.get(number)
-        if slots and slot is None:
-            raise GsdError(f"slot {number} is not in the file's SlotDefinition; slots are {sorted(slots)}")
         if slot is not None and module is not None:
             _check_slot(slot, module)
 
 
 def _check_slot(slot: Slot, module: Module) -> None:
-    if module.reference is None or not in_ranges(module.reference, slot.allowed):
+    if slot.allowed and (module.reference is None or not in_ranges(module.reference, slot.allowed)):
         name = f" ({slot.name})" if slot.name else ""
         raise GsdError(
             f"module {module.title} is not allowed in slot {slot.number}{name}; "
-            f"allowed references: {ranges_text(slot.allowed) or 'any'}"
+            f"allowed references: {ranges_text(slot.allowed)}"
         )
 
 
-def _notes(device: Device, modules: Sequence[Module | None]) -> tuple[str, ...]:
+def _notes(device: Device, modules: Sequence[Module | None], first: int) -> tuple[str, ...]:
+    notes = []
     if not device.modular and len(modules) > 1:
-        return ("the device is no modular station (Modular_Station = 0), but several modules are plugged",)
-    return ()
+        notes.append("the device is no modular station (Modular_Station = 0), but several modules are plugged")
+    return (*notes, *f_notes(device, modules, first))
+
+
+def f_notes(device: Device, modules: Sequence[Module | None], first: int | None) -> tuple[str, ...]:
+    """A text for people where ``device`` or ``modules`` have F_ parameters (PROFIsafe), else nothing.
+
+    ``first``: the number of their first slot; None: they are in no slot.
+    """
+    places = ["the device itself"] if device.f_parameters else []
+    for number, module in enumerate(modules):
+        if module is not None and module.f_parameters:
+            places.append(f"module {module.title}" + ("" if first is None else f" in slot {first + number}"))
+    if not places:
+        return ()
+    more = f" and {len(places) - 3} more" if len(places) > 3 else ""
+    verb = "have" if len(places) > 1 else "has"
+    return (
+        f"{', '.join(places[:3])}{more} {verb} F_ parameters (PROFIsafe), but dpstack is no F-host: their F octets are "
+        f"missing in Set_Prm, which the device may refuse, and nothing safety-related works; use an F-host for them",
+    )

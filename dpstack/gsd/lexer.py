@@ -22,6 +22,8 @@ _LINE: Final = re.compile(
 _NUMBER: Final = r"[+-]?(?:0[xX][0-9a-fA-F]{1,16}|[0-9]{1,20})"
 _ONE: Final = re.compile(rf"{_NUMBER}\Z")
 _RANGE: Final = re.compile(rf"({_NUMBER})[ \t]*+-[ \t]*+({_NUMBER})\Z")
+#: a minus behind a blank belongs to the number behind it, unless a blank follows
+_RANGE_IN_FRONT: Final = re.compile(rf"{_NUMBER}(?:-[ \t]*+|[ \t]++-[ \t]++){_NUMBER}[ \t]*+(?:,|\Z)")
 _FIRST: Final = re.compile(rf"({_NUMBER})(?![\w.])[ \t,]*+")
 _STRING: Final = re.compile(r'"([^"]*+)("?)[ \t]*+')
 #: what most numbers in GSD files look like
@@ -127,6 +129,14 @@ def first_number(text: str) -> tuple[int | None, str]:
     """(the number in front, the rest behind it); None where no number stands in front."""
     match = _FIRST.match(text)
     return (None, text) if match is None else (_int(match[1]), text[match.end() :])
+
+
+def ranges_only(text: str) -> Ranges | None:
+    """``0-1``, ``5 - 9, 12``: a list of values that begins with a range, so that no number stands in front of it;
+    None for anything else. ``0 -1`` is a number and a value.
+    """
+    match = _RANGE_IN_FRONT.match(text)
+    return None if match is None else ranges(text)
 
 
 def string(text: str) -> tuple[str | None, str, bool]:

@@ -217,6 +217,11 @@ class Module:
     line: int = 0
 
     @property
+    def f_parameters(self) -> bool:
+        """It has parameters of PROFIsafe (F_Ext_User_Prm_Data_Const and their like)."""
+        return any(_is_f(raw.keyword) for raw in self.raw)
+
+    @property
     def title(self) -> str:
         """Name with reference for messages."""
         return f"{self.name!r}" if self.reference is None else f"{self.name!r} (reference {self.reference})"
@@ -360,6 +365,11 @@ class Device:
     settings: Mapping[str, str] = field(default_factory=dict)
     raw: tuple[Raw, ...] = ()
 
+    @property
+    def f_parameters(self) -> bool:
+        """The device itself has parameters of PROFIsafe, beside those of its modules."""
+        return any(_is_f(raw.keyword) for raw in self.raw if not raw.block) or any(map(_is_f, self.settings))
+
     def max_tsdr(self, baud: int) -> int | None:
         """MaxTsdr in bit times at ``baud`` bit/s; None where the file does not say."""
         return next((speed.max_tsdr for speed in self.speeds if speed.baud == baud), None)
@@ -387,6 +397,10 @@ class GsdFile:
     def of(self, severity: Severity) -> tuple[Diagnostic, ...]:
         """The findings of one severity."""
         return tuple(d for d in self.diagnostics if d.severity is severity)
+
+
+def _is_f(keyword: str) -> bool:
+    return keyword[:2].lower() == "f_"
 
 
 def folded(name: str) -> str:

@@ -2,7 +2,8 @@
 
 A GSD file says them twice: as constants (Ext_User_Prm_Data_Const) and as defaults of named parameters
 (Ext_User_Prm_Data_Ref), and the two contradict each other in one file of six. :class:`Reading` says which counts; what
-is set by name counts in both.
+is set by name counts in both. A module's parameter called ``[SlotNumber]`` (ISO 15745-3) gets the number of the
+module's slot in both.
 """
 
 from __future__ import annotations
@@ -28,9 +29,10 @@ class Reading(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """One parameter at its place. ``slot`` 0 is the device itself, modules have theirs; ``at``: octet of the whole.
+    """One parameter at its place. ``at``: octet of the whole, ``offset``: octet of the device's or the module's part.
 
-    ``offset`` is the one in the file, within the device's or the module's part. ``set``: the user has set it.
+    ``slot``: the number of the module's slot; of the device itself 0, with ``place`` "device" where a module is in
+    slot 0. ``set``: the user has set it. ``slot_number``: its value is always the number of its slot.
     """
 
     slot: int
@@ -39,13 +41,20 @@ class Field:
     parameter: Parameter
     value: int
     set: bool = False
+    slot_number: bool = False
+    place: str = "0"
 
     @property
     def key(self) -> str:
         """How to name it without doubt: ``2/Filter@4``, bits ``2/Filter@4.3``."""
+        return f"{self.place}/{self.local_key}"
+
+    @property
+    def local_key(self) -> str:
+        """Its key within the device's or the module's part: ``Filter@4``, ``Filter@4.3``."""
         kind = self.parameter.type
         bit = f".{kind.first}" if kind.kind in (PrmKind.BIT, PrmKind.BIT_AREA) else ""
-        return f"{self.slot}/{self.parameter.name}@{self.offset}{bit}"
+        return f"{self.parameter.name}@{self.offset}{bit}"
 
     @property
     def text(self) -> str:
@@ -61,12 +70,22 @@ class Contradiction:
     const: int
 
     @property
+    def matters(self) -> bool:
+        """The constant bits are not all zero. Zero bits below a parameter are the usual way to write a GSD file."""
+        return self.const != 0
+
+    @property
     def text(self) -> str:
         """One line."""
-        f = self.field
+        return f"{self.field.key}: {self.readings}"
+
+    @property
+    def readings(self) -> str:
+        """What each reading sends, without the parameter's name."""
+        parameter = self.field.parameter
         return (
-            f"{f.key}: its default is {_shown(f.parameter, f.parameter.default)}, the constant octets say "
-            f"{_shown(f.parameter, self.const)}"
+            f"its default is {_shown(parameter, parameter.default)}, the constant octets say "
+            f"{_shown(parameter, self.const)}"
         )
 
 
@@ -98,7 +117,9 @@ class _Part:
 class UserPrm:
     """The user parameters of ``device`` with ``modules`` in slot order (None: an empty slot).
 
-    Slots are numbered from ``first_slot``. Raises GsdError where they do not fit a Set_Prm or the device.
+    Slots are numbered from ``first_slot``; None: the modules are in no slot, and ``[SlotNumber]`` keeps its default.
+    Raises GsdError where they do not fit a Set_Prm or the device, or where a module may not have the number of its
+    slot.
     """
 
     def __init__(
@@ -106,7 +127,7 @@ class UserPrm:
         device: Device,
         modules: Sequence[Module | None] = (),
         reading: Reading = Reading.REFS,
-        first_slot: int = 1,
+        first_slot: int | None = 1,
     ) -> None:
         self.device = device
         self.reading = reading
@@ -150,7 +171,7 @@ class UserPrm:
     def _octets_of(self, part: _Part) -> bytearray:
         octets = bytearray(part.const)
         for field in part.fields:
-            value = self._set.get(field.key)
+            value = field.slot if field.slot_number else self._set.get(field.key)
             if value is None and self.reading is Reading.REFS:
                 value = field.parameter.default
             if value is not None:
@@ -164,6 +185,8 @@ class UserPrm:
         """
         field = self.find(key)
         parameter = field.parameter
+        if is_slot_number(parameter):
+            raise GsdError(f"parameter {field.key} is the number of the slot and cannot be set; leave it out")
         if not parameter.changeable:
             raise GsdError(f"parameter {field.key} may not be changed (Changeable = 0); leave it out")
         self._set[field.key] = value_of(parameter, value)
@@ -198,14 +221,24 @@ class UserPrm:
         )
 
     def contradictions(self) -> tuple[Contradiction, ...]:
-        """Defaults that differ from the constants at their place."""
+        """Defaults that differ from the constants at their place, of parameters that the user has not set."""
         found = []
         for part in self._parts:
             for field in part.fields:
+                if field.slot_number or field.key in self._set:
+                    continue
                 const = take(part.const, field.offset, field.parameter.type)
                 if const != _fitted(field.parameter):
                     found.append(Contradiction(field, const))
         return tuple(found)
+
+
+def is_slot_number(parameter: Parameter) -> bool:
+    """ISO 15745-3: a parameter of this name holds the number of the module's slot, whatever GSD_Revision says."""
+    return folded(parameter.name) == _SLOT_NUMBER
+
+
+_SLOT_NUMBER: Final = folded("[SlotNumber]")
 
 
 def value_of(parameter: Parameter, value: int | str | bool) -> int:
@@ -240,17 +273,37 @@ def _number(parameter: Parameter, value: int | str | bool) -> int:
 
 
 _CLOSE: Final = 0.5
+#: names that a refusal tells
+_HINTS: Final = 3
+
+
+def near_names(wanted: str, names: Iterable[str], cutoff: float) -> list[str]:
+    """At most three of ``names`` that ``wanted`` may mean: those that contain it, else those that contain its words,
+    else those that contain it without regard to blanks and the similar ones (``cutoff`` as in difflib).
+    """
+    by_fold = {folded(name): name for name in names}
+    found = containing(wanted, list(by_fold))
+    if not found:
+        bare = "".join(folded(wanted).split())
+        found = [fold for fold in by_fold if bare and bare in fold.replace(" ", "")]
+        found += difflib.get_close_matches(folded(wanted), list(by_fold), n=_HINTS, cutoff=cutoff)
+    return [by_fold[fold] for fold in list(dict.fromkeys(found))[:_HINTS]]
+
+
+def containing(part: str, names: Sequence[str]) -> list[str]:
+    """Those of ``names`` that contain ``part``, without regard to case and runs of blanks; else all of its words."""
+    whole = folded(part)
+    found = [name for name in names if whole and whole in folded(name)]
+    return found or [name for name in names if whole and all(word in folded(name) for word in whole.split())]
 
 
 def _nearest(key: str, fields: Iterable[Field]) -> str:
     names = list(dict.fromkeys(field.parameter.name for field in fields))
     if not names:
         return "this device with these modules has none: leave it out"
-    bare = key.rpartition("/")[2].partition("@")[0]
-    by_fold = {folded(name): name for name in names}
-    near = difflib.get_close_matches(folded(bare), list(by_fold), n=3, cutoff=_CLOSE)
+    near = near_names(key.rpartition("/")[2].partition("@")[0], names, _CLOSE)
     if near:
-        return "nearest are " + ", ".join(repr(by_fold[n]) for n in near)
+        return "nearest are " + ", ".join(map(repr, near))
     return "known are " + ", ".join(map(repr, names[:12])) + (" ..." if len(names) > 12 else "")
 
 
@@ -258,20 +311,37 @@ def _matches(field: Field, key: str) -> bool:
     """``key`` in any of the ways to name ``field``."""
     name, wanted = field.parameter.name, folded(key)
     places = ("", f"@{field.offset}", field.key[field.key.rindex("@") :])
-    return any(wanted in (folded(name + place), folded(f"{field.slot}/{name}{place}")) for place in places)
+    return any(wanted in (folded(name + place), folded(f"{field.place}/{name}{place}")) for place in places)
 
 
-def _parts(device: Device, modules: Sequence[Module | None], first_slot: int) -> Iterator[_Part]:
+def _parts(device: Device, modules: Sequence[Module | None], first_slot: int | None) -> Iterator[_Part]:
     own = device.user_prm_data if _legacy(device) else None
-    part = _Part(0, 0, own, ()) if own is not None else _part(device.prm, device.parameters, 0, 0)
+    place = "device" if first_slot == 0 and any(modules[:1]) else "0"
+    part = _Part(0, 0, own, ()) if own is not None else _part(device.prm, device.parameters, 0, 0, place)
     yield part
     at = len(part.const)
-    for slot, module in enumerate(modules, first_slot):
+    for slot, module in enumerate(modules, 1 if first_slot is None else first_slot):
         if module is None or not module.prm.given:
             continue
-        part = _part(module.prm, device.parameters, slot, at)
+        part = _part(module.prm, device.parameters, slot, at, str(slot))
+        if first_slot is not None:
+            part = _in_slot(part, module)
         yield part
         at += len(part.const)
+
+
+def _in_slot(part: _Part, module: Module) -> _Part:
+    """``part`` with the number of its slot where ``module`` asks for it. Raises GsdError where it may not have it."""
+    fields = tuple(replace(field, slot_number=is_slot_number(field.parameter)) for field in part.fields)
+    for field in fields:
+        kind, allowed = field.parameter.type, field.parameter.allowed
+        low, high = kind.limits
+        if field.slot_number and not (low <= part.slot <= high and in_ranges(part.slot, allowed)):
+            raise GsdError(
+                f"module {module.title} cannot be in slot {part.slot}: its parameter {field.parameter.name} allows "
+                f"{ranges_text(allowed or ((low, high),))}; plug it there, or leave it out"
+            )
+    return replace(part, fields=fields)
 
 
 def _legacy(device: Device) -> bool:
@@ -279,14 +349,14 @@ def _legacy(device: Device) -> bool:
     return device.user_prm_data is not None and not device.prm.given and device.max_user_prm_data_len is None
 
 
-def _part(prm: PrmBlock, parameters: Mapping[int, Parameter], slot: int, at: int) -> _Part:
+def _part(prm: PrmBlock, parameters: Mapping[int, Parameter], slot: int, at: int, place: str) -> _Part:
     sizes = {ref.number: parameters[ref.number].type.size for ref in prm.refs if ref.number in parameters}
     size = reach_of(prm, sizes) if prm.length is None else prm.length
     octets = bytearray(size)
     for const in prm.consts:
         octets[const.offset : const.offset + len(const.octets)] = const.octets[: max(0, size - const.offset)]
     fields = [
-        Field(slot, ref.offset, at + ref.offset, parameter, parameter.default)
+        Field(slot, ref.offset, at + ref.offset, parameter, parameter.default, place=place)
         for ref in prm.refs
         if (parameter := parameters.get(ref.number)) is not None and ref.offset + parameter.type.size <= size
     ]

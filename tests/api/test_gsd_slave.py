@@ -9,6 +9,7 @@ from gsd_kit import FILES
 
 import dpstack
 from dpstack.api.config import Config, parse_config, rate_findings
+from dpstack.cli.main import main
 from dpstack.errors import ConfigError
 
 HEAD = '[bus]\nport = "virtual"\nbaud = 500000\n[[slave]]\nname = "io"\naddress = 8\n'
@@ -39,7 +40,7 @@ def test_both_readings_and_the_remark() -> None:
     refs = config(keys).slaves[0]
     assert refs.user_prm.hex(" ") == "c0 00 00 d7 11 5f ff fe 00 00 00"
     assert refs.notes == (
-        "slave 8 (io): in its GSD file the defaults of 4 parameters contradict the constant octets (the first: "
+        "slave 8 (io): in its GSD file the defaults of 3 parameters contradict the constant octets (the first: "
         "0/Diagnosis@3.3: its default is 0 (off), the constant octets say 1 (on)); the defaults are used, "
         'defaults = "const" takes the constants',
     )
@@ -53,6 +54,10 @@ def test_both_readings_and_the_remark() -> None:
     )
     assert (const.user_prm.hex(" "), const.notes) == ("c0 00 00 ff 11 0f 00 05 00 00 00", ())
     assert config(keys + 'defaults = "refs"\n').slaves[0].notes == ()
+    chosen = '"Diagnosis" = "off", "0/Range" = 5, "Offset" = 5'
+    assert config(keys + f"parameters = {{ {chosen} }}\n").slaves[0].notes == ()
+    (note,) = config(keys + 'parameters = { "Diagnosis" = "off" }\n').slaves[0].notes
+    assert "the defaults of 2 parameters contradict the constant octets (the first: 0/Range@3.4" in note
 
 
 def test_user_prm_in_place_of_the_files() -> None:
@@ -162,3 +167,23 @@ async def exchange() -> tuple[str, bytes]:
 
 def test_on_a_bus() -> None:
     assert dpstack.run_virtual(exchange()) == ("data_exchange", b"\x5a")
+
+
+SAFE = (
+    "#Profibus_DP\nGSD_Revision = 5\nIdent_Number = 0x0FFE\n500_supp = 1\nModular_Station = 1\nMax_Module = 3\n"
+    'FixPresetModules = 1\nModule = "F-DI" 0x11\n5\nPreset = 1\nF_ParamDescCRC = 0x1234\nEndModule\n'
+    'Module = "8 DI" 0x10\n6\nEndModule\n'
+)
+
+
+def test_profisafe_modules_are_told_by_plan_and_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "safe.gsd").write_text(SAFE, encoding="utf-8")
+    plant = tmp_path / "plant.toml"
+    plant.write_text(HEAD + 'gsd = "safe.gsd"\nmodules = ["8 DI"]\n', encoding="utf-8")
+    told = "slave 8 (io): module 'F-DI' (reference 5) in slot 1 has F_ parameters (PROFIsafe), but dpstack is no F-host"
+    assert main(["plan", str(plant)]) == 0
+    assert told in capsys.readouterr().out
+    assert main(["run", str(plant), "--rotations", "10", "--json"]) == 0
+    out = capsys.readouterr().out
+    assert told in out
+    assert '"state":"data_exchange"' in out

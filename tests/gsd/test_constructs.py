@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import gsd_kit
 import pytest
-from gsd_kit import device, read, texts
+from gsd_kit import device, made, read, texts
 
-from dpstack.gsd.model import DpV1, Isochronous, PrmConst, PrmKind, PrmRef, Raw, Slot, Speed
+from dpstack.gsd.model import DpV1, Isochronous, PrmConst, PrmKind, PrmRef, Ranges, Raw, Slot, Speed
 from dpstack.gsd.parser import load_gsd, parse_gsd
 
 
@@ -178,6 +178,37 @@ def test_numbers() -> None:
     }
     assert d.hardware_release == "1.1"
     assert (d.modules[0].config, d.modules[0].reference) == (b"\x60\x50\xc1", 9999)
+
+
+@pytest.mark.parametrize(
+    ("written", "default", "allowed", "told"),
+    [
+        ("Bit(0)  0-1", 0, ((0, 1),), "no default value in front of the range 0..1; 0 is used"),
+        ("Unsigned8 5-9,12", 5, ((5, 9), (12, 12)), "no default value in front of the range 5..9, 12; 5 is used"),
+        ("Signed8 -5 - 5", 0, ((-5, 5),), "no default value in front of the range -5..5; 0 is used"),
+        ("Signed8 -5-5", 0, ((-5, 5),), "no default value in front of the range -5..5; 0 is used"),
+        ("Bit(0) 0-2", 0, ((0, 2),), "allowed values 0..2 do not fit Bit(0); the default is 0"),
+        ("Bit(0) 0 0-1", 0, ((0, 1),), ""),
+        ("Signed8 0 -5-5", 0, ((-5, 5),), ""),
+        ("Signed8 0 -5", 0, ((-5, -5),), "default 0 is not among the allowed values -5"),
+        ("Bit(0) 1", 1, (), ""),
+    ],
+)
+def test_a_range_without_a_default(written: str, default: int, allowed: Ranges, told: str) -> None:
+    file = made(f'ExtUserPrmData = 1 "p"\n{written}\nEndExtUserPrmData\n')
+    parameter = file.device.parameters[1]
+    assert (parameter.default, parameter.allowed) == (default, allowed)
+    assert [d.message for d in file.diagnostics] == ([f"ExtUserPrmData 1: {told}"] if told else [])
+
+
+def test_blanks_at_the_ends_of_texts_are_left_out() -> None:
+    file = made(
+        'PrmText = 1\nText(0) = " off  "\nEndPrmText\nUnit_Diag_Bit(1) = "fuse blown "\n'
+        'SlotDefinition\nSlot(1) = "head " 1 1\nEndSlotDefinition\n'
+    )
+    assert file.device.prm_texts == {1: {0: "off"}}
+    assert file.device.diagnosis.bits == {1: "fuse blown"}
+    assert file.device.slots[0].name == "head"
 
 
 def test_order_is_free() -> None:

@@ -130,8 +130,33 @@ def test_check_names_the_contradictions() -> None:
     assert file.diagnostics == ()
     assert [d.text for d in check(file)] == [
         "8:1: warning: the device: defaults contradict the constant octets (Mode@0: its default is 3, the constant "
-        "octets say 7); the defaults are used unless asked"
+        'octets say 7); the defaults are used, defaults = "const" takes the constants'
     ]
+
+
+TWO_MODULES = (
+    'ExtUserPrmData = 1 "Mode"\nUnsigned8 3 0-9\nEndExtUserPrmData\n'
+    'Module = "zero" 0x10\nExt_Module_Prm_Data_Len = 2\nExt_User_Prm_Data_Const(0) = 0,0xFF\n'
+    "Ext_User_Prm_Data_Ref(0) = 1\nEndModule\n"
+    'Module = "seven" 0x10\nExt_Module_Prm_Data_Len = 2\nExt_User_Prm_Data_Const(0) = 7,8\n'
+    "Ext_User_Prm_Data_Ref(0) = 1\nExt_User_Prm_Data_Ref(1) = 1\nEndModule\n"
+)
+
+
+def test_check_tells_contradictions_once_a_file_and_only_over_bits_that_are_not_zero() -> None:
+    zero, _, seven = TWO_MODULES.partition('Module = "seven"')
+    assert check(made(zero)) == ()
+    assert [d.text for d in check(made(zero + 'Module = "seven"' + seven))] == [
+        "14:1: warning: module 'seven': defaults contradict the constant octets (Mode@0: its default is 3, the "
+        'constant octets say 7; 1 more in this file); the defaults are used, defaults = "const" takes the constants'
+    ]
+
+
+def test_a_parameter_that_is_set_contradicts_nothing() -> None:
+    p = prm()
+    p.set("Diagnosis", "off")
+    p.set("1/Range", 0)
+    assert [c.field.key for c in p.contradictions() if c.matters] == ["0/Range@3.4", "1/Offset@1"]
 
 
 KINDS = st.one_of(
