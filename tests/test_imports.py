@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-PURE_BASE = {"units", "errors", "trace"}
+PURE_BASE = {"units", "errors", "trace", "text"}
 PARAMS = PURE_BASE | {"params"}
 PHY = PARAMS | {"phy"}
 # the machine contract (Line up and down, pump) and the histogram stand below everything that runs in a machine
@@ -23,6 +23,7 @@ MAY: dict[str, set[str]] = {
     "units": set(),
     "errors": set(),
     "trace": set(),
+    "text": set(),
     "stats": {"units"},
     "params": {"units", "errors"},
     "machine": {"units", "trace"},
@@ -41,7 +42,7 @@ MAY: dict[str, set[str]] = {
 #: profile sees only these modules of dp: its public slave application and image types, and records.
 PROFILE_MAY_OF_DP = {"dp.device", "dp.image", "dp.slaveapp", "dp.setup", "dp.diagnosis", "dp.v1"}
 #: From sim and dp down.
-PURE = {"units", "errors", "trace", "stats", "params", "machine", "phy", "fdl", "gsd", "dp", "sim", "profile"}
+PURE = {"units", "errors", "trace", "text", "stats", "params", "machine", "phy", "fdl", "gsd", "dp", "sim", "profile"}
 FORBIDDEN_IN_PURE = {
     "asyncio",
     "time",

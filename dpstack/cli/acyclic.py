@@ -240,7 +240,7 @@ def _show(told: Mapping[str, Any]) -> None:
             output.line(f"{who}: slot {told['slot']}, index {told['index']}: {told['length']} octets written")
         case _:
             rows = [
-                (f"I&M{n}", name, output.visible(_im_text(name, value)))
+                (f"I&M{n}", name, _im_text(name, value))
                 for n, record in told["im"].items()
                 for name, value in record.items()
             ]

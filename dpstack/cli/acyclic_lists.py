@@ -20,9 +20,7 @@ FILES: Final = (
 def show_list(told: Mapping[str, Any]) -> None:
     """All parameters with their values."""
     found = list_of(told)
-    rows = [
-        (one.number, output.visible(one.name), one.format, one.text, "ro" * one.read_only) for one in found.parameters
-    ]
+    rows = [(one.number, one.name, one.format, one.text, "ro" * one.read_only) for one in found.parameters]
     title = f"{_who(told)}: {len(rows)} parameters of slot {found.slot}, object {found.object}"
     output.table(title, ("number", "name", "format", "values", ""), rows)
 
@@ -37,7 +35,7 @@ def show_dump(told: Mapping[str, Any], path: str, *, json: bool) -> None:
         return
     output.line(f"{_who(told)}: {len(found.parameters) - len(unreadable)} parameters are in {path}")
     for one in unreadable:
-        output.line(output.visible(f"not read: {one.label}: {one.unreadable}"))
+        output.line(f"not read: {one.label}: {one.unreadable}")
 
 
 def show_comparison(told: Mapping[str, Any], path: str, saved: RecordList, *, read_only: bool, json: bool) -> int:
@@ -58,10 +56,10 @@ def show_comparison(told: Mapping[str, Any], path: str, saved: RecordList, *, re
 
 def _tell(told: Mapping[str, Any], path: str, found: RecordComparison) -> None:
     for difference in found.differences:
-        output.line(output.visible(difference.text), "yellow")
+        output.line(difference.text, "yellow")
     for why in dict.fromkeys(why for _, why in found.skipped):
         labels = output.first_of([one.label for one, other in found.skipped if other == why])
-        output.line(output.visible(f"not compared: {labels}: {why}"))
+        output.line(f"not compared: {labels}: {why}")
     output.line(f"{_who(told)}: {found.same} parameters are as in {path}, {len(found.differences)} differ")
 
 

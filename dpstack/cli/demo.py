@@ -26,6 +26,7 @@ from dpstack.cli.signals import StopSignal
 from dpstack.cli.stories import OTHERS, STORIES
 from dpstack.cli.streams import guarded, warn
 from dpstack.errors import ConfigError, DpError
+from dpstack.text import printable
 
 _BAUD = 500_000
 _MASTER = 2
@@ -134,7 +135,7 @@ class _Stage:
             rows.append((slave.address, drive.name, f"{state:<19}", f"{speed:<21}", slave.exchanges))
         table = output.rich_table(title, ("address", "drive", "state", "speed", "exchanges"), rows)
         lines = [*self.lines, *[""] * (_SHOWN - len(self.lines))]
-        return Group(table, *(Text(line, no_wrap=True, overflow="ellipsis") for line in lines))
+        return Group(table, *(Text(printable(line), no_wrap=True, overflow="ellipsis") for line in lines))
 
 
 def _bar(speed: float) -> str:

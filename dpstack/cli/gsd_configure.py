@@ -13,12 +13,13 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from dpstack.api.gsd_choice import Choice, as_toml, module_key
-from dpstack.cli import options
+from dpstack.cli import options, output
 from dpstack.cli.streams import guarded, warn
 from dpstack.errors import GsdError, UsageError
 from dpstack.gsd.configuration import default_modules, find_module, first_slot, plug
 from dpstack.gsd.model import GsdFile, Module, ranges_text
 from dpstack.gsd.prm import Field, value_of
+from dpstack.text import printable
 
 _T = TypeVar("_T")
 #: more modules than this are not listed unasked
@@ -33,25 +34,23 @@ def run(file: GsdFile, path: str) -> int:
     address = ask("address, 0..125", None, _address)
     choice = Choice(name, address, path, _modules(file))
     _parameters(file, choice)
-    table = as_toml(device, choice)
-    with guarded():
-        sys.stdout.write(table)
-        sys.stdout.flush()
+    output.toml(as_toml(device, choice))
     return 0
 
 
 def say(text: str) -> None:
     """One line for the person at the keyboard."""
     with guarded():
-        sys.stderr.write(text + "\n")
+        sys.stderr.write(printable(text) + "\n")
         sys.stderr.flush()
 
 
 def ask(question: str, default: str | None, read: Callable[[str], _T]) -> _T:
     """Ask until ``read`` accepts the answer (it raises GsdError otherwise). Raises UsageError at the end of input."""
+    prompt = printable(f"{question} [{default}]: " if default else f"{question}: ")
     while True:
         with guarded():
-            sys.stderr.write(f"{question} [{default}]: " if default else f"{question}: ")
+            sys.stderr.write(prompt)
             sys.stderr.flush()
         line = sys.stdin.readline()
         if not line:

@@ -10,13 +10,13 @@ import argparse
 import importlib
 import os
 import sys
-import traceback
 from collections.abc import Sequence
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from dpstack import __version__
 from dpstack.cli import streams
 from dpstack.errors import ConfigError, DpError, UsageError
+from dpstack.text import printable
 
 #: modules of this package, imported when the program runs: an early Ctrl-C is no traceback
 _COMMANDS = (
@@ -45,7 +45,11 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """One line on stderr, exit code 2."""
-        self.exit(2, f"{self.prog}: {message}; see {self.prog} --help\n")
+        self.exit(2, f"{self.prog}: {printable(message)}; see {self.prog} --help\n")
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        """Help, errors, version: lines of text."""
+        super()._print_message("\n".join(map(printable, message.split("\n"))), file)
 
 
 def build_parser() -> Parser:
@@ -86,7 +90,7 @@ def _execute(args: argparse.Namespace) -> int:
 
 def _say(error: Exception, code: int) -> int:
     if os.environ.get(_DEBUG):
-        traceback.print_exception(error)
+        streams.print_traceback(error)
     streams.warn(str(error))
     return code
 

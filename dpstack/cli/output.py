@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Final
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from dpstack.cli.streams import guarded
+from dpstack.text import json_text, long_escape, printable
 
 #: columns whose text may be long; the others keep their width
 _MAY_WRAP: Final = frozenset({"inputs", "outputs", "when the master stops"})
@@ -23,12 +24,17 @@ def on_terminal() -> bool:
 
 def json_line(data: Mapping[str, object] | Sequence[object]) -> None:
     """One JSON value on a line of its own, at once."""
-    _write(json_text(data))
+    _write(json_text(data, encoding=sys.stdout.encoding or "utf-8"))
 
 
-def json_text(data: Mapping[str, object] | Sequence[object]) -> str:
-    """One JSON value without its line end."""
-    return json.dumps(data, separators=(",", ":"), ensure_ascii=False)
+def toml(text: str) -> None:
+    """Lines of TOML. What standard output cannot encode is escaped: it can only stand in strings and comments."""
+    encoding = sys.stdout.encoding or "utf-8"
+    try:
+        text.encode(encoding)
+    except UnicodeEncodeError:
+        text = "".join(letter if letter.isascii() else long_escape(letter) for letter in text)
+    _write(text.removesuffix("\n"))
 
 
 def missing(json: bool) -> Callable[[int], str]:
@@ -45,14 +51,14 @@ def line(text: str, style: str = "") -> None:
     """One line, in ``style`` on a terminal."""
     if on_terminal():
         with guarded():
-            Console(soft_wrap=True).print(text, style=style or None, markup=False, highlight=False)
+            Console(soft_wrap=True).print(shown(text, style))
     else:
-        _write(text)
+        _write(printable(text))
 
 
-def visible(text: str) -> str:
-    """A device's own text, its control characters in hex: they are nothing for a terminal."""
-    return "".join(letter if letter.isprintable() else f"\\x{ord(letter):02x}" for letter in text)
+def shown(text: str, style: str = "") -> Text:
+    """``text`` as rich draws it: nothing in it is an escape sequence, markup or the name of an emoji."""
+    return Text(printable(text), style=style)
 
 
 def first_of(labels: Sequence[str], shown: int = 3) -> str:
@@ -63,17 +69,17 @@ def first_of(labels: Sequence[str], shown: int = 3) -> str:
 
 def rich_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> Table:
     """A table as rich draws it."""
-    table = Table(title=title or None, title_justify="left", title_style="bold")
+    table = Table(title=shown(title, "bold") if title else None, title_justify="left")
     for column in columns:
         table.add_column(column, no_wrap=column not in _MAY_WRAP, overflow="fold")
     for row in rows:
-        table.add_row(*(str(cell) for cell in row))
+        table.add_row(*(shown(str(cell)) for cell in row))
     return table
 
 
 def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
     """A table: drawn on a terminal, aligned columns elsewhere."""
-    cells = [[str(cell) for cell in row] for row in rows]
+    cells = [[printable(str(cell)) for cell in row] for row in rows]
     if on_terminal():
         with guarded():
             Console().print(rich_table(title, columns, cells))
@@ -83,7 +89,7 @@ def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) 
         "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
         for row in [list(columns), *cells]
     ]
-    _write("\n".join([title, *aligned] if title else aligned))
+    _write("\n".join([printable(title), *aligned] if title else aligned))
 
 
 def _write(text: str) -> None:

@@ -60,7 +60,7 @@ def _show(result: LiveListResult, args: argparse.Namespace) -> None:
         output.json_line({**result.as_dict(), **more})
         return
     if args.config:
-        output.line(config_skeleton(result, args.port).rstrip("\n"))
+        output.toml(config_skeleton(result, args.port))
     else:
         title = f"{len(result.stations)} stations at {baud_text(result.baud)}, asked by {result.address}"
         columns = ("address", "type", "ident", "state", "master", "device")

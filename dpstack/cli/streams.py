@@ -7,12 +7,31 @@ thrown away.
 
 from __future__ import annotations
 
+import codecs
 import contextlib
+import io
 import os
 import sys
+import traceback
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from types import TracebackType
 from typing import Final
+
+from dpstack.text import escape, printable
+
+#: how a character is written where the encoding of the terminal or the file does not have it
+_PLAIN: Final = {
+    **dict.fromkeys("\u2010\u2011\u2012\u2013\u2014\u2212", "-"),
+    **dict.fromkeys("\u2018\u2019", "'"),
+    **dict.fromkeys("\u201c\u201d", '"'),
+    "\u2026": "...",
+    "\u2588": "#",
+    "\xa0": " ",
+    "\xb5": "u",
+    "\u03bc": "u",
+}
+_DEGRADE: Final = "dpstack-degrade"
 
 
 @dataclass(slots=True)
@@ -57,11 +76,41 @@ def warn(text: str) -> None:
     with guarded():
         sys.stdout.flush()
     with contextlib.suppress(OSError):
-        print(f"dpstack: {' '.join(text.split())}", file=sys.stderr, flush=True)
+        print(f"dpstack: {printable(' '.join(text.split()))}", file=sys.stderr, flush=True)
+
+
+def print_traceback(error: BaseException) -> None:
+    """Where ``error`` comes from, on standard error."""
+    lines = "".join(traceback.format_exception(error)).splitlines()
+    with contextlib.suppress(OSError):
+        print("\n".join(map(printable, lines)), file=sys.stderr, flush=True)
 
 
 def fill() -> None:
-    """Streams that were closed when the program was started lead to nowhere, and no port gets their numbers."""
+    """Make the standard streams fit for every text.
+
+    One that was closed when the program was started leads to nowhere, and no port gets its number. What the encoding
+    of an output does not have is written in ASCII; what that of the input does not have is read as it is.
+    """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
-        if getattr(sys, name) is None:
+        stream = getattr(sys, name)
+        if stream is None:
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), mode))
+        elif isinstance(stream, io.TextIOWrapper):
+            with contextlib.suppress(OSError):
+                stream.reconfigure(errors="surrogateescape" if mode == "r" else _DEGRADE)
+    sys.excepthook = _defect
+
+
+def _defect(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    print_traceback(error.with_traceback(trace))
+
+
+def _degrade(error: UnicodeError) -> tuple[str, int]:
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    letters = error.object[error.start : error.end]
+    return "".join(_PLAIN.get(letter) or escape(letter) for letter in letters), error.end
+
+
+codecs.register_error(_DEGRADE, _degrade)

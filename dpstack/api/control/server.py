@@ -16,6 +16,7 @@ from dpstack.api.control.failures import told
 from dpstack.api.control.places import OWN_NAMES, answers, locked, names_of, own_name, socket_path
 from dpstack.api.control.specs import Spec, find
 from dpstack.errors import DpError, PortBusyError, PortError, UsageError
+from dpstack.text import json_text
 
 #: Does a command: takes its arguments, returns what JSON can hold, an awaitable of it, or an async generator of items.
 Handler = Callable[[list[str]], object]
@@ -237,7 +238,7 @@ class ControlServer:
 
     async def _send(self, writer: asyncio.StreamWriter, answer: Mapping[str, object]) -> None:
         """Raises _GoneError when the client has gone or does not read."""
-        writer.write(json.dumps(answer, separators=(",", ":"), ensure_ascii=False, default=str).encode() + b"\n")
+        writer.write(json_text(answer, default=str).encode() + b"\n")
         if writer.transport.get_write_buffer_size() > _UNREAD:
             raise _GoneError
         try:
