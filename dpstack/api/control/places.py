@@ -37,7 +37,7 @@ def own_name(kind: str, name: str) -> str:
 
 def socket_path(name: str) -> Path:
     """The socket of one name. Names are hashed: the path of a Unix socket has 107 octets at most."""
-    return directory() / (hashlib.sha256(name.encode()).hexdigest()[:16] + SUFFIX)
+    return directory() / (hashlib.sha256(os.fsencode(name)).hexdigest()[:16] + SUFFIX)
 
 
 def answers(path: Path) -> bool:

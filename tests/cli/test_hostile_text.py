@@ -1,0 +1,335 @@
+"""Text of others (GSD files, other programs, file names, arguments) never reaches a terminal as it is."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import threading
+import unicodedata
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dpstack.api.control.places import locked, own_name, socket_path
+from dpstack.cli import main as program
+from dpstack.cli import output
+from dpstack.cli.main import main
+
+#: a title, colours by C1 CSI, DEL, bidi, marks, zero width, separators, markup and an emoji's name of rich
+EVIL = (
+    "\x1b]0;owned\x07\x1b[2J\x9b31m\x7f\x85\u202eevil\u2066\u2069\u200e\u200f\u061c\u200b\ufeff"
+    "\u2028\u2029[red]x[/red]:smile:\U000e0001"
+)
+NEVER = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})
+
+
+def assert_clean(*printed: str) -> None:
+    """No control but the line end, no format character, no separator, no lone surrogate."""
+    for text in printed:
+        found = {letter for letter in text if letter != "\n" and unicodedata.category(letter) in NEVER}
+        assert not found, (found, text)
+
+
+@pytest.fixture(params=["pipe", "terminal"])
+def reader(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Who reads: rich draws for a terminal, here without colours."""
+    if request.param == "terminal":
+        monkeypatch.setattr(output, "on_terminal", lambda: True)
+        monkeypatch.setenv("COLUMNS", "400")
+        monkeypatch.setenv("TERM", "dumb")
+    return str(request.param)
+
+
+@pytest.fixture
+def gsd(tmp_path: Path) -> Path:
+    """A GSD file whose every text is hostile."""
+    text = f"""#Profibus_DP
+GSD_Revision = 5
+Vendor_Name = "{EVIL}"
+Model_Name = "{EVIL}"
+Revision = "{EVIL}"
+Ident_Number = 0x1234
+9.6_supp = 1
+500_supp = 1
+Modular_Station = 1
+Max_Module = 4
+Max_Input_Len = 8
+Max_Output_Len = 8
+Max_Data_Len = 16
+Slave_Family = {EVIL}
+Strange{EVIL.replace(" ", "").replace("(", "")} = 3
+Freeze_Mode_supp = {EVIL}
+Unit_Diag_Bit(0) = "{EVIL}"
+Unit_Diag_Bit(x{EVIL}) = "{EVIL}"
+PrmText = 1
+Text(0) = "off {EVIL}"
+Text(1) = "on {EVIL}"
+EndPrmText
+ExtUserPrmData = 1 "{EVIL}"
+Bit(0) 1 0-1
+Prm_Text_Ref = 1
+EndExtUserPrmData
+Max_User_Prm_Data_Len = 4
+Ext_User_Prm_Data_Const(0) = 0x00,0x00,0x00,0x00
+Ext_User_Prm_Data_Ref(3) = 1
+Module = "8 DI {EVIL}" 0x10
+1
+Info_Text = "{EVIL}"
+EndModule
+Module = "8 DO {EVIL}" 0x20
+2
+EndModule
+Module = "broken {EVIL}" {EVIL}
+EndModule
+SlotDefinition
+Slot(1) = "{EVIL}" 1 1,2
+Slot(2) = "{EVIL}" 2 1,2
+EndSlotDefinition
+"""
+    path = tmp_path / f"{EVIL.replace('/', '')}.gsd"
+    path.write_bytes(text.encode())
+    return path
+
+
+@pytest.fixture
+def config(tmp_path: Path, gsd: Path) -> Path:
+    (tmp_path / "evil.gsd").write_bytes(gsd.read_bytes())
+    path = tmp_path / "plant.toml"
+    path.write_text(
+        """
+[bus]
+port = "virtual"
+baud = 500000
+[[slave]]
+name = "valves"
+address = 8
+gsd = "evil.gsd"
+modules = [1, 2]
+inputs = { limit = "bool@0.0" }
+[[slave]]
+name = "hoist"
+address = 3
+drive = "demag-dedrive"
+""",
+        encoding="utf-8",
+    )
+    return path
+
+
+def run(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str, str]:
+    """The exit code and what was printed, which is clean."""
+    try:
+        code = main(argv)
+    except SystemExit as end:
+        code = int(str(end.code))
+    printed = capsys.readouterr()
+    assert_clean(printed.out, printed.err)
+    return code, printed.out, printed.err
+
+
+def test_a_gsd_file_for_people(reader: str, gsd: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, shown, _ = run(capsys, "gsd", "show", str(gsd))
+    assert code == 0
+    assert r"\x1b]0;owned\x07" in shown
+    assert "[red]x[/red]:smile:" in shown
+    code, checked, _ = run(capsys, "gsd", "check", str(gsd))
+    assert code == 1
+    assert r"broken \x1b]0;owned" in checked
+
+
+def test_a_gsd_file_as_json_has_the_same_values(gsd: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    _, shown, _ = run(capsys, "gsd", "show", str(gsd), "--json")
+    told = json.loads(shown)
+    assert told["vendor"] == EVIL
+    assert told["modules"][0]["name"] == f"8 DI {EVIL}"
+    _, checked, _ = run(capsys, "gsd", "check", str(gsd), "--json")
+    assert json.loads(checked)["file"] == str(gsd)
+
+
+def test_questions_about_a_gsd_file(
+    gsd: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    answers = tmp_path / "answers"
+    answers.write_text("valves\n8\ny\n" + "1\n2\n\n" + "y\n" * 9, encoding="utf-8")
+    with answers.open(encoding="utf-8") as stdin:
+        monkeypatch.setattr("sys.stdin", stdin)
+        run(capsys, "gsd", "configure", str(gsd))
+
+
+def test_plan_and_run_of_such_a_device(reader: str, config: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for json_or_not in ([], ["--json"]):
+        code, _, _ = run(capsys, "plan", str(config), *json_or_not)
+        assert code in (0, 1)
+        code, _, _ = run(capsys, "run", str(config), "--seconds", "0.05", *json_or_not)
+        assert code in (0, 1)
+
+
+NAMES = [
+    ["plan", EVIL],
+    ["run", EVIL],
+    ["sim", EVIL, "--port", "pty"],
+    ["sim", "--drive", EVIL, "--address", "3", "--port", "pty"],
+    ["segment", "--dir", f"/proc/self/{EVIL}"],
+    ["segment", "--baud", EVIL],
+    ["ctl", EVIL, EVIL, EVIL],
+    ["drive", EVIL, "x", "status"],
+    ["drive", "CONFIG", EVIL, "status"],
+    ["drive", "CONFIG", "hoist", EVIL],
+    ["drive", "CONFIG", "hoist", "compare", EVIL],
+    ["acyclic", "CONFIG", EVIL, "im"],
+    ["acyclic", "CONFIG", "8", EVIL],
+    ["acyclic", "CONFIG", "8", "read", EVIL, "1"],
+    ["acyclic", "CONFIG", "8", "compare", EVIL],
+    ["scan", "--port", f"/nowhere/{EVIL}"],
+    ["address", "--port", f"/nowhere/{EVIL}", "126", "5", "--ident", "0x1234"],
+    ["baud", "--port", f"/nowhere/{EVIL}", "--timeout", "0.1"],
+    ["doctor", "--port", f"/nowhere/{EVIL}"],
+    ["ports", EVIL],
+    ["demo", "--baud", EVIL],
+    ["gsd", "show", EVIL],
+    ["gsd", "check", EVIL],
+    ["gsd", "copy", EVIL, "x"],
+    ["gsd", "copy", "io-station", f"/nowhere/{EVIL}"],
+    ["gsd", "configure", EVIL],
+    [EVIL],
+]
+
+
+@pytest.mark.parametrize("argv", NAMES, ids=lambda argv: " ".join(argv).replace(EVIL, "EVIL"))
+@pytest.mark.parametrize("more", ["", "\udcff"], ids=["text", "octet"])
+def test_names_of_files_and_arguments(
+    argv: list[str], more: str, config: Path, alone: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    argv = [arg.replace("CONFIG", str(config)) + (more if EVIL in arg else "") for arg in argv]
+    code, _, err = run(capsys, *argv)
+    assert code in (1, 2)
+    assert err or argv[0] == "doctor"
+
+
+def test_every_command_is_in_the_list() -> None:
+    assert {argv[0] for argv in NAMES} == {*program._COMMANDS, EVIL}
+
+
+STATUS = {
+    **dict.fromkeys(("state", "setpoint", "speed", "frequency_hz", "current", "torque"), 0.5),
+    "state": EVIL,
+    "reached": True,
+    "remote": True,
+    **{key: [EVIL, EVIL] for key in ("faults", "warnings", "bits", "words")},
+}
+ANSWER: dict[str, Any] = {
+    "kind": EVIL,
+    "port": EVIL,
+    "pid": 1,
+    "commands": [dict.fromkeys(("command", "args", "text", "example"), EVIL)],
+    "drive": EVIL,
+    "type": "demag-dedrive",
+    "address": 3,
+    "status": STATUS,
+    "slave": EVIL,
+    "slot": 1,
+    "index": 2,
+    "data": "1b5d",
+    "length": 2,
+    "object": 1,
+    "ident": 0x1234,
+    "im": {"0": {"serial_number": EVIL, EVIL: EVIL}},
+    "parameter": {"name": EVIL, "data_set": None, "value": 1, "unit": EVIL},
+    EVIL: {EVIL: {EVIL: [EVIL]}, "list": [{EVIL: EVIL}]},
+}
+RECORDS = [
+    {"number": 1, "name": EVIL, "format": "VisibleString", "values": [EVIL]},
+    {"number": 2, "name": EVIL, "format": "", "unreadable": EVIL},
+]
+
+
+def _answer(request: dict[str, Any]) -> dict[str, object]:
+    word = request["args"][1] if len(request["args"]) > 1 else request["command"]
+    match word:
+        case "clear" | "stop" | "write":
+            return {"ok": False, "error": EVIL, "kind": "DriveFault", "drive": EVIL}
+        case "parameters":
+            return {"ok": True, "result": {**ANSWER, "order": "parameters", "parameters": RECORDS}}
+        case "status" | "start":
+            return {"ok": True, "result": {key: value for key, value in ANSWER.items() if key != "parameter"}}
+    return {"ok": True, "result": {**ANSWER, "order": word}}
+
+
+@pytest.fixture
+def peer(alone: None) -> Iterator[str]:
+    """A program that knows the control socket and nothing else: raw UTF-8 in its JSON. The port it answers for."""
+    port = f"/tmp/peer-{os.getpid()}"
+    listening = socket.socket(socket.AF_UNIX)
+    with locked():
+        for name in (port, own_name("run", port)):
+            path = socket_path(name)
+            if name == port:
+                listening.bind(str(path))
+                path.chmod(0o600)
+                first = path
+            else:
+                path.symlink_to(first.name)
+    listening.listen()
+
+    def serve() -> None:
+        while True:
+            try:
+                connection, _ = listening.accept()
+            except OSError:
+                return
+            with connection, connection.makefile("rwb") as file:
+                for line in file:
+                    told = json.dumps(_answer(json.loads(line)), ensure_ascii=False)
+                    file.write(told.encode() + b"\n")
+                    file.flush()
+
+    thread = threading.Thread(target=serve, daemon=True)
+    thread.start()
+    yield port
+    listening.shutdown(socket.SHUT_RDWR)
+    listening.close()
+    thread.join()
+
+
+@pytest.mark.parametrize(
+    ("argv", "code"),
+    [
+        (["ctl", "PORT"], 0),
+        (["ctl", "PORT", "status"], 0),
+        (["ctl", "PORT", "stats"], 0),
+        (["ctl", "PORT", "clear"], 1),
+        (["drive", "CONFIG", "hoist", "status"], 0),
+        (["drive", "CONFIG", "hoist", "read", "412"], 0),
+        (["drive", "CONFIG", "hoist", "start"], 0),
+        (["drive", "CONFIG", "hoist", "stop"], 1),
+        (["acyclic", "CONFIG", "8", "im"], 0),
+        (["acyclic", "CONFIG", "8", "read", "1", "2"], 0),
+        (["acyclic", "CONFIG", "8", "write", "1", "2", "00"], 1),
+        (["acyclic", "CONFIG", "8", "parameters"], 0),
+        (["acyclic", "CONFIG", "8", "dump", "DUMP"], 0),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else None,
+)
+def test_answers_of_another_program(
+    reader: str, argv: list[str], code: int, peer: str, config: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config.write_text(config.read_text("utf-8").replace('"virtual"', f'"{peer}"'), "utf-8")
+    names = {"PORT": peer, "CONFIG": str(config), "DUMP": str(config.parent / "dump.toml")}
+    argv = [names.get(arg, arg) for arg in argv]
+    got, out, err = run(capsys, *argv)
+    assert got == code, err
+    assert r"\x1b]0;owned" in out + err or "5D" in out or argv[0] == "acyclic"
+    run(capsys, *argv, "--json")
+    dump = Path(names["DUMP"])
+    if dump.exists():
+        assert_clean(dump.read_text("utf-8"))
+
+
+def test_where_an_error_comes_from(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DPSTACK_DEBUG", "1")
+    code, _, err = run(capsys, "plan", EVIL)
+    assert code == 2
+    assert "Traceback" in err

@@ -1,0 +1,80 @@
+"""Text of others on the way to a terminal, into JSON and into TOML."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+import unicodedata
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dpstack.api.toml_text import quoted
+from dpstack.errors import ConfigError
+from dpstack.text import json_text, printable, shortened
+
+#: C0, DEL, C1; bidi embeddings, isolates and marks; zero width; line and paragraph separator; a tag
+HOSTILE = [
+    *map(chr, [*range(0x20), *range(0x7F, 0xA0)]),
+    *"\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069\u200e\u200f\u061c",
+    *"\u200b\u200c\u200d\u2060\ufeff\xad\u180e\u2028\u2029\U000e0001",
+]
+
+
+@pytest.mark.parametrize("letter", [*HOSTILE, *map(chr, (0xD800, 0xDCFF))], ids=lambda letter: f"{ord(letter):04x}")
+def test_a_hostile_character_never_gets_out_as_it_is(letter: str) -> None:
+    text = f"a{letter}b"
+    for encoding in ("utf-8", "ascii", "latin-1"):
+        made = json_text({"text": text}, encoding=encoding)
+        made.encode(encoding)
+        assert letter not in made
+        assert json.loads(made) == {"text": text}
+    assert letter not in printable(text)
+    assert printable(text)[:2] == "a\\"
+    assert printable(text)[-1] == "b"
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("\x1b]0;x\x07", r"\x1b]0;x\x07"),
+        ("a\nb\tc\r", r"a\nb\tc\r"),
+        ("\x9b31m", r"\x9b31m"),
+        ("\u202egnp.exe", r"\u202egnp.exe"),
+        ("\U000e0041", r"\U000e0041"),
+        ("Übertemperatur 80\xa0°C 温度", "Übertemperatur 80\xa0°C 温度"),
+    ],
+)
+def test_shown_to_people(text: str, shown: str) -> None:
+    assert printable(text) == shown
+
+
+def test_json_of_plain_text_is_as_it_was() -> None:
+    assert json_text({"a": ["Übertemperatur", 1, None]}) == '{"a":["Übertemperatur",1,null]}'
+    assert json_text("温\U0001f600", encoding="ascii") == r'"\u6e29\ud83d\ude00"'
+
+
+@given(st.text(alphabet=st.characters(), max_size=30))
+def test_whatever_the_text_is(text: str) -> None:
+    made = json_text([text])
+    assert json.loads(made) == [text]
+    for shown in (made, printable(text)):
+        assert not {unicodedata.category(letter) for letter in shown} & {"Cc", "Cf", "Cs", "Zl", "Zp"}
+
+
+@given(st.text(max_size=30))
+def test_a_toml_string_has_the_same_value(text: str) -> None:
+    written = quoted(text)
+    assert tomllib.loads(f"a = {written}") == {"a": text}
+    assert not {unicodedata.category(letter) for letter in written} & {"Cc", "Cf", "Cs", "Zl", "Zp"}
+
+
+def test_what_toml_cannot_hold_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"'\\udcff.gsd' is no Unicode text, as a TOML file must be; rename it"):
+        quoted("\udcff.gsd")
+
+
+def test_a_message_shows_the_beginning_of_a_long_text() -> None:
+    assert shortened("9" * 60) == "9" * 60
+    assert shortened("9" * 61) == "9" * 57 + "..."
