@@ -36,6 +36,9 @@ def add_to(commands: options.Commands) -> None:
     parser.add_argument(
         "--cycle-ms", metavar="X", type=options.milliseconds, help="judge this cycle, and tell which rate it needs"
     )
+    parser.add_argument(
+        "--octets", action="store_true", help="the octets of Set_Prm and Chk_Cfg of each slave, as they will be sent"
+    )
     options.add_json(parser)
     parser.set_defaults(execute=execute)
 
@@ -49,16 +52,18 @@ def execute(args: argparse.Namespace) -> int:
     config = load_config(args.config).with_bus(cycle_ms=args.cycle_ms)
     needs = cycle_rates(config, config.bus.cycle_ns) if config.bus.cycle_ns else {}
     if args.baud == "all":
-        return _all_rates(config, needs, json=args.json)
+        return _all_rates(config, needs, json=args.json, octets=args.octets)
     plan = plan_bus(config, args.baud or config.baud)
     if args.json:
         output.json_line(_with_rates(plan.as_dict(), needs))
     else:
         _show(plan, needs)
+        if args.octets:
+            _show_octets(plan)
     return 1 if plan.findings else 0
 
 
-def _all_rates(config: Config, needs: Needs, *, json: bool) -> int:
+def _all_rates(config: Config, needs: Needs, *, json: bool, octets: bool) -> int:
     """One plan for each rate; why there is none where the parameters given are impossible at a rate."""
     plans: list[Plan] = []
     without: dict[int, ConfigError] = {}
@@ -82,6 +87,8 @@ def _all_rates(config: Config, needs: Needs, *, json: bool) -> int:
         for rate, why in without.items():
             output.line(f"{baud_text(rate)}: no plan: {why}")
         _show_needs(needs)
+        for plan in plans if octets else ():
+            _show_octets(plan, f"{baud_text(plan.params.baud)}: ")
     return 1 if any(plan.findings for plan in plans if plan.params.baud == config.bus.baud) else 0
 
 
@@ -157,6 +164,16 @@ def _show(plan: Plan, needs: Needs) -> None:
         output.line(f"finding: {finding}", "bold red")
     if not plan.findings:
         output.line("nothing is out of bounds", "green")
+
+
+def _show_octets(plan: Plan, where: str = "") -> None:
+    """A line for each telegram: a table would cut what is long."""
+    for slave in plan.slaves:
+        for service, octets in (("Set_Prm", slave.set_prm), ("Chk_Cfg", slave.chk_cfg)):
+            spaced = " ".join(octets[at : at + 2] for at in range(0, len(octets), 2)).upper()
+            output.line(f"{where}{service} of slave {slave.setup.address} ({slave.setup.name}): {spaced}")
+    if any(slave.setup.ident is None for slave in plan.slaves):
+        output.line("..: an octet of the ident number, which the slave is asked for")
 
 
 def _show_rates(config: Config, plans: list[Plan]) -> None:

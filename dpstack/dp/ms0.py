@@ -33,6 +33,8 @@ SERVICE_NAMES: Final = {
     SAP_RD_OUTP: "RD_Outp",
     SAP_SET_SLAVE_ADD: "Set_Slave_Add",
 }
+#: index of Ident_Number in Set_Prm
+_IDENT_AT: Final = 4
 #: services that write, and are acknowledged only
 _ACKNOWLEDGED: Final = frozenset((SAP_SET_PRM, SAP_CHK_CFG, SAP_SET_SLAVE_ADD))
 
@@ -48,6 +50,13 @@ def set_prm(setup: SlaveSetup, ident: int, watchdog: WatchdogTime | None) -> byt
         min_tsdr=setup.min_tsdr,
         group_mask=setup.group_mask,
     ).build()
+
+
+def planned_prm(setup: SlaveSetup, watchdog: WatchdogTime | None) -> str:
+    """The octets of :func:`set_prm` in hex, ``....`` where the ident number will be that of the slave's diagnosis."""
+    octets = set_prm(setup, setup.ident or 0, watchdog).hex()
+    first, behind = 2 * _IDENT_AT, 2 * (_IDENT_AT + 2)
+    return octets if setup.ident is not None else octets[:first] + "...." + octets[behind:]
 
 
 def unlock_prm(setup: SlaveSetup, ident: int) -> bytes:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from dpstack.dp.durations import answer_octets, request_octets
+from dpstack.dp.ms0 import planned_prm
 from dpstack.dp.plan_cycle import CyclePlan, Refusal, judge_cycle
 from dpstack.dp.plan_findings import findings as find
 from dpstack.dp.plan_findings import notes as note
@@ -33,7 +34,9 @@ _CASES: Final = (Case.SHORTEST, Case.TYPICAL, Case.LONGEST)
 class SlavePlan:
     """One slave: octets each way, what it takes of the shortest rotation, its watchdog and what then happens.
 
-    With ``every`` n it has its turn in the rounds whose number leaves ``offset`` when divided by n.
+    With ``every`` n it has its turn in the rounds whose number leaves ``offset`` when divided by n. ``set_prm`` and
+    ``chk_cfg`` are the octets that the master will send, in hex; ``....`` for an ident number that the slave is asked
+    for.
     """
 
     setup: SlaveSetup
@@ -43,6 +46,8 @@ class SlavePlan:
     offset: int
     watchdog_ms: int
     on_loss: str
+    set_prm: str
+    chk_cfg: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,6 +120,8 @@ def _slave_dict(slave: SlavePlan) -> dict[str, object]:
         "offset": slave.offset,
         "watchdog_ms": slave.watchdog_ms,
         "on_loss": slave.on_loss,
+        "set_prm": slave.set_prm,
+        "chk_cfg": slave.chk_cfg,
     }
 
 
@@ -175,6 +182,8 @@ def _slave_plans(counted: Figures, recommended: int) -> tuple[SlavePlan, ...]:
                 offset=offsets[setup.address],
                 watchdog_ms=effective,
                 on_loss=_on_loss(setup, effective),
+                set_prm=planned_prm(setup, watchdog),
+                chk_cfg=setup.config.hex(),
             )
         )
     return tuple(plans)
