@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import functools
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from types import TracebackType
@@ -25,6 +26,8 @@ from dpstack.api.streams import Events, EventStream, OnEvent, Waiters
 from dpstack.dp.commands import AddSlave, Mode, RemoveSlave, SetMode
 from dpstack.dp.events import ControlSent, DriveEvent
 from dpstack.dp.scanner import Found
+from dpstack.drivers.aio import outlast
+from dpstack.drivers.ending import end_limit_ns
 from dpstack.errors import BusError, ConfigError, DpError, UsageError
 from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.events import AddressCollision, RingJoined
@@ -60,6 +63,7 @@ class Bus(Composed):
         self._join_timeout = join_timeout
         self._open = False
         self._ending: asyncio.Task[None] | None = None
+        self._left = False
         self._ordered_end = OrderedEnd(self)
         self._joined_ns = 0  # machine time of the first token
         #: what was heard of another station at this one's address
@@ -116,10 +120,11 @@ class Bus(Composed):
         await self.runtime.open()
         self._open = True
         try:
+            await self._ordered_end.watch()
             if heard is not None:
-                self._notice("bus", heard)
+                self.notice("bus", heard)
             for note in (*self.plan.findings, *self.plan.notes):
-                self._notice("plan", note, Severity.WARNING)
+                self.notice("plan", note, Severity.WARNING)
             self._hand_on(GoOnline())
             await join(self, self._join_timeout)
         except BaseException:
@@ -127,22 +132,77 @@ class Bus(Composed):
             raise
 
     async def close(self) -> None:
-        """The ordered end: safe values for one cycle, Clear twice, out of the ring, port released. May be repeated."""
+        """The ordered end: safe values for one cycle, Clear twice, out of the ring, port released. May be repeated.
+
+        It takes a few rotations, and never longer than :attr:`end_limit_s`. It goes through any number of
+        cancellations; the cancellation is raised when it is over. In a process that was forked from the one that
+        opened the bus it does nothing.
+        """
+        if self.is_left:
+            return
+        ending = self._begin_end()
+        await outlast(ending)
+        if not ending.cancelled():
+            ending.result()
+
+    def hurry(self) -> None:
+        """End now, and leave out what is not needed to make outputs safe: within a second safe values and Clear are
+        sent, as far as the bus still can, and the port is released. To be called in the bus's event loop; ``close()``
+        waits for it.
+        """
+        self._ordered_end.hurry()
+        if self.is_open:
+            self._begin_end()
+
+    @property
+    def end_limit_s(self) -> float:
+        """No end takes longer than this (s), whatever port and slaves do."""
+        return ns_to_s(end_limit_ns(self.params, self.rotation_limit_ns) + self.runtime.close_limit_ns)
+
+    def _begin_end(self) -> asyncio.Task[None]:
         if self._ending is None:
             self._ending = asyncio.create_task(self._end())
-        await asyncio.shield(self._ending)
+        return self._ending
 
     async def _end(self) -> None:
         try:
             if self._open:
                 await self._ordered_end.carry_out()
-        finally:  # cut short by the end of the loop: the port is released all the same
+        finally:
             self._open = False
             try:
                 if not self.searching:
-                    await self.runtime.close()
+                    with contextlib.suppress(asyncio.CancelledError):  # it goes on to its end, too
+                        await self.runtime.close()
             finally:
                 self._nothing_more(UsageError("the bus is closed"))
+                await self._ordered_end.unwatch()
+
+    # --- for dpstack.api.ending ---------------------------------------------------------------------------------
+
+    @property
+    def ender(self) -> asyncio.Task[None] | None:
+        """The task that carries the end out, once it was begun."""
+        return self._ending
+
+    @property
+    def is_left(self) -> bool:
+        """A finaliser has ended it, or this process is a fork of its own: there is nothing to close."""
+        return self._left
+
+    def leave(self, why: DpError) -> None:
+        """It is over without :meth:`close`; ``why`` is raised by every order. Its event loop is not touched."""
+        self._open = False
+        self._left = True
+        self._over = why
+
+    def forsake(self) -> None:
+        """In the child of a fork: it is the parent's."""
+        self._ordered_end.forsake()
+
+    def notice(self, source: str, message: str, severity: Severity = Severity.INFO) -> None:
+        """Tell ``message`` as an event."""
+        self._events.tell(Notice(t_ns=self.runtime.now(), source=source, message=message, severity=severity))
 
     # --- orders -------------------------------------------------------------------------------------------------
 
@@ -170,6 +230,8 @@ class Bus(Composed):
 
     def check_open(self) -> None:
         """Raises UsageError when the bus is not open."""
+        if self.is_left and self._over is not None:
+            raise self._over
         if not self._open:
             raise UsageError("the bus is not open: use it inside `async with open_bus(...)`")
 
@@ -352,9 +414,6 @@ class Bus(Composed):
                 self._events.tell(Notice(t_ns=event.t_ns, source="bus", message=what_was_heard(self.station)))
         self._waiters.check()
 
-    def _notice(self, source: str, message: str, severity: Severity = Severity.INFO) -> None:
-        self._events.tell(Notice(t_ns=self.runtime.now(), source=source, message=message, severity=severity))
-
     def _on_failure(self, error: Exception) -> None:
         """Nothing runs the bus any more: everybody who waits is told. What is no BusError is a defect of ours."""
         failure = error
@@ -362,13 +421,14 @@ class Bus(Composed):
             text = f"the bus was stopped by a defect in dpstack ({type(error).__name__}: {error}); please report it"
             failure = BusError(text)
             failure.__cause__ = error
-        self._notice("bus", str(failure), Severity.ERROR)
+        self.notice("bus", str(failure), Severity.ERROR)
         self._nothing_more(failure)
 
     def _nothing_more(self, error: DpError) -> None:
         """Everybody who waits is told why, now and later; the first reason stands."""
         if self._over is None:
             self._over = error
+        self._ordered_end.is_over()
         for drive in self._drives.values():
             drive.end(self._over)
         self._groups.end(self._over)

@@ -1,43 +1,318 @@
-"""The ordered end of a bus by its application: the steps are :class:`dpstack.drivers.ending.EndSteps`."""
+"""The end of a bus by its application: through cancellations and Ctrl-C, by a finaliser where the event loop is over,
+and not at all in a forked child. The steps are :class:`dpstack.drivers.ending.EndSteps`;
+docs/ends.md has every way out.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-from typing import TYPE_CHECKING
+import functools
+import logging
+import os
+import select
+import selectors
+import signal
+import sys
+import threading
+import weakref
+from collections.abc import AsyncGenerator, Iterator
+from types import FrameType
+from typing import TYPE_CHECKING, Final
 
-from dpstack.drivers.base import END_LIMIT
-from dpstack.drivers.ending import EndSteps
-from dpstack.errors import DpError
-from dpstack.trace import Event
+from dpstack.dp.commands import Mode
+from dpstack.drivers.aio import outlast
+from dpstack.drivers.ending import EndSteps, at_slaves
+from dpstack.errors import DpError, UsageError
+from dpstack.trace import Event, Severity
 from dpstack.units import ns_to_s
 
 if TYPE_CHECKING:
     from dpstack.api.bus import Bus
 
+_log: Final = logging.getLogger("dpstack")
+
+#: the buses of this process that are open: for :func:`hurry_all` and for the child of a fork
+_open_buses: weakref.WeakSet[Bus] = weakref.WeakSet()
+#: Ctrl-C within so many seconds of the beginning of the end is the one that began it
+SAME_SIGNAL_S: Final = 1.0
+
+
+def hurry_all() -> None:
+    """End every open bus of this process now, without what is not needed to make outputs safe. Within their loop."""
+    for bus in list(_open_buses):
+        bus.hurry()
+
 
 class OrderedEnd:
-    """How far the end of ``bus`` is, by its events."""
+    """The end of ``bus``: how far it is, who makes it, what is said where slaves were not told to be safe."""
 
     def __init__(self, bus: Bus) -> None:
         self._bus = bus
         self._steps: EndSteps | None = None
+        self._step: asyncio.Future[None] | None = None
+        self._hurried = False
+        self._keeper: AsyncGenerator[None, None] | None = None
+        self._finalizer: weakref.finalize[[], _HeldByLoop] | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._wake_fd = -1
+        self._held: _HeldByLoop | None = None
+        self._pid = os.getpid()
+
+    # --- the bus opens and closes -------------------------------------------------------------------------------
+
+    async def watch(self) -> None:
+        """The bus has been opened: from now on somebody ends it, whatever becomes of its task, its loop, the program.
+
+        An asynchronous generator has asyncio.run() end a bus that nobody closed; a finaliser is there for a loop that
+        is closed or never runs again.
+        """
+        self._loop = loop = asyncio.get_running_loop()
+        self._pid = os.getpid()
+        _open_buses.add(self._bus)
+        self._keeper = self._keep()
+        await anext(self._keeper)
+        if self._bus.driver == "virtual":  # nobody real has outputs
+            return
+        held = _HeldByLoop()
+        if hasattr(os, "eventfd"):
+            fd = os.eventfd(0, os.EFD_CLOEXEC)
+            try:
+                loop.add_reader(fd, held.never)
+                self._wake_fd = fd
+            except NotImplementedError:
+                os.close(fd)
+        if self._wake_fd < 0:  # only the end of the interpreter is noticed then
+            self._held = held
+        self._finalizer = weakref.finalize(held, self._without_loop)
+
+    async def _keep(self) -> AsyncGenerator[None, None]:
+        try:
+            yield
+        finally:
+            if not self._is_ender():
+                await self._bus.close()
+
+    def _is_ender(self) -> bool:
+        ender = self._bus.ender
+        return ender is not None and asyncio.current_task() is ender
+
+    async def unwatch(self) -> None:
+        """The bus is closed: nothing is left to be done."""
+        self._forget()
+        keeper, self._keeper = self._keeper, None
+        if keeper is not None:
+            with contextlib.suppress(RuntimeError):  # asyncio.run() is closing it and waits for this end
+                await keeper.aclose()
+
+    def _forget(self) -> None:
+        _open_buses.discard(self._bus)
+        if self._finalizer is not None:
+            self._finalizer.detach()
+            self._finalizer = None
+        fd, self._wake_fd = self._wake_fd, -1
+        if fd >= 0:
+            if self._loop is not None and not self._loop.is_closed():
+                self._loop.remove_reader(fd)
+            os.close(fd)
+
+    # --- in the loop --------------------------------------------------------------------------------------------
 
     def on_event(self, event: Event) -> None:
         """The master has stopped, the ring was left."""
         if self._steps is not None:
             self._steps.on_event(event)
+            if self._steps.done:
+                self._wake()
+
+    def hurry(self) -> None:
+        """Skip what is not needed to make outputs safe, see :class:`EndSteps`."""
+        self._hurried = True
+        if self._steps is not None:
+            self._steps.hurry(self._bus.runtime.now())
+            self._wake()
+
+    def is_over(self) -> None:
+        """Nothing can be sent any more: no step is waited for."""
+        if self._steps is not None:
+            self._steps.done = True
+            self._wake()
 
     async def carry_out(self) -> None:
-        """All of it, as far as the bus still can."""
+        """All of it, as far as the bus still can, in the time that :func:`~dpstack.drivers.ending.end_limit_ns` gives.
+
+        A cancellation of the task that runs this (asyncio.run() cancels all) changes nothing.
+        """
         bus = self._bus
         steps = self._steps = EndSteps(bus.station)
-        limit = ns_to_s(END_LIMIT) + 10 * bus.rotation_limit_s
-        while (order := steps.next_order()) is not None:
-            # a bus that can no longer do it does not hold the program up
-            with contextlib.suppress(TimeoutError, DpError):
-                bus.command(order)
-                await bus.until(lambda: steps.done, limit)
-        now = bus.runtime.now()
-        # no event: no port tells when the last bit is on the wire, only time does
-        await asyncio.sleep(ns_to_s(steps.over_at(now) - now))
+        if self._hurried:
+            steps.hurry(bus.runtime.now())
+        owed = self._exchanging()
+        rotation = bus.rotation_limit_ns
+        with self._interrupts_deferred():
+            while (order := steps.next_order()) is not None:
+                begun = bus.runtime.now()
+                with contextlib.suppress(DpError):  # a bus that can no longer do it does not hold the program up
+                    bus.command(order)
+                    while not steps.done and (left := steps.wait_until(begun, rotation) - bus.runtime.now()) > 0:
+                        await self._pause(ns_to_s(left))
+            now = bus.runtime.now()
+            # no event: no port tells when the last bit is on the wire, only time does
+            self._steps = None
+            await self._pause(ns_to_s(steps.over_at(now) - now))
+        # a bus process that is no more has its own words for that
+        if owed and (steps.cleared is False or (steps.cleared is None and bus.driver != "process")):
+            text = f"the end could not be sent: the slaves got neither safe values nor Clear. {at_slaves(owed)}"
+            bus.notice("bus", text, Severity.ERROR)
+
+    def _exchanging(self) -> dict[str, int]:
+        """The watchdogs in ns of the slaves that have outputs of this master, by name."""
+        if self._bus.mode is not Mode.OPERATE:
+            return {}
+        handlers = self._bus.master.handlers.values()
+        return {h.setup.name: h.watchdog_effective_ns for h in handlers if h.exchanges}
+
+    async def _pause(self, seconds: float) -> None:
+        """Until :meth:`_wake`, for so long at most; cancellations change nothing."""
+        loop = asyncio.get_running_loop()
+        self._step = step = loop.create_future()
+        timer = loop.call_later(seconds, _set, step)
+        try:
+            with contextlib.suppress(asyncio.CancelledError):
+                await outlast(step)
+        finally:
+            timer.cancel()
+            self._step = None
+
+    def _wake(self) -> None:
+        if self._step is not None:
+            _set(self._step)
+
+    @contextlib.contextmanager
+    def _interrupts_deferred(self) -> Iterator[None]:
+        """A Ctrl-C that would raise KeyboardInterrupt somewhere in the middle of the end is raised after it.
+
+        One that comes later than :data:`SAME_SIGNAL_S` after the beginning hurries the end. Handlers of signals that
+        the program itself has set stay as they are.
+        """
+        loop = asyncio.get_running_loop()
+        before = signal.getsignal(signal.SIGINT) if threading.current_thread() is threading.main_thread() else None
+        if not _raises(before):
+            yield
+            return
+        assert callable(before)
+        caught: list[FrameType | None] = []
+        begun = loop.time()
+
+        def defer(_number: int, frame: FrameType | None) -> None:
+            caught.append(frame)
+            if loop.time() - begun >= SAME_SIGNAL_S:
+                loop.call_soon_threadsafe(self._bus.hurry)
+
+        signal.signal(signal.SIGINT, defer)
+        try:
+            yield
+        finally:
+            signal.signal(signal.SIGINT, before)
+            if caught:
+                loop.call_soon(before, signal.SIGINT, None)
+
+    # --- without a loop -----------------------------------------------------------------------------------------
+
+    def _without_loop(self) -> None:
+        """The finaliser: the loop was closed, or the interpreter ends, and nobody has closed the bus."""
+        bus, loop = self._bus, self._loop
+        if os.getpid() != self._pid or bus.is_left:
+            return
+        where = f"the bus on {bus.runtime.port_name}"
+        if loop is not None and loop.is_running():  # in another thread, which ends with the interpreter
+            with contextlib.suppress(Exception):
+                asyncio.run_coroutine_threadsafe(bus.close(), loop).result(bus.end_limit_s)
+                _log.warning("%s was still open as the program ended and was closed then", where)
+                return
+        with _signals_blocked():
+            owed = self._exchanging()
+            why = bus.runtime.end_without_loop()
+            bus.leave(UsageError("the bus was left with its event loop"))
+        self._forget()
+        self._drop_keeper()
+        was = f"{where} was not closed before its event loop was (use `async with`)"
+        if not why:
+            _log.warning("%s: safe values and Clear were sent at the last moment", was)
+        elif owed:
+            _log.error("%s, and safe values and Clear could not be sent: %s. %s", was, why, at_slaves(owed))
+
+    def _drop_keeper(self) -> None:
+        keeper, self._keeper = self._keeper, None
+        if keeper is not None:
+            with contextlib.suppress(StopIteration, StopAsyncIteration, RuntimeError):
+                keeper.aclose().send(None)
+
+    # --- in a forked child --------------------------------------------------------------------------------------
+
+    def forsake(self) -> None:
+        """In the child of a fork: the bus stays the parent's, and nothing that both share is touched."""
+        bus = self._bus
+        if self._loop is not None:
+            _separate(self._loop)
+        bus.runtime.forsake()
+        text = "this process was forked from the one that runs the bus, which goes on there: open a bus of its own"
+        bus.leave(UsageError(text))
+        self._forget()
+        self._drop_keeper()
+
+
+class _HeldByLoop:
+    """Nobody but an event loop refers to it: it is gone when the loop is closed."""
+
+    def never(self) -> None:
+        """Its descriptor never becomes readable."""
+
+
+def _set(future: asyncio.Future[None]) -> None:
+    if not future.done():
+        future.set_result(None)
+
+
+def _raises(handler: object) -> bool:
+    """Whether a signal handler raises KeyboardInterrupt wherever the program is: Python's own and asyncio.run()'s."""
+    if handler is signal.default_int_handler:
+        return True
+    func = handler.func if isinstance(handler, functools.partial) else handler
+    return isinstance(getattr(func, "__self__", None), asyncio.Runner)
+
+
+@contextlib.contextmanager
+def _signals_blocked() -> Iterator[None]:
+    """SIGINT and SIGTERM wait meanwhile, where this system can do that."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _separate(loop: asyncio.AbstractEventLoop) -> None:
+    """In the child of a fork: give its copy of ``loop`` an epoll of its own.
+
+    The copy has the parent's. Closing the loop in the child, as asyncio.run() does, would take descriptors out of the
+    parent's loop, among them the one by which threads and signals wake it up.
+    """
+    selector = getattr(loop, "_selector", None)
+    if sys.platform == "linux" and isinstance(selector, selectors.EpollSelector) and not loop.is_closed():
+        with select.epoll() as fresh:
+            os.dup2(fresh.fileno(), selector.fileno(), inheritable=False)
+
+
+def _in_child() -> None:
+    for bus in list(_open_buses):
+        bus.forsake()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_in_child)
+
+__all__ = ["OrderedEnd", "hurry_all"]

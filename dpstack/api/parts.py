@@ -88,7 +88,12 @@ class Composed:
     @property
     def rotation_limit_s(self) -> float:
         """The longest rotation of the plan in seconds."""
-        return ns_to_s(self.plan.rotation_ns(Case.LONGEST))
+        return ns_to_s(self.rotation_limit_ns)
+
+    @property
+    def rotation_limit_ns(self) -> int:
+        """The longest rotation of the plan in ns."""
+        return self.plan.rotation_ns(Case.LONGEST)
 
     @property
     def mode(self) -> Mode:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
 
@@ -277,8 +278,12 @@ class SlaveServer:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._make_safe(BusError("the slaves are served no more"))
-        for runtime in self._runtimes:
-            await runtime.close()
+        async with contextlib.AsyncExitStack() as all_of_them:  # a cancellation leaves none of them open
+            all_of_them.callback(self._tell_rest)
+            for runtime in reversed(self._runtimes):
+                all_of_them.push_async_callback(runtime.close)
+
+    def _tell_rest(self) -> None:
         self._on_events([event for slave in self.slaves for event in slave.station.take_events()])
 
     def _on_events(self, events: list[Event]) -> None:

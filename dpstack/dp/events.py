@@ -128,7 +128,9 @@ class ModeChanged(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MasterStopped(Event):
-    """The ordered end is done: outputs are safe, Clear was sent, the ring is left."""
+    """The master has ended. ``cleared``: safe values and Clear were sent; False where it had no token to send them."""
+
+    cleared: bool = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -221,7 +221,7 @@ class Master:
             if target > self.mode:
                 self._go_up(now)
         elif self.mode is Mode.STOP or not self._token.known:
-            self._reach(target, now)
+            self._reach(target, now, cleared=self.mode is Mode.STOP)
         else:
             self._round.cut(now)  # a whole round follows
             if self.mode is Mode.OPERATE:
@@ -258,7 +258,7 @@ class Master:
         elif not (self.controls.urgent or self._farewells):
             self._reach(self._course.target, now)
 
-    def _reach(self, mode: Mode, now: int) -> None:
+    def _reach(self, mode: Mode, now: int, *, cleared: bool = True) -> None:
         self._course.mode = mode
         self.controls.change_of_mode()
         self._events.append(ModeChanged(t_ns=now, mode=mode))
@@ -273,7 +273,7 @@ class Master:
                 handler.image.valid = False
         if mode is Mode.OFFLINE:
             self._token.lost()
-            self._events.append(MasterStopped(t_ns=now))
+            self._events.append(MasterStopped(t_ns=now, cleared=cleared))
 
     def _watch_data(self, now: int) -> None:
         """Auto-clear: down when somebody had no exchange for too long, up when Operate waits and all are there."""
@@ -364,4 +364,4 @@ class Master:
         for handler in self.handlers.values():
             handler.line_lost(reason, now)
         if self._course.target < self.mode:
-            self._reach(self._course.target, now)
+            self._reach(self._course.target, now, cleared=False)

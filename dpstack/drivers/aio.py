@@ -4,16 +4,37 @@ from __future__ import annotations
 
 import asyncio
 from time import monotonic_ns
+from typing import Any
 
 from dpstack.drivers.base import OnFailure
+from dpstack.drivers.ending import end_on_port
 from dpstack.drivers.lateness import patience_of
 from dpstack.drivers.reopening import Attempts
 from dpstack.drivers.stepping import SPIN_NS, Stepping
 from dpstack.drivers.timers import make_timer
 from dpstack.errors import PortError
+from dpstack.fdl.active import ActiveStation
 from dpstack.units import NEVER, NS_PER_S
 
-__all__ = ["SPIN_NS", "AsyncioRuntime", "OnFailure", "patience_of"]
+__all__ = ["SPIN_NS", "AsyncioRuntime", "OnFailure", "outlast", "patience_of"]
+
+
+async def outlast(future: asyncio.Future[Any]) -> None:
+    """Wait until ``future`` is done, through any number of cancellations; then re-raise the cancellation, if any.
+
+    ``future`` itself is not cancelled, what it raises stays in it, and ``task.cancelling()`` counts every request as
+    ever. Of several cancellations the one without a message is raised: anyio marks its own by a message, and swallows
+    them where its scope ends.
+    """
+    cancelled: asyncio.CancelledError | None = None
+    while not future.done():
+        try:
+            await asyncio.wait([future])
+        except asyncio.CancelledError as error:
+            if cancelled is None or cancelled.args:
+                cancelled = error
+    if cancelled is not None:
+        raise cancelled
 
 
 class AsyncioRuntime(Stepping):
@@ -35,10 +56,30 @@ class AsyncioRuntime(Stepping):
         was_open = self._at is not None
         self._halt()
         task, self._reopening = self._reopening, None
-        if task is not None:
-            task.cancel()
-            await asyncio.wait([task])
-        self._end(was_open)
+        try:
+            if task is not None:
+                task.cancel()
+                await outlast(task)
+        finally:
+            self._end(was_open)
+
+    #: a port that is being opened when it is closed gives that up at once
+    close_limit_ns = 0
+
+    def end_without_loop(self) -> str:
+        """The loop was closed or never runs again: the end of its bus by this thread alone, see :func:`end_on_port`."""
+        port, station = self._port, self._machine
+        lost = self._at is None or self._attempts is not None or self.failed is not None
+        self._reopening = None
+        self._halt()
+        try:
+            if lost or not isinstance(station, ActiveStation):
+                return "its port is lost"
+            return end_on_port(port, station, self.echo)
+        except Exception as exc:  # at the end of an interpreter anything may be missing
+            return f"{type(exc).__name__}: {exc}"
+        finally:
+            port.close()
 
     def _expect(self, at: int, quiet_until: int) -> None:
         if quiet_until:

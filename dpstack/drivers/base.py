@@ -75,7 +75,21 @@ class Runtime(Protocol):
         """Open the line and begin. Raises PortError."""
 
     async def close(self) -> None:
-        """Stop and release the line. The machine has been taken off the bus in order before."""
+        """Stop and release the line. The machine has been taken off the bus in order before.
+
+        It goes through any number of cancellations, and re-raises the cancellation.
+        """
+
+    @property
+    def close_limit_ns(self) -> int:
+        """What :meth:`close`, and orders that nobody answers, may add to the time of an ordered end (ns)."""
+
+    def end_without_loop(self) -> str:
+        """Make the end of a bus whose event loop can run no more; why safe values and Clear could not be sent, empty
+        where they were. The line is released."""
+
+    def forsake(self) -> None:
+        """In the child of a fork: let go of everything that the parent uses too, and change nothing at it."""
 
     def command(self, command: object) -> None:
         """Hand an order to the machine and let it act at once."""

@@ -94,7 +94,9 @@ class Host:
             on_failure=self._on_failure,
             tune=self._station.set_patience if setup.tune else None,
         )
-        self._ending = Ending(loop, self.runtime, stack, self._finish)
+        self._ending = Ending(
+            loop, self.runtime.command, stack.station, lambda: stack.master.rotation.max_ns, self._finish
+        )
         self._surveys: dict[int, Scanner] = {}
         self._watched = False
         self._dropped = 0

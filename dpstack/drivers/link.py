@@ -19,6 +19,7 @@ from collections.abc import Callable
 from time import monotonic
 from typing import Final
 
+from dpstack.drivers.aio import outlast
 from dpstack.drivers.messages import (
     FROM_TERMINALS,
     Answer,
@@ -43,6 +44,8 @@ _AGAIN_S: Final = 0.5
 _START_S: Final = 30.0
 _END_S: Final = 3.0
 _CHUNK: Final = 65_536
+#: what the end of a bus takes longer at most where the bus process hangs: four orders, and its own end
+CLOSE_LIMIT_S: Final = ANSWER_S + 3 * _AGAIN_S + 2 * _END_S
 
 
 class Link:
@@ -107,11 +110,45 @@ class Link:
             raise
 
     async def ended(self) -> None:
-        """Wait until the process has ended by itself, with a limit."""
+        """Wait until the process has ended by itself, with a limit. Cancellations change nothing.
+
+        The loop waits for the process itself: a thread would need the descriptor by which threads wake up the loop,
+        and the child of a fork may have taken that away from it.
+        """
+        process, loop = self._process, self._loop
+        if process is None or loop is None or self._silent or process.poll() is not None:
+            return
+        over: asyncio.Future[None] = loop.create_future()
+        fd = os.pidfd_open(process.pid)
+        limit = loop.call_later(_END_S, _set, over)
+        try:
+            loop.add_reader(fd, _set, over)
+            with contextlib.suppress(asyncio.CancelledError):
+                await outlast(over)
+        finally:
+            limit.cancel()
+            loop.remove_reader(fd)
+            os.close(fd)
+
+    def hang_up_and_wait(self, error: DpError) -> bool:
+        """Hang up without a loop; the process makes its ordered end. Whether it has ended in time; it is not killed."""
+        self.hang_up(error)
+        self._disconnect()
         process = self._process
-        if process is not None and self._loop is not None and not self._silent:
+        if process is not None:
             with contextlib.suppress(subprocess.TimeoutExpired):
-                await self._loop.run_in_executor(None, process.wait, _END_S)
+                process.wait(_END_S)
+        return process is None or process.poll() is not None
+
+    def forsake(self) -> None:
+        """In the child of a fork: the process and the loop are the parent's."""
+        self._gone = UsageError("the bus process belongs to the parent of this process")
+        sock, self._sock = self._sock, None
+        process, self._process = self._process, None
+        if sock is not None:
+            sock.close()
+        if process is not None:
+            process.returncode = 0  # it is no child of this process
 
     def hang_up(self, error: DpError) -> None:
         """Nothing more will be asked: ``error`` says why."""
@@ -249,6 +286,11 @@ class Link:
             if self._loop is not None and not self._loop.is_closed():
                 self._loop.remove_reader(sock.fileno())
             sock.close()
+
+
+def _set(future: asyncio.Future[None]) -> None:
+    if not future.done():
+        future.set_result(None)
 
 
 def _started(sock: int, memory: int) -> subprocess.Popen[bytes]:

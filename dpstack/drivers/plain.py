@@ -73,6 +73,15 @@ class PlainRuntime(Stepping):
         self._port.open_now()
         self._begin(self._loop, self._loop.alarm(self._timer_due))
 
+    def take_over(self, command: object) -> None:
+        """Go on with a port that another driver has opened and a machine that it has left: ``command`` comes first.
+
+        Raises as ``open``; the port is closed then.
+        """
+        self._may_open()
+        self._machine.command(command, monotonic_ns())
+        self._begin(self._loop, self._loop.alarm(self._timer_due))
+
     def close(self) -> None:
         """Stop and release the port; what the machine still had to tell is told. May be called again."""
         was_open = self._at is not None

@@ -19,9 +19,10 @@ from typing import Final
 from dpstack.dp.commands import AddSlave, DriveCommand, RemoveSlave, ReparameteriseSlave
 from dpstack.dp.events import SlaveState
 from dpstack.dp.survey import SurveyOrder, SurveyResult
+from dpstack.drivers.aio import outlast
 from dpstack.drivers.base import OnEvents, OnFailure
 from dpstack.drivers.lateness import Lateness
-from dpstack.drivers.link import Link
+from dpstack.drivers.link import CLOSE_LIMIT_S, Link
 from dpstack.drivers.messages import (
     AskCounters,
     AskUnit,
@@ -43,7 +44,7 @@ from dpstack.drivers.shared_image import Picture, SharedImage, make_memory, outp
 from dpstack.errors import BusError, DpError, UsageError
 from dpstack.stats import Histogram
 from dpstack.trace import Notice, Severity
-from dpstack.units import NS_PER_MS, NS_PER_S
+from dpstack.units import NS_PER_MS, NS_PER_S, s_to_ns
 
 #: counters asked for so shortly before are still those of this moment, unless a later picture was seen
 _FRESH_NS: Final = NS_PER_MS
@@ -128,7 +129,7 @@ class ProcessRuntime:
                 with contextlib.suppress(DpError):
                     self._counters = typed(self._ask(CloseBus()), Counters)
                 link.hang_up(UsageError("the bus is closed"))
-                await link.ended()
+                await outlast(asyncio.ensure_future(link.ended()))
         finally:
             if link.release(kill=False):
                 text = killed_at_the_end(self._watchdogs())
@@ -136,6 +137,24 @@ class ProcessRuntime:
                     [Notice(t_ns=monotonic_ns(), source="bus process", message=text, severity=Severity.ERROR)]
                 )
             self._close_image()
+
+    @property
+    def close_limit_ns(self) -> int:
+        """Orders that a hanging bus process does not answer, and its end."""
+        return s_to_ns(CLOSE_LIMIT_S)
+
+    def end_without_loop(self) -> str:
+        """Hang up: the bus process makes the ordered end by itself. Waits for it, and never kills it."""
+        ended = self._link.hang_up_and_wait(UsageError("the bus is closed"))
+        self._close_image()
+        return "" if ended else f"the bus process (pid {self.pid}) has not ended yet"
+
+    def forsake(self) -> None:
+        """The bus process is the parent's: the child closes its copies of what leads there."""
+        self._link.forsake()
+        if self._image is not None:
+            self._image.close()
+            self._image = None
 
     def _close_image(self) -> None:
         if self._image is not None:

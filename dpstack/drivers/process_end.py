@@ -5,9 +5,9 @@ from __future__ import annotations
 import signal
 from collections.abc import Mapping
 
+from dpstack.drivers.ending import at_slaves
 from dpstack.drivers.messages import News
 from dpstack.errors import BusError
-from dpstack.units import NS_PER_MS
 
 
 def how_it_ended(code: int | None, last: News | None, watchdogs: Mapping[str, int]) -> BusError:
@@ -16,7 +16,7 @@ def how_it_ended(code: int | None, last: News | None, watchdogs: Mapping[str, in
     ``watchdogs``: of the slaves that were in data exchange, by name, in ns (0 is off).
     """
     if last is not None and last.defect:
-        text = f"the bus was stopped by a defect in dpstack ({last.over}); please report it. {_at_slaves(watchdogs)}"
+        text = f"the bus was stopped by a defect in dpstack ({last.over}); please report it. {at_slaves(watchdogs)}"
         return BusError(text)
     if last is not None:
         return BusError(f"the bus process has ended: {last.over}; outputs were set to their safe values before")
@@ -26,12 +26,12 @@ def how_it_ended(code: int | None, last: News | None, watchdogs: Mapping[str, in
         how = f"was killed by {_signal(-code)}"
     else:
         how = f"ended with exit code {code}, see what it wrote to standard error"
-    return BusError(f"the bus process {how}: nothing is sent any more. {_at_slaves(watchdogs)}; open the bus anew")
+    return BusError(f"the bus process {how}: nothing is sent any more. {at_slaves(watchdogs)}; open the bus anew")
 
 
 def killed_at_the_end(watchdogs: Mapping[str, int]) -> str:
     """It did not end when it was told to; ``watchdogs`` as in :func:`how_it_ended`."""
-    return f"it did not answer at the end of the bus and was killed: the end was not in order. {_at_slaves(watchdogs)}"
+    return f"it did not answer at the end of the bus and was killed: the end was not in order. {at_slaves(watchdogs)}"
 
 
 def _signal(number: int) -> str:
@@ -39,14 +39,3 @@ def _signal(number: int) -> str:
         return signal.Signals(number).name
     except ValueError:
         return f"signal {number}"
-
-
-def _at_slaves(watchdogs: Mapping[str, int]) -> str:
-    if not watchdogs:
-        return "No slave was in data exchange"
-    off = sorted(name for name, ns in watchdogs.items() if not ns)
-    longest = max(watchdogs.values()) // NS_PER_MS
-    words = [f"The slaves' watchdogs make their outputs safe within {longest} ms"] if longest else []
-    if off:
-        words.append(f"{', '.join(off)} without watchdog keep{'s' if len(off) == 1 else ''} the last outputs")
-    return "; ".join(words)

@@ -154,6 +154,11 @@ class Stepping(ABC):
         if was_open and self.failed is None:
             self._tell(self._machine.take_events())
 
+    def forsake(self) -> None:
+        """In the child of a fork: no more steps; line, timer and loop stay the parent's."""
+        self._port.forsake()
+        self._halt()
+
     def command(self, command: object) -> None:
         """Hand an order to the machine and let it act at once. What it raises is the caller's."""
         if self.failed is not None:

@@ -96,6 +96,17 @@ class VirtualRuntime:
             self._world.remove(self._station)
             clockwork.leave(self)
 
+    #: nothing is waited for
+    close_limit_ns = 0
+
+    def end_without_loop(self) -> str:
+        """The world stands still with its loop: nobody real has outputs."""
+        return ""
+
+    def forsake(self) -> None:
+        """Both processes have a world of their own now; the child's stands still."""
+        self._clockwork = None
+
     def command(self, command: object) -> None:
         """Hand an order to the station and let it act at once. Raises UsageError when not open, BusError when a defect
         has stopped the bus."""

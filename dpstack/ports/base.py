@@ -138,6 +138,11 @@ class Port(ABC):
         if loop is not None and not loop.is_closed():
             self._stop(loop)
 
+    def forsake(self) -> None:
+        """In the child of a fork: let go. The line, its settings and the loop stay the parent's and are not touched."""
+        self._loop = None
+        self._on_data = self._on_lost = None
+
     def hush(self, quiet: bool) -> bool:
         """Hand over nothing for a while (the system keeps what arrives), or again; whether this port does as asked."""
         return not quiet

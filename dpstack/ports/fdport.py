@@ -73,6 +73,17 @@ class FdPort(Port):
         if fd >= 0:
             self._close_fd(fd)
 
+    def forsake(self) -> None:
+        """Close the child's copy of the descriptor, and nothing else."""
+        super().forsake()
+        fd, self._fd = self._fd, -1
+        self._read, self._send = _read_nothing, _write_nothing
+        if fd >= 0:
+            self._forsake_fd(fd)
+
+    def _forsake_fd(self, fd: int) -> None:
+        os.close(fd)
+
     def _use(self, fd: int) -> None:
         """Take over an open, non-blocking descriptor."""
         self._fd = fd

@@ -63,6 +63,12 @@ class PtyPort(FdPort):
             return False
         return super().write(octets)
 
+    def _forsake_fd(self, fd: int) -> None:
+        watch, self._watch = self._watch, None
+        if watch is not None:
+            watch.close()
+        self._close_fd(fd)
+
     def _close_fd(self, fd: int) -> None:
         self._master = None
         os.close(fd)

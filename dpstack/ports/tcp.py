@@ -67,6 +67,9 @@ class SocketPort(FdPort):
             f"{self.name}: cannot connect ({reason_of(exc)}); is the server running and the port number right?"
         )
 
+    def _forsake_fd(self, fd: int) -> None:
+        self._close_fd(fd)  # it hangs up with the last descriptor only
+
     def _close_fd(self, fd: int) -> None:
         if self._socket is not None:
             self._socket.close()

@@ -170,6 +170,11 @@ class TtyPort(FdPort):
             raise BlockingIOError  # nothing but marks
         return octets
 
+    def _forsake_fd(self, fd: int) -> None:
+        """The lock and the settings belong to the open file, which is the parent's."""
+        self._tuning = None
+        super()._forsake_fd(fd)
+
     def _close_fd(self, fd: int) -> None:
         tuning, self._tuning = self._tuning, None
         if tuning is not None:

@@ -1,0 +1,54 @@
+"""What a slave was sent on the way out, read from octets; nothing of the project reads them.
+
+``told`` makes words of telegrams: outputs of Data_Exchange in hex, "clear" and "operate" of Global_Control.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+
+import pytest
+from support_responder import Responder
+
+#: octet 1 of Global_Control by what it says; the other bits are SYNC and FREEZE
+CLEAR = 0x02
+
+
+def told(telegrams: Iterable[bytes], address: int) -> list[str]:
+    """What the slave at ``address`` was told, in order, without repetitions."""
+    words: list[str] = []
+    for octets in telegrams:
+        if octets[:1] != b"\x68" or not octets[6] & 0x40:
+            continue
+        word = None
+        if octets[4] == address:  # no SAP: Data_Exchange
+            word = octets[7:-2].hex()
+        elif octets[4] in (0xFF, 0x80 | address) and octets[7] == 58:
+            word = "clear" if octets[9] & CLEAR else "operate"
+        if word is not None and words[-1:] != [word]:
+            words.append(word)
+    return words
+
+
+@contextmanager
+def heard(there: Responder, address: int = 4) -> Iterator[list[str]]:
+    """What the slave at ``address`` of ``there`` is told from now on."""
+    words: list[str] = []
+    take = there.request
+
+    def request(body: bytes) -> bytes:
+        words.extend(told([b"\x68\0\0\x68" + body + b"\0\x16"], address))
+        return take(body)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(there, "request", request)
+        yield words
+
+
+def is_in_order(words: list[str], *, live: str, safe: str) -> bool:
+    """Safe values after the live ones, then Clear, then nothing live again."""
+    if safe not in words:
+        return False
+    after = words[words.index(safe) :]
+    return "clear" in after and live not in after and "operate" not in after
