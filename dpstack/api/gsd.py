@@ -6,12 +6,14 @@ import difflib
 from collections.abc import Iterable
 from importlib import resources
 from pathlib import Path
+from typing import Final
 
 from dpstack.dp.v1.status import ALARM_KEYWORDS
 from dpstack.errors import ConfigError
 from dpstack.gsd.check import check
+from dpstack.gsd.configuration import first_slot
 from dpstack.gsd.identifiers import io_lengths
-from dpstack.gsd.model import Device, Diagnostic, GsdFile, Module
+from dpstack.gsd.model import Device, Diagnosis, Diagnostic, GsdFile, Module, PrmBlock
 from dpstack.gsd.parser import load_gsd, parse_gsd
 from dpstack.gsd.prm import Reading, UserPrm
 from dpstack.gsd.text import MAX_OCTETS
@@ -79,6 +81,18 @@ def check_gsd(path: str | Path) -> tuple[Diagnostic, ...]:
     return check(parse_gsd(read_octets(path), str(path)))
 
 
+#: how GSD files of all languages end: .gsd, .gse, .gsg, .gsf, .gsi, .gsp, .gss
+_ENDINGS: Final = frozenset(f".gs{language}" for language in "degfips")
+
+
+def gsd_files(folder: Path) -> list[Path]:
+    """The GSD files in ``folder`` and the folders in it, by name. Raises ConfigError where there are none."""
+    found = sorted(path for path in folder.rglob("*") if path.suffix.lower() in _ENDINGS and path.is_file())
+    if not found:
+        raise ConfigError(f"{folder}: no GSD file (.gsd, .gse, .gsg ...) is in this directory; give another one")
+    return found
+
+
 def gsd_dict(file: GsdFile) -> dict[str, object]:
     """The file as JSON shows it (interface of ``dpstack gsd show --json``)."""
     device = file.device
@@ -108,6 +122,13 @@ def gsd_dict(file: GsdFile) -> dict[str, object]:
         "user_prm": prm[Reading.REFS],
         "user_prm_const": prm[Reading.CONST],
         "parameters": [_parameter(file, number) for number in device.parameters],
+        "device_parameters": parameter_places(device, device.prm),
+        "f_parameters": device.f_parameters,
+        "first_slot": first_slot(device),
+        "fix_preset_modules": device.fix_preset_modules,
+        "presets": [{"name": m.name, "reference": m.reference} for m in device.modules if m.preset],
+        "diagnosis": diagnosis_texts(device.diagnosis),
+        "diagnosis_types": [{"type": d.type, "diagnosis": diagnosis_texts(d)} for d in device.diag_types],
         "unit_diag_bits": len(device.diagnosis.bits),
         "slots": [
             {"number": s.number, "name": s.name, "default": s.default, "allowed": [list(pair) for pair in s.allowed]}
@@ -139,8 +160,41 @@ def module_dict(file: GsdFile, module: Module) -> dict[str, object]:
         "inputs": inputs,
         "outputs": outputs,
         "user_prm": module_prm(file, module).hex(),
+        "parameters": parameter_places(file.device, module.prm),
+        "preset": module.preset,
+        "f_parameters": module.f_parameters,
+        "info": module.info,
+        "diagnosis": diagnosis_texts(module.diagnosis),
         "complete": module.complete,
     }
+
+
+def parameter_places(device: Device, prm: PrmBlock) -> list[dict[str, object]]:
+    """The named parameters of the device or of a module: ``number`` and ``name``, ``offset`` in its octets."""
+    return [
+        {"number": ref.number, "name": device.parameters[ref.number].name, "offset": ref.offset}
+        for ref in prm.refs
+        if ref.number in device.parameters
+    ]
+
+
+def diagnosis_texts(diagnosis: Diagnosis) -> list[dict[str, object]]:
+    """The texts for a diagnosis. ``kind`` is "bit", "not_bit", "area" or "channel".
+
+    Of a bit or an area ``first`` and ``last`` are bits from the first octet behind the block's header on, ``value`` is
+    what they are; of a channel ``value`` is the type of error.
+    """
+    rows: list[tuple[str, int | None, int | None, int, str, str]] = []
+    for bit, text in sorted(diagnosis.bits.items()):
+        rows.append(("bit", bit, bit, 1, text, diagnosis.bit_helps.get(bit, "")))
+    for bit, text in sorted(diagnosis.not_bits.items()):
+        rows.append(("not_bit", bit, bit, 0, text, diagnosis.not_bit_helps.get(bit, "")))
+    for area in diagnosis.areas:
+        for value, text in sorted(area.values.items()):
+            rows.append(("area", area.first, area.last, value, text, area.helps.get(value, "")))
+    for error, text in sorted(diagnosis.channel.items()):
+        rows.append(("channel", None, None, error, text, diagnosis.channel_helps.get(error, "")))
+    return [dict(zip(("kind", "first", "last", "value", "text", "help"), row, strict=True)) for row in rows]
 
 
 def module_lengths(module: Module) -> tuple[int | None, int | None]:

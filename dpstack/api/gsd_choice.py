@@ -51,7 +51,7 @@ def as_toml(device: Device, choice: Choice) -> str:
         ("name", quoted(choice.name)),
         ("address", str(choice.address)),
         ("gsd", quoted(choice.gsd)),
-        ("modules", _list([module_key(device, module) for module in choice.modules])),
+        ("modules", _list([module_key(device, module) for module in configuration.modules])),
     ]
     if device.ident is None:
         keys.append(("ident", quoted("ask")))

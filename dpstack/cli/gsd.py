@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import argparse
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Final
 
 from dpstack.api.gsd import (
     alarms_text,
     check_gsd,
     copy_gsd,
+    diagnosis_texts,
     diagnostic_dict,
     gsd_dict,
+    gsd_files,
     module_lengths,
     module_prm,
     read_gsd,
@@ -17,8 +23,10 @@ from dpstack.api.gsd import (
     supports,
 )
 from dpstack.cli import gsd_configure, options, output
+from dpstack.errors import ConfigError
 from dpstack.gsd.check import check
-from dpstack.gsd.model import Diagnostic, GsdFile, Parameter, ranges_text
+from dpstack.gsd.configuration import first_slot
+from dpstack.gsd.model import Device, Diagnostic, GsdFile, Parameter, ranges_text
 from dpstack.trace import Severity
 from dpstack.units import baud_text
 
@@ -34,9 +42,12 @@ def add_to(commands: options.Commands) -> None:
     options.add_json(shower)
     shower.set_defaults(execute=show)
     checker = options.command(
-        inner, "check", "what is wrong or odd in GSD files; exit code 1 where one is damaged", "dpstack gsd check *.gsd"
+        inner,
+        "check",
+        "what is wrong or odd in GSD files, with a summary for a directory; exit code 1 where one is damaged",
+        "dpstack gsd check *.gsd",
     )
-    checker.add_argument("files", metavar="FILE", nargs="+", help="GSD files")
+    checker.add_argument("files", metavar="FILE|DIR", nargs="+", help="GSD files, or directories of them")
     options.add_json(checker)
     checker.set_defaults(execute=check_files)
     chooser = options.command(
@@ -46,6 +57,11 @@ def add_to(commands: options.Commands) -> None:
         "dpstack gsd configure valves.gsd >> plant.toml",
     )
     chooser.add_argument("file", metavar="FILE", help="GSD file, as the configuration will name it")
+    chooser.add_argument(
+        "--config",
+        metavar="CONFIG",
+        help="configuration that the table is for: its names and addresses are taken, FILE is named as seen from it",
+    )
     chooser.set_defaults(execute=configure)
     copier = options.command(
         inner,
@@ -70,7 +86,7 @@ def show(args: argparse.Namespace) -> int:
 
 def configure(args: argparse.Namespace) -> int:
     """Ask, then print a table."""
-    return gsd_configure.run(read_gsd(args.file), args.file)
+    return gsd_configure.run(read_gsd(args.file), args.file, args.config)
 
 
 def copy(args: argparse.Namespace) -> int:
@@ -80,19 +96,69 @@ def copy(args: argparse.Namespace) -> int:
 
 
 def check_files(args: argparse.Namespace) -> int:
-    """Print the findings of every file; 1 when one of them is an error."""
-    worst = 0
-    for path in args.files:
-        found = check_gsd(path)
-        if args.json:
-            output.json_line({"file": path, "diagnostics": [diagnostic_dict(d) for d in found]})
+    """Print the findings of every file, and a summary where a directory is given; 1 when a finding is an error."""
+    worst: Counter[str] = Counter()
+    summary = False
+    for given in args.files:
+        folder = Path(given)
+        if folder.is_dir():
+            summary = True
+            for path in gsd_files(folder):
+                worst[_check_file(str(path), json=args.json, among_many=True)] += 1
         else:
-            for diagnostic in found:
-                _tell(path, diagnostic)
-            if not found:
-                output.line(f"{path}: nothing is wrong", "green")
-        worst |= any(diagnostic.severity is Severity.ERROR for diagnostic in found)
-    return int(worst)
+            worst[_check_file(given, json=args.json, among_many=False)] += 1
+    if summary:
+        _summary(worst, json=args.json)
+    return int(bool(worst[_DAMAGED] or worst[_UNREADABLE]))
+
+
+_DAMAGED: Final = "damaged"
+_UNREADABLE: Final = "unreadable"
+#: what a file is by its worst finding, and how the summary calls it
+_JUDGEMENTS: Final = {
+    "sound": "with nothing to tell",
+    "info": "with remarks only",
+    "warning": "with warnings",
+    _DAMAGED: "damaged",
+    _UNREADABLE: "unreadable",
+}
+
+
+def _check_file(path: str, *, json: bool, among_many: bool) -> str:
+    """Print the findings of one file; what it is by the worst of them.
+
+    ``among_many``: a file that cannot be read is a finding too, and one without findings gets no line.
+    """
+    try:
+        found = check_gsd(path)
+    except ConfigError as error:
+        if not among_many:
+            raise
+        if json:
+            output.json_line({"file": path, "diagnostics": [], "error": str(error)})
+        else:
+            output.line(str(error), _STYLES[Severity.ERROR])
+        return _UNREADABLE
+    if json:
+        output.json_line({"file": path, "diagnostics": [diagnostic_dict(d) for d in found]})
+    else:
+        for diagnostic in found:
+            _tell(path, diagnostic)
+        if not found and not among_many:
+            output.line(f"{path}: nothing is wrong", "green")
+    severities = {diagnostic.severity for diagnostic in found}
+    if Severity.ERROR in severities:
+        return _DAMAGED
+    return "warning" if Severity.WARNING in severities else "info" if severities else "sound"
+
+
+def _summary(counts: Counter[str], *, json: bool) -> None:
+    if json:
+        kinds = {kind: counts[kind] for kind in _JUDGEMENTS}
+        output.json_line({"event": "summary", "files": counts.total(), **kinds})
+    else:
+        told = ", ".join(f"{counts[kind]} {words}" for kind, words in _JUDGEMENTS.items() if counts[kind])
+        output.line(f"{counts.total()} file{'s' * (counts.total() != 1)}: {told}")
 
 
 def _tell(path: str, diagnostic: Diagnostic) -> None:
@@ -126,16 +192,30 @@ def _show(file: GsdFile) -> None:
     alarms = alarms_text(file.device)
     if alarms is not None:
         rows.append(("alarms", alarms))
+    if data["device_parameters"]:
+        rows.append(("parameters", _numbers(ref.number for ref in device.prm.refs)))
+    if any(m.preset for m in device.modules):
+        which = "fixed presets" if device.fix_preset_modules else "presets"
+        rows.append((which, ", ".join(m.name for m in device.modules if m.preset)))
     output.table("Device", ("", "value"), rows)
     output.table(
         "Baud rates",
         ("rate", "MaxTsdr in bit times"),
         [(baud_text(s.baud), "not said" if s.max_tsdr is None else s.max_tsdr) for s in device.speeds],
     )
+    if device.slots:
+        output.table(
+            f"Slots that SlotDefinition lists (the first slot is {first_slot(device)})",
+            ("slot", "slot name", "default module", "allowed modules"),
+            [
+                (s.number, s.name, "" if s.default is None else s.default, ranges_text(s.allowed) or "any")
+                for s in device.slots
+            ],
+        )
     if device.modules:
         output.table(
             f"Modules ({len(device.modules)})",
-            ("reference", "name", "identifier", "in", "out", "user parameters"),
+            ("reference", "module", "identifier", "in", "out", "user parameters", "parameters"),
             [
                 (
                     "" if m.reference is None else m.reference,
@@ -143,21 +223,67 @@ def _show(file: GsdFile) -> None:
                     m.config.hex(" "),
                     *("?" if length is None else length for length in module_lengths(m)),
                     module_prm(file, m).hex(" "),
+                    _numbers(ref.number for ref in m.prm.refs),
                 )
                 for m in device.modules
             ],
         )
     if device.parameters:
+        users = _users(device)
         output.table(
             f"Parameters ({len(device.parameters)})",
-            ("number", "name", "type", "default", "allowed"),
+            ("number", "parameter", "type", "default", "allowed", "used by"),
             [
-                (p.number, p.name, p.type.text, p.texts.get(p.default, p.default), _allowed(p))
+                (p.number, p.name, p.type.text, p.texts.get(p.default, p.default), _allowed(p), users[p.number])
                 for p in device.parameters.values()
             ],
         )
+    _show_diagnosis(device)
     for diagnostic in check(file):
         _tell(file.name, diagnostic)
+
+
+def _show_diagnosis(device: Device) -> None:
+    """All texts for a diagnosis, those of types and modules with where they count."""
+    sources = [("", device.diagnosis), *((f"UnitDiagType {d.type}", d) for d in device.diag_types)]
+    sources += [(m.name, m.diagnosis) for m in device.modules]
+    rows = [
+        (where, _where(row), row["text"], row["help"]) for where, texts in sources for row in diagnosis_texts(texts)
+    ]
+    if rows:
+        output.table(f"Texts of diagnoses ({len(rows)})", ("of", "where", "text", "help"), rows)
+
+
+def _where(row: Mapping[str, object]) -> str:
+    match row["kind"]:
+        case "bit":
+            return f"bit {row['first']}"
+        case "not_bit":
+            return f"bit {row['first']} is 0"
+        case "area":
+            return f"bits {row['first']}..{row['last']} = {row['value']}"
+        case _:
+            return f"channel error {row['value']}"
+
+
+def _numbers(numbers: Iterable[int]) -> str:
+    """``1..4, 7``: numbers of parameters in their order, each once."""
+    pairs: list[tuple[int, int]] = []
+    for number in sorted(set(numbers)):
+        if pairs and number == pairs[-1][1] + 1:
+            pairs[-1] = pairs[-1][0], number
+        else:
+            pairs.append((number, number))
+    return ranges_text(tuple(pairs))
+
+
+def _users(device: Device) -> dict[int, str]:
+    """Number of a parameter -> who has it: the device itself and modules, the first of them by name."""
+    found: dict[int, dict[str, None]] = {number: {} for number in device.parameters}
+    for title, prm in (("device", device.prm), *((m.name, m.prm) for m in device.modules)):
+        for ref in prm.refs:
+            found.get(ref.number, {})[title] = None
+    return {number: output.first_of(list(users)) for number, users in found.items()}
 
 
 def _allowed(parameter: Parameter) -> str:

@@ -14,7 +14,23 @@ from dpstack.cli.streams import guarded
 from dpstack.text import json_text, long_escape, printable
 
 #: columns whose text may be long; the others keep their width
-_MAY_WRAP: Final = frozenset({"inputs", "outputs", "when the master stops"})
+_MAY_WRAP: Final = frozenset(
+    {
+        "inputs",
+        "outputs",
+        "when the master stops",
+        "value",
+        "module",
+        "parameter",
+        "parameters",
+        "user parameters",
+        "allowed",
+        "allowed modules",
+        "used by",
+        "text",
+        "help",
+    }
+)
 
 
 def on_terminal() -> bool:

@@ -7,12 +7,17 @@ import json
 from pathlib import Path
 
 import pytest
-from gsd_kit import FILES
+from gsd_kit import FILES, device, octets
 
-from dpstack.api.config import parse_config
+from dpstack.api.config import load_config, parse_config
+from dpstack.api.gsd import check_gsd
 from dpstack.cli.main import main
+from dpstack.errors import ConfigError, GsdError
+from dpstack.gsd.configuration import find_module, plug
+from dpstack.gsd.model import Diagnostic
 
 WHOLE = str(FILES / "whole.gsd")
+Out = pytest.CaptureFixture[str]
 
 
 def test_show_as_json(capsys: pytest.CaptureFixture[str]) -> None:
@@ -215,3 +220,214 @@ def test_the_files_of_bundled_drives_by_name(capsys: pytest.CaptureFixture[str],
         "dpstack: no GSD file was written for 'fuji-frenic'; there is one for demag-dedrive, keb-f5, ls-s100, "
         "io-station\n"
     )
+
+
+# --- show ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(name="small")
+def small_file(tmp_path: Path) -> str:
+    (tmp_path / "small.gsd").write_bytes(octets("rack"))
+    return str(tmp_path / "small.gsd")
+
+
+def test_show_has_slots_presets_diagnoses_and_whose_parameters_they_are(small: str, capsys: Out) -> None:
+    assert main(["gsd", "show", small, "--json"]) == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert shown["slots"] == [{"number": 2, "name": "head", "default": 11, "allowed": [[11, 11]]}]
+    assert (shown["first_slot"], shown["fix_preset_modules"]) == (2, True)
+    assert shown["presets"] == [{"name": "HEAD 7", "reference": 11}]
+    assert shown["device_parameters"] == [{"number": 5, "name": "Filter", "offset": 1}]
+    assert shown["diagnosis"] == [
+        {"kind": "bit", "first": 3, "last": 3, "value": 1, "text": "fuse blown", "help": "replace it"},
+        {"kind": "area", "first": 8, "last": 11, "value": 2, "text": "too hot", "help": ""},
+    ]
+    assert shown["diagnosis_types"] == [
+        {
+            "type": 129,
+            "diagnosis": [{"kind": "not_bit", "first": 24, "last": 24, "value": 0, "text": "no supply", "help": ""}],
+        }
+    ]
+    di, head, _ = shown["modules"]
+    assert di["parameters"] == [
+        {"number": 6, "name": "[SlotNumber]", "offset": 0},
+        {"number": 5, "name": "Filter", "offset": 1},
+    ]
+    assert di["diagnosis"] == [
+        {"kind": "channel", "first": None, "last": None, "value": 17, "text": "wire torn", "help": ""}
+    ]
+    assert (di["user_prm"], di["preset"], head["preset"], di["info"]) == ("0103", False, True, "sixteen inputs")
+
+
+def test_show_tells_them_to_people(small: str, capsys: Out) -> None:
+    assert main(["gsd", "show", small]) == 0
+    lines = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
+    for line in (
+        "fixed presets HEAD 7",
+        "parameters 5",
+        "Slots that SlotDefinition lists (the first slot is 2)",
+        "2 head 11 11",
+        "10 6ES7 321-1BH00-0AA0 16DI 11 2 0 01 03 5..6",
+        "5 Filter Unsigned8 reserved off, on, reserved, reserved device, 6ES7 321-1BH00-0AA0 16DI",
+        "bit 3 fuse blown replace it",
+        "bits 8..11 = 2 too hot",
+        "UnitDiagType 129 bit 24 is 0 no supply",
+        "6ES7 321-1BH00-0AA0 16DI channel error 17 wire torn",
+    ):
+        assert line in lines
+
+
+# --- check -----------------------------------------------------------------------------------------------------------
+
+
+def test_check_of_a_directory_ends_with_a_summary(small: str, tmp_path: Path, capsys: Out) -> None:
+    inner = tmp_path / "inner"
+    inner.mkdir()
+    (inner / "CUT.GSE").write_bytes(b'#Profibus_DP\nIdent_Number = 1\n500_supp = 1\nModule = "x" 0x10\n')
+    (inner / "warned.gsg").write_bytes(b"#Profibus_DP\nIdent_Number = 1\n")
+    (inner / "notes.txt").write_bytes(b"nothing")
+    assert main(["gsd", "check", str(tmp_path)]) == 1
+    out = capsys.readouterr().out.splitlines()
+    assert out[0].startswith(f"{inner}/CUT.GSE:4:1: error: Module 'x' never ends")
+    assert out[1].startswith(f"{inner}/warned.gsg:1:1: warning: no baud rate is declared")
+    assert out[2:] == ["3 files: 1 with nothing to tell, 1 with warnings, 1 damaged"]
+    assert main(["gsd", "check", str(tmp_path), "--json"]) == 1
+    *files, summary = map(json.loads, capsys.readouterr().out.splitlines())
+    assert [file["file"] for file in files] == [f"{inner}/CUT.GSE", f"{inner}/warned.gsg", small]
+    assert summary == {
+        "event": "summary",
+        "files": 3,
+        "sound": 1,
+        "info": 0,
+        "warning": 1,
+        "damaged": 1,
+        "unreadable": 0,
+    }
+    (inner / "CUT.GSE").unlink()
+    assert main(["gsd", "check", str(inner)]) == 0
+
+
+def test_check_of_a_directory_goes_on_after_a_file_that_cannot_be_read(
+    small: str, tmp_path: Path, capsys: Out, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = check_gsd
+
+    def refused(path: str) -> tuple[Diagnostic, ...]:
+        if path.endswith("a.gsd"):
+            raise ConfigError(f"{path}: Permission denied; give the path of a GSD file")
+        return whole(path)
+
+    (tmp_path / "a.gsd").touch()
+    monkeypatch.setattr("dpstack.cli.gsd.check_gsd", refused)
+    assert main(["gsd", "check", str(tmp_path)]) == 1
+    assert capsys.readouterr().out.splitlines() == [
+        f"{tmp_path}/a.gsd: Permission denied; give the path of a GSD file",
+        "2 files: 1 with nothing to tell, 1 unreadable",
+    ]
+
+
+def test_check_of_a_directory_without_gsd_files(tmp_path: Path, capsys: Out) -> None:
+    assert main(["gsd", "check", str(tmp_path)]) == 2
+    assert "no GSD file (.gsd, .gse, .gsg ...) is in this directory" in capsys.readouterr().err
+
+
+# --- names -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("wanted", "hint"),
+    [
+        ("321-1BH00", "nearest are '6ES7 321-1BH00-0AA0 16DI'"),
+        ("1bh00", "nearest are '6ES7 321-1BH00-0AA0 16DI', '6ES7 322-1BH00-0AA0 16DO'"),
+        ("321 16DI", "nearest are '6ES7 321-1BH00-0AA0 16DI'"),
+        ("6ES7322-1BH00", "nearest are '6ES7 322-1BH00-0AA0 16DO'"),
+    ],
+)
+def test_hints_find_parts_of_names(wanted: str, hint: str) -> None:
+    rack = device("rack")
+    with pytest.raises(GsdError) as caught:
+        find_module(rack, wanted)
+    assert str(caught.value).startswith(f"there is no module {wanted!r}; {hint}")
+    with pytest.raises(GsdError, match=r"no parameter 'ilte'; nearest are 'Filter'"):
+        plug(rack, []).user_prm().set("ilte", 1)
+
+
+# --- configure -------------------------------------------------------------------------------------------------------
+
+
+def answered(path: str, answers: str, monkeypatch: pytest.MonkeyPatch, *more: str) -> int:
+    monkeypatch.setattr("sys.stdin", io.StringIO(answers))
+    return main(["gsd", "configure", path, *more])
+
+
+def test_configure_puts_modules_behind_the_fixed_presets(
+    small: str, capsys: Out, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert answered(small, "\n8\n/321\n6ES7 321-1BH00-0AA0 16DI\n12\ndone\n", monkeypatch) == 0
+    out, err = capsys.readouterr()
+    assert 'name = "rack-9-8"\n' in out
+    assert 'modules = ["HEAD 7", "6ES7 321-1BH00-0AA0 16DI", "6ES7 322-1BH00-0AA0 16DO"]\n' in out
+    assert "# identifier octets 00 11 21: 2 octets of inputs, 2 of outputs\n" in out
+    assert "# user parameters 00 03 03 03\n" in out
+    assert "fixed presets, always plugged: slot 2 HEAD 7\n" in err
+    assert err.count("    10  6ES7 321-1BH00-0AA0 16DI  (11)\n") == 2  # all, then found
+    assert err.count("    12  6ES7 322-1BH00-0AA0 16DO  (21)\n") == 1
+    assert "[SlotNumber]" not in err
+    assert parse_config(BUS + out, "plant.toml").slaves[0].config.hex() == "001121"
+
+
+def test_a_preset_that_is_not_fixed_is_taken_and_more_behind_it(capsys: Out, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert answered(WHOLE, "valves\n8\ny\n8 DI\n\n", monkeypatch) == 0
+    assert 'modules = ["8 DO", "8 DI"]\n' in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("answers", ["\n8\n", "\n8", "\n8\ny", "\n8\ny\n\n"])
+def test_the_end_of_input_keeps_the_defaults(answers: str, capsys: Out, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert answered(WHOLE, answers, monkeypatch) == 0
+    assert capsys.readouterr().out.startswith(
+        f'[[slave]]\nname = "terminal-8-8"\naddress = 8\ngsd = "{WHOLE}"\nmodules = ["8 DO"]\n# identifier'
+    )
+
+
+def test_the_end_of_input_among_the_parameters_keeps_the_others(capsys: Out, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert answered(WHOLE, "v\n8\nn\n8 DI\ndone\ny\noff\n", monkeypatch) == 0
+    assert 'parameters = { "Diagnosis" = "off" }\n' in capsys.readouterr().out
+    assert answered(WHOLE, "v\n8\nn\n8 DI\ndone\ny\noff\ndone\n", monkeypatch) == 0
+    assert 'parameters = { "Diagnosis" = "off" }\n' in capsys.readouterr().out
+
+
+def test_the_end_of_input_where_no_module_is_chosen(capsys: Out, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert answered(WHOLE, "v\n8\nn\n", monkeypatch) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert "no module is chosen yet" in err
+
+
+def test_a_text_that_stands_for_two_values_is_written_as_its_number(
+    small: str, capsys: Out, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert answered(small, "v\n8\n10\ndone\ny\n\n2\n", monkeypatch) == 0
+    out, err = capsys.readouterr()
+    assert 'parameters = { "3/Filter@1" = 2 }\n' in out  # the device keeps its 3, the other "reserved"
+    assert "(off, on, reserved, reserved) [reserved]" in err
+    assert parse_config(BUS + out, "plant.toml").slaves[0].user_prm.hex() == "0003" + "0302"
+
+
+def test_configure_for_a_configuration(
+    small: str, tmp_path: Path, capsys: Out, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "plant"
+    folder.mkdir()
+    plant = folder / "plant.toml"
+    monkeypatch.chdir(tmp_path)
+    assert answered("small.gsd", "valves\n8\n", monkeypatch, "--config", str(plant)) == 0
+    first = capsys.readouterr().out
+    assert 'gsd = "../small.gsd"\n' in first
+    plant.write_text(BUS + first, encoding="utf-8")
+    assert answered("small.gsd", "valves\nrack\n8\n2\n9\n", monkeypatch, "--config", str(plant)) == 0
+    second, err = capsys.readouterr()
+    assert "the configuration has a slave 'valves' already; type another name" in err
+    assert "address 8 is taken in the configuration (valves)" in err
+    assert "address 2 is taken in the configuration (the master)" in err
+    plant.write_text(BUS + first + second, encoding="utf-8")
+    assert [slave.name for slave in load_config(str(plant)).slaves] == ["valves", "rack"]
