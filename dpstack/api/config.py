@@ -8,6 +8,7 @@ comes from the drive registry.
 from __future__ import annotations
 
 import dataclasses
+import os
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
@@ -80,6 +81,11 @@ class Config:
         return _checked(dataclasses.replace(self, slaves=self.slaves + more)) if more else self
 
     @property
+    def file(self) -> Path | None:
+        """The configuration file, as an absolute path without links; None where it was read from no file."""
+        return self.source.file
+
+    @property
     def port(self) -> str:
         """The port. Raises ConfigError when there is none."""
         if self.bus.port is None:
@@ -147,16 +153,16 @@ def load_config(path: str | Path) -> Config:
         raise ConfigError(f"{name}: is not UTF-8 text (octet {error.start}); save it as UTF-8") from None
     except OSError as error:
         raise ConfigError(f"{name}: cannot be read ({error.strerror}); check its permissions") from None
-    return parse_config(text, name)
+    return parse_config(text, name, file=Path(os.path.realpath(path)))
 
 
-def parse_config(text: str, name: str = "config") -> Config:
-    """Read a configuration from ``text``; ``name`` stands in messages."""
+def parse_config(text: str, name: str = "config", *, file: Path | None = None) -> Config:
+    """Read a configuration from ``text``; ``name`` stands in messages, ``file`` is where it was read."""
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise _not_toml(error, text, name) from None
-    source = Source(name, line_numbers(text))
+    source = Source(name, line_numbers(text), file=file)
     top = Table(source, (), data, name)
     for key in data:
         if key not in ("bus", "slave"):

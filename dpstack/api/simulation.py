@@ -87,6 +87,7 @@ class Simulation:
             raise ConfigError("no slave to simulate: add a [[slave]] table, or give --drive and --address")
         if port == "virtual":
             raise ConfigError('port "virtual" has no other end; take "pty" or a device')
+        self.config = config
         #: called for every event, at once
         self.on_event: OnEvent | None = None
         if baud != AUTO and any(set_rate(slave) not in (None, baud) for slave in config.slaves):

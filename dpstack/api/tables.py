@@ -13,10 +13,13 @@ from dpstack.errors import ConfigError
 
 
 class Source:
-    """What a configuration was read from: the name for messages, and the lines of its keys where it has any."""
+    """What a configuration was read from: the name for messages, the lines of its keys where it has any, and the
+    ``file`` as an absolute path without links, None where it is none.
+    """
 
-    def __init__(self, name: str, lines: Mapping[KeyPath, int] | None = None) -> None:
+    def __init__(self, name: str, lines: Mapping[KeyPath, int] | None = None, *, file: Path | None = None) -> None:
         self.name = name
+        self.file = file
         self._lines = lines
 
     def error(self, path: KeyPath, what: str, todo: str) -> ConfigError:

@@ -156,7 +156,7 @@ async def _run(asked: _Asked) -> Mapping[str, Any] | None:
     slave, order = asked.slave, asked.order
 
     async def done(progress: OnProgress) -> None:
-        told = await through_run(asked.config.port, slave.address, *order, progress, master=asked.master)
+        told = await through_run(asked.config, slave.address, *order, progress, master=asked.master)
         if told is not None:
             found.append({**told, "through": "run"})
             return

@@ -17,7 +17,7 @@ async def reachable(server: ControlServer, *, quiet: bool = False) -> AsyncItera
     async with AsyncExitStack() as stack:
         try:
             await stack.enter_async_context(server)
-            why = server.unheard
+            why = server.remark
         except PortError as error:
             why = str(error)
         if why is not None and not quiet:

@@ -22,7 +22,11 @@ def add_to(commands: options.Commands) -> None:
         "tells a running run, sim or segment what to do; without COMMAND: what it knows",
         "dpstack ctl /tmp/bus/0 trip 3 F2100\n         dpstack ctl /tmp/bus noise 1e-4",
     )
-    parser.add_argument("port", metavar="PORT", help="the port of run or sim, the directory of segment, or virtual")
+    parser.add_argument(
+        "port",
+        metavar="PORT",
+        help="the port of run or sim, the directory of segment, or virtual (of several runs there: virtual:PID)",
+    )
     parser.add_argument("order", metavar="COMMAND", nargs="?", default="help", help="what to do")
     parser.add_argument("args", metavar="ARG", nargs="*", help="its arguments")
     options.add_json(parser)
@@ -36,7 +40,8 @@ def execute(args: argparse.Namespace) -> int:
     if args.json:
         output.json_line({"result": result})
     elif args.order == "help":
-        output.line(f"{result['kind']} on {result['port']} (pid {result['pid']})", "bold")
+        config = f", {result['config']}" if result.get("config") else ""
+        output.line(f"{result['kind']} on {result.get('name', result['port'])} (pid {result['pid']}{config})", "bold")
         rows = [(f"{one['command']} {one['args']}".rstrip(), one["text"]) for one in result["commands"]]
         output.table("", ("command", "does"), rows)
     else:

@@ -74,7 +74,7 @@ def execute(args: argparse.Namespace) -> int:
 
 async def _run(config: Config, slave: SlaveConfig, orders: Sequence[Order], args: argparse.Namespace) -> int:
     with StopSignal() as stop:
-        drive = await find_drive(config.port, slave.name)
+        drive = await find_drive(config, slave.name)
         if drive is not None:
             try:
                 return await _through_run(config, slave, orders, args, drive, stop)
@@ -95,7 +95,8 @@ async def _through_run(
     if (drive.address, drive.kind) != wanted:
         raise UsageError(
             f"{slave.name} is a {wanted[1]} at address {wanted[0]} in {args.config}, but a {drive.kind} at "
-            f"{drive.address} for the run on {config.port} (pid {drive.pid}): give the configuration of that run"
+            f"{drive.address} for the run on {config.port} (pid {drive.pid}): the file was changed since that run "
+            f"began; begin it anew"
         )
     if _FOR_FILES & {order.word for order in orders}:
         await drive.learn()

@@ -34,7 +34,7 @@ from dpstack.ports.fdport import reason_of
 from dpstack.ports.holders import holder_of
 from dpstack.ports.pacing import PacedWire
 from dpstack.ports.ptymaster import PtyMaster
-from dpstack.ports.runtime_dir import own_directory, runtime_path
+from dpstack.ports.runtime_dir import open_own, own_directory, runtime_path
 from dpstack.units import BAUD_RATES, baud_text, bits_to_ns, chars_to_ns, ns_to_s
 
 MAX_STATIONS: Final = 64
@@ -67,6 +67,7 @@ class Segment:
         if baud not in BAUD_RATES:
             raise ConfigError(f"baud {baud} is no PROFIBUS rate (known: {', '.join(map(str, BAUD_RATES))})")
         self.directory = Path(directory) if directory is not None else default_directory()
+        self._chosen = directory is not None
         self.baud = baud
         self.paced = paced
         self.echo = echo
@@ -257,10 +258,15 @@ class Segment:
     def _take_directory(self) -> None:
         """Make the directory or check it, and hold it against a second segment. Raises PortError, OSError."""
         try:
-            self._made_directory = own_directory(self.directory)
+            if self._chosen:
+                self._made_directory = own_directory(self.directory)
+                self._lock_fd = os.open(self.directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+            else:
+                missing = not self.directory.exists()
+                self._lock_fd = open_own(self.directory, make=True)
+                self._made_directory = missing
         except PortError as error:
             raise PortError(f"{error}: give another one with --dir") from None
-        self._lock_fd = os.open(self.directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         try:
             fcntl.flock(self._lock_fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:

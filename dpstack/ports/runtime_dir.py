@@ -1,26 +1,43 @@
-"""The user's runtime directory: where sockets and links of running programs live, for this user alone."""
+"""The user's runtime directory: where sockets and links of running programs live, for this user alone.
+
+Another user who can replace a directory on the way there could pose as a program of ours. So :func:`open_own` goes from
+``/`` on component by component and checks the owner and the mode of each directory that it has opened.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import os
 import stat
 import tempfile
 from pathlib import Path
+from typing import Final
 
 from dpstack.errors import PortError
+
+#: O_PATH needs no right to read a directory, only to pass through it; systems without it open for reading
+_PASS: Final = getattr(os, "O_PATH", os.O_RDONLY) | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
+_READ: Final = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
+#: what open() with O_NOFOLLOW and O_DIRECTORY says of a symbolic link, depending on the system
+_LINK_ERRORS: Final = frozenset({errno.ELOOP, errno.ENOTDIR, errno.EMLINK})
+#: as many symbolic links as Linux follows
+_MOST_LINKS: Final = 40
+_TODO: Final = "set XDG_RUNTIME_DIR to a directory that belongs to you, with mode 0700"
 
 
 def runtime_path(name: str) -> Path:
     """``name`` in the user's runtime directory, else in the temporary one with the user's id. Makes nothing."""
     runtime = os.environ.get("XDG_RUNTIME_DIR")
     if runtime and Path(runtime).is_dir():
-        return Path(runtime) / name
-    return Path(tempfile.gettempdir()) / f"{name}-{os.getuid()}"
+        return Path(os.path.abspath(runtime)) / name
+    return Path(tempfile.gettempdir()) / f"{name}-{os.geteuid()}"
 
 
 def own_directory(path: Path) -> bool:
     """Make ``path`` with mode 0700, or check that it is a directory of ours. True when it was made.
 
+    The caller chose this path, so the directories above it are not judged; see :func:`open_own`.
     Raises PortError where it is somebody else's, OSError where it cannot be made.
     """
     try:
@@ -31,3 +48,90 @@ def own_directory(path: Path) -> bool:
             raise PortError(f"{path} is no directory of yours") from None
         return False
     return True
+
+
+def open_own(path: Path, *, make: bool = False) -> int:
+    """Open the directory ``path`` below the runtime directory; nobody else can have put it there, or replace it.
+
+    Every directory from ``/`` on, and every symbolic link on the way, belongs to root or to this user; nobody else may
+    write to one of these directories unless it is sticky. ``path`` itself is no link and is writable by this user only.
+    ``make``: missing directories are made with mode 0700.
+
+    Returns a file descriptor. Raises PortError that names the directory, its owner and what to do; OSError where a
+    directory is missing or cannot be opened.
+    """
+    left = list(reversed(path.parts[1:]))
+    links = 0
+    place, fd = "/", os.open("/", _PASS)
+    try:
+        _judge(os.fstat(fd), place)
+        while left:
+            name = left.pop()
+            last = not left
+            try:
+                below = _open(name, fd, _READ if last else _PASS, make=make)
+            except OSError as exc:
+                links += 1
+                if exc.errno not in _LINK_ERRORS or links > _MOST_LINKS:
+                    raise
+                target = _link_target(name, fd, os.path.join(place, name), last=last)
+                left += reversed(target.parts[1:] if target.is_absolute() else target.parts)
+                below = os.open("/" if target.is_absolute() else ".", _PASS, dir_fd=fd)
+                place = "/" if target.is_absolute() else place
+            else:
+                place = os.path.normpath(os.path.join(place, name))
+            os.close(fd)
+            fd = below
+            _judge(os.fstat(fd), place, last=last)
+    except BaseException:
+        os.close(fd)
+        raise
+    return fd
+
+
+def user_name(uid: int) -> str:
+    """``mallory (uid 1001)``, or just ``uid 1001``."""
+    try:
+        import pwd  # not on every system
+
+        return f"{pwd.getpwuid(uid).pw_name} (uid {uid})"
+    except (ImportError, KeyError):
+        return f"uid {uid}"
+
+
+def _open(name: str, fd: int, flags: int, *, make: bool) -> int:
+    try:
+        return os.open(name, flags, dir_fd=fd)
+    except FileNotFoundError:
+        if not make:
+            raise
+    with contextlib.suppress(FileExistsError):  # another program of ours was quicker, or it is a link to nowhere
+        os.mkdir(name, 0o700, dir_fd=fd)
+    return os.open(name, flags, dir_fd=fd)
+
+
+def _link_target(name: str, fd: int, place: str, *, last: bool) -> Path:
+    """Where the symbolic link ``name`` leads. Raises PortError where it is none, or one that is not to be followed."""
+    info = os.stat(name, dir_fd=fd, follow_symlinks=False)
+    if last or not stat.S_ISLNK(info.st_mode):
+        kind = "a symbolic link" if stat.S_ISLNK(info.st_mode) else "a file"
+        raise PortError(f"{place} is {kind}, and no directory of yours: remove it, or {_TODO}")
+    if info.st_uid not in (0, os.geteuid()):
+        raise PortError(f"{place} is a symbolic link of {user_name(info.st_uid)}, who may change it: {_TODO}")
+    return Path(os.readlink(name, dir_fd=fd))
+
+
+def _judge(info: os.stat_result, place: str, *, last: bool = False) -> None:
+    """Raises PortError where another user could put something of his own into the directory or in its place."""
+    own = os.geteuid()
+    if info.st_uid not in ((own,) if last else (0, own)):
+        raise PortError(
+            f"{place} is no directory of yours, it belongs to {user_name(info.st_uid)}, who could pose as your "
+            f"programs there: {_TODO}"
+        )
+    mode = stat.S_IMODE(info.st_mode)
+    if mode & (stat.S_IWGRP | stat.S_IWOTH) and (last or not mode & stat.S_ISVTX):
+        raise PortError(
+            f"{place} (owner {user_name(info.st_uid)}, mode {mode:04o}) can be written by others, who could pose as "
+            f"your programs there: `chmod go-w {place}`, or {_TODO}"
+        )

@@ -9,6 +9,7 @@ import os
 import socket
 import stat
 import threading
+import time
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from dpstack.api.control import places
 from dpstack.api.control.client import connect, running
 from dpstack.api.control.server import ControlServer, Handler
 from dpstack.api.control.specs import COMMON, KINDS, SLAVES, Spec, find
-from dpstack.errors import PortBusyError, PortError, SlaveTimeout, UsageError
+from dpstack.errors import BusError, PortBusyError, PortError, SlaveTimeout, UsageError
 
 ECHO = Spec("echo", "WORD...", "says it again", "hello")
 COUNT = Spec("count", "N", "counts", "3")
@@ -67,7 +68,7 @@ HANDLERS: dict[str, Handler] = {
 }
 
 
-def server(port: str = "virtual") -> ControlServer:
+def server(port: str = "COM3") -> ControlServer:
     return ControlServer("sim", port, SPECS, HANDLERS)
 
 
@@ -86,7 +87,7 @@ class Raw:
 
 
 @contextlib.asynccontextmanager
-async def raw(port: str = "virtual") -> AsyncIterator[Raw]:
+async def raw(port: str = "COM3") -> AsyncIterator[Raw]:
     reader, writer = await asyncio.open_unix_connection(str(places.socket_path(port)))
     try:
         yield Raw(reader, writer)
@@ -173,29 +174,88 @@ async def test_who_does_not_read_is_dropped_and_the_others_are_served(size: int)
         finally:
             ended.set()
 
-    served = ControlServer("sim", "virtual", SPECS, {**HANDLERS, "flood": flood})
+    served = ControlServer("sim", "COM3", SPECS, {**HANDLERS, "flood": flood})
     served.patience_s = 0.02
     async with served, raw() as client:
         with socket.socket(socket.AF_UNIX) as deaf:
-            deaf.connect(str(places.socket_path("virtual")))
+            deaf.connect(str(places.socket_path("COM3")))
             deaf.send(b'{"command":"flood"}\n')
             assert b'"ok":true' in await client.ask(b'{"command":"status"}')
             await asyncio.wait_for(ended.wait(), 10)
             assert b'"ok":true' in await client.ask(b'{"command":"status"}')
 
 
-async def test_seventeen_clients_are_one_too_many() -> None:
+async def test_the_seventeenth_client_pushes_out_the_one_that_was_idle_longest() -> None:
+    """Sixteen that hold a connection and ask nothing block nobody."""
     async with server(), contextlib.AsyncExitStack() as stack:
         clients = [await stack.enter_async_context(raw()) for _ in range(16)]
-        for client in clients:
+        for client in clients[1:]:
             assert b'"ok":true' in await client.ask(b'{"command":"status"}')
+        clients[0].writer.write(b'{"command":"sta')  # half a request is none
+        for _ in range(3):
+            extra = await stack.enter_async_context(raw())
+            assert b'"ok":true' in await extra.ask(b'{"command":"status"}')
+        for client in clients[:3]:
+            told = json.loads(await asyncio.wait_for(client.reader.readline(), 10))
+            assert told["error"].startswith("closed: there are too many clients, and this one was idle longest")
+            assert await client.ended()
+        for client in clients[3:]:
+            assert b'"ok":true' in await client.ask(b'{"command":"status"}')
+
+
+async def test_a_client_with_an_order_under_way_is_not_pushed_out() -> None:
+    over = asyncio.Event()
+
+    async def long(_args: list[str]) -> str:
+        await over.wait()
+        return "over"
+
+    served = ControlServer("sim", "COM3", SPECS, {**HANDLERS, "later": long})
+    async with served, contextlib.AsyncExitStack() as stack:
+        clients = [await stack.enter_async_context(raw()) for _ in range(16)]
+        for client in clients:
+            client.writer.write(b'{"command":"later"}\n{"command":"status"}\n')
+        await asyncio.sleep(0.05)
         extra = await stack.enter_async_context(raw())
-        assert b"too many clients" in await asyncio.wait_for(extra.reader.readline(), 10)
+        assert b"16 clients have an order under way: end some of them" in await extra.reader.readline()
+        over.set()
+        for client in clients:
+            assert b'"over"' in await asyncio.wait_for(client.reader.readline(), 10)
+        extra = await stack.enter_async_context(raw())
+        assert b'"ok":true' in await extra.ask(b'{"command":"status"}')
+
+
+async def test_a_client_that_asks_nothing_for_long_is_told_and_dropped() -> None:
+    served = server()
+    served.idle_s = 0.02
+    async with served, raw() as silent, raw() as half:
+        half.writer.write(b'{"command":"sta')
+        for client in (silent, half):
+            told = json.loads(await asyncio.wait_for(client.reader.readline(), 10))
+            assert told["error"] == "closed: no request came for 0.02 s; connect again"
+            assert await client.ended()
+
+
+async def test_a_client_that_was_dropped_says_why() -> None:
+    served = server()
+    served.idle_s = 0.02
+    async with served:
+
+        def ask() -> None:
+            with connect("COM3") as client:
+                assert client.call("status") == {"fine": True}
+                end = time.monotonic() + 10
+                while len(served._clients) and time.monotonic() < end:
+                    time.sleep(0.02)
+                with pytest.raises(BusError, match="closed: no request came for"):
+                    client.call("status")
+
+        await in_thread(ask)
 
 
 async def test_the_socket_is_the_users_alone_and_goes_with_the_program(own_runtime_directory: Path) -> None:
     async with server():
-        path = places.socket_path("virtual")
+        path = places.socket_path("COM3")
         assert stat.S_IMODE(path.stat().st_mode) == 0o600
         assert stat.S_IMODE(own_runtime_directory.stat().st_mode) == 0o700
     assert list(own_runtime_directory.iterdir()) == []
@@ -203,13 +263,31 @@ async def test_the_socket_is_the_users_alone_and_goes_with_the_program(own_runti
 
 async def test_a_second_program_is_refused_a_stale_socket_is_not() -> None:
     async with server():
-        with pytest.raises(PortBusyError, match="another program answers `dpstack ctl virtual`"):
+        with pytest.raises(PortBusyError, match="another program answers `dpstack ctl COM3`"):
             await server().__aenter__()
     stale = socket.socket(socket.AF_UNIX)
-    stale.bind(str(places.socket_path("virtual")))
+    stale.bind(str(places.socket_path("COM3")))
     stale.close()
     async with server(), raw() as client:
         assert b'"ok":true' in await client.ask(b'{"command":"status"}')
+
+
+@pytest.mark.parametrize("kind", ["run", "sim"])
+async def test_what_a_killed_program_left_behind_is_no_other_program(kind: str, tmp_path: Path) -> None:
+    """After a kill -9 there are a socket that nobody answers at and links to it, by the names of the same port."""
+    (tmp_path / "device").touch()
+    link = tmp_path / "0"
+    link.symlink_to(tmp_path / "device")
+    for _ in range(2):
+        killed = ControlServer(kind, str(link), SPECS, HANDLERS)
+        await killed.__aenter__()
+        assert killed.remark is None
+        killed._deaf()  # nothing is removed
+    async with ControlServer(kind, str(link), SPECS, HANDLERS) as again:
+        assert again.remark is None
+        for port in (link, tmp_path / "device"):
+            async with raw(str(port)) as client:
+                assert b'"ok":true' in await client.ask(b'{"command":"status"}')
 
 
 async def test_a_directory_of_somebody_else_is_refused(own_runtime_directory: Path, tmp_path: Path) -> None:
@@ -222,12 +300,45 @@ async def test_a_directory_of_somebody_else_is_refused(own_runtime_directory: Pa
         own_runtime_directory.unlink()
 
 
-async def test_a_path_that_is_too_long_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_path_that_is_longer_than_a_sockets_may_be(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """sun_path has room for 107 octets: where /proc/self/fd is, the directory is named by its descriptor."""
+    long = tmp_path / ("x" * 100) / ("y" * 100)
+    long.mkdir(parents=True)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(long))
+
+    def ask() -> object:
+        with connect("COM3") as client:
+            return client.call("echo", "a")
+
+    async with server():
+        assert await in_thread(ask) == ["a"]
+        assert [one["port"] for one in await in_thread(running)] == ["COM3"]
+    assert list((long / "dpstack").iterdir()) == []
+
+
+async def test_a_system_without_descriptors_in_proc_says_that_the_path_is_too_long(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stat_of = os.stat
+
+    def no_proc(path: Any, **options: Any) -> os.stat_result:
+        if str(path).startswith("/proc"):
+            raise FileNotFoundError(2, "No such file or directory")
+        return stat_of(path, **options)
+
+    monkeypatch.setattr("dpstack.api.control.places.os.stat", no_proc)
+    async with server(), raw() as client:  # a short one does
+        assert b'"ok":true' in await client.ask(b'{"command":"status"}')
     long = tmp_path / ("x" * 100)
     long.mkdir()
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(long))
-    with pytest.raises(PortError, match="no control socket"):
+    with pytest.raises(PortError) as caught:
         await server().__aenter__()
+    path = long / "dpstack" / places.socket_name("COM3")
+    assert str(caught.value) == (
+        f"{path} has {len(str(path))} octets, and the path of a socket at most 107 here: set XDG_RUNTIME_DIR "
+        "(or TMPDIR) to a directory with a shorter path"
+    )
 
 
 async def in_thread(work: Any) -> Any:
@@ -269,10 +380,10 @@ async def test_nobody_there_names_those_who_are(own_runtime_directory: Path) -> 
 
         def ask() -> str:
             with pytest.raises(PortError) as caught:
-                connect("virtual")
+                connect("COM3")
             return str(caught.value)
 
-        assert await in_thread(ask) == "nobody answers for virtual; there is: sim on socket://plant:7000"
+        assert await in_thread(ask) == "nobody answers for COM3; there is: sim on socket://plant:7000"
         assert [path.name for path in own_runtime_directory.iterdir()] == [
             places.socket_path("socket://plant:7000").name
         ]
@@ -285,7 +396,7 @@ async def test_nobody_there_names_those_who_are(own_runtime_directory: Path) -> 
 def test_a_program_that_answers_nonsense(own_runtime_directory: Path, answer: bytes, says: str) -> None:
     own_runtime_directory.mkdir(exist_ok=True)
     with socket.socket(socket.AF_UNIX) as listening:
-        listening.bind(str(places.socket_path("virtual")))
+        listening.bind(str(places.socket_path("COM3")))
         listening.listen(1)
 
         def serve() -> None:
@@ -296,7 +407,7 @@ def test_a_program_that_answers_nonsense(own_runtime_directory: Path, answer: by
 
         thread = threading.Thread(target=serve)
         thread.start()
-        with connect("virtual") as client, pytest.raises(PortError, match=says):
+        with connect("COM3") as client, pytest.raises(PortError, match=says):
             client.call("status")
         thread.join()
 
@@ -304,9 +415,9 @@ def test_a_program_that_answers_nonsense(own_runtime_directory: Path, answer: by
 def test_a_program_that_hangs(own_runtime_directory: Path) -> None:
     own_runtime_directory.mkdir(exist_ok=True)
     with socket.socket(socket.AF_UNIX) as listening:
-        listening.bind(str(places.socket_path("virtual")))
+        listening.bind(str(places.socket_path("COM3")))
         listening.listen(1)
-        with connect("virtual", timeout=0.05) as client, pytest.raises(PortError, match="does not answer"):
+        with connect("COM3", timeout=0.05) as client, pytest.raises(PortError, match="does not answer"):
             client.call("status")
 
 
@@ -327,6 +438,6 @@ def test_every_kind_of_program_has_help_and_its_own_names() -> None:
 def test_names_of_ports(tmp_path: Path) -> None:
     os.symlink("/dev/null", tmp_path / "0")
     assert places.names_of("socket://plant:7000") == ("socket://plant:7000",)
-    assert places.names_of("virtual") == ("virtual",)
+    assert places.names_of("COM3") == ("COM3",)
     assert places.names_of("/dev/null") == ("/dev/null",)
     assert places.names_of(str(tmp_path / "0")) == (str(tmp_path / "0"), "/dev/null")

@@ -152,7 +152,7 @@ async def test_a_client_raises_what_was_raised() -> None:
 
     def ask() -> list[DpError]:
         caught: list[DpError] = []
-        with connect("virtual") as client:
+        with connect("COM3") as client:
             for _ in raised:
                 with pytest.raises(DpError) as info:
                     client.call("fail")
@@ -160,6 +160,6 @@ async def test_a_client_raises_what_was_raised() -> None:
         return caught
 
     handlers: dict[str, Handler] = {"status": lambda _: None, "fail": fail}
-    async with ControlServer("sim", "virtual", (*COMMON, FAIL), handlers):
+    async with ControlServer("sim", "COM3", (*COMMON, FAIL), handlers):
         caught = await asyncio.to_thread(ask)
     assert [(type(one), str(one), vars(one)) for one in caught] == [(type(one), str(one), vars(one)) for one in raised]

@@ -189,23 +189,23 @@ def test_a_read_only_configuration(plant: Path, capsys: Out) -> None:
     assert "a connection is to be opened; leave read_only out" in run(capsys, str(plant), "8", "im", code=2)[1]
 
 
-async def through() -> None:
-    told = await through_run("virtual", 8, "read", ["1", "2"], master=2)
+async def through(config: dpstack.Config) -> None:
+    told = await through_run(config, 8, "read", ["1", "2"], master=2)
     assert told is not None
     assert told["data"] == "0102"
-    told = await through_run("virtual", 8, "transport", ["1", "2", "0A"], master=2)
+    told = await through_run(config, 8, "transport", ["1", "2", "0A"], master=2)
     assert told is not None
     assert told["data"] == "0a"
     with pytest.raises(AcyclicError, match="invalid index") as caught:
-        await through_run("virtual", 8, "read", ["1", "9"], master=2)
+        await through_run(config, 8, "read", ["1", "9"], master=2)
     assert (caught.value.address, caught.value.code_1) == (8, 0xB0)
     with pytest.raises(dpstack.ConnectionEnded, match="ABT_SE") as ended:
-        await through_run("virtual", 8, "read", ["1", "10"], master=2)
+        await through_run(config, 8, "read", ["1", "10"], master=2)
     assert (ended.value.address, ended.value.abort) == (8, (0, 1, 1))
     with pytest.raises(UsageError, match="no slave 7 on this bus"):
-        await through_run("virtual", 7, "read", ["1", "9"], master=2)
+        await through_run(config, 7, "read", ["1", "9"], master=2)
     with pytest.raises(UsageError, match="add --class 2"):
-        await through_run("virtual", 8, "transport", ["1", "9"])
+        await through_run(config, 8, "transport", ["1", "9"])
 
 
 def odd(pdu: bytes) -> bytes | None:
@@ -220,7 +220,7 @@ async def test_a_run_carries_the_orders_out(plant: Path) -> None:
     plant.write_text(PLANT.replace("PORT", "virtual"), encoding="utf-8")
     async with dpstack.open_bus(plant, world=world) as bus, control_run(bus, "virtual"):
         await bus.ready()
-        await asyncio.to_thread(asyncio.run, through())
+        await asyncio.to_thread(asyncio.run, through(dpstack.load_config(plant)))
         assert bus.slave(8).ready_now
         assert bus.class2.connections == 0
     assert not server.sessions

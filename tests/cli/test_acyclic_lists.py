@@ -285,7 +285,9 @@ async def test_through_a_run_it_comes_in_pieces_with_progress(
         await bus.ready()
 
         def ask() -> object:
-            return asyncio.run(through_run("virtual", 8, "parameters", [], lambda *one: told.append(one)))
+            return asyncio.run(
+                through_run(dpstack.load_config(plant), 8, "parameters", [], lambda *one: told.append(one))
+            )
 
         found = await asyncio.to_thread(ask)
         assert isinstance(found, dict)

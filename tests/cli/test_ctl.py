@@ -246,14 +246,50 @@ async def test_a_pty_is_found_by_its_path() -> None:
         assert (await ask(server, "help"))["kind"] == "sim"
 
 
-def test_of_two_runs_with_one_name_the_first_answers(tmp_path: Path, start: Starter, capsys: Out) -> None:
-    config = tmp_path / "plant.toml"
-    config.write_text(PLANT.format(port="virtual"), encoding="utf-8")
-    first = start("run", str(config))
-    first.wait_for("data_exchange")
+def test_each_run_on_virtual_has_a_name_of_its_own(tmp_path: Path, start: Starter, capsys: Out) -> None:
+    """An order goes where configuration file and port agree, else nowhere."""
+    mine, theirs = (tmp_path / name for name in ("mine.toml", "theirs.toml"))
+    for path in (mine, theirs):
+        path.write_text(PLANT.format(port="virtual"), encoding="utf-8")
+    first = start("run", str(theirs))
+    first.wait_for("operate")
+    one = f"virtual:{first.process.pid}"
+    assert ctl(capsys, "virtual").startswith(f"run on {one} (pid {first.process.pid}, {theirs})\n")
     assert "mode: operate" in ctl(capsys, "virtual", "status")
-    second = start("run", str(config), "--seconds", "1")
-    assert second.end() == 0
-    assert second.err == "dpstack: another program answers `dpstack ctl virtual` already; this one will not\n"
-    assert first.end(signal.SIGTERM) == 0
-    assert first.err == ""
+    for order in (("drive", str(mine), "fan", "start"), ("acyclic", str(mine), "9", "im")):
+        assert main(list(order)) == 2
+        assert capsys.readouterr().err == (
+            f'dpstack: no run on "virtual" has the configuration {mine}; there is: run on {one} ({theirs}); give the '
+            f"configuration of the run that is meant, or start one with `dpstack run {mine}`\n"
+        )
+    second = start("run", str(mine))
+    second.wait_for("operate")
+    two = f"virtual:{second.process.pid}"
+    assert second.err == (f'dpstack: there are other runs on "virtual" ({one}): this one answers `dpstack ctl {two}`\n')
+    assert ctl(capsys, one, "outputs", "9=01") == "ok\n"
+    link = tmp_path / "link.toml"
+    link.symlink_to(mine)
+    for path in (mine, link):  # the file counts, not what it is called
+        assert main(["drive", str(path), "fan", "status", "--json"]) == 0
+        assert json.loads(capsys.readouterr().out)["through"] == "run"
+    assert main(["drive", str(mine), "fan", "speed", "0.25"]) == 0
+    capsys.readouterr()
+    setpoints = {
+        name: json.loads(ctl(capsys, name, "status", "--json"))["result"]["slaves"]["4"]["drive"]["setpoint"]
+        for name in (one, two)
+    }
+    assert setpoints == {one: 0.0, two: 0.25}
+    error = ctl(capsys, "virtual", "clear", code=2)
+    assert error.startswith('dpstack: there are 2 runs on "virtual": ')
+    assert f"run on {one} ({theirs})" in error
+    assert f"run on {two} ({mine})" in error
+    third = start("run", str(mine), "--seconds", "60")
+    third.wait_for("operate")
+    assert main(["drive", str(mine), "fan", "stop"]) == 2
+    assert f'2 runs on "virtual" have the configuration {mine}; there is: ' in capsys.readouterr().err
+    for program in (third, second):
+        assert program.end(signal.SIGTERM) == 0
+    assert "mode: operate" in ctl(capsys, "virtual", "status")
+    first.process.kill()
+    first.process.wait()
+    assert "nobody answers for virtual" in ctl(capsys, "virtual", "status", code=1)

@@ -231,7 +231,7 @@ def test_a_read_only_configuration_gives_no_orders(plant: Path, capsys: Out) -> 
 
 
 async def through(plant: Path, bus: Bus) -> None:
-    found = await find_drive("virtual", "hoist")
+    found = await find_drive(dpstack.load_config(plant), "hoist")
     assert found is not None
     assert (found.kind, found.address) == ("demag-dedrive", 3)
     with pytest.raises(DriveFault, match="412 is 44"):
@@ -280,8 +280,8 @@ async def test_a_run_carries_the_orders_out(plant: Path) -> None:
         work = asyncio.ensure_future(asyncio.to_thread(asyncio.run, through(plant, bus)))
         await work
         with pytest.raises(UsageError, match="no drive 'valve' on this bus; there are: hoist, fan"):
-            await find_drive("virtual", "valve")
-    assert await find_drive("virtual", "hoist") is None
+            await find_drive(dpstack.load_config(plant), "valve")
+    assert await find_drive(dpstack.load_config(plant), "hoist") is None
 
 
 async def test_who_hangs_up_ends_the_order(plant: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -289,7 +289,7 @@ async def test_who_hangs_up_ends_the_order(plant: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr(alive, "_SIGN_OF_LIFE_S", 0.02)
     async with dpstack.open_bus(plant) as bus, control_run(bus, "virtual"):
         await bus.ready()  # in Clear
-        found = await find_drive("virtual", "fan")
+        found = await find_drive(dpstack.load_config(plant), "fan")
         assert found is not None
         says = r"the bus is in Clear, nothing reaches the drive: .* \(of a run: dpstack ctl virtual operate\)"
         with pytest.raises(DriveTimeout, match=says):
@@ -311,7 +311,7 @@ async def test_a_run_that_can_give_no_orders_says_so(plant: Path) -> None:
     config = dpstack.load_config(plant)
     async with dpstack.open_bus(config, read_only=True) as bus, control_run(bus, "virtual"):
         with pytest.raises(BusError, match="this run is read only"):
-            await find_drive("virtual", "fan")
+            await find_drive(dpstack.load_config(plant), "fan")
 
 
 async def test_a_drive_that_is_not_there_is_told_with_its_reason(plant: Path) -> None:
@@ -321,7 +321,7 @@ async def test_a_drive_that_is_not_there_is_told_with_its_reason(plant: Path) ->
         assert bus.bench is not None
         bus.bench.power(4, False)
         await bus.until(lambda: not bus.slave(4).ready_now, 5)
-        found = await find_drive("virtual", "fan")
+        found = await find_drive(dpstack.load_config(plant), "fan")
         assert found is not None
         with pytest.raises(
             (DriveTimeout, dpstack.DriveError), match="slave 4 is not in data exchange: stopped answering"
@@ -359,9 +359,17 @@ def through_the_run(plant: Path, run: Program, capsys: Out) -> None:
     assert (told["through"], told["status"]["running"]) == ("run", True)
     assert told["status"]["speed"] == pytest.approx(0.3, abs=0.02)
     other = plant.with_name("other.toml")
-    other.write_text(plant.read_text().replace("address = 4", "address = 5"), encoding="utf-8")
+    other.write_text(plant.read_text(), encoding="utf-8")
     _, err = drive(capsys, str(other), "fan", "stop", code=2)
+    assert err == [
+        f"dpstack: the run on {port} (pid {run.process.pid}) has the configuration {plant}, not {other}: give the one "
+        "that the run has, or end that run"
+    ]
+    was = plant.read_text()
+    plant.write_text(was.replace("address = 4", "address = 5"), encoding="utf-8")
+    _, err = drive(capsys, str(plant), "fan", "stop", code=2)
     assert "but a fuji-frenic at 4 for the run on" in err[0]
+    plant.write_text(was, encoding="utf-8")
     out, _ = drive(capsys, str(plant), "fan", "stop", "status")
     assert out[0].startswith("fan: ready_to_switch_on at 0.0%")
 

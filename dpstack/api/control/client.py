@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import json
+import os
 import socket
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from dpstack.api.bus_config import VIRTUAL
 from dpstack.api.control.failures import failure
-from dpstack.api.control.places import SUFFIX, clean, directory, names_of, own_name, socket_path
-from dpstack.errors import DpError, PortError
+from dpstack.api.control.places import Sockets, directory, names_of, own_name, socket_name
+from dpstack.errors import DpError, PortError, UsageError
 
 #: No answer for so long: the program hangs.
 TIMEOUT_S: Final = 10.0
@@ -61,7 +64,9 @@ class ControlClient:
     def _answers(self, command: str, args: tuple[str, ...]) -> Iterator[Mapping[str, Any]]:
         request = json.dumps({"command": command, "args": list(args)}).encode() + b"\n"
         try:
-            self._socket.sendall(request)
+            # where the program has hung up already, its last line says why
+            with contextlib.suppress(BrokenPipeError, ConnectionResetError):
+                self._socket.sendall(request)
             while True:
                 answer = self._line()
                 if answer.get("ok") is False:
@@ -93,54 +98,162 @@ class ControlClient:
 
 
 def connect(port: str, timeout: float | None = TIMEOUT_S) -> ControlClient:
-    """The program that holds ``port``; ``timeout`` in seconds for each answer, None for no limit.
+    """The program that holds ``port``; ``timeout`` in seconds for each answer, None for no limit. "virtual" means the
+    one run on it; of several each has a name of its own, ``virtual:PID``.
 
-    Raises PortError when there is none; the line names the programs there are.
+    Raises PortError when there is none, UsageError when there are several; the line names the programs there are.
     """
-    client = reach(port, timeout)
+    with _opened() as sockets:
+        name = port
+        if sockets is not None and port == VIRTUAL:
+            names = sockets.virtual_names()
+            if len(names) > 1:
+                there = _listed(_asked(sockets, map(socket_name, names)))
+                raise UsageError(
+                    f'there are {len(names)} runs on "{VIRTUAL}": {there}; name the one that is meant, for instance '
+                    f"`dpstack ctl {names[0]}`"
+                )
+            name = names[0] if names else port
+        client = None if sockets is None else _reach(sockets, port, names_of(name), timeout)
     if client is not None:
         return client
-    others = [f"{one['kind']} on {one['port']}" for one in running()]
-    there = "there is: " + ", ".join(others) if others else "no run, sim or segment of yours is running"
+    others = running()
+    there = f"there is: {_listed(others)}" if others else "no run, sim or segment of yours is running"
     raise PortError(f"nobody answers for {port}; {there}")
 
 
-def reach(port: str, timeout: float | None = TIMEOUT_S, *, kind: str | None = None) -> ControlClient | None:
-    """As :func:`connect`, ``kind``: a run only; None where there is no such program.
+async def find_run(port: str, config: Path | None, timeout: float | None = TIMEOUT_S) -> ControlClient | None:
+    """The run on ``port`` that has the configuration file ``config``; None where no run answers for that port.
 
-    Raises PortError where it cannot be reached.
+    An order goes where both agree. Raises UsageError where the run, or each run on "virtual", has another file, or
+    where several have this one; PortError where a run cannot be reached.
     """
-    for name in (own_name(kind, name) if kind is not None else name for name in names_of(port)):
+    with _opened() as sockets:
+        if sockets is None:
+            return None
+        if port == VIRTUAL:
+            found = [_reach(sockets, port, (name,), timeout) for name in sockets.virtual_names()]
+        else:
+            found = [_reach(sockets, port, [own_name("run", name) for name in names_of(port)], timeout)]
+    clients = [client for client in found if client is not None]
+    return await asyncio.to_thread(_chosen, clients, port, config) if clients else None
+
+
+def running() -> list[dict[str, Any]]:
+    """The programs that can be talked to, as their ``help`` tells it: kind, port, name, pid, config, commands.
+
+    Stale sockets go.
+    """
+    with _opened() as sockets:
+        return [] if sockets is None else _asked(sockets, sockets.names())
+
+
+@contextlib.contextmanager
+def _opened() -> Iterator[Sockets | None]:
+    """The directory of the sockets; None where no program has made it. Raises PortError."""
+    try:
+        sockets = Sockets()
+    except FileNotFoundError:
+        sockets = None
+    except PortError:
+        raise
+    except OSError as exc:
+        raise PortError(f"control sockets in {directory()} cannot be looked at ({exc.strerror or exc})") from None
+    with sockets or contextlib.nullcontext():
+        yield sockets
+
+
+def _reach(sockets: Sockets, port: str, names: Iterable[str], timeout: float | None) -> ControlClient | None:
+    """The program behind the first of ``names`` that is there. Raises PortError where it cannot be reached."""
+    for name in map(socket_name, names):
         try:
-            return ControlClient(port, _open(socket_path(name), timeout))
+            return ControlClient(port, _open(sockets, name, timeout))
         except (FileNotFoundError, ConnectionRefusedError):
             continue
+        except PortError:
+            raise
         except OSError as exc:
             raise PortError(f"{port}: its program cannot be reached ({exc.strerror or exc})") from None
     return None
 
 
-def running() -> list[dict[str, Any]]:
-    """The programs that can be talked to, as their ``help`` tells it: kind, port, pid, commands. Stale sockets go."""
+def _asked(sockets: Sockets, names: Iterable[str]) -> list[dict[str, Any]]:
+    """What the programs behind the sockets ``names`` tell of themselves, each once."""
     found = []
-    for path in sorted(directory().glob(f"*{SUFFIX}")):
-        if path.is_symlink():
-            clean(path)
+    for name in names:
+        if sockets.link_target(name) is not None:
+            sockets.clean(name)
             continue
-        with contextlib.suppress(OSError, DpError), ControlClient(str(path), _open(path, 1.0)) as client:
+        with (
+            contextlib.suppress(OSError, DpError),
+            ControlClient(str(sockets.path / name), _open(sockets, name, 1.0)) as client,
+        ):
             found.append(client.call("help"))
     return found
 
 
-def _open(path: Path, timeout: float | None) -> socket.socket:
-    """Connect; a stale socket is removed. Raises OSError."""
-    connection = socket.socket(socket.AF_UNIX)
-    connection.settimeout(timeout)
+def _chosen(clients: list[ControlClient], port: str, config: Path | None) -> ControlClient:
+    """The one whose run has the configuration file ``config``; the others are closed. Raises as :func:`find_run`."""
     try:
-        connection.connect(str(path))
-    except BaseException as exc:
-        connection.close()
-        if isinstance(exc, ConnectionRefusedError):
-            clean(path)
+        runs = [(client, client.call("help")) for client in clients]
+        fitting = [client for client, told in runs if _is_file(told.get("config"), config)]
+        if len(fitting) != 1:
+            raise UsageError(_not_one([told for _, told in runs], len(fitting), port, config))
+    except BaseException:
+        for client in clients:
+            client.close()
         raise
-    return connection
+    for client in clients:
+        if client is not fitting[0]:
+            client.close()
+    return fitting[0]
+
+
+def _not_one(runs: list[dict[str, Any]], fitting: int, port: str, config: Path | None) -> str:
+    """Why an order for ``config`` goes to none of ``runs``."""
+    mine = config or "a program without a configuration file"
+    if fitting:
+        return (
+            f'{fitting} runs on "{port}" have the configuration {mine}; there is: {_listed(runs)}; name the one '
+            f"that is meant, for instance `dpstack ctl {runs[0].get('name')} help`"
+        )
+    if port == VIRTUAL:
+        return (
+            f'no run on "{port}" has the configuration {mine}; there is: {_listed(runs)}; give the configuration of '
+            f"the run that is meant, or start one with `dpstack run {mine}`"
+        )
+    theirs = runs[0].get("config") or "none from a file"
+    return (
+        f"the run on {port} (pid {runs[0].get('pid')}) has the configuration {theirs}, not {mine}: give the one that "
+        f"the run has, or end that run"
+    )
+
+
+def _is_file(told: object, config: Path | None) -> bool:
+    """Whether the path that a run has told is the file ``config``: by its name, or by the file itself."""
+    if not isinstance(told, str) or config is None:
+        return False
+    if told == str(config):
+        return True
+    try:
+        return os.path.samefile(told, config)
+    except (OSError, ValueError):
+        return False
+
+
+def _listed(programs: Iterable[Mapping[str, Any]]) -> str:
+    """Programs as people may name them, with their configuration files."""
+    texts = []
+    for one in programs:
+        config = one.get("config")
+        texts.append(f"{one.get('kind')} on {one.get('name', one.get('port'))}" + (f" ({config})" if config else ""))
+    return ", ".join(texts)
+
+
+def _open(sockets: Sockets, name: str, timeout: float | None) -> socket.socket:
+    """Connect; a stale socket is removed. Raises OSError."""
+    try:
+        return sockets.connect(name, timeout)
+    except ConnectionRefusedError:
+        sockets.clean(name)
+        raise

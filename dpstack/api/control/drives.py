@@ -8,8 +8,9 @@ from collections.abc import AsyncIterator, Mapping, Sequence
 from typing import Any
 
 from dpstack.api.bus import Bus
+from dpstack.api.config import Config
 from dpstack.api.control.alive import kept_alive
-from dpstack.api.control.client import ControlClient, reach
+from dpstack.api.control.client import ControlClient, find_run
 from dpstack.api.control.failures import failure
 from dpstack.api.drive_words import READ_MANY, carry_out
 from dpstack.api.parameter_dump import ParameterPlace, ParameterValue
@@ -92,12 +93,14 @@ def _entry(told: Mapping[str, Any]) -> ParameterValue | ParameterError:
     return error
 
 
-async def find_drive(port: str, name: str) -> RemoteDrive | None:
-    """The drive called ``name`` of the run on ``port``; None where no run answers for the port.
+async def find_drive(config: Config, name: str) -> RemoteDrive | None:
+    """The drive called ``name`` of the run that has the port and the file of ``config``; None where no run answers for
+    the port.
 
-    Raises UsageError where it has no such drive, BusError, PortError where it cannot be reached.
+    Raises UsageError where the run there has another configuration file or no such drive, BusError, PortError where it
+    cannot be reached.
     """
-    client = reach(port, kind="run")  # at once: there is a socket or there is none
+    client = await find_run(config.port, config.file)
     if client is None:
         return None
     try:

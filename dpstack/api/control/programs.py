@@ -42,8 +42,8 @@ def control_run(bus: Bus, port: str) -> ControlServer:
         specs = (*specs, *SLAVES)
         handlers |= SlaveCommands(bus.bench).handlers()
     if port == PTY:  # there may be several
-        return ControlServer("run", f"{PTY}:{os.getpid()}", specs, handlers, also=PTY)
-    return ControlServer("run", port, specs, handlers)
+        return ControlServer("run", f"{PTY}:{os.getpid()}", specs, handlers, also=PTY, config=bus.config.file)
+    return ControlServer("run", port, specs, handlers, config=bus.config.file)
 
 
 def control_sim(simulation: Simulation, port: str) -> ControlServer:
@@ -52,9 +52,10 @@ def control_sim(simulation: Simulation, port: str) -> ControlServer:
         "status": lambda _: simulation.status(),
         **SlaveCommands(simulation).handlers(),
     }
+    config = simulation.config.file
     if port == PTY:
-        return ControlServer("sim", simulation.port_name, KINDS["sim"], handlers, also=PTY)
-    return ControlServer("sim", port, KINDS["sim"], handlers)
+        return ControlServer("sim", simulation.port_name, KINDS["sim"], handlers, also=PTY, config=config)
+    return ControlServer("sim", port, KINDS["sim"], handlers, config=config)
 
 
 def control_segment(segment: Segment) -> ControlServer:

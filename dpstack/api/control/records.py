@@ -9,8 +9,9 @@ from typing import Any, Final
 
 from dpstack.api.acyclic_words import COMPARE, DUMP, PARAMETERS, OnProgress, carry_out, check
 from dpstack.api.bus import Bus
+from dpstack.api.config import Config
 from dpstack.api.control.alive import kept_alive
-from dpstack.api.control.client import ControlClient, reach
+from dpstack.api.control.client import ControlClient, find_run
 from dpstack.api.control.server import Result
 from dpstack.api.parts import SEARCHING
 from dpstack.errors import BusError, UsageError
@@ -66,15 +67,15 @@ async def acyclic_order(bus: Bus, args: list[str], *, class2: bool = False) -> A
 
 
 async def through_run(
-    port: str, slave: int, word: str, args: Sequence[str], progress: OnProgress | None = None, *, master: int = 1
+    config: Config, slave: int, word: str, args: Sequence[str], progress: OnProgress | None = None, *, master: int = 1
 ) -> dict[str, Any] | None:
-    """As :func:`~dpstack.api.acyclic_words.carry_out`, by the run on ``port``; None where no run answers for it.
-    ``master``: class 1 or 2.
+    """As :func:`~dpstack.api.acyclic_words.carry_out`, by the run that has the port and the file of
+    ``config``; None where no run answers for the port. ``master``: class 1 or 2.
 
-    Raises what it raises there, UsageError where the run has no such slave, PortError. ``progress`` is called by
-    another thread.
+    Raises what it raises there, UsageError where the run has another configuration file or no such slave, PortError.
+    ``progress`` is called by another thread.
     """
-    client = reach(port, kind="run")  # at once: there is a socket or there is none
+    client = await find_run(config.port, config.file)
     if client is None:
         return None
     with client:

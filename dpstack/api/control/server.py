@@ -5,17 +5,31 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import inspect
+import itertools
 import json
 import os
 import socket
 from collections.abc import AsyncGenerator, Callable, Iterable, Mapping
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final, NamedTuple, Never
 
+from dpstack.api.bus_config import VIRTUAL
 from dpstack.api.control.failures import told
-from dpstack.api.control.places import OWN_NAMES, answers, locked, names_of, own_name, socket_path
+from dpstack.api.control.places import (
+    OWN_NAMES,
+    Sockets,
+    directory,
+    is_trusted,
+    names_of,
+    own_name,
+    peer_uid,
+    socket_name,
+    virtual_name,
+)
 from dpstack.api.control.specs import Spec, find
 from dpstack.errors import DpError, PortBusyError, PortError, UsageError
+from dpstack.ports.runtime_dir import user_name
 from dpstack.text import json_text
 
 #: Does a command: takes its arguments, returns what JSON can hold, an awaitable of it, or an async generator of items.
@@ -24,6 +38,12 @@ Handler = Callable[[list[str]], object]
 #: A request longer than this is none.
 _LONGEST: Final = 65_536
 _MOST_CLIENTS: Final = 16
+#: connections that wait to be accepted
+_BACKLOG: Final = 64
+#: Without a free descriptor nobody is accepted for so long.
+_PAUSE_S: Final = 1.0
+#: A client that asks nothing for so long is dropped.
+_IDLE_S: Final = 60.0
 #: A client that leaves so many octets unread is dropped, or fewer for so long.
 _UNREAD: Final = 1 << 18
 _PATIENCE_S: Final = 5.0
@@ -39,12 +59,45 @@ class _GoneError(Exception):
     """The client hung up or does not read."""
 
 
+class _Client:
+    """A connection: ``idle`` while no request of it is under way, ``since`` then (time of the loop in s)."""
+
+    def __init__(self, connection: socket.socket, now: float) -> None:
+        self.connection = connection
+        self.writer: asyncio.StreamWriter | None = None
+        self.idle = False
+        self.since = now
+
+    @property
+    def gone(self) -> bool:
+        """The connection is closed, or will be as soon as the last answer is out."""
+        return self.writer is None or self.writer.transport.is_closing()
+
+    def hang_up(self, why: str | None = None) -> None:
+        """At once, also where it does not read; ``why`` is its last answer."""
+        if self.writer is None:
+            with contextlib.suppress(OSError):
+                if why is not None:
+                    self.connection.setblocking(False)
+                    self.connection.send(_line(_error(why)))
+            self.connection.close()
+        elif not self.gone:
+            if why is not None:
+                self.writer.write(_line(_error(why)))
+            transport = self.writer.transport
+            if why is None or transport.get_write_buffer_size():
+                transport.abort()
+            else:
+                transport.close()
+
+
 class ControlServer:
     """Answers for one program while it is entered (``async with``).
 
     ``kind``: run, sim or segment. ``port``: what the program is found by; ``also``: and by this, unless another is.
-    ``handlers``: one for each of ``specs`` except ``help``. Entering raises PortError where no socket can be made,
-    PortBusyError where another program answers for the port already.
+    ``handlers``: one for each of ``specs`` except ``help``. ``config``: the configuration file, by which clients tell
+    whether they mean this program. Entering raises PortError where no socket can be made, PortBusyError where another
+    program answers for the port already.
     """
 
     def __init__(
@@ -55,29 +108,42 @@ class ControlServer:
         handlers: Mapping[str, Handler],
         *,
         also: str | None = None,
+        config: Path | None = None,
     ) -> None:
         self.kind = kind
         self.port = port
+        #: what `dpstack ctl` finds it by: the port, or where several programs may have that a name of its own
+        self.name = port
+        #: of what it does, as an absolute path; None where there is no file
+        self.config = config
+        #: when it was made
+        self.started = datetime.now(UTC)
         self._also = also
-        #: why `dpstack ctl` does not find it by its port, where another program has that name
-        self.unheard: str | None = None
+        #: why `dpstack ctl` does not find it by its port alone
+        self.remark: str | None = None
         #: a client that reads nothing for so long is dropped
         self.patience_s = _PATIENCE_S
+        #: a client that sends no request for so long is dropped
+        self.idle_s = _IDLE_S
         self._specs = tuple(specs)
         self._handlers = {"help": self._help, **handlers}
-        self._paths: list[Path] = []
-        self._server: asyncio.Server | None = None
-        self._clients: set[asyncio.Task[None]] = set()
+        self._sockets: Sockets | None = None
+        self._names: list[str] = []  # the socket, then links to it
+        self._listening: socket.socket | None = None
+        self._pause: asyncio.TimerHandle | None = None
+        self._clients: dict[asyncio.Task[None], _Client] = {}
 
     async def __aenter__(self) -> ControlServer:
         try:
             listening = self._take_names()
         except PortError:
+            self._let_go()
             raise
         except OSError as exc:
-            raise PortError(f"no control socket ({exc.strerror or exc}): is the runtime directory writable?") from None
-        # asyncio.start_unix_server would remove the path of a socket it was given, on some versions only
-        self._server = await asyncio.start_unix_server(self._serve, sock=listening, limit=_LONGEST)
+            self._let_go()
+            raise PortError(f"no control socket in {directory()} ({exc.strerror or exc}): is it writable?") from None
+        self._listening = listening
+        self._listen()
         if self._also is not None:
             with contextlib.suppress(PortBusyError):
                 self._link(self._also)
@@ -85,17 +151,16 @@ class ControlServer:
 
     def move_to(self, port: str) -> None:
         """The port is called so now: be found by that too. Raises PortError, PortBusyError."""
-        if self._server is not None:
+        if self._listening is not None:
             self._link(port)
-        self.port = port
+        self.port = self.name = port
 
     async def __aexit__(self, *_exc: object) -> None:
-        server, self._server = self._server, None
-        if server is None:
+        if self._listening is None:
             return
-        server.close()
-        for path in self._paths:
-            path.unlink(missing_ok=True)
+        self._give_up_names()  # as long as it listens nobody else takes them
+        self._deaf()
+        self._let_go()
         clients = list(self._clients)
         for task in clients:
             task.cancel()
@@ -104,98 +169,194 @@ class ControlServer:
 
     # --- the socket ---------------------------------------------------------------------------------------------------
 
+    def _give_up_names(self) -> None:
+        """Remove the socket and its links."""
+        names, self._names = self._names, []
+        if self._sockets is not None:
+            for name in names:
+                self._sockets.remove(name)
+
+    def _let_go(self) -> None:
+        self._give_up_names()
+        sockets, self._sockets = self._sockets, None
+        if sockets is not None:
+            sockets.close()
+
     def _take_names(self) -> socket.socket:
         """Bind under the first name; the others are links to it."""
-        plain = [socket_path(name) for name in names_of(self.port)]
-        first, *others = self._own(self.port) or plain
-        listening = socket.socket(socket.AF_UNIX)
-        try:
-            with locked():
-                for path in (first, *others):
-                    self._clear(path)
-                listening.bind(str(first))
-                self._paths.append(first)
-                os.chmod(first, 0o600)
-                listening.listen(_MOST_CLIENTS)
-                self._point(others)
-                if first not in plain:
-                    self._share(plain)
-        except BaseException:
-            listening.close()
-            raise
+        sockets = self._sockets = Sockets(make=True)
+        with sockets.locked():
+            others: list[str]
+            shared: list[str]
+            if self.port == VIRTUAL:
+                first, others, shared = self._name_on_virtual(sockets), [], []
+            else:
+                names = [socket_name(name) for name in names_of(self.port)]
+                own = self._own(self.port)
+                (first, *others), shared = (own, names) if own else (names, [])
+            for name in (first, *others):
+                self._clear(sockets, name)
+            listening = socket.socket(socket.AF_UNIX)
+            try:
+                sockets.bind(listening, first)
+                self._names.append(first)
+                listening.listen(_BACKLOG)
+                self._point(sockets, others)
+                self._share(sockets, shared)
+            except BaseException:
+                listening.close()
+                raise
         listening.setblocking(False)
         return listening
 
+    def _name_on_virtual(self, sockets: Sockets) -> str:
+        """Each run on "virtual" has a name of its own, so that an order never goes into somebody else's run."""
+        others = sockets.virtual_names()
+        self.name = next(name for name in map(virtual_name, itertools.count(1)) if name not in others)
+        if others:
+            self.remark = (
+                f'there are other runs on "{VIRTUAL}" ({", ".join(others)}): this one answers `dpstack ctl {self.name}`'
+            )
+        return socket_name(self.name)
+
     def _link(self, port: str) -> None:
         """Be found by the names of ``port`` too. Raises PortError, PortBusyError."""
-        paths = [path for path in map(socket_path, names_of(port)) if path not in self._paths]
-        own = [path for path in self._own(port) if path not in self._paths]
+        sockets = self._sockets
+        if sockets is None:
+            return
+        names = [name for name in map(socket_name, names_of(port)) if name not in self._names]
+        own = [name for name in self._own(port) if name not in self._names]
         try:
-            with locked():
-                if own and not any(map(answers, own)):
-                    for path in own:
-                        self._clear(path)
-                    self._point(own)
-                for path in paths:
-                    self._clear(path)
-                self._point(paths)
+            with sockets.locked():
+                if own and all(self._is_free(sockets, name) for name in own):
+                    self._point(sockets, own)
+                for name in names:
+                    self._clear(sockets, name)
+                self._point(sockets, names)
         except PortError:
             raise
         except OSError as exc:
             raise PortError(f"not to be found by {port} ({exc.strerror or exc})") from None
 
-    def _own(self, port: str) -> list[Path]:
+    def _own(self, port: str) -> list[str]:
         """Where a run is found as such: a sim behind the pty that it made has the plain name of the same path."""
-        return [socket_path(own_name(self.kind, name)) for name in names_of(port)] if self.kind in OWN_NAMES else []
+        return [socket_name(own_name(self.kind, name)) for name in names_of(port)] if self.kind in OWN_NAMES else []
 
-    def _share(self, paths: Iterable[Path]) -> None:
+    def _share(self, sockets: Sockets, names: Iterable[str]) -> None:
         """Be found by the plain names too, unless another program is."""
         try:
-            for path in paths:
-                self._clear(path)
-            self._point(paths)
+            for name in names:
+                self._clear(sockets, name)
+            self._point(sockets, names)
         except PortBusyError as busy:
-            self.unheard = str(busy)
+            self.remark = str(busy)
 
-    def _point(self, paths: Iterable[Path]) -> None:
-        for path in paths:
-            path.symlink_to(self._paths[0].name)
-            self._paths.append(path)
+    def _point(self, sockets: Sockets, names: Iterable[str]) -> None:
+        for name in names:
+            sockets.link(name, self._names[0])
+            self._names.append(name)
 
-    def _clear(self, path: Path) -> None:
-        """Remove a stale socket. Raises PortBusyError when somebody lives behind it."""
-        if answers(path):
+    def _is_free(self, sockets: Sockets, name: str) -> bool:
+        """Whether no other program has the name; what one left behind that was killed is removed.
+
+        Such a link may lead to a socket that this program has bound since: that is no other program.
+        """
+        if sockets.link_target(name) not in self._names and sockets.answers(name):
+            return False
+        sockets.remove(name)
+        return True
+
+    def _clear(self, sockets: Sockets, name: str) -> None:
+        """Make ``name`` free. Raises PortBusyError when another program has it."""
+        if not self._is_free(sockets, name):
             raise PortBusyError(f"another program answers `dpstack ctl {self.port}` already; this one will not")
-        path.unlink(missing_ok=True)
 
     # --- one client ---------------------------------------------------------------------------------------------------
 
-    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        task = asyncio.current_task()
-        if task is not None:
-            self._clients.add(task)
-            task.add_done_callback(self._clients.discard)
-        try:
-            if len(self._clients) > _MOST_CLIENTS:
-                await self._send(writer, _error("too many clients at once: close some"))
-            else:
-                await self._talk(reader, writer)
-        except (_GoneError, OSError, asyncio.CancelledError):
-            pass  # gone, does not read, or the program ends
-        finally:
-            writer.transport.abort()
+    def _listen(self) -> None:
+        """From now on connections are accepted."""
+        self._pause = None
+        if self._listening is not None:
+            asyncio.get_running_loop().add_reader(self._listening.fileno(), self._accept)
 
-    async def _talk(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    def _deaf(self) -> None:
+        """No more connections."""
+        listening, self._listening = self._listening, None
+        if self._pause is not None:
+            self._pause.cancel()
+        if listening is not None:
+            asyncio.get_running_loop().remove_reader(listening.fileno())
+            listening.close()
+
+    def _accept(self) -> None:
+        """One connection. This is done here since asyncio's server (3.11) loses one that comes while it is closed."""
+        listening = self._listening
+        if listening is None:
+            return
+        loop = asyncio.get_running_loop()
+        try:
+            connection, _ = listening.accept()
+        except (BlockingIOError, InterruptedError, ConnectionAbortedError):
+            return
+        except OSError:  # no descriptor is left, for instance: look again later
+            loop.remove_reader(listening.fileno())
+            self._pause = loop.call_later(_PAUSE_S, self._listen)
+            return
+        client = _Client(connection, loop.time())
+        why = self._refused(client)
+        if why is not None:
+            client.hang_up(why)
+            return
+        task = loop.create_task(self._serve(client))
+        self._clients[task] = client
+        task.add_done_callback(lambda task: self._over(task, client))
+
+    def _over(self, task: asyncio.Task[None], client: _Client) -> None:
+        self._clients.pop(task, None)
+        client.hang_up()
+
+    def _refused(self, client: _Client) -> str | None:
+        """Why the new client is not served; the one that was idle longest makes room for it."""
+        try:
+            uid = peer_uid(client.connection)
+        except OSError as exc:
+            return str(exc)
+        if not is_trusted(uid):
+            return f"this program is told what to do by {user_name(os.geteuid())} and root only"
+        if len(self._clients) < _MOST_CLIENTS:
+            return None
+        idle = {task: one for task, one in self._clients.items() if one.idle}
+        if not idle:
+            return f"{len(self._clients)} clients have an order under way: end some of them"
+        idlest = min(idle, key=lambda task: idle[task].since)
+        idle[idlest].hang_up("closed: there are too many clients, and this one was idle longest; connect again")
+        del self._clients[idlest]
+        return None
+
+    async def _serve(self, client: _Client) -> None:
+        # gone, does not read, or the program ends
+        with contextlib.suppress(_GoneError, OSError, asyncio.CancelledError):
+            reader, client.writer = await asyncio.open_unix_connection(sock=client.connection, limit=_LONGEST)
+            client.idle = True
+            await self._talk(reader, client)
+
+    async def _talk(self, reader: asyncio.StreamReader, client: _Client) -> None:
         while True:
             try:
-                line = await reader.readline()
-            except ValueError:  # longer than the limit: where the next one begins is not known
-                await self._send(writer, _error(f"a request has at most {_LONGEST} octets"))
+                async with asyncio.timeout(self.idle_s):
+                    line = await reader.readline()
+            except TimeoutError:
+                client.hang_up(f"closed: no request came for {self.idle_s:g} s; connect again")
                 return
-            if not line:
+            except ValueError:  # longer than the limit: where the next one begins is not known
+                client.hang_up(f"a request has at most {_LONGEST} octets")
+                return
+            if not line or client.writer is None or client.gone:
                 return
             if line.strip():
-                await self._answer(line, writer)
+                client.idle = False
+                await self._answer(line, client.writer)
+                client.idle, client.since = True, asyncio.get_running_loop().time()
 
     async def _answer(self, line: bytes, writer: asyncio.StreamWriter) -> None:
         try:
@@ -238,7 +399,7 @@ class ControlServer:
 
     async def _send(self, writer: asyncio.StreamWriter, answer: Mapping[str, object]) -> None:
         """Raises _GoneError when the client has gone or does not read."""
-        writer.write(json_text(answer, default=str).encode() + b"\n")
+        writer.write(_line(answer))
         if writer.transport.get_write_buffer_size() > _UNREAD:
             raise _GoneError
         try:
@@ -249,7 +410,19 @@ class ControlServer:
 
     def _help(self, _args: list[str]) -> object:
         commands = [spec.as_dict() for spec in self._specs]
-        return {"kind": self.kind, "port": self.port, "pid": os.getpid(), "commands": commands}
+        return {
+            "kind": self.kind,
+            "port": self.port,
+            "name": self.name,
+            "pid": os.getpid(),
+            "config": None if self.config is None else str(self.config),
+            "started": self.started.isoformat(timespec="seconds").replace("+00:00", "Z"),
+            "commands": commands,
+        }
+
+
+def _line(answer: Mapping[str, object]) -> bytes:
+    return json_text(answer, default=str).encode() + b"\n"
 
 
 def _error(text: str) -> dict[str, object]:
