@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from dpstack.api.control.places import locked, own_name, socket_path
+from dpstack.api.control.places import Sockets, own_name, socket_path
 from dpstack.cli import main as program
 from dpstack.cli import output
 from dpstack.cli.main import main
@@ -223,6 +223,9 @@ STATUS = {
 ANSWER: dict[str, Any] = {
     "kind": EVIL,
     "port": EVIL,
+    "name": EVIL,
+    "config": EVIL,
+    "started": EVIL,
     "pid": 1,
     "commands": [dict.fromkeys(("command", "args", "text", "example"), EVIL)],
     "drive": EVIL,
@@ -259,11 +262,12 @@ def _answer(request: dict[str, Any]) -> dict[str, object]:
 
 
 @pytest.fixture
-def peer(alone: None) -> Iterator[str]:
+def peer(alone: None, config: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     """A program that knows the control socket and nothing else: raw UTF-8 in its JSON. The port it answers for."""
+    monkeypatch.setitem(ANSWER, "config", str(config))
     port = f"/tmp/peer-{os.getpid()}"
     listening = socket.socket(socket.AF_UNIX)
-    with locked():
+    with Sockets(make=True) as sockets, sockets.locked():
         for name in (port, own_name("run", port)):
             path = socket_path(name)
             if name == port:
@@ -326,6 +330,16 @@ def test_answers_of_another_program(
     dump = Path(names["DUMP"])
     if dump.exists():
         assert_clean(dump.read_text("utf-8"))
+
+
+def test_a_run_with_another_configuration(
+    reader: str, peer: str, config: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(ANSWER, "config", EVIL)
+    config.write_text(config.read_text("utf-8").replace('"virtual"', f'"{peer}"'), "utf-8")
+    code, _, err = run(capsys, "drive", str(config), "hoist", "stop")
+    assert code == 2
+    assert r"has the configuration \x1b]0;owned" in err
 
 
 def test_where_an_error_comes_from(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
