@@ -9,23 +9,20 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import re
-import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final, Literal
+from typing import Literal
 
 from dpstack.api.bus_config import AUTO, VIRTUAL, BusConfig, read_bus
+from dpstack.api.files import read_file
 from dpstack.api.slave_config import SlaveConfig, read_slave
 from dpstack.api.tables import Source, Table
-from dpstack.api.toml_lines import line_numbers
+from dpstack.api.toml_lines import MAX_OCTETS, TomlError, read_toml
 from dpstack.dp.setup import SlaveSetup
 from dpstack.errors import ConfigError, ParamError
 from dpstack.params import BusParams
 from dpstack.units import baud_text
-
-_TOML_PLACE: Final = re.compile(r"^(.*?)\s*\(at (?:line (\d+), column (\d+)|end of document)\)$", re.DOTALL)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -144,25 +141,29 @@ def load_config(path: str | Path) -> Config:
     """Read a configuration file. Raises ConfigError, one line, also where the file cannot be read."""
     name = str(path)
     try:
-        text = Path(path).read_text(encoding="utf-8-sig")
+        text = read_file(path, MAX_OCTETS).decode("utf-8-sig")
     except FileNotFoundError:
         raise ConfigError(f"{name}: there is no such file; write one (see the README) or correct the path") from None
     except IsADirectoryError:
         raise ConfigError(f"{name}: is a directory; name the configuration file in it") from None
     except UnicodeDecodeError as error:
         raise ConfigError(f"{name}: is not UTF-8 text (octet {error.start}); save it as UTF-8") from None
-    except OSError as error:
+    except PermissionError as error:
         raise ConfigError(f"{name}: cannot be read ({error.strerror}); check its permissions") from None
+    except (OSError, ValueError) as error:
+        why = error.strerror if isinstance(error, OSError) else None
+        raise ConfigError(f"{name}: {why or error}; give the path of a configuration file") from None
     return parse_config(text, name, file=Path(os.path.realpath(path)))
 
 
 def parse_config(text: str, name: str = "config", *, file: Path | None = None) -> Config:
     """Read a configuration from ``text``; ``name`` stands in messages, ``file`` is where it was read."""
     try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise _not_toml(error, text, name) from None
-    source = Source(name, line_numbers(text), file=file)
+        data, lines = read_toml(text)
+    except TomlError as error:
+        place = "" if error.column is None else f" at column {error.column}"
+        raise ConfigError(f"{name}:{error.line}: not valid TOML{place}: {error.what}; correct that line") from None
+    source = Source(name, lines, file=file)
     top = Table(source, (), data, name)
     for key in data:
         if key not in ("bus", "slave"):
@@ -200,18 +201,6 @@ def slave_config(table: Mapping[str, object], number: int = 0, *, where: str = "
     """One slave from a mapping with the keys of a [[slave]] table."""
     source = Source(where)
     return read_slave(Table(source, ("slave", number), table, f"slave {number + 1}"))
-
-
-def _not_toml(error: tomllib.TOMLDecodeError, text: str, name: str) -> ConfigError:
-    match = _TOML_PLACE.match(str(error))
-    line = max(1, len(text.splitlines()))
-    what, column = str(error), ""
-    if match:
-        what = match[1]
-        if match[2]:
-            line, column = int(match[2]), f" at column {match[3]}"
-    what = " ".join(what.split())
-    return ConfigError(f"{name}:{line}: not valid TOML{column}: {what}; correct that line")
 
 
 def _checked(config: Config) -> Config:

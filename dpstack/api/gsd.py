@@ -8,6 +8,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Final
 
+from dpstack.api.files import FileToBe, read_file
 from dpstack.dp.v1.status import ALARM_KEYWORDS
 from dpstack.errors import ConfigError
 from dpstack.gsd.check import check
@@ -37,8 +38,7 @@ def read_octets(path: str | Path, folder: Path = Path()) -> bytes:
     """
     file = folder / Path(path).expanduser()
     try:
-        with file.open("rb") as octets:
-            return octets.read(MAX_OCTETS + 1)
+        return read_file(file, MAX_OCTETS)
     except FileNotFoundError as error:
         if str(path) in bundled():
             return _own(str(path))
@@ -66,14 +66,14 @@ def read_gsd(path: str | Path, folder: Path = Path()) -> GsdFile:
 
 
 def copy_gsd(drive: str, target: str | Path) -> None:
-    """Write the GSD file that the package of ``drive`` brings to ``target``, a new file. Raises ConfigError."""
+    """Write the GSD file that the package of ``drive`` brings to ``target``, a new file, whole or not at all.
+
+    Raises ConfigError, UsageError where it cannot be written.
+    """
     if drive not in bundled():
         raise ConfigError(f"no GSD file was written for {drive!r}; there is one for {', '.join(bundled()) or 'none'}")
-    try:
-        with Path(target).open("xb") as file:
-            file.write(_own(drive))
-    except OSError as error:
-        raise ConfigError(f"{target}: {error.strerror or error}; give the name of a new file") from None
+    with FileToBe(target) as file:
+        file.keep(_own(drive))
 
 
 def check_gsd(path: str | Path) -> tuple[Diagnostic, ...]:
@@ -208,7 +208,8 @@ def module_lengths(module: Module) -> tuple[int | None, int | None]:
 def module_prm(file: GsdFile, module: Module) -> bytes:
     """The module's part of the user parameters with its defaults, in no slot; empty where they fit no Set_Prm."""
     try:
-        return UserPrm(file.device, (module,), first_slot=None).octets_of(1)
+        # without the device's own parameters, which every module would go through
+        return UserPrm(Device(parameters=file.device.parameters), (module,), first_slot=None).octets_of(1)
     except ConfigError:
         return b""
 

@@ -5,17 +5,15 @@ What the lists hold is in :mod:`dpstack.api.parameter_list` and :mod:`dpstack.ap
 
 from __future__ import annotations
 
-import contextlib
-import errno
-import os
-import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, NoReturn, Protocol
 
+from dpstack.api.files import FileToBe, read_file
+from dpstack.api.toml_lines import MAX_OCTETS, TomlError, read_toml
 from dpstack.api.toml_text import quoted
-from dpstack.errors import ConfigError, UsageError
+from dpstack.errors import ConfigError
 
 _FORMAT: Final = "format = 1"
 _ENTRIES: Final = "parameters"
@@ -45,17 +43,18 @@ class ListFile:
     def load(self, path: str | Path) -> str:
         """The text of a file. Raises ConfigError."""
         try:
-            return Path(path).read_text(encoding="utf-8")
-        except OSError as error:
-            raise ConfigError(f"{path}: {error.strerror or error}; {self._make}") from None
+            return read_file(path, MAX_OCTETS).decode("utf-8")
         except UnicodeDecodeError:
             raise ConfigError(f"{path}: not UTF-8 text; {self._make}") from None
+        except (OSError, ValueError) as error:
+            why = error.strerror if isinstance(error, OSError) else None
+            raise ConfigError(f"{path}: {why or error}; {self._make}") from None
 
     def parse(self, text: str, where: str) -> tuple[dict[str, Any], list[object]]:
         """Head and entries of a file. Raises ConfigError naming ``where``."""
         try:
-            table = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:
+            table, _ = read_toml(text)
+        except TomlError as error:
             raise ConfigError(f"{where}: no TOML: {error}; {self._make}") from None
         stranger = f"is missing: this is no list of parameters of `{self.program}`"
         if (made := table.pop("format", None)) != 1 or type(made) is not int:
@@ -115,56 +114,6 @@ class Kept(Protocol):
         """As it stands in the file."""
 
 
-class FileToBe:
-    """A file that is made aside and takes its name at the end, so that no half of it is ever there under that name.
-
-    A link stays, what it leads to is written; a device or a pipe is refused, whose name would be taken away from it.
-
-    Entering raises UsageError where it cannot be written: before any work is done. Left without :meth:`keep` there
-    is no file, and what stood under the name stays.
-    """
-
-    def __init__(self, path: str | Path) -> None:
-        self.path = Path(path)
-        self._real = Path(os.path.realpath(self.path)) if self.path.is_symlink() else self.path
-        #: where a list that was cut short is kept
-        self.part = self._real.with_name(self._real.name + ".part")
-        self._new = self._real.with_name(f".{self._real.name}.{os.getpid()}")
-
-    def __enter__(self) -> FileToBe:
-        if self.path.is_dir():
-            raise UsageError(f"{self.path}: is a directory; name a file")
-        if self.path.exists() and not self.path.is_file():
-            raise UsageError(f"{self.path}: is a device or a pipe; name an ordinary file")
-        self._writing("")
-        return self
-
-    def __exit__(self, *_exc: object) -> None:
-        self._new.unlink(missing_ok=True)
-
-    def keep(self, found: Kept) -> Path:
-        """Write it; one that is not complete under :attr:`part`, beside an older one that was. Where it is now."""
-        path = self.path if found.complete else self.part
-        self._writing(found.text())
-        try:
-            os.replace(self._new, self._real if found.complete else self.part)
-        except OSError as error:
-            raise _unwritten(path, error) from None
-        return path
-
-    def _writing(self, text: str) -> None:
-        try:
-            with self._new.open("w", encoding="utf-8") as file:
-                file.write(text)
-                file.flush()
-                os.fsync(file.fileno())
-        except OSError as error:
-            with contextlib.suppress(OSError):
-                self._new.unlink(missing_ok=True)
-            raise _unwritten(self.path, error) from None
-
-
-def _unwritten(path: Path, error: OSError) -> UsageError:
-    full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-    todo = "make room there, or name a file elsewhere" if full else "name a file in a directory of yours"
-    return UsageError(f"{path}: cannot be written ({error.strerror or error}); {todo}")
+def keep(file: FileToBe, found: Kept) -> Path:
+    """Write ``found``. Where it is now. Raises UsageError."""
+    return file.keep(found.text().encode(), complete=found.complete)

@@ -9,8 +9,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final, Protocol
 
-from dpstack.api.list_file import FileToBe
-from dpstack.api.parameter_list import ParameterList, Place, SavedParam
+from dpstack.api.files import FileToBe
+from dpstack.api.list_file import keep
+from dpstack.api.parameter_list import ParameterList, Place, SavedParam, file_for
 from dpstack.errors import ConfigError, DriveError, DriveTimeout, ParameterError, UsageError
 from dpstack.profile import ListedParam
 
@@ -108,14 +109,15 @@ async def dump(
     """Read the drive's parameters, as many by a request as it carries; ``data_set`` None: of all data sets.
 
     With ``path`` into that file, whole or not at all; cut short (cancelled, the drive lost) what was read is kept in
-    a file of that name with ``.part`` behind it, which the error has as a note. Raises UsageError, DriveError.
+    a file of that name with ``.part`` behind it, which the error has as a note. An earlier dump of the same drive is
+    replaced, no other file is. Raises UsageError, DriveError.
     """
     wanted = _chosen(drive, data_set)
     found: list[SavedParam] = []
     if path is None:
         await _read_all(drive, wanted, found, on_parameter)
         return _list_of(drive, found, complete=True)
-    with FileToBe(path) as file:
+    with file_for(path, drive.kind, drive.name) as file:
         try:
             await _read_all(drive, wanted, found, on_parameter)
         except BaseException as error:
@@ -123,7 +125,7 @@ async def dump(
                 error.add_note(_kept(file, _list_of(drive, found, complete=False)))
             raise
         whole = _list_of(drive, found, complete=True)
-        file.keep(whole)
+        keep(file, whole)
         return whole
 
 
@@ -131,7 +133,7 @@ def _kept(file: FileToBe, part: ParameterList) -> str:
     """Where the ``part`` is of a list that was cut short. What cut it short is told, not that there is no room, too."""
     read = f"cut short: the {len(part.parameters)} parameters read so far are"
     try:
-        return f"{read} in {file.keep(part)}"
+        return f"{read} in {keep(file, part)}"
     except UsageError as failed:
         return f"{read} lost: {failed}"
 

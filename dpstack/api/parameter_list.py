@@ -8,8 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from dpstack.api.list_file import FileToBe, ListFile
+from dpstack.api.files import FileToBe
+from dpstack.api.list_file import ListFile, keep
 from dpstack.api.toml_text import quoted
+from dpstack.errors import ConfigError
 
 _FILE: Final = ListFile(
     program="dpstack drive",
@@ -120,9 +122,25 @@ class ParameterList:
         return cls.parse(_FILE.load(path), str(path))
 
     def save(self, path: str | Path) -> None:
-        """Into a file, whole or not at all. Raises UsageError where it cannot be written."""
-        with FileToBe(path) as file:
-            file.keep(self)
+        """Into a file, whole or not at all; a file that is there must be an earlier list of the same drive.
+
+        Raises UsageError where it cannot be written.
+        """
+        with file_for(path, self.drive, self.name) as file:
+            keep(file, self)
+
+
+def file_for(path: str | Path, drive: str, name: str) -> FileToBe:
+    """The file for a list of ``name``, a drive of type ``drive``: no other file than one of the same is replaced."""
+
+    def is_earlier(there: Path) -> bool:
+        try:
+            found = ParameterList.load(there)
+        except ConfigError:
+            return False
+        return (found.drive, found.name) == (drive, name)
+
+    return FileToBe(path, is_earlier, f"earlier dump of {name}")
 
 
 def label(name: str, data_set: int | None, index: int | None) -> str:

@@ -8,8 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from dpstack.api.files import FileToBe
 from dpstack.api.list_file import ListFile
 from dpstack.api.toml_text import quoted
+from dpstack.errors import ConfigError
 from dpstack.profile.acyclic import ReadParameter
 
 _FILE: Final = ListFile(
@@ -144,6 +146,18 @@ class RecordList:
     def load(cls, path: str | Path) -> RecordList:
         """From a file. Raises ConfigError."""
         return cls.parse(_FILE.load(path), str(path))
+
+
+def file_for(path: str | Path, name: str) -> FileToBe:
+    """The file for a list of the slave ``name``: no other file than one of the same is replaced."""
+
+    def is_earlier(there: Path) -> bool:
+        try:
+            return RecordList.load(there).name == name
+        except ConfigError:
+            return False
+
+    return FileToBe(path, is_earlier, f"earlier dump of {name}")
 
 
 def _entry(entry: object, where: str) -> ListedValues:

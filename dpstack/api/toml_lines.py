@@ -1,97 +1,162 @@
-"""Where in a TOML text a key stands: tomllib tells values only, a message for people needs the line."""
+"""Reading TOML behind limits: values by tomllib, and the line of every key, which tomllib does not tell.
+
+tomllib takes quadratic time for a key of many parts, recurses with every bracket and lets Python's refusal of very long
+numbers through. One pass over the tokens refuses such texts before tomllib sees them.
+"""
 
 from __future__ import annotations
 
+import json
 import re
-from typing import Final
+import tomllib
+from typing import Any, Final
 
 #: ("bus", "port") or ("slave", 0, "address"); a table itself is ("bus",) or ("slave", 0)
 Path = tuple[str | int, ...]
 
-_HEADER: Final = re.compile(r"\s*(\[\[?)\s*([^\]]+?)\s*\]\]?\s*(?:#.*)?$")
-_KEY: Final = re.compile(r"""\s*((?:[\w-]+|"[^"\n]*"|'[^'\n]*')(?:\s*\.\s*(?:[\w-]+|"[^"\n]*"|'[^'\n]*'))*)\s*=""")
-_PART: Final = re.compile(r"""[\w-]+|"[^"]*"|'[^']*'""")
+#: a plant of 125 slaves has some 50 kB, a list of 10000 parameters 2 MB
+MAX_OCTETS: Final = 4_000_000
+MAX_DEPTH: Final = 32
+MAX_PARTS: Final = 16
+#: characters of a number, a date or a key without quotes
+MAX_BARE: Final = 255
+
+#: possessive throughout: every character is looked at once
+_TOKEN: Final = re.compile(
+    r'''(?P<string>"""(?:[^"\\]++|\\.|"(?!""))*+(?:""""{0,2}+)?+
+    |\'\'\'(?:[^\']++|\'(?!\'\'))*+(?:\'\'\'\'{0,2}+)?+
+    |"(?:[^"\\\n]++|\\[^\n])*+"?+|\'[^\'\n]*+\'?+)
+    |(?P<bare>[^\s"\'\#\[\]{}=,.]++)
+    |(?P<newline>\n)
+    |(?P<nothing>\#[^\n]*+|[^\S\n]++)
+    |(?P<mark>.)''',
+    re.VERBOSE | re.DOTALL,
+)
+_PLACE: Final = re.compile(r"^(.*?)\s*\(at (?:line (\d+), column (\d+)|end of document)\)$", re.DOTALL)
+
+
+class TomlError(ValueError):
+    """``what`` is wrong in ``line`` (from 1), at ``column`` where that is known."""
+
+    def __init__(self, line: int, what: str, column: int | None = None) -> None:
+        self.line = line
+        self.column = column
+        self.what = " ".join(what.split())
+        super().__init__(f"{self.what} (line {line})")
+
+
+def read_toml(text: str) -> tuple[dict[str, Any], dict[Path, int]]:
+    """The values of ``text``, and the line (from 1) of every table and key. Raises TomlError."""
+    if len(text) > MAX_OCTETS:
+        raise TomlError(1, f"the file has more than {MAX_OCTETS // 1_000_000} MB")
+    lines = line_numbers(text)
+    try:
+        return tomllib.loads(text), lines
+    except tomllib.TOMLDecodeError as error:
+        raise _located(error, text) from None
+    except (ValueError, RecursionError) as error:
+        raise TomlError(1, f"a value cannot be read ({error})") from None
 
 
 def line_numbers(text: str) -> dict[Path, int]:
-    """The line (from 1) of every table and key of ``text``, which tomllib has accepted.
+    """The line (from 1) of every table and key of ``text``. Raises TomlError beyond the limits.
 
     Keys inside inline tables are not listed: the line of the key that holds them is the nearest there is.
     """
-    lines: dict[Path, int] = {}
-    counts: dict[Path, int] = {}
-    prefix: Path = ()
-    inside = _Inside()
-    for number, line in enumerate(text.splitlines(), 1):
-        if inside.continued:
-            inside.feed(line)
-            continue
-        header = _HEADER.match(line)
-        if header:
-            prefix = _table(_parts(header[2]), header[1] == "[[", counts)
-            lines.setdefault(prefix, number)
-            lines.setdefault(tuple(part for part in prefix if isinstance(part, str)), number)
-            continue
-        key = _KEY.match(line)
-        if key:
-            path = prefix
-            for part in _parts(key[1]):
-                path = (*path, part)
-                lines.setdefault(path, number)
-            inside.feed(line[key.end() :])
-    return lines
+    walk = _Walk()
+    for match in _TOKEN.finditer(text):
+        kind, token = match.lastgroup, match[0]
+        if kind == "newline":
+            walk.newline()
+        elif kind == "mark":
+            walk.mark(token)
+        elif kind != "nothing":
+            if kind == "bare" and len(token) > MAX_BARE:
+                raise TomlError(walk.line, f"a number or a key of {len(token)} characters; {MAX_BARE} is the most")
+            walk.word(token)
+            if kind == "string":
+                walk.line += token.count("\n")
+    return walk.lines
 
 
-def _parts(dotted: str) -> list[str]:
-    return [part.strip("\"'") for part in _PART.findall(dotted)]
-
-
-def _table(parts: list[str], array: bool, counts: dict[Path, int]) -> Path:
-    """The path of a header; a part that names an array of tables means its last element."""
-    path: Path = ()
-    for depth, part in enumerate(parts):
-        path = (*path, part)
-        if array and depth == len(parts) - 1:
-            counts[path] = counts.get(path, -1) + 1
-        if path in counts:
-            path = (*path, counts[path])
-    return path
-
-
-class _Inside:
-    """Whether a value goes on on the next line: open brackets, or a string of three quotes."""
+class _Walk:
+    """Token by token: in a header, in a key, or in a value, and how deep."""
 
     def __init__(self) -> None:
+        self.line = 1
+        self.lines: dict[Path, int] = {}
+        self._counts: dict[Path, int] = {}
+        self._prefix: Path = ()
+        self._parts: list[str] = []
+        self._points = 0
         self._depth = 0
-        self._quote = ""
+        self._brackets = 0  # of a header
+        self._in_value = False
 
-    @property
-    def continued(self) -> bool:
-        return bool(self._quote or self._depth)
+    def newline(self) -> None:
+        self.line += 1
+        self._points = 0
+        if not self._depth:
+            self._in_value = False
+            self._brackets = 0
+            self._parts = []
 
-    def feed(self, line: str) -> None:
-        at = 0
-        while at < len(line):
-            if self._quote:
-                end = line.find(self._quote, at)
-                if end < 0:
-                    return
-                at, self._quote = end + 3, ""
-            elif line.startswith(('"""', "'''"), at):
-                self._quote = line[at : at + 3]
-                at += 3
-            elif line[at] in "\"'":
-                at = _string_end(line, at)
-            elif line[at] == "#":
-                return
-            else:
-                self._depth += (line[at] in "[{") - (line[at] in "]}")
-                at += 1
+    def word(self, token: str) -> None:
+        """A string, a number or a bare key."""
+        if not self._in_value:
+            self._parts.append(_unquoted(token))
+
+    def mark(self, mark: str) -> None:
+        """Punctuation."""
+        if mark == ".":
+            self._points += 1
+            if self._points >= MAX_PARTS:
+                raise TomlError(self.line, f"a key of more than {MAX_PARTS} parts")
+            return
+        self._points = 0
+        if self._in_value:
+            self._depth = max(0, self._depth + (mark in "[{") - (mark in "]}"))
+            if self._depth > MAX_DEPTH:
+                raise TomlError(self.line, f"brackets in each other, more than {MAX_DEPTH} deep")
+        elif mark == "=":
+            path = self._prefix
+            for part in self._parts:
+                path = (*path, part)
+                self.lines.setdefault(path, self.line)
+            self._in_value = True
+        elif mark == "[" and not self._parts:
+            self._brackets += 1
+        elif mark == "]" and self._brackets:
+            self._header(array=self._brackets > 1)
+            self._in_value = True  # what follows belongs to nothing
+
+    def _header(self, *, array: bool) -> None:
+        """A part that names an array of tables means its last element."""
+        path: Path = ()
+        for depth, part in enumerate(self._parts):
+            path = (*path, part)
+            if array and depth == len(self._parts) - 1:
+                self._counts[path] = self._counts.get(path, -1) + 1
+            if path in self._counts:
+                path = (*path, self._counts[path])
+        self._prefix = path
+        self.lines.setdefault(path, self.line)
+        self.lines.setdefault(tuple(part for part in path if isinstance(part, str)), self.line)
 
 
-def _string_end(line: str, at: int) -> int:
-    quote = line[at]
-    at += 1
-    while at < len(line) and line[at] != quote:
-        at += 2 if quote == '"' and line[at] == "\\" else 1
-    return at + 1
+def _unquoted(token: str) -> str:
+    if not token.startswith('"'):
+        return token.strip("'")
+    try:
+        return str(json.loads(token))
+    except ValueError:  # an escape that JSON does not have
+        return token.strip('"')
+
+
+def _located(error: tomllib.TOMLDecodeError, text: str) -> TomlError:
+    match = _PLACE.match(str(error))
+    if match is None:
+        return TomlError(1, str(error))
+    if match[2]:
+        return TomlError(int(match[2]), match[1], int(match[3]))
+    return TomlError(text.count("\n", 0, len(text.rstrip("\n"))) + 1, match[1])

@@ -14,11 +14,11 @@ from dpstack.api.config import Config, load_config
 from dpstack.api.control.records import through_run
 from dpstack.api.drive_words import find_word
 from dpstack.api.events import AddressCollision, Event, FaultKind, Notice, Severity, SlaveFaulted, severity_of
-from dpstack.api.list_file import FileToBe
+from dpstack.api.list_file import keep
 from dpstack.api.one_drive import READY_S
 from dpstack.api.opening import open_bus
 from dpstack.api.record_dump import list_of
-from dpstack.api.record_list import RecordList
+from dpstack.api.record_list import RecordList, file_for
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.api.virtual import World, simulate
 from dpstack.api.visiting import joined
@@ -135,11 +135,11 @@ def _tell(asked: _Asked, *, json: bool) -> int:
 
 
 def _dump(asked: _Asked, path: str, *, json: bool) -> int:
-    with FileToBe(path) as file:
+    with file_for(path, asked.slave.name) as file:
         told = asked.told()
         if told is None:
             return 1
-        file.keep(list_of(told))
+        keep(file, list_of(told))
     show_dump(told, path, json=json)
     return 0
 

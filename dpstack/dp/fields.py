@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from dpstack.errors import ConfigError
+from dpstack.text import shortened
 
 #: What a field holds.
 Value = bool | int | float | bytes
@@ -35,7 +36,11 @@ _NUMBERS: Final = {
 #: all types; the numbers of more than one octet also with ``le``
 TYPES: Final = ("bool", *_NUMBERS, "bytes")
 _LITTLE: Final = "le"
-_SPEC: Final = re.compile(r"(?P<type>[^@]*)@(?P<octet>\d+)(?:\.(?P<bit>\d+))?(?::(?P<length>\d+))?")
+_SPEC: Final = re.compile(r"(?P<type>[^@]*)@(?P<octet>[0-9]+)(?:\.(?P<bit>[0-9]+))?(?::(?P<length>[0-9]+))?")
+#: digits of an octet, a bit or a length: an image has 244 octets at most
+_DIGITS: Final = 4
+#: characters of a text that a message shows
+_SHOWN: Final = 40
 _NAME: Final = re.compile(r"[^\W\d][\w -]*(?<! )")
 _SWITCH: Final = {"on": True, "true": True, "1": True, "off": False, "false": False, "0": False}
 
@@ -55,8 +60,11 @@ class Field:
     def parse(cls, name: str, text: str) -> Field:
         """Read ``text`` (see above). Raises ConfigError: ``what; what to do``."""
         match = _SPEC.fullmatch(text.replace(" ", ""))
+        text = shortened(text, _SHOWN)
         if match is None:
             raise ConfigError(f'{name} = "{text}" is no field; write TYPE@OCTET, for instance "bool@0.3" or "i16@2"')
+        if any(len(match[key] or "") > _DIGITS for key in ("octet", "bit", "length")):
+            raise ConfigError(f'{name} = "{text}": no slave has so many octets; their numbers are 0..243')
         kind, octet = match["type"].lower(), int(match["octet"])
         base = kind.removesuffix(_LITTLE)
         if base not in TYPES or (base != kind and base not in _NUMBERS):
@@ -64,7 +72,7 @@ class Field:
             todo = (
                 f"did you mean {near[0]!r}?" if near else f"known types: {', '.join(TYPES)}; le for the low octet first"
             )
-            raise ConfigError(f"{name}: unknown type {kind!r}; {todo}")
+            raise ConfigError(f"{name}: unknown type {shortened(kind, _SHOWN)!r}; {todo}")
         if (match["bit"] is not None) != (base == "bool"):
             todo = 'write for instance "bool@0.3"' if base == "bool" else "a bit is a bool: leave the point out"
             raise ConfigError(f'{name} = "{text}": {"no bit" if base == "bool" else f"{kind} has no bit"}; {todo}')
@@ -154,7 +162,7 @@ class Field:
             return float(text) if self.type.startswith("f") else int(text, 0)
         except (KeyError, ValueError):
             how = {"bool": "on or off", "bytes": "hex digits"}.get(self.type, "a number, for instance 12")
-            raise ValueError(f"{self.name} = {text!r} is no {self.type}: write {how}") from None
+            raise ValueError(f"{self.name} = {shortened(text, _SHOWN)!r} is no {self.type}: write {how}") from None
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,7 +197,9 @@ class FieldMap(Collection[str]):
 def field_of(name: str, text: str, length: int, what: str) -> Field:
     """Read and check one declaration for an image of ``length`` octets, called ``what``. Raises ConfigError."""
     if not _NAME.fullmatch(name):
-        raise ConfigError(f"{name!r} is no name for a field; use letters, digits, _ and -, a letter first")
+        raise ConfigError(
+            f"{shortened(name, _SHOWN)!r} is no name for a field; use letters, digits, _ and -, a letter first"
+        )
     found = Field.parse(name, text)
     if found.octet + found.length > length:
         has = f"its configuration has octets 0..{length - 1} of {what}" if length else f"it has no {what}"
@@ -199,12 +209,12 @@ def field_of(name: str, text: str, length: int, what: str) -> Field:
 
 def overlap(fields: Mapping[str, Field]) -> tuple[Field, Field] | None:
     """The first two fields that share a bit, the later one first."""
-    seen: list[Field] = []
+    used = 0
     for found in fields.values():
-        for other in seen:
-            if found.mask & other.mask:
-                return found, other
-        seen.append(found)
+        mask = found.mask
+        if used & mask:
+            return found, next(other for other in fields.values() if other.mask & mask)
+        used |= mask
     return None
 
 

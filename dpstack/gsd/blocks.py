@@ -224,7 +224,8 @@ class SlotBlock(Block):
 
     def __init__(self, line: int, findings: Findings) -> None:
         super().__init__(line, findings)
-        self.slots: list[Slot] = []
+        #: by number, the last one of each
+        self.slots: dict[int, Slot] = {}
 
     def slot(self, statement: Statement, line: int) -> None:
         """``Slot(1) = "name" default allowed`` (module references)."""
@@ -241,10 +242,9 @@ class SlotBlock(Block):
         if default is not None and not any(low <= default <= high for low, high in allowed):
             message = f"Slot({at}): the default module {default} is not among those allowed ({ranges_text(allowed)})"
             self.findings.warning(line, statement.column, message)
-        if any(slot.number == at for slot in self.slots):
+        if at in self.slots:
             self.findings.warning(line, statement.column, f"Slot({at}) stands twice; the last one counts")
-            self.slots = [slot for slot in self.slots if slot.number != at]
-        self.slots.append(Slot(at, name, default, allowed, line))
+        self.slots[at] = Slot(at, name, default, allowed, line)
 
     handlers = {"slot": slot}
 

@@ -12,6 +12,8 @@ from dpstack.gsd.identifiers import MAX_IO, io_lengths
 from dpstack.gsd.model import Device, Module, Slot, folded, in_ranges, ranges_text
 from dpstack.gsd.prm import Reading, UserPrm, near_names
 
+#: Max_Module and the slots of DP-V1 are octets; so many identifiers fit no Chk_Cfg anyway
+_MAX_SLOTS = 255
 #: the identifier octet of an empty slot
 _EMPTY = b"\0"
 
@@ -141,6 +143,8 @@ def _named(device: Device, wanted: Sequence[int | str]) -> tuple[Module | None, 
     """The modules called so. A name that a fixed preset shares with another module, the same in everything that is
     sent, is the preset in front and the other one elsewhere.
     """
+    if len(wanted) > _MAX_SLOTS:
+        raise GsdError(f"{len(wanted)} modules are named; no device has more than {_MAX_SLOTS} slots: take out some")
     modules = [None if name == "" else find_module(device, name) for name in wanted]
     fixed = fixed_modules(device)
     row = list(zip(wanted, modules, strict=True))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Final
 
 from dpstack.errors import ConfigError
 from dpstack.gsd.blocks import ParameterBlock, PrmTextBlock
@@ -11,6 +12,9 @@ from dpstack.gsd.identifiers import io_lengths
 from dpstack.gsd.model import Device, Module, Parameter, PrmBlock
 from dpstack.gsd.module_block import NO_PRM, DeviceBlock
 from dpstack.gsd.settings import Settings
+
+#: texts of all parameters: many parameters that share many texts would be shown as their product
+MAX_TEXTS: Final = 1_000_000
 
 
 def join(block: DeviceBlock, findings: Findings) -> Device:
@@ -48,6 +52,7 @@ def _parameters(
     blocks: Mapping[int, ParameterBlock], texts: Mapping[int, PrmTextBlock], findings: Findings
 ) -> dict[int, Parameter]:
     found: dict[int, Parameter] = {}
+    left = MAX_TEXTS
     for ref, block in blocks.items():
         if block.type is None:
             findings.warning(block.line, 1, f"ExtUserPrmData {ref} ({block.name!r}) has no readable type; left out")
@@ -56,6 +61,10 @@ def _parameters(
         if prm_text is None and block.text_ref is not None:
             message = f"ExtUserPrmData {ref} refers to PrmText {block.text_ref}, which is nowhere defined"
             findings.warning(block.line, 1, message)
+        if prm_text is not None:
+            if left >= 0 and (left := left - len(prm_text.texts)) < 0:
+                findings.error(block.line, 1, f"more than {MAX_TEXTS} texts of parameters: from here on they have none")
+            prm_text = prm_text if left >= 0 else None
         found[ref] = Parameter(
             ref,
             block.name,

@@ -214,7 +214,7 @@ class DeviceBlock(PrmUser):
                     self._twice(inner, before, inner.ref)
                 self.prm_texts[inner.ref] = inner
             case SlotBlock():
-                self.slots += inner.slots
+                self.slots += inner.slots.values()
             case DiagTypeBlock():
                 self.diag_types.append(inner.diagnosis(inner.number))
                 self.raws += inner.raws

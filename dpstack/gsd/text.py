@@ -76,17 +76,19 @@ def _joined(physical: list[str], encoding: str) -> Text:
     parts: list[str] = []
     length = 0
     inside = False  # a string is open at the end of parts
+    listing = False  # parts end in the middle of a list
     for number, line in enumerate(physical, 1):
         if not parts:
             numbers.append(number)
             if "\\" not in line:
                 lines.append(line)
                 continue
-        elif not inside and line.lstrip(" \t").startswith(";") and parts[-1].rstrip().endswith((",", "=")):
+        elif listing and line.lstrip(" \t").startswith(";"):
             continue  # a remark between the lines of a list that is not complete
         head, inside, goes_on = _split(line, inside)
         parts.append(_behind_seam(head, parts[-1]) if parts else head)
         length += len(head)
+        listing = not inside and parts[-1].rstrip().endswith((",", "="))
         if length > MAX_LOGICAL:
             cut, goes_on = cut or number, False
         if not goes_on:

@@ -14,8 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import dpstack
-from dpstack.api.list_file import FileToBe
-from dpstack.api.parameter_list import ParameterList, SavedParam
+from dpstack.api.files import FileToBe
+from dpstack.api.parameter_list import ParameterList, SavedParam, file_for
 from dpstack.errors import ConfigError, UsageError
 from dpstack.profile import DriveDevice
 
@@ -166,7 +166,8 @@ def test_what_is_no_ordinary_file_keeps_its_name(tmp_path: Path) -> None:
 
 def test_the_disk_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "hoist.toml"
-    path.write_text("old", encoding="utf-8")
+    old = TEXT.replace("address = 3", "address = 4")
+    path.write_text(old, encoding="utf-8")
 
     def full(file: int) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
@@ -176,19 +177,19 @@ def test_the_disk_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
         UsageError, match=r"cannot be written \(No space left on device\); make room there, or name a f"
     ):
         LIST.save(path)
-    assert path.read_text(encoding="utf-8") == "old"
+    assert path.read_text(encoding="utf-8") == old
     assert list(tmp_path.iterdir()) == [path]
 
 
 def test_a_file_is_there_whole_or_not_at_all(tmp_path: Path) -> None:
     path = tmp_path / "hoist.toml"
-    path.write_text("older")
-    with FileToBe(path):
-        assert path.read_text() == "older"
+    older = TEXT.replace("address = 3", "address = 4")
+    path.write_text(older)
+    with file_for(path, LIST.drive, LIST.name):
+        assert path.read_text() == older
     assert [one.name for one in tmp_path.iterdir()] == ["hoist.toml"]
-    with FileToBe(path) as file:
-        file.keep(replace(LIST, complete=False))
-    assert path.read_text() == "older"
+    replace(LIST, complete=False).save(path)
+    assert path.read_text() == older
     assert ParameterList.load(tmp_path / "hoist.toml.part").complete is False
     LIST.save(path)
     assert path.read_text() == TEXT
@@ -260,14 +261,14 @@ def test_a_telegram_without_a_channel_is_refused_at_once(tmp_path: Path) -> None
     virtual(program())
 
 
-def no_room(file: FileToBe, text: str) -> None:
-    if text:
+def no_room(file: FileToBe, octets: bytes) -> None:
+    if octets:
         raise UsageError(f"{file.path}: is full")
 
 
 def test_cut_short_it_keeps_what_was_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "it.toml"
-    path.write_text("older")
+    path.write_text(older := replace(LIST, drive="demag-dedrive", name="it").text())
 
     async def program() -> None:
         async with bus_with("demag-dedrive") as bus:
@@ -305,7 +306,7 @@ def test_cut_short_it_keeps_what_was_read(tmp_path: Path, monkeypatch: pytest.Mo
             with pytest.raises(dpstack.DriveError, match="slave 5"):
                 await it.dump(path)
             assert bus.seconds - began < 20
-        assert path.read_text() == "older"
+        assert path.read_text() == older
 
     virtual(program())
 

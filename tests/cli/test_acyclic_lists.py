@@ -223,12 +223,13 @@ def test_into_a_file_and_against_it(plant: Path, capsys: Out, device: Device, tm
 
 
 def test_a_device_without_a_list(plant: Path, capsys: Out, device: Device, tmp_path: Path) -> None:
-    del device.values[980]
     path = tmp_path / "pump.toml"
-    path.write_text("mine", encoding="utf-8")
+    run(capsys, str(plant), "8", "dump", str(path))
+    mine = path.read_text(encoding="utf-8")
+    del device.values[980]
     err = run(capsys, str(plant), "8", "dump", str(path), code=1)[1]
     assert "parameter 980: error 0, illegal parameter number; it has no list of its parameters: read them by" in err
-    assert path.read_text(encoding="utf-8") == "mine"
+    assert path.read_text(encoding="utf-8") == mine
     assert set(tmp_path.iterdir()) == {plant, path}
 
 

@@ -216,7 +216,7 @@ def test_the_files_of_bundled_drives_by_name(capsys: pytest.CaptureFixture[str],
     assert main(["gsd", "copy", "demag-dedrive", str(target)]) == 2
     assert main(["gsd", "copy", "fuji-frenic", str(target)]) == 2
     assert capsys.readouterr().err == (
-        f"dpstack: {target}: File exists; give the name of a new file\n"
+        f"dpstack: {target}: there is a file of that name; give the name of a new file\n"
         "dpstack: no GSD file was written for 'fuji-frenic'; there is one for demag-dedrive, keb-f5, ls-s100, "
         "io-station\n"
     )

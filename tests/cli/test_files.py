@@ -1,0 +1,198 @@
+"""Files: only ordinary ones are read, none of somebody else is written over, and no half of one is ever there."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import socket
+import stat
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from dpstack.api.config import load_config
+from dpstack.api.files import FileToBe, read_file
+from dpstack.api.gsd import copy_gsd, read_gsd
+from dpstack.api.parameter_list import ParameterList
+from dpstack.api.record_list import RecordList
+from dpstack.cli.main import main
+from dpstack.errors import ConfigError, UsageError
+
+PLANT = """
+[bus]
+port = "virtual"
+baud = 500000
+[[slave]]
+name = "hoist"
+address = 3
+drive = "demag-dedrive"
+[[slave]]
+name = "crane"
+address = 5
+drive = "demag-dedrive"
+"""
+
+
+def pipe(folder: Path) -> Path:
+    path = folder / "pipe"
+    os.mkfifo(path)
+    return path
+
+
+def listening(folder: Path) -> Path:
+    with contextlib.chdir(folder), socket.socket(socket.AF_UNIX) as made:
+        made.bind("socket")  # a whole path may be too long for one
+    return folder / "socket"
+
+
+#: what is no ordinary file, and what is said of it
+STRANGE: dict[str, tuple[Callable[[Path], Path], str]] = {
+    "pipe": (pipe, "is a pipe, no ordinary file"),
+    "socket": (listening, "is a socket, no ordinary file"),
+    "device": (lambda _: Path("/dev/zero"), "is a device, no ordinary file"),
+    "directory": (lambda folder: folder, "directory"),
+}
+
+
+@pytest.mark.parametrize("read", [read_gsd, load_config, ParameterList.load, RecordList.load])
+@pytest.mark.parametrize("kind", STRANGE)
+def test_what_is_no_ordinary_file_is_refused_at_once(kind: str, read: Callable[[Path], object], tmp_path: Path) -> None:
+    make, what = STRANGE[kind]
+    path = make(tmp_path)
+    link = tmp_path / "link"
+    link.symlink_to(path)
+    for name in (path, link):
+        with pytest.raises(ConfigError) as caught:
+            read(name)
+        assert str(caught.value).startswith(f"{name}: ")
+        assert what in str(caught.value)
+
+
+@pytest.mark.parametrize("argv", [["gsd", "show"], ["gsd", "check"], ["gsd", "configure"], ["plan"]])
+def test_commands_refuse_a_pipe(argv: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*argv, str(pipe(tmp_path))]) == 2
+    assert "is a pipe, no ordinary file" in capsys.readouterr().err
+
+
+def test_a_pipe_in_place_of_the_file_that_was_looked_at(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Between the look and the open: the open does not wait for a writer."""
+    path = pipe(tmp_path)
+    ordinary = tmp_path / "file"
+    ordinary.touch()
+    found = os.stat(ordinary)
+    monkeypatch.setattr(os, "stat", lambda _: found)
+    with pytest.raises(OSError, match="is a pipe, no ordinary file"):
+        read_file(path, 10)
+
+
+def test_one_octet_more_than_the_limit_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    path.write_bytes(b"abcd")
+    assert [read_file(path, most) for most in (2, 3, 4)] == [b"abc", b"abcd", b"abcd"]
+
+
+def test_a_name_that_cannot_be() -> None:
+    with pytest.raises(ConfigError, match="null"):
+        load_config("a\0b")
+    with pytest.raises(ConfigError, match="File name too long"):
+        load_config("x" * 5000)
+
+
+# --- written ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_new_file_is_never_written_over(tmp_path: Path) -> None:
+    path = tmp_path / "a.gsd"
+    copy_gsd("demag-dedrive", path)
+    assert path.read_bytes().startswith(b"#Profibus_DP") or b"#Profibus_DP" in path.read_bytes()
+    path.write_text("mine")
+    with pytest.raises(UsageError, match="there is a file of that name; give the name of a new file"):
+        copy_gsd("demag-dedrive", path)
+    assert path.read_text() == "mine"
+
+
+def test_a_copy_on_a_full_disk_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fsync(file: int) -> None:
+        if os.fstat(file).st_size:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    with pytest.raises(UsageError, match=r"a\.gsd: cannot be written \(No space left on device\); make room there"):
+        copy_gsd("demag-dedrive", tmp_path / "a.gsd")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_that_comes_meanwhile_stays(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    with FileToBe(path) as file:
+        path.write_text("mine")
+        with pytest.raises(UsageError, match="there is a file of that name"):
+            file.keep(b"ours")
+    assert path.read_text() == "mine"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_an_empty_file_holds_nothing_to_lose(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    path.touch()
+    with FileToBe(path, lambda _: False) as file:
+        file.keep(b"ours")
+    assert path.read_bytes() == b"ours"
+
+
+def test_a_file_that_is_replaced_keeps_its_mode(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    path.touch()
+    path.chmod(0o600)
+    with FileToBe(path, lambda _: True) as file:
+        file.keep(b"ours")
+    assert path.read_bytes() == b"ours"
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+
+
+def test_a_link_laid_beforehand_is_not_followed(tmp_path: Path) -> None:
+    """Aside the file has a name that nobody can guess, and is made anew."""
+    names = set()
+    for _ in range(2):
+        with FileToBe(tmp_path / "file"):
+            names |= {one.name for one in tmp_path.iterdir()}
+    assert len(names) == 2
+
+
+@pytest.fixture
+def plant(tmp_path: Path, alone: None) -> Path:
+    path = tmp_path / "plant.toml"
+    path.write_text(PLANT, encoding="utf-8")
+    return path
+
+
+def test_dump_replaces_its_own_file_only(plant: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Not the configuration, not notes, not the dump of another drive; its own earlier dump is."""
+    order = ["drive", str(plant), "hoist", "dump"]
+    notes, own = plant.with_name("notes.txt"), plant.with_name("hoist.toml")
+    notes.write_text("mine", encoding="utf-8")
+    earlier = ParameterList(drive="demag-dedrive", name="hoist", address=4, time="", parameters=())
+    own.write_text(earlier.text(), encoding="utf-8")
+    assert main([*order, str(own), "--data-set", "3"]) == 0, capsys.readouterr()
+    assert ParameterList.load(own).address == 3
+    crane = own.with_name("crane.toml")
+    crane.write_text(own.read_text("utf-8").replace('"hoist"', '"crane"'), encoding="utf-8")
+    for path in (plant, notes, crane):
+        before = path.read_text("utf-8")
+        assert main([*order, str(path), "--data-set", "3"]) == 2
+        assert (
+            f"{path}: there is a file of that name, and it is no earlier dump of hoist; move it away, or name "
+            f"another file" in capsys.readouterr().err
+        )
+        assert path.read_text("utf-8") == before
+
+
+def test_what_was_read_is_not_lost_for_a_part_of_somebody_else(plant: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The file for a dump that is cut short is looked at before anything is read."""
+    part = plant.with_name("hoist.toml.part")
+    part.write_text("mine", encoding="utf-8")
+    assert main(["drive", str(plant), "hoist", "dump", str(plant.with_name("hoist.toml"))]) == 2
+    assert f"{part}: there is a file of that name" in capsys.readouterr().err
+    assert part.read_text("utf-8") == "mine"
