@@ -20,7 +20,7 @@ from dpstack.api.gsd_choice import Choice, as_toml, module_key
 from dpstack.cli import options, output
 from dpstack.cli.streams import guarded, warn
 from dpstack.errors import GsdError, UsageError
-from dpstack.gsd.configuration import default_modules, find_module, first_slot, fixed_modules, plug
+from dpstack.gsd.configuration import default_modules, find_module, first_slot, fixed_modules, is_fixed, plug
 from dpstack.gsd.model import Device, GsdFile, Module, folded, ranges_text
 from dpstack.gsd.prm import Field, containing, is_slot_number, value_of
 from dpstack.text import printable
@@ -159,7 +159,7 @@ class _Dialogue:
     def _room(self, chosen: list[Module | None]) -> bool:
         """Something can be plugged behind ``chosen``."""
         device = self._device
-        if not any(module not in fixed_modules(device) for module in device.modules):
+        if all(is_fixed(device, module) for module in device.modules):
             return False
         limit = device.max_module if device.modular else 1
         return not limit or len(chosen) < limit
@@ -184,8 +184,7 @@ class _Dialogue:
 
     def _list_modules(self, part: str) -> None:
         """The modules whose name, info text or number has ``part`` in it; all of them where it is empty."""
-        fixed = fixed_modules(self._device)
-        modules = [module for module in self._device.modules if module not in fixed]
+        modules = [module for module in self._device.modules if not is_fixed(self._device, module)]
         numbers = ["" if module.reference is None else str(module.reference) for module in modules]
         texts = [f"{module.name} {module.info} {n}" for module, n in zip(modules, numbers, strict=True)]
         found = set(containing(part, texts) if part else texts)

@@ -15,7 +15,7 @@ from dpstack.dp.v1.records import MAX_RECORD
 from dpstack.dp.v1.status import ALARM_KEYWORDS, ALARM_LIMITS, DPV1_STATUS_LEN
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
-from dpstack.gsd.configuration import Configuration, fixed_modules, plug
+from dpstack.gsd.configuration import Configuration, fixed_modules, is_fixed, plug
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.gsd.model import Device
 
@@ -94,9 +94,10 @@ def _alarms(device: Device) -> dict[str, Any]:
 
 
 def _modules(device: Device) -> tuple[SlaveModule, ...]:
-    fixed = fixed_modules(device)
     usable = tuple(
-        SlaveModule(m.name, m.config) for m in device.modules if m.complete and _possible(m.config) and m not in fixed
+        SlaveModule(m.name, m.config)
+        for m in device.modules
+        if m.complete and _possible(m.config) and not is_fixed(device, m)
     )
     if not usable:
         raise ConfigError(f"{device.model or 'the GSD file'} has no module with identifier octets")

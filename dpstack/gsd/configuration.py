@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 from dpstack.errors import ConfigError, GsdError
 from dpstack.gsd.diag_texts import DiagTexts
@@ -16,6 +17,8 @@ from dpstack.gsd.prm import Reading, UserPrm, near_names
 _MAX_SLOTS = 255
 #: the identifier octet of an empty slot
 _EMPTY = b"\0"
+#: Max_Module is one octet
+_MOST_MODULES: Final = 255
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,11 +50,19 @@ def first_slot(device: Device) -> int:
 def fixed_modules(device: Device) -> tuple[Module, ...]:
     """The modules that every configuration begins with: Preset = 1 in a file with FixPresetModules = 1.
 
-    Raises GsdError where one of them is damaged in the file.
+    Raises GsdError where one of them is damaged in the file, and where they are too many for any device.
     """
-    if not device.fix_preset_modules:
-        return ()
-    return tuple(_usable(module) for module in device.modules if module.preset)
+    found = tuple(module for module in device.modules if is_fixed(device, module))
+    if len(found) > _MOST_MODULES:
+        raise GsdError(
+            f"{len(found)} fixed presets, Max_Module is {_MOST_MODULES} at most; get a whole copy of the file"
+        )
+    return tuple(_usable(module) for module in found)
+
+
+def is_fixed(device: Device, module: Module) -> bool:
+    """``module`` is one of the :func:`fixed_modules` of ``device``."""
+    return device.fix_preset_modules and module.preset
 
 
 def default_modules(device: Device) -> tuple[Module, ...] | None:
@@ -63,14 +74,12 @@ def default_modules(device: Device) -> tuple[Module, ...] | None:
     if preset:
         return preset
     # a row without gaps from the first slot on: of a slot that is not listed the file says nothing
-    slots = {slot.number: slot for slot in device.slots}
-    numbers = range(first_slot(device), first_slot(device) + len(slots))
-    found = [
-        device.module_numbered(slot.default) for n in numbers if (slot := slots.get(n)) and slot.default is not None
-    ]
-    if found and len(found) == len(slots) and all(found):
-        return tuple(module for module in found if module is not None)
-    return None
+    numbered = {module.reference: module for module in reversed(device.modules) if module.reference is not None}
+    defaults = {slot.number: slot.default for slot in device.slots}
+    numbers = range(first_slot(device), first_slot(device) + len(defaults))
+    found = [None if (at := defaults.get(n)) is None else numbered.get(at) for n in numbers]
+    row = tuple(module for module in found if module is not None)
+    return row if row and len(row) == len(found) else None
 
 
 def find_module(device: Device, wanted: int | str) -> Module:
@@ -155,8 +164,10 @@ def _named(device: Device, wanted: Sequence[int | str]) -> tuple[Module | None, 
     if leading:
         modules[: len(fixed)] = fixed
     for at, (name, module) in enumerate(row):
-        if isinstance(name, str) and module in fixed and not (leading and at < len(fixed)):
-            others = (m for m in device.modules if m not in fixed and m.complete and module and _twins(m, module))
+        if leading and at < len(fixed):
+            continue
+        if isinstance(name, str) and module is not None and is_fixed(device, module):
+            others = (m for m in device.modules_named(name) if not m.preset and m.complete and _twins(m, module))
             modules[at] = next(others, module)
     return tuple(modules)
 
@@ -178,12 +189,14 @@ def configuration_like(device: Device, config: bytes, lengths: tuple[int, int]) 
     """
     preset, fixed = default_modules(device), fixed_modules(device)
     rows = [preset] if preset else []
-    others = [module for module in device.modules if module.complete and module not in fixed]
+    others = [module for module in device.modules if module.complete and not is_fixed(device, module)]
     rows += [(*fixed, module) for module in others if (*fixed, module) != preset]
     possible: list[Configuration] = []
     for row in rows:
-        with contextlib.suppress(GsdError):
-            possible.append(plug(device, row))
+        with contextlib.suppress(ConfigError):
+            octets = b"".join(module.config for module in row)
+            if octets == config or io_lengths(octets) == lengths:
+                possible.append(plug(device, row))
     fitting = [c for c in possible if c.config == config] or [c for c in possible if (c.inputs, c.outputs) == lengths]
     if len(fitting) == 1:
         return fitting[0]
@@ -232,7 +245,7 @@ def _behind_fixed(device: Device, modules: Sequence[Module | None]) -> tuple[Mod
     if rest[: len(fixed)] == fixed:
         rest = rest[len(fixed) :]
     for module in rest:
-        if module is not None and module in fixed:
+        if module is not None and is_fixed(device, module):
             raise GsdError(
                 f"module {module.title} is a fixed preset (FixPresetModules = 1) and stands once, in slot "
                 f"{first_slot(device) + fixed.index(module)}; leave it out, or let the modules begin with all fixed "

@@ -183,10 +183,11 @@ class UserPrm:
 
         Raises GsdError (``what; what to do``); nothing is changed then.
         """
+        for numbered in (field for part in self._parts for field in part.fields if is_slot_number(field.parameter)):
+            if _matches(numbered, key):
+                raise GsdError(f"parameter {numbered.key} is the number of the slot and cannot be set; leave it out")
         field = self.find(key)
         parameter = field.parameter
-        if is_slot_number(parameter):
-            raise GsdError(f"parameter {field.key} is the number of the slot and cannot be set; leave it out")
         if not parameter.changeable:
             raise GsdError(f"parameter {field.key} may not be changed (Changeable = 0); leave it out")
         self._set[field.key] = value_of(parameter, value)
@@ -265,10 +266,9 @@ def _number(parameter: Parameter, value: int | str | bool) -> int:
         low, high = parameter.type.limits
         allowed = ranges_text(parameter.allowed or ((low, high),))
         raise GsdError(f"{parameter.name!r} = {value!r} is no number; allowed are {allowed}")
-    near = difflib.get_close_matches(folded(value), [folded(t) for t in parameter.texts.values()], n=1, cutoff=0.5)
     texts = list(parameter.texts.values())
-    first = next((t for t in texts if near and folded(t) == near[0]), None)
-    hint = f"did you mean {first!r}? known: " if first else "known: "
+    near = near_names(value, texts, _CLOSE)
+    hint = f"did you mean {near[0]!r}? known: " if near else "known: "
     raise GsdError(f"{parameter.name!r} has no value {value!r}; {hint}{', '.join(map(repr, texts[:20]))}")
 
 

@@ -106,6 +106,8 @@ def test_the_slot_number_cannot_be_set_and_contradicts_nothing() -> None:
     prm = configure(numbered(name="[slotnumber]"), ["AI", "AI"]).user_prm()
     with pytest.raises(GsdError, match=r"2/\[slotnumber\]@1 is the number of the slot and cannot be set; leave it out"):
         prm.set("2/[SlotNumber]", 2)
+    with pytest.raises(GsdError, match=r"1/\[slotnumber\]@1 is the number of the slot and cannot be set; leave it out"):
+        prm.set("[SlotNumber]", 2)
     assert [c.field.key for c in prm.contradictions()] == ["1/Filter@2", "2/Filter@2"]
     assert [f.value for f in prm.fields if f.slot_number] == [1, 2]
 
