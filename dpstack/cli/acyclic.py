@@ -22,7 +22,7 @@ from dpstack.api.record_list import RecordList, file_for
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.api.virtual import World, simulate
 from dpstack.api.visiting import joined
-from dpstack.cli import options, output
+from dpstack.cli import options, output, visit
 from dpstack.cli.acyclic_lists import FILES, show_comparison, show_dump, show_list
 from dpstack.cli.foreground import tell_simulated
 from dpstack.cli.progress import progress_bar
@@ -212,7 +212,7 @@ async def _as_class2(asked: _Asked, progress: OnProgress) -> Mapping[str, Any]:
 
     def make_bus(address: int) -> Bus:
         settings = dataclasses.replace(config.bus, address=address, cycle_ms=None, cycle_freeze=(), cycle_sync=())
-        return open_bus(dataclasses.replace(config, bus=settings, slaves=()), on_event=_event, world=world)
+        return open_bus(dataclasses.replace(config, bus=settings, slaves=()), on_event=visit.once(_event), world=world)
 
     taken = {config.bus.address, *(one.address for one in config.slaves)}
     async with joined(make_bus, asked.own, avoid=taken) as bus, bus.class2.connect(slave) as connection:

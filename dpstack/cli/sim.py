@@ -127,5 +127,10 @@ def _summary(simulation: Simulation, json: bool) -> None:
     rows = [(s.address, s.name, s.state.value, s.exchanges, s.watchdogs, s.too_late) for s in simulation.slaves]
     columns = ("address", "name", "state", "exchanges", "watchdog expired", "answers too late")
     output.table("Slaves", columns, rows)
+    if any(s.too_late for s in simulation.slaves):
+        output.line(
+            "answers too late were not sent, because another telegram was there already: this computer was busy for "
+            "longer than the master waits, or another master talked at the same time"
+        )
     bad = ", ".join(f"{count} {cause.replace('_', ' ')}" for cause, count in simulation.bad.items())
     output.line(f"{simulation.telegrams} telegrams heard" + (f", bad: {bad}" if bad else ", none of them bad"))

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 
 from dpstack.api.baud import find_baud
-from dpstack.api.bus import Bus
+from dpstack.api.bus import BUS, Bus
 from dpstack.api.config import AUTO, make_config
-from dpstack.api.events import Event, MasterSeen, Severity, severity_of
+from dpstack.api.events import AddressCollision, Event, MasterSeen, Notice, RingJoined, Severity, severity_of
 from dpstack.api.visiting import MakeBus
 from dpstack.cli import options
 from dpstack.cli.streams import warn
@@ -55,7 +56,7 @@ def bus_maker(args: argparse.Namespace, baud: int, **bus: object) -> MakeBus:
 
     def make_bus(address: int) -> Bus:
         config = make_config(args.port, baud, address, where=args.command, bus=bus)
-        return Bus(config, on_event=tell, watched=False)
+        return Bus(config, on_event=once(tell), watched=False)
 
     def tell(event: Event) -> None:
         if severity_of(event) is not Severity.INFO:
@@ -64,6 +65,21 @@ def bus_maker(args: argparse.Namespace, baud: int, **bus: object) -> MakeBus:
             warn(f"master {event.address} is on this bus: {args.command} waits until it is let into the ring")
 
     return make_bus
+
+
+def once(tell: Callable[[Event], None]) -> Callable[[Event], None]:
+    """``tell`` for the events of one bus, but what is raised as an error as well: the command prints that one."""
+    in_ring = False
+
+    def told(event: Event) -> None:
+        nonlocal in_ring
+        in_ring = in_ring or isinstance(event, RingJoined)
+        collided = isinstance(event, AddressCollision) and not in_ring  # raised, or another address is tried
+        failed = isinstance(event, Notice) and event.source == BUS and event.severity is Severity.ERROR
+        if not (collided or failed):
+            tell(event)
+
+    return told
 
 
 def nobody_text(baud: int) -> str:

@@ -14,10 +14,11 @@ from typing import Final
 from dpstack.dp.acyclic_job import Outcome, ServiceFailure, Step, Steps
 from dpstack.dp.class2_jobs import Service, asked, diagnosis_of, done, judged, refused, request, unanswered
 from dpstack.dp.diagnosis import Diagnosis
+from dpstack.dp.faults import left_locked
 from dpstack.dp.judge import foreign_owner
 from dpstack.dp.ms0 import positive
 from dpstack.dp.pdu import SetSlaveAdd
-from dpstack.fdl.telegram import Req, Telegram
+from dpstack.fdl.telegram import Req, StationType, Telegram
 from dpstack.fdl.user import Failure, Request
 from dpstack.trace import Event, Notice
 from dpstack.units import NS_PER_MS
@@ -70,7 +71,7 @@ class AddressChange:
         diagnosis = diagnosis_of(answer)
         if before.failure is not None or diagnosis is None:
             return before
-        wrong = self._forbidden(diagnosis)
+        wrong = yield from self._forbidden(diagnosis)
         if wrong is not None:
             return wrong
         if not (yield from _silent(self.new)):
@@ -92,7 +93,7 @@ class AddressChange:
             return refused(self.address, self.service, answer)
         return (yield from self._verified(diagnosis.ident, acknowledged))
 
-    def _forbidden(self, diagnosis: Diagnosis) -> Outcome | None:
+    def _forbidden(self, diagnosis: Diagnosis) -> Steps[Outcome | None]:
         """Why this device must be left alone."""
         if self.ident not in (None, diagnosis.ident):
             return Outcome(
@@ -101,6 +102,12 @@ class AddressChange:
                 f"0x{self.ident:04X}; nothing was changed: give its ident, or look which device has that address",
             )
         owner = foreign_owner(diagnosis, self.own)
+        if owner is not None and (yield from _is_no_master(owner)):
+            what, todo = left_locked(diagnosis, owner)
+            return Outcome(
+                failure=ServiceFailure.OWNED,
+                text=f"slave {self.address} {what} and takes no address meanwhile; nothing was changed: {todo}",
+            )
         if owner is not None:
             return Outcome(
                 failure=ServiceFailure.OWNED,
@@ -149,6 +156,17 @@ class AddressChange:
             f"next power-up: switch it off and on, then look with `dpstack scan`",
             status="ignored",
         )
+
+
+def _is_no_master(address: int) -> Steps[bool]:
+    """Whether no master answers FDL status at ``address``; octets that cannot be read may be one's."""
+    for patient in (False, True):
+        answer = (yield Step(Request(address, Req.FDL_STATUS, patient=patient, retry=False))).answer
+        if isinstance(answer, Telegram):
+            return answer.station_type is StationType.SLAVE
+        if answer is not Failure.NO_ANSWER:
+            return False
+    return True
 
 
 def _silent(address: int) -> Steps[bool]:

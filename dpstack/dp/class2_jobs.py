@@ -34,6 +34,8 @@ from dpstack.trace import Event
 #: "later": asked again; everything else that is negative is an answer
 _BUSY: Final = frozenset((int(Resp.UE), int(Resp.RR)))
 _NO_DATA: Final = EMPTY_STATUS | {int(Resp.NR)}
+#: so often a slave that does not answer a service is asked for its diagnosis
+_LOOKS: Final = 2
 
 
 class Service(IntEnum):
@@ -100,7 +102,29 @@ class Reading:
     def steps(self) -> Steps[Outcome]:
         """One request, repeated where there is hope."""
         answer = yield from asked(request(self.address, self.service))
+        if answer is Failure.NO_ANSWER and (yield from leaves_out(self.address, self.service)):
+            return left_out(self.address, self.title, _CLOSED[self.service])
         return judged(self.address, self.service, answer, self.expected)
+
+
+def leaves_out(address: int, service: int) -> Steps[bool]:
+    """Whether the slave that did not answer at the SAP ``service`` is there all the same: it answers Slave_Diag.
+
+    Some slaves leave a service that they do not have without any answer (protocol facts, section I).
+    """
+    if service == Service.DIAGNOSIS:
+        return False
+    answer = yield from asked(request(address, Service.DIAGNOSIS), _LOOKS)
+    return isinstance(answer, Telegram)
+
+
+def left_out(address: int, title: str, why: str) -> Outcome:
+    """The result of the service ``title`` where the slave is there and does not answer it."""
+    return Outcome(
+        failure=ServiceFailure.REFUSED,
+        text=f"slave {address} is there (it answers Slave_Diag) and leaves {title} without an answer; {why}",
+        status="no answer",
+    )
 
 
 def request(address: int, service: Service, data: bytes = b"") -> Request:

@@ -5,7 +5,7 @@ One function a fault kind, so that the wording of a finding stands in one place.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from functools import partial
 from typing import Final
 
@@ -13,6 +13,7 @@ from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.events import Fault, FaultKind
 from dpstack.dp.pdu import SET_PRM_LEN
 from dpstack.dp.setup import SlaveSetup
+from dpstack.fdl.user import Failure
 from dpstack.units import baud_text
 
 #: a fault whose text needs the identifier octets of Get_Cfg: None where the slave does not tell them
@@ -25,8 +26,20 @@ NOT_WATCHING = (
 )
 
 
-def absent(address: int, baud: int) -> Fault:
-    """No answer to Slave_Diag, several rounds long."""
+_UNREADABLE: Final = (
+    "this is noise, or two stations that talk at once, rather than a slave without power: check cable, shielding and "
+    "termination, and look for a second station with its address"
+)
+
+
+def absent(address: int, baud: int, why: Failure = Failure.NO_ANSWER) -> Fault:
+    """No answer to Slave_Diag, several rounds long; ``why``: how the last request ended."""
+    if why is not Failure.NO_ANSWER:
+        return Fault(
+            FaultKind.ABSENT,
+            f"address {address} answers at {baud_text(baud)}, but not readably",
+            f"{_UNREADABLE}; it is asked again at least every second",
+        )
     return Fault(
         FaultKind.ABSENT,
         f"no answer from address {address} at {baud_text(baud)}",
@@ -34,8 +47,14 @@ def absent(address: int, baud: int) -> Fault:
     )
 
 
-def lost(during: str) -> Fault:
-    """Stopped answering after it had answered."""
+def lost(during: str, why: Failure) -> Fault:
+    """Stopped answering after it had answered; ``why``: how the last request ended, with all its attempts."""
+    if why is not Failure.NO_ANSWER:
+        return Fault(
+            FaultKind.LOST,
+            f"its answers to {during} cannot be read any more",
+            f"{_UNREADABLE}; it is taken up again as soon as its answers can be read",
+        )
     return Fault(
         FaultKind.LOST,
         f"stopped answering during {during}",
@@ -57,13 +76,25 @@ def wrong_ident(expected: int | None, found: int) -> Fault:
     )
 
 
-def locked(master: int) -> Fault:
-    """Parameterised by another class 1 master."""
+def locked(diagnosis: Diagnosis, master: int, masters: Collection[int] | None) -> Fault:
+    """Parameterised by another class 1 ``master``; ``masters``: those in the token ring, None: not known."""
+    if masters is not None and master not in masters:
+        return Fault(FaultKind.LOCKED, *left_locked(diagnosis, master))
     return Fault(
         FaultKind.LOCKED,
         f"is owned by master {master}",
         f"it is never taken away: stop master {master}, or remove the slave from one of the two configurations",
     )
+
+
+def left_locked(diagnosis: Diagnosis, master: int) -> tuple[str, str]:
+    """(what, what to do) about a slave of a ``master`` that is not on the bus (any more)."""
+    wait = (
+        "wait: its watchdog is on and gives it free; or switch it off and on"
+        if diagnosis.wd_on
+        else f"its watchdog is off: switch it off and on, or let master {master} take it up again and end in order"
+    )
+    return f"is still locked by master {master}, which is not in the token ring (any more)", wait
 
 
 def not_supported() -> Fault:

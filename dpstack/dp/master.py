@@ -6,7 +6,7 @@ running, or a fixed cycle), what it consists of :mod:`dpstack.dp.round`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from typing import Final
 
 from dpstack.dp.cadence import Cadence
@@ -85,6 +85,8 @@ class Master:
         self.rounds = 0
         self.on_round = on_round
         self.on_begin: Callable[[], None] | None = None
+        #: the masters in the token ring, for texts of faults; whoever makes the station sets it
+        self.ring: Callable[[], Collection[int]] | None = None
         #: the last round with data exchange, while ``on_round`` is set
         self.cycle: CycleData | None = None
         self.controls = Controls(params, self.handlers, self._emit, cycle_freeze, cycle_sync)
@@ -101,6 +103,7 @@ class Master:
             sending=lambda: self._course.mode > Mode.STOP,
             emit=self._emit,
             check=self._check,
+            masters=lambda: None if self.ring is None else self.ring(),
         )
         self._control = DataControl(auto_clear=auto_clear, time_ns=data_control_ns)
         self._token = TokenAge(params)

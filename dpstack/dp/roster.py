@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 
 from dpstack.dp.commands import ActivateSlave, AddSlave, DeactivateSlave, RemoveSlave, ReparameteriseSlave
 from dpstack.dp.controls import Controls
@@ -38,6 +38,7 @@ class Roster:
         sending: Callable[[], bool],
         emit: Callable[[Event], None],
         check: Callable[[SlaveSetup], None],
+        masters: Callable[[], Collection[int] | None],
     ) -> None:
         self._params = params
         self._handlers = handlers
@@ -48,6 +49,7 @@ class Roster:
         self._sending = sending
         self._emit = emit
         self._check = check
+        self._masters = masters
 
     def find(self, address: int) -> SlaveHandler:
         """The handling of the slave at ``address``. Raises UsageError naming those there are."""
@@ -96,6 +98,7 @@ class Roster:
             watchdog_ms=self._watchdog_ms,
             emit=self._emit,
             changed=self._changed,
+            masters=self._masters,
             before=before,
         )
 

@@ -7,7 +7,7 @@ The table of states is :mod:`dpstack.dp.bringup`, the texts of the faults :mod:`
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from functools import partial
 from typing import Final
 
@@ -50,6 +50,8 @@ _DATA_EXCHANGE: Final = SlaveState.DATA_EXCHANGE
 class SlaveHandler:
     """One slave as the master handles it. ``emit`` takes events, ``changed`` is called after a change of state.
 
+    ``masters`` gives the addresses of the masters in the token ring, None where they are not known.
+
     ``before``: its handling under other parameters: counters go on, and the image as :func:`image_of` says.
     """
 
@@ -62,6 +64,7 @@ class SlaveHandler:
         watchdog_ms: int,
         emit: Callable[[Event], None],
         changed: Callable[[SlaveHandler, int], None],
+        masters: Callable[[], Collection[int] | None] = lambda: None,
         before: SlaveHandler | None = None,
     ) -> None:
         self.setup = setup
@@ -85,6 +88,7 @@ class SlaveHandler:
         self.diag_due = False
         self._emit = emit
         self._changed = changed
+        self._masters = masters
         self._pacing = Pacing()
         self._silent = 0
         self._busy = 0
@@ -154,7 +158,7 @@ class SlaveHandler:
         if outcome is Failure.ABANDONED or self.state is not SlaveState.DATA_EXCHANGE:
             return
         if not isinstance(outcome, Telegram):
-            self._step(Ev.SILENT, now, faults.lost("Data_Exchange"))
+            self._step(Ev.SILENT, now, faults.lost("Data_Exchange", outcome))
             return
         verdict = self._odd.judge(outcome)
         if verdict is Ev.WRONG_LENGTH:
@@ -224,7 +228,7 @@ class SlaveHandler:
         if request.dsap == SAP_GET_CFG:
             self._cfg_told(good.data if good else None, now)
         elif not isinstance(outcome, Telegram):
-            self._on_silence(service, now, long=request.extra_ns > 0)
+            self._on_silence(service, outcome, now, long=request.extra_ns > 0)
         else:
             self._silent = 0
             if good is None:
@@ -236,19 +240,19 @@ class SlaveHandler:
             else:
                 self._step(Ev.ACK, now)
 
-    def _on_silence(self, service: str, now: int, *, long: bool) -> None:
+    def _on_silence(self, service: str, why: Failure, now: int, *, long: bool) -> None:
         if self.state is SlaveState.OFFLINE:
             self._silent += 1
             self._pacing.absent(now, long=long)
             if self._silent >= _TOLD_ABSENT_AFTER and not self.findings.silence_told:
-                self.findings.tell(faults.absent(self.setup.address, self.baud), now)
+                self.findings.tell(faults.absent(self.setup.address, self.baud, why), now)
             self._step(Ev.SILENT, now)
             return
         fault = None
         if self.state in (SlaveState.SET_PRM, SlaveState.CHK_CFG):
             self._ready.unacked = service
         else:
-            fault = faults.lost(service)
+            fault = faults.lost(service, why)
         self._step(Ev.SILENT, now, fault)
 
     def _on_refusal(self, outcome: Telegram, service: str, now: int) -> None:
@@ -271,7 +275,7 @@ class SlaveHandler:
         if diagnosis.ident != self.ident:
             self._step(Ev.DIAG_OTHER, now, faults.wrong_ident(self.ident, diagnosis.ident))
         elif owner is not None:
-            self._step(Ev.DIAG_LOCKED, now, faults.locked(owner))
+            self._step(Ev.DIAG_LOCKED, now, faults.locked(diagnosis, owner, self._masters()))
         elif self.state is SlaveState.DATA_EXCHANGE:
             self._judge_exchanging(diagnosis, now)
         elif self.state is SlaveState.WAIT_READY:

@@ -68,6 +68,7 @@ def build_stack(spec: StackSpec) -> Stack:
     users.append(Acyclic(params.address, master))
     guard = reading_only if spec.read_only else None
     station = ActiveStation(params, users, patience=patience, guard=guard, budget=master.budget)
+    master.ring = lambda: station.las
     return Stack(master, station, watcher)
 
 

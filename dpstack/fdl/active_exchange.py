@@ -14,13 +14,14 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-from dpstack.fdl.active_link import NONE, Link
+from dpstack.fdl.active_link import NONE, Doubt, Link
 from dpstack.fdl.codec import request_octets
 from dpstack.fdl.describe import request_name
 from dpstack.fdl.events import le3_notice
 from dpstack.fdl.states import Input, State
 from dpstack.fdl.telegram import SHORT_ACK, Kind, Req, Resp, Telegram
 from dpstack.fdl.user import Failure, LinkUser, Request
+from dpstack.params import BROADCAST
 from dpstack.trace import Notice, Severity
 from dpstack.units import chars_to_ns
 
@@ -60,6 +61,10 @@ _SC: Final = Kind.SC
 _FDL_STATUS: Final = Req.FDL_STATUS
 #: so many slot times with the port's patience an answer may come late
 _OWED_SLOTS: Final = 4
+#: so many answers more than requests, or requests with unreadable answers, among so many requests are told
+_DOUBLED: Final = 10
+_UNREADABLE: Final = 50
+_OF_REQUESTS: Final = 100
 #: responses that say no or plainly yes
 _WITHOUT_DATA: Final = frozenset({int(Resp.OK), int(Resp.UE), int(Resp.RR), int(Resp.RS), int(Resp.NR)})
 
@@ -231,7 +236,7 @@ def _hold_back(link: Link, telegram: Telegram, now: int) -> bool:
         link.deadline = now + _kept_back_ns(link)
         return True
     link.owed.pop(first.sa if first.sa >= 0 else link.request.da, None)
-    _count_late(link, first)
+    _count_late(link, first, now)
     return False
 
 
@@ -296,6 +301,7 @@ def timeout(link: Link, _: Telegram, now: int) -> None:
         _answered(link, candidate, now)
         return
     station = link.asked
+    _unanswered(link, now)
     if now > link.budget.next_at and not request.cyclic:
         link.budget.silent = f"{request_name(request)} to station {request.da}"
     if link.tries_left:
@@ -331,21 +337,82 @@ def _not_ours(link: Link, telegram: Telegram, now: int) -> None:
     if sa == link.request.da and link.edge_at >= link.early_until and _owing(link, telegram, now) < 0:
         link.wrong = True
         link.stats.station(sa).wrong += 1
+        _superfluous(link, sa, now)
     else:
-        _count_late(link, telegram)
+        _count_late(link, telegram, now)
 
 
 def late(link: Link, telegram: Telegram, now: int) -> None:
     """A response to us, or SC, that nobody waits for: the answer to an exchange that is over."""
-    _count_late(link, telegram)
+    _count_late(link, telegram, now)
     link.owed.pop(telegram.sa, None)
 
 
-def _count_late(link: Link, telegram: Telegram) -> None:
+def _count_late(link: Link, telegram: Telegram, now: int) -> None:
     """Only an answer of ours can be addressed to us; SC names nobody and counts as stray."""
     if telegram.sa < 0:
         link.stats.stray += 1
+        if link.token_at >= 0 and link.state is not State.ACTIVE_IDLE and link.frame:
+            # the token is ours, so it answers our last request
+            da = link.frame[4 if link.frame[0] == Kind.SD2 else 1] & BROADCAST
+            if da != BROADCAST:
+                _superfluous(link, da, now)
         return
     link.slow.add(telegram.sa)
     link.stats.late += 1
     link.stats.station(telegram.sa).late += 1
+    _superfluous(link, telegram.sa, now)
+
+
+# --- two stations with one address ---------------------------------------------------------------------------------
+# One station gives one answer to each attempt at most. A late answer follows an attempt that was given up.
+
+
+def _superfluous(link: Link, address: int, now: int) -> None:
+    """``address`` gave an answer that nobody waits for. More answers than attempts are those of two stations."""
+    doubt = _doubt(link, address)
+    doubt.superfluous += 1
+    if doubt.superfluous >= _DOUBLED and not doubt.told_doubled:
+        doubt.told_doubled = True
+        text = (
+            f"station {address} gives more answers than it gets requests ({doubt.superfluous} more): two stations have "
+            f"address {address}, and what is read may be of either; switch one off, and give it another address"
+        )
+        link.events.append(Notice(t_ns=now, source="fdl", message=text, severity=Severity.WARNING))
+
+
+def given_up(link: Link, address: int) -> None:
+    """An attempt at ``address`` had no answer in time: one may come late."""
+    doubt = link.doubts.get(address)
+    if doubt is not None and doubt.superfluous:
+        doubt.superfluous -= 1
+
+
+def _unanswered(link: Link, now: int) -> None:
+    """An attempt of the exchange under way had no answer that could be used."""
+    da = link.request.da
+    if link.doubts:
+        given_up(link, da)
+    if not link.garbled:
+        return
+    doubt = _doubt(link, da)
+    if link.repeats == 0:
+        doubt.unreadable += 1
+    if doubt.unreadable >= _UNREADABLE and not doubt.told_unreadable:
+        doubt.told_unreadable = True
+        text = (
+            f"half of the answers of station {da} cannot be read: check its cable, shielding and the termination, and "
+            f"look for a second station with address {da}"
+        )
+        link.events.append(Notice(t_ns=now, source="fdl", message=text, severity=Severity.WARNING))
+
+
+def _doubt(link: Link, address: int) -> Doubt:
+    """What was odd in the last requests to ``address``."""
+    requests = link.stats.station(address).requests
+    doubt = link.doubts.get(address)
+    if doubt is None:
+        doubt = link.doubts[address] = Doubt(requests)
+    elif requests - doubt.since > _OF_REQUESTS:
+        doubt.since, doubt.superfluous, doubt.unreadable = requests, 0, 0
+    return doubt

@@ -193,6 +193,7 @@ def status_timeout(link: Link, _: Telegram, now: int) -> None:
     known = link.knows(address)
     link.slow.discard(address)
     link.doubted.discard(address)
+    exchange.given_up(link, address)
     if link.garbled:
         link.gap.passed(address)
     elif link.gap.polled(address, None):

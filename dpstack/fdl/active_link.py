@@ -7,6 +7,7 @@ A handler is a function ``(link, telegram, now)``; which one runs is a matter of
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Final
 
 from dpstack.fdl.announced import Announced, News
@@ -68,6 +69,17 @@ def classify(telegram: Telegram, ts: int) -> Input:
     return Input.STATUS_REQUEST if fc & (FC_FUNCTION | 0x80) == Req.FDL_STATUS else Input.REQUEST_TO_ME
 
 
+@dataclass(slots=True)
+class Doubt:
+    """Odd answers of one station since its request number ``since``: more than were asked for, and unreadable ones."""
+
+    since: int
+    superfluous: int = 0
+    unreadable: int = 0
+    told_doubled: bool = False
+    told_unreadable: bool = False
+
+
 class Link:
     """The data of one active station. Times in ns; see the groups below."""
 
@@ -86,6 +98,7 @@ class Link:
         "collision_told",
         "deadline",
         "doubted",
+        "doubts",
         "early_ns",
         "early_until",
         "edge_at",
@@ -217,6 +230,8 @@ class Link:
         self.doubted: set[int] = set()
         #: exchanges whose answer may still come: request and until when, by address
         self.owed: dict[int, tuple[Request, int]] = {}
+        #: stations with odd answers, by address
+        self.doubts: dict[int, Doubt] = {}
 
     def set_times(self, now: int) -> None:
         """Work out all durations from ``params`` and ``patience``."""
@@ -365,4 +380,5 @@ class Link:
 
     def _tell(self, news: News, now: int) -> None:
         for address, present in news:
-            self.events.append(MasterSeen(t_ns=now, address=address, present=present))
+            before = present and not self.in_ring
+            self.events.append(MasterSeen(t_ns=now, address=address, present=present, before=before))

@@ -45,10 +45,14 @@ class MasterSeen(Event):
 
     address: int
     present: bool
+    #: it was in the ring before this station: nobody knows when it joined
+    before: bool = False
 
     @property
     def text(self) -> str:
         """Which one."""
+        if self.present and self.before:
+            return f"master {self.address} is in the token ring"
         return f"master {self.address} {'joined' if self.present else 'left'} the token ring"
 
 

@@ -63,7 +63,7 @@ def test_there_and_back(bus: Path, capsys: pytest.CaptureFixture[str]) -> None:
     ("args", "code", "line"),
     [
         (("126", "8", "--ident", "0696"), 1, "slave 126 is another device: ident 0x1234 instead of 0x0696; "),
-        (("5", "8"), 1, "slave 5 is owned by master 1 and takes no address meanwhile; "),
+        (("5", "8"), 1, "slave 5 is still locked by master 1, which is not in the token ring (any more) and takes no "),
         (("126", "5"), 1, "address 5 is in use: a station answers there; nothing was changed: "),
         ((NOBODY, "34"), 1, "slave 33 does not answer Slave_Diag; "),
         (("7", "7"), 2, "the slave has address 7 already: nothing to do"),

@@ -23,6 +23,9 @@ from dpstack.api.config import load_config
 from dpstack.cli import visit
 from dpstack.cli.main import main
 from dpstack.dp.mirror import MirrorDevice
+from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.commands import GoOnline
+from dpstack.params import BusParams
 from dpstack_drives import demag, fuji
 
 PORT = Path("/dev/ttyUSB0")
@@ -56,6 +59,39 @@ def world(monkeypatch: pytest.MonkeyPatch) -> None:
     slave_in(made, MirrorDevice(0x1234, b"\x20\x10"), 9)
     monkeypatch.setattr(visit, "Bus", functools.partial(dpstack.Bus, world=made))
     monkeypatch.setattr("asyncio.run", dpstack.run_virtual)
+
+
+@pytest.fixture
+def owned(monkeypatch: pytest.MonkeyPatch) -> dpstack.World:
+    """A bus in virtual time with master 2, which is there first."""
+    made = dpstack.World()
+    station = ActiveStation(BusParams.preset(500_000, address=2), [])
+    made.add(station)
+    made.command(station, GoOnline())
+    made.run_for(100_000_000)
+    assert station.in_ring
+    monkeypatch.setattr(visit, "Bus", functools.partial(dpstack.Bus, world=made))
+    monkeypatch.setattr("asyncio.run", dpstack.run_virtual)
+    return made
+
+
+@pytest.mark.usefixtures("owned")
+@pytest.mark.parametrize("command", [("scan",), ("address", "126", "5")])
+def test_an_address_in_use_is_told_once(command: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
+    code = main([*command, "--port", str(PORT), "--baud", "500000", "--address", "2"])
+    printed = capsys.readouterr()
+    assert (code, printed.out) == (1, "")
+    assert printed.err == (
+        "dpstack: another station on the bus sends as address 2: staying out of the ring; give one of the two another "
+        "address\n"
+    )
+
+
+@pytest.mark.usefixtures("owned")
+def test_a_master_that_is_there_first_is_waited_for(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, err = scan(capsys, PORT, "--json")
+    assert (code, err) == (0, "")
+    assert [station["type"] for station in json.loads(out)["stations"]] == ["master_in_ring"]
 
 
 def plant(tmp_path: Path, port: object) -> str:

@@ -79,7 +79,19 @@ def test_nobody_there(service: Service) -> None:
         f"slave 77 does not answer {service.title}; check address and power; `dpstack scan` shows who is there"
     )
     asked = [sent.octets[6] for sent in kit.bus.log if sent.octets[0] == 0x68]
-    assert asked == [0x6D, 0x6D, 0x6D, 0x5D]  # three first requests, one probe
+    looks = [] if service is Service.DIAGNOSIS else [0x6D, 0x6D]  # is it there at all?
+    assert asked == [0x6D, 0x6D, 0x6D, 0x5D, *looks]  # three first requests, one probe
+
+
+@pytest.mark.parametrize("service", [service for service in READS if service is not Service.DIAGNOSIS])
+def test_a_slave_that_is_there_and_leaves_a_service_without_an_answer(service: Service) -> None:
+    kit = Class2Bus()
+    OctetSlave(kit.bus, 4, master=1).says[service] = lambda _octets: None
+    outcome = kit.read(4, service)
+    assert (outcome.failure, outcome.status) == (ServiceFailure.REFUSED, "no answer")
+    begins = f"slave 4 is there (it answers Slave_Diag) and leaves {service.title} without an answer; "
+    assert outcome.text.startswith(begins)
+    assert "address and power" not in outcome.text
 
 
 @pytest.mark.parametrize("service", READS)
@@ -147,13 +159,17 @@ def test_a_late_answer_is_not_taken_for_the_next_ones() -> None:
     kit = Class2Bus()
     slave = OctetSlave(kit.bus, 4, master=1, inputs=b"\xaa", outputs=b"\xbb")
     assert kit.read(4, Service.DIAGNOSIS).failure is None
-    slave.delay = 300  # T_SL is 200
+
+    def late_at_first(octets: bytes, now: int) -> tuple[int, bytes] | None:
+        slave.delay = 300 if len(slave.requests) < 8 else 11  # T_SL is 200
+        return slave(octets, now)
+
+    kit.bus.slaves[4] = late_at_first
     kit.send(ReadService(101, 4, Service.INPUTS))
     kit.send(ReadService(102, 4, Service.OUTPUTS))
     kit.send(ReadService(103, 4, Service.INPUTS))
     for token in (101, 102, 103):
         kit.end(token)
-        slave.delay = 11
     data = {done.token: done.outcome.data for done in kit.done[1:] if done.outcome.failure is None}
     assert data.items() <= {101: b"\xaa", 102: b"\xbb", 103: b"\xaa"}.items()
     assert data[103] == b"\xaa"

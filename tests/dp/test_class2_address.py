@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 from bus_kit import IDENT, PPO1, SimBus
 from class2_kit import MS, Class2Bus
-from octet_slave import RS, OctetSlave, sd1
+from octet_slave import DL, RS, OctetSlave, sd1, sd2
+from ring_bus import fixed
 from support import WorldFactory
 
 from dpstack.dp.acyclic import Acyclic
@@ -162,9 +163,29 @@ def test_another_device() -> None:
     assert orders(slave) == []
 
 
+@pytest.mark.parametrize(
+    ("octet_2", "words"),
+    [
+        (0x0C, "wait: its watchdog is on and gives it free; or switch it off and on"),
+        (0x04, "its watchdog is off: switch it off and on, or let master 1 take it up again and end in order"),
+    ],
+)
+def test_a_slave_that_a_master_left_locked_which_is_gone(octet_2: int, words: str) -> None:
+    kit = Class2Bus()
+    slave = OctetSlave(kit.bus, 7, master=1)
+    slave.says[60] = lambda _: sd2(2, 7, DL, 62, 60, bytes((0, octet_2, 0, 1)) + slave.ident)
+    outcome = change(kit, 7)
+    assert outcome.failure is ServiceFailure.OWNED
+    assert outcome.text == (
+        "slave 7 is still locked by master 1, which is not in the token ring (any more) and takes no address "
+        f"meanwhile; nothing was changed: {words}"
+    )
+
+
 def test_a_slave_of_another_master() -> None:
     kit = Class2Bus()
     slave = OctetSlave(kit.bus, 7, master=1)
+    kit.bus.slaves[1] = fixed("10 01 02 49 4C 16", "10 02 01 30 33 16")  # FDL status: a master in the ring
     outcome = change(kit, 7)
     assert outcome.failure is ServiceFailure.OWNED
     assert outcome.text.startswith("slave 7 is owned by master 1 and takes no address meanwhile; nothing was changed:")

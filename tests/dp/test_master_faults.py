@@ -61,6 +61,46 @@ def test_slave_of_another_master_is_never_parameterised() -> None:
     assert "owned by master 7" in fault.message
 
 
+@pytest.mark.parametrize(
+    ("octet_2", "words"), [("0C", "wait: its watchdog is on and gives it free"), ("04", "its watchdog is off: switch")]
+)
+def test_slave_that_a_master_left_locked_which_is_gone(octet_2: str, words: str) -> None:
+    bus = link(setup(), slaves={3: ScriptedSlave(free=bytes.fromhex(f"00 {octet_2} 00 07 06 96"))})
+    bus.master.ring = lambda: {2}
+    bus.run(1_000 * MS)
+    fault = bus.master.handlers[3].fault
+    assert fault is not None
+    assert fault.kind.value == "locked"
+    assert fault.message == "is still locked by master 7, which is not in the token ring (any more)"
+    assert fault.remedy.startswith(words)
+    bus.master.ring = lambda: {2, 7}
+    bus.run(12_000 * MS)
+    fault = bus.master.handlers[3].fault
+    assert fault is not None
+    assert "owned by master 7" in fault.message
+
+
+@pytest.mark.parametrize("why", [Failure.GARBLED, Failure.WRONG])
+def test_a_slave_whose_answers_cannot_be_read_is_lost_by_noise(why: Failure) -> None:
+    bus = exchanging(setup(3), setup(4))
+    bus.slaves[3] = ScriptedSlave(answers={None: lambda _: why, 60: lambda _: why})
+    bus.run(5_000 * MS)
+    (told,) = (e.fault for e in bus.events if isinstance(e, SlaveFaulted) and e.address == 3)
+    assert told.kind.value == "lost"
+    assert told.message == "its answers to Data_Exchange cannot be read any more"
+    assert "noise" in told.remedy
+    assert "second station" in told.remedy
+
+
+def test_an_address_whose_answers_were_never_readable() -> None:
+    bus = link(setup(), slaves={3: ScriptedSlave(answers={60: lambda _: Failure.GARBLED})})
+    bus.run(1_000 * MS)
+    (told,) = (e.fault for e in bus.events if isinstance(e, SlaveFaulted))
+    assert told.kind.value == "absent"
+    assert told.message == "address 3 answers at 500 kbit/s, but not readably"
+    assert "noise" in told.remedy
+
+
 def test_own_address_plus_128_is_no_other_master() -> None:
     bus = exchanging(setup(), slaves={3: ScriptedSlave(ready=bytes.fromhex("00 0C 00 82 06 96"))})
     assert bus.remarks(3) == ["its diagnosis gives the master address as 130; tolerated"]

@@ -50,6 +50,19 @@ def test_nobody_there() -> None:
     assert done.text == "slave 4 does not answer Initiate; check address and power"
 
 
+def test_a_slave_of_dp_v0_is_there_and_has_no_connections() -> None:
+    kit = Ms2Bus()
+    kit.slave.says[49] = lambda _octets: None  # a chip of DP-V0 knows no SAP 49, and says nothing at all
+    done = failed(kit)
+    assert done.outcome.failure is ServiceFailure.REFUSED
+    assert done.outcome.status == "no answer"
+    assert done.text == (
+        "slave 4 is there (it answers Slave_Diag) and leaves Initiate (SAP 49) without an answer; it has no class 2 "
+        "connections (a device of DP-V0, or C2_Read_Write_supp = 0 in its GSD file): records of a DP-V1 slave can be "
+        "asked for by its own master, of a DP-V0 slave by nobody"
+    )
+
+
 @pytest.mark.parametrize(
     ("answer", "failure", "text"),
     [

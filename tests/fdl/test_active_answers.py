@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 from exchange_kit import DIAG, DIAG_ANSWER, DX, DX_ANSWER, Slave, bus_with
-from ring_bus import ListUser, RingBus
+from ring_bus import ListUser, RingBus, Sent
 
 from dpstack.fdl.active import ActiveStation
 from dpstack.fdl.active_exchange import answers
@@ -248,3 +248,56 @@ def test_whoever_listens_is_told_the_octets_as_they_were(octets: str) -> None:
     station.wire = heard.append
     bus.pump(station, bytes.fromhex(octets))
     assert [entry.octets for entry in heard] == [bytes.fromhex(octets)]
+
+
+# --- two stations with one address -----------------------------------------------------------------------------------
+def asked_often(answer: bytes | None, *requests: Request, delay: int = 11, times: int = 60) -> tuple[RingBus, Slave]:
+    """A station that asks slave 3 in every token hold; what the slave answers, after ``delay`` bit times."""
+    slave = Slave()
+    user = ListUser(per_hold=list(requests or (DX,)))
+    bus = RingBus(mode="octets")
+    bus.slaves[3] = slave
+    slave.plan = [(delay, answer)] * times
+    bus.master(2, user, gap=0)
+    return bus, slave
+
+
+def notices(bus: RingBus) -> list[str]:
+    return [notice.message for notice in bus.told(Notice) if isinstance(notice, Notice)]
+
+
+@pytest.mark.parametrize("answer", [DX_ANSWER, b"\xe5"])
+def test_two_answers_to_every_request_are_those_of_two_stations(answer: bytes) -> None:
+    bus, _ = asked_often(answer + answer)
+    bus.run(60 * NS_PER_MS)
+    (told,) = notices(bus)  # once
+    assert told == (
+        "station 3 gives more answers than it gets requests (10 more): two stations have address 3, and what is read "
+        "may be of either; switch one off, and give it another address"
+    )
+
+
+def test_answers_that_are_late_are_no_second_stations() -> None:
+    bus, slave = asked_often(DX_ANSWER, DX, DX._replace(da=4), delay=330)  # T_SL is 200; nobody has address 4
+    bus.run(100 * NS_PER_MS)
+    assert len(slave.heard) > 50
+    assert bus.stations[0].stats.late > 20
+    assert notices(bus) == []
+
+
+def test_half_of_the_answers_cannot_be_read() -> None:
+    bus, _ = asked_often(DX_ANSWER, times=1000)
+    count = 0
+
+    def every_other(sent: Sent) -> bool:
+        nonlocal count
+        count += sent.sender == 3
+        return sent.sender == 3 and count % 3 != 0  # of three attempts the first two
+
+    bus.drop = every_other
+    bus.run(400 * NS_PER_MS)
+    (told,) = notices(bus)
+    assert told == (
+        "half of the answers of station 3 cannot be read: check its cable, shielding and the termination, and look "
+        "for a second station with address 3"
+    )

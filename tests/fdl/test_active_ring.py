@@ -113,6 +113,26 @@ def test_a_newcomer_says_not_ready_until_it_knows_the_ring() -> None:
     assert healed(bus)
 
 
+def test_a_newcomer_does_not_say_that_a_master_joined_which_was_there_before() -> None:
+    bus = RingBus()
+    first = bus.master(2, hsa=6)
+    bus.run(100 * NS_PER_MS)
+    assert first.in_ring
+    bus.events.clear()
+    second = bus.master(5, hsa=6)
+    bus.run(300 * NS_PER_MS)
+    assert second.in_ring
+    assert sorted(e.text for e in bus.told(MasterSeen)) == [
+        "master 2 is in the token ring",  # told by station 5
+        "master 5 joined the token ring",  # told by station 2
+    ]
+    bus.master(4, hsa=6)
+    bus.events.clear()
+    bus.run(300 * NS_PER_MS)
+    texts = [e.text for e in bus.told(MasterSeen)]
+    assert texts.count("master 4 joined the token ring") == 2
+
+
 def test_leaving_hands_the_token_on() -> None:
     bus = RingBus()
     a = bus.master(2, hsa=6)

@@ -12,6 +12,7 @@ import dataclasses
 from typing import TYPE_CHECKING, Final
 
 from dpstack.dp.acyclic_job import ATTEMPTS, Outcome, ServiceFailure, Steps
+from dpstack.dp.class2_jobs import leaves_out, left_out
 from dpstack.dp.ms0 import refusal_text
 from dpstack.dp.v1.connection import AbortReason, InitiateReq, InitiateRes, Instance, ResourceManagerRes
 from dpstack.dp.v1.ms2_connection import NOT_WANTED, TIMED_OUT, Connection, Ended, Phase
@@ -31,6 +32,10 @@ if TYPE_CHECKING:
 #: by whoever wanted it
 _GIVEN_UP: Final = (ServiceFailure.CANCELLED, ServiceFailure.ABORTED)
 _NEGATIVE: Final = 0x80
+_WITHOUT_MS2: Final = (
+    "it has no class 2 connections (a device of DP-V0, or C2_Read_Write_supp = 0 in its GSD file): records of a DP-V1 "
+    "slave can be asked for by its own master, of a DP-V0 slave by nobody"
+)
 #: octets of Initiate, response, without addresses
 _INITIATE_RES: Final = 12
 
@@ -53,6 +58,8 @@ class InitiateJob(ConnectionJob):
         course = connection.course(SAP_MS2_RM)
         managed = yield from self._managed(course)
         if isinstance(managed, Ended):
+            if managed.outcome.failure is ServiceFailure.SILENT and (yield from leaves_out(self.address, SAP_MS2_RM)):
+                return left_out(self.address, f"{self.title} (SAP {SAP_MS2_RM})", _WITHOUT_MS2)
             return self._refused(managed, course.now)
         wrong = self._check(managed)
         if wrong is not None:
