@@ -6,8 +6,8 @@ import asyncio
 import contextlib
 import functools
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping
+from dataclasses import dataclass
 from types import TracebackType
-from typing import Final
 
 from dpstack.api.class2 import Class2
 from dpstack.api.compose import compose
@@ -37,8 +37,11 @@ from dpstack.sim.world import World
 from dpstack.trace import Event, Notice, Severity
 from dpstack.units import ns_to_s
 
-#: the source of a bus's own notices; those of severity ERROR are raised to everybody who waits, too
-BUS: Final = "bus"
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BusFailed(Notice):
+    """The failure that ends the bus; it is raised to everybody who waits, too."""
+
 
 SlaveTable = Mapping[str, object] | SlaveConfig
 
@@ -126,7 +129,7 @@ class Bus(Composed):
         try:
             await self._ordered_end.watch()
             if heard is not None:
-                self.notice(BUS, heard)
+                self.notice("bus", heard)
             for note in (*self.plan.findings, *self.plan.notes):
                 self.notice("plan", note, Severity.WARNING)
             self._hand_on(GoOnline())
@@ -415,7 +418,7 @@ class Bus(Composed):
                 self._events.tell(notice)
             if isinstance(event, RingJoined) and not self._joined_ns:
                 self._joined_ns = event.t_ns
-                self._events.tell(Notice(t_ns=event.t_ns, source=BUS, message=what_was_heard(self.station)))
+                self._events.tell(Notice(t_ns=event.t_ns, source="bus", message=what_was_heard(self.station)))
         self._waiters.check()
 
     def _on_failure(self, error: Exception) -> None:
@@ -425,7 +428,8 @@ class Bus(Composed):
             text = f"the bus was stopped by a defect in dpstack ({type(error).__name__}: {error}); please report it"
             failure = BusError(text)
             failure.__cause__ = error
-        self.notice(BUS, str(failure), Severity.ERROR)
+        now = self.runtime.now()
+        self._events.tell(BusFailed(t_ns=now, source="bus", message=str(failure), severity=Severity.ERROR))
         self._nothing_more(failure)
 
     def _nothing_more(self, error: DpError) -> None:

@@ -6,9 +6,9 @@ import argparse
 from collections.abc import Callable
 
 from dpstack.api.baud import find_baud
-from dpstack.api.bus import BUS, Bus
+from dpstack.api.bus import Bus, BusFailed
 from dpstack.api.config import AUTO, make_config
-from dpstack.api.events import AddressCollision, Event, MasterSeen, Notice, RingJoined, Severity, severity_of
+from dpstack.api.events import AddressCollision, Event, MasterSeen, RingJoined, Severity, severity_of
 from dpstack.api.visiting import MakeBus
 from dpstack.cli import options
 from dpstack.cli.streams import warn
@@ -75,8 +75,7 @@ def once(tell: Callable[[Event], None]) -> Callable[[Event], None]:
         nonlocal in_ring
         in_ring = in_ring or isinstance(event, RingJoined)
         collided = isinstance(event, AddressCollision) and not in_ring  # raised, or another address is tried
-        failed = isinstance(event, Notice) and event.source == BUS and event.severity is Severity.ERROR
-        if not (collided or failed):
+        if not (collided or isinstance(event, BusFailed)):
             tell(event)
 
     return told

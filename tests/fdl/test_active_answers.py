@@ -251,7 +251,7 @@ def test_whoever_listens_is_told_the_octets_as_they_were(octets: str) -> None:
 
 
 # --- two stations with one address -----------------------------------------------------------------------------------
-def asked_often(answer: bytes | None, *requests: Request, delay: int = 11, times: int = 60) -> tuple[RingBus, Slave]:
+def asked_often(answer: bytes, *requests: Request, delay: int = 11, times: int = 60) -> tuple[RingBus, Slave]:
     """A station that asks slave 3 in every token hold; what the slave answers, after ``delay`` bit times."""
     slave = Slave()
     user = ListUser(per_hold=list(requests or (DX,)))
