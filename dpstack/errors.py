@@ -12,6 +12,7 @@
     |   +-- PortBusyError               held by another program (named)
     |   +-- BaudError                   the port cannot do the rate, or substituted another
     +-- BusError                        the bus as a whole cannot work
+    |   +-- OrderDropped                an order, or outputs, that the bus process did not take in time
     +-- SlaveError                      one slave; carries its address
     |   +-- SlaveFault                  refused parameters or configuration, wrong ident, locked, lying
     |   +-- ServiceRefused              answered a service of this master with no; carries service and status
@@ -74,6 +75,10 @@ class BaudError(PortError):
 
 class BusError(DpError):
     """The bus as a whole cannot work (own address in use, nothing but noise, closed by a fault)."""
+
+
+class OrderDropped(BusError):
+    """The bus process did not take an order, or outputs, in time. They were dropped: they will not be carried out."""
 
 
 class SlaveError(DpError):

@@ -25,7 +25,7 @@ from dpstack.api.slave_config import SlaveConfig
 from dpstack.api.statistics import BusStats, collect
 from dpstack.api.streams import Events, EventStream, OnEvent, Waiters
 from dpstack.dp.commands import AddSlave, Mode, RemoveSlave, SetMode
-from dpstack.dp.events import ControlSent, DriveEvent
+from dpstack.dp.events import ControlSent, DriveEvent, SlaveStateChanged
 from dpstack.dp.scanner import Found
 from dpstack.drivers.aio import outlast
 from dpstack.drivers.ending import end_limit_ns
@@ -230,6 +230,15 @@ class Bus(Composed):
         """Nothing more is sent to slaves (their watchdogs will expire); the master stays in the ring."""
         self.command(SetMode(Mode.STOP))
 
+    async def outputs_taken(self) -> None:
+        """Wait until the master has the outputs that were set up to now; in Operate they go out in its next round.
+
+        Raises OrderDropped where a bus process did not take them within 1 s: they will not go out, and
+        ``Slave.outputs`` are those from before. Raises UsageError when the bus is not open, BusError when it is over.
+        """
+        self.check_open()
+        self._unless_over(self.runtime.hand_over_outputs)
+
     def command(self, command: object) -> None:
         """Hand an order to the machine. Raises UsageError when the bus is not open."""
         self.check_open()
@@ -243,8 +252,11 @@ class Bus(Composed):
             raise UsageError("the bus is not open: use it inside `async with open_bus(...)`")
 
     def _hand_on(self, command: object) -> None:
+        self._unless_over(functools.partial(self.runtime.command, command))
+
+    def _unless_over(self, order: Callable[[], None]) -> None:
         try:
-            self.runtime.command(command)
+            order()
         except BusError:
             if self._over is not None:
                 raise self._over from None
@@ -304,6 +316,7 @@ class Bus(Composed):
         """
         address = slave.address if isinstance(slave, Slave) else self.slave(slave).address
         self.command(RemoveSlave(address))
+        self._round_ns = None
         del self._slaves[address]
         self.services.alarms.forget(address)
         drive = self._drives.pop(address, None)
@@ -410,6 +423,8 @@ class Bus(Composed):
                     drive = self._drives.get(address)
                     if drive is not None:
                         drive.on_payload(payload)
+                case SlaveStateChanged(address=address) if address in self._drives:
+                    self._drives[address].on_state()
                 case AddressCollision():
                     self.collision = event.text
             self._groups.on_event(event)

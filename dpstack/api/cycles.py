@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from dpstack.dp.cycle import CycleData
 from dpstack.dp.fields import FieldMap, Value
+from dpstack.dp.image import inputs_are_valid
 from dpstack.errors import UsageError
-from dpstack.units import NS_PER_MS
+from dpstack.units import NS_PER_MS, ns_to_s
 
 if TYPE_CHECKING:
     from dpstack.api.bus import Bus
@@ -23,7 +24,9 @@ class Cycle:
     ``number`` counts fixed cycles by their due times (those left out count too), free running the rounds. ``t_ns`` is
     the machine's time of its first bit, ``late_ns`` how much later that was than due (0 free running). ``inputs`` are
     the octets of every slave in data exchange by name, all as they stood at the end of this round, never some of this
-    and some of the next; ``fresh`` names the slaves that answered in it. ``skipped``: rounds since the one read before
+    and some of the next; ``fresh`` names the slaves that answered in it. A slave is left out where this round, when it
+    was handed over, was older than its valid inputs may be (``Slave.inputs_limit``); all are where nobody kept the bus
+    running. ``skipped``: rounds since the one read before
     that this reader was too slow for. ``missed``: deadline misses since the start of the bus.
     """
 
@@ -35,11 +38,17 @@ class Cycle:
     missed: int
     skipped: int = 0
     _fields: Mapping[str, FieldMap] = field(default_factory=dict, repr=False, compare=False)
+    _now: Callable[[], int] = field(default=lambda: 0, repr=False, compare=False)
 
     @property
     def late_ms(self) -> float:
         """How late it began."""
         return self.late_ns / NS_PER_MS
+
+    @property
+    def age(self) -> float:
+        """How long ago it began, in seconds at this moment."""
+        return ns_to_s(max(0, self._now() - self.t_ns))
 
     def values(self, name: str) -> dict[str, Value]:
         """The named inputs of one slave. Raises UsageError where it was not in data exchange."""
@@ -110,7 +119,15 @@ class _Reader:
         skipped = data.published - self._before - 1
         self._before = data.published
         slaves = {slave.address: slave for slave in self._bus.slaves}
-        here = [slaves[address] for address in data.inputs if address in slaves]
+        now = self._bus.runtime.now
+        age_ns = max(0, now() - data.t_ns)
+        alive = self._bus.runtime.not_running is None
+        here = [
+            slave
+            for address in data.inputs
+            if (slave := slaves.get(address)) is not None
+            and inputs_are_valid(exchanging=alive, age_ns=age_ns, limit_ns=slave.inputs_limit_ns)
+        ]
         return Cycle(
             number=data.number,
             t_ns=data.t_ns,
@@ -120,4 +137,5 @@ class _Reader:
             missed=data.missed,
             skipped=skipped,
             _fields={slave.name: slave.config.input_fields for slave in here},
+            _now=now,
         )

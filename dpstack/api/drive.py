@@ -69,8 +69,9 @@ class Drive:
 
     @property
     def status(self) -> DriveStatus:
-        """What the drive tells at this moment."""
-        return self._core.status()
+        """What the drive tells at this moment; offline while nobody keeps the bus running."""
+        status = self._core.status()
+        return status if self._bus.runtime.not_running is None else status.unknown()
 
     @property
     def speed(self) -> float:
@@ -247,7 +248,7 @@ class Drive:
     async def statuses(self) -> AsyncIterator[DriveStatus]:
         """Each new status; the latest wins, a slow reader never meets a backlog. Ends with the bus."""
         reader: Latest[DriveStatus] = Latest()
-        reader.put(self._core.status())
+        reader.put(self.status)
         if self._over:
             reader.end()
         self._readers.append(reader)
@@ -268,6 +269,10 @@ class Drive:
         if inputs is not self._seen and inputs != self._seen:
             self._seen = inputs
             self._hand_on()
+
+    def on_state(self) -> None:
+        """The slave reached another state."""
+        self._hand_on()
 
     def on_payload(self, payload: Mapping[str, object]) -> None:
         """What the plugin told."""
@@ -303,7 +308,7 @@ class Drive:
 
     def _hand_on(self) -> None:
         if self._readers:
-            status = self._core.status()
+            status = self.status
             for reader in self._readers:
                 reader.put(status)
 

@@ -26,15 +26,17 @@ from dpstack.dp.scanner import Found, ScanDone, SlaveView, StationSeen
 from dpstack.dp.v1.alarm_events import AlarmRaised, StatusTold
 from dpstack.dp.v1.alarms import Alarm, Specifier, Status
 from dpstack.dp.v1.ms2_orders import ConnectionOver
-from dpstack.drivers.base import PortBack, PortLost
+from dpstack.drivers.base import BusProcessBack, BusProcessSilent, OutputsDropped, PortBack, PortLost
 from dpstack.fdl.events import AddressCollision, DoesNotFit, MasterSeen, RingJoined, RingLeft, StationFound, TokenLost
 from dpstack.trace import Event, Notice, Severity
-from dpstack.units import NS_PER_US
+from dpstack.units import NS_PER_MS, NS_PER_US
 
 __all__ = [
     "AddressCollision",
     "AlarmRaised",
     "AutoCleared",
+    "BusProcessBack",
+    "BusProcessSilent",
     "ConnectionOver",
     "ControlFailed",
     "ControlSent",
@@ -51,6 +53,7 @@ __all__ = [
     "ModeChanged",
     "Notice",
     "OperateWaits",
+    "OutputsDropped",
     "PictureTaken",
     "PortBack",
     "PortLost",
@@ -81,7 +84,7 @@ def severity_of(event: Event) -> Severity:
     match event:
         case Notice(severity=severity):
             return severity
-        case SlaveFaulted() | AddressCollision() | PortLost() | AutoCleared():
+        case SlaveFaulted() | AddressCollision() | PortLost() | AutoCleared() | BusProcessSilent() | OutputsDropped():
             return Severity.ERROR
         case AlarmRaised(alarm=alarm) if alarm.specifier == Specifier.APPEARS:
             return Severity.WARNING
@@ -150,6 +153,11 @@ def event_json(event: Event, t: float) -> dict[str, object] | None:
             return {"event": "connection_over", **line, "address": address, "text": event.text}
         case PortLost(port=port) | PortBack(port=port):
             return {"event": "port", **line, "port": port, "lost": isinstance(event, PortLost), "text": event.text}
+        case BusProcessSilent(silent_ns=silent_ns) | BusProcessBack(silent_ns=silent_ns):
+            silent = {"silent": isinstance(event, BusProcessSilent), "silent_ms": round(silent_ns / NS_PER_MS, 1)}
+            return {"event": "bus_process", **line, **silent, "text": event.text}
+        case OutputsDropped(outputs=outputs):
+            return {"event": "outputs_dropped", **line, "outputs": outputs.hex(), "text": event.text}
         case Notice():
             return {"event": "notice", **line, "severity": event.severity.value, "text": event.text}
     kind = "ring" if isinstance(event, _RING) else "notice"

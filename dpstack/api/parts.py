@@ -14,6 +14,7 @@ from dpstack.api.slave_config import SlaveConfig
 from dpstack.api.streams import Rounds
 from dpstack.dp.commands import Mode
 from dpstack.dp.plan import Case, Plan
+from dpstack.dp.rotations import figures
 from dpstack.dp.setup import SlaveSetup
 from dpstack.drivers.base import Runtime
 from dpstack.drivers.seen import MasterSeen, StationSeen, WatcherSeen
@@ -37,6 +38,7 @@ class Composed:
         self._given_world = world
         self._make = make
         self._parts: Parts | None = None
+        self._round_ns: int | None = None  # None: to be counted again
         if self.searching and world is None:
             need_wire(config.port)
 
@@ -83,7 +85,25 @@ class Composed:
         setup = slave.setup(self.params.baud)
         others = [h.setup for address, h in self.master.handlers.items() if address != slave.address]
         refuse_misfit(self.config, self.plan, [*others, setup])
+        self._round_ns = None
         return setup
+
+    def poll_interval_ns(self, slave: SlaveSetup) -> int:
+        """The time from one Data_Exchange of ``slave`` to the next where nothing is repeated and no service is beside
+        it, as the plan counts it with the slaves that are on the bus now."""
+        if self._round_ns is None:
+            counted = self.plan.figures
+            setups = [handler.setup for handler in self.master.handlers.values()]
+            if setups != list(counted.setups):
+                counted = figures(
+                    counted.params,
+                    setups,
+                    others=counted.others,
+                    cycle_ns=counted.cycle_ns,
+                    host_slack_ns=counted.host_slack_ns,
+                )
+            self._round_ns = counted.round_ns(Case.NORMAL)
+        return self._round_ns * slave.every
 
     @property
     def rotation_limit_s(self) -> float:

@@ -17,12 +17,14 @@ from dpstack.dp.diag_texts import block_texts
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.events import Fault, SlaveState
 from dpstack.dp.fields import Field, Value
+from dpstack.dp.image import inputs_are_valid, inputs_limit_ns
 from dpstack.dp.scanner import Found, SlaveView
 from dpstack.dp.setup import SlaveSetup
 from dpstack.dp.v1.alarm_events import AlarmCounts
 from dpstack.dp.v1.im import Im
 from dpstack.drivers.seen import HandlerSeen
 from dpstack.errors import SlaveFault, SlaveTimeout, UsageError
+from dpstack.units import ns_to_s
 
 if TYPE_CHECKING:
     from dpstack.api.bus import Bus
@@ -56,7 +58,12 @@ class Slave:
 
     @property
     def state(self) -> SlaveState:
-        """Where the master is with it; on a read-only bus what its diagnosis says of it and its own master."""
+        """Where the master is with it; on a read-only bus what its diagnosis says of it and its own master.
+
+        OFFLINE while nobody keeps the bus running (its bus process was killed, or is stopped).
+        """
+        if self._bus.runtime.not_running is not None and not self.deactivated:
+            return SlaveState.OFFLINE
         found = self.found
         if found is None:
             return self._handler.state
@@ -120,13 +127,37 @@ class Slave:
 
     @property
     def inputs(self) -> bytes:
-        """The last valid inputs, zeros before the first exchange."""
+        """The last valid inputs, zeros before the first exchange; see :attr:`inputs_valid` and :attr:`inputs_age`."""
         return self._handler.image.inputs
 
     @property
     def inputs_valid(self) -> bool:
-        """False while the inputs are not those of a slave in data exchange."""
-        return self._handler.image.valid
+        """True while the inputs are those of a slave in data exchange, and no older than :attr:`inputs_limit`."""
+        exchanging = self._handler.image.valid and self.ready_now
+        return inputs_are_valid(exchanging=exchanging, age_ns=self._inputs_age_ns, limit_ns=self.inputs_limit_ns)
+
+    @property
+    def inputs_age(self) -> float | None:
+        """How long ago the inputs came, in seconds; None when there never were any."""
+        age_ns = self._inputs_age_ns
+        return None if age_ns is None else ns_to_s(age_ns)
+
+    @property
+    def inputs_limit(self) -> float:
+        """The greatest age of valid inputs in seconds: the slave's watchdog time (1 s where it is off), and never less
+        than two of its poll intervals as the plan counts them."""
+        return ns_to_s(self.inputs_limit_ns)
+
+    @property
+    def inputs_limit_ns(self) -> int:
+        """:attr:`inputs_limit` in ns."""
+        handler = self._handler
+        return inputs_limit_ns(handler.watchdog_effective_ns, self._bus.poll_interval_ns(handler.setup))
+
+    @property
+    def _inputs_age_ns(self) -> int | None:
+        at = self._handler.image.input_time
+        return max(0, self._bus.runtime.now() - at) if at else None
 
     @property
     def outputs(self) -> bytes:

@@ -6,22 +6,26 @@ import copy
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from dpstack.dp.cycle import CycleBook
 from dpstack.dp.fields import as_json
 from dpstack.dp.v1.alarm_events import AlarmCounts
 from dpstack.fdl.user import LinkStats, StationStats
-from dpstack.units import NS_PER_MS, NS_PER_US
+from dpstack.units import NS_PER_MS, NS_PER_S, NS_PER_US, ns_to_s
 
 if TYPE_CHECKING:
     from dpstack.api.bus import Bus
+
+#: counters that are older are not those of this moment
+STALE_NS: Final = NS_PER_S
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SlaveStats:
     """One slave's counters since the start; ``link`` are those of the link layer.
 
+    ``inputs_valid``, ``inputs_age`` (seconds, None: there never were any): see :class:`~dpstack.api.slave.Slave`.
     ``master`` owns it on a read-only bus, as far as is known. ``fields``: its named inputs and outputs,
     octets as hex.
     """
@@ -33,6 +37,8 @@ class SlaveStats:
     retries: int
     timeouts: int
     inputs: bytes
+    inputs_valid: bool
+    inputs_age: float | None
     outputs: bytes
     #: the effective watchdog, 0 when off
     watchdog_ms: int
@@ -51,6 +57,7 @@ class SlaveStats:
             "retries": self.retries,
             "timeouts": self.timeouts,
             "inputs": self.inputs.hex(),
+            **inputs_dict(self.inputs_valid, self.inputs_age),
             "outputs": self.outputs.hex(),
             "watchdog_ms": self.watchdog_ms,
             **({"fields": dict(self.fields)} if self.fields else {}),
@@ -58,6 +65,11 @@ class SlaveStats:
             **({} if self.master is None else {"master": self.master}),
             **({} if self.alarms is None else {"alarms": dataclasses.asdict(self.alarms)}),
         }
+
+
+def inputs_dict(valid: bool, age: float | None) -> dict[str, object]:
+    """What is printed beside inputs: whether they are valid, and their age in ms (null: there never were any)."""
+    return {"inputs_valid": valid, "inputs_age_ms": None if age is None else round(age * 1000, 1)}
 
 
 def _link_dict(link: StationStats) -> dict[str, object]:
@@ -74,6 +86,9 @@ class BusStats:
     telegrams that could not be read, by cause (names of DecoderStats); ``uart_...`` are octets that the adapter or its
     driver found damaged. ``stations`` are the link layer's counters of every station that was asked anything, ``link``
     those of this station; ``retries``, ``timeouts`` are their sums.
+
+    ``age`` is how old the counters are in seconds: 0 where the bus runs in this process, some 0.1 s with a bus process.
+    ``stale``: nobody keeps the bus running, or they are older than 1 s.
     """
 
     seconds: float
@@ -96,6 +111,8 @@ class BusStats:
     host_us: dict[str, int] | None
     #: how long a station that matters is waited for beyond its slot time, in ms
     host_slack_ms: float
+    age: float = 0.0
+    stale: bool = False
 
     @property
     def stations(self) -> dict[int, StationStats]:
@@ -156,12 +173,15 @@ class BusStats:
             "bad": self.bad,
             "host_us": self.host_us,
             "host_slack_ms": self.host_slack_ms,
+            "age_ms": round(self.age * 1000, 1),
+            "stale": self.stale,
             "slaves": {str(address): slave.as_dict() for address, slave in self.slaves.items()},
         }
 
 
 def collect(bus: Bus) -> BusStats:
-    """The picture at this moment: a copy, later counts do not change it."""
+    """The picture at this moment: a copy, later counts do not change it. It never waits for a bus process."""
+    age_ns = bus.runtime.counters_age_ns
     link = copy.deepcopy(bus.station.stats)
     lateness = bus.runtime.lateness
     bad = bus.station.decoder_stats.by_cause()
@@ -169,7 +189,7 @@ def collect(bus: Bus) -> BusStats:
     return BusStats(
         seconds=bus.seconds,
         paced=bus.runtime.paced,
-        rotations=bus.master.rotation.count,
+        rotations=bus.master.rotation_count,
         rotation_us=bus.master.rotation.summary_us(),
         token_us=bus.station.token_rotation.summary_us(),
         cycles=copy.deepcopy(bus.master.cycles) if bus.master.cycles.cycle_ns else None,
@@ -184,6 +204,8 @@ def collect(bus: Bus) -> BusStats:
                 retries=link.station(slave.address).retries,
                 timeouts=link.station(slave.address).timeouts,
                 inputs=slave.inputs,
+                inputs_valid=slave.inputs_valid,
+                inputs_age=slave.inputs_age,
                 outputs=slave.outputs,
                 watchdog_ms=slave.watchdog_ms,
                 link=link.station(slave.address),
@@ -200,4 +222,6 @@ def collect(bus: Bus) -> BusStats:
         link=link,
         host_us=lateness.histogram.summary_us() if lateness.histogram.count else None,
         host_slack_ms=bus.station.patience.known_ns / NS_PER_MS,
+        age=ns_to_s(age_ns),
+        stale=bus.runtime.not_running is not None or age_ns > STALE_NS,
     )

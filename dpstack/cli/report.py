@@ -77,6 +77,8 @@ class Reporter:
                 f"port and computer cost {late['p50']} us an exchange (p99.9 {late['p999']} us); "
                 f"a missing answer is waited for {stats.host_slack_ms:g} ms longer"
             )
+        if stats.stale:
+            output.line(f"the counters are {stats.age:.1f} s old: the bus process did not go on counting", "yellow")
         if not stats.paced:
             output.line("no wire gave the octets their time here: the times are this computer's, not a bus's")
 

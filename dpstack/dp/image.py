@@ -3,10 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Protocol
+from typing import Final, Protocol
 
 from dpstack.dp.setup import SlaveSetup
 from dpstack.errors import UsageError
+from dpstack.units import NS_PER_S
+
+#: inputs of a slave without watchdog may be this old
+UNWATCHED_NS: Final = NS_PER_S
+
+
+def inputs_limit_ns(watchdog_ns: int, poll_interval_ns: int) -> int:
+    """The greatest age of valid inputs in ns: the slave's watchdog time (1 s where it is off, ``watchdog_ns`` 0), and
+    never less than two of its poll intervals."""
+    return max(watchdog_ns or UNWATCHED_NS, 2 * poll_interval_ns)
+
+
+def inputs_are_valid(*, exchanging: bool, age_ns: int | None, limit_ns: int) -> bool:
+    """The rule for valid inputs, for every driver: the slave is in data exchange (``exchanging``), and its inputs are
+    no older than ``limit_ns``. ``age_ns`` None: there never were any."""
+    return exchanging and age_ns is not None and age_ns <= limit_ns
 
 
 class CyclicUnit(Protocol):
@@ -38,7 +54,8 @@ class CyclicUnit(Protocol):
 class SlaveImage:
     """Inputs and outputs of one slave. Assigning ``outputs`` is atomic; it goes out in the next rotation.
 
-    ``inputs`` are the last valid ones (zeros before the first exchange), ``input_time`` when they came, in ns.
+    ``inputs`` are the last valid ones (zeros before the first exchange), ``input_time`` when they came, in ns (0: there
+    never were any).
     """
 
     __slots__ = ("_outputs", "input_len", "input_time", "inputs", "latched", "output_len", "unit", "valid")

@@ -188,9 +188,13 @@ class Figures:
 
     @property
     def spacing_ns(self) -> int:
-        """The longest time from round to round: with a fixed cycle whole cycles."""
-        longest = self.ns(Case.LONGEST)
-        return -(-longest // self.cycle_ns) * self.cycle_ns if self.cycle_ns else longest
+        """The longest time from round to round."""
+        return self.round_ns(Case.LONGEST)
+
+    def round_ns(self, case: Case) -> int:
+        """The time from round to round: with a fixed cycle whole cycles."""
+        takes = self.ns(case)
+        return -(-takes // self.cycle_ns) * self.cycle_ns if self.cycle_ns else takes
 
     @property
     def dying_ns(self) -> int:

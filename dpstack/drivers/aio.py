@@ -44,6 +44,19 @@ class AsyncioRuntime(Stepping):
     _quiet_until = 0  # until then the port hands nothing over; the timer waits for it, or for something sooner
     _reopening: asyncio.Task[None] | None = None
 
+    @property
+    def not_running(self) -> str | None:
+        """The defect that stopped it; None when there was none."""
+        return None if self.failed is None else f"the bus was stopped by a defect in dpstack: {self.failed}"
+
+    @property
+    def counters_age_ns(self) -> int:
+        """They are those of this moment."""
+        return 0
+
+    def hand_over_outputs(self) -> None:
+        """The machine has them as soon as they are set."""
+
     async def open(self) -> None:
         """Open the port and begin. Raises PortError; ConfigError when the port knows none of the machine's rates."""
         self._may_open()

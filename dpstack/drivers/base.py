@@ -6,10 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Protocol
 
+from dpstack.dp.events import SlaveEvent
 from dpstack.drivers.lateness import Lateness
 from dpstack.params import BusParams
 from dpstack.trace import Event
-from dpstack.units import BITS_PER_CHAR, NS_PER_S
+from dpstack.units import BITS_PER_CHAR, NS_PER_S, ms_text
 
 #: the ordered end takes a few rotations; nobody waits longer than this for each of its steps (plus ten rotations)
 END_LIMIT: Final = 2 * NS_PER_S
@@ -47,6 +48,51 @@ class PortBack(Event):
         return f"port {self.port} is back"
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BusProcessSilent(Event):
+    """The bus process shows no sign of life. Its slaves count as offline, their inputs as not valid."""
+
+    pid: int
+    silent_ns: int
+    at_slaves: str
+
+    @property
+    def text(self) -> str:
+        """For how long, and what follows."""
+        return (
+            f"the bus process (pid {self.pid}) has shown no sign of life for {ms_text(self.silent_ns)}: it is stopped, "
+            f"or hangs. Orders and outputs are dropped until it goes on. {self.at_slaves}"
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BusProcessBack(Event):
+    """The bus process goes on."""
+
+    pid: int
+    silent_ns: int
+
+    @property
+    def text(self) -> str:
+        """After how long."""
+        return f"the bus process (pid {self.pid}) goes on after {ms_text(self.silent_ns)}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OutputsDropped(SlaveEvent):
+    """The bus process did not take ``outputs`` of the application in time. They will not go out."""
+
+    outputs: bytes
+
+    @property
+    def text(self) -> str:
+        """Which, and what counts instead."""
+        return (
+            f"slave {self.address} ({self.name}): outputs {self.outputs.hex()} were dropped: the bus process did not "
+            "take them in time; its outputs are those from before"
+        )
+
+
 def last_bits_ns(params: BusParams) -> int:
     """How long to wait after the event that ends the ordered end, before the port is closed: events tell of
     transmissions whose last bit lies ahead."""
@@ -67,6 +113,15 @@ class Runtime(Protocol):
     @property
     def paced(self) -> bool:
         """True where octets take their time on a wire (or the virtual one), False on plain ptys and sockets."""
+
+    @property
+    def not_running(self) -> str | None:
+        """Why nobody keeps the machine running at this moment; None while somebody does, before the opening, and after
+        an end in order."""
+
+    @property
+    def counters_age_ns(self) -> int:
+        """How old the counters are that can be read now."""
 
     def damage(self) -> dict[str, int]:
         """Octets that arrived damaged, by cause, as far as the port can tell."""
@@ -93,6 +148,9 @@ class Runtime(Protocol):
 
     def command(self, command: object) -> None:
         """Hand an order to the machine and let it act at once."""
+
+    def hand_over_outputs(self) -> None:
+        """The machine has the outputs that were set up to now when this returns. Raises OrderDropped, BusError."""
 
     def now(self) -> int:
         """The machine's time in ns."""

@@ -18,7 +18,6 @@ from dpstack.drivers import plugins
 from dpstack.drivers.ending import Ending
 from dpstack.drivers.messages import (
     Answer,
-    AskCounters,
     AskUnit,
     AttachPlugin,
     BusNow,
@@ -34,8 +33,10 @@ from dpstack.drivers.messages import (
     SetUp,
     SlaveNow,
     StartSurvey,
+    TakeOutputs,
     WatcherNow,
     WatchRounds,
+    encoded,
     error_pair,
     named,
     order_of,
@@ -43,16 +44,18 @@ from dpstack.drivers.messages import (
 from dpstack.drivers.outbox import Outbox
 from dpstack.drivers.plain import PlainRuntime
 from dpstack.drivers.plain_loop import PlainLoop
-from dpstack.drivers.shared_image import SharedImage, SlavePicture, picture_octets, read_outputs
+from dpstack.drivers.shared_image import SharedImage, SlavePicture, picture_octets
 from dpstack.drivers.stack import build_stack
-from dpstack.errors import BusError, UsageError
+from dpstack.errors import BusError, OrderDropped, UsageError
 from dpstack.fdl.commands import AttachUser, DetachUser
 from dpstack.ports import open_port
 from dpstack.trace import Event, Notice, Severity
-from dpstack.units import NS_PER_MS
+from dpstack.units import NS_PER_MS, ms_text
 
 #: what changes without an event, and what was held back for an application that did not read, is told so often
 _RHYTHM: Final = 100 * NS_PER_MS
+#: so often it shows that it lives, whatever the application does, and takes the application's outputs
+_HEARTBEAT: Final = 20 * NS_PER_MS
 #: SIGTERM is for the application, too, if that begins its end within this time
 _GRACE: Final = 200 * NS_PER_MS
 _CHUNK: Final = 65_536
@@ -102,6 +105,8 @@ class Host:
         self._dropped = 0
         self._over = False
         self._leaving = False  # the application has begun the end
+        self._until: dict[int, int] = {}  # the outputs that were taken or dropped, by address and deadline
+        self._silences = 0  # of the application's words that this process is silent: those that were answered
         # what was told last
         self._bus: BusNow | None = None
         self._slaves: dict[int, SlaveNow] = {}
@@ -117,10 +122,13 @@ class Host:
         self._master.on_round = self._on_round
         self._master.on_begin = self._take_outputs
         self.runtime.open()
+        self._image.heartbeat.value = monotonic_ns()
+        self._count()
         self._tell([_notice(text) for text in notices])
         self._outbox.send(Message(answer=Answer(0, value=Hello(self.runtime.port_name, self.runtime.paced))))
         self._sock.setblocking(False)
         self._loop.add_reader(self._sock.fileno(), self._on_readable)
+        self._on_heartbeat()
         self._loop.call_at(monotonic_ns() + _RHYTHM, self._on_rhythm)
 
     def end(self, why: str) -> None:
@@ -161,7 +169,11 @@ class Host:
         question = self._questions.popleft()
         answer = Answer(question.number)
         order = None
+        self._image.order_taken.value = question.number  # before the clock is read: so the application knows
         try:
+            late = monotonic_ns() - question.until_ns
+            if late > 0:
+                raise OrderDropped(f"the bus process took the order {ms_text(late)} too late and dropped it")
             order = order_of(question.order)
             answer.value = self._carry_out(order)
         except Exception as error:
@@ -180,8 +192,9 @@ class Host:
                 self._handler_image(address).unit = plugins.load(ref)
             case WatchRounds(on):
                 self._watched = on
-            case AskCounters():
-                return self._counters()
+                self._count()  # who waited for rounds looks at the counters next
+            case TakeOutputs():
+                self._take_outputs()
             case AskUnit(address):
                 status = getattr(self._handler_image(address).unit, "status", None)
                 return None if status is None else status()
@@ -233,16 +246,28 @@ class Host:
         self._image.inputs.write(picture_octets(self._master.rounds, self._master.rotation_count, slaves))
 
     def _take_outputs(self) -> None:
-        octets = self._image.outputs.read()
-        if octets is None:
+        """Those that were set since the last time, unless their time limit is over: a process that was stopped must not
+        send what was meant for another moment."""
+        found = self._image.take_outputs()
+        if found is None:
             return
-        handlers = self._master.handlers
-        for address, outputs in read_outputs(octets).items():
-            handler = handlers.get(address)
-            if handler is not None:
-                image = handler.image
-                if image.unit is None and len(outputs) == image.output_len:
-                    image.outputs = outputs
+        now = monotonic_ns()
+        before, self._until = self._until, {}
+        dropped = {}
+        for address, (until, octets) in found.items():
+            handler = self._master.handlers.get(address)
+            if handler is None or handler.image.unit is not None or len(octets) != handler.image.output_len:
+                continue
+            self._until[address] = until
+            if before.get(address) == until:
+                continue
+            if until < now:
+                dropped[address] = until
+            else:
+                handler.image.outputs = octets
+        if dropped:
+            self._publish()
+            self._outbox.send(Message(news=News(dropped=dropped)))
 
     # --- what is told ---
 
@@ -262,8 +287,13 @@ class Host:
                 return
             events = kept
         news = News(events=[named(event) for event in events], over=over, defect=defect)
+        silences = self._image.silences.value
+        if silences != self._silences:  # the application gave the bus up: it is told everything anew
+            self._silences = news.silence = silences
+            self._bus, self._watcher = None, None
+            self._slaves = {}
         self._state(news)
-        if events or over is not None or news.bus or news.slaves or news.watcher or news.surveys:
+        if events or over is not None or news.silence or news.bus or news.slaves or news.watcher or news.surveys:
             self._outbox.send(Message(news=news))
 
     def _state(self, news: News) -> None:
@@ -304,9 +334,26 @@ class Host:
             told, self._told_cycle = self._told_cycle, cycle
             self._outbox.send(Message(news=News(round_over=True, cycle=None if cycle is told else cycle)))
 
+    def _on_heartbeat(self) -> None:
+        if self._over:
+            return
+        now = monotonic_ns()
+        self._image.heartbeat.value = now
+        self._take_outputs()
+        if self._image.silences.value != self._silences:
+            self._tell([])
+        self._loop.call_at(now + _HEARTBEAT, self._on_heartbeat)
+
+    def _count(self) -> None:
+        """Put the counters where the application reads them."""
+        octets = encoded(self._counters())
+        if len(octets) <= self._image.counters.limit:  # otherwise the application has older ones, with their age
+            self._image.counters.write(octets)
+
     def _on_rhythm(self) -> None:
         if self._over:
             return
+        self._count()
         if not self._outbox.full:
             missed, self._dropped = self._dropped, 0
             text = f"the application did not read for a while: {missed} events were dropped"
@@ -316,6 +363,7 @@ class Host:
     def _counters(self) -> Counters:
         station = self._station
         return Counters(
+            t_ns=monotonic_ns(),
             rotation=self._master.rotation.data(),
             token_rotation=station.token_rotation.data(),
             lateness=self.runtime.lateness.histogram.data(),

@@ -1,7 +1,12 @@
 """The line between an application and its bus process: one process, one socket, questions and answers, news.
 
-A question waits for its answer, for :data:`ANSWER_S` at most; news that arrive meanwhile are handed on at once, in
-order. A handler of news that asks in turn does not get ahead of what was told before.
+A question waits for its answer; news that arrive meanwhile are handed on at once, in order. A handler of news that asks
+in turn does not get ahead of what was told before.
+
+Each order has a time limit, :data:`LIMIT_NS`: the bus process drops an order that it takes later. It sets the number of
+the order that it takes in shared memory before it looks at the clock. So an application that gives up after the limit,
+and sees that its order was not taken, knows that nothing will come of it. Orders that end something
+(:func:`~dpstack.drivers.messages.is_ending`) have no limit.
 """
 
 from __future__ import annotations
@@ -16,7 +21,7 @@ import subprocess
 import sys
 from collections import deque
 from collections.abc import Callable
-from time import monotonic
+from time import monotonic_ns
 from typing import Final
 
 from dpstack.drivers.aio import outlast
@@ -31,21 +36,27 @@ from dpstack.drivers.messages import (
     SetUp,
     error_of,
     framed,
+    is_ending,
     named,
     typed,
 )
-from dpstack.errors import BusError, DpError, UsageError
+from dpstack.drivers.shared_image import SharedImage
+from dpstack.errors import BusError, DpError, OrderDropped, UsageError
+from dpstack.units import NEVER, NS_PER_MS, NS_PER_S, ms_text
 
-#: an order that is not answered so long: the bus process hangs, or is stopped
-ANSWER_S: Final = 5.0
-#: and so long when it did not answer before, and has said nothing since
-_AGAIN_S: Final = 0.5
+#: a bus process without a sign of life for so long is silent; orders and outputs that it does not take in this time are
+#: dropped
+LIMIT_NS: Final = NS_PER_S
+#: so long the answer to an order may take that the bus process has taken (a plugin may have to be imported)
+ANSWER_NS: Final = 5 * NS_PER_S
+#: so long a silent bus process is waited for where an order ends something
+_AGAIN_NS: Final = 500 * NS_PER_MS
 #: the interpreter starts, the plugins are imported, the port is opened
 _START_S: Final = 30.0
 _END_S: Final = 3.0
 _CHUNK: Final = 65_536
 #: what the end of a bus takes longer at most where the bus process hangs: four orders, and its own end
-CLOSE_LIMIT_S: Final = ANSWER_S + 3 * _AGAIN_S + 2 * _END_S
+CLOSE_LIMIT_S: Final = (ANSWER_NS + 3 * _AGAIN_NS) / NS_PER_S + 2 * _END_S
 
 
 class Link:
@@ -78,6 +89,8 @@ class Link:
         self._answers: dict[int, Answer] = {}
         self._gone: DpError | None = None
         self._silent = False  # it owes an answer, and has said nothing since
+        self._image: SharedImage | None = None
+        self._unsent = bytearray()  # what the socket did not take: later frames come behind it
 
     @property
     def pid(self) -> int | None:
@@ -89,8 +102,19 @@ class Link:
         """Questions can be asked."""
         return self._sock is not None and self._gone is None
 
-    async def start(self, setup: SetUp, memory: int) -> Hello:
-        """Start it with the shared memory behind the descriptor ``memory``. Raises PortError, ConfigError, BusError."""
+    def silent_ns(self) -> int:
+        """For how long the bus process has shown no sign of life; 0 while that is not yet :data:`LIMIT_NS`."""
+        if self._image is None or not self.is_open or not self._image.heartbeat.value:
+            return 0
+        silent = monotonic_ns() - self._image.heartbeat.value
+        return silent if silent > LIMIT_NS else 0
+
+    async def start(self, setup: SetUp, memory: int, image: SharedImage) -> Hello:
+        """Start it with the shared memory behind the descriptor ``memory``, here mapped as ``image``.
+
+        Raises PortError, ConfigError, BusError.
+        """
+        self._image = image
         self._loop = loop = asyncio.get_running_loop()
         self._hello = loop.create_future()
         ours, theirs = socket.socketpair()
@@ -172,19 +196,37 @@ class Link:
     # --- question and answer ----------------------------------------------------------------------------------------
 
     def ask(self, order: object) -> object:
-        """What it answers to ``order``; what it raises is raised here. Raises BusError when nobody answers."""
+        """What it answers to ``order``; what it raises is raised here.
+
+        Raises OrderDropped when the bus process does not take the order in time, BusError when it is gone, or took the
+        order and does not answer.
+        """
         if self._gone is not None:
             raise self._gone
-        if self._sock is None:
+        image = self._image
+        if self._sock is None or image is None:
             raise UsageError("the driver is not open: await open() first")
+        began = monotonic_ns()
+        silent, ending, owing = self.silent_ns(), is_ending(order), self._silent
+        if silent and not ending:
+            raise OrderDropped(
+                f"the bus process (pid {self.pid}) has shown no sign of life for {ms_text(silent)} (it is stopped, or "
+                "hangs): the order was dropped"
+            )
         self._number += 1
         number = self._number
         self._awaited.add(number)
+        limit = began + (_AGAIN_NS if silent or owing else LIMIT_NS)
         try:
-            end = monotonic() + (_AGAIN_S if self._silent else ANSWER_S)
-            self._send(framed(Message(question=Question(number, named(order)))), end)
+            self._send(framed(Message(question=Question(number, named(order), NEVER if ending else limit))), limit)
             while number not in self._answers:
-                self._wait(end, reading=True)
+                if self._wait(limit, writing=bool(self._unsent)):
+                    continue
+                taken = image.order_taken.value >= number
+                if not taken or owing or limit > began + LIMIT_NS:
+                    self._silent = True
+                    raise self._unanswered(taken=taken, ending=ending)
+                limit = began + ANSWER_NS
             answer = self._answers.pop(number)
         finally:
             self._awaited.discard(number)
@@ -192,30 +234,46 @@ class Link:
             raise error_of(answer.error)
         return answer.value
 
-    def _send(self, octets: bytes, end: float) -> None:
-        left = memoryview(octets)
+    def _unanswered(self, *, taken: bool, ending: bool) -> BusError:
+        who = f"the bus process (pid {self.pid})"
+        if taken:
+            limit = ms_text(ANSWER_NS)
+            return BusError(f"{who} took the order and did not answer within {limit}: whether it did it is not known")
+        if ending:
+            return BusError(f"{who} does not answer (it is stopped, or hangs); it carries the order out if it goes on")
+        limit = ms_text(LIMIT_NS)
+        return OrderDropped(f"{who} did not take the order within {limit} (it is stopped, or hangs): it was dropped")
+
+    def _send(self, octets: bytes, limit: int) -> None:
+        """As much as the socket takes up to ``limit``; the rest goes before what is sent next."""
+        left = self._unsent
+        left += octets
         while left and self._sock is not None:
             try:
-                left = left[self._sock.send(left) :]
+                del left[: self._sock.send(left)]
             except BlockingIOError:
-                self._wait(end, reading=False)
+                if not self._wait(limit, writing=True):
+                    return
             except OSError:  # gone, but its last words may still be here
                 while self._sock is not None:
-                    self._wait(end, reading=True)
+                    if not self._wait(limit, writing=False):
+                        return
 
-    def _wait(self, end: float, *, reading: bool) -> None:
-        """For octets of the bus process, or for room to write; what it says meanwhile is taken."""
+    def _wait(self, limit: int, *, writing: bool) -> bool:
+        """For octets of the bus process, or for room to write; what it says meanwhile is taken. False: in vain."""
         sock = self._sock
-        if sock is not None:
-            writers = [] if reading else [sock]
-            ready, room, _ = select.select([sock], writers, [], max(0.0, end - monotonic()))
-            if ready:
-                self._on_readable()
-            elif not room:
-                self._silent = True
-                raise BusError(f"the bus process (pid {self.pid}) did not answer within {ANSWER_S:g} s")
-        if self._gone is not None and sock is None:
-            raise self._gone
+        if sock is None:
+            if self._gone is not None:
+                raise self._gone
+            return False
+        left_s = max(0, limit - monotonic_ns()) / NS_PER_S
+        ready, room, _ = select.select([sock], [sock] if writing else [], [], left_s)
+        if ready:
+            self._on_readable()
+        if room and self._unsent and self._sock is not None:
+            with contextlib.suppress(OSError):
+                del self._unsent[: self._sock.send(self._unsent)]
+        return bool(ready or room)
 
     def _on_readable(self) -> None:
         if self._sock is None:

@@ -17,9 +17,7 @@ from typing import Final, TypeVar
 import msgspec
 
 from dpstack import errors
-from dpstack.dp.commands import (
-    Mode,
-)
+from dpstack.dp.commands import DriveCommand, Mode
 from dpstack.dp.cycle import CycleBook, CycleData, MissReason
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.events import Fault, SlaveState
@@ -27,7 +25,7 @@ from dpstack.dp.scanner import Found
 from dpstack.dp.survey import SurveyOrder, SurveyResult
 from dpstack.dp.v1.alarm_events import AlarmCounts
 from dpstack.drivers.echo import Echo
-from dpstack.drivers.orders import MACHINE_ORDERS
+from dpstack.drivers.orders import ENDING_ORDERS, MACHINE_ORDERS
 from dpstack.drivers.plugins import PluginRef
 from dpstack.drivers.stack import StackSpec
 from dpstack.errors import BusError, DpError
@@ -37,6 +35,7 @@ from dpstack.gsd.diag_texts import DiagTexts
 from dpstack.phy.patience import Patience
 from dpstack.stats import Histogram, HistogramData
 from dpstack.trace import Event
+from dpstack.units import NEVER
 
 T = TypeVar("T")
 
@@ -87,8 +86,8 @@ class WatchRounds:
 
 
 @dataclass(frozen=True, slots=True)
-class AskCounters:
-    """Answered with :class:`Counters`."""
+class TakeOutputs:
+    """Take the outputs that the application has published; answered when that is done."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,11 +117,20 @@ class CloseBus:
     """Release the port and end; the bus was left before. Answered with the last :class:`Counters`."""
 
 
+def is_ending(order: object) -> bool:
+    """Whether ``order`` ends something: the bus process carries it out however late it comes. All others it drops after
+    their time limit."""
+    match order:
+        case EndSurvey() | CloseBus() | WatchRounds(on=False) | DriveCommand(op="cancel"):
+            return True
+    return isinstance(order, ENDING_ORDERS)
+
+
 #: what machines and driver know as orders
 ORDERS: Final[dict[str, type]] = {
     kind.__name__: kind
     for kind in (
-        *MACHINE_ORDERS, SetUp, AttachPlugin, WatchRounds, AskCounters, AskUnit, StartSurvey, EndSurvey, CloseBus,
+        *MACHINE_ORDERS, SetUp, AttachPlugin, WatchRounds, TakeOutputs, AskUnit, StartSurvey, EndSurvey, CloseBus,
     )
 }  # fmt: skip
 
@@ -198,8 +206,9 @@ class CyclesNow:
 
 @dataclass(frozen=True, slots=True)
 class Counters:
-    """Everything that is counted, as one picture."""
+    """Everything that is counted, as one picture of the time ``t_ns``."""
 
+    t_ns: int = 0
     rotation: HistogramData = field(default_factory=HistogramData)
     token_rotation: HistogramData = field(default_factory=HistogramData)
     lateness: HistogramData = field(default_factory=HistogramData)
@@ -222,7 +231,9 @@ class News:
     """State and events in order: the state is that after the events. What did not change is left out.
 
     ``round_over``: a round ended, ``cycle`` is what it brought (told while somebody watches). ``over``: nothing more
-    will come, for this reason; ``defect``: one of ours.
+    will come, for this reason; ``defect``: one of ours. ``silence``: the bus process answers that it lives to an
+    application that found it silent for the so-many-th time; everything of the state is in this message.
+    ``dropped``: outputs that came too late, by address with their ``until_ns``.
     """
 
     bus: BusNow | None = None
@@ -234,6 +245,8 @@ class News:
     cycle: CycleData | None = None
     over: str | None = None
     defect: bool = False
+    silence: int = 0
+    dropped: dict[int, int] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
@@ -247,10 +260,12 @@ class Answer:
 
 @dataclass(slots=True)
 class Question:
-    """An order with a number that its answer carries."""
+    """An order with a number that its answer carries. The bus process drops it where it does not take it before
+    ``until_ns`` (CLOCK_MONOTONIC)."""
 
     number: int
     order: Named
+    until_ns: int = NEVER
 
 
 @dataclass(slots=True)
@@ -281,9 +296,22 @@ def _strange(kind: type, value: object) -> object:
 _encoder: Final = msgspec.json.Encoder(enc_hook=_plain)
 
 
+def encoded(thing: object) -> bytes:
+    """The octets of one object, see :func:`decoded`. Raises TypeError for what is not plain data."""
+    return _encoder.encode(thing)
+
+
+def decoded(octets: bytes, kind: type[T]) -> T:
+    """The object of ``kind`` that :func:`encoded` was given. Raises BusError."""
+    try:
+        return msgspec.json.decode(octets, type=kind, dec_hook=_strange)
+    except msgspec.MsgspecError as error:
+        raise BusError(f"{kind.__name__} cannot be read: {error}") from None
+
+
 def framed(message: Message) -> bytes:
     """The octets of one message. Raises TypeError for what is not plain data."""
-    octets = _encoder.encode(message)
+    octets = encoded(message)
     return len(octets).to_bytes(_LENGTH, "big") + octets
 
 

@@ -78,6 +78,12 @@ class ImageMirror:
         return found is not None and found.valid
 
     @property
+    def input_time(self) -> int:
+        """When the inputs came (CLOCK_MONOTONIC, ns); 0: there never were any."""
+        found = self._source.picture().slaves.get(self._address)
+        return 0 if found is None or len(found.inputs) != self.input_len else found.input_time
+
+    @property
     def outputs(self) -> bytes:
         """The outputs of the next Data_Exchange in Operate."""
         if self.unit is not None:
@@ -93,6 +99,14 @@ class ImageMirror:
             raise ValueError(f"{len(octets)} output octets given, the slave's configuration has {self.output_len}")
         self._outputs = octets
         self._source.put_outputs(self._address, octets)
+
+    def outputs_dropped(self) -> bytes:
+        """The bus process did not take the outputs: those that it has count again. Returns what was dropped."""
+        dropped = self._outputs
+        found = self._source.picture().slaves.get(self._address)
+        if found is not None and len(found.outputs) == self.output_len:
+            self._outputs = found.outputs
+        return dropped
 
 
 class SlaveMirror:
@@ -249,14 +263,19 @@ class Mirror:
         station.in_ring, station.claimed, station.las = now.in_ring, now.claimed, now.las
         station.patience = now.patience
 
-    def lost(self) -> None:
-        """Nobody runs the bus any more: nothing is known of the slaves."""
+    def lost(self, fault: Fault) -> list[SlaveMirror]:
+        """Nobody runs the bus any more, because of ``fault``: nothing is known of the slaves. Returns those whose state
+        changed by it."""
         self.station.in_ring = False
         self.master.mode = Mode.OFFLINE
         self.master.synced = self.master.frozen = frozenset()
+        changed = []
         for slave in self.master.handlers.values():
             if slave.state is not SlaveState.DEACTIVATED:
-                slave.state = SlaveState.OFFLINE
+                if slave.state is not SlaveState.OFFLINE:
+                    changed.append(slave)
+                slave.state, slave.fault = SlaveState.OFFLINE, fault
+        return changed
 
     def worded(self, event: Event) -> Event:
         """``event`` with what the GSD file of its slave says."""

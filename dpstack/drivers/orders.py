@@ -29,6 +29,9 @@ from dpstack.dp.v1.ms2_orders import (
 )
 from dpstack.fdl.commands import GoOffline, GoOnline
 
+#: orders that end something: a driver carries them out however late they come
+ENDING_ORDERS: Final = (Shutdown, CloseConnections, CloseConnection, GoOffline, CancelService)
+
 MACHINE_ORDERS: Final[tuple[type, ...]] = (
     SetMode,
     Shutdown,

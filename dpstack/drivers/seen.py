@@ -40,6 +40,10 @@ class ImageSeen(Protocol):
         """Of a slave in data exchange."""
 
     @property
+    def input_time(self) -> int:
+        """When the inputs came, in ns; 0: there never were any."""
+
+    @property
     def outputs(self) -> bytes:
         """Of the next Data_Exchange in Operate."""
 

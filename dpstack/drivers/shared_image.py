@@ -7,10 +7,14 @@ times, and keeps the picture it had. The writer never looks at anybody. (The CRC
 that do not keep the order of stores. With one place for all pictures a reader beside a busy writer got next to none.)
 
 Pictures name the address of each slave, so slaves may come, go and change their lengths: there is room for all 126.
+
+Beside the pictures stand the counters of the bus, and single numbers (:class:`Word`) by which either process sees what
+the other one does without asking it.
 """
 
 from __future__ import annotations
 
+import itertools
 import mmap
 import os
 import struct
@@ -22,9 +26,13 @@ _HEAD: Final = 4096
 #: 126 slaves with 244 octets each way and their heads; a page boundary
 _INPUTS: Final = 80 * 1024
 _OUTPUTS: Final = 40 * 1024
+#: the counters of 126 stations, and histograms of all durations that occur
+_COUNTERS: Final = 512 * 1024
 #: pictures kept in an area, a power of two: while one is read the writer begins this many more before it is overwritten
 _PLACES: Final = 4
-SIZE: Final = _HEAD + _PLACES * (_INPUTS + _OUTPUTS)
+SIZE: Final = _HEAD + _PLACES * (_INPUTS + _OUTPUTS + _COUNTERS)
+#: where each area and the words have their numbers in the head
+_INPUTS_AT, _OUTPUTS_AT, _COUNTERS_AT, _WORDS_AT = 0, 64, 128, 192
 
 #: a reader tries so often
 _TRIES: Final = 4
@@ -32,7 +40,10 @@ _TRIES: Final = 4
 _WORDS: Final = 1 + 2 * _PLACES
 _PICTURE: Final = struct.Struct("<QQ")
 _SLAVE: Final = struct.Struct("<BBBBQQ")
-_OUTPUT: Final = struct.Struct("<BB")
+_OUTPUT: Final = struct.Struct("<BBQ")
+#: a time that never comes is this or more
+_FOREVER: Final = 1 << 63
+_forever: Final = itertools.count(_FOREVER)
 
 
 class SlavePicture(NamedTuple):
@@ -53,6 +64,41 @@ class Picture(NamedTuple):
     slaves: Mapping[int, SlavePicture]
 
 
+class Outputs(NamedTuple):
+    """The application's outputs of one slave. The bus process drops them where it does not take them before
+    ``until_ns`` (CLOCK_MONOTONIC). No two assignments have the same ``until_ns``, see :func:`no_limit`."""
+
+    until_ns: int
+    octets: bytes
+
+
+def no_limit() -> int:
+    """An ``until_ns`` that never comes, another one each time."""
+    return next(_forever)
+
+
+class Word:
+    """One number below 2^64, which one process sets and the other one reads."""
+
+    __slots__ = ("_cell",)
+
+    def __init__(self, memory: memoryview, word: int) -> None:
+        self._cell = memory[8 * word : 8 * (word + 1)].cast("Q")  # aligned: stored at once
+
+    @property
+    def value(self) -> int:
+        """The number set last; 0 before."""
+        return self._cell[0]
+
+    @value.setter
+    def value(self, number: int) -> None:
+        self._cell[0] = number
+
+    def release(self) -> None:
+        """Let go of the memory."""
+        self._cell.release()
+
+
 class Area:
     """One direction: ``write`` in one process, ``read`` in the other one."""
 
@@ -65,6 +111,16 @@ class Area:
         self._at = at
         self._limit = limit
         self._seen = 0
+
+    @property
+    def newest(self) -> int:
+        """The number of the newest picture; 0 before the first."""
+        return self._words[0]
+
+    @property
+    def limit(self) -> int:
+        """The most octets of a picture."""
+        return self._limit
 
     def write(self, octets: bytes) -> None:
         """Publish ``octets`` instead of what was there."""
@@ -107,14 +163,34 @@ class SharedImage:
 
     def __init__(self, fd: int) -> None:
         self._map = mmap.mmap(fd, SIZE)
+        memory = memoryview(self._map)
         #: from the bus to the application, and back
-        self.inputs = Area(memoryview(self._map), 0, _HEAD, _INPUTS)
-        self.outputs = Area(memoryview(self._map), 64, _HEAD + _PLACES * _INPUTS, _OUTPUTS)
+        self.inputs = Area(memory[:], _INPUTS_AT, _HEAD, _INPUTS)
+        self.outputs = Area(memory[:], _OUTPUTS_AT, _HEAD + _PLACES * _INPUTS, _OUTPUTS)
+        #: what the bus process counted
+        self.counters = Area(memory[:], _COUNTERS_AT, _HEAD + _PLACES * (_INPUTS + _OUTPUTS), _COUNTERS)
+        #: the bus process: when it was alive last (CLOCK_MONOTONIC, ns)
+        self.heartbeat = Word(memory, _WORDS_AT)
+        #: the bus process: the number of the order that it took last, set before it looks at the order's deadline
+        self.order_taken = Word(memory, _WORDS_AT + 1)
+        #: the bus process: the number of the picture of outputs that it took last, set before it reads the picture
+        self.outputs_taken = Word(memory, _WORDS_AT + 2)
+        #: the application: how often it found the bus process silent
+        self.silences = Word(memory, _WORDS_AT + 3)
+        memory.release()
+
+    def take_outputs(self) -> dict[int, Outputs] | None:
+        """The application's outputs by address where there is a new picture of them. For the bus process."""
+        self.outputs_taken.value = self.outputs.newest
+        octets = self.outputs.read()
+        return None if octets is None else read_outputs(octets)
 
     def close(self) -> None:
         """Unmap it; the other process keeps its own."""
-        self.inputs.release()
-        self.outputs.release()
+        for area in (self.inputs, self.outputs, self.counters):
+            area.release()
+        for word in (self.heartbeat, self.order_taken, self.outputs_taken, self.silences):
+            word.release()
         self._map.close()
 
 
@@ -146,18 +222,18 @@ def read_picture(octets: bytes) -> Picture:
     return Picture(cycle, rotations, slaves)
 
 
-def output_octets(outputs: Mapping[int, bytes]) -> bytes:
+def output_octets(outputs: Mapping[int, Outputs]) -> bytes:
     """The application's outputs by address as they stand in memory."""
-    return b"".join(_OUTPUT.pack(address, len(octets)) + octets for address, octets in outputs.items())
+    return b"".join(_OUTPUT.pack(address, len(octets), until) + octets for address, (until, octets) in outputs.items())
 
 
-def read_outputs(octets: bytes) -> dict[int, bytes]:
+def read_outputs(octets: bytes) -> dict[int, Outputs]:
     """The outputs that :func:`output_octets` wrote."""
-    found: dict[int, bytes] = {}
+    found: dict[int, Outputs] = {}
     at = 0
     while at < len(octets):
-        address, length = _OUTPUT.unpack_from(octets, at)
+        address, length, until = _OUTPUT.unpack_from(octets, at)
         at += _OUTPUT.size
-        found[address] = octets[at : at + length]
+        found[address] = Outputs(until, octets[at : at + length])
         at += length
     return found

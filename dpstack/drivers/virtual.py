@@ -75,6 +75,20 @@ class VirtualRuntime:
         self._on_events = on_events
         self._clockwork: _Clockwork | None = None
 
+    @property
+    def not_running(self) -> str | None:
+        """That a defect stopped the simulated bus; None when there was none."""
+        failed = self._clockwork is not None and self._clockwork.failed
+        return "the simulated bus was stopped by a defect in dpstack" if failed else None
+
+    @property
+    def counters_age_ns(self) -> int:
+        """They are those of this moment."""
+        return 0
+
+    def hand_over_outputs(self) -> None:
+        """The machine has them as soon as they are set."""
+
     def damage(self) -> dict[str, int]:
         """A medium in virtual time tells every octet as it is; the decoder's counters are all there is."""
         return {}

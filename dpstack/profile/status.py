@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 from dpstack.profile.states import State
@@ -40,6 +41,23 @@ class DriveStatus:
     def warning(self) -> str | None:
         """The warnings by name, or None."""
         return ", ".join(self.warnings) or None
+
+    def unknown(self) -> DriveStatus:
+        """The same drive when nothing is known of it: offline, without what it told."""
+        return dataclasses.replace(
+            self,
+            state=State.OFFLINE,
+            running=False,
+            reached=False,
+            speed=None,
+            frequency_hz=None,
+            current=None,
+            torque=None,
+            warnings=(),
+            faults=(),
+            words=(),
+            bits=(),
+        )
 
     def as_dict(self) -> dict[str, object]:
         """Plain JSON data; words as four hex digits."""

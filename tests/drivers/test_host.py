@@ -11,8 +11,9 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from dpstack.dp.commands import Shutdown
+from dpstack.dp.commands import AddSlave, Mode, SetMode, Shutdown
 from dpstack.dp.events import DriveEvent
+from dpstack.dp.setup import SlaveSetup
 from dpstack.drivers import messages as m
 from dpstack.drivers.echo import Echo
 from dpstack.drivers.host import Host
@@ -23,6 +24,7 @@ from dpstack.drivers.stack import StackSpec
 from dpstack.params import BusParams
 from dpstack.phy.patience import HOST
 from dpstack.trace import Notice
+from dpstack.units import NEVER
 
 
 def is_full(outbox: Outbox) -> bool:
@@ -116,7 +118,7 @@ def rig() -> Iterator[Rig]:
 def test_sigterm_to_both_leaves_the_end_to_the_application(rig: Rig) -> None:
     """As a service manager sends it: the end that the application has begun goes on, and is no failure."""
     rig.host.terminated("it was told to end (SIGTERM)")
-    for number, order in enumerate((Shutdown(), m.AskCounters()), 1):
+    for number, order in enumerate((Shutdown(), m.WatchRounds(False)), 1):
         rig.sock.send(m.framed(m.Message(question=m.Question(number, m.named(order)))))
     rig.loop.call_at(time.monotonic_ns() + 400_000_000, rig.loop.stop)
     rig.loop.run()
@@ -214,3 +216,85 @@ def test_garbage_from_the_application_ends_the_bus_in_order(rig: Rig) -> None:
     rig.read()
     assert rig.got[-1].news is not None
     assert "a message of 4294967295 octets" in str(rig.got[-1].news.over)
+
+
+def asked(rig: Rig, number: int, order: object, until_ns: int = NEVER) -> m.Answer:
+    """The answer to ``order``; what was told before it is in ``rig.got``."""
+    rig.sock.send(m.framed(m.Message(question=m.Question(number, m.named(order), until_ns))))
+
+    def read() -> None:
+        rig.read()
+        if any(message.answer is not None and message.answer.number == number for message in rig.got):
+            rig.loop.stop()
+
+    rig.loop.add_reader(rig.sock.fileno(), read)
+    rig.loop.run()
+    rig.loop.remove_reader(rig.sock.fileno())
+    return next(message.answer for message in rig.got if message.answer is not None and message.answer.number == number)
+
+
+def run_until(rig: Rig, condition: Callable[[], bool]) -> None:
+    def look() -> None:
+        if condition():
+            rig.loop.stop()
+        else:
+            rig.loop.call_at(time.monotonic_ns() + 10**6, look)
+
+    look()
+    rig.loop.run()
+
+
+def test_an_order_after_its_time_limit_is_dropped_and_its_number_shows_that_it_was_looked_at(rig: Rig) -> None:
+    assert asked(rig, 1, m.WatchRounds(False)) == m.Answer(1)
+    assert rig.image.order_taken.value == 1
+    answer = asked(rig, 2, SetMode(Mode.OPERATE), until_ns=time.monotonic_ns())
+    assert answer.error is not None
+    kind, text = answer.error
+    assert kind == "OrderDropped"
+    assert "too late and dropped it" in text
+    assert rig.image.order_taken.value == 2
+    asked(rig, 3, m.WatchRounds(False))
+    modes = [message.news.bus.mode for message in rig.got if message.news and message.news.bus]
+    assert modes == [Mode.CLEAR]
+
+
+def test_outputs_after_their_time_limit_are_dropped_and_that_is_told(rig: Rig) -> None:
+    asked(rig, 1, AddSlave(SlaveSetup(address=4, name="v", ident=1, config=b"\x20\x10")))
+    late = time.monotonic_ns()
+    rig.image.outputs.write(bytes((4, 1)) + late.to_bytes(8, "little") + b"\x11")
+    asked(rig, 2, m.TakeOutputs())
+    assert [message.news.dropped for message in rig.got if message.news and message.news.dropped] == [{4: late}]
+    assert outputs_of(rig) == b"\0"
+    # the same again beside those of others is not told again; what has time is taken, without any round
+    rig.image.outputs.write(bytes((4, 1)) + late.to_bytes(8, "little") + b"\x11")
+    asked(rig, 3, m.TakeOutputs())
+    rig.image.outputs.write(bytes((4, 1)) + NEVER.to_bytes(8, "little") + b"\x22")
+    run_until(rig, lambda: rig.image.outputs_taken.value == 3)
+    assert len([message for message in rig.got if message.news and message.news.dropped]) == 1
+    assert outputs_of(rig) == b"\x22"
+
+
+def outputs_of(rig: Rig) -> bytes:
+    return rig.host._master.handlers[4].image.outputs
+
+
+def test_it_shows_that_it_lives_whatever_the_application_does(rig: Rig) -> None:
+    before = rig.image.heartbeat.value
+    run_until(rig, lambda: rig.image.heartbeat.value > before + 100_000_000)
+    octets = rig.image.counters.read()
+    assert octets is not None
+    assert m.decoded(octets, m.Counters).t_ns > before
+
+
+def test_it_tells_everything_anew_to_an_application_that_found_it_silent(rig: Rig) -> None:
+    asked(rig, 1, AddSlave(SlaveSetup(address=4, name="v", ident=1, config=b"\x20\x10")))
+    told = len(rig.got)
+    rig.image.silences.value = 7
+    run_until(rig, lambda: rig.host._silences == 7)
+    rig.sock.setblocking(True)
+    while not any(message.news and message.news.silence for message in rig.got[told:]):
+        rig.read()
+    (news,) = [message.news for message in rig.got[told:] if message.news and message.news.silence]
+    assert news.silence == 7
+    assert news.bus is not None
+    assert set(news.slaves) == {4}

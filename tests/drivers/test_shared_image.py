@@ -15,10 +15,12 @@ from hypothesis import strategies as st
 
 from dpstack.drivers.shared_image import (
     SIZE,
+    Outputs,
     Picture,
     SharedImage,
     SlavePicture,
     make_memory,
+    no_limit,
     output_octets,
     picture_octets,
     read_outputs,
@@ -63,8 +65,8 @@ def test_the_octets_of_a_picture() -> None:
     )
 
 
-@given(st.dictionaries(st.integers(0, 126), OCTETS, max_size=5))
-def test_outputs_come_back_as_they_were(outputs: dict[int, bytes]) -> None:
+@given(st.dictionaries(st.integers(0, 126), st.builds(Outputs, U64, OCTETS), max_size=5))
+def test_outputs_come_back_as_they_were(outputs: dict[int, Outputs]) -> None:
     assert read_outputs(output_octets(outputs)) == outputs
 
 
@@ -75,7 +77,7 @@ def test_126_slaves_with_all_the_octets_there_can_be(memory: int) -> None:
     octets = there.inputs.read()
     assert octets is not None
     assert read_picture(octets).slaves == full
-    outputs = {address: bytes(244) for address in range(127)}
+    outputs = {address: Outputs(2**64 - 1, bytes(244)) for address in range(127)}
     there.outputs.write(output_octets(outputs))
     octets = image.outputs.read()
     assert octets is not None
@@ -134,3 +136,38 @@ def test_no_picture_is_ever_torn(memory: int) -> None:
         writer.wait()
         writer.stdout.close()
     image.close()
+
+
+def test_the_octets_of_outputs() -> None:
+    octets = output_octets({4: Outputs(0x0102, b"\x11\x22"), 5: Outputs(3, b"")})
+    assert octets == bytes.fromhex("0402 0201000000000000 1122 0500 0300000000000000")
+
+
+def test_who_takes_outputs_says_so_before_they_are_read(memory: int) -> None:
+    """An application that takes outputs back and then sees an older number knows that nobody will send them."""
+    image, there = SharedImage(memory), SharedImage(memory)
+    assert there.take_outputs() is None
+    image.outputs.write(output_octets({4: Outputs(1, b"\x11")}))
+    image.outputs.write(output_octets({4: Outputs(2, b"\x22")}))
+    assert (image.outputs.newest, image.outputs_taken.value) == (2, 0)
+    assert there.take_outputs() == {4: Outputs(2, b"\x22")}
+    assert image.outputs_taken.value == 2
+    assert there.take_outputs() is None
+    numbers = {no_limit() for _ in range(3)}
+    assert len(numbers) == 3
+    assert min(numbers) >= 2**63 - 1
+    image.close()
+    there.close()
+
+
+def test_words_and_counters(memory: int) -> None:
+    image, there = SharedImage(memory), SharedImage(memory)
+    image.heartbeat.value, image.order_taken.value, image.silences.value = 2**64 - 1, 2, 3
+    assert (there.heartbeat.value, there.order_taken.value, there.silences.value) == (2**64 - 1, 2, 3)
+    assert there.outputs_taken.value == 0
+    most = bytes(range(256)) * (image.counters.limit // 256)
+    image.counters.write(most)
+    image.inputs.write(b"in")
+    assert (there.counters.read(), there.inputs.read()) == (most, b"in")
+    image.close()
+    there.close()

@@ -16,6 +16,7 @@ from dpstack.api.control.slaves import SlaveCommands, address_of
 from dpstack.api.control.specs import KINDS, SLAVES
 from dpstack.api.parts import SEARCHING
 from dpstack.api.simulation import Segment, Simulation
+from dpstack.api.statistics import inputs_dict
 from dpstack.dp.commands import Mode, SetMode
 from dpstack.dp.fields import as_json
 from dpstack.errors import UsageError
@@ -94,6 +95,7 @@ def run_status(bus: Bus) -> dict[str, object]:
             "name": slave.name,
             "state": slave.state.value,
             "inputs": slave.inputs.hex(),
+            **inputs_dict(slave.inputs_valid, slave.inputs_age),
             "outputs": slave.outputs.hex(),
         }
         fields = slave.input_values | slave.output_values
@@ -118,17 +120,17 @@ def run_status(bus: Bus) -> dict[str, object]:
     }
 
 
-def _outputs(bus: Bus, args: list[str]) -> None:
+async def _outputs(bus: Bus, args: list[str]) -> None:
     """All or nothing: every argument is understood before the first one takes effect."""
     names = {slave.address: slave.name for slave in bus.slaves}
     wanted = {}
     for text in args:
         where, octets = arguments.octets(text)
         wanted[address_of(where, names)] = octets
-    _put_out(bus, wanted)
+    await _put_out(bus, wanted)
 
 
-def _set(bus: Bus, args: list[str]) -> None:
+async def _set(bus: Bus, args: list[str]) -> None:
     """Named outputs; all or nothing as well, those of one slave in one image."""
     names = {slave.address: slave.name for slave in bus.slaves}
     wanted: dict[int, bytes] = {}
@@ -141,10 +143,11 @@ def _set(bus: Bus, args: list[str]) -> None:
             wanted[address] = found.put(wanted.get(address, slave.outputs), found.read(value))
         except ValueError as error:
             raise UsageError(f"slave {address} ({slave.name}): {error}") from None
-    _put_out(bus, wanted)
+    await _put_out(bus, wanted)
 
 
-def _put_out(bus: Bus, wanted: dict[int, bytes]) -> None:
+async def _put_out(bus: Bus, wanted: dict[int, bytes]) -> None:
+    """Returns when the master has them. Raises OrderDropped where it does not take them in time."""
     for address, octets in wanted.items():
         slave = bus.slave(address)
         if any(drive.slave is slave for drive in bus.drives):
@@ -155,6 +158,7 @@ def _put_out(bus: Bus, wanted: dict[int, bytes]) -> None:
             )
     for address, octets in wanted.items():
         bus.slave(address).outputs = octets
+    await bus.outputs_taken()
 
 
 def _station(text: str) -> int:

@@ -1,0 +1,286 @@
+"""A bus process that is killed or stopped: what the application sees of it, and what becomes of its orders."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from api_kit import FAN
+from far_ends import until
+from process_kit import LAMPS, LAMPS_SPEC, SPEC, VALVES, bus_on, eventually, octet_slaves, process_of, runtime_of
+from support_responder import Responder
+
+import dpstack
+from dpstack.api.config import make_config
+from dpstack.api.control.programs import control_run, run_status
+from dpstack.api.events import event_json, severity_of
+from dpstack.api.simulation import Segment, Simulation
+from dpstack.dp.commands import DriveCommand
+from dpstack.drivers.base import BusProcessBack, BusProcessSilent, OutputsDropped
+from dpstack.drivers.link import Link
+from dpstack.errors import BusError, OrderDropped
+from dpstack.profile import State
+from dpstack.trace import Event, Severity
+
+OLD, NEW = b"\x11\x22", b"\x33\x44"
+
+
+@contextlib.contextmanager
+def stopped(pid: int) -> Iterator[None]:
+    """The process ``pid`` does not run inside the block."""
+    os.kill(pid, signal.SIGSTOP)
+    eventually(lambda: state_of(pid) == "T", "the process is stopped")
+    try:
+        yield
+    finally:
+        os.kill(pid, signal.SIGCONT)
+
+
+def state_of(pid: int) -> str:
+    with open(f"/proc/{pid}/stat", encoding="ascii") as file:
+        return file.read().rpartition(")")[2].split()[0]
+
+
+@contextlib.contextmanager
+def outputs_seen(there: Responder) -> Iterator[set[bytes]]:
+    """All outputs that slave 4 gets from now on."""
+    seen: set[bytes] = set()
+    request = there.request
+
+    def watched(body: bytes) -> bytes:
+        answer = request(body)
+        seen.add(there.slaves[4].outputs)
+        return answer
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(there, "request", watched)
+        yield seen
+
+
+def is_valid(slave: dpstack.Slave) -> bool:
+    return slave.inputs_valid
+
+
+def is_stale(bus: dpstack.Bus) -> bool:
+    return bus.stats.stale
+
+
+def never_ask(_link: Link, order: object) -> object:
+    raise AssertionError(f"the bus process was asked: {order}")
+
+
+async def test_the_slaves_of_a_killed_bus_process_are_offline_at_once() -> None:
+    told: list[dict[str, object] | None] = []
+    with octet_slaves(SPEC, LAMPS_SPEC) as (path, _there):
+        slaves = (VALVES | {"watchdog_ms": 300}, LAMPS | {"watchdog_ms": 0})
+        bus = bus_on(path, "process", *slaves, on_event=lambda event: told.append(event_json(event, 0)))
+        async with bus:
+            await bus.ready(60)
+            await bus.operate()
+            await bus.rotated(bus.stats.rotations + 3, 60)
+            valves = bus.slave("valves")
+            assert is_valid(valves)
+            assert not is_stale(bus)
+            before = len(told)
+            os.kill(process_of(bus), signal.SIGKILL)
+            with pytest.raises(BusError, match="SIGKILL"):
+                await bus.rotated(None)
+            # told at once, before the notice that says why
+            states = [line for line in told[before:] if line is not None]
+            assert [(line.get("name"), line.get("state")) for line in states[:2]] == [
+                ("valves", "offline"),
+                ("lamps", "offline"),
+            ]
+            assert [line["event"] for line in states] == ["slave", "slave", "notice"]
+            assert valves.state is dpstack.SlaveState.OFFLINE
+            assert not is_valid(valves)
+            assert not bus.slave("lamps").inputs_valid  # no watchdog, and younger than 1 s
+            assert valves.inputs_age is not None
+            assert valves.fault is not None
+            assert "killed by SIGKILL" in valves.fault.text
+            stats = bus.stats
+            assert stats.stale
+            assert stats.stations[4].answers > 0
+            assert stats.rotation_us["p50"] > 0
+
+
+async def test_a_stopped_bus_process_is_silent_and_nothing_old_goes_out_when_it_goes_on(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    told: list[Event] = []
+    with octet_slaves(SPEC) as (path, there):
+        bus = bus_on(path, "process", VALVES | {"watchdog_ms": 30_000}, on_event=told.append)
+        async with bus:
+            await bus.ready(60)
+            await bus.operate()
+            valves = bus.slave("valves")
+            valves.outputs = b"\x01\x02"
+            await until(lambda: valves.inputs == b"\x01\x02", "its mirror")
+            await bus.rotated(bus.stats.rotations + 3, 60)
+            before = len(told)
+            with outputs_seen(there) as seen, stopped(process_of(bus)):
+                valves.outputs = OLD
+                await bus.until(lambda: any(isinstance(event, OutputsDropped) for event in told), 60)
+                await until(lambda: valves.state is dpstack.SlaveState.OFFLINE, "the silence")
+                assert not is_valid(valves)  # younger than its watchdog
+                assert valves.outputs == b"\x01\x02"
+                assert not bus.station.in_ring
+                assert bus.mode is dpstack.Mode.OFFLINE
+                assert valves.fault is not None
+                assert "no sign of life" in valves.fault.text
+                status = run_status(bus)["slaves"]
+                assert isinstance(status, dict)
+                assert (status["4"]["state"], status["4"]["inputs_valid"]) == ("offline", False)
+                with monkeypatch.context() as patch:
+                    patch.setattr(Link, "ask", never_ask)
+                    stats = bus.stats
+                assert stats.stale
+                assert stats.age > 0.9
+                assert stats.rotations > 0
+                assert stats.rotation_us["p50"] > 0
+                assert stats.stations[4].answers > 0
+                valves.outputs = NEW
+                with pytest.raises(OrderDropped, match=r"the outputs of slave 4 \(valves\) will not go out"):
+                    await bus.outputs_taken()
+                with pytest.raises(OrderDropped, match="has shown no sign of life"):
+                    await bus.clear()
+            await valves.ready(60)
+            await bus.until(lambda: any(isinstance(event, BusProcessBack) for event in told), 60)
+            assert valves.outputs == b"\x01\x02"
+            await bus.rotated(bus.stats.rotations + 3, 60)
+            assert is_valid(valves)
+            assert not is_stale(bus)
+            assert not {OLD, NEW} & seen
+            await bus.operate()
+            valves.outputs = NEW
+            await bus.outputs_taken()
+            await until(lambda: valves.inputs == NEW, "its mirror")
+    events = told[before:]
+    silent = next(event for event in events if isinstance(event, BusProcessSilent))
+    back = next(event for event in events if isinstance(event, BusProcessBack))
+    dropped = [event for event in events if isinstance(event, OutputsDropped)]
+    assert [event.outputs for event in dropped] == [OLD, NEW]
+    assert back.silent_ns >= silent.silent_ns > 0
+    assert "valves" not in silent.text
+    assert "The slaves' watchdogs make their outputs safe within 30000 ms" in silent.text
+    states = [line for event in events if (line := event_json(event, 0)) and line["event"] in ("slave", "bus_process")]
+    assert [line.get("state", line.get("silent")) for line in states[:2]] == [True, "offline"]
+    assert [line.get("state", line.get("silent")) for line in states if line.get("silent") is False] == [False]
+    told_of_drop = event_json(dropped[0], 1.5)
+    assert told_of_drop is not None
+    assert {key: told_of_drop[key] for key in ("event", "t", "address", "name", "outputs")} == {
+        "event": "outputs_dropped", "t": 1.5, "address": 4, "name": "valves", "outputs": "1122"
+    }  # fmt: skip
+    assert severity_of(silent) is severity_of(dropped[0]) is Severity.ERROR
+
+
+async def test_an_order_that_is_not_taken_in_time_is_never_carried_out() -> None:
+    """Given before anybody could know that the bus process is stopped."""
+    with octet_slaves(SPEC) as (path, there):
+        async with bus_on(path, "process", VALVES | {"watchdog_ms": 30_000}) as bus:
+            await bus.ready(60)
+            refused = pytest.raises(OrderDropped, match="did not take the order within 1000 ms")
+            with outputs_seen(there) as seen, stopped(process_of(bus)), refused:
+                await bus.operate()
+            await bus.until(lambda: runtime_of(bus).not_running is None, 60)
+            await bus.ready(60)
+            await bus.rotated(bus.stats.rotations + 3, 60)
+            assert bus.mode is dpstack.Mode.CLEAR
+            assert seen <= {bytes(2)}
+
+
+async def test_ctl_outputs_says_ok_only_for_what_the_bus_process_has_taken() -> None:
+    with octet_slaves(SPEC) as (path, there):
+        async with bus_on(path, "process", VALVES | {"watchdog_ms": 30_000}) as bus:
+            await bus.ready(60)
+            await bus.operate()
+            handlers = control_run(bus, path)._handlers
+            await handlers["outputs"](["4=1122"])  # type: ignore[misc]
+            assert bus.slave("valves").outputs == OLD
+            await until(lambda: there.slaves[4].outputs == OLD, "the outputs")
+            with outputs_seen(there) as seen, stopped(process_of(bus)):
+                with pytest.raises(OrderDropped, match="will not go out"):
+                    await handlers["outputs"](["4=3344"])  # type: ignore[misc]
+                with pytest.raises(OrderDropped, match="will not go out"):
+                    await handlers["set"](["4.target=5"])  # type: ignore[misc]
+            await bus.ready(60)
+            await bus.rotated(bus.stats.rotations + 3, 60)
+            assert not {NEW, b"\x00\x05"} & seen
+            assert bus.slave("valves").outputs == OLD
+
+
+async def test_orders_that_the_socket_does_not_take_are_sent_when_the_bus_process_goes_on(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Orders that end something have no time limit: half a frame in the socket is followed by its other half."""
+    monkeypatch.setattr("dpstack.drivers.link._AGAIN_NS", 10_000_000)
+    with octet_slaves(SPEC) as (path, _there):
+        async with bus_on(path, "process", VALVES | {"watchdog_ms": 30_000}) as bus:
+            await bus.ready(60)
+            with stopped(process_of(bus)):
+                await until(lambda: runtime_of(bus).not_running is not None, "the silence")
+                for number in range(8):
+                    with pytest.raises(BusError, match="it carries the order out if it goes on"):
+                        bus.command(DriveCommand(4, "cancel", {"long": "x" * 100_000}, number))
+            await bus.ready(60)
+            await bus.rotated(bus.stats.rotations + 3, 60)
+            await bus.operate()
+
+
+async def test_who_waits_for_rounds_of_a_silent_bus_process_is_told_when_it_goes_on() -> None:
+    with octet_slaves(SPEC) as (path, _there):
+        async with bus_on(path, "process", VALVES | {"watchdog_ms": 30_000}) as bus:
+            await bus.ready(60)
+            with stopped(process_of(bus)):
+                await until(lambda: runtime_of(bus).not_running is not None, "the silence")
+                waiting = asyncio.ensure_future(bus.rotated(bus.stats.rotations + 3, 60))
+                await asyncio.sleep(0)
+            await waiting
+
+
+async def test_the_drives_of_a_stopped_bus_process_do_not_look_alive(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dpstack.drivers.link._AGAIN_NS", 10_000_000)  # of the end
+    async with Segment(2, tmp_path / "bus", baud=1_500_000) as segment:
+        plant = make_config(segment.paths[1], 1_500_000, slaves=[FAN])
+        async with Simulation(plant, segment.paths[1], 1_500_000), bus_on(segment.paths[0], "process", FAN) as bus:
+            await bus.operate()
+            await bus.ready(60)
+            fan = bus.drive("fan")
+            await fan.start(60)
+            assert is_running(fan)
+            statuses = fan.statuses()
+            assert (await anext(statuses)).running
+            os.kill(process_of(bus), signal.SIGSTOP)
+            async for status in statuses:
+                if status.state is State.OFFLINE:
+                    break
+            with monkeypatch.context() as patch:
+                patch.setattr(Link, "ask", never_ask)
+                assert not is_running(fan)
+                assert (fan.status.state, fan.status.speed, fan.status.words) == (State.OFFLINE, None, ())
+
+
+def is_running(drive: dpstack.Drive) -> bool:
+    return drive.status.running
+
+
+async def test_the_end_of_a_bus_whose_process_is_stopped_says_what_the_slaves_do(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("dpstack.drivers.link._AGAIN_NS", 10_000_000)
+    told: list[str] = []
+    with octet_slaves(SPEC) as (path, _there):
+        slave = VALVES | {"watchdog_ms": 500}
+        async with bus_on(path, "process", slave, on_event=lambda event: told.append(event.text)) as bus:
+            await bus.ready(60)
+            os.kill(process_of(bus), signal.SIGSTOP)
+            await until(lambda: not bus.slave("valves").ready_now, "the silence")
+    assert "The slaves' watchdogs make their outputs safe within 500 ms" in told[-1]
+    assert "it did not answer at the end of the bus and was killed" in told[-1]
