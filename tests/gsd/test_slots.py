@@ -182,6 +182,12 @@ def test_fixed_presets_count_in_max_module() -> None:
         configure(presets(), ["8 DI"] * 3)
 
 
+def test_more_fixed_presets_than_any_device_has_modules_are_refused() -> None:
+    many = made("FixPresetModules = 1\n" + 'Module = "x" 0x10\nPreset = 1\nEndModule\n' * 256).device
+    with pytest.raises(GsdError, match="256 fixed presets, Max_Module is 255 at most"):
+        configure(many)
+
+
 def test_presets_without_the_keyword_stay_defaults() -> None:
     assert configure(presets(0), ["8 DI", "base"]).config.hex(" ") == "10 11"
 
