@@ -33,6 +33,12 @@ watchdog_ms = 25
 groups = [1, 8]
 sync = true
 [[slave]]
+name = "rack"
+address = 5
+gsd = "{FILES}/rack.gsd"
+modules = ["6ES7 321-1BH00-0AA0 16DI", "", 10]
+watchdog_ms = 0
+[[slave]]
 name = "hoist"
 address = 3
 drive = "demag-dedrive"
@@ -65,7 +71,7 @@ def test_the_plan_tells_the_octets_that_slaves_receive() -> None:
     bus = RingBus(500_000, "whole")
     slaves = {
         address: Received(bus, address, ident=bytes.fromhex(ident))
-        for address, ident in ((8, "1A2B"), (3, "0696"), (4, "BEEF"))
+        for address, ident in ((8, "1A2B"), (3, "0696"), (4, "BEEF"), (5, "0FFE"))
     }
     master = Master(plan.params, config.setups(500_000), watchdog_ms=plan.watchdog_ms)
     station = ActiveStation(plan.params, [master])
@@ -82,6 +88,8 @@ def test_the_plan_tells_the_octets_that_slaves_receive() -> None:
     assert received == told
     # Lock_Req, Sync_Req, WD_On; 1 x 25 of 1 ms; min T_SDR; groups; DPV1_Enable, Fail_Safe, WD_Base_1ms; Process_Alarm
     assert told[8] == ("a8" + "0119" + "0b" + "1a2b" + "81" + "c44000" + "0800" + "010033", "1020")
+    # a fixed preset in slot 2; the modules in slots 3 and 5 have the numbers of their slots, then Filter = 3
+    assert told[5] == ("80" + "0101" + "0b" + "0ffe" + "00" + "0003" + "0303" + "0503", "00" + "11" + "00" + "11")
     assert all(handler.state is not SlaveState.FAULT for handler in master.handlers.values())
 
 

@@ -162,6 +162,11 @@ def test_fixed_presets_stand_first_named_or_not(wanted: list[int | str]) -> None
     assert [m.name for m in found.modules if m] == ["base", "option", "8 DO", "8 DI"]
 
 
+def test_modules_of_a_diagnosis_count_from_the_fixed_presets() -> None:
+    found = configure(presets(), ["8 DO"]).texts()
+    assert [found.module_name(number) for number in range(4)] == ["base", "option", "8 DO", ""]
+
+
 def test_without_a_word_only_the_presets_are_plugged() -> None:
     assert configure(presets()).config.hex(" ") == "11 21"
     assert configure(presets(), []).config.hex(" ") == "11 21"
