@@ -29,7 +29,7 @@ address = 8
 gsd = "{FILES}/whole.gsd"
 modules = ["8 DI", "8 DO"]
 parameters = {{ "Delay" = 51 }}
-watchdog_ms = 25
+watchdog_ms = 45
 groups = [1, 8]
 sync = true
 [[slave]]
@@ -86,8 +86,8 @@ def test_the_plan_tells_the_octets_that_slaves_receive() -> None:
     assert (prm, cfg) == ("80" + "0101" + "0b" + "...." + "00" + "00ff", "1020")
     assert received.pop(4) == (prm.replace("....", "beef"), cfg)
     assert received == told
-    # Lock_Req, Sync_Req, WD_On; 1 x 25 of 1 ms; min T_SDR; groups; DPV1_Enable, Fail_Safe, WD_Base_1ms; Process_Alarm
-    assert told[8] == ("a8" + "0119" + "0b" + "1a2b" + "81" + "c44000" + "0800" + "010033", "1020")
+    # Lock_Req, Sync_Req, WD_On; 1 x 45 of 1 ms; min T_SDR; groups; DPV1_Enable, Fail_Safe, WD_Base_1ms; Process_Alarm
+    assert told[8] == ("a8" + "012d" + "0b" + "1a2b" + "81" + "c44000" + "0800" + "010033", "1020")
     # a fixed preset in slot 2; the modules in slots 3 and 5 have the numbers of their slots, then Filter = 3
     assert told[5] == ("80" + "0101" + "0b" + "0ffe" + "00" + "0003" + "0303" + "0503", "00" + "11" + "00" + "11")
     assert all(handler.state is not SlaveState.FAULT for handler in master.handlers.values())
