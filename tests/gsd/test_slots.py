@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pytest
 from gsd_kit import made
+from hypothesis import given
+from hypothesis import strategies as st
 
 from dpstack.dp.slave_gsd import slave_description
 from dpstack.errors import GsdError
@@ -260,3 +262,14 @@ def test_f_parameters_of_a_compact_device_are_told() -> None:
 
 def test_devices_without_f_parameters_get_no_word_of_them() -> None:
     assert not [d for d in check(made(TWO)) if "PROFIsafe" in d.message]
+
+
+@given(names=st.lists(st.sampled_from(["AI", ""]), min_size=1, max_size=11), offset=st.integers(0, 9))
+def test_presets_named_or_not_and_numbers_of_slots(names: list[str], offset: int) -> None:
+    d = numbered(f"Modul_Offset = {offset}\nFixPresetModules = 1\n", "Unsigned8 1 0-255")
+    left_out, named = configure(d, names), configure(d, ["bus head", *names])
+    assert left_out == named
+    octets = bytes((0, offset))
+    for slot, name in enumerate(names, offset + 1):
+        octets += bytes((0xA0, slot, 3)) if name else b""
+    assert left_out.user_prm().octets() == octets
