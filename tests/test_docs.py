@@ -110,7 +110,7 @@ def test_examples_run(example: Path, capsys: pytest.CaptureFixture[str]) -> None
         ],
         "own_slave": ["level 40 %", "ext_diag, wd_on 80 40 07", "valve closed"],
         "alarms": [
-            "pull alarm, slot 2; module status: slot 2 no module; modules with a diagnosis: 1 (8 DO)",
+            "pull alarm, slot 2; module status: slot 2 no module; slots with a diagnosis: 2 (8 DO)",
             "  slots 00 03 00",
             "plug alarm, slot 2; module status: all modules ok",
             "process alarm, slot 1",

@@ -6,13 +6,17 @@ from collections.abc import Iterable, Iterator
 from typing import Protocol
 
 from dpstack.dp.diagnosis import Diagnosis
-from dpstack.dp.ext_diagnosis import Block, ChannelBlock, DeviceBlock, IdentifierBlock
+from dpstack.dp.ext_diagnosis import FIRST_SLOT, Block, ChannelBlock, DeviceBlock, IdentifierBlock
 from dpstack.dp.v1.alarms import parse_block
 from dpstack.errors import PduError
 
 
 class DiagTexts(Protocol):
     """The texts of one kind of device (its GSD file has them). Neither raises, whatever a slave sends."""
+
+    @property
+    def first_slot(self) -> int:
+        """The number of the slot of the first module (Modul_Offset, else 1)."""
 
     def unit_diag_texts(self, octets: bytes) -> tuple[str, ...]:
         """What the device related block says: ``octets`` without its header, bit 0 of the first octet is bit 0."""
@@ -61,17 +65,18 @@ def _device_lines(block: DeviceBlock, texts: DiagTexts | None, dpv1: bool) -> It
 
 
 def _lines(block: Block, texts: DiagTexts | None, dpv1: bool) -> Iterator[str]:
+    first = FIRST_SLOT if texts is None else texts.first_slot
     match block:
         case DeviceBlock():
             yield from _device_lines(block, texts, dpv1)
         case IdentifierBlock():
             if block.modules:
-                modules = (_explained(str(number), _name(texts, number)) for number in block.modules)
-                yield "modules with a diagnosis: " + ", ".join(modules)
+                slots = (_explained(str(first + number), _name(texts, number)) for number in block.modules)
+                yield "slots with a diagnosis: " + ", ".join(slots)
         case ChannelBlock(identifier=module, error=error):
             own = None if texts is None else texts.channel_text(error, module)
             remedy = None if texts is None or own is None else texts.channel_help(error, module)
-            yield f"{block.place(_name(texts, module))}: {_explained(own or block.cause, remedy)}"
+            yield f"{block.place(_name(texts, module), first)}: {_explained(own or block.cause, remedy)}"
 
 
 def _explained(text: str, more: str | None) -> str:

@@ -14,6 +14,10 @@ from dpstack.dp.wire import BLOCK_HEADER, CHANNEL
 _DEVICE, _IDENTIFIER, _CHANNEL, _REVISION = range(4)
 _CHANNEL_LEN: Final = 3
 
+#: the slot of the first module, which the wire calls 0, where no GSD file says Modul_Offset (DP-V1: slot 0 is the
+#: station itself)
+FIRST_SLOT: Final = 1
+
 _SIZES: Final = ("unspecific", "bit", "2 bits", "4 bits", "byte", "word", "2 words", "reserved")
 _ERRORS: Final = {
     1: "short circuit",
@@ -47,18 +51,20 @@ class DeviceBlock(Block):
 
 @dataclass(frozen=True, slots=True)
 class IdentifierBlock(Block):
-    """Identifier (module) related: which modules have a diagnosis."""
+    """Identifier (module) related: which modules have a diagnosis. Texts for people count slots, see FIRST_SLOT."""
 
     @property
     def modules(self) -> tuple[int, ...]:
-        """Numbers of the faulty modules, from 0."""
+        """Numbers of the faulty modules as on the wire, from 0 in the order of the configuration."""
         bits = int.from_bytes(self.octets[1:], "little")
         return tuple(n for n in range(bits.bit_length()) if bits >> n & 1)
 
 
 @dataclass(frozen=True, slots=True)
 class ChannelBlock(Block):
-    """Channel related. ``identifier`` and ``channel`` 0..63, ``size`` 0..7 and ``error`` 0..31 as on the wire."""
+    """Channel related. ``identifier`` (module, from 0) and ``channel`` 0..63, ``size`` 0..7 and ``error`` 0..31 as on
+    the wire. Texts for people count slots, see FIRST_SLOT.
+    """
 
     identifier: int
     channel: int
@@ -67,12 +73,12 @@ class ChannelBlock(Block):
     size: int
     error: int
 
-    def place(self, module_name: str = "") -> str:
-        """Which channel, for people, with the name of its module where that is known."""
+    def place(self, module_name: str = "", first_slot: int = FIRST_SLOT) -> str:
+        """Which channel of which slot, for people, with the name of its module where that is known."""
         direction = {(True, False): "input ", (False, True): "output ", (True, True): "in/output "}
         kind = direction.get((self.input, self.output), "")
         name = f" ({module_name})" if module_name else ""
-        return f"module {self.identifier}{name}, {kind}channel {self.channel} ({_SIZES[self.size]})"
+        return f"slot {first_slot + self.identifier}{name}, {kind}channel {self.channel} ({_SIZES[self.size]})"
 
     @property
     def cause(self) -> str:

@@ -67,11 +67,17 @@ def device_block(data: bytes) -> DeviceBlock:
 
 
 def identifier_block(faulty: Iterable[int], modules: int) -> IdentifierBlock:
-    """An identifier related block: the numbers of the ``faulty`` modules, from 0, of ``modules``. Raises PduError."""
+    """An identifier related block: the numbers of the ``faulty`` ones of ``modules``, as on the wire: slot 1 is 0.
+
+    Raises PduError.
+    """
     bits = 0
     for number in faulty:
         if not 0 <= number < modules:
-            raise PduError(f"identifier related diagnosis: module {number} of {modules}; they count from 0")
+            raise PduError(
+                f"identifier related diagnosis: module {number} of {modules}; the wire counts them from 0: the one in "
+                f"slot 1 is 0"
+            )
         bits |= 1 << number
     size = (modules + 7) // 8
     return IdentifierBlock(_header(_IDENTIFIER, size, "identifier related diagnosis") + bits.to_bytes(size, "little"))
@@ -80,8 +86,10 @@ def identifier_block(faulty: Iterable[int], modules: int) -> IdentifierBlock:
 def channel_block(
     identifier: int, channel: int, error: int, *, size: int = 0, input: bool = False, output: bool = False
 ) -> ChannelBlock:
-    """A channel related block. ``identifier`` (module) and ``channel`` 0..63; ``error`` 1..31 and ``size`` 0..7 as in
-    the table of protocol facts B1 (1 short circuit, 6 line break ..., from 16 on the maker's). Raises PduError."""
+    """A channel related block. ``identifier`` (the module as on the wire: slot 1 is 0) and ``channel`` 0..63; ``error``
+    1..31 and ``size`` 0..7 as in the table of protocol facts B1 (1 short circuit, 6 line break ..., from 16 on the
+    maker's). Raises PduError.
+    """
     octets = CHANNEL.build(ChannelOctets(_CHANNEL, identifier, output, input, channel, size, error))
     return ChannelBlock(octets, identifier, channel, input, output, size, error)
 

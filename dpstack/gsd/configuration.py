@@ -39,7 +39,7 @@ class Configuration:
 
     def texts(self) -> DiagTexts:
         """The texts of its diagnosis."""
-        return DiagTexts(self.device, self.modules)
+        return DiagTexts(self.device, self.modules, self.first_slot)
 
 
 def first_slot(device: Device) -> int:

@@ -43,8 +43,8 @@ def test_the_words_of_the_gsd_file_in_either_process(rest: str) -> None:
     assert own.texts[0] == "fuse blown"
     if rest:
         module, channel = own.texts[-2:]
-        assert module == "modules with a diagnosis: 0"
-        assert channel == "module 0, input channel 0 (bit): sensor missing (plug it in)"
+        assert module == "slots with a diagnosis: 1"
+        assert channel == "slot 1, input channel 0 (bit): sensor missing (plug it in)"
     master = MasterMirror((setup,), cast(Source, None), read_only=False)
     station = StationMirror(BusParams.preset(500_000), EXACT, cast(Source, None))
     assert Mirror(master, station, None).worded(foreign) == own

@@ -230,8 +230,8 @@ def test_a_diagnosis_reaches_the_program_and_the_json_lines() -> None:
         "fuse blown (replace F1)",
         "too hot",
         "no load voltage",
-        "modules with a diagnosis: 0 (own texts)",
-        "module 0 (own texts), input channel 3 (bit): coil open",
+        "slots with a diagnosis: 1 (own texts)",
+        "slot 1 (own texts), input channel 3 (bit): coil open",
     )
     assert texts[-5:] == words
     told = [line for line in lines if line["event"] == "diagnosis" and "ext_diag" in str(line["flags"])]
@@ -240,7 +240,7 @@ def test_a_diagnosis_reaches_the_program_and_the_json_lines() -> None:
 
 def test_block_lengths_that_lie_are_told_once_and_what_is_there_is_decoded() -> None:
     texts, lines = dpstack.run_virtual(diagnosis_of(bytes.fromhex("03 01 02 48 05")))
-    assert texts[-1] == "modules with a diagnosis: 0 (own texts), 2"
+    assert texts[-1] == "slots with a diagnosis: 1 (own texts), 3"
     assert "fuse blown (replace F1)" in texts
     findings = [str(line) for line in lines if "announces a block of 8 octets" in str(line)]
     assert len(findings) == 1

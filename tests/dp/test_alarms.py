@@ -130,8 +130,8 @@ def test_channels_of_the_same_diagnosis_come_along() -> None:
     slave.raises(block(1, 2))
     kit.until(lambda: bool(kit.raised))
     (raised,) = kit.raised
-    assert raised.texts == ("modules with a diagnosis: 0", "module 3, input channel 5 (bit): short circuit")
-    assert raised.text.endswith("; module 3, input channel 5 (bit): short circuit")
+    assert raised.texts == ("slots with a diagnosis: 1", "slot 4, input channel 5 (bit): short circuit")
+    assert raised.text.endswith("; slot 4, input channel 5 (bit): short circuit")
 
 
 # --- what a diagnosis says again ----------------------------------------------------------------------------------

@@ -119,7 +119,7 @@ def test_all_kinds_of_blocks() -> None:
     assert isinstance(channel, ChannelBlock)
     assert (channel.identifier, channel.channel, channel.input, channel.output) == (2, 3, True, False)
     assert (channel.size, channel.error) == (5, 6)
-    assert channel.text == "module 2, input channel 3 (word): line break"
+    assert channel.text == "slot 3, input channel 3 (word): line break"
     assert isinstance(revision, RevisionBlock)
     assert revision.revision == 7
     assert empty == DeviceBlock(b"\x01")
@@ -128,9 +128,9 @@ def test_all_kinds_of_blocks() -> None:
 @pytest.mark.parametrize(
     ("octets", "text"),
     [
-        ("80 80 21", "module 0, output channel 0 (bit): short circuit"),
-        ("BF FF F0", "module 63, in/output channel 63 (reserved): error 16"),
-        ("81 00 09", "module 1, channel 0 (unspecific): error"),
+        ("80 80 21", "slot 1, output channel 0 (bit): short circuit"),
+        ("BF FF F0", "slot 64, in/output channel 63 (reserved): error 16"),
+        ("81 00 09", "slot 2, channel 0 (unspecific): error"),
     ],
 )
 def test_channel_texts(octets: str, text: str) -> None:

@@ -147,7 +147,9 @@ def test_a_slave_that_does_not_watch_its_master_is_told() -> None:
 
 
 class Texts:
-    """As a GSD file gives them."""
+    """As a GSD file gives them, one with Modul_Offset = 4."""
+
+    first_slot = 4
 
     def unit_diag_texts(self, octets: bytes) -> tuple[str, ...]:
         return ("24 V is missing",) if octets[:1] == b"\x01" else ()
@@ -171,9 +173,9 @@ def test_extended_diagnosis_is_told_in_words() -> None:
         slave.ready = bytes.fromhex("08 0C 00 02 06 96 03 01 00 42 05 82 43 B0 C7")
     bus.run(20 * MS)
     told = {e.address: e.texts for e in bus.events if isinstance(e, SlaveDiagnosis)}
-    channel = "module 2, input channel 3 (word)"
-    assert told[3] == ("24 V is missing", "modules with a diagnosis: 0, 2", f"{channel}: sensor dirty")
-    assert told[4] == ("device: 01 00", "modules with a diagnosis: 0, 2", f"{channel}: error 16")
+    channel = "input channel 3 (word)"
+    assert told[3] == ("24 V is missing", "slots with a diagnosis: 4, 6", f"slot 6, {channel}: sensor dirty")
+    assert told[4] == ("device: 01 00", "slots with a diagnosis: 1, 3", f"slot 3, {channel}: error 16")
 
 
 def test_lengths_that_lie_are_a_finding_and_nothing_more() -> None:

@@ -97,6 +97,7 @@ def test_the_revision_of_the_file_does_not_matter(revision: int) -> None:
 def test_slot_numbers_count_from_modul_offset_and_fixed_presets_are_counted() -> None:
     d = numbered("Modul_Offset = 4\nFixPresetModules = 1\n")
     assert configure(d, ["AI", "", "AI"]).user_prm().octets().hex() == "0004" + "a00503" + "a00703"
+    assert configure(d, ["AI", "", "AI"]).texts().first_slot == 4  # as diagnoses name it
 
 
 def test_the_number_lies_in_its_bits_only() -> None:
