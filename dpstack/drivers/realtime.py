@@ -57,8 +57,10 @@ class Rights:
 
 def limit(name: str) -> int | None:
     """A soft limit of this process by its name in ``resource``, None for none."""
-    import resource
-
+    try:
+        import resource
+    except ImportError:  # a system without limits
+        return None
     soft, _hard = resource.getrlimit(getattr(resource, name))
     return None if soft == resource.RLIM_INFINITY else soft
 

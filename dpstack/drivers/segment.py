@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import asyncio
 import errno
-import fcntl
 import os
 import random
 import select
@@ -33,6 +32,7 @@ from dpstack.phy.noise import BitNoise
 from dpstack.ports.fdport import reason_of
 from dpstack.ports.holders import holder_of
 from dpstack.ports.pacing import PacedWire
+from dpstack.ports.posix import check, fcntl
 from dpstack.ports.ptymaster import PtyMaster
 from dpstack.ports.runtime_dir import open_own, own_directory, runtime_path
 from dpstack.units import BAUD_RATES, baud_text, bits_to_ns, chars_to_ns, ns_to_s
@@ -66,6 +66,7 @@ class Segment:
             raise ConfigError(f"{stations} stations: a segment joins 2 to {MAX_STATIONS}")
         if baud not in BAUD_RATES:
             raise ConfigError(f"baud {baud} is no PROFIBUS rate (known: {', '.join(map(str, BAUD_RATES))})")
+        check("a segment of ptys")
         self.directory = Path(directory) if directory is not None else default_directory()
         self._chosen = directory is not None
         self.baud = baud

@@ -15,6 +15,7 @@ import sys
 from dpstack.errors import PortError
 from dpstack.ports.base import Delivery, Loop, OnData, OnLost, Pending, Port
 from dpstack.ports.memory import MemoryPort, memory_pair
+from dpstack.ports.posix import importing_pyserial
 
 __all__ = [
     "Delivery",
@@ -59,7 +60,8 @@ def open_port(
             return TtyPort(name, baud, paced=paced, event_char=event_char, rs485=rs485)
     if name == "pty":
         raise PortError("--port pty needs Linux; name a serial port, socket://host:port or rfc2217://host:port")
-    from dpstack.ports.pyserial import PySerialPort
+    with importing_pyserial(name):
+        from dpstack.ports.pyserial import PySerialPort
 
     return PySerialPort(name, baud, paced=paced is not False)
 
@@ -70,7 +72,8 @@ def _by_url(scheme: str, name: str, baud: int, paced: bool | None) -> Port:
 
         return SocketPort(name, baud, paced=bool(paced))
     if scheme == "rfc2217":
-        from dpstack.ports.rfc2217 import Rfc2217Port
+        with importing_pyserial(name):
+            from dpstack.ports.rfc2217 import Rfc2217Port
 
         return Rfc2217Port(name, baud, paced=paced is not False)
     raise PortError(f"{name}: ports are /dev/..., socket://host:port, rfc2217://host:port, pty (not {scheme}://)")

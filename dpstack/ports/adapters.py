@@ -12,6 +12,7 @@ from typing import Any, Final
 
 from dpstack.errors import BaudError, PortError
 from dpstack.ports.holders import PROC, holder_of_path
+from dpstack.ports.posix import importing_pyserial
 from dpstack.ports.sysfs import CHIPS, SYSFS, Adapter
 from dpstack.units import BAUD_RATES
 
@@ -36,7 +37,8 @@ class AdapterInfo:
 
 
 def _comports() -> Iterable[Any]:
-    from serial.tools import list_ports
+    with importing_pyserial("the list of serial adapters"):
+        from serial.tools import list_ports
 
     ports: Iterable[Any] = list_ports.comports()
     return ports
@@ -84,9 +86,10 @@ class Abilities:
 
 def probe(path: str) -> Abilities:
     """Open ``path`` alone and try every rate and what its driver may have. Linux only. Raises PortError."""
-    if sys.platform != "linux":
-        raise PortError(f"{path}: what a port can do is found out on Linux only")
     from dpstack.ports import termios2, uart
+
+    if sys.platform != "linux" or not termios2.AVAILABLE:
+        raise PortError(f"{path}: what a port can do is found out on Linux only")
     from dpstack.ports.tty import TtyPort
 
     port = TtyPort(path, BAUD_RATES[0])

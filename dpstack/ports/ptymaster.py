@@ -9,11 +9,11 @@ from __future__ import annotations
 import contextlib
 import os
 import select
-import termios
 
 from dpstack.errors import PortError
-from dpstack.ports import termios2
+from dpstack.ports import posix, termios2
 from dpstack.ports.fdport import reason_of
+from dpstack.ports.posix import termios
 
 
 class PtyMaster:
@@ -22,6 +22,7 @@ class PtyMaster:
     __slots__ = ("_poll", "_rates", "fd", "path")
 
     def __init__(self) -> None:
+        posix.check("a pty")
         try:
             self.fd, slave = os.openpty()
         except OSError as exc:

@@ -16,9 +16,11 @@ from typing import Final
 
 from dpstack.errors import PortError
 
+#: Windows has none of them, and no control socket
+_SAFELY: Final[int] = sum(getattr(os, flag, 0) for flag in ("O_DIRECTORY", "O_NOFOLLOW", "O_CLOEXEC"))
 #: O_PATH needs no right to read a directory, only to pass through it; systems without it open for reading
-_PASS: Final = getattr(os, "O_PATH", os.O_RDONLY) | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
-_READ: Final = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
+_PASS: Final = getattr(os, "O_PATH", os.O_RDONLY) | _SAFELY
+_READ: Final = os.O_RDONLY | _SAFELY
 #: what open() with O_NOFOLLOW and O_DIRECTORY says of a symbolic link, depending on the system
 _LINK_ERRORS: Final = frozenset({errno.ELOOP, errno.ENOTDIR, errno.EMLINK})
 #: as many symbolic links as Linux follows

@@ -7,12 +7,12 @@ Numbers: Linux ``asm-generic/ioctls.h`` and ``asm-generic/termbits.h``.
 
 from __future__ import annotations
 
-import fcntl
 import platform
 import struct
 import sys
-import termios
 from typing import Final, NamedTuple
+
+from dpstack.ports.posix import fcntl, is_available, termios
 
 TCGETS2: Final = 0x802C542A
 TCSETS2: Final = 0x402C542B
@@ -28,8 +28,10 @@ _SPEEDS_AT: Final = _LAYOUT.size - _SPEEDS.size
 UNTOUCHED: Final = 38_400
 
 #: False where the kernel's numbers are others (alpha, mips, powerpc, sparc ...) or the system is not Linux.
-AVAILABLE: Final = sys.platform == "linux" and not platform.machine().startswith(
-    ("alpha", "mips", "parisc", "ppc", "sparc")
+AVAILABLE: Final = (
+    sys.platform == "linux"
+    and is_available()
+    and not platform.machine().startswith(("alpha", "mips", "parisc", "ppc", "sparc"))
 )
 
 

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import fcntl
 import glob
-import grp
 import os
 import stat
-import termios
 from collections import Counter
 from pathlib import Path
 from typing import Final
@@ -20,6 +17,7 @@ from dpstack.ports.base import Delivery
 from dpstack.ports.fdport import FdPort, reason_of
 from dpstack.ports.holders import holder_of, holder_of_path
 from dpstack.ports.marks import Unmarker
+from dpstack.ports.posix import fcntl, grp, termios
 from dpstack.ports.sysfs import SYSFS, Adapter
 from dpstack.ports.tuning import Tuning
 from dpstack.units import baud_text

@@ -6,9 +6,10 @@ tty_flags.h, asm-generic/ioctls.h.
 
 from __future__ import annotations
 
-import fcntl
 import struct
 from typing import Final, NamedTuple
+
+from dpstack.ports.posix import fcntl
 
 # struct serial_struct: flags are its fifth int
 TIOCGSERIAL: Final = 0x541E

@@ -15,10 +15,13 @@ from dpstack.api.bus_config import VIRTUAL
 from dpstack.api.control.failures import failure
 from dpstack.api.control.places import Sockets, directory, names_of, own_name, socket_name
 from dpstack.errors import DpError, PortError, UsageError
+from dpstack.ports import posix
 
 #: No answer for so long: the program hangs.
 TIMEOUT_S: Final = 10.0
 _CHUNK: Final = 65_536
+#: a list of parameters comes in lines of a hundred
+LONGEST_ANSWER: Final = 16_000_000
 
 
 class ControlClient:
@@ -27,7 +30,8 @@ class ControlClient:
     def __init__(self, port: str, connection: socket.socket) -> None:
         self.port = port
         self._socket = connection
-        self._rest = b""
+        self._rest = bytearray()
+        self._searched = 0  # octets of it that hold no line end
 
     def __enter__(self) -> ControlClient:
         return self
@@ -82,15 +86,21 @@ class ControlClient:
             raise PortError(f"{self.port}: the program ended ({exc.strerror or exc})") from None
 
     def _line(self) -> Mapping[str, Any]:
-        while b"\n" not in self._rest:
+        rest = self._rest
+        while (end := rest.find(b"\n", self._searched)) < 0:
+            self._searched = len(rest)
+            if self._searched > LONGEST_ANSWER:
+                raise PortError(f"{self.port}: an answer of more than {LONGEST_ANSWER} octets; is it dpstack?")
             chunk = self._socket.recv(_CHUNK)
             if not chunk:
                 raise PortError(f"{self.port}: the program ended without an answer")
-            self._rest += chunk
-        line, _, self._rest = self._rest.partition(b"\n")
+            rest += chunk
+        line = bytes(rest[:end])
+        del rest[: end + 1]
+        self._searched = 0
         try:
             answer = json.loads(line)
-        except ValueError:
+        except (ValueError, RecursionError):
             answer = None
         if not isinstance(answer, dict):
             raise PortError(f"{self.port}: the answer is no JSON object; is it another version of dpstack?")
@@ -103,6 +113,7 @@ def connect(port: str, timeout: float | None = TIMEOUT_S) -> ControlClient:
 
     Raises PortError when there is none, UsageError when there are several; the line names the programs there are.
     """
+    posix.check("a control socket")
     with _opened() as sockets:
         name = port
         if sockets is not None and port == VIRTUAL:
@@ -152,7 +163,7 @@ def running() -> list[dict[str, Any]]:
 def _opened() -> Iterator[Sockets | None]:
     """The directory of the sockets; None where no program has made it. Raises PortError."""
     try:
-        sockets = Sockets()
+        sockets = Sockets() if posix.is_available() else None
     except FileNotFoundError:
         sockets = None
     except PortError:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
-import fcntl
 import hashlib
 import os
 import re
@@ -23,6 +22,8 @@ from typing import Any, Final
 
 from dpstack.api.bus_config import VIRTUAL
 from dpstack.errors import PortError
+from dpstack.ports import posix
+from dpstack.ports.posix import fcntl
 from dpstack.ports.runtime_dir import open_own, runtime_path, user_name
 
 SUFFIX: Final = ".sock"
@@ -101,6 +102,7 @@ class Sockets:
     """
 
     def __init__(self, *, make: bool = False) -> None:
+        posix.check("a control socket")
         self.path = directory()
         self._fd = open_own(self.path, make=make)
         self._is_locked = False
