@@ -22,7 +22,7 @@ from dpstack.api.profiles import known_drives
 from dpstack.api.virtual import run_virtual
 from dpstack.cli import options, output
 from dpstack.cli.report import Reporter, not_exchanging
-from dpstack.cli.signals import StopSignal
+from dpstack.cli.signals import INTERRUPTED, StopSignal
 from dpstack.cli.stories import OTHERS, STORIES
 from dpstack.cli.streams import guarded, warn
 from dpstack.errors import ConfigError, DpError
@@ -161,6 +161,8 @@ async def _demo(config: Config, args: argparse.Namespace) -> int:
             stats, missing = bus.stats, not_exchanging(bus)
         finally:
             await bus.close()
+    if stop.hurried:
+        return INTERRUPTED
     planned = bus.plan.rotation_ns(Case.SHORTEST)
     measured = bus.master.rotation.quantile_ns(0.5)
     off = measured / planned - 1

@@ -28,7 +28,7 @@ from dpstack.cli import options, output
 from dpstack.cli.drive_orders import DUMP_AND_COMPARE, Order, Orders, status_text
 from dpstack.cli.foreground import tell_simulated
 from dpstack.cli.outlet import unhurried
-from dpstack.cli.signals import StopSignal
+from dpstack.cli.signals import INTERRUPTED, StopSignal
 from dpstack.cli.streams import warn
 from dpstack.errors import UsageError
 
@@ -80,7 +80,8 @@ async def _run(config: Config, slave: SlaveConfig, orders: Sequence[Order], args
                 return await _through_run(config, slave, orders, args, drive, stop)
             finally:
                 drive.close()
-        return await _as_master(config, slave, orders, args, stop)
+        code = await _as_master(config, slave, orders, args, stop)
+        return INTERRUPTED if stop.hurried else code
 
 
 async def _through_run(
@@ -128,7 +129,7 @@ async def _as_master(
         if _last_motion(orders) in LASTING:
             shown.hold(running=drive.drive.status.running)
             await stop.or_done(drive.held(args.seconds))
-    if drive.unstopped is not None:
+    if drive.unstopped is not None and not stop.hurried:
         warn(f"{drive.unstopped}; its outputs went to their safe values")
     return work.code or int(drive.unstopped is not None)
 
@@ -153,7 +154,7 @@ class _Shown:
     def stopping(self) -> None:
         """The end has begun."""
         if not self._json:
-            output.line(f"{self._name}: stopping by its ramp; a second Ctrl-C ends at once")
+            output.line(f"{self._name}: stopping by its ramp; a second Ctrl-C makes its outputs safe at once")
 
     def event(self, event: Event) -> None:
         """One event of the bus."""

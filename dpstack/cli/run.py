@@ -14,7 +14,7 @@ from dpstack.cli import options, output
 from dpstack.cli.control import reachable
 from dpstack.cli.outlet import unhurried
 from dpstack.cli.report import Reporter, not_exchanging
-from dpstack.cli.signals import StopSignal
+from dpstack.cli.signals import INTERRUPTED, StopSignal
 from dpstack.cli.streams import warn
 from dpstack.errors import UsageError
 
@@ -78,6 +78,8 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
                 stats, missing = bus.stats, not_exchanging(bus)
             finally:
                 await bus.close()
+    if stop.hurried:
+        return INTERRUPTED
     reporter.summary(stats)
     for text in missing:
         warn(text)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any
 
 import pytest
 from cli_kit import SIMULATED
+from ends_kit import told
 from programs import PLANT, Program, Starter
 
 import dpstack
@@ -19,9 +21,11 @@ from dpstack.api.control import alive
 from dpstack.api.control.client import connect
 from dpstack.api.control.drives import find_drive
 from dpstack.api.control.programs import control_run
+from dpstack.api.one_drive import OneDrive
 from dpstack.api.parameter_dump import ParameterPlace, ParameterValue, dump
 from dpstack.api.parameter_list import ParameterList
 from dpstack.cli.main import main
+from dpstack.cli.signals import StopSignal
 from dpstack.errors import BusError, DriveFault, DriveTimeout, ParameterError, UsageError
 from dpstack.profile import DriveDevice
 
@@ -192,9 +196,46 @@ def test_the_end_of_the_time_stops_it_by_its_ramp(plant: Path, capsys: Out, monk
     monkeypatch.setattr(Bus, "close", closing)
     out, err = drive(capsys, str(plant), "fan", "start", "speed", "50%", "reached", "--seconds", "1")
     assert err == []
-    assert "fan: stopping by its ramp; a second Ctrl-C ends at once" in out
+    assert "fan: stopping by its ramp; a second Ctrl-C makes its outputs safe at once" in out
     assert out[-1] == "fan: ready_to_switch_on at 0.0% (0.0 Hz), set point 50.0%"
     assert speeds == [0.0]  # before the bus put out safe values
+
+
+@pytest.mark.usefixtures("fast")
+def test_a_second_signal_cuts_the_ramp_short(plant: Path, capsys: Out, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first stops the drive by its ramp, which takes seconds; after a later one there are safe values and Clear."""
+    telegrams: list[bytes] = []
+    times: list[float] = []
+
+    def interrupt_in(seconds: float) -> None:
+        loop = asyncio.get_running_loop()
+        times.append(loop.time())
+        loop.call_later(seconds, os.kill, os.getpid(), signal.SIGINT)
+
+    async def holding(one: OneDrive, seconds: float | None) -> None:
+        interrupt_in(0.1)
+        await held(one, seconds)
+
+    async def stopping(fan: dpstack.Drive) -> None:
+        interrupt_in(0.5)  # two seconds of the clock below; the ramp takes one second of the loop
+        await stop(fan)
+
+    async def closing(bus: Bus) -> None:
+        await close(bus)
+        assert bus.world is not None
+        telegrams.extend(entry.octets for entry in bus.world.log)
+        times.append(asyncio.get_running_loop().time())
+
+    held, stop, close = OneDrive.held, dpstack.Drive.stop, Bus.close
+    monkeypatch.setattr(OneDrive, "held", holding)
+    monkeypatch.setattr(dpstack.Drive, "stop", stopping)
+    monkeypatch.setattr(Bus, "close", closing)
+    monkeypatch.setattr(StopSignal.__init__, "__defaults__", (lambda: 4 * asyncio.get_running_loop().time(),))
+    out, err = drive(capsys, str(plant), "fan", "start", "speed", "100%", "reached", code=130)
+    assert err == []
+    assert out[-1].startswith("fan: stopping at ")
+    assert 0.5 <= times[2] - times[1] < 0.7
+    assert told(telegrams, 4)[-1] == "clear"
 
 
 @pytest.mark.usefixtures("fast")
@@ -385,7 +426,7 @@ def test_alone_on_a_port_until_ctrl_c_then_through_a_run(plant: Path, start: Sta
     assert hand.end(signal.SIGINT) == 0
     told = [line for line in hand.out.splitlines() if line.startswith("fan: ")]
     assert told[0].startswith("fan: running at 0.0%")
-    assert "fan: stopping by its ramp; a second Ctrl-C ends at once" in told
+    assert "fan: stopping by its ramp; a second Ctrl-C makes its outputs safe at once" in told
     assert told[-1] == "fan: ready_to_switch_on at 0.0% (0.0 Hz), set point 20.0%"
     sim.wait_for('"why":"watchdog expired"')
     # a run at the same end; `dpstack ctl` still finds the sim, which was there first
