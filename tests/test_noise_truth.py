@@ -67,10 +67,10 @@ class Ear:
         self._before = self.decoder.on_bad
         self.decoder.on_bad = self._bad
 
-    def _bad(self, cause: str) -> None:
-        self.counted.append(self.world.now)
+    def _bad(self, cause: str, times: int) -> None:
+        self.counted += [self.world.now] * times
         if self._before is not None:
-            self._before(cause)
+            self._before(cause, times)
 
     def check(self, heard: list[Transmission]) -> None:
         """Every one of ``heard`` was counted, and nothing without one of them."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dpstack.api.streams import SlaveFlapping
 from dpstack.dp.commands import Mode
 from dpstack.dp.events import (
     AutoCleared,
@@ -64,6 +65,7 @@ __all__ = [
     "SlaveDiagnosis",
     "SlaveEvent",
     "SlaveFaulted",
+    "SlaveFlapping",
     "SlaveRemark",
     "SlaveState",
     "SlaveStateChanged",
@@ -88,7 +90,7 @@ def severity_of(event: Event) -> Severity:
             return Severity.ERROR
         case AlarmRaised(alarm=alarm) if alarm.specifier == Specifier.APPEARS:
             return Severity.WARNING
-        case SlaveRemark() | TokenLost() | OperateWaits() | CyclesMissed() | DoesNotFit():
+        case SlaveRemark() | SlaveFlapping() | TokenLost() | OperateWaits() | CyclesMissed() | DoesNotFit():
             return Severity.WARNING
         case DriveEvent(payload={"type": "failed"}):
             return Severity.ERROR
@@ -125,6 +127,8 @@ def event_json(event: Event, t: float) -> dict[str, object] | None:
             return {"event": "status_message", **line, **_message_json(status), "text": event.text}
         case SlaveFaulted(fault=fault):
             return {"event": "fault", **line, "kind": fault.kind.value, "text": fault.text}
+        case SlaveFlapping(count=count):
+            return {"event": "flapping", **line, "count": count, "text": event.text}
         case SlaveRemark(message=message):
             return {"event": "remark", **line, "text": message}
         case DriveEvent(payload=payload):

@@ -6,10 +6,13 @@ import asyncio
 import contextlib
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterable, Iterator
+from dataclasses import dataclass
 from typing import Final, Generic, Self, TypeVar
 
+from dpstack.dp.events import SlaveDiagnosis, SlaveEvent, SlaveFaulted, SlaveStateChanged
 from dpstack.drivers.seen import MasterSeen
 from dpstack.trace import Event
+from dpstack.units import ns_to_s
 
 T = TypeVar("T")
 
@@ -17,6 +20,12 @@ T = TypeVar("T")
 DEPTH: Final = 1000
 
 OnEvent = Callable[[Event], None]
+
+#: A slave's state changes, faults and diagnoses are told one by one up to so many at once and so many a second.
+_BURST: Final = 40
+_PER_S: Final = 5
+#: After this time a slave that had more of them is reported: how many there were, and the newest of each kind.
+_FLAP_REPORT_S: Final = 1.0
 
 
 class Stream(AsyncIterator[T]):
@@ -77,6 +86,64 @@ def hand_to(on_event: OnEvent | None, event: Event) -> None:
             asyncio.get_running_loop().call_exception_handler(told)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlaveFlapping(SlaveEvent):
+    """A slave's state or diagnosis changes too often to be told one by one: ``count`` changes were left out.
+
+    The newest state, fault and diagnosis among them follow this event.
+    """
+
+    count: int
+
+    @property
+    def text(self) -> str:
+        """How many changes, and what to look at."""
+        return (
+            f"slave {self.address} ({self.name}) flaps: {self.count} changes of its state or diagnosis are not told "
+            f"one by one; look at its connector, its supply and its watchdog time"
+        )
+
+
+class _Flapping:
+    """Holds back the changes of one slave that come too often, and reports them once a second."""
+
+    def __init__(self, pass_on: Callable[[Event], None]) -> None:
+        self._pass_on = pass_on
+        self._allowed = float(_BURST)
+        self._at_ns = 0
+        self._newest: dict[type[Event], SlaveEvent] = {}
+        self._count = 0
+        self._report: asyncio.TimerHandle | None = None
+
+    def tell(self, event: SlaveEvent) -> None:
+        """Pass ``event`` on, or keep it for the report."""
+        self._allowed = min(_BURST, self._allowed + _PER_S * ns_to_s(event.t_ns - self._at_ns))
+        self._at_ns = event.t_ns
+        if self._report is None and self._allowed >= 1:
+            self._allowed -= 1
+            self._pass_on(event)
+            return
+        self._count += 1
+        self._newest.pop(type(event), None)  # the order of the report is that of the events
+        self._newest[type(event)] = event
+        if self._report is None:
+            self._report = asyncio.get_running_loop().call_later(_FLAP_REPORT_S, self.report)
+
+    def report(self) -> None:
+        """Report what was held back, if anything was."""
+        if self._report is None:
+            return
+        self._report.cancel()
+        self._report = None
+        newest, self._newest = list(self._newest.values()), {}
+        count, self._count = self._count - len(newest), 0
+        last = newest[-1]
+        if count:
+            self._pass_on(SlaveFlapping(t_ns=last.t_ns, address=last.address, name=last.name, count=count))
+        for event in newest:
+            self._pass_on(event)
+
+
 class Events:
     """What happened, for everybody who wants to know: streams, and ``on_event`` at once. A stream begins with what
     happened before it, as far as it was kept."""
@@ -86,9 +153,19 @@ class Events:
         self._history: deque[Event] = deque(maxlen=DEPTH)
         self._streams: list[EventStream] = []
         self._ended = False
+        self._flapping: dict[int, _Flapping] = {}
 
     def tell(self, event: Event) -> None:
-        """To all of them."""
+        """To all of them; of a slave whose state flaps not each change, but the newest once a second."""
+        if isinstance(event, (SlaveStateChanged, SlaveFaulted, SlaveDiagnosis)):
+            flapping = self._flapping.get(event.address)
+            if flapping is None:
+                flapping = self._flapping[event.address] = _Flapping(self._pass_on)
+            flapping.tell(event)
+        else:
+            self._pass_on(event)
+
+    def _pass_on(self, event: Event) -> None:
         self._history.append(event)
         for stream in self._streams:
             stream.put(event)
@@ -104,6 +181,8 @@ class Events:
 
     def end(self) -> None:
         """No stream has more to come."""
+        for flapping in self._flapping.values():
+            flapping.report()
         self._ended = True
         for stream in self._streams:
             stream.end()

@@ -83,6 +83,7 @@ class Stepping(ABC):
         self._tolerated: set[str] = set()  # what the port cannot do: told once, however often it is opened
         self._again: Pending | None = None
         self._wire_ns = wire_times(port)
+        self._flood_from = 1  # discarded octets from which on the owner is told again
         self._transmit = self._put  # bound once
 
     @property
@@ -264,16 +265,21 @@ class Stepping(ABC):
         Timers fire late, and a process can be held up anywhere, also between reading the line and reading the clock,
         and for longer than a slot time. So the clock is read first: up to the time that counts nothing was missed.
         """
+        discarded = self._port.discarded
         for _ in range(_LOOKS):
             more = self._drain()
             if not more:
                 break
             chunk += more
             now = monotonic_ns()  # the idle time after these octets counts from here
+            if self._port.discarded != discarded:  # a line that is never silent and faster than we are
+                break
         return chunk, now
 
     def _drain(self) -> bytes:
         octets = self._port.read_now()
+        if self._port.discarded >= self._flood_from:
+            self._tell_flood()
         return octets if self._echo is None else self._stripped(self._echo, octets)
 
     def _let_loop_turn(self) -> None:
@@ -361,6 +367,17 @@ class Stepping(ABC):
         count = self._port.dropped
         if self._at is not None and self._attempts is None and str(count).strip("0") == "1":
             text = f"{count} telegrams dropped: the line takes no more, is anybody reading at the other end?"
+            self._at.call_soon(partial(self._tell, [self._notice(text, Severity.WARNING)]))
+
+    def _tell_flood(self) -> None:
+        """Octets were thrown away unread: told at the first ones, then whenever there are ten times as many."""
+        count = self._port.discarded
+        self._flood_from = 10 * count
+        if self._at is not None:
+            text = (
+                f"the line brings octets faster than this computer can look at them, {count} were thrown away: "
+                f"is a station sending without end?"
+            )
             self._at.call_soon(partial(self._tell, [self._notice(text, Severity.WARNING)]))
 
     def _notice(self, text: str, severity: Severity = Severity.INFO) -> Event:

@@ -18,7 +18,7 @@ from dpstack.fdl.commands import AttachUser, DetachUser, GoOffline, GoOnline
 from dpstack.fdl.decoder import Decoder, DecoderStats
 from dpstack.fdl.guard import Guard, GuardedUser, unguarded
 from dpstack.fdl.states import Input, State, handlers_by_state
-from dpstack.fdl.telegram import Kind, StationType, Telegram
+from dpstack.fdl.telegram import SHORT_ACK, Kind, StationType, Telegram
 from dpstack.fdl.user import LinkStats, LinkUser
 from dpstack.machine import LineDown, LineUp
 from dpstack.params import BusParams
@@ -29,6 +29,8 @@ from dpstack.units import NEVER, chars_to_ns
 
 #: the longest telegram in octets: what an edge on the line may turn into
 _LONGEST: Final = 255
+#: more telegrams in one chunk than a line brings in order, with those a busy computer had no time to read before
+_FLOOD: Final = 8
 
 
 def _ignored(link: Link, _: Telegram, now: int) -> None:
@@ -160,10 +162,23 @@ class ActiveStation:
         decoder = self._decoder
         found = decoder.feed(chunk, now)
         self._arriving(bool(decoder.pending))
+        if len(found) > _FLOOD:
+            found = self._without_flood(found)
         for telegram in found:
             self._heard(telegram, now)
         if not found:
             link.row[_ACTIVITY](link, NONE, now)
+
+    def _without_flood(self, found: list[Telegram]) -> list[Telegram]:
+        """``found`` with at most two SC in a row, the others counted as stray: a line brings two answers at once where
+        the request between them is our own, and a third one is no answer to anybody."""
+        kept = [
+            each for n, each in enumerate(found) if n < 2 or not (each is found[n - 1] is found[n - 2] is SHORT_ACK)
+        ]
+        stats = self._link.stats
+        stats.heard += len(found) - len(kept)
+        stats.stray += len(found) - len(kept)
+        return kept
 
     def _arriving(self, pending: bool) -> None:
         link = self._link
@@ -329,7 +344,7 @@ class ActiveStation:
         if news:
             link.events.append(Notice(t_ns=now, source="fdl", message=text, severity=Severity.ERROR))
 
-    def _bad(self, cause: str) -> None:
+    def _bad(self, cause: str, times: int) -> None:
         """Something damaged: while an answer is awaited it counts for the station asked, too."""
         link = self._link
         if link.state is State.AWAIT_DATA_RESPONSE:
@@ -338,7 +353,7 @@ class ActiveStation:
             bad = link.stats.station(link.polling).bad
         else:
             return
-        bad[cause] = bad.get(cause, 0) + 1
+        bad[cause] = bad.get(cause, 0) + times
 
     def _attach(self, user: LinkUser) -> None:
         self._link.users += (self._guarded(user),)

@@ -8,10 +8,14 @@ SC and the token carry no check sequence: an 0xE5 among the data of a damaged te
 acknowledgement. So within the length that a rejected frame claimed for itself (also where its own first octet was lost
 and its second SD is met) only telegrams with FCS count (a *doubtful* SC or token is counted instead), until one of them
 is found, the length is over, or the line was silent for the stall time.
+
+A station that sends garbage without end must not take the time of everybody else: runs of octets that cannot begin a
+telegram are found by regular expressions, one step for the run instead of one for each octet.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Final
@@ -22,6 +26,16 @@ from dpstack.units import NEVER
 
 #: kinds without FCS
 _UNCHECKED: Final = frozenset((int(Kind.SC), int(Kind.SD4)))
+#: octets that are no start octet
+_NO_START: Final = re.compile(rb"[^\x10\x68\xa2\xdc\xe5]+")
+#: Octets at which no telegram with FCS begins: no SD1, SD2 or SD3, or one whose ED would be another octet. An SD2 says
+#: with LE where its ED is; only in a run of 0x68 that is longer than LE = 0x68 claims it is known to be 0x68 as well.
+_NO_CHECKED_START: Final = re.compile(
+    rb"(?:[^\x10\x68\xa2]|\x10(?=[\x00-\xff]{4}[^\x16])|\xa2(?=[\x00-\xff]{12}[^\x16])|(?<=\x68\x68)\x68(?=\x68{109}))+"
+)
+#: a run of one start octet that is longer than two telegrams, from a station that is stuck
+_STUCK: Final = re.compile(rb"\x10{12,}|\xa2{28,}|\xdc{6,}")
+_SC_RUN: Final = re.compile(rb"\xe5+")
 #: no other telegram has this length
 _LE3_SIZE: Final = EMPTY_LE + 6
 
@@ -72,8 +86,8 @@ class Decoder:
     def __init__(self, *, stall_ns: int) -> None:
         self.stall_ns = stall_ns
         self.stats = DecoderStats()
-        #: told the counter's name of every damaged telegram, for whoever knows whose it may have been
-        self.on_bad: Callable[[str], None] | None = None
+        #: called with a counter's name and how many damaged telegrams it counts, for a caller who knows whose they are
+        self.on_bad: Callable[[str, int], None] | None = None
         #: octets of an unfinished telegram; for others to look whether there are any
         self.pending = bytearray()
         self._doubt = 0  # so many of the octets held or to come lie inside a rejected frame
@@ -143,35 +157,76 @@ class Decoder:
         held = self.pending
         stats = self.stats
         end = len(held)
+        clear_to = at  # no telegram with FCS begins before this
         while at < end:
             in_doubt = at < self._doubt
-            if in_doubt and held[at] in _UNCHECKED:
-                stats.doubtful += 1
-                stats.skipped += 1
-                at += 1
-                continue
+            if in_doubt:
+                if at >= clear_to:
+                    run = _NO_CHECKED_START.match(held, at)
+                    clear_to = at if run is None else run.end()
+                if at < clear_to:
+                    at = self._skip_in_doubt(at, min(clear_to, self._doubt))
+                    continue
+            else:
+                run = _NO_START.match(held, at)
+                if run is not None:
+                    self._count(Flaw.BAD_START.value, run.end() - at)
+                    at = self._skip(at, run.end())
+                    continue
             telegram = parse(held, at, end)
             if telegram is None:
                 return at
             if isinstance(telegram, Telegram):
-                found.append(telegram)
-                stats.telegrams += 1
                 size = claimed(held, at, end)
-                if size == _LE3_SIZE:
-                    stats.empty_le3 += 1
+                count = 1
+                if size == 1:
+                    run = _SC_RUN.match(held, at)
+                    count = run.end() - at if run is not None else 1
+                    found += [telegram] * count
+                else:
+                    found.append(telegram)
+                    if size == _LE3_SIZE:
+                        stats.empty_le3 += 1
+                stats.telegrams += count
                 if held[at] not in _UNCHECKED:
                     self._doubt = 0
                 self._tail = b""
-                at += size
+                at += size * count
                 continue
             if not in_doubt:
+                run = _STUCK.match(held, at)
+                if run is not None:
+                    at = self._stuck(telegram, at, run.end())
+                    continue
                 self._reject(telegram, at)
             if held[at] == Kind.SD2:
                 self._doubt = max(self._doubt, at + self._headless(in_doubt))
-            self._tail = (self._tail + held[at : at + 1])[-2:]
-            stats.skipped += 1
-            at += 1
+            at = self._skip(at, at + 1)
         return at
+
+    def _stuck(self, flaw: Flaw, at: int, stop: int) -> int:
+        """A run of one start octet, as damaged telegrams one after another; returns where the last of them begins."""
+        held = self.pending
+        size = claimed(held, at, stop)
+        times = (stop - at) // size - 1
+        self._count(flaw.value, times)
+        if held[at] in _UNCHECKED:
+            self.stats.doubtful += times * (size - 1)
+        return self._skip(at, at + times * size)
+
+    def _skip_in_doubt(self, at: int, stop: int) -> int:
+        """A run inside a rejected frame at which no telegram with FCS begins: the SC and tokens in it do not count."""
+        held = self.pending
+        self.stats.doubtful += held.count(Kind.SC, at, stop) + held.count(Kind.SD4, at, stop)
+        if held[stop - 1] == Kind.SD2:  # in a run of 0x68 each one is a second SD to those before it
+            self._doubt = max(self._doubt, stop + int(Kind.SD2) + 2)
+        return self._skip(at, stop)
+
+    def _skip(self, at: int, stop: int) -> int:
+        """The octets up to ``stop`` belong to no telegram; returns ``stop``."""
+        self._tail = (self._tail + self.pending[max(at, stop - 2) : stop])[-2:]
+        self.stats.skipped += stop - at
+        return stop
 
     def _headless(self, in_doubt: bool) -> int:
         """What is left of the telegram of which this SD may be the second one, the first being lost; 0: of none."""
@@ -187,8 +242,8 @@ class Decoder:
         if flaw is not Flaw.BAD_START:
             self._doubt = at + claimed(self.pending, at, len(self.pending))
 
-    def _count(self, name: str) -> None:
+    def _count(self, name: str, times: int = 1) -> None:
         stats = self.stats
-        setattr(stats, name, getattr(stats, name) + 1)
+        setattr(stats, name, getattr(stats, name) + times)
         if self.on_bad is not None:
-            self.on_bad(name)
+            self.on_bad(name, times)

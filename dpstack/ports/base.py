@@ -59,7 +59,8 @@ class Port(ABC):
     """One line. ``name`` is what people call it, ``baud`` the rate in bit/s it is opened at.
 
     ``paced``: octets take their time on a wire. ``notices``: what could not be set and is tolerated, one line each,
-    made anew by every :meth:`open`. ``dropped``: telegrams that the line did not take, whole or in part.
+    made anew by every :meth:`open`. ``dropped``: telegrams that the line did not take, whole or in part. ``discarded``:
+    octets that arrived faster than this computer could look at them and were thrown away unread.
     """
 
     delivery: Delivery = Delivery.HOST
@@ -72,6 +73,7 @@ class Port(ABC):
         self.paced = paced
         self.notices: list[str] = []
         self.dropped = 0
+        self.discarded = 0
         self._loop: Loop | None = None
         self._on_data: OnData | None = None
         self._on_lost: OnLost | None = None
@@ -114,8 +116,11 @@ class Port(ABC):
         return None
 
     def damage(self) -> dict[str, int]:
-        """Octets that arrived damaged since the port was made, by cause, as far as it can tell; empty: it cannot."""
-        return {}
+        """Octets that arrived and are lost since the port was made, by cause, zeros left out.
+
+        Damaged ones as far as the port can tell them from others, and ``discarded``.
+        """
+        return {"discarded": self.discarded} if self.discarded else {}
 
     def set_baud(self, baud: int) -> None:
         """Change the rate of the open line at once; what was received before and not read is gone.

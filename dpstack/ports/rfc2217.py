@@ -14,12 +14,43 @@ import warnings
 from typing import Any, Final
 
 import serial
+import serial.rfc2217
 
 from dpstack.errors import BaudError, PortError
 from dpstack.ports.base import Delivery, Loop, Port, host_and_port
 from dpstack.units import baud_text
 
 _READ_S: Final = 0.2  # how long the reader takes to notice that it shall end
+#: Octets that wait here for the loop at most; more of them are thrown away and counted.
+_INBOX: Final = 30_080
+#: Octets that wait in pyserial at most; the network keeps those behind them.
+_BACKLOG: Final = 65_536
+
+
+class _Client(serial.rfc2217.Serial):  # type: ignore[misc]
+    """pyserial's client, whose reading thread survives a server that talks nonsense.
+
+    pyserial lets the exception end the thread, which prints a traceback. ``failure`` keeps it instead, for the message.
+    """
+
+    failure: Exception | None = None
+
+    def _telnet_read_loop(self) -> None:
+        self._read_buffer.maxsize = _BACKLOG
+        try:
+            super()._telnet_read_loop()
+        except Exception as exc:
+            self.failure = exc
+
+    def close(self) -> None:
+        """Close, also while the reading thread waits for room."""
+        self.is_open = False
+        waiting = self._read_buffer
+        if waiting is not None:
+            with waiting.mutex:
+                waiting.queue.clear()
+                waiting.not_full.notify_all()
+        super().close()
 
 
 class Rfc2217Port(Port):
@@ -81,7 +112,7 @@ class Rfc2217Port(Port):
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", DeprecationWarning)  # pyserial 3.5 starts its thread the old way
-                return serial.serial_for_url(self.name, baudrate=self.baud, parity=serial.PARITY_EVEN, timeout=_READ_S)
+                return _Client(self.name, baudrate=self.baud, parity=serial.PARITY_EVEN, timeout=_READ_S)
         except (OSError, ValueError) as exc:
             text = str(exc)
             if "parameter change" in text or "baudrate" in text:
@@ -90,7 +121,7 @@ class Rfc2217Port(Port):
                 ) from None
             raise PortError(f"{self.name}: {text}; is the server running, and does it speak RFC 2217?") from None
 
-    def _receive(self, port: Any) -> None:
+    def _receive(self, port: _Client) -> None:
         """The reader thread's life: until the port is closed or fails."""
         while self._serial is port:
             try:
@@ -99,13 +130,20 @@ class Rfc2217Port(Port):
                     chunk += port.read(port.in_waiting)
             except Exception as exc:  # whatever a dying connection raises in pyserial
                 if self._serial is port:
-                    self._failure = str(exc) or type(exc).__name__
+                    self._failure = self._reason(port, exc)
                     self._tell(self._fail)
                 return
             if chunk and self._serial is port:
                 with self._lock:
-                    self._inbox += chunk
+                    room = _INBOX - len(self._inbox)
+                    self._inbox += chunk[:room]
+                    self.discarded += len(chunk[room:])
                 self._tell(self._hand_over)
+
+    def _reason(self, port: _Client, exc: Exception) -> str:
+        if port.failure is not None:
+            return f"the server sent what is not RFC 2217 ({type(port.failure).__name__}: {port.failure})"
+        return str(exc) or type(exc).__name__
 
     def _tell(self, callback: Any) -> None:
         loop = self._loop

@@ -77,7 +77,7 @@ class TtyPort(FdPort):
 
     def damage(self) -> dict[str, int]:
         """``marked``: octets that the tty marked as damaged; the others are the driver's counters."""
-        counted = Counter(self._counted)
+        counted = Counter(self._counted) + Counter(super().damage())
         if self._tuning is not None:
             counted.update(self._tuning.damage())
         if self._marks:

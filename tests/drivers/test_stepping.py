@@ -381,3 +381,32 @@ async def test_a_pty_made_here_is_named_by_its_other_end() -> None:
 def test_patience_follows_the_kind_of_port() -> None:
     assert patience_of(PtyPort(9600)) is HOST
     assert patience_of(open_port("/dev/ttyUSB9", 9600)) is ADAPTER
+
+
+# --- a line that is never silent --------------------------------------------------------------------------------------
+
+
+async def test_octets_thrown_away_are_told_at_the_first_and_when_there_are_ten_times_as_many(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with Rig() as rig:
+        looks = 0
+
+        def endless() -> bytes:
+            nonlocal looks
+            looks += 1
+            rig.port.discarded += 1_000
+            return b"\x55"
+
+        monkeypatch.setattr(rig.port, "read_now", endless)
+        told = []
+        for _ in range(12):
+            before = looks
+            rig.driver.command(1)  # a deadline that is over at once: the driver looks before the machine judges it
+            assert looks - before <= 8  # with four looks each time it would never come back
+            await rig.settle()
+            told = [event.message for event in rig.events if isinstance(event, Notice)]
+        assert [int(text.split(", ")[1].split()[0]) for text in told] == [1_000, 10_000]
+        assert told[0].startswith(
+            "the line brings octets faster than this computer can look at them, 1000 were thrown away"
+        )

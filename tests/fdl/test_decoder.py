@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import random
+import sys
+from collections.abc import Callable
 from itertools import pairwise
 
 import pytest
@@ -262,6 +265,66 @@ def test_reset_forgets() -> None:
     assert not decoder.pending
     assert decoder.feed(SC, 1) == [SHORT_ACK]
     assert decoder.stats.bad == 0
+
+
+# --- a line that is never silent --------------------------------------------------------------------------------------
+GARBAGE: dict[str, bytes] = {f"{value:02X} repeated": bytes([value]) * 4_000 for value in range(256)}
+GARBAGE["random"] = random.Random(7).randbytes(4_000)
+
+
+def calls(work: Callable[[], object]) -> int:
+    """Calls of functions, Python's and built-in ones: a measure of work that is the same on every computer."""
+    count = 0
+
+    def counted_call(_frame: object, event: str, _argument: object) -> None:
+        nonlocal count
+        count += event in ("call", "c_call")
+
+    sys.setprofile(counted_call)
+    try:
+        work()
+    finally:
+        sys.setprofile(None)
+    return count
+
+
+@pytest.mark.parametrize("name", ["random", *(f"{value:02X} repeated" for value in (0, 0x10, 0x16, 0x55, *Kind))])
+def test_garbage_takes_at_most_a_call_an_octet(name: str) -> None:
+    # one call an octet would be parse() alone; before runs were skipped it was four to seven
+    garbage = GARBAGE[name]
+    decoder = fresh()
+    assert calls(lambda: [decoder.feed(garbage[at : at + 400], at) for at in range(0, len(garbage), 400)]) < 4_000
+
+
+@pytest.mark.parametrize("garbage", GARBAGE.values(), ids=GARBAGE)
+def test_runs_are_counted_as_octet_by_octet(garbage: bytes) -> None:
+    whole, single = fresh(), fresh()
+    found = whole.feed(garbage[:1_000], 0)
+    assert feed_all(single, [bytes([octet]) for octet in garbage[:1_000]]) == found
+    assert single.stats == whole.stats
+    assert whole.stats.skipped + 3 * len(found) + len(whole.pending) >= 1_000 or found[0] is SHORT_ACK
+
+
+def test_of_repeated_start_octets_each_claimed_length_counts_once() -> None:
+    decoder = fresh()
+    decoder.feed(b"\x10" * 606, 0)  # an SD1 claims 6 octets; the last 5 may still become one
+    assert counted(decoder.stats) == {"octets": 606, "skipped": 601, "bad_ed": 101}
+    decoder = fresh()
+    decoder.feed(b"\xdc" * 300, 0)  # a token from 220 to 220; the two behind it are no tokens of their own
+    assert counted(decoder.stats) == {"octets": 300, "skipped": 300, "bad_address": 100, "doubtful": 200}
+
+
+def test_a_telegram_behind_a_run_of_start_octets_is_found() -> None:
+    for start in (0x10, 0x16, 0xA2, 0x55):
+        decoder = fresh()
+        assert decoder.feed(bytes([start]) * 1_000 + ANSWER, 0) == [ANSWER_T], hex(start)
+
+
+def test_a_frame_that_lost_its_first_octet_is_known_by_any_le() -> None:
+    # LE = DC, the start octet of a token, inside a damaged SD3; an SC within the 220 octets counts as doubtful
+    decoder = fresh()
+    assert decoder.feed(bytes.fromhex("A2 00 00 00 00 00 00 00 00 00 DC DC 68") + bytes(60) + SC, 0) == []
+    assert counted(decoder.stats) == {"octets": 74, "skipped": 74, "bad_ed": 1, "doubtful": 3}
 
 
 # --- anything ---------------------------------------------------------------------------------------------------------

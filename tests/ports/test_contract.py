@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import select
+import socket
+import threading
 from collections.abc import AsyncIterator, Callable
 from typing import Any
 
@@ -259,6 +261,14 @@ class TestSocket(PortContract, Reopens):
         FarEnd.hang_up(far)
 
 
+def _talk_nonsense(listener: socket.socket, garbage: bytes) -> None:
+    client, _ = listener.accept()
+    with client:
+        client.sendall(garbage)
+        while client.recv(4096):
+            pass
+
+
 class TestRfc2217(PortContract, Reopens):
     delivery = Delivery.ADAPTER
     paced = True
@@ -269,6 +279,33 @@ class TestRfc2217(PortContract, Reopens):
         await port.open()
         assert (far.line.baudrate, far.line.parity) == (BAUD, "E")
         return port, far, far.shut
+
+    @pytest.mark.parametrize(
+        "garbage",
+        [
+            "FF FA 2C 65 00 FF F0",  # IAC SB COM-PORT-OPTION 101 IAC SE: the answer to a rate nobody has set yet
+            "FF FA FF F0 FF F1 FF FB 63 FF FD 63 68 65 6C 6C 6F",
+        ],
+    )
+    async def test_a_server_that_does_not_speak_rfc_2217_is_refused_in_one_line_and_without_a_traceback(
+        self, garbage: str, capfd: pytest.CaptureFixture[str]
+    ) -> None:
+        with socket.create_server(("127.0.0.1", 0)) as listener:
+            server = threading.Thread(target=_talk_nonsense, args=(listener, bytes.fromhex(garbage)))
+            server.start()
+            port = open_port(f"rfc2217://127.0.0.1:{listener.getsockname()[1]}?timeout=0.2", BAUD)
+            with pytest.raises(PortError, match="does it speak RFC 2217"):
+                await port.open()
+            port.close()
+            server.join()
+        assert capfd.readouterr().err == ""
+
+    async def test_more_than_anybody_reads_is_thrown_away_and_counted(self, both: tuple[Port, Any]) -> None:
+        port, far = both
+        far.send(b"\x55" * 100_000)
+        await until(lambda: port.discarded > 0, "octets thrown away")
+        assert 0 < len(port.read_now()) < 100_000
+        assert port.damage() == {"discarded": port.discarded}
 
 
 class MemoryFarEnd:
