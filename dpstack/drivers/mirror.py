@@ -266,7 +266,7 @@ class Mirror:
     def lost(self, fault: Fault) -> list[SlaveMirror]:
         """Nobody runs the bus any more, because of ``fault``: nothing is known of the slaves. Returns those whose state
         changed by it."""
-        self.station.in_ring = False
+        self.station.in_ring, self.station.las = False, frozenset()
         self.master.mode = Mode.OFFLINE
         self.master.synced = self.master.frozen = frozenset()
         changed = []

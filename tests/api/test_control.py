@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import json
 import os
+import re
 import socket
 import stat
 import threading
@@ -17,7 +18,7 @@ from typing import Any
 import pytest
 
 from dpstack.api.control import places
-from dpstack.api.control.client import connect, running
+from dpstack.api.control.client import ControlClient, connect, running
 from dpstack.api.control.server import ControlServer, Handler
 from dpstack.api.control.specs import COMMON, KINDS, SLAVES, Spec, find
 from dpstack.errors import BusError, PortBusyError, PortError, SlaveTimeout, UsageError
@@ -107,6 +108,30 @@ async def test_lines_in_lines_out() -> None:
         assert await client.ask(b'{"command":"count","args":["2"]}') == b'{"item":0}\n'
         assert await client.reader.readline() == b'{"item":1}\n'
         assert await client.reader.readline() == b'{"ok":true,"result":null}\n'
+
+
+async def test_a_request_is_dropped_where_it_is_read_after_its_time_limit() -> None:
+    """A program that was stopped must not do what was asked of it long before."""
+    async with server(), raw() as client:
+        late = time.monotonic_ns() - 8_000_000_000
+        answer = json.loads(await client.ask(b'{"command":"echo","args":["a"],"until_ns":%d}' % late))
+        assert (answer["ok"], answer["kind"]) == (False, "OrderDropped")
+        assert re.search(r"took the order \d+ ms too late .* and dropped it", answer["error"])
+        soon = time.monotonic_ns() + 60_000_000_000
+        assert (
+            await client.ask(b'{"command":"echo","args":["a"],"until_ns":%d}' % soon) == b'{"ok":true,"result":["a"]}\n'
+        )
+
+
+def test_the_client_gives_its_requests_the_time_for_which_it_waits() -> None:
+    ours, theirs = socket.socketpair()
+    with theirs, ControlClient("here", ours) as client:
+        ours.settimeout(3)
+        theirs.send(b'{"ok":true,"result":null}\n')
+        before = time.monotonic_ns()
+        client.call("status")
+        until = json.loads(theirs.recv(1000))["until_ns"]
+        assert before + 3_000_000_000 <= until <= time.monotonic_ns() + 3_000_000_000
 
 
 @pytest.mark.parametrize(

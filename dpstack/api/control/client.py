@@ -9,6 +9,7 @@ import os
 import socket
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
+from time import monotonic_ns
 from typing import Any, Final
 
 from dpstack.api.bus_config import VIRTUAL
@@ -16,6 +17,7 @@ from dpstack.api.control.failures import failure
 from dpstack.api.control.places import Sockets, directory, names_of, own_name, socket_name
 from dpstack.errors import DpError, PortError, UsageError
 from dpstack.ports import posix
+from dpstack.units import s_to_ns
 
 #: No answer for so long: the program hangs.
 TIMEOUT_S: Final = 10.0
@@ -66,7 +68,9 @@ class ControlClient:
                 yield answer["item"]
 
     def _answers(self, command: str, args: tuple[str, ...]) -> Iterator[Mapping[str, Any]]:
-        request = json.dumps({"command": command, "args": list(args)}).encode() + b"\n"
+        limit_s = self._socket.gettimeout() or TIMEOUT_S
+        until = monotonic_ns() + s_to_ns(limit_s)  # later nobody waits for it
+        request = json.dumps({"command": command, "args": list(args), "until_ns": until}).encode() + b"\n"
         try:
             # where the program has hung up already, its last line says why
             with contextlib.suppress(BrokenPipeError, ConnectionResetError):

@@ -12,6 +12,7 @@ import socket
 from collections.abc import AsyncGenerator, Callable, Iterable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
+from time import monotonic_ns
 from typing import Final, NamedTuple, Never
 
 from dpstack.api.bus_config import VIRTUAL
@@ -28,9 +29,10 @@ from dpstack.api.control.places import (
     virtual_name,
 )
 from dpstack.api.control.specs import Spec, find
-from dpstack.errors import DpError, PortBusyError, PortError, UsageError
+from dpstack.errors import DpError, OrderDropped, PortBusyError, PortError, UsageError
 from dpstack.ports.runtime_dir import user_name
 from dpstack.text import json_text
+from dpstack.units import NEVER, ms_text
 
 #: Does a command: takes its arguments, returns what JSON can hold, an awaitable of it, or an async generator of items.
 Handler = Callable[[list[str]], object]
@@ -385,12 +387,16 @@ class ControlServer:
         return None
 
     def _understand(self, line: bytes) -> tuple[Spec, list[str]]:
-        """Raises UsageError."""
+        """Raises UsageError, and OrderDropped for a request that was read after its time limit."""
         try:
             request = json.loads(line)
-            name, args = request["command"], request.get("args", [])
+            name, args, until = request["command"], request.get("args", []), request.get("until_ns", NEVER)
         except (ValueError, RecursionError, TypeError, LookupError, AttributeError):
-            name, args = None, None
+            name, args, until = None, None, NEVER
+        if isinstance(until, int) and (late := monotonic_ns() - until) > 0:
+            raise OrderDropped(
+                f"this program took the order {ms_text(late)} too late (it was stopped, or busy) and dropped it"
+            )
         if not isinstance(name, str) or not isinstance(args, list) or not all(isinstance(a, str) for a in args):
             raise UsageError('a request is one line: {"command": "status", "args": []}, all arguments are texts')
         spec = find(self.kind, self._specs, name)
