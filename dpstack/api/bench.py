@@ -19,7 +19,7 @@ from dpstack.phy.patience import EXACT, Patience
 from dpstack.profile import DriveDevice
 from dpstack.sim.io_station import IDENT, IoStation
 from dpstack.sim.world import World
-from dpstack.units import BAUD_RATES
+from dpstack.units import BAUD_RATES, NEVER, ns_to_s
 
 
 def device_of(slave: SlaveConfig) -> Device:
@@ -52,6 +52,21 @@ def _own(slave: SlaveConfig, description: SlaveDescription) -> SlaveDescription:
 def station_status(device: Device) -> dict[str, object]:
     """What ``status`` shows of a simulated slave beside the rest: ``slots`` of an I/O station."""
     return {"slots": device.as_dict()} if isinstance(device, IoStation) else {}
+
+
+def injected_text(device: Device, powered: bool, silent_ns: int | None) -> list[str]:
+    """What was done to a simulated slave from outside and is not over. ``silent_ns``: a silence lasts for so long yet,
+    None: it is not silenced.
+    """
+    told = [] if powered else ["power-off"]
+    if powered and silent_ns is not None and silent_ns > 0:
+        told.append(silence_text(silent_ns))
+    return told + list(device.injected if isinstance(device, (DriveDevice, IoStation)) else ())
+
+
+def silence_text(left_ns: int) -> str:
+    """A silence that lasts for ``left_ns`` yet, NEVER: until it is ended by an order."""
+    return "silence until resume" if left_ns >= NEVER // 2 else f"silence for {ns_to_s(left_ns):.1f} s more"
 
 
 def rates_of(slave: SlaveConfig) -> Sequence[int]:
@@ -119,7 +134,7 @@ class VirtualBench:
         self._params = params or BusParams.preset(BAUD_RATES[0])
         self._searching = params is None
         self._units: dict[int, Unit] = {}
-        self._silent: dict[int, object] = {}
+        self._silent: dict[int, int] = {}  # until when, in ns
 
     def add(self, config: SlaveConfig) -> None:
         """One more; one that stood at its address before goes."""
@@ -143,9 +158,9 @@ class VirtualBench:
         if not self._units[address].powered:
             return
         self._unplug(address)
-        token = self._silent[address] = object()
+        until = self._silent[address] = NEVER if for_ns is None else self._world.now + for_ns
         if for_ns is not None:
-            self._world.call_at(self._world.now + for_ns, lambda: self._end(address, token))
+            self._world.call_at(until, lambda: self._end(address, until))
 
     def resume(self, address: int) -> None:
         """The end of a silence."""
@@ -170,9 +185,14 @@ class VirtualBench:
             self._world.remove(station)
             station.command(LineDown("off the line"), self._world.now)
 
-    def _end(self, address: int, token: object | None) -> None:
-        """``token``: of the silence meant; another one may have taken its place."""
-        if token is not None and self._silent.get(address) is token:
+    def injected(self, address: int) -> list[str]:
+        """What was done to the slave from outside and is not over."""
+        unit, until = self._units[address], self._silent.get(address)
+        return injected_text(unit.device, unit.powered, None if until is None else until - self._world.now)
+
+    def _end(self, address: int, until: int | None) -> None:
+        """``until``: of the silence meant; another one may have taken its place."""
+        if until is not None and self._silent.get(address) == until:
             del self._silent[address]
             unit = self._units[address]
             self._world.add(unit.on_bus, name=unit.config.name)

@@ -370,6 +370,10 @@ class Bus(Composed):
         """What happens, from the start of the bus on: an async iterator, bounded; ``dropped`` counts what was lost."""
         return self._events.stream()
 
+    def tell(self, event: Event) -> None:
+        """Hand ``event`` to everybody who reads :meth:`events`, and to ``on_event``."""
+        self._events.tell(event)
+
     def cycles(self) -> AsyncIterator[Cycle]:
         """One :class:`~dpstack.api.cycles.Cycle` for each round of data exchange, with or without a fixed cycle.
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from dpstack.api.streams import SlaveFlapping
 from dpstack.dp.commands import Mode
 from dpstack.dp.events import (
@@ -48,6 +50,7 @@ __all__ = [
     "Fault",
     "FaultKind",
     "Found",
+    "Injected",
     "MasterSeen",
     "MasterStopped",
     "Mode",
@@ -77,6 +80,34 @@ __all__ = [
     "event_json",
     "severity_of",
 ]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Injected(Event):
+    """Something was done to a simulated slave, or to the segment, by ``dpstack ctl``.
+
+    ``address`` and ``name``: of the slave; None where it is the segment. ``args`` as typed.
+    """
+
+    command: str
+    args: tuple[str, ...]
+    address: int | None = None
+    name: str | None = None
+
+    @property
+    def text(self) -> str:
+        """The order, and whom it was given."""
+        args = self.args if self.address is None else self.args[1:]
+        who = "the segment" if self.address is None else f"slave {self.address} ({self.name})"
+        return f"{who}: {' '.join((self.command, *args))} (dpstack ctl)"
+
+    def as_dict(self, t: float) -> dict[str, object]:
+        """Its JSON line at ``t`` seconds."""
+        line: dict[str, object] = {"event": "injected", "t": round(t, 6)}
+        if self.address is not None:
+            line |= {"address": self.address, "name": self.name}
+        return {**line, "command": self.command, "args": list(self.args), "text": self.text}
+
 
 _RING = (RingJoined, RingLeft, MasterSeen, TokenLost, AddressCollision)
 
@@ -116,6 +147,8 @@ def event_json(event: Event, t: float) -> dict[str, object] | None:
     if isinstance(event, SlaveEvent):
         line |= {"address": event.address, "name": event.name}
     match event:
+        case Injected():
+            return event.as_dict(t)
         case SlaveStateChanged(state=state):
             return {"event": "slave", **line, "state": state.value}
         case SlaveDiagnosis(diagnosis=diagnosis, texts=texts):

@@ -8,9 +8,10 @@ from collections.abc import Sequence
 from types import TracebackType
 from typing import Final, Literal
 
-from dpstack.api.bench import Unit, rates_of, set_rate, station_status
+from dpstack.api.bench import Unit, injected_text, rates_of, set_rate, station_status
 from dpstack.api.compose import ECHO, port_of
 from dpstack.api.config import AUTO, Config, rate_findings
+from dpstack.api.events import Injected
 from dpstack.api.streams import OnEvent, hand_to
 from dpstack.dp.baud_watch import BaudState
 from dpstack.dp.device import Device
@@ -165,7 +166,7 @@ class Simulation:
         """Each slave at this moment."""
         slaves: dict[str, object] = {}
         for slave in self.slaves:
-            slaves[str(slave.address)] = {
+            entry: dict[str, object] = {
                 "name": slave.name,
                 "kind": slave.kind,
                 "state": slave.state.value if slave.unit.powered else "off",
@@ -174,6 +175,10 @@ class Simulation:
                 "too_late": slave.too_late,
                 **station_status(slave.unit.device),
             }
+            injected = self.injected(slave.address)
+            if injected:
+                entry["injected"] = injected
+            slaves[str(slave.address)] = entry
         status: dict[str, object] = {"seconds": round(self.seconds, 3), "baud": self.baud}
         status |= {"telegrams": self.telegrams, "bad": self.bad}
         if self._search is not None:
@@ -211,6 +216,16 @@ class Simulation:
         else:
             self._line.remove(unit.station.address)
         unit.powered = on
+
+    def injected(self, address: int) -> list[str]:
+        """What was done to the slave from outside and is not over."""
+        unit = self._units[address]
+        until = self._line.silent_until(unit.station.address) if unit.powered else None
+        return injected_text(unit.device, unit.powered, None if until is None else until - self.runtime.now())
+
+    def tell(self, event: Event) -> None:
+        """Hand an event to :attr:`on_event`."""
+        hand_to(self.on_event, event)
 
     async def failed(self, seconds: float | None = None) -> None:
         """Wait for ``seconds`` (None: for ever). Raises BusError when the simulation fails meanwhile."""
@@ -258,6 +273,8 @@ def _common_rates(config: Config) -> Sequence[int]:
 
 def sim_event_json(event: Event, t: float) -> dict[str, object]:
     """The JSON line of a simulation's ``event`` at ``t`` seconds."""
+    if isinstance(event, Injected):
+        return event.as_dict(t)
     line: dict[str, object] = {"event": "notice", "t": round(t, 6)}
     if isinstance(event, SlaveAppEvent):
         line |= {"address": event.address, "name": event.name}

@@ -12,7 +12,7 @@ from dpstack.api.records import Records
 from dpstack.api.slave_changes import Changes, changed
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.dp import faults
-from dpstack.dp.commands import ActivateSlave, DeactivateSlave, ReparameteriseSlave
+from dpstack.dp.commands import ActivateSlave, DeactivateSlave, Mode, ReparameteriseSlave
 from dpstack.dp.diag_texts import block_texts
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.events import Fault, SlaveState
@@ -171,6 +171,21 @@ class Slave:
     def outputs(self, octets: bytes) -> None:
         self.check_outputs(octets)
         self._handler.image.outputs = octets
+
+    @property
+    def outputs_sent(self) -> bytes:
+        """The outputs that it is sent at this moment: :attr:`outputs` in Operate, zeros in Clear (nothing where it is
+        Fail_Safe), nothing outside data exchange.
+        """
+        bus = self._bus
+        if bus.watcher is not None or not self.ready_now:
+            return b""
+        match bus.mode:
+            case Mode.OPERATE:
+                return self.outputs
+            case Mode.CLEAR:
+                return b"" if self.setup.fail_safe else bytes(len(self.outputs))
+        return b""
 
     def check_outputs(self, octets: bytes) -> None:
         """Raises UsageError where ``octets`` cannot become the outputs (see :attr:`outputs`)."""

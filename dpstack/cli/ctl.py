@@ -58,6 +58,9 @@ def _show(result: Any, indent: str = "") -> None:
         output.line(f"{indent}{result}")
         return
     for key, value in result.items():
+        if key == "masters" and isinstance(value, list):
+            own = result.get("address")
+            value = ", ".join(f"station {one}{' (this one)' if one == own else ''}" for one in value)
         if isinstance(value, Mapping) and value:
             line = _line(value)
             if line is not None and len(indent) + len(str(key)) + len(line) <= _LINE:
@@ -82,4 +85,7 @@ def _line(entry: Mapping[str, Any]) -> str | None:
 
 
 def _text(value: Any, between: str = ", ") -> str:
-    return between.join(map(str, value)) if isinstance(value, list) else "none" if value is None else str(value)
+    if isinstance(value, list):
+        texts = list(map(str, value))
+        return ("; " if any(" " in text for text in texts) else between).join(texts) or "none"
+    return "none" if value is None or value == "" else str(value)

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+from time import monotonic_ns
 from typing import Any
 
 from dpstack.api.control.programs import control_segment
+from dpstack.api.events import Event, Injected
 from dpstack.api.simulation import DEFAULT_BAUD, Segment
 from dpstack.cli import options, output
 from dpstack.cli.control import reachable
 from dpstack.cli.outlet import unhurried
 from dpstack.cli.signals import StopSignal
 from dpstack.cli.streams import warn
+from dpstack.units import ns_to_s
 
 _COLUMNS = ("path", "sent", "received", "dropped", "overrun", "telegrams", "damaged", "erased")
 
@@ -71,7 +74,16 @@ async def _run(args: argparse.Namespace) -> int:
         on_notice=warn,
     )
     with StopSignal() as stop:
-        async with segment, reachable(control_segment(segment)):
+        started_ns = monotonic_ns()
+
+        def show(event: Event) -> None:
+            t = ns_to_s(event.t_ns - started_ns)
+            if args.json and isinstance(event, Injected):
+                output.json_line(event.as_dict(t))
+            elif not args.json:
+                output.line(f"{t:9.3f} s  {event.text}")
+
+        async with segment, reachable(control_segment(segment, show)):
             if args.json:
                 output.json_line({"event": "start", "ports": segment.paths, "baud": args.baud})
             else:

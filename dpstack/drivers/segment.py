@@ -35,7 +35,7 @@ from dpstack.ports.pacing import PacedWire
 from dpstack.ports.posix import check, fcntl
 from dpstack.ports.ptymaster import PtyMaster
 from dpstack.ports.runtime_dir import open_own, own_directory, runtime_path
-from dpstack.units import BAUD_RATES, baud_text, bits_to_ns, chars_to_ns, ns_to_s
+from dpstack.units import BAUD_RATES, NEVER, NS_PER_S, baud_text, bits_to_ns, chars_to_ns, ns_to_s
 
 MAX_STATIONS: Final = 64
 _CHUNK: Final = 4096  # read from one station before the others have their turn: a quarter of what a pty takes
@@ -110,6 +110,16 @@ class Segment:
             station.cut_off = True
         else:
             station.cut_off = self._loop.call_later(ns_to_s(for_ns), self.resume, number)
+
+    def silenced(self) -> dict[int, int]:
+        """Stations that are cut off, and for how long yet in ns; NEVER: until :meth:`resume`."""
+        found = {}
+        for number, station in enumerate(self._stations):
+            if isinstance(station.cut_off, asyncio.TimerHandle) and self._loop is not None:
+                found[number] = round((station.cut_off.when() - self._loop.time()) * NS_PER_S)
+            elif station.cut_off:
+                found[number] = NEVER
+        return found
 
     def resume(self, number: int) -> None:
         """Connect it again."""

@@ -89,6 +89,10 @@ class Multidrop:
         """End a silence early. Raises UsageError when there is no such station."""
         self._silent.pop(self._station(address), None)
 
+    def silent_until(self, address: int) -> int | None:
+        """When a silence ends, in ns; None where the station is not silenced. Raises UsageError."""
+        return self._silent.get(self._station(address))
+
     def poke(self) -> None:
         """Deadlines or addresses may have changed from outside: ask all stations."""
         self._sort()

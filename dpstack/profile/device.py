@@ -51,12 +51,16 @@ class DriveDevice(Device):
         self._inputs = b""
         self._next: int | None = None
         self._trip: int | None = None
+        self._tripped: str | None = None  # by trip(), until the drive has no fault any more
+        self._own_load: float | None = None  # before set_load()
+        self._jog = 0
 
     # -- what happens to it from outside --------------------------------------------------------------------------
 
     def trip(self, code: str) -> None:
         """A fault by its code or name. Raises ValueError naming what the drive knows."""
         self._trip = self.fault_code(code)
+        self._tripped = code
 
     def warn(self, mask: int) -> None:
         """Set the warning word; 0 clears it."""
@@ -64,6 +68,8 @@ class DriveDevice(Device):
 
     def set_load(self, load: float) -> None:
         """Load torque of the rated torque, against the motion."""
+        if self._own_load is None:
+            self._own_load = self.motor.load
         self.motor.load = load
 
     def release(self, on: bool) -> None:
@@ -73,6 +79,27 @@ class DriveDevice(Device):
     def jog(self, direction: int) -> None:
         """Jog terminals: 1 forward, -1 reverse, 0 off. Raises ValueError where the drive has none."""
         raise ValueError(f"{self.profile.name} has no jog terminals here")
+
+    @property
+    def faulted(self) -> bool:
+        """Whether a fault stands, until it is acknowledged."""
+        return False
+
+    @property
+    def injected(self) -> tuple[str, ...]:
+        """What was done to it from outside and is not over, written as the orders of ``dpstack ctl``."""
+        told = []
+        if self._tripped is not None:
+            told.append(f"trip {self._tripped}")
+        if self.warning_mask:
+            told.append(f"warn {self.warning_mask:04X}")
+        if self._own_load not in (None, self.motor.load):
+            told.append(f"load {self.motor.load:g}")
+        if not self.released:
+            told.append("release off")
+        if self._jog:
+            told.append("jog forward" if self._jog > 0 else "jog reverse")
+        return tuple(told)
 
     def inherit(self, before: DriveDevice) -> None:
         """Switched on again: ``before`` is the drive as it was; take what it kept in its EEPROM."""
@@ -201,6 +228,8 @@ class DriveDevice(Device):
             order = bytes(lead) if outputs is None else outputs[:lead]
             reply = bytes(lead) if self.channel is None else self.channel.step(order)
         self._inputs = reply + self.refresh(None if outputs is None else outputs[lead:], now)
+        if self._tripped is not None and self._trip is None and not self.faulted:
+            self._tripped = None
 
 
 @cache

@@ -47,13 +47,16 @@ def test_three_programs_are_told_what_to_do(tmp_path: Path, start: Starter, caps
     segment.wait_for(str(bus / "1"))
     config = tmp_path / "plant.toml"
     config.write_text(PLANT.format(port=bus / "1"), encoding="utf-8")
-    start("sim", str(config), "--port", str(bus / "0")).wait_for("raw")
+    sim = start("sim", str(config), "--port", str(bus / "0"))
+    sim.wait_for("raw")
     run = start("run", str(config), "--json")
     run.wait_for_slaves(3)
 
     assert "trip SLAVE CODE" in ctl(capsys, str(bus / "0"))
     assert ctl(capsys, str(bus / "0"), "trip", "hoist", "F2100") == "ok\n"
     assert ctl(capsys, str(bus / "1"), "outputs", "9=A5") == "ok\n"
+    sim.wait_for("slave 3 (hoist): trip F2100 (dpstack ctl)\n")
+    assert "injected trip F2100\n" in ctl(capsys, str(bus / "0"), "status")
     run.wait_for('"hoist"', 1)
     status = json.loads(ctl(capsys, str(bus / "1"), "status", "--json"))["result"]
     assert status["mode"] == "operate"
@@ -67,6 +70,7 @@ def test_three_programs_are_told_what_to_do(tmp_path: Path, start: Starter, caps
     ctl(capsys, str(bus / "0"), "power-on", "9")
     run.wait_for('"state":"data_exchange"', 5)
     ctl(capsys, str(bus), "noise", "1e-4")
+    segment.wait_for(" s  the segment: noise 1e-4 (dpstack ctl)\n")
     assert "error_rate: 0.0001" in ctl(capsys, str(bus), "status")
     ctl(capsys, str(bus), "noise", "0")
     assert "stations 0:" in ctl(capsys, str(bus), "stats")

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import os
+from collections.abc import Callable
+from time import monotonic_ns
 from typing import Final
 
-from dpstack.api.bench import station_status
+from dpstack.api.bench import silence_text, station_status
 from dpstack.api.bus import Bus
 from dpstack.api.control import arguments
 from dpstack.api.control.drives import drive_order
@@ -14,9 +16,12 @@ from dpstack.api.control.records import acyclic_order
 from dpstack.api.control.server import ControlServer, Handler
 from dpstack.api.control.slaves import SlaveCommands, address_of
 from dpstack.api.control.specs import KINDS, SLAVES
+from dpstack.api.events import Injected
 from dpstack.api.parts import SEARCHING
 from dpstack.api.simulation import Segment, Simulation
+from dpstack.api.slave import Slave
 from dpstack.api.statistics import inputs_dict
+from dpstack.api.streams import OnEvent, hand_to
 from dpstack.dp.commands import Mode, SetMode
 from dpstack.dp.fields import as_json
 from dpstack.errors import UsageError
@@ -41,7 +46,12 @@ def control_run(bus: Bus, port: str) -> ControlServer:
     }
     if not bus.searching and bus.bench is not None:
         specs = (*specs, *SLAVES)
-        handlers |= SlaveCommands(bus.bench).handlers()
+
+        def on_order(command: str, args: list[str], address: int, name: str) -> None:
+            now = bus.runtime.now()
+            bus.tell(Injected(t_ns=now, command=command, args=tuple(args), address=address, name=name))
+
+        handlers |= SlaveCommands(bus.bench, on_order).handlers()
     if port == PTY:  # there may be several
         return ControlServer("run", f"{PTY}:{os.getpid()}", specs, handlers, also=PTY, config=bus.config.file)
     return ControlServer("run", port, specs, handlers, config=bus.config.file)
@@ -49,9 +59,14 @@ def control_run(bus: Bus, port: str) -> ControlServer:
 
 def control_sim(simulation: Simulation, port: str) -> ControlServer:
     """Talks to simulated slaves on ``port``; of a pty made here the path of it, too."""
+
+    def on_order(command: str, args: list[str], address: int, name: str) -> None:
+        now = simulation.runtime.now()
+        simulation.tell(Injected(t_ns=now, command=command, args=tuple(args), address=address, name=name))
+
     handlers: dict[str, Handler] = {
         "status": lambda _: simulation.status(),
-        **SlaveCommands(simulation).handlers(),
+        **SlaveCommands(simulation, on_order).handlers(),
     }
     config = simulation.config.file
     if port == PTY:
@@ -59,8 +74,15 @@ def control_sim(simulation: Simulation, port: str) -> ControlServer:
     return ControlServer("sim", port, KINDS["sim"], handlers, config=config)
 
 
-def control_segment(segment: Segment) -> ControlServer:
-    """Talks to a segment, found by its directory."""
+def control_segment(segment: Segment, on_event: OnEvent | None = None) -> ControlServer:
+    """Talks to a segment, found by its directory. ``on_event`` is told what was done to it."""
+
+    def told(command: str, act: Callable[[list[str]], None]) -> Handler:
+        def carry_out(args: list[str]) -> None:
+            act(args)
+            hand_to(on_event, Injected(t_ns=monotonic_ns(), command=command, args=tuple(args)))
+
+        return carry_out
 
     def noise(args: list[str]) -> None:
         rate = arguments.number(args[0], 0, 1, "1e-4")
@@ -72,13 +94,24 @@ def control_segment(segment: Segment) -> ControlServer:
         segment.silence(_station(args[0]), arguments.time_ns(args[1]) if len(args) > 1 else None)
 
     handlers: dict[str, Handler] = {
-        "status": lambda _: {"error_rate": segment.error_rate, "baud": segment.baud, "ports": segment.paths},
-        "noise": noise,
-        "silence": silence,
-        "resume": lambda args: segment.resume(_station(args[0])),
+        "status": lambda _: segment_status(segment),
+        "noise": told("noise", noise),
+        "silence": told("silence", silence),
+        "resume": told("resume", lambda args: segment.resume(_station(args[0]))),
         "stats": lambda _: segment.stats(),
     }
     return ControlServer("segment", str(segment.directory), KINDS["segment"], handlers)
+
+
+def segment_status(segment: Segment) -> dict[str, object]:
+    """The segment at this moment: ``error_rate``, ``baud``, ``ports``; ``injected``: what was done to it from outside
+    and is not over.
+    """
+    status: dict[str, object] = {"error_rate": segment.error_rate, "baud": segment.baud, "ports": segment.paths}
+    injected = [f"noise {segment.error_rate:g}"] if segment.error_rate else []
+    for number, left_ns in segment.silenced().items():
+        injected.append(f"station {number}: {silence_text(left_ns)}")
+    return status | ({"injected": injected} if injected else {})
 
 
 def run_status(bus: Bus) -> dict[str, object]:
@@ -96,11 +129,8 @@ def run_status(bus: Bus) -> dict[str, object]:
             "state": slave.state.value,
             "inputs": slave.inputs.hex(),
             **inputs_dict(slave.inputs_valid, slave.inputs_age),
-            "outputs": slave.outputs.hex(),
+            **_outputs_of(slave),
         }
-        fields = slave.input_values | slave.output_values
-        if fields:
-            entry["fields"] = as_json(fields)
         if slave.fault is not None:
             entry["fault"] = slave.fault.text
         if slave.alarm_counts is not None:
@@ -109,15 +139,40 @@ def run_status(bus: Bus) -> dict[str, object]:
             entry["drive"] = drives[slave.address].status.as_dict()
         if bus.bench is not None:
             entry |= station_status(bus.bench.device(slave.address))
+            injected = bus.bench.injected(slave.address)
+            if injected:
+                entry["injected"] = injected
         slaves[str(slave.address)] = entry
     return {
         "seconds": round(bus.seconds, 3),
+        "address": bus.params.address,
         "mode": bus.mode.name.lower(),
         "baud": bus.params.baud,
         "in_ring": bus.station.in_ring,
         "masters": sorted(bus.station.las),
         "slaves": slaves,
     }
+
+
+def _outputs_of(slave: Slave) -> dict[str, object]:
+    """``outputs``: what the slave is sent now, "" for nothing; ``held``: what the application has set if it differs.
+
+    So with ``fields``, the named inputs and outputs, and ``held_fields``.
+    """
+    sent, held = slave.outputs_sent, slave.outputs
+    named = as_json(slave.output_values)
+    now = named
+    entry: dict[str, object] = {"outputs": sent.hex()}
+    if sent != held:
+        entry["held"] = held.hex()
+        there = len(sent) == len(held)
+        now = as_json(slave.config.output_fields.values(sent)) if there else dict.fromkeys(named)
+    fields = as_json(slave.input_values) | now
+    if fields:
+        entry["fields"] = fields
+    if now != named:
+        entry["held_fields"] = named
+    return entry
 
 
 async def _outputs(bus: Bus, args: list[str]) -> None:

@@ -12,6 +12,9 @@ from dpstack.errors import UsageError
 from dpstack.profile.device import DriveDevice
 from dpstack.sim.io_station import IoStation
 
+#: What is called after an order was carried out: its name, its arguments, the slave's address and name.
+OnOrder = Callable[[str, list[str], int, str], None]
+
 
 class Bench(Protocol):
     """Simulated slaves that can be treated from outside. Addresses are checked before."""
@@ -28,6 +31,9 @@ class Bench(Protocol):
     def resume(self, address: int) -> None:
         """The end of it."""
 
+    def injected(self, address: int) -> list[str]:
+        """What was done to the slave from outside and is not over."""
+
     def power(self, address: int, on: bool) -> None:
         """Off at once, on again; a drive keeps its EEPROM."""
 
@@ -35,11 +41,25 @@ class Bench(Protocol):
 class SlaveCommands:
     """The handlers of :data:`~dpstack.api.control.specs.SLAVES` for ``bench``."""
 
-    def __init__(self, bench: Bench) -> None:
+    def __init__(self, bench: Bench, on_order: OnOrder | None = None) -> None:
         self._bench = bench
+        self._on_order = on_order
 
     def handlers(self) -> dict[str, Handler]:
         """By the name of the command."""
+        return {name: self._told(name, handler) for name, handler in self._plain().items()}
+
+    def _told(self, name: str, handler: Handler) -> Handler:
+        def command(args: list[str]) -> object:
+            result = handler(args)
+            if self._on_order is not None:
+                address = self._address(args[0])
+                self._on_order(name, args, address, self._bench.names()[address])
+            return result
+
+        return command
+
+    def _plain(self) -> dict[str, Handler]:
         return {
             "trip": self._drive(lambda drive, code: drive.trip(code)),
             "warn": self._drive(lambda drive, text: drive.warn(arguments.mask(text))),

@@ -101,6 +101,20 @@ class IoStation(DpSlave):
 
     # --- what happens to it from outside --------------------------------------------------------------------------
 
+    @property
+    def injected(self) -> tuple[str, ...]:
+        """What was done to it from outside and is not over, written as the orders of ``dpstack ctl``."""
+        told = []
+        for place in self.slots:
+            if place is None:
+                continue
+            if place.plugged is None:
+                told.append(f"pull {place.number}")
+            elif not place.present:
+                told.append(f'plug {place.number} "{place.plugged.name}"')
+            told += [f"wire-break {place.number} {channel} on" for channel in sorted(place.broken)]
+        return tuple(told)
+
     def set_input(self, slot: int, inputs: bytes) -> str | None:
         """The process changes: all inputs of a module, octets as the master reads them."""
         place = self._slot(slot)

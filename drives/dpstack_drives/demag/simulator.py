@@ -101,6 +101,11 @@ class DemagDevice(DriveDevice):
         """414, or data set 1 where the contacts choose (none of them is on)."""
         return int(self.store.value("data_set_selection")) or 1
 
+    @property
+    def faulted(self) -> bool:
+        """Until it is acknowledged."""
+        return bool(self.fault)
+
     def fault_code(self, code: str) -> int:
         """``F2100`` or ``2100``. Raises ValueError."""
         try:

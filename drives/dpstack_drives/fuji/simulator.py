@@ -89,6 +89,11 @@ class FujiDevice(DriveDevice):
         o30 = int(self.store.value("o30"))
         return f"configuration {config.hex(' ')} is not {self.own.name} ({self.own.config.hex(' ')}), o30 is {o30}"
 
+    @property
+    def faulted(self) -> bool:
+        """Until it is acknowledged."""
+        return self.machine.state is State.FAULT
+
     def fault_code(self, code: str) -> int:
         """Keypad text (``Er5``) or alarm code. Raises ValueError."""
         wanted = code.strip().lower()

@@ -97,6 +97,11 @@ class ImoDevice(DriveDevice):
         """A reading: the manual gives none."""
         return _SCAN_NS
 
+    @property
+    def faulted(self) -> bool:
+        """Until it is acknowledged."""
+        return bool(self.fault)
+
     def fault_code(self, code: str) -> int:
         """Name or number. Raises ValueError."""
         known = t.faults(t.FAULTS_MADE_UP)

@@ -94,6 +94,11 @@ class KebDevice(DriveDevice):
         """The link between operator and inverter (HSP5)."""
         self.parameters.linked = not broken
 
+    @property
+    def faulted(self) -> bool:
+        """Until it is acknowledged."""
+        return bool(self.fault)
+
     def fault_code(self, code: str) -> int:
         """``E.buS`` or the number that ru.00 shows. Raises ValueError."""
         wanted = code.strip().lower()

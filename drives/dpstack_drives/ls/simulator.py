@@ -68,7 +68,6 @@ class LsDevice(DriveDevice):
         self._received = False
         self._loss = LostCommand(self.store)
         self._rest = Rest(self.store)
-        self._jog = 0
         super().__init__(profile, telegram, Motor(load=float(options["load"])))
         self.module = Module(self.store, self._live, self._changed, lambda: bool(self.motor.frequency))
         self.channel = PkwServer(t.PKW, self.module.order)
@@ -101,6 +100,11 @@ class LsDevice(DriveDevice):
         if found and self.legacy and telegrams.number_of(found[0]) != telegrams.VENDOR:
             return f"version 2.01 has no {found[0].name}: take VENDOR n/m"
         return super().check_cfg(config)
+
+    @property
+    def faulted(self) -> bool:
+        """Until it is acknowledged."""
+        return self.runner.fault
 
     def fault_code(self, code: str) -> int:
         """Number or name of a trip (7.2). Raises ValueError."""

@@ -40,6 +40,11 @@ class AcmeDevice(DriveDevice):
         """Of the table."""
         return t.DECLARED.scan_ns
 
+    @property
+    def faulted(self) -> bool:
+        """Until it is acknowledged."""
+        return bool(self.fault)
+
     def fault_code(self, code: str) -> int:
         """``E07`` or ``7``. Raises ValueError."""
         for number, text in t.FAULTS.items():
