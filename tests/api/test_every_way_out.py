@@ -1,0 +1,180 @@
+"""docs/ends.md, row by row: what a slave that knows octets only is sent last, and what is told."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from ends_kit import heard
+from ends_programs import WAYS, Ways
+from far_ends import HANG_S
+from process_kit import SPEC, eventually, octet_slaves
+from support_responder import Responder
+
+import dpstack
+from dpstack.fdl.active import ActiveStation
+
+ROOT = Path(__file__).parents[2]
+DRIVERS = ("asyncio", "process")
+LIVE, SAFE = "1122", "a55a"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row of the table."""
+
+    last: str
+    clear: bool
+    told: str
+
+
+def rows() -> dict[tuple[str, str], Row]:
+    """The table of applications by way and driver."""
+    text = (ROOT / "docs" / "ends.md").read_text(encoding="utf-8")
+    section = text.partition("## By the application")[2].partition("\n## ")[0]
+    found: dict[tuple[str, str], Row] = {}
+    way = ""
+    for line in section.splitlines():
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        if not line.startswith("| ") or cells[0] == "way out":
+            continue
+        name, driver, last, clear, _who, told = cells
+        named = re.findall(r"\(`(\w+)`\)", name)
+        way = named[-1] if named else way
+        found[way, driver] = Row(last, clear == "yes", told)
+    return found
+
+
+TABLE = rows()
+
+
+def check(row: Row, words: list[str], told: str) -> None:
+    """What was heard, and what was told, is what the row says."""
+    assert LIVE in words
+    after = words[len(words) - words[::-1].index(LIVE) :]
+    if row.last == "live outputs":
+        assert after == []
+    else:
+        assert row.last == "safe values, zeros"
+        assert after[0] == SAFE
+        assert set(after) - {"clear"} <= {SAFE, "0000"}
+    assert ("clear" in after) is row.clear
+    quoted = re.findall(r"`([^`]+)`", row.told)
+    assert all(text in told for text in quoted)
+    if row.told == "nothing":
+        assert told == ""
+
+
+def test_the_table_has_every_way_with_every_driver() -> None:
+    assert list(TABLE) == [(way, driver) for way in WAYS for driver in DRIVERS]
+
+
+#: what can be seen from within the process of the test
+HERE = [way for way in WAYS if way not in ("the_interpreter_ends", "in_a_daemon_thread", "killed", "os_exit")]
+HERE.remove("a_forked_child_ends")
+RAISED: dict[str, type[BaseException]] = {
+    "an_exception": ZeroDivisionError,
+    "ctrl_c_three_times": KeyboardInterrupt,
+    "sys_exit_in_a_callback": SystemExit,
+}
+
+
+@pytest.mark.parametrize("way", HERE)
+def test_within_this_process(way: str, caplog: pytest.LogCaptureFixture) -> None:
+    raised = RAISED.get(way)
+    told = ""
+    with octet_slaves(SPEC) as (path, there), heard(there) as words:
+        with contextlib.nullcontext() if raised is None else pytest.raises(raised):
+            getattr(Ways(path, "asyncio"), way)()
+        eventually(lambda: bool(words) and words[-1] == "clear", "Clear")
+        told = "\n".join(record.getMessage() for record in caplog.records if record.name == "dpstack")
+        check(TABLE[way, "asyncio"], words, told or (raised.__name__ if raised is KeyboardInterrupt else ""))
+
+
+def as_program(way: str, driver: str) -> None:
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT / "tests"), str(ROOT)])}
+    with octet_slaves(SPEC) as (path, there), heard(there) as words:
+        command = [sys.executable, str(ROOT / "tests" / "ends_programs.py"), path, driver, way]
+        ended = subprocess.run(command, capture_output=True, text=True, timeout=HANG_S, env=environment, check=False)
+        assert ended.stdout.startswith("live\n"), ended.stderr
+        row = TABLE[way, driver]
+        if row.clear:
+            eventually(lambda: "clear" in words[words.index(LIVE) :], "Clear")
+        idle = there.idle
+        eventually(lambda: there.idle > idle, "silence")
+        check(row, words, "" if way in RAISED and way != "ctrl_c_three_times" else ended.stderr)
+        if way == "a_forked_child_ends":
+            assert "goes on" in ended.stdout
+
+
+@pytest.mark.parametrize(
+    ("way", "driver"), [("the_interpreter_ends", "asyncio"), ("a_forked_child_ends", "process"), ("os_exit", "process")]
+)
+def test_as_programs(way: str, driver: str) -> None:
+    as_program(way, driver)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("driver", DRIVERS)
+@pytest.mark.parametrize("way", WAYS)
+def test_every_row_as_a_program(way: str, driver: str) -> None:
+    as_program(way, driver)
+
+
+def closed_loop(path: str, before_it_is_closed: Callable[[], None]) -> dpstack.Bus:
+    """A bus in Operate whose loop is closed."""
+    ways = Ways(path, "asyncio")
+    loop = asyncio.new_event_loop()
+    bus = loop.run_until_complete(ways.opened())
+    before_it_is_closed()
+    loop.close()
+    return bus
+
+
+def test_the_finaliser_sends_nothing_where_somebody_else_sends(caplog: pytest.LogCaptureFixture) -> None:
+    """A token between two others arrived when the loop stood still: ours is gone."""
+    with octet_slaves(SPEC) as (path, there):
+        bus = closed_loop(path, lambda: foreign_token(there))
+        (record,) = caplog.records
+        assert record.levelno == logging.ERROR
+        assert "could not be sent: somebody else sends on the bus" in record.getMessage()
+        assert "The slaves' watchdogs make their outputs safe within" in record.getMessage()
+        assert there.slaves[4].outputs == b"\x11\x22"
+        assert there.slaves[4].control != b"\x02\x00"
+        with pytest.raises(dpstack.UsageError, match="left with its event loop"):
+            bus.command(object())
+        asyncio.run(bus.close())  # nothing is left to be closed
+
+
+def foreign_token(there: Responder) -> None:
+    os.write(there.fd, b"\xdc\x05\x07")
+
+
+def test_the_finaliser_sends_nothing_beside_other_masters(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with octet_slaves(SPEC) as (path, there):
+        closed_loop(
+            path, lambda: monkeypatch.setattr(ActiveStation, "las", property(lambda _station: frozenset({2, 7, 9})))
+        )
+        (record,) = caplog.records
+        assert (
+            "masters 7, 9 may hold the token by now, and without the token nothing may be sent" in record.getMessage()
+        )
+        assert there.slaves[4].outputs == b"\x11\x22"
+        assert there.slaves[4].control != b"\x02\x00"
+
+
+def test_a_closed_bus_leaves_no_finaliser(caplog: pytest.LogCaptureFixture) -> None:
+    with octet_slaves(SPEC) as (path, _there):
+        Ways(path, "asyncio").the_block_ends()
+        assert caplog.records == []

@@ -1,0 +1,173 @@
+"""Applications that end a bus in every way there is.
+
+As a program: ``python ends_programs.py PATH DRIVER WAY``. Each brings slave 4 on PATH up, sends it 11 22, says "live",
+and then ends as WAY says, which is the name of a method of :class:`Ways`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Awaitable, Callable
+
+from far_ends import until
+from process_kit import VALVES, bus_on
+
+import dpstack
+
+LIVE = b"\x11\x22"
+#: for who is not ended by itself
+LONG_S = 60.0
+
+
+async def outputs(bus: dpstack.Bus, octets: bytes) -> None:
+    """``octets`` are at the slave, which mirrors them."""
+    valves = bus.slave("valves")
+    valves.outputs = octets
+    await until(lambda: valves.inputs == octets, "outputs at the slave")
+
+
+class Ways:
+    """One method for each way out, by its name; what an application raises at its end is raised."""
+
+    def __init__(self, path: str, driver: str) -> None:
+        self.path = path
+        self.driver = driver
+        #: of ways after which the bus is looked at
+        self.bus_left: dpstack.Bus | None = None
+
+    def bus(self) -> dpstack.Bus:
+        return bus_on(self.path, "process" if self.driver == "process" else "asyncio", VALVES)
+
+    async def live(self, bus: dpstack.Bus) -> None:
+        await bus.ready(LONG_S)
+        await bus.operate()
+        await outputs(bus, LIVE)
+        print("live", flush=True)
+
+    def run(self, then: Callable[[dpstack.Bus], Awaitable[object]]) -> None:
+        """asyncio.run() with the bus in an ``async with`` block."""
+
+        async def main() -> None:
+            async with self.bus() as bus:
+                await self.live(bus)
+                await then(bus)
+
+        asyncio.run(main())
+
+    async def opened(self) -> dpstack.Bus:
+        bus = self.bus_left = self.bus()
+        await bus.open()
+        await self.live(bus)
+        return bus
+
+    # --- in order ---
+    def the_block_ends(self) -> None:
+        async def nothing(_: dpstack.Bus) -> None:
+            pass
+
+        self.run(nothing)
+
+    def an_exception(self) -> None:
+        async def fails(_: dpstack.Bus) -> None:
+            raise ZeroDivisionError
+
+        self.run(fails)
+
+    def ctrl_c_three_times(self) -> None:
+        async def interrupted(_: dpstack.Bus) -> None:
+            loop = asyncio.get_running_loop()
+            for at in (0.02, 0.03, 0.04):  # the end takes 0.05 s: safe values stand so long
+                loop.call_later(at, signal.raise_signal, signal.SIGINT)
+            await asyncio.sleep(LONG_S)
+
+        self.run(interrupted)
+
+    def anyio_scope(self) -> None:
+        """A cancel scope of anyio cancels anew in every turn of the loop."""
+        import anyio
+
+        async def main() -> None:
+            with anyio.move_on_after(LONG_S) as scope:
+                async with self.bus() as bus:
+                    await self.live(bus)
+                    scope.deadline = anyio.current_time() + 0.01
+                    await asyncio.sleep(LONG_S)
+            assert scope.cancelled_caught
+
+        asyncio.run(main())
+
+    def sys_exit_in_a_callback(self) -> None:
+        async def leaves(_: dpstack.Bus) -> None:
+            asyncio.get_running_loop().call_soon(sys.exit, 3)
+            await asyncio.sleep(LONG_S)
+
+        self.run(leaves)
+
+    def nobody_closes_it(self) -> None:
+        async def main() -> None:
+            await self.opened()
+
+        asyncio.run(main())
+
+    # --- by the finaliser ---
+    def the_loop_is_closed(self) -> None:
+        loop = asyncio.new_event_loop()
+        try:
+            loop.run_until_complete(self.opened())
+        finally:
+            loop.close()
+        print("closed", flush=True)
+
+    def the_interpreter_ends(self) -> None:
+        """The loop stands still, neither closed nor run."""
+        self.loop = asyncio.new_event_loop()
+        self.loop.run_until_complete(self.opened())
+
+    def in_a_daemon_thread(self) -> None:
+        live = threading.Event()
+
+        async def goes_on(_: dpstack.Bus) -> None:
+            live.set()
+            await asyncio.sleep(LONG_S)
+
+        threading.Thread(target=self.run, args=(goes_on,), daemon=True).start()
+        live.wait(LONG_S)
+
+    # --- without any end by the application ---
+    def killed(self) -> None:
+        async def kills(_: dpstack.Bus) -> None:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+        self.run(kills)
+
+    def os_exit(self) -> None:
+        async def exits(_: dpstack.Bus) -> None:
+            os._exit(3)
+
+        self.run(exits)
+
+    # --- not an end ---
+    def a_forked_child_ends(self) -> None:
+        async def forks(bus: dpstack.Bus) -> None:
+            pid = os.fork()
+            if not pid:
+                sys.exit(0)  # through asyncio.run() and the `async with` block of the child
+            await until(lambda: os.waitpid(pid, os.WNOHANG)[0] == pid, "the end of the child")
+            await asyncio.to_thread(time.sleep, 0.01)  # a thread still wakes the loop up
+            await outputs(bus, b"\x33\x44")
+            await outputs(bus, LIVE)
+            print("goes on", flush=True)
+
+        self.run(forks)
+
+
+WAYS = [name for name, value in vars(Ways).items() if callable(value) and name not in ("__init__", "bus", "run")]
+WAYS = [name for name in WAYS if name not in ("live", "opened")]
+
+if __name__ == "__main__":
+    getattr(Ways(sys.argv[1], sys.argv[2]), sys.argv[3])()
