@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from drive_bench import DeviceBench, PluginBench
+from drive_bench import ALONE, DeviceBench, PluginBench
 
 from dpstack_drives.demag import DRIVE
 
@@ -24,7 +24,7 @@ def pkw(bench: DeviceBench, order: str) -> str:
 
 
 def plugin(inputs: str, telegram: str = "PPO3", **options: object) -> PluginBench:
-    return PluginBench(DRIVE.core("hoist", telegram, options), inputs)
+    return PluginBench(DRIVE.core("hoist", telegram, {**ALONE, **options}), inputs)
 
 
 def ppo3(inputs: str = "02 40 00 00", **options: object) -> PluginBench:

@@ -9,6 +9,8 @@ from dpstack.profile import DriveCore, DriveDevice
 MS = 1_000_000
 S = 1_000 * MS
 START = 5 * S
+#: options of a plugin that does not read its drive's settings by itself: the parameter channel is the test's
+ALONE: Mapping[str, object] = {"check_settings": False}
 
 
 class PluginBench:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from drive_bench import DeviceBench, PluginBench, S
+from drive_bench import ALONE, DeviceBench, PluginBench, S
 
 from dpstack_drives.fuji import DRIVE
 from dpstack_drives.fuji.simulator import FujiDevice
@@ -46,4 +46,4 @@ def pkw(bench: DeviceBench, order: str) -> str:
 
 
 def plugin(telegram: str = "PPO3", inputs: str = S1, **options: object) -> PluginBench:
-    return PluginBench(DRIVE.core("fan", telegram, options), inputs)
+    return PluginBench(DRIVE.core("fan", telegram, {**ALONE, **options}), inputs)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from drive_bench import PluginBench, as_mapping
+from drive_bench import ALONE, PluginBench, as_mapping
 
 from dpstack_drives.imo import DRIVE
 
@@ -20,7 +20,7 @@ class Card(PluginBench):
         self.p15 = p15
         self.seen: list[str] = []
         self.mute = False
-        super().__init__(DRIVE.core("pump", options=options), "00 " * 8 + sw + pzd)
+        super().__init__(DRIVE.core("pump", options={**ALONE, **options}), "00 " * 8 + sw + pzd)
         self.show(sw, pzd)
 
     def show(self, sw: str, pzd: str = NOTHING, rotations: int = 120) -> str:

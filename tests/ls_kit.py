@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from drive_bench import DeviceBench, PluginBench, as_mapping
+from drive_bench import ALONE, DeviceBench, PluginBench, as_mapping
 
 from dpstack_drives.ls import DRIVE
 
@@ -32,7 +32,7 @@ def running(bench: DeviceBench, outputs: str = "04 7F 40 00", inputs: str = "03 
 
 
 def plugin(inputs: str = S2, telegram: str = "PPO3", **options: object) -> PluginBench:
-    return PluginBench(DRIVE.core("pump", telegram, options), inputs)
+    return PluginBench(DRIVE.core("pump", telegram, {**ALONE, **options}), inputs)
 
 
 def text(bench: PluginBench, token: int) -> str:

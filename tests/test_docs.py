@@ -13,7 +13,7 @@ import pytest
 
 import dpstack
 from dpstack.api.config import parse_config
-from dpstack.cli.main import _COMMANDS, build_parser
+from dpstack.cli.main import _COMMANDS, build_parser, main
 from dpstack.errors import ConfigError
 from dpstack.params import BusParams
 
@@ -55,6 +55,44 @@ def test_the_readmes_program_runs(
         runpy.run_path(str(program), run_name="__main__")
     out = capsys.readouterr().out
     assert out.splitlines() == ["fan at 30 Hz", "parameter 412 is 44", "inputs 0f True"]
+
+
+@pytest.mark.usefixtures("fast")
+def test_the_readmes_drives_obey(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Every `dpstack drive plant.toml` of the README, with the README's plant."""
+    readme = ROOT / "README.md"
+    (plant,) = [text for mark, text in blocks(readme, "toml") if mark == "file: plant.toml"]
+    (tmp_path / "plant.toml").write_text(plant, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    lines = [line for _, text in blocks(readme, "console") for line in text.splitlines()]
+    orders = [shlex.split(line)[2:] for line in lines if line.startswith("$ dpstack drive plant.toml")]
+    assert ["drive", "plant.toml", "hoist", "start", "speed", "0.5", "reached"] in orders
+    for words in orders:
+        assert main([*words, "--seconds", "1"]) == 0, capsys.readouterr().err
+    assert "hoist: running at 50.0% (25.0 Hz), set point 50.0%" in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("fast")
+def test_a_hoist_as_delivered_says_where_set_412_goes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (plant,) = [text for mark, text in blocks(ROOT / "README.md", "toml") if mark == "file: plant.toml"]
+    bare = "\n".join(line for line in plant.splitlines() if "set_412" not in line)
+    (tmp_path / "plant.toml").write_text(bare, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    assert main(["drive", "plant.toml", "hoist", "start"]) == 1
+    told = capsys.readouterr().err.splitlines()[-1]
+    assert "412 is 44: control not by the bus; write 412 = 1 in the active data set (1)" in told
+    assert "set_412 = true" in told
+    assert 'configuration file, table [slave.options] below the [[slave]] table with name = "hoist"' in told
+    # what it says is what works
+    lines = bare.splitlines()
+    (at,) = [number for number, line in enumerate(lines) if line.startswith('drive = "demag-dedrive"')]
+    said = [*lines[: at + 1], "[slave.options]", "set_412 = true", *lines[at + 1 :]]
+    (tmp_path / "plant.toml").write_text("\n".join(said), encoding="utf-8")
+    assert main(["drive", "plant.toml", "hoist", "start", "--seconds", "1"]) == 0
 
 
 def test_the_program_with_a_gsd_file_runs(

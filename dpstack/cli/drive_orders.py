@@ -13,6 +13,7 @@ from dpstack.api.parameter_list import SavedParam, label, value_text
 from dpstack.cli import output
 from dpstack.cli.progress import progress_bar
 from dpstack.cli.streams import warn
+from dpstack.profile import SettingsState
 
 DUMP_AND_COMPARE: Final = (
     Spec("dump", "FILE", "all declared parameters into a file", "hoist.toml"),
@@ -150,6 +151,7 @@ def show_status(told: Mapping[str, Any]) -> None:
         ("faults", ", ".join(status["faults"]) or "none"),
         ("warnings", ", ".join(status["warnings"]) or "none"),
         ("status bits", ", ".join(status["bits"]) or "none"),
+        ("settings", "; ".join([str(status["settings"]).replace("_", " "), *status["settings_texts"]])),
         ("words", " ".join(status["words"])),
     ]
     output.table(f"{told['drive']}: {told['type']} at address {told['address']}", ("what", "value"), rows)
@@ -159,6 +161,8 @@ def status_text(status: Mapping[str, Any]) -> str:
     """One line: state, speed, set point, what is wrong."""
     speed = "" if status["speed"] is None else f" at {status['speed']:.1%} ({status['frequency_hz']:.1f} Hz)"
     wrong = [f"fault {name}" for name in status["faults"]] + [f"warning {name}" for name in status["warnings"]]
+    if status["settings"] == SettingsState.DIFFERENT:
+        wrong.append("its settings are not the expected ones (see status)")
     return ", ".join([f"{status['state']}{speed}", f"set point {status['setpoint']:.1%}", *wrong])
 
 

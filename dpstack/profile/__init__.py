@@ -22,6 +22,7 @@ from dpstack.profile.pkw import Order, Pkw, PkwClient, PkwDialect, PkwServer, Re
 from dpstack.profile.pkw_access import ParamRef, PkwAccess, PkwChannel
 from dpstack.profile.plain import PLAIN_PKW, plain_resolver, plain_server
 from dpstack.profile.registry import broken, find, known, refresh
+from dpstack.profile.settings import Setting, SettingsState, equal, same
 from dpstack.profile.states import FAULTED, MOVING, ControlTable, Goal, State, StateRow, StateTable
 from dpstack.profile.status import DriveStatus
 from dpstack.profile.store import ParamStore
@@ -80,6 +81,8 @@ __all__ = [
     "RateSetting",
     "Reply",
     "Scale",
+    "Setting",
+    "SettingsState",
     "State",
     "StateRow",
     "StateTable",
@@ -91,6 +94,7 @@ __all__ = [
     "broken",
     "datamap",
     "drivecom",
+    "equal",
     "error_text",
     "find",
     "known",
@@ -103,6 +107,7 @@ __all__ = [
     "ramp",
     "refresh",
     "s_to_ns",
+    "same",
     "settled",
     "signed16",
     "standard",

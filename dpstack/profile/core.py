@@ -7,7 +7,7 @@ comes in as ``now`` in ns; nothing here blocks or reads a clock.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
 from dpstack.dp.v1.unit_records import RecordQueue
@@ -17,6 +17,7 @@ from dpstack.profile.drive import TelegramSpec
 from dpstack.profile.jobs import Args, CommandError, Job, Steps
 from dpstack.profile.listing import ListedParam
 from dpstack.profile.orders import Orders
+from dpstack.profile.settings import Setting, SettingsCheck
 from dpstack.profile.states import FAULTED, ControlTable, Goal, State
 from dpstack.profile.status import DriveStatus
 from dpstack.profile.words import SPEED, Scale
@@ -88,6 +89,8 @@ class DriveCore:
         self._pack: Callable[..., bytes] = struct.Struct(f">{telegram.outputs // 2}H").pack
         self._rest = (0,) * (telegram.outputs // 2 - 2)
         self._orders = Orders()
+        #: the settings of the drive, compared with those that the plugin relies on
+        self.settings_check = SettingsCheck(self)
         self._told: tuple[object, ...] = ()
         self._tell_mask = table.status.mask(*(n for n in ("reached", "remote", "warning") if n in table.status.bits))
         self._outputs = safe_outputs
@@ -107,8 +110,11 @@ class DriveCore:
             self._inputs = inputs
             self.words = self._unpack(inputs, self._offset)
             self.status_word = self.status_of(inputs[self._offset :])
+            begins = not self.online
             self.online = True
             self.received()
+            if begins:
+                self.settings_check.begin()
             lookup.watch(self)
             self.update()
         access = self.access
@@ -129,6 +135,7 @@ class DriveCore:
         if self.access is not None:
             self.access.reset()
         lookup.reset(self)
+        self.settings_check.reset()
         self._inputs = b""
         self.set_goal(Goal.IDLE)
         self.state = State.OFFLINE
@@ -174,6 +181,8 @@ class DriveCore:
             faults=self.faults() if online else (),
             words=self.words if online else (),
             bits=bits.names(word),
+            settings=self.settings_check.state,
+            settings_texts=self.settings_check.texts,
         )
 
     # -- for jobs and plugins -------------------------------------------------------------------------------------
@@ -303,8 +312,33 @@ class DriveCore:
         """What, by the status word, keeps the drive from running, with what to do about it; or None."""
         return None
 
+    def why_left(self) -> Steps[str | None]:
+        """Why the drive left RUNNING by itself without a fault; or None."""
+        yield from ()
+        return self.obstacle()
+
     def prepare(self, deadline: int) -> Steps[None]:
         """Before a start: find out what would make it fail, and raise CommandError with the remedy."""
+        yield from ()
+
+    def before_acknowledge(self, deadline: int) -> Steps[None]:
+        """Before an acknowledgement: raise CommandError where the drive would take its bit for something else."""
+        yield from ()
+
+    def halted(self, deadline: int) -> Steps[None]:
+        """An order that stops the drive was carried out: which word stands from now on."""
+        yield from ()
+
+    def wanted_speed(self) -> float:
+        """The speed, of the reference, at which the set point is reached."""
+        return self.setpoint
+
+    def settings(self) -> Sequence[Setting]:
+        """The settings of the drive that the plugin relies on, with its present options and maps."""
+        return ()
+
+    def before_settings(self, deadline: int) -> Steps[None]:
+        """Before they are read: learn where they are (the active data set). Raises CommandError."""
         yield from ()
 
     # -- inside ---------------------------------------------------------------------------------------------------
@@ -322,7 +356,10 @@ class DriveCore:
     def _tell(self) -> None:
         """A status event when state, remote, reached, warnings or faults changed."""
         word = self.status_word & self._tell_mask if self.online else 0
-        key = (self.state, word, self.faults(), self.warnings()) if self.online else (self.state,)
+        check = self.settings_check
+        key: tuple[object, ...] = (self.state,)
+        if self.online:
+            key = (self.state, word, self.faults(), self.warnings(), check.state, check.texts)
         if key != self._told:
             self._told = key
             self._orders.tell({"type": "status", **self.status().as_dict()})

@@ -5,11 +5,12 @@ from __future__ import annotations
 import difflib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from dpstack.errors import ConfigError
 from dpstack.profile.acyclic.choice import ChosenAccess
 from dpstack.profile.channel import CHANNEL_LEN
+from dpstack.profile.settings import OPTION as CHECK_SETTINGS
 
 if TYPE_CHECKING:
     from dpstack.dp.v1.unit_records import RecordQueue
@@ -63,6 +64,14 @@ class OptionSpec:
     low: float | None = None
     high: float | None = None
     choices: tuple[str, ...] = ()
+
+
+#: options of every drive's plugin beside its own
+_OPTIONS: Final = {
+    CHECK_SETTINGS: OptionSpec(
+        default=True, text="read the settings that the plugin relies on and compare them with its options"
+    )
+}
 
 
 class RateSetting(NamedTuple):
@@ -187,10 +196,12 @@ class DriveProfile:
         drive has it, and over the parameter channel of its telegram where not.
         """
         given = {**(self.simulated_options if simulated else {}), **(options or {})}
-        checked, extra = self._options(self.core_options, given, f"drive {name} ({self.name})")
+        specs = {**self.core_options, **_OPTIONS}
+        checked, extra = self._options(specs, given, f"drive {name} ({self.name})")
         if extra:
-            self._refuse(next(iter(extra)), self.core_options, f"drive {name} ({self.name})")
+            self._refuse(next(iter(extra)), specs, f"drive {name} ({self.name})")
         core = self.core_factory(self, name, self.telegram(telegram), checked)
+        core.settings_check.enabled = bool(checked[CHECK_SETTINGS])
         if records is not None and self.record_access is not None:
             core.records = records
             core.access = ChosenAccess(self.record_access(core, records), core.access)

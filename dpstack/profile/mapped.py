@@ -55,6 +55,11 @@ class MappedCore(DriveCore, Generic[M]):
     _later: str | None = None
     _doubtful = False
 
+    @property
+    def writes_later(self) -> bool:
+        """Other maps than the plugin's were written to the drive, which takes them at its next power-on."""
+        return self._later is not None
+
     def take_presets(self, text: str, fields: Sequence[Field | None], what: str) -> None:
         """The values in the text of the output map's option (``what``, for people). Raises ConfigError."""
         try:
@@ -193,6 +198,8 @@ class MappedCore(DriveCore, Generic[M]):
         outcome = yield from self.write_map(inputs, outputs, deadline)
         if "acts" in outcome:
             self._write_later(inputs, outputs)
+        else:
+            self.settings_check.changed()
         return outcome
 
     def _write_later(self, inputs: M, outputs: M) -> None:

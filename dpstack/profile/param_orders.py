@@ -27,7 +27,14 @@ def steps(core: DriveCore, op: str, args: Args) -> Steps[dict[str, object]]:
     number, data_set, index = args.name_or_number("number"), args.integer("data_set"), args.integer("index")
     if op == "read":
         return access.read(ParamKey(number, data_set, index), deadline)
-    return access.write(ParamKey(number, data_set, index, args.flag("ram")), args.number("value"), deadline)
+    key = ParamKey(number, data_set, index, args.flag("ram"))
+    return _written(core, access.write(key, args.number("value"), deadline))
+
+
+def _written(core: DriveCore, writing: Steps[dict[str, object]]) -> Steps[dict[str, object]]:
+    outcome = yield from writing
+    core.settings_check.changed()
+    return outcome
 
 
 def _listed(one: Args) -> ParamKey:

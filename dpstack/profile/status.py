@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 
+from dpstack.profile.settings import SettingsState
 from dpstack.profile.states import State
 
 
@@ -15,7 +16,8 @@ class DriveStatus:
     ``speed``, ``setpoint``: of the reference (1.0 = 100 %); ``current`` and ``torque``: of the rated current. What
     the telegram does not carry is None. ``reached``: as the drive tells it; where it has no bit for it, running within
     1 % of the reference around the set point. ``remote`` is True for a drive that does not tell it. ``words``: the
-    process data as received. ``bits``: names of the status bits set.
+    process data as received. ``bits``: names of the status bits set. ``settings``: how the drive's settings compare
+    with those that its plugin relies on; ``settings_texts``: what differs or was not checked.
     """
 
     state: State
@@ -31,6 +33,8 @@ class DriveStatus:
     faults: tuple[str, ...] = ()
     words: tuple[int, ...] = ()
     bits: tuple[str, ...] = ()
+    settings: SettingsState = SettingsState.NONE
+    settings_texts: tuple[str, ...] = ()
 
     @property
     def fault(self) -> str | None:
@@ -75,4 +79,6 @@ class DriveStatus:
             "faults": list(self.faults),
             "words": [f"{word:04X}" for word in self.words],
             "bits": list(self.bits),
+            "settings": str(self.settings),
+            "settings_texts": list(self.settings_texts),
         }

@@ -93,6 +93,10 @@ def test_without_dp_v1_the_ls_is_asked_by_its_telegram() -> None:
     with_drive(drive_at("ls-s100", "PPO1", dpv1=False), program)
 
 
+#: its plugin does not read the drive's settings by itself: the requests are the test's
+ALONE: dict[str, object] = {"check_settings": False}
+
+
 def test_several_in_one_request_and_what_is_refused_in_its_place() -> None:
     async def program(drive: dpstack.Drive, counted: Counted | None) -> None:
         assert counted is not None
@@ -115,7 +119,7 @@ def test_several_in_one_request_and_what_is_refused_in_its_place() -> None:
         with pytest.raises(UsageError, match="must be a parameter number or name"):
             await drive.read_many(nothing)
 
-    with_drive(drive_at("ls-s100", "ST1"), program)
+    with_drive(drive_at("ls-s100", "ST1", options=ALONE), program)
 
 
 def test_a_dump_asks_for_as_many_as_a_request_takes() -> None:

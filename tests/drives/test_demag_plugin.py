@@ -234,6 +234,7 @@ def test_412_is_1_but_no_release() -> None:
     bench.see("10 F9 00 00 00 00 00 01 00 40 00 00", 2)
     bench.see(ZERO + "00 40 00 00", 2)
     bench.see("41 9C 01 00 00 00 00 01 00 40 00 00", 2)
+    bench.see(ZERO + "00 40 00 00", 60)
     assert "no hardware release" in str(as_mapping(bench.result(token))["text"])
 
 

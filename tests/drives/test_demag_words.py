@@ -114,6 +114,10 @@ def test_d16_the_lines_of_the_manual_from_live_data() -> None:
     bench = plugin(ZERO.strip() + wide, "PPO2")
     bench.order("speed", value=0.5)
     bench.order("start")
+    bench.run(2)
+    for reply in ("10 F9 00 00 00 00 00 01", "41 9C 01 00 00 00 00 01"):  # 249, and 412 in data set 1
+        bench.see(reply + wide, 2)
+        bench.see(ZERO.strip() + wide, 3)
     bench.order("read", number=480, data_set=3)
     bench.run(2)
     bench.see("51 E0 03 00 FF FF EA 84" + wide, 3)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Generator
 
 import pytest
-from drive_bench import MS, DeviceBench, PluginBench
+from drive_bench import ALONE, MS, DeviceBench, PluginBench
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -22,7 +22,7 @@ CONFIRMED = "42 01 23 03 00 00 06 40"
 
 
 def plugin() -> PluginBench:
-    return PluginBench(DRIVE.core("hoist", "PCH+4/4"), ZERO + IDLE)
+    return PluginBench(DRIVE.core("hoist", "PCH+4/4", ALONE), ZERO + IDLE)
 
 
 def drive(**presets: object) -> DeviceBench:

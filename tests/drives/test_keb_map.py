@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import pytest
-from drive_bench import DeviceBench, PairBench, PluginBench
+from drive_bench import ALONE, DeviceBench, PairBench, PluginBench
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -125,7 +125,7 @@ def test_any_record_is_a_map_or_a_value_error(record: dict[int, int]) -> None:
 
 def test_k7_the_requests_of_write_map() -> None:
     """34 subindexes, the two enables and their check, against a drive that confirms whatever it is asked."""
-    bench = PluginBench(DRIVE.core("hoist", "PCH+4/4"), ZERO + " 00 00 00 00")
+    bench = PluginBench(DRIVE.core("hoist", "PCH+4/4", ALONE), ZERO + " 00 00 00 00")
     token = bench.order("write_map", inputs="233B:long 2D00:long", outputs="2032 2034")
     seen: list[tuple[int, int, int]] = []
     while bench.result(token) is None:
@@ -152,7 +152,7 @@ def test_k7_the_requests_of_write_map() -> None:
 def test_k11_k12_block_2_by_the_users_indexes_and_an_enable_that_falls_back() -> None:
     """12 octets of inputs: block 2's record has no length; its enable is not confirmed."""
     options = {"block2_inputs": "5FE0 5FE1", "block2_outputs": "5FE2 5FE3"}
-    bench = PluginBench(DRIVE.core("hoist", "PCH+4/4", options), ZERO + " 00 00 00 00")
+    bench = PluginBench(DRIVE.core("hoist", "PCH+4/4", {**ALONE, **options}), ZERO + " 00 00 00 00")
     token = bench.order("write_map", inputs=TEST_INPUTS, outputs=TEST_OUTPUTS)
     seen: list[str] = []
     while bench.result(token) is None:
@@ -186,7 +186,7 @@ def test_k11_k12_block_2_by_the_users_indexes_and_an_enable_that_falls_back() ->
     ],
 )
 def test_k7_nothing_is_sent_for_a_wrong_map(maps: dict[str, object], says: str) -> None:
-    bench = PluginBench(DRIVE.core("hoist", "PCH+4/4"), ZERO + " 00 00 00 00")
+    bench = PluginBench(DRIVE.core("hoist", "PCH+4/4", ALONE), ZERO + " 00 00 00 00")
     result = bench.result(bench.order("write_map", **maps))
     assert result is not None
     assert says in str(result["text"])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from drive_bench import PluginBench
+from drive_bench import ALONE, PluginBench
 
 from dpstack.profile import State
 from dpstack_drives.keb import DRIVE
@@ -20,7 +20,7 @@ BITS = {
 
 
 def plugin(inputs: str = "00 00 00 00", telegram: str = "4/4", **options: Any) -> PluginBench:
-    return PluginBench(DRIVE.core("hoist", telegram, {**BITS, **options}), inputs)
+    return PluginBench(DRIVE.core("hoist", telegram, {**ALONE, **BITS, **options}), inputs)
 
 
 def test_k8_the_words_by_the_users_bits() -> None:
@@ -139,12 +139,12 @@ def test_k8_set_points_that_cannot_be(options: dict[str, Any], value: float, say
 
 def test_a_real_drive_gets_no_bits_that_are_made_up() -> None:
     """Without options nothing can be started; for the simulated drive its own bits are known."""
-    bench = PluginBench(DRIVE.core("hoist"), "00 " * 12)
+    bench = PluginBench(DRIVE.core("hoist", options=ALONE), "00 " * 12)
     assert "not in the manual" in str(bench.result(bench.order("start")))
-    bench = PluginBench(DRIVE.core("hoist", simulated=True), "00 " * 12)
+    bench = PluginBench(DRIVE.core("hoist", options=ALONE, simulated=True), "00 " * 12)
     bench.order("start")
     assert bench.out()[24:] == "00 05 00 00"
-    bench = PluginBench(DRIVE.core("hoist", options={"control_bits": "run=9"}, simulated=True), "00 " * 12)
+    bench = PluginBench(DRIVE.core("hoist", options={**ALONE, "control_bits": "run=9"}, simulated=True), "00 " * 12)
     bench.order("start")
     assert bench.out()[24:] == "02 00 00 00"
 
@@ -220,7 +220,7 @@ def test_k9_the_plugin_reckons_with_pd_in_cycle(cycle: int, early: int, late: in
     ],
 )
 def test_k10_the_plugin_sets_the_watchdog(number: int, value: int, request_octets: str) -> None:
-    bench = PluginBench(DRIVE.core("hoist", "PCH+4/4", BITS), "00 " * 12)
+    bench = PluginBench(DRIVE.core("hoist", "PCH+4/4", {**ALONE, **BITS}), "00 " * 12)
     bench.order("write", number=number, value=value)
     assert bench.out()[:23] == request_octets
 

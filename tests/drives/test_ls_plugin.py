@@ -189,7 +189,7 @@ def test_l9_what_was_asked_is_asked_again_after_the_drive_was_away() -> None:
 
 
 def test_l2_a_start_with_another_profile_says_com_11() -> None:
-    bench = plugin(ZERO + S2, "PPO1")
+    bench = plugin(ZERO + S2, "PPO1", check_settings=True)
     token = bench.order("start")
     bench.run()
     assert bench.out().startswith("13 A2 00 00")

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import pytest
 from acyclic_kit import octets, outcome
-from drive_bench import MS, DeviceBench, PluginBench
+from drive_bench import ALONE, MS, DeviceBench, PluginBench
 from ls_kit import NONE, ZERO, sim
 
 from dpstack.dp.v1.records import parse_request
@@ -143,7 +143,7 @@ class Master:
 
     def __init__(self, telegram: str, inputs: str) -> None:
         self.queue = RecordQueue()
-        self.bench = PluginBench(DRIVE.core("pump", telegram, records=self.queue), inputs)
+        self.bench = PluginBench(DRIVE.core("pump", telegram, ALONE, records=self.queue), inputs)
 
     def asks(self) -> str:
         """What it wants of the slave within a second, in octets."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 
 import pytest
-from drive_bench import PairBench, PluginBench, as_mapping
+from drive_bench import ALONE, PairBench, PluginBench, as_mapping
 
 import dpstack
 from dpstack.errors import ConfigError
@@ -103,7 +103,7 @@ S2 = "02 35 00 00"
 
 def test_a_map_on_the_wire_takes_what_the_drive_has() -> None:
     """dr-04 is asked for, the old map goes, and the value stands in its word before COM-51 says what it is."""
-    bench = PluginBench(LS.core("pump", "PPO2"), ZERO + S2 + " 00" * 8)
+    bench = PluginBench(LS.core("pump", "PPO2", ALONE), ZERO + S2 + " 00" * 8)
     token = bench.order("write_map", inputs="000E", outputs="dr-04")
     sent: list[tuple[str, str]] = []
     for _ in range(80):

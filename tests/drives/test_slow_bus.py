@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from drive_bench import MS, PluginBench, as_mapping
+from drive_bench import ALONE, MS, PluginBench, as_mapping
 
 import dpstack
 from dpstack_drives.fuji import DRIVE
@@ -44,7 +44,7 @@ def test_settled_waits_for_the_outputs_to_go_round() -> None:
 
 def test_settled_waits_for_the_name_of_a_fault() -> None:
     zero = "00 00 00 00 00 00 00 00 "
-    bench = PluginBench(DRIVE.core("fan", "PPO1"), zero + "02 78 00 00")
+    bench = PluginBench(DRIVE.core("fan", "PPO1", ALONE), zero + "02 78 00 00")
     token = bench.order("settled")
     bench.run(40)
     assert bench.result(token) is None

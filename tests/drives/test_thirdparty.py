@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from acyclic_kit import outcome
-from drive_bench import DeviceBench, PluginBench
+from drive_bench import ALONE, DeviceBench, PluginBench
 
 import dpstack
 from dpstack import profile
@@ -101,7 +101,7 @@ def test_a_configuration_that_names_it_runs_it(installed: Path) -> None:
 
 def test_what_its_plugin_sends(acme: DriveProfile) -> None:
     """Literal octets: control word and set point behind the parameter channel; 1388h is 50 %."""
-    bench = PluginBench(acme.core("belt"), "00" * 8 + "0008 0000 0000 0000")
+    bench = PluginBench(acme.core("belt", options=ALONE), "00" * 8 + "0008 0000 0000 0000")
     assert bench.out() == "00 00 00 00 00 00 00 00 00 00 00 00"
     token = bench.order("start")
     assert bench.see("00" * 8 + "0008 0000 0000 0000", 60)[24:] == "00 01 00 00"
@@ -200,7 +200,7 @@ def test_its_parameters_go_over_record_47_where_it_has_it(installed: Path, acme:
     from acme_drive.table import DECLARED
 
     queue = profile.acyclic.RecordQueue()
-    core = replace(acme, record_access=DECLARED.record_access).core("belt", "STD", records=queue)
+    core = replace(acme, record_access=DECLARED.record_access).core("belt", "STD", ALONE, records=queue)
     assert acme.core("belt", "STD", records=queue).access is None  # it declares none
     bench = PluginBench(core, "00 09 00 00 00 00 00 00")
     token = bench.order("read", number=1)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Final
 
 from dpstack.profile import (
@@ -14,17 +16,21 @@ from dpstack.profile import (
     CommandError,
     ConfigError,
     DriveProfile,
+    Goal,
     ListedParam,
     Lookup,
     MappedCore,
     ParamKey,
     ParamRef,
     PkwAccess,
+    Setting,
+    State,
     Steps,
     TelegramSpec,
     datamap,
     drivecom,
     listing,
+    same,
     settled,
 )
 from dpstack_drives.demag import outpzd
@@ -42,9 +48,28 @@ _WARNING_AGE: Final = NS_PER_S
 _TELL_WRITES: Final = frozenset({10, 100, 1000, 10_000, 100_000})
 _NO_RELEASE: Final = "no hardware release: switch on S1 and one of S2 and S3"
 
+#: 412 of control by the state machine and by remote contacts (11.2.1)
+_STATE_MACHINE, _REMOTE_CONTACTS = 1, 2
+#: The words while 412 is not known to be 1. In mode 2 bits 0 to 7 are contacts: zeros open all of them, S1 (release)
+#: too. Bit 7 alone (S8IND) releases nothing, so a fault that hides the mode can be acknowledged.
+_SILENT: Final = replace(drivecom.TABLE, run={}, steady={**dict.fromkeys(Goal, 0x0000), Goal.ACK_HIGH: 0x0080})
+#: states that only control by the state machine has; the other modes show 0x23, 0x27 and 0x08 (11.2.1.1 to 11.2.1.3)
+_OF_STATE_MACHINE: Final = frozenset(
+    {State.SWITCH_ON_INHIBITED, State.READY_TO_SWITCH_ON, State.QUICK_STOP, State.FAULT_REACTION}
+)
+#: 249 and 412 are read again before a start when they are older, and while the drive runs
+_MODE_AGE: Final = NS_PER_S
+#: without a parameter channel: a drive that has not slowed down by this much in this time does not obey
+_SLOWER: Final = 0.01
+_SLOWER_NS: Final = 3 * NS_PER_S
+
 
 class DemagCore(MappedCore[OutMap]):
     """PZD2 reports the frequency; in PPO1 and PPO3 bits 12-14 fetch warning and fault words through it when needed.
+
+    The words of the state machine are sent only while 412 is known to be 1 in the active data set: by reading 249 and
+    412 where the telegram has a parameter channel, otherwise by the status word. In every other mode the control word
+    is 0. Control by remote contacts (412 = 2) is refused: what S2IND to S6IND do is set in the drive.
 
     Options: ``reference_hz`` (390, or 375 where 390 is 0), ``set_412``: start() may set 412 = 1 in RAM itself;
     ``map_outputs``: what PZD3 to PZD6 of PPO2 and PPO4 mean (:mod:`~dpstack_drives.demag.outpzd`), and
@@ -76,11 +101,16 @@ class DemagCore(MappedCore[OutMap]):
         what = f"drive {name} ({profile.name}): map_outputs"
         self.take_presets(str(options["map_outputs"]), self.outputs_map.fields, what)
         self.outputs_at = 2  # behind PZD1 and PZD2
+        #: 412 in the active data set, as far as it is known; the active data set
+        self._mode: int | None = None
+        self._data_set: int | None = None
+        self._mode_at = 0
+        self._asking = self._watching = False
         super().__init__(
             name,
             profile.name,
             telegram,
-            drivecom.TABLE,
+            _SILENT,
             scan_ns=t.scan_ms(telegram) * NS_PER_MS,
             reference_hz=float(options["reference_hz"]),
             safe_outputs=bytes(telegram.output_octets),
@@ -101,6 +131,8 @@ class DemagCore(MappedCore[OutMap]):
     def received(self) -> None:
         """Take the actual value for what ZSW bits 12-14 say it is (11.2.3), or all of them (11.2.4)."""
         words = self.words
+        if self.access is None and self._mode is None and self.raw_state in _OF_STATE_MACHINE:
+            self._take_mode(_STATE_MACHINE)
         self._toggles |= bool(words[0] & _TOGGLE)
         if self._wide:
             _, self._actual, self._current, self._active, self._warning_word, self._fault_word = words
@@ -164,31 +196,220 @@ class DemagCore(MappedCore[OutMap]):
         return f"remote (bit 9) is 0: 412 is not 1 in the active data set, or {_NO_RELEASE}"
 
     def prepare(self, deadline: int) -> Steps[None]:
-        """Without bit 9 no command is obeyed: find out whether 412 or the release is missing."""
-        yield from settled(self, self._remote, deadline)
-        if self._remote():
-            return
+        """Nothing is sent unless 412 is 1 and the release is there: find out which of them is missing."""
         if self.access is None:
-            raise CommandError(
-                "fault",
-                f"remote (bit 9) is 0, and {self.telegram.name} has no parameter channel to read or set 412: "
-                f"set 412 = 1 at the keypad or over PPO1 or PPO2 (factory setting 44); if it is 1, {_NO_RELEASE}",
-            )
-        active = yield from self._read(249, None, deadline)
-        mode = yield from self._read(412, active, deadline)
-        if mode != 1 and self._set_412:
-            yield from self.access.write(ParamKey(412, active, ram=True), 1, deadline)
-            self.notice(f"412 was {mode}: set to 1 in data set {active} (RAM only)")
-            yield from settled(self, self._remote, deadline)
-            mode = 1
-        if mode != 1:
-            raise CommandError(
-                "fault",
-                f"412 is {mode}: control not by the bus; write 412 = 1 in the active data set ({active}), "
-                "or let start do it with the option set_412",
-            )
+            yield from self._mode_by_status(deadline)
+        else:
+            yield from self._mode_by_channel(deadline)
+        yield from settled(self, self._remote, deadline)
         if not self._remote():
             raise CommandError("fault", _NO_RELEASE)
+
+    # -- 412: who controls the drive ----------------------------------------------------------------------------------
+
+    def _take_mode(self, mode: int | None) -> None:
+        self._mode = mode
+        table = drivecom.TABLE if mode == _STATE_MACHINE else _SILENT
+        if table is not self.table:
+            self.table = table
+            self.update()
+
+    def _mode_by_status(self, deadline: int) -> Steps[None]:
+        """Without a parameter channel: with the control word 0 the state machine never shows 0x23."""
+        if self._mode == _STATE_MACHINE and self.goal is not Goal.IDLE:
+            return  # it obeys its words, and is watched
+        self.set_goal(Goal.IDLE)
+        yield from settled(self, lambda: self.raw_state in _OF_STATE_MACHINE, deadline)
+        if self.raw_state in _OF_STATE_MACHINE:
+            self._take_mode(_STATE_MACHINE)
+            return
+        where = f"{self.telegram.name} has no parameter channel to read or set 412"
+        if not self._remote():
+            self._take_mode(None)
+            raise CommandError(
+                "fault",
+                f"remote (bit 9) is 0, and {where}: "
+                f"set 412 = 1 at the keypad or over PPO1 or PPO2 (factory setting 44); if it is 1, {_NO_RELEASE}",
+            )
+        if self.raw_state is State.READY:
+            self._take_mode(_REMOTE_CONTACTS)
+            raise CommandError("fault", f"{self._not_ours()}; {where}: do it at the keypad or over PPO1 or PPO2")
+        self._take_mode(None)
+        raise CommandError(
+            "fault",
+            f"the status word ({self.status_word:04X}) does not tell whether 412 is 1, and {where}: "
+            "set 412 = 1 at the keypad or over PPO1 or PPO2",
+        )
+
+    def _mode_by_channel(self, deadline: int) -> Steps[None]:
+        assert self.access is not None
+        yield from self._known_mode(deadline)
+        mode, active = self._mode, self._data_set
+        if mode != _STATE_MACHINE and self._set_412:
+            yield from self.access.write(ParamKey(412, active, ram=True), _STATE_MACHINE, deadline)
+            self.notice(f"412 was {mode}: set to 1 in data set {active} (RAM only)")
+            self._take_mode(_STATE_MACHINE)
+        elif mode != _STATE_MACHINE:
+            raise CommandError(
+                "fault",
+                f"{self._not_ours()} (over the bus: `write 412 1`), or let start do it in RAM: "
+                f"write set_412 = true into the configuration file, table [slave.options] below the [[slave]] table "
+                f'with name = "{self.name}"',
+            )
+
+    def _known_mode(self, deadline: int) -> Steps[None]:
+        """Read 249 and 412 unless that was done just now; without an answer the status word may prove mode 1."""
+        while self._asking and self.now < deadline:
+            yield
+        if self._mode is not None and self.now < self._mode_at + _MODE_AGE:
+            return
+        try:
+            yield from self._ask_mode(self.now + (deadline - self.now) // 2)
+        except CommandError as error:
+            if error.kind not in ("timeout", "parameter"):
+                raise
+            if self.raw_state not in _OF_STATE_MACHINE:
+                self._take_mode(None)
+                raise CommandError(
+                    error.kind, f"nobody knows whether 412 is 1, so nothing is sent to the drive: {error.text}"
+                ) from None
+            self._take_mode(_STATE_MACHINE)
+
+    def _ask_mode(self, deadline: int) -> Steps[None]:
+        self._asking = True
+        try:
+            active = yield from self._read(249, None, deadline)
+            mode = yield from self._read(412, active, deadline)
+        finally:
+            self._asking = False
+        if self._data_set not in (None, active):
+            self.settings_check.changed()
+        self._data_set = active
+        self._mode_at = self.now
+        self._take_mode(mode)
+
+    def _not_ours(self) -> str:
+        which = "" if self._data_set is None else f" ({self._data_set})"
+        if self._mode == _REMOTE_CONTACTS:
+            return (
+                "412 is 2: the control word drives contacts (S1IND to S8IND), whose meaning is set in the drive; "
+                f"write 412 = 1 in the active data set{which}"
+            )
+        return f"412 is {self._mode}: control not by the bus; write 412 = 1 in the active data set{which}"
+
+    def achieved(self) -> None:
+        """412 may change with the data set: watch it as long as a command stands."""
+        super().achieved()
+        if not self._watching:
+            self._watching = True
+            self.spawn("watch", self._watch())
+
+    def why_left(self) -> Steps[str | None]:
+        """Another data set, and another 412 in it, is a reason that only the parameter channel tells."""
+        obstacle = self.obstacle()
+        if self.access is not None:
+            try:
+                yield from self._ask_mode(self.now + NS_PER_S)
+            except CommandError:
+                return obstacle
+            if self._mode != _STATE_MACHINE:
+                return self._not_ours()
+        return obstacle
+
+    def halted(self, deadline: int) -> Steps[None]:
+        """Back to the control word 0, in which the status word tells the mode."""
+        self.set_goal(Goal.IDLE)
+        yield from settled(self, lambda: self.raw_state in _OF_STATE_MACHINE, deadline)
+
+    def before_acknowledge(self, deadline: int) -> Steps[None]:
+        """Bit 7 acknowledges in mode 1 only, in mode 2 it is the contact S8IND."""
+        if self.access is not None:
+            try:
+                yield from self._known_mode(deadline)
+            except CommandError as error:
+                if error.kind not in ("timeout", "parameter"):
+                    raise
+        if self._mode not in (None, _STATE_MACHINE):
+            raise CommandError("fault", f"{self._not_ours()}; or acknowledge at the drive")
+
+    def _watch(self) -> Steps[dict[str, object]]:
+        """Until the control word is 0 again."""
+        try:
+            due = self.now + _MODE_AGE
+            away: int | None = None
+            mark: tuple[int, float] | None = None
+            while self.online and self.goal is not Goal.IDLE:
+                yield
+                runs = self.raw_state is State.RUNNING
+                away = None if self._remote() or not runs else self.now if away is None else away
+                if away is not None and self.now >= away + self.settle_ns:
+                    self._give_up("remote (bit 9) went to 0 while it runs: 412 changed, with the data set for instance")
+                elif self.access is None:
+                    mark = self._slows(mark) if runs and self.goal in (Goal.STOP, Goal.QUICK_STOP) else None
+                elif self.now >= due and not self._asking:
+                    with contextlib.suppress(CommandError):  # without an answer it is asked again
+                        yield from self._ask_mode(self.now + 5 * _MODE_AGE)
+                    due = self.now + _MODE_AGE
+                    if self._mode != _STATE_MACHINE:
+                        self._give_up(self._not_ours())
+        finally:
+            self._watching = False
+        return {}
+
+    def _slows(self, mark: tuple[int, float] | None) -> tuple[int, float]:
+        """412 cannot be read: a drive that is told to stop and does not slow down is not in mode 1."""
+        speed = abs(self.measured()[0] or 0.0)
+        if mark is None or speed <= max(mark[1] - _SLOWER, _SLOWER):
+            return self.now, speed
+        if self.now >= mark[0] + _SLOWER_NS:
+            self._take_mode(None)
+            self._give_up(
+                f"it was told to stop and has not slowed down for {_SLOWER_NS // NS_PER_S} s: is 412 = 1 in the active "
+                "data set?"
+            )
+        return mark
+
+    def _give_up(self, why: str) -> None:
+        self.set_goal(Goal.IDLE)
+        self.notice(f"{why}; its control word is 0 now, and it stays off until the next start")
+
+    # -- the settings that the plugin relies on ---------------------------------------------------------------------
+
+    def before_settings(self, deadline: int) -> Steps[None]:
+        """They are in the active data set."""
+        yield from self._ask_mode(deadline)
+
+    def settings(self) -> Sequence[Setting]:
+        """390 or 375 (scale) and 434 (source of the set point) of the active data set."""
+        active = self._data_set
+        ramp = ParamKey(434, active)
+        return (
+            Setting(
+                wanted=f"390 (375 where 390 is 0) = {self.reference_hz:g} Hz",
+                keys=(ParamKey(390, active), ParamKey(375, active)),
+                differs=self._other_reference,
+            ),
+            Setting(wanted="434 = 2 or 3", keys=(ramp,), differs=_without_line),
+            Setting(wanted="228 = 0 Hz where 434 is 3", keys=(ramp, ParamKey(228)), differs=_added, refuse=False),
+        )
+
+    def _other_reference(self, values: Sequence[float]) -> str | None:
+        reference, rated = values
+        number, hertz = (390, reference) if reference else (375, rated)
+        if same(hertz, self.reference_hz):
+            return None
+        return (
+            f"{number} is {hertz:g} Hz in data set {self._data_set}, the option reference_hz is {self.reference_hz:g}: "
+            f"set 390 = {self.reference_hz:g} or reference_hz = {hertz:g}"
+        )
+
+    def wanted_speed(self) -> float:
+        """The set point and the additional reference of PZD3, which the drive adds behind its ramp (11.2.2.2)."""
+        fields = self.outputs_map.fields
+        first = fields[0] if fields else None
+        if first is None or first.kind != outpzd.ADDITIONAL:
+            return self.setpoint
+        return self.setpoint + self.scale.decode(self.values.get(first.key, 0))
 
     def _remote(self) -> bool:
         return bool(self.status_word & _REMOTE)
@@ -201,9 +422,15 @@ class DemagCore(MappedCore[OutMap]):
         return value
 
     def lost(self, now: int) -> None:
-        """The toggle bit begins anew; what was given for PZD3 to PZD6 does not come back by itself."""
+        """The toggle bit begins anew; what was given for PZD3 to PZD6 does not come back by itself.
+
+        Nothing is known of 412 any more.
+        """
         self._toggles = False
         super().lost(now)
+        self._data_set = None
+        self._asking = self._watching = False
+        self._take_mode(None)
 
     def _ask_toggle_time(self, deadline: int) -> Steps[int]:
         """881 must leave time for two of the drive's scans and two rotations (D10)."""
@@ -236,6 +463,8 @@ class DemagCore(MappedCore[OutMap]):
 
     def _written(self, ref: ParamRef) -> None:
         """About a million EEPROM writes are possible (11.1.4): tell the user who spends them in a loop."""
+        if ref.pnu in (412, 414):
+            self._mode_at = self.now - _MODE_AGE  # known no longer
         if ref.ind < t.RAM_ONLY:
             self._writes[ref.label] += 1
             count = self._writes[ref.label]
@@ -258,6 +487,19 @@ class DemagCore(MappedCore[OutMap]):
             raise CommandError("usage", f"{label} exists once, not in data sets")
         ind = (data_set or 0) + (t.RAM_ONLY if ram else 0)
         return ParamRef(number, ind, array, spec, label, (data_set or 0) if array else None)
+
+
+def _without_line(values: Sequence[float]) -> str | None:
+    if values[0] != 1:
+        return None
+    return "434 is 1: the drive follows its internal set point, not that of the bus; set 434 = 2 (bus) or 3 (their sum)"
+
+
+def _added(values: Sequence[float]) -> str | None:
+    how, internal = values
+    if how != 3 or same(internal, 0):
+        return None
+    return f"434 is 3: the drive adds its internal set point ({internal:g} Hz by 228) to that of the bus; set 434 = 2"
 
 
 class _Watched(PkwAccess):

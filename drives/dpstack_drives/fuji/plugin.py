@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 from dpstack.profile import (
@@ -20,10 +20,12 @@ from dpstack.profile import (
     ParamKey,
     ParamRef,
     PkwAccess,
+    Setting,
     State,
     Steps,
     TelegramSpec,
     datamap,
+    equal,
     listing,
     settled,
 )
@@ -137,6 +139,20 @@ class FujiCore(MappedCore[PcdMap]):
             why = f"y98 is {outcome['value']}: {why}"
         raise CommandError("fault", why)
 
+    def settings(self) -> Sequence[Setting]:
+        """F03 (scale), y98 (source), and what PCD1 to PCD4 are assigned to."""
+        hz = self.reference_hz
+        found = [
+            equal("F03", hz, f"set F03 = {hz:g} or the option reference_hz = {{}}", unit="Hz"),
+            equal("y98", 3, "set y98 = 3 (run and frequency command from PROFIBUS)"),
+        ]
+        if self._rest and not self.writes_later:
+            found += [
+                _assigned("map_outputs", self.outputs_map, t.PNU_PCD_WRITE, "o40 to o43"),
+                _assigned("map_inputs", self.inputs_map, t.PNU_PCD_READ, "o48 to o51"),
+            ]
+        return found
+
     # -- PCD1 to PCD4 ---------------------------------------------------------------------------------------------
 
     def order(self, op: str, args: Args) -> Steps[dict[str, object]] | None:
@@ -198,6 +214,24 @@ class FujiCore(MappedCore[PcdMap]):
         array = number in t.ARRAYS or (spec is None and index is not None)
         label = f"PNU {number}" + (f"[{index}]" if index is not None else "")
         return ParamRef(number, (1 if array else 0) if index is None else index, array, spec, label)
+
+
+def _assigned(option: str, told: PcdMap, pnu: int, codes: str) -> Setting:
+    """The drive's assignments are those of the option. A wrong one writes into another parameter: refused."""
+
+    def differs(values: Sequence[float]) -> str | None:
+        found = PcdMap(tuple(int(value) for value in values))
+        if str(found) == str(told):
+            return None
+        return (
+            f"{codes} are {str(found) or 'empty'}, the option {option} is {str(told) or 'empty'}: set {option} = "
+            f"'{found}', or write the codes (write_map over PPO2) and switch the drive off and on"
+        )
+
+    keys = tuple(ParamKey(pnu, index=index) for index in t.ARRAYS[pnu])
+    return Setting(
+        wanted=f"{codes} = {str(told) or 'empty'}", keys=keys, differs=differs, refuse=option == "map_outputs"
+    )
 
 
 def _map(

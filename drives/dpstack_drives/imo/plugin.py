@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 from dpstack.profile import (
@@ -17,10 +17,13 @@ from dpstack.profile import (
     Goal,
     ListedParam,
     MappedCore,
+    ParamKey,
+    Setting,
     Steps,
     TelegramSpec,
     datamap,
     listing,
+    same,
     settled,
 )
 from dpstack_drives.imo import pzd
@@ -49,7 +52,9 @@ class ImoCore(MappedCore[PzdMap]):
     Options: ``reference_hz`` (what 100 % is), ``max_hz`` (the inverter's maximum frequency; 0: ``reference_hz``),
     ``reference_rpm`` and ``rated_current`` (0: not known), ``motor`` 1 or 2, ``heartbeat`` (CW bit 15 set, its echo
     watched), ``map_inputs`` and ``map_outputs``: the maps that ``write_map`` writes where none is given, and
-    ``start()`` with ``set_map``; ``fault_names`` (``4=OC1 ...``), ``baud_index``.
+    ``start()`` with ``set_map``; ``fault_names`` (``4=OC1 ...``), ``baud_index``;
+    ``frequency_source`` and ``maximum_parameter``: parameters of the inverter whose settings the plugin relies on
+    (readings: they are not in the card's manual).
 
     Orders of its own: those of a :class:`MappedCore`, ``inch`` (``direction`` forward, reverse or stop),
     ``pre_excite``, ``control`` (``number`` a name of CW bits 11 to 14, ``value`` 0 or 1).
@@ -64,7 +69,11 @@ class ImoCore(MappedCore[PzdMap]):
         try:
             t.check_rate(float(options["baud_index"]))
             self._fault_names = t.faults(str(options["fault_names"]))
-            self._functions = pzd.to_drive(float(options["max_hz"] or options["reference_hz"]))
+            self._max_given = bool(options["max_hz"])
+            self._max_hz = float(options["max_hz"] or options["reference_hz"])
+            self._functions = pzd.to_drive(self._max_hz)
+            self._frequency_source = t.source(str(options["frequency_source"]))
+            self._maximum = t.parameter(str(options["maximum_parameter"]), "maximum_parameter")
             self._wanted_inputs = PzdMap.parse(str(options["map_inputs"]), pzd.FROM_DRIVE, outputs=False)
             map_outputs = datamap.split(str(options["map_outputs"]))[0]
             self._wanted_outputs = PzdMap.parse(map_outputs, self._functions, outputs=True)
@@ -232,6 +241,52 @@ class ImoCore(MappedCore[PzdMap]):
 
     def _frequency_at(self) -> int | None:
         return None if self.outputs_map is None else self.outputs_map.place(pzd.SET_FREQUENCY)
+
+    # -- the settings that the plugin relies on -----------------------------------------------------------------------
+
+    def before_settings(self, deadline: int) -> Steps[None]:
+        """The maps first, which nothing works without."""
+        while self._learning:
+            yield
+
+    def settings(self) -> Sequence[Setting]:
+        """Source and limit of the set frequency; who commands stands in SW, and the maps are learned."""
+        found = []
+        if self._frequency_source is not None:
+            number, value = self._frequency_source
+            name = t.name_of(number)
+            found.append(
+                Setting(
+                    wanted=f"{name} = {value}",
+                    keys=(ParamKey(number),),
+                    differs=lambda values: (
+                        None
+                        if values[0] == value
+                        else f"{name} is {values[0]:g}, not {value}: the set frequency does not come from PROFIBUS; "
+                        f"set {name} = {value}, or the option frequency_source to what the inverter's manual has"
+                    ),
+                )
+            )
+        if self._maximum is not None:
+            found.append(
+                Setting(
+                    wanted=f"{t.name_of(self._maximum)} = {self._max_hz:g} Hz",
+                    keys=(ParamKey(self._maximum),),
+                    differs=self._other_maximum,
+                    refuse=False,
+                )
+            )
+        return found
+
+    def _other_maximum(self, values: Sequence[float]) -> str | None:
+        hertz = values[0] / t.PER_HZ
+        if same(hertz, self._max_hz) or (not self._max_given and hertz > self._max_hz):
+            return None
+        name = t.name_of(self._maximum or 0)
+        return (
+            f"{name} (maximum frequency) is {hertz:g} Hz, not {self._max_hz:g} Hz: set points are limited there; set "
+            f"{name} = {self._max_hz:g} or the option max_hz = {hertz:g}"
+        )
 
     # -- maps -----------------------------------------------------------------------------------------------------
 

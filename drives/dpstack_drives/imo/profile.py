@@ -45,6 +45,13 @@ DRIVE: Final = DriveProfile(
         ),
         "fault_names": OptionSpec(default="", text="fault codes of the inverter's manual, '4=OC1 11=OL1'"),
         "baud_index": _RATE,
+        "frequency_source": OptionSpec(
+            default=t.FREQUENCY_SOURCE,
+            text="the inverter's parameter for the source of its frequency and the value for PROFIBUS; '': unchecked",
+        ),
+        "maximum_parameter": OptionSpec(
+            default=t.MAXIMUM_HZ, text="the inverter's parameter for the maximum frequency, in 0.01 Hz; '': unchecked"
+        ),
     },
     device_options={
         "load": OptionSpec(default=0.2, low=0, high=2, text="load torque of the rated one"),

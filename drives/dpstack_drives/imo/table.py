@@ -201,6 +201,27 @@ def address(name: str) -> int | None:
     return int(match[1]) << 8 | int(match[2])
 
 
+def parameter(text: str, option: str) -> int | None:
+    """The address of the function code in an option, None where there is none. Raises ValueError."""
+    if not text.strip():
+        return None
+    found = address(text)
+    if found is None:
+        raise ValueError(f"{option}: {text!r} is no function code; write for instance P00.03")
+    return found
+
+
+def source(text: str) -> tuple[int, int] | None:
+    """``P00.06=9`` as address and value, None for an empty text. Raises ValueError."""
+    name, _, value = text.partition("=")
+    found = parameter(name, "frequency_source")
+    if found is None and not value:
+        return None
+    if found is None or not value.strip().isdecimal():
+        raise ValueError(f"frequency_source: {text!r}: write a function code and its value, {FREQUENCY_SOURCE!r}")
+    return found, int(value)
+
+
 def name_of(number: int) -> str:
     """The function code at an address."""
     return f"P{number >> 8:02}.{number & 0xFF:02}"
@@ -215,6 +236,10 @@ TRANSMITTED: Final = tuple(range(0x0F0D, 0x0F0D + PZDS))
 MOST_RECEIVED, MOST_TRANSMITTED = 18, 26
 #: made up: parameters of the inverter in the simulated drive
 SOURCE, MAXIMUM_HZ, ACCELERATION, DECELERATION = "P00.01", "P00.03", "P00.11", "P00.12"
+#: Of the inverter, which has a manual of its own: a reading, from the numbering of the inverters of this family
+#: (address 10, the keypad's frequency, is P00.10 there, too). The plugin takes other ones by its options
+FREQUENCY_SOURCE: Final = "P00.06=9"
+PER_HZ: Final = 100
 #: made up: refused while running
 STANDSTILL_ONLY: Final = frozenset({ADDRESS, 0x0003})
 
@@ -237,6 +262,7 @@ def _spec(number: int, title: str, high: float, factory: float, **more: object) 
 def _specs() -> Iterator[ParamSpec]:
     yield _spec(0x0001, "Run command channel", 2, Source.COMMUNICATION, made_up=True)
     yield _spec(0x0003, "Maximum frequency", 400, 50, decimals=2, unit="Hz", made_up=True)
+    yield _spec(0x0006, "Source of the set frequency", 15, 9, made_up=True)
     yield _spec(KEYPAD_FREQUENCY, "Frequency set by keypad", 400, 50, decimals=2, unit="Hz")
     yield _spec(0x000B, "Acceleration time", 3600, 1, decimals=1, unit="s", made_up=True)
     yield _spec(0x000C, "Deceleration time", 3600, 1, decimals=1, unit="s", made_up=True)

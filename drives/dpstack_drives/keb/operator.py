@@ -179,6 +179,21 @@ class Operator:
             return False
         return all(self._inverter.provides(entry) for entry in (into if direction is self.into else out).entries)
 
+    def shown(self, index: int) -> int | None:
+        """The active map as the inverter shows it in sy.16 to sy.31 and sy.58 to sy.73; None for any other index.
+
+        The sets of a value that is off are set 0 for inputs and all of them for outputs, as in the manual's table.
+        """
+        for direction, firsts, sets in ((self.into, t.ACTIVE_INPUTS, 1), (self.out, t.ACTIVE_OUTPUTS, 0xFF)):
+            for block, first in enumerate(firsts):
+                value, of_sets = divmod(index - first, 2)
+                if 0 <= value < t.BLOCK_VALUES:
+                    entries = [entry for _, entry in direction.active[block]]
+                    if value >= len(entries):
+                        return sets if of_sets else -1
+                    return entries[value].sets if of_sets else entries[value].index - t.INVERTER.start
+        return None
+
     # -- process data ---------------------------------------------------------------------------------------------
 
     def take(self, process: bytes, now: int) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 from dpstack.profile import (
@@ -15,7 +15,9 @@ from dpstack.profile import (
     ListedParam,
     Lookup,
     MappedCore,
+    ParamKey,
     Scale,
+    Setting,
     State,
     StateRow,
     StateTable,
@@ -23,6 +25,7 @@ from dpstack.profile import (
     TelegramSpec,
     Word,
     datamap,
+    equal,
     listing,
 )
 from dpstack_drives.keb import mapping, pdmap
@@ -179,6 +182,28 @@ class KebCore(MappedCore[PdMap]):
                     )
         return None
 
+    def settings(self) -> Sequence[Setting]:
+        """The source of the set point, the direction, and the active map (sy.16 to sy.31, sy.58 to sy.73)."""
+        found = [equal("oP.00", 5, "the set point is not sy.52: set oP.00 = 5")] if self._rpm_per_count else []
+        if self._bits and self._by_sign:
+            found.append(
+                Setting(
+                    wanted="oP.01 other than 9",
+                    keys=(ParamKey("oP.01"),),
+                    differs=lambda values: _absolute(values[0]),
+                )
+            )
+        elif self._bits:
+            remedy = "the direction may not come from sy.50: set oP.01 = 9"
+            found.append(equal("oP.01", 9, remedy, refuse=False))
+        if self.writes_later:
+            return found
+        return [
+            *found,
+            *_active("map_outputs", self.outputs_map, t.ACTIVE_OUTPUTS),
+            *_active("map_inputs", self.inputs_map, t.ACTIVE_INPUTS),
+        ]
+
     def _ask(self, deadline: int) -> Steps[int]:
         return self._channel.get(Target(t.INVERTER_STATE, 1, "ru.00"), deadline)
 
@@ -211,6 +236,57 @@ class KebCore(MappedCore[PdMap]):
         """What start, stop and speed write."""
         ours = {t.CONTROL_WORD: bool(self._bits), t.SET_SPEED: bool(self._rpm_per_count)}
         return "start, stop and speed" if ours.get(key) else None
+
+
+def _absolute(rotation: float) -> str | None:
+    if rotation != 9:
+        return None
+    return (
+        "oP.01 is 9: the direction comes from sy.50 and a negative sy.52 turns forward: set the option direction = "
+        "'bit', or oP.01 to a source that takes the sign"
+    )
+
+
+def _active(option: str, told: PdMap, firsts: Sequence[int]) -> list[Setting]:
+    """The active map is that of the option, block by block; the drive does not tell words from longs.
+
+    A value in another's place would be written into another parameter, or taken for status word or speed: refused.
+    """
+    found = []
+    for block, first in enumerate(firsts):
+        entries = told.block(block)
+        if block and not entries:
+            continue  # the telegram has one block, and so may the drive
+        definitions = min(len(entries) + 1, t.BLOCK_VALUES)
+        keys = [ParamKey(first + 2 * n) for n in range(definitions)]
+        keys += [ParamKey(first + 2 * n + 1) for n in range(len(entries))]
+        last = t.name_of(first + 2 * t.BLOCK_VALUES - 1).partition(" ")[0]
+        names = f"{t.name_of(first).partition(' ')[0]} to {last}"
+        wanted = " ".join(_place(entry.index, entry.sets) for entry in entries) or "empty"
+
+        def differs(
+            values: Sequence[float], count: int = definitions, wanted: str = wanted, names: str = names
+        ) -> str | None:
+            indexes = [int(value) & t.OFF for value in values[:count]]
+            sets = [int(value) for value in values[count:]]
+            places = [
+                _place(t.INVERTER.start + index, sets[n] if n < len(sets) else 1)
+                for n, index in enumerate(indexes)
+                if index != t.OFF
+            ]
+            if places == wanted.split():
+                return None
+            return (
+                f"the active map has {' '.join(places) or 'nothing'} ({names}), the option {option} says {wanted}: set "
+                f"{option} to the drive's map (read_map), or write_map and switch the drive off and on"
+            )
+
+        found.append(Setting(wanted=f"{names} = {wanted}", keys=tuple(keys), differs=differs))
+    return found
+
+
+def _place(index: int, sets: int) -> str:
+    return f"{index:04X}" + ("" if sets == 1 else f"@{sets}")
 
 
 def _map(text: str, default: PdMap, octets: int, what: str) -> PdMap:

@@ -284,4 +284,4 @@ class KebDevice(DriveDevice):
             case t.CONTROL_LONG:
                 return self.parameters.raw(t.CONTROL_WORD)
             case _:
-                return None
+                return self.operator.shown(index)

@@ -40,6 +40,13 @@ CONTROL_LONG, STATUS_LONG = 0x202B, 0x202C
 #: the parameters that the manual itself maps as words
 WORDS: Final = frozenset({CONTROL_WORD, STATUS_WORD, SET_SPEED, ACTUAL_SPEED})
 INVERTER_STATE: Final = 0x2200
+#: Saving of the F5 PB-Operator Configuration: the map as the inverter has it, sy.16 to sy.31 and sy.58 to sy.73. Of
+#: each block and direction the first definition (an address without 2000h, -1 off); its sets and the next ones follow
+ACTIVE_INPUTS, ACTIVE_OUTPUTS = (0x2010, 0x203A), (0x2018, 0x2042)
+#: values of a block, each a definition and its sets
+BLOCK_VALUES: Final = 4
+#: a definition of nothing, as 16 bits
+OFF: Final = 0xFFFF
 #: Changing the PD-Assignment: the records of the map, and their enables
 MAP_INPUTS, MAP_OUTPUTS = 0x6000, 0x6001
 ENABLE_INPUTS, ENABLE_OUTPUTS = 0x5FF8, 0x6002
@@ -183,6 +190,20 @@ _ANY: Final = 0x7FFF_FFFF
 _PARAMETERS: Final = (
     _P("sy.06", "PROFIBUS address", high=126, factory=126),
     _P("sy.09", "HSP5 watchdog time", high=10, per_unit=100, unit="s"),
+    *(
+        _P(
+            f"sy.{first + 2 * n + more:02}",
+            f"process {way} data {at + n} {what}",
+            low,
+            high,
+            factory=low,
+            read_only=True,
+            made_up=False,
+        )
+        for first, way, at in ((16, "read", 1), (24, "write", 1), (58, "read", 5), (66, "write", 5))
+        for n in range(BLOCK_VALUES)
+        for more, what, low, high in ((0, "definition", -1, 0x7FFF), (1, "set", 1, 0xFF))
+    ),
     _P("sy.43", "control word (long)", -_ANY, _ANY, long=True),
     _P("sy.44", "status word (long)", -_ANY, _ANY, long=True, read_only=True),
     _P("sy.50", "control word (low)"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 from dpstack.profile import (
@@ -23,11 +23,13 @@ from dpstack.profile import (
     ParamRef,
     PkwAccess,
     Scale,
+    Setting,
     State,
     Steps,
     TelegramSpec,
     acyclic,
     datamap,
+    equal,
     settled,
 )
 from dpstack_drives.ls import paramap, records, references, telegrams
@@ -81,6 +83,7 @@ class LsCore(MappedCore[ParaMap]):
             raise ConfigError(f"{where}: {error}") from None
         self._io = self._profile == t.IO
         self._trip_number = options["trip_word"] == "number"
+        self._rpm = options["speed_unit"] == "rpm"
         self._at = 0 if self._io else t.PARA_AT
         self._rooms = tuple(min(max(n // 2 - self._at, 0), telegrams.MOST) for n in (telegram.inputs, telegram.outputs))
         try:
@@ -97,7 +100,7 @@ class LsCore(MappedCore[ParaMap]):
         reference_hz = float(options["reference_hz"])
         if self._profile != t.PROFIDRIVE:
             self.scale = Scale("speed", full=1, span=0.01 / reference_hz)
-        elif options["speed_unit"] == "rpm":
+        elif self._rpm:
             self.scale = Scale("speed", full=1, span=1 / float(options["reference_rpm"]))
         else:
             self.scale = SPEED
@@ -260,17 +263,9 @@ class LsCore(MappedCore[ParaMap]):
         return None
 
     def prepare(self, deadline: int) -> Steps[None]:
-        """First the profile that the drive has (PNU 930); once it does not obey, who has the control."""
+        """Once it does not obey: who has the control."""
         yield from super().prepare(deadline)
         if self.goal is not Goal.RUN:
-            if self.access is not None:
-                found = yield from self._value(ParamKey(t.PNU_PROFILE), deadline)
-                if found is not None and found != t.PNU_930[self._profile]:
-                    raise CommandError(
-                        "fault",
-                        f"the drive has profile {found:04X} (PNU 930), the option profile says "
-                        f"{t.PNU_930[self._profile]:04X}: set COM-11 to {self._profile} and COM-94 to 1",
-                    )
             return
         yield from settled(self, lambda: self.obstacle() is None, deadline)
         why = self.obstacle()
@@ -283,6 +278,50 @@ class LsCore(MappedCore[ParaMap]):
         if self._profile != t.PROFIDRIVE and self.table.status.told(self.status_word, "keypad"):
             raise CommandError("fault", why)
         # otherwise it may only be slow: the time-out tells the same
+
+    def settings(self) -> Sequence[Setting]:
+        """Profile, scale and source of the set point, the order of octets, and the maps."""
+        profidrive = self._profile == t.PROFIDRIVE
+        per_cent = profidrive and not self._rpm
+        hz = self.reference_hz
+        wanted = t.PNU_930[self._profile]
+        swap = int(self.octet_order == "little")
+        found = [
+            Setting(
+                wanted=f"PNU 930 = {wanted:04X}h",
+                keys=(ParamKey(t.PNU_PROFILE),),
+                differs=lambda values: self._other_profile(int(values[0])),
+            ),
+            equal("dr-07", t.FIELD_BUS["dr-07"], "the frequency does not come from the field bus: set dr-07 = 8"),
+            equal(
+                "dr-20",
+                hz,
+                f"set dr-20 = {hz:g} or the option reference_hz = {{}}",
+                unit="Hz",
+                refuse=per_cent,  # otherwise a limit: set points are rpm or Hz
+            ),
+            equal("COM-68", swap, f"set COM-68 = {swap} and COM-94 = 1, or the option swap"),
+        ]
+        if profidrive:
+            unit = "rpm" if self._rpm else "percent"
+            remedy = f"set COM-14 = {int(self._rpm)} and COM-94 = 1, or the option speed_unit (now {unit!r})"
+            found.append(equal("COM-14", int(self._rpm), remedy))
+        for option, told, room, count, refuse in (
+            ("para_control", self.outputs_map, self._rooms[1], t.CONTROL_COUNT, True),
+            ("para_status", self.inputs_map, self._rooms[0], t.STATUS_COUNT, self._io),
+        ):
+            if room:
+                found.append(_mapped(option, told, room, count, refuse=refuse))
+        return found
+
+    def _other_profile(self, found: int) -> str | None:
+        wanted = t.PNU_930[self._profile]
+        if found == wanted:
+            return None
+        return (
+            f"the drive has profile {found:04X} (PNU 930), the option profile says {wanted:04X}: set COM-11 to "
+            f"{self._profile} and COM-94 to 1"
+        )
 
     def _value(self, key: ParamKey, deadline: int) -> Steps[object]:
         """A parameter's value, None where the drive does not know it."""
@@ -365,3 +404,32 @@ class LsCore(MappedCore[ParaMap]):
     def written_by(self, key: int) -> str | None:
         """In VENDOR the two words of the drive."""
         return "start, stop and speed" if self._io and key in (t.FREQUENCY, t.OPERATION) else None
+
+
+def _mapped(option: str, told: ParaMap, room: int, count: int, *, refuse: bool) -> Setting:
+    """COM-31.. or COM-51.. are those of the option, as far as the telegram has words for them.
+
+    ``count``: the address of their number; theirs follow it.
+    """
+    keys = tuple(ParamKey(count + place) for place in range(room + 1))
+
+    def differs(values: Sequence[float]) -> str | None:
+        number, *entries = (int(value) for value in values)
+        found = ParaMap(tuple(entries[:number]))
+        if _filled(found) == _filled(told):
+            return None
+        first = t.code_of(count + 1)
+        return (
+            f"{first}.. are {str(found) or 'empty'}, the option {option} says {str(told) or 'none'}: set {option} = "
+            f"'{found}' or the codes (write_map)"
+        )
+
+    return Setting(wanted=f"{t.code_of(count + 1)}.. = {told}", keys=keys, differs=differs, refuse=refuse)
+
+
+def _filled(one: ParaMap) -> tuple[int, ...]:
+    """Without the empty words at its end."""
+    entries = one.entries
+    while entries and not entries[-1]:
+        entries = entries[:-1]
+    return entries

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from acme_drive import table as t
-from dpstack.profile import CommandError, DeclaredCore, DriveProfile, Steps, TelegramSpec, settled
+from dpstack.profile import CommandError, DeclaredCore, DriveProfile, Setting, Steps, TelegramSpec, equal, settled
 
 
 class AcmeCore(DeclaredCore):
@@ -21,6 +21,11 @@ class AcmeCore(DeclaredCore):
         if t.STATUS.told(self.status_word, "remote"):
             return None
         return "the bus does not control the drive (status bit 3 is 0): set parameter 1 (source) to 1"
+
+    def settings(self) -> Sequence[Setting]:
+        """100 % is what the option says."""
+        hz = self.reference_hz
+        return (equal("reference", hz, f"set parameter 5 = {hz:g} or the option reference_hz = {{}}", unit="Hz"),)
 
     def prepare(self, deadline: int) -> Steps[None]:
         """Before a start: fail with the reason, not with a time-out."""

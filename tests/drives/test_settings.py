@@ -1,0 +1,422 @@
+"""The settings of a drive that its plugin relies on: read when data exchange begins; wrong ones refuse a start."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import pytest
+from demag_kit import ZERO
+from drive_bench import MS, PairBench, PluginBench, S, as_mapping
+
+from dpstack.profile import CommandError, DriveProfile, SettingsState
+from dpstack_drives.demag import DRIVE as DEMAG
+from dpstack_drives.fuji import DRIVE as FUJI
+from dpstack_drives.imo import DRIVE as IMO
+from dpstack_drives.keb import DRIVE as KEB
+from dpstack_drives.ls import DRIVE as LS
+
+NONE: Mapping[str, object] = {}
+BUS = {"412": 1}
+PZD = {"P15.02": 1, "P15.13": 1}
+
+
+def pair(
+    drive: DriveProfile,
+    telegram: str | None,
+    simulated: Mapping[str, object] = NONE,
+    options: Mapping[str, object] = NONE,
+    rotation: int = 2 * MS,
+) -> PairBench:
+    return PairBench(drive.core("it", telegram, options, simulated=True), drive.device(telegram, simulated), rotation)
+
+
+# -- each drive against its simulated one, set otherwise ---------------------------------------------------------------
+
+REFUSED = [
+    (
+        DEMAG,
+        "PPO1",
+        {**BUS, "390": 60},
+        NONE,
+        "390 is 60 Hz in data set 1, the option reference_hz is 50: set 390 = 50",
+    ),
+    (
+        DEMAG,
+        "PPO1",
+        {**BUS, "375": 87},
+        NONE,
+        "375 is 87 Hz in data set 1, the option reference_hz is 50: set 390 = 50",
+    ),
+    (DEMAG, "PPO2", {**BUS, "434": 1}, NONE, "434 is 1: the drive follows its internal set point"),
+    (FUJI, "PPO1", {"F03": 50}, NONE, "F03 is 50 Hz, not 60 Hz: set F03 = 60 or the option reference_hz = 50"),
+    (FUJI, "PPO1", {"y98": 2}, NONE, "y98 is 2, not 3: set y98 = 3"),
+    (
+        FUJI,
+        "PPO2",
+        {"o40": 0x0407},
+        NONE,
+        "o40 to o43 are F07, the option map_outputs is empty: set map_outputs = 'F07'",
+    ),
+    (LS, "PPO1", {"COM-14": 1}, NONE, "COM-14 is 1, not 0: set COM-14 = 0 and COM-94 = 1, or the option speed_unit"),
+    (LS, "PPO1", NONE, {"speed_unit": "rpm"}, "COM-14 is 0, not 1"),
+    (LS, "PPO1", {"dr-20": 50}, NONE, "dr-20 is 50 Hz, not 60 Hz: set dr-20 = 60 or the option reference_hz = 50"),
+    (
+        LS,
+        "PPO1",
+        {"dr-07": 0},
+        NONE,
+        "dr-07 is 0, not 8: the frequency does not come from the field bus: set dr-07 = 8",
+    ),
+    (LS, "PPO2", {"para_control": "dr-04"}, NONE, "COM-51.. are 1104, the option para_control says 0005 0006"),
+    (KEB, "PCH+4/4", {"oP.00": 0}, NONE, "oP.00 is 0, not 5: the set point is not sy.52: set oP.00 = 5"),
+    (KEB, "PCH+4/4", NONE, {"direction": "sign"}, "oP.01 is 9: the direction comes from sy.50"),
+    (
+        KEB,
+        "PCH+8/8",
+        NONE,
+        {"map_outputs": "cS.19:long=5 sy.50 sy.52", "map_inputs": "ru.12:long sy.51 sy.53"},
+        "the active map has 2032 2034 (sy.24 to sy.31), the option map_outputs says 2F13 2032 2034",
+    ),
+    (IMO, None, {**PZD, "P00.06": 0}, NONE, "P00.06 is 0, not 9: the set frequency does not come from PROFIBUS"),
+]
+
+
+@pytest.mark.parametrize(("drive", "telegram", "simulated", "options", "says"), REFUSED)
+def test_another_scale_or_source_refuses_the_start(
+    drive: DriveProfile,
+    telegram: str | None,
+    simulated: Mapping[str, object],
+    options: Mapping[str, object],
+    says: str,
+) -> None:
+    bench = pair(drive, telegram, simulated, options)
+    kind, text = bench.refused("start")
+    assert kind == "fault"
+    assert says in text
+    status = bench.core.status()
+    assert status.settings is SettingsState.DIFFERENT
+    assert any(says in one for one in status.settings_texts)
+    assert any(says in notice and "start is refused until then" in notice for notice in bench.notices())
+    bench.pass_time(500)
+    assert not bench.device.motor.on
+
+
+NOTICED = [
+    (DEMAG, "PPO1", {**BUS, "228": 5}, "434 is 3: the drive adds its internal set point (5 Hz by 228)"),
+    (FUJI, "PPO2", {"o48": 0x041A}, "o48 to o51 are F26, the option map_inputs is empty"),
+    (LS, "PPO1", {"profile": "ls", "dr-20": 50}, "dr-20 is 50 Hz, not 60 Hz"),
+    (LS, "PPO2", {"para_status": "In-90"}, "COM-31.. are 155A, the option para_status says 000A 000E 000F"),
+    (KEB, "PCH+4/4", {"oP.01": 8}, "oP.01 is 8, not 9: the direction may not come from sy.50"),
+    (IMO, None, {**PZD, "P00.03": 40}, "P00.03 (maximum frequency) is 40 Hz, not 50 Hz: set points are limited there"),
+]
+
+
+@pytest.mark.parametrize(("drive", "telegram", "simulated", "says"), NOTICED)
+def test_what_changes_neither_scale_nor_source_is_a_notice(
+    drive: DriveProfile, telegram: str | None, simulated: Mapping[str, object], says: str
+) -> None:
+    options = {"profile": "ls"} if "profile" in simulated else NONE
+    bench = pair(drive, telegram, simulated, options)
+    if drive is KEB:  # the simulated drive obeys with 9 only
+        bench.pass_time(2000)
+    else:
+        bench.ok("start")
+    assert bench.core.status().settings is SettingsState.DIFFERENT
+    assert [notice for notice in bench.notices() if says in notice] != []
+    assert not any("refused" in notice for notice in bench.notices())
+
+
+@pytest.mark.parametrize(
+    ("drive", "telegram", "simulated"),
+    [
+        (DEMAG, "PPO1", BUS),
+        (DEMAG, "PPO2", {**BUS, "390": 50, "434": 2}),
+        (FUJI, "PPO1", NONE),
+        (FUJI, "PPO2", NONE),
+        (LS, "PPO1", NONE),
+        (LS, "PPO2", NONE),
+        (KEB, "PCH+4/4", NONE),
+        (KEB, "PCH+8/8", NONE),
+        (IMO, None, PZD),
+    ],
+)
+def test_settings_as_they_should_be_say_nothing(
+    drive: DriveProfile, telegram: str | None, simulated: Mapping[str, object]
+) -> None:
+    bench = pair(drive, telegram, simulated)
+    bench.ok("start")
+    assert bench.core.status().settings is SettingsState.CHECKED
+    assert bench.core.status().settings_texts == ()
+    assert not any("settings" in notice for notice in bench.notices())
+
+
+def test_a_keb_whose_map_is_the_manuals_example_is_verified_in_both_blocks() -> None:
+    """The two examples of the manual: 12 octets of inputs, 10 of outputs (K12)."""
+    maps = {"map_inputs": "202C:long 2033 2035 2200 2227", "map_outputs": "2F13:long=5 2032 2034 230A=5600"}
+    device = KEB.device("PCH+8+2/8+4 own-gsd")
+    first = PairBench(KEB.core("it", "PCH+8+2/8+4 own-gsd", simulated=True), device)
+    first.ok("write_map", inputs=maps["map_inputs"], outputs=maps["map_outputs"].replace("=5600", "").replace("=5", ""))
+    after = KEB.device("PCH+8+2/8+4 own-gsd")
+    after.inherit(device)
+    bench = PairBench(KEB.core("it", "PCH+8+2/8+4 own-gsd", maps, simulated=True), after)
+    bench.ok("start")
+    assert bench.core.status().settings is SettingsState.CHECKED
+    # sy.16 to sy.23 and sy.58 to sy.65 as the manual prints them ("Saving of the F5 PB-Operator Configuration")
+    shown = [bench.ok("read", number=f"sy.{number}") for number in (*range(16, 24), *range(58, 66))]
+    assert shown == [0x2C, 1, 0x33, 1, 0x35, 1, -1, 1, 0x200, 1, 0x227, 1, -1, 1, -1, 1]
+    shown = [bench.ok("read", number=f"sy.{number}") for number in (*range(24, 32), *range(66, 74))]
+    assert shown == [0xF13, 1, 0x32, 1, 0x34, 1, -1, 255, 0x30A, 1, -1, 255, -1, 255, -1, 255]
+
+
+# -- literal octets of the master --------------------------------------------------------------------------------------
+
+
+def replied(bench: PluginBench, request: str, reply: str, process: str) -> None:
+    """The plugin asks ``request`` and gets ``reply``, zeros follow (all octets of the parameter channel in hex)."""
+    for _ in range(200):
+        if bench.out().startswith(request):
+            break
+    assert bench.out().startswith(request)
+    bench.see(f"{reply} {process}", 2)
+    bench.see(ZERO + process, 2)
+
+
+def test_demag_390_375_and_434_are_read_in_the_active_data_set() -> None:
+    idle = "02 40 00 00"
+    bench = PluginBench(DEMAG.core("hoist", "PPO1", {"reference_hz": 60}), ZERO + idle)
+    replied(bench, "10 F9 00 00", "10 F9 00 00 00 00 00 02", idle)
+    replied(bench, "61 9C 02 00", "41 9C 02 00 00 00 00 01", idle)
+    replied(bench, "61 86 02 00", "51 86 02 00 00 00 17 70", idle)  # 390 = 60.00 Hz
+    replied(bench, "61 77 02 00", "51 77 02 00 00 00 13 88", idle)  # 375 = 50.00 Hz
+    assert bench.core.status().settings is SettingsState.CHECKING
+    replied(bench, "61 B2 02 00", "41 B2 02 00 00 00 00 02", idle)
+    replied(bench, "10 E4 00 00", "20 E4 00 00 00 00 00 00", idle)
+    assert bench.core.status().settings is SettingsState.CHECKED
+    assert bench.out()[24:29] == "00 00"
+
+
+def test_fuji_f03_and_y98_with_the_octets_of_the_manual() -> None:
+    """y98 as in example 2 of 8.3; with 1 the run command does not come from the bus."""
+    bench = PluginBench(FUJI.core("fan", "PPO1", {"reference_hz": 60}), ZERO + "02 31 00 00")
+    for request, reply in (
+        ("11 04 03 00 00 00 00 00", "11 04 03 00 00 00 02 58"),
+        ("11 0F 62 00 00 00 00 00", "11 0F 62 00 00 00 00 01"),
+    ):
+        assert request in [bench.out()[:23] for _ in range(20)]
+        bench.see(f"{reply} 02 31 00 00", 2)
+    assert bench.notices() == [
+        "y98 is 1, not 3: set y98 = 3 (run and frequency command from PROFIBUS); start is refused until then"
+    ]
+
+
+def test_keb_reads_its_active_map_by_index() -> None:
+    """oP.00, then sy.24, sy.26, sy.28 (definitions of the outputs), sy.25, sy.27 (their sets) and the inputs'."""
+    options = {"check_settings": True, "control_bits": "enable=0 run=2", "status_bits": "run=2", "rpm_per_count": 1.0}
+    bench = PairBench(KEB.core("saw", "PCH+4/4", options), KEB.device("PCH+4/4"))
+    seen: list[str] = []
+    for _ in range(2000):
+        request = bench.run()[:4]
+        if request[0] & 3 and (asked := request[1:].hex()) not in seen[-1:]:
+            seen.append(asked)
+    assert seen == [
+        *("012300", "012301"),
+        *("012018", "01201a", "01201c", "012019", "01201b"),
+        *("012010", "012012", "012014", "012011", "012013"),
+    ]
+
+
+# -- when, how long, and what is told ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("drive", "telegram", "simulated", "relies"),
+    [
+        (DEMAG, "PPO3", BUS, "390 (375 where 390 is 0) = 50 Hz, 434 = 2 or 3"),
+        (FUJI, "PPO3", NONE, "F03 = 60 Hz, y98 = 3"),
+        (FUJI, "PPO4", NONE, "o40 to o43 = empty"),
+        (LS, "PPO6", NONE, "dr-07 = 8, dr-20 = 60 Hz, COM-68 = 0, COM-14 = 0"),
+        (KEB, "4/4", NONE, "sy.24 to sy.31 = 2032 2034, sy.16 to sy.23 = 2033 2035"),
+    ],
+)
+def test_without_a_channel_it_starts_and_says_not_checked(
+    drive: DriveProfile, telegram: str, simulated: Mapping[str, object], relies: str
+) -> None:
+    bench = pair(drive, telegram, simulated)
+    bench.ok("start")
+    status = bench.core.status()
+    assert status.settings is SettingsState.NOT_CHECKED
+    (text,) = status.settings_texts
+    assert text.startswith(f"settings not checked: {telegram} has no parameter channel; the plugin relies on ")
+    assert relies in text
+    assert bench.notices().count(text) == 1
+    assert status.as_dict()["settings"] == "not_checked"
+    assert status.as_dict()["settings_texts"] == [text]
+    bench.ok("stop")
+    bench.ok("start")
+    assert bench.notices().count(text) == 1
+
+
+def test_without_an_answer_it_starts_within_its_time_and_says_not_checked() -> None:
+    bench = PluginBench(FUJI.core("fan", "PPO1"), ZERO + "02 31 00 00")
+    token = bench.order("start", timeout_s=5)
+    bench.run(3 * S // bench.rotation)
+    assert bench.out().endswith("04 7E 00 00")
+    bench.run(2 * S // bench.rotation - bench.rotation // MS * 100)
+    assert bench.out().endswith("04 7F 00 00")
+    bench.see(ZERO + "02 37 00 00", 20)
+    assert as_mapping(bench.result(token))["value"] == "running"
+    assert "settings not checked: the drive has not yet answered; the plugin relies on F03 = 60 Hz, y98 = 3" in (
+        bench.notices()
+    )
+    bench.run(3 * S // bench.rotation)
+    assert bench.core.status().settings is SettingsState.NOT_CHECKED
+
+
+def test_what_the_drive_does_not_have_is_not_checked_and_the_rest_is() -> None:
+    """An inverter of another family: P00.06 does not exist there."""
+    bench = pair(IMO, None, {**PZD, "P00.03": 40}, {"frequency_source": "P77.01=9"})
+    bench.ok("start")
+    status = bench.core.status()
+    assert status.settings is SettingsState.DIFFERENT
+    assert any("P77.01: error 2, invalid data address" in text for text in status.settings_texts)
+    assert any("P00.03 (maximum frequency) is 40 Hz" in text for text in status.settings_texts)
+
+
+def test_settings_are_compared_again_after_each_loss() -> None:
+    bench = pair(FUJI, "PPO1")
+    bench.ok("start")
+    bench.core.lost(bench.now)
+    assert bench.core.status().settings is SettingsState.NONE
+    store = bench.device.store  # type: ignore[attr-defined]
+    store.write(store.table.named("F03"), 500)
+    bench.pass_time(500)
+    assert bench.core.status().settings is SettingsState.DIFFERENT
+    assert "F03 is 50 Hz" in bench.refused("start")[1]
+
+
+def test_what_was_set_right_is_seen_by_the_next_start() -> None:
+    bench = pair(FUJI, "PPO1", {"F03": 50})
+    bench.refused("start")
+    bench.ok("write", number="F03", value=60)
+    bench.ok("start")
+    assert bench.core.status().settings is SettingsState.CHECKED
+
+
+def test_what_was_set_wrong_meanwhile_is_seen_by_the_next_start() -> None:
+    bench = pair(DEMAG, "PPO1", BUS)
+    bench.ok("start")
+    bench.ok("stop")
+    bench.ok("write", number=390, value=100)
+    assert "390 is 100 Hz" in bench.refused("start")[1]
+
+
+def test_another_data_set_is_compared_before_the_next_start() -> None:
+    """390 is another one in data set 2, which a contact selects while the drive stands."""
+    bench = pair(DEMAG, "PPO1", BUS)
+    bench.ok("start")
+    bench.ok("stop")
+    bench.ok("write", number=390, value=100, data_set=2)
+    bench.ok("start")
+    bench.ok("stop")
+    store = bench.device.store  # type: ignore[attr-defined]
+    store.write(store.table.get(414), 2)
+    bench.pass_time(1100)
+    assert "390 is 100 Hz in data set 2" in bench.refused("start")[1]
+
+
+def test_a_notice_is_not_repeated_by_a_drive_that_comes_and_goes() -> None:
+    bench = pair(LS, "PPO1", {"dr-07": 0})
+    for _ in range(5):
+        bench.pass_time(300)
+        bench.core.lost(bench.now)
+    assert len([notice for notice in bench.notices() if "dr-07" in notice]) == 1
+
+
+@pytest.mark.parametrize(("drive", "telegram"), [(DEMAG, "PPO1"), (FUJI, "PPO2"), (KEB, "PCH+8/8"), (LS, "PPO2")])
+def test_an_order_of_the_application_waits_for_one_request_at_most(drive: DriveProfile, telegram: str | None) -> None:
+    """A request takes two scans of the Demag, and as long until both ends are at 0 again."""
+    number = {DEMAG.name: 400, FUJI.name: "F26", KEB.name: "oP.3", LS.name: "dr-03"}[drive.name]
+    took = {}
+    for check in (False, True):
+        bench = pair(drive, telegram, options={"check_settings": check})
+        bench.run(20)
+        began = bench.now
+        bench.ok("read", number=number)
+        took[check] = bench.now - began
+    assert took[True] <= took[False] + 4 * bench.device.scan_ns + 20 * MS
+
+
+def test_the_option_switches_the_comparison_off() -> None:
+    bench = pair(FUJI, "PPO1", {"F03": 50}, {"check_settings": False})
+    bench.ok("start")
+    (text,) = bench.core.status().settings_texts
+    assert text.startswith("settings not checked: the option check_settings is false; the plugin relies on F03 = 60 Hz")
+
+
+def test_a_start_order_that_is_cancelled_while_it_waits_sends_nothing() -> None:
+    bench = PluginBench(FUJI.core("fan", "PPO1"), ZERO + "02 31 00 00")
+    token = bench.order("start")
+    bench.run(100)
+    bench.order("cancel", order=token)
+    bench.run(2000)
+    assert bench.out().endswith("04 7E 00 00")
+
+
+# -- reached() and the actual speed ------------------------------------------------------------------------------------
+
+
+def test_reached_does_not_believe_the_bit_alone() -> None:
+    """Bit 10 is set and the motor turns at 37.5 % instead of 50 %: scale or source of the set point is another one."""
+    bench = PluginBench(DEMAG.core("hoist", "PPO3"), "02 40 00 00")
+    bench.order("speed", value=0.5)
+    bench.order("start")
+    for word in ("02 21", "02 23", "06 27"):
+        bench.see(f"{word} 18 00", 2)
+    token = bench.order("reached", timeout_s=1)
+    bench.run(600)
+    result = as_mapping(bench.result(token))
+    assert result["error"] == "timeout"
+    assert str(result["text"]).startswith(
+        "50.0% not reached, at 37.5% (the drive itself reports its set point as reached; more than 2% of the reference "
+    )
+    token = bench.order("reached")
+    bench.see("06 27 1E C0", 2)  # 48.0 %
+    assert as_mapping(bench.result(token))["ok"] is True
+
+
+def test_reached_counts_the_additional_reference() -> None:
+    """PZD3 is added behind the ramp (11.2.2.2): 50 % and 10 Hz of 50 Hz are 70 %."""
+    bench = pair(DEMAG, "PPO2", BUS, {"map_outputs": "reference"})
+    bench.ok("speed", value=0.5)
+    bench.ok("output", number="pzd3", value=10.0)
+    bench.ok("start")
+    assert bench.ok("reached") == pytest.approx(0.7, abs=0.01)
+
+
+def test_a_refusal_of_the_channel_is_no_reason_to_fail() -> None:
+    """The drive refuses 249, the active data set: it starts by its status word, and says what it did not check."""
+    idle = "02 40 00 00"
+    bench = PluginBench(DEMAG.core("hoist", "PPO1"), ZERO + idle)
+    token = bench.order("start")
+    for _ in range(3):
+        if bench.run(20)[:2].hex() == "10f9":
+            bench.see("70 F9 00 00 00 00 00 00 " + idle, 2)
+            bench.see(ZERO + idle, 2)
+    assert bench.out().endswith("00 06 00 00")
+    for word in ("02 21 00 00", "02 23 00 00", "02 27 00 00"):
+        bench.see(ZERO + word, 60)
+    assert as_mapping(bench.result(token))["value"] == "running"
+    assert any("error 0, inadmissible parameter number" in text for text in bench.core.status().settings_texts)
+
+
+def test_a_command_error_of_a_plugin_ends_the_comparison_only() -> None:
+    class Broken(type(FUJI.core("it", "PPO1"))):  # type: ignore[misc]
+        def before_settings(self, deadline: int):  # type: ignore[no-untyped-def]
+            yield
+            raise CommandError("timeout", "no answer of this drive")
+
+    core = Broken(FUJI, "it", FUJI.telegram("PPO1"), {name: one.default for name, one in FUJI.core_options.items()})
+    bench = PluginBench(core, ZERO + "02 31 00 00")
+    bench.run(5)
+    assert core.status().settings is SettingsState.NOT_CHECKED
+    assert "no answer of this drive" in core.status().settings_texts[0]
