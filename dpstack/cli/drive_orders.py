@@ -13,7 +13,6 @@ from dpstack.api.parameter_list import SavedParam, label, value_text
 from dpstack.cli import output
 from dpstack.cli.progress import progress_bar
 from dpstack.cli.streams import warn
-from dpstack.profile import SettingsState
 
 DUMP_AND_COMPARE: Final = (
     Spec("dump", "FILE", "all declared parameters into a file", "hoist.toml"),
@@ -161,7 +160,7 @@ def status_text(status: Mapping[str, Any]) -> str:
     """One line: state, speed, set point, what is wrong."""
     speed = "" if status["speed"] is None else f" at {status['speed']:.1%} ({status['frequency_hz']:.1f} Hz)"
     wrong = [f"fault {name}" for name in status["faults"]] + [f"warning {name}" for name in status["warnings"]]
-    if status["settings"] == SettingsState.DIFFERENT:
+    if status["settings"] == "different":
         wrong.append("its settings are not the expected ones (see status)")
     return ", ".join([f"{status['state']}{speed}", f"set point {status['setpoint']:.1%}", *wrong])
 

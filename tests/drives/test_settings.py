@@ -30,6 +30,15 @@ def pair(
     return PairBench(drive.core("it", telegram, options, simulated=True), drive.device(telegram, simulated), rotation)
 
 
+def set_by_hand(bench: PairBench, name: str, raw: int) -> None:
+    """At the drive itself, beside the bus."""
+    store = bench.device.store
+    assert store is not None
+    spec = store.table.named(name)
+    assert spec is not None
+    store.write(spec, raw)
+
+
 # -- each drive against its simulated one, set otherwise ---------------------------------------------------------------
 
 REFUSED = [
@@ -287,8 +296,7 @@ def test_settings_are_compared_again_after_each_loss() -> None:
     bench.ok("start")
     bench.core.lost(bench.now)
     assert bench.core.status().settings is SettingsState.NONE
-    store = bench.device.store  # type: ignore[attr-defined]
-    store.write(store.table.named("F03"), 500)
+    set_by_hand(bench, "F03", 500)
     bench.pass_time(500)
     assert bench.core.status().settings is SettingsState.DIFFERENT
     assert "F03 is 50 Hz" in bench.refused("start")[1]
@@ -318,8 +326,7 @@ def test_another_data_set_is_compared_before_the_next_start() -> None:
     bench.ok("write", number=390, value=100, data_set=2)
     bench.ok("start")
     bench.ok("stop")
-    store = bench.device.store  # type: ignore[attr-defined]
-    store.write(store.table.get(414), 2)
+    set_by_hand(bench, "414", 2)
     bench.pass_time(1100)
     assert "390 is 100 Hz in data set 2" in bench.refused("start")[1]
 
