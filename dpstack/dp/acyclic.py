@@ -264,8 +264,12 @@ class Acyclic:
         if self.master is None or request.dsap != SAP_SLAVE_DIAG or not positive(request.dsap, answer):
             return
         handler = self.master.handlers.get(request.da)
-        if handler is not None and handler.state is SlaveState.DATA_EXCHANGE:
+        if handler is None:
+            return
+        if handler.state is SlaveState.DATA_EXCHANGE:
             handler.service_result(request, answer, now)
+        else:
+            handler.diagnosis_seen(answer.data, now)
 
     def wake_at(self) -> int:
         """When the time of a service is over."""

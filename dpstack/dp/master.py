@@ -36,6 +36,7 @@ from dpstack.dp.token_age import TokenAge
 from dpstack.dp.turns import Turns
 from dpstack.errors import BusError, UsageError
 from dpstack.fdl.budget import Budget
+from dpstack.fdl.events import StationFound
 from dpstack.fdl.telegram import SAP_GLOBAL_CONTROL, Telegram
 from dpstack.fdl.user import Failure, Request
 from dpstack.machine import LineDown, LineUp
@@ -170,6 +171,10 @@ class Master:
                 self._roster.find(address).unit.command(op, args, token, now)
             case LineDown(reason):
                 self._line_lost(f"the port vanished ({reason})", now)
+                return False
+            case StationFound(address=address, kind=kind):
+                if kind is not None and address in self.handlers:
+                    self.handlers[address].station_found(now)
                 return False
             case LineUp():
                 return False

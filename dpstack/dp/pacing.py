@@ -67,6 +67,13 @@ class Pacing:
         self._flapping = False
         self.due = now + self._refused.take()
 
+    def anew(self, now: int) -> None:
+        """What stands there now may be another device: asked at once, as if nothing had been tried before."""
+        self._flapping = False
+        self._refused.reset()
+        self._absent.reset()
+        self.due = now
+
     def busy(self, now: int) -> None:
         """It refused a service this once."""
         self.due = now + _POLL_PAUSE

@@ -400,6 +400,17 @@ class SlaveHandler:
             self._step(Ev.ACTIVATE, now)
             self._pacing = Pacing()
 
+    def station_found(self, now: int) -> None:
+        """A GAP poll of its address was answered after silence: perhaps another device, so no back-off counts."""
+        if self.state in (SlaveState.FAULT, SlaveState.OFFLINE):
+            self._pacing.anew(now)
+
+    def diagnosis_seen(self, octets: bytes, now: int) -> None:
+        """Somebody else at this station has read its diagnosis: another ident is another device."""
+        diagnosis, last = Diagnosis.parse(octets), self.diagnoses.last
+        if diagnosis is not None and last is not None and diagnosis.ident != last.ident:
+            self.station_found(now)
+
     def line_lost(self, reason: str, now: int) -> None:
         """The bus is gone (port vanished, out of the ring): nobody is in data exchange any more."""
         if self.state not in (SlaveState.OFFLINE, SlaveState.DEACTIVATED):

@@ -179,11 +179,19 @@ def status(link: Link, telegram: Telegram, now: int) -> None:
     link.polling = -1
     link.doubted.discard(address)
     if link.gap.polled(address, kind):
-        link.events.append(StationFound(t_ns=now, address=address, kind=kind))
+        _tell_found(link, StationFound(t_ns=now, address=address, kind=kind))
     # 'in ring' of a station that is not in our LAS: it lost its token as we did, take it in
     if kind >= StationType.MASTER_READY and link.ring.add(address):
         link.tell_master(address, now)
     passing.start(link, now)
+
+
+def _tell_found(link: Link, news: StationFound) -> None:
+    """The application is told, and the users, which may have something to do at once."""
+    link.events.append(news)
+    for user in link.users:
+        user.command(news, news.t_ns)
+    link.ask_times()
 
 
 def status_timeout(link: Link, _: Telegram, now: int) -> None:
@@ -197,7 +205,7 @@ def status_timeout(link: Link, _: Telegram, now: int) -> None:
     if link.garbled:
         link.gap.passed(address)
     elif link.gap.polled(address, None):
-        link.events.append(StationFound(t_ns=now, address=address, kind=None))
+        _tell_found(link, StationFound(t_ns=now, address=address, kind=None))
     if known:
         exchange.owe_status(link, address, now, link.slot_known_ns)
         if now > link.budget.next_at:

@@ -9,7 +9,8 @@ from scripted_link import DIAG_FREE, DIAG_READY, MS, ScriptedSlave, data, exchan
 
 from dpstack.dp.events import SlaveFaulted, SlaveState
 from dpstack.dp.v1.status import Dpv1
-from dpstack.fdl.telegram import Kind, Telegram
+from dpstack.fdl.events import StationFound
+from dpstack.fdl.telegram import Kind, StationType, Telegram
 from dpstack.fdl.user import Failure, Request
 
 
@@ -49,6 +50,30 @@ def test_ident_ask_takes_and_tells_what_is_found() -> None:
     bus = exchanging(setup(ident=None))
     assert bus.remarks(3) == ["its ident number is 0x0696 (taken from its diagnosis)"]
     assert next(r for r in bus.requests if r.dsap == 61).data[4:6] == b"\x06\x96"
+
+
+@pytest.mark.parametrize("news", ["GAP", "diagnosis"])
+def test_another_device_in_place_of_a_wrong_one_is_taken_up_at_once(news: str) -> None:
+    bus = link(setup(ident=0x0696), slaves={3: ScriptedSlave(free=bytes.fromhex("02 05 00 FF 43 21"))})
+    bus.run(20_000 * MS)  # its back-off is 10 s by now
+    handler = bus.master.handlers[3]
+    assert handler.fault is not None
+    assert handler.fault.kind.value == "wrong_ident"
+    asked = [r for r in bus.requests if r.da == 3]
+    assert len(asked) < 8
+    bus.slaves[3] = ScriptedSlave()
+    if news == "GAP":
+        bus.master.command(StationFound(t_ns=bus.now, address=3, kind=None), bus.now)
+        bus.run(10 * MS)
+        assert [r for r in bus.requests if r.da == 3] == asked  # nobody is there
+        bus.master.command(StationFound(t_ns=bus.now, address=3, kind=StationType.SLAVE), bus.now)
+    else:  # read by a program, as a class 2 service
+        handler.diagnosis_seen(bytes.fromhex("02 05 00 FF 43 21"), bus.now)
+        bus.run(10 * MS)
+        assert [r for r in bus.requests if r.da == 3] == asked  # it is the same device
+        handler.diagnosis_seen(DIAG_FREE, bus.now)
+    bus.run(10 * MS)
+    assert handler.state is SlaveState.DATA_EXCHANGE
 
 
 def test_slave_of_another_master_is_never_parameterised() -> None:
