@@ -132,6 +132,7 @@ async def application(kind: str, ended: Ended) -> list[tuple[int, int]]:
             held_up = sorted((*held_up, (due, late)), key=lambda t: -t[1])[:_LONGEST]
         turn += 1
         if kind == "block" and turn % round(_BLOCK_EVERY_S * 1e9 / _TURN_NS) == 0:
+            # shorter than any watchdog: whatever after_stall says, the bus stays in Operate
             time.sleep(_BLOCK_S)  # noqa: ASYNC251 - an application that blocks is what is measured
     return held_up
 

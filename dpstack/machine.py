@@ -14,7 +14,7 @@ from typing import Protocol
 from dpstack.trace import Event
 from dpstack.units import NEVER, NOW
 
-__all__ = ["NEVER", "NOW", "LineDown", "LineUp", "Machine", "RateRefused", "Transmit", "pump"]
+__all__ = ["NEVER", "NOW", "HeldUp", "LineDown", "LineUp", "Machine", "RateRefused", "Transmit", "pump"]
 
 #: Puts octets on the line and returns the time in ns at which their last bit leaves it (may lie ahead of now).
 Transmit = Callable[[bytes, int], int]
@@ -43,6 +43,18 @@ class RateRefused:
     """
 
     reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class HeldUp:
+    """A driver tells its machine: nobody ran the machine for ``for_ns`` although one of its deadlines was over.
+
+    ``suspended``: the computer slept, and ``now`` does not contain this time. ``what`` says for people what blocked.
+    """
+
+    for_ns: int
+    what: str
+    suspended: bool = False
 
 
 class Machine(Protocol):

@@ -26,7 +26,10 @@ def compute(seconds: float) -> None:
 
 
 async def main(port: str) -> None:
-    bus = dpstack.open_bus(port=port, baud=1_500_000, slaves=[FAN], driver="process", host_slack_ms=300, gap=0)
+    # after_stall="safe" is the default: were the bus held up, too, the fan would stay off until operate()
+    bus = dpstack.open_bus(
+        port=port, baud=1_500_000, slaves=[FAN], driver="process", host_slack_ms=300, gap=0, after_stall="safe"
+    )
     async with bus:  # whatever ends this program: safe values, Clear twice, out of the ring
         await bus.operate()
         await bus.ready(20)

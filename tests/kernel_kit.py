@@ -19,7 +19,7 @@ from dpstack.drivers.aio import AsyncioRuntime
 from dpstack.drivers.echo import Echo
 from dpstack.drivers.plain import PlainRuntime
 from dpstack.drivers.plain_loop import PlainLoop
-from dpstack.machine import Machine
+from dpstack.machine import HeldUp, Machine
 from dpstack.ports.fdport import FdPort
 from dpstack.units import NEVER, NS_PER_MS
 
@@ -216,6 +216,7 @@ class Driven:
         *,
         paced: bool = False,
         early_ns: int = 0,
+        held_up: Callable[[HeldUp, int], bool] | None = None,
     ) -> None:
         self.kernel = kernel
         self.events: list[Any] = []
@@ -227,14 +228,14 @@ class Driven:
         if kind == "asyncio":
             asyncio_loop = _Asyncio(kernel)
             asyncio_loop.early_ns = early_ns
-            runtime: Any = AsyncioRuntime(port, machine, self.events.extend, echo=Echo.OFF)
+            runtime: Any = AsyncioRuntime(port, machine, self.events.extend, echo=Echo.OFF, held_up=held_up)
             runtime._begin(asyncio_loop, asyncio_loop.timer(runtime._timer_due))
             self._run = asyncio_loop.run
             self.stop = asyncio_loop.stop
         else:
             patch.setattr(plain_loop, "select", _Select(kernel))
             self._loop = loop = PlainLoop()
-            runtime = PlainRuntime(loop, port, machine, self.events.extend, echo=Echo.OFF)
+            runtime = PlainRuntime(loop, port, machine, self.events.extend, echo=Echo.OFF, held_up=held_up)
             runtime.open()
             self._run = partial(_run_plain, loop)
             self.stop = loop.stop

@@ -24,8 +24,8 @@ from dpstack.api.slave import Slave
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.api.statistics import BusStats, collect
 from dpstack.api.streams import Events, EventStream, OnEvent, Waiters
-from dpstack.dp.commands import AddSlave, Mode, RemoveSlave, SetMode
-from dpstack.dp.events import ControlSent, DriveEvent, SlaveStateChanged
+from dpstack.dp.commands import AddSlave, Alive, Mode, RemoveSlave, SetMode
+from dpstack.dp.events import ControlSent, DriveEvent, ForcedClear, ModeChanged, OperateWaits, SlaveStateChanged
 from dpstack.dp.scanner import Found
 from dpstack.drivers.aio import outlast
 from dpstack.drivers.ending import end_limit_ns
@@ -75,6 +75,8 @@ class Bus(Composed):
         self._joined_ns = 0  # machine time of the first token
         #: what was heard of another station at this one's address
         self.collision: str | None = None
+        #: why the master is in Clear by itself, until Operate is ordered; None while it is not
+        self.forced_clear: ForcedClear | None = None
         #: why nothing will happen any more: a failure, or the end
         self._over: DpError | None = None
         self._waiters = Waiters()
@@ -219,8 +221,21 @@ class Bus(Composed):
         return self._open and self._ending is None
 
     async def operate(self) -> None:
-        """Outputs go out from the next rotation on; with ``auto_clear`` once all slaves are in data exchange."""
+        """Outputs go out from the next rotation on; with ``auto_clear`` once all slaves are in data exchange.
+
+        It ends a Clear that the master went to by itself (:attr:`forced_clear`), and arms the application watchdog.
+        """
         self.command(SetMode(Mode.OPERATE))
+
+    def alive(self) -> None:
+        """The application is alive: call it more often than ``application_watchdog_ms`` while the bus is in Operate.
+
+        When it is not called for so long the master goes to Clear until :meth:`operate`. It changes nothing while the
+        application watchdog is off, not armed, or has run out. Raises UsageError when the bus is not open.
+        """
+        self.check_open()
+        if self.config.bus.application_watchdog_ms:
+            self._hand_on(Alive())
 
     async def clear(self) -> None:
         """Inputs are read, outputs are zero (empty for Fail_Safe slaves)."""
@@ -431,6 +446,12 @@ class Bus(Composed):
                     self._drives[address].on_state()
                 case AddressCollision():
                     self.collision = event.text
+                case ForcedClear():
+                    self.forced_clear = event
+                case ModeChanged(mode=mode) if mode is not Mode.CLEAR:
+                    self.forced_clear = None
+                case OperateWaits():
+                    self.forced_clear = None
             self._groups.on_event(event)
             self._events.tell(event)
             for notice in self._beside.notices(event):

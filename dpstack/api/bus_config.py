@@ -13,6 +13,11 @@ VIRTUAL: Final = "virtual"
 #: the baud rate is found by listening (see :mod:`dpstack.api.baud`); echo is recognised
 AUTO: Final = "auto"
 _DRIVERS: Final = ("auto", "asyncio", "process")
+#: ``after_stall``: Clear, or the old outputs again
+SAFE: Final = "safe"
+_AFTER_STALL: Final = (SAFE, "resume")
+#: an application watchdog is not shorter: an event loop has pauses of some milliseconds
+_LEAST_APPLICATION_MS: Final = 10
 _KEYS: Final = (
     "port",
     "baud",
@@ -32,6 +37,8 @@ _KEYS: Final = (
     "echo",
     "event_char",
     "rs485",
+    "after_stall",
+    "application_watchdog_ms",
     "auto_clear",
     "data_control_time_ms",
     "read_only",
@@ -46,7 +53,7 @@ class BusConfig:
 
     ``cycle_ms`` None: free running. ``other_masters``: so many that need as long as this one, or the bus rotation
     time of each in ms. ``cycle_freeze``, ``cycle_sync``: groups that every cycle begins with a FREEZE of, and ends with
-    a SYNC of.
+    a SYNC of. ``after_stall``: "safe" or "resume". ``application_watchdog_ms``: 0 is off.
     """
 
     port: str | None = None
@@ -64,6 +71,8 @@ class BusConfig:
     hsa: int = 126
     host_slack_ms: float | None = None
     extra_idle_bits: int = 0
+    after_stall: str = SAFE
+    application_watchdog_ms: int = 0
     auto_clear: bool = False
     data_control_time_ms: int = 1000
     read_only: bool = False
@@ -83,6 +92,9 @@ def read_bus(table: Table) -> BusConfig:
     driver = table.text("driver") or "auto"
     if driver not in _DRIVERS:
         table.fail("driver", f"unknown driver {driver!r}", 'it must be "auto", "asyncio" or "process"')
+    after_stall = table.text("after_stall") or SAFE
+    if after_stall not in _AFTER_STALL:
+        table.fail("after_stall", f"unknown after_stall {after_stall!r}", 'it must be "safe" or "resume"')
     return BusConfig(
         port=table.text("port"),
         baud=_baud(table),
@@ -99,6 +111,8 @@ def read_bus(table: Table) -> BusConfig:
         hsa=_or(table.integer("hsa", 1, 126), 126),
         host_slack_ms=table.number("host_slack_ms", 0, 10_000),
         extra_idle_bits=_or(table.integer("extra_idle_bits", 0, 100_000), 0),
+        after_stall=after_stall,
+        application_watchdog_ms=_application_watchdog(table),
         auto_clear=table.flag("auto_clear", False),
         data_control_time_ms=_or(table.integer("data_control_time_ms", 10, 655_350), 1000),
         read_only=table.flag("read_only", False),
@@ -114,6 +128,14 @@ def _cycle_ms(table: Table) -> float | None:
     if cycle is not None and round(cycle * NS_PER_MS) < 1:
         table.fail("cycle_ms", f"cycle_ms = {cycle:g} is no time", "give milliseconds, or leave it out")
     return cycle
+
+
+def _application_watchdog(table: Table) -> int:
+    key = "application_watchdog_ms"
+    limit = _or(table.integer(key, 0, 655_350, "0 switches it off"), 0)
+    if 0 < limit < _LEAST_APPLICATION_MS:
+        table.fail(key, f"{key} = {limit} is too short", f"give {_LEAST_APPLICATION_MS} or more, or 0 for none")
+    return limit
 
 
 def _other_masters(table: Table) -> int | tuple[float, ...]:

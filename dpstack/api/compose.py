@@ -8,6 +8,7 @@ from functools import partial
 from typing import Final
 
 from dpstack.api.bench import VirtualBench
+from dpstack.api.bus_config import SAFE
 from dpstack.api.config import Config, rate_findings
 from dpstack.api.drive_seen import DriveSeen
 from dpstack.api.driver_choice import PROCESS, driver_for
@@ -132,6 +133,8 @@ def compose(
         watchdog_ms=plan.watchdog_ms,
         auto_clear=config.bus.auto_clear,
         data_control_ns=config.bus.data_control_time_ms * NS_PER_MS,
+        safe_after_stall=config.bus.after_stall == SAFE,
+        application_watchdog_ns=config.bus.application_watchdog_ms * NS_PER_MS,
         read_only=config.bus.read_only,
         watched=watched,
         cycle_ns=config.bus.cycle_ns,
@@ -155,6 +158,7 @@ def compose(
             echo=ECHO[config.bus.echo],
             on_failure=on_failure,
             tune=station.set_patience if tune else None,
+            held_up=station.held_up,
         )
     else:
         if world is None:

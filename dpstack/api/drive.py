@@ -335,6 +335,12 @@ class Drive:
 
     def _why_silent(self) -> str:
         slave = self.slave
+        forced = self._bus.forced_clear
+        if forced is not None:
+            return (
+                f"the bus went to Clear by itself ({forced.why}): look at the plant, then operate() "
+                f"(of a run: dpstack ctl {self._bus.config.bus.port} operate) and start() again"
+            )
         if not slave.ready_now:
             why = slave.fault.text if slave.fault else f"it is in {slave.state.value}"
             return f"slave {slave.address} is not in data exchange: {why}"
@@ -365,6 +371,8 @@ class Drive:
                 return ParameterError(self.name, number if isinstance(number, int) else -1, text)
             case "usage":
                 return UsageError(text)
+            case "lost" if not self._over and self._bus.forced_clear is not None:
+                return DriveError(self.name, f"drive {self.name}: ended: {self._why_silent()}")
             case "lost" if not self._over and not self.slave.ready_now:
                 return DriveError(self.name, f"{text}: {self._why_silent()}")
         return DriveError(self.name, text)

@@ -7,13 +7,16 @@ from dataclasses import dataclass
 from dpstack.api.streams import SlaveFlapping
 from dpstack.dp.commands import Mode
 from dpstack.dp.events import (
+    ApplicationSilent,
     AutoCleared,
+    Blocked,
     ControlFailed,
     ControlSent,
     CyclesMissed,
     DriveEvent,
     Fault,
     FaultKind,
+    ForcedClear,
     MasterStopped,
     ModeChanged,
     OperateWaits,
@@ -24,6 +27,7 @@ from dpstack.dp.events import (
     SlaveRemark,
     SlaveState,
     SlaveStateChanged,
+    Stalled,
 )
 from dpstack.dp.scanner import Found, ScanDone, SlaveView, StationSeen
 from dpstack.dp.v1.alarm_events import AlarmRaised, StatusTold
@@ -37,7 +41,9 @@ from dpstack.units import NS_PER_MS, NS_PER_US
 __all__ = [
     "AddressCollision",
     "AlarmRaised",
+    "ApplicationSilent",
     "AutoCleared",
+    "Blocked",
     "BusProcessBack",
     "BusProcessSilent",
     "ConnectionOver",
@@ -49,6 +55,7 @@ __all__ = [
     "Event",
     "Fault",
     "FaultKind",
+    "ForcedClear",
     "Found",
     "Injected",
     "MasterSeen",
@@ -73,6 +80,7 @@ __all__ = [
     "SlaveState",
     "SlaveStateChanged",
     "SlaveView",
+    "Stalled",
     "StationFound",
     "StationSeen",
     "StatusTold",
@@ -117,7 +125,7 @@ def severity_of(event: Event) -> Severity:
     match event:
         case Notice(severity=severity):
             return severity
-        case SlaveFaulted() | AddressCollision() | PortLost() | AutoCleared() | BusProcessSilent() | OutputsDropped():
+        case SlaveFaulted() | AddressCollision() | PortLost() | ForcedClear() | BusProcessSilent() | OutputsDropped():
             return Severity.ERROR
         case AlarmRaised(alarm=alarm) if alarm.specifier == Specifier.APPEARS:
             return Severity.WARNING
@@ -174,6 +182,14 @@ def event_json(event: Event, t: float) -> dict[str, object] | None:
         case AutoCleared(slaves=slaves) | OperateWaits(slaves=slaves):
             name = "auto_clear" if isinstance(event, AutoCleared) else "operate_waits"
             return {"event": name, **line, "slaves": list(slaves), "text": event.text}
+        case Stalled(slaves=slaves, gap_ns=gap, blocked=blocked):
+            gap_ms = None if gap is None else round(gap / NS_PER_MS, 3)
+            by = None if blocked is None else blocked.value
+            return {
+                "event": "stalled", **line, "gap_ms": gap_ms, "blocked": by, "slaves": list(slaves), "text": event.text,
+            }  # fmt: skip
+        case ApplicationSilent(limit_ns=limit):
+            return {"event": "application_silent", **line, "limit_ms": round(limit / NS_PER_MS), "text": event.text}
         case ControlSent() | ControlFailed() | PictureTaken():
             return None
         case CyclesMissed(number=number, count=count, missed=missed, late_ns=late_ns):

@@ -26,7 +26,7 @@ from dpstack.api.one_drive import OneDrive
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.cli import options, output
 from dpstack.cli.drive_orders import DUMP_AND_COMPARE, Order, Orders, status_text
-from dpstack.cli.foreground import tell_simulated
+from dpstack.cli.foreground import refuse_application_watchdog, tell_simulated
 from dpstack.cli.outlet import unhurried
 from dpstack.cli.signals import INTERRUPTED, StopSignal
 from dpstack.cli.streams import warn
@@ -117,6 +117,7 @@ async def _as_master(
 ) -> int:
     if config.bus.read_only:
         raise UsageError("the configuration is read only: no drive can be given an order; leave read_only out")
+    refuse_application_watchdog(config, "drive")
     tell_simulated(config)
     shown = _Shown(slave.name, json=args.json)
     async with OneDrive(config.only(slave), on_event=shown.event, on_stopping=shown.stopping) as drive:

@@ -1,4 +1,4 @@
-"""What ``drive`` and ``acyclic`` share where no run holds the port, and they are the master themselves."""
+"""What commands share that are the master themselves: ``run``; ``drive`` and ``acyclic`` where no run holds the port."""
 
 from __future__ import annotations
 
@@ -12,4 +12,15 @@ def tell_simulated(config: Config) -> None:
         warn(
             'no run holds the port "virtual": its slaves are simulated for this command only; '
             "`dpstack run` with this configuration keeps them, and is asked then"
+        )
+
+
+def refuse_application_watchdog(config: Config, command: str) -> None:
+    """Raises ConfigError where ``config`` has an application watchdog: ``command`` never calls ``alive()``."""
+    if config.bus.application_watchdog_ms:
+        raise config.source.error(
+            ("bus", "application_watchdog_ms"),
+            "[bus]: application_watchdog_ms is for a program that calls bus.alive(), "
+            f"which `dpstack {command}` does not",
+            "leave it out of this file, or set it to 0",
         )

@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
 
 from dpstack.api.bus import Bus
-from dpstack.api.events import DriveEvent, Event, MasterStopped, Severity, SlaveDiagnosis, event_json, severity_of
+from dpstack.api.events import (
+    DriveEvent,
+    Event,
+    MasterStopped,
+    Severity,
+    SlaveDiagnosis,
+    Stalled,
+    event_json,
+    severity_of,
+)
 from dpstack.api.parts import SEARCHING
 from dpstack.api.statistics import BusStats, SlaveStats
 from dpstack.cli import output
@@ -23,6 +32,8 @@ class Reporter:
         self._json = json
         self._quiet = quiet
         self._started = False
+        #: the master stalled at least once
+        self.stalled = False
 
     def searching(self) -> None:
         """The baud rate has to be found first: people are told what is waited for."""
@@ -48,6 +59,7 @@ class Reporter:
         if bus is None:
             return
         self.start()
+        self.stalled |= isinstance(event, Stalled)
         t = ns_to_s(event.t_ns - bus.started_ns)
         if self._json:
             line = event_json(event, t)
@@ -124,6 +136,11 @@ def _traffic(stats: BusStats) -> str:
     }
     wrong = [f"{count} {name}" for name, count in counters.items() if count]
     return f"{stats.telegrams} telegrams" + (f" ({', '.join(wrong)})" if wrong else ", none of them failed")
+
+
+def clear_text(held: Mapping[str, object]) -> str:
+    """One line about a master that went to Clear by itself (``held``: see clear_since)."""
+    return f"in Clear since {held['since']} s because of a {held['because']}; operate() lets outputs out again"
 
 
 def not_exchanging(bus: Bus) -> list[str]:

@@ -7,13 +7,14 @@ import asyncio
 
 from dpstack.api.bus import Bus
 from dpstack.api.config import Config, load_config
-from dpstack.api.control.programs import PTY, control_run
+from dpstack.api.control.programs import PTY, clear_since, control_run
 from dpstack.api.control.server import ControlServer
 from dpstack.api.opening import open_bus
 from dpstack.cli import options, output
 from dpstack.cli.control import reachable
+from dpstack.cli.foreground import refuse_application_watchdog
 from dpstack.cli.outlet import unhurried
-from dpstack.cli.report import Reporter, not_exchanging
+from dpstack.cli.report import Reporter, clear_text, not_exchanging
 from dpstack.cli.signals import INTERRUPTED, StopSignal
 from dpstack.cli.streams import warn
 from dpstack.errors import UsageError
@@ -45,10 +46,12 @@ def add_to(commands: options.Commands) -> None:
 
 
 def execute(args: argparse.Namespace) -> int:
-    """Run until a limit or a signal; 1 when a slave is not in data exchange at the end."""
+    """Run until a limit or a signal; 1 when a slave is not in data exchange at the end, after a stall, and when the
+    master went to Clear by itself and still is there."""
     config = load_config(args.config).with_bus(
         port=args.port, baud=args.baud, driver=args.driver, read_only=args.read_only or None
     )
+    refuse_application_watchdog(config, "run")
     if config.bus.read_only and args.outputs:
         raise UsageError("--outputs on a read-only bus: nothing is written there; leave one of the two out")
     with unhurried(output.missing(args.json)):
@@ -75,15 +78,17 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
                 if not (args.clear or config.bus.read_only):
                     await bus.operate()
                 await stop.or_done(_limit(bus, args.seconds, args.rotations))
-                stats, missing = bus.stats, not_exchanging(bus)
+                stats, missing, held = bus.stats, not_exchanging(bus), clear_since(bus)
             finally:
                 await bus.close()
     if stop.hurried:
         return INTERRUPTED
-    reporter.summary(stats)
+    reporter.summary(stats, **({"clear": held} if held else {}))
+    if held:
+        missing = [clear_text(held), *missing]
     for text in missing:
         warn(text)
-    return 1 if missing else 0
+    return 1 if missing or reporter.stalled else 0
 
 
 async def _open(bus: Bus, control: ControlServer) -> None:

@@ -29,6 +29,11 @@ class SetMode:
 
 
 @dataclass(frozen=True, slots=True)
+class Alive:
+    """The application is alive: the application watchdog begins anew. Changes nothing while it is not armed."""
+
+
+@dataclass(frozen=True, slots=True)
 class Shutdown:
     """The end in order: safe values (a cycle, and 50 ms where they are not zeros), Clear twice, out of the ring; then
     ``MasterStopped``."""

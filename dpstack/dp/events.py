@@ -147,16 +147,89 @@ class OperateWaits(Event):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class AutoCleared(Event):
+class ForcedClear(Event):
+    """The master goes to Clear by itself, and stays there until Operate is ordered."""
+
+    @property
+    def why(self) -> str:
+        """The reason, without what to do."""
+        raise NotImplementedError
+
+    @property
+    def owed(self) -> bool:
+        """Each one waits for an order of the application."""
+        return True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AutoCleared(ForcedClear):
     """Auto-clear: ``slaves`` had no good data exchange for the Data_Control_Time, so the master goes to Clear."""
 
     slaves: tuple[int, ...]
     reasons: tuple[str, ...]
 
     @property
+    def why(self) -> str:
+        """Which slaves, and why."""
+        return f"auto_clear: {'; '.join(self.reasons)}"
+
+    @property
     def text(self) -> str:
         """Which, why, and what brings it back."""
         return f"master: auto_clear: outputs become safe: {'; '.join(self.reasons)}; operate() again when it is back"
+
+
+class Blocked(Enum):
+    """What kept a master from asking its slaves; the values are those of the JSON lines."""
+
+    PROGRAM = "program"  # nobody ran the master: stopped, without a processor, or its event loop was blocked
+    SUSPENDED = "suspended"  # the computer slept
+    PORT = "port"  # the port was lost
+    TOKEN = "token"  # another master, or noise: the token did not come
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stalled(ForcedClear):
+    """``slaves`` were not asked for longer than their watchdogs, so the master goes to Clear before it asks them again.
+
+    ``gap_ns``: the longest time in which one of them was not asked; None where no clock shows it. ``blocked``: what
+    kept the master from asking, None where that is not known; ``reason`` is both for people.
+    """
+
+    gap_ns: int | None
+    slaves: tuple[int, ...]
+    blocked: Blocked | None
+    reason: str
+
+    @property
+    def why(self) -> str:
+        """Which slave was not asked, for how long, and what blocked."""
+        return f"stall: {self.reason}"
+
+    @property
+    def text(self) -> str:
+        """The same, and what brings it back."""
+        return (
+            f"master: stall: outputs become safe: {self.reason}; look at the plant, then operate() "
+            f'(after_stall = "resume" sends the old outputs again unasked)'
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ApplicationSilent(ForcedClear):
+    """The application watchdog ran out: nobody called ``alive()`` for ``limit_ns``."""
+
+    limit_ns: int
+
+    @property
+    def why(self) -> str:
+        """For how long."""
+        return f"application watchdog: alive() was not called for {ms_text(self.limit_ns)}"
+
+    @property
+    def text(self) -> str:
+        """The same, and what brings it back."""
+        return f"master: outputs become safe: {self.why}; operate() when the application works again"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,6 +13,7 @@ from dpstack.dp.cadence import Cadence
 from dpstack.dp.commands import (
     ActivateSlave,
     AddSlave,
+    Alive,
     DeactivateSlave,
     DriveCommand,
     Mode,
@@ -25,9 +26,10 @@ from dpstack.dp.commands import (
 from dpstack.dp.controls import Controls
 from dpstack.dp.cycle import CycleBook, CycleData
 from dpstack.dp.data_control import DATA_CONTROL_TIME, DataControl, missing_reasons
-from dpstack.dp.events import AutoCleared, MasterStopped, ModeChanged, OperateWaits, SlaveState
+from dpstack.dp.events import AutoCleared, ForcedClear, MasterStopped, ModeChanged, OperateWaits, SlaveState
 from dpstack.dp.farewell import SAFE_HOLD, Farewells
 from dpstack.dp.image import SlaveImage
+from dpstack.dp.outputs_watch import OutputsWatch
 from dpstack.dp.roster import Roster
 from dpstack.dp.round import Course, Round
 from dpstack.dp.setup import SlaveSetup
@@ -39,7 +41,7 @@ from dpstack.fdl.budget import Budget
 from dpstack.fdl.events import StationFound
 from dpstack.fdl.telegram import SAP_GLOBAL_CONTROL, Telegram
 from dpstack.fdl.user import Failure, Request
-from dpstack.machine import LineDown, LineUp
+from dpstack.machine import HeldUp, LineDown, LineUp
 from dpstack.params import BusParams
 from dpstack.stats import Histogram
 from dpstack.trace import Event
@@ -55,7 +57,9 @@ class Master:
 
     ``absent_share``: while any slave is in data exchange, silent polls of absent ones take at most 1/absent_share of
     the bus time; 0 = no limit. ``auto_clear``: to Clear when a slave had no good data exchange for
-    ``data_control_ns``. ``read_only``: it stays in Stop, where nothing is sent to slaves. ``on_round(now)`` is
+    ``data_control_ns``. ``safe_after_stall``: to Clear before anything is sent after a time in which a slave was not
+    asked for longer than its watchdog. ``application_watchdog_ns``: to Clear when :class:`Alive` did not come for so
+    long in Operate; 0 is off. ``read_only``: it stays in Stop, where nothing is sent to slaves. ``on_round(now)`` is
     called at the end of every round with data exchange, after :attr:`cycle` was published,
     ``on_begin()`` as a round begins: what it puts into the process image goes out in that one.
 
@@ -72,6 +76,8 @@ class Master:
         absent_share: int = 0,
         auto_clear: bool = False,
         data_control_ns: int = DATA_CONTROL_TIME,
+        safe_after_stall: bool = True,
+        application_watchdog_ns: int = 0,
         read_only: bool = False,
         cycle_ns: int = 0,
         cycle_freeze: tuple[int, ...] = (),
@@ -94,6 +100,9 @@ class Master:
         self._events: list[Event] = []
         self._turns = Turns(absent_share, params)
         self._farewells = Farewells()
+        self._watch = OutputsWatch(self.handlers, stalls=safe_after_stall, application_ns=application_watchdog_ns)
+        self._held_in_clear = False  # by itself, until Operate is ordered
+        self._outdated = False  # the request made last is from before that
         self._roster = Roster(
             params,
             self.handlers,
@@ -105,6 +114,8 @@ class Master:
             emit=self._emit,
             check=self._check,
             masters=lambda: None if self.ring is None else self.ring(),
+            still=self._still_fresh,
+            look_soon=self._watch.look_soon,
         )
         self._control = DataControl(auto_clear=auto_clear, time_ns=data_control_ns)
         self._token = TokenAge(params)
@@ -156,6 +167,8 @@ class Master:
         match command:
             case SetMode(mode):
                 self._set_mode(mode, now)
+            case Alive():
+                self._watch.alive(now)
             case Shutdown():
                 self._shutdown(now)
             case AddSlave() | RemoveSlave() | DeactivateSlave() | ActivateSlave() | ReparameteriseSlave():
@@ -170,7 +183,7 @@ class Master:
                 self._writable("no drive can be commanded")
                 self._roster.find(address).unit.command(op, args, token, now)
             case LineDown(reason):
-                self._line_lost(f"the port vanished ({reason})", now)
+                self._line_lost(f"the port vanished ({reason})", now, port=True)
                 return False
             case StationFound(address=address, kind=kind):
                 if kind is not None and address in self.handlers:
@@ -178,6 +191,9 @@ class Master:
                 return False
             case LineUp():
                 return False
+            case HeldUp():
+                self._watch.held_up(command)
+                return not self._still_fresh(now)
             case _:
                 return False
         return True
@@ -209,6 +225,9 @@ class Master:
             raise UsageError("a master goes offline by Shutdown, so that outputs become safe first")
         if mode is not self._course.target:
             self._head_for(mode, now)
+            if mode is Mode.OPERATE is self.mode and self._held_in_clear:  # it was on its way down
+                self._events.append(ModeChanged(t_ns=now, mode=mode))
+            self._held_in_clear = False
 
     def _shutdown(self, now: int) -> None:
         if self._course.target is not Mode.OFFLINE:
@@ -225,6 +244,10 @@ class Master:
                 handler.unit.lost(now)
             self.controls.let_go(f"the master goes to {target.name.capitalize()}", now)
         self._course.target = target
+        if target is Mode.OPERATE:
+            self._watch.begin(now)
+        else:
+            self._watch.end()
         if target >= self.mode:
             if target > self.mode:
                 self._go_up(now)
@@ -241,6 +264,24 @@ class Master:
                 self.controls.change_of_mode()
             elif not self.controls.urgent:
                 self._reach(target, now)
+
+    def _force_clear(self, event: ForcedClear, now: int) -> None:
+        """Down to Clear, and no way back but by order."""
+        self._emit(event)
+        self._held_in_clear = self._outdated = True
+        self._head_for(Mode.CLEAR, now)
+
+    def _look(self, now: int) -> None:
+        """Judge whether the outputs are too old to be sent."""
+        found = self._watch.judge(now)
+        if found is not None:
+            self._force_clear(found, now)
+
+    def _still_fresh(self, now: int) -> bool:
+        """Whether the request made last may still be sent, or sent again."""
+        if now >= self._watch.look_at:
+            self._look(now)
+        return not self._outdated
 
     def _go_up(self, now: int) -> None:
         """Operate with auto-clear waits in Clear for everybody (section J)."""
@@ -289,8 +330,7 @@ class Master:
             late = self._control.late(self.handlers.values(), now)
             if late:
                 who = tuple(h.setup.address for h in late)
-                self._emit(AutoCleared(t_ns=now, slaves=who, reasons=self._control.late_reasons(late)))
-                self._head_for(Mode.CLEAR, now)
+                self._force_clear(AutoCleared(t_ns=now, slaves=who, reasons=self._control.late_reasons(late)), now)
         elif self._course.target > self.mode and not self._control.missing(self.handlers.values()):
             self._reach(self._course.target, now)
 
@@ -299,11 +339,15 @@ class Master:
     def token_received(self, now: int) -> None:
         """A hold begins, and with it perhaps a new round."""
         self._token.received(now)
+        self._watch.token(now)
         if self._course.mode > Mode.STOP:
             self._round.token(now)
 
     def next_request(self, now: int, high_only: bool) -> Request | None:
         """Everything a master sends to its slaves is high priority, so ``high_only`` changes nothing."""
+        if now >= self._watch.look_at:
+            self._look(now)
+        self._outdated = False
         return self._round.next_request(now) if self._course.mode > _STOP else None
 
     def _round_begins(self) -> None:
@@ -325,6 +369,8 @@ class Master:
     def started(self, request: Request, at: int) -> None:
         """The rotation is taken from first bit to first bit of a round's first Data_Exchange."""
         self._token.sent_at = at
+        if isinstance(request.tag, SlaveHandler):
+            self._watch.asked(request.tag, at)
         self._round.started(request, at)
         if request.dsap is None:
             if self._round.first_data:
@@ -354,15 +400,18 @@ class Master:
     # --- without a token ----------------------------------------------------------------------------------------
 
     def wake_at(self) -> int:
-        """The watch over the token: without one for long nobody is in data exchange any more."""
-        return self._token.watch_at
+        """The watch over the token: without one for long nobody is in data exchange any more. The application's."""
+        return min(self._token.watch_at, self._watch.alive_until)
 
     def tick(self, now: int) -> None:
         """No token for long: say so, or end an end that cannot be sent any more. (The watch is moved on only here.)"""
+        if now >= self._watch.alive_until:
+            self._look(now)
         if self._token.too_old(now):
-            self._line_lost("this station holds no token", now)
+            self._line_lost("this station holds no token", now, port=False)
 
-    def _line_lost(self, reason: str, now: int) -> None:
+    def _line_lost(self, reason: str, now: int, *, port: bool) -> None:
+        self._watch.line_lost(reason, port=port)
         self._token.lost()
         self._round.cut(now)
         self._cadence.forget()

@@ -21,7 +21,8 @@ Change = AddSlave | RemoveSlave | DeactivateSlave | ActivateSlave | Reparameteri
 class Roster:
     """Who is handled, in ``handlers`` by address. ``sending``: whether anything may be sent to slaves now.
 
-    ``check`` raises ConfigError for a slave that does not go with the cycle.
+    ``check`` raises ConfigError for a slave that does not go with the cycle. ``still``: whether outputs may still be
+    sent; ``look_soon()`` is called when a slave came into data exchange or left it.
 
     Every change is checked as a whole before anything happens.
     """
@@ -39,6 +40,8 @@ class Roster:
         emit: Callable[[Event], None],
         check: Callable[[SlaveSetup], None],
         masters: Callable[[], Collection[int] | None],
+        still: Callable[[int], bool],
+        look_soon: Callable[[], None],
     ) -> None:
         self._params = params
         self._handlers = handlers
@@ -50,6 +53,8 @@ class Roster:
         self._emit = emit
         self._check = check
         self._masters = masters
+        self._still = still
+        self._look_soon = look_soon
 
     def find(self, address: int) -> SlaveHandler:
         """The handling of the slave at ``address``. Raises UsageError naming those there are."""
@@ -100,6 +105,7 @@ class Roster:
             changed=self._changed,
             masters=self._masters,
             before=before,
+            still=self._still,
         )
 
     def _remove(self, handler: SlaveHandler, now: int) -> None:
@@ -121,6 +127,7 @@ class Roster:
     def _changed(self, handler: SlaveHandler, now: int) -> None:
         """It reached another state: what comes into data exchange is told the mode, what ends there ill is given up."""
         self._turns.changed()
+        self._look_soon()
         was_exchanging = handler in self._turns.exchanging
         if handler.state is SlaveState.DATA_EXCHANGE and not was_exchanging:
             self._controls.entered(handler)

@@ -39,12 +39,14 @@ from dpstack.fdl.telegram import (
 )
 from dpstack.fdl.user import Failure, Request
 from dpstack.trace import Event
+from dpstack.units import NEVER
 
 _MAX_BUSY: Final = 5
 _TOLD_ABSENT_AFTER: Final = 3
 _DH: Final = int(Resp.DH)
 #: asked in every exchange: an enum's member costs ten times a name of the module
 _DATA_EXCHANGE: Final = SlaveState.DATA_EXCHANGE
+_BRINGING_UP: Final = (SlaveState.DIAGNOSIS, SlaveState.SET_PRM, SlaveState.CHK_CFG, SlaveState.WAIT_READY)
 
 
 class SlaveHandler:
@@ -52,7 +54,8 @@ class SlaveHandler:
 
     ``masters`` gives the addresses of the masters in the token ring, None where they are not known.
 
-    ``before``: its handling under other parameters: counters go on, and the image as :func:`image_of` says.
+    ``before``: its handling under other parameters: counters go on, and the image as :func:`image_of` says. ``still``:
+    whether outputs may still be sent (see :class:`~dpstack.fdl.user.Request`).
     """
 
     def __init__(
@@ -66,6 +69,7 @@ class SlaveHandler:
         changed: Callable[[SlaveHandler, int], None],
         masters: Callable[[], Collection[int] | None] = lambda: None,
         before: SlaveHandler | None = None,
+        still: Callable[[int], bool] | None = None,
     ) -> None:
         self.setup = setup
         self.own = own
@@ -84,6 +88,10 @@ class SlaveHandler:
         self.exchanges: int = 0 if before is None else before.exchanges
         #: Set_Prm was sent, and no answer since says that the slave is not (or no longer) this master's
         self.owned = False
+        #: first bit of the last request to it, in ns
+        self.asked_at = 0
+        #: it left data exchange by itself and said Prm_Req at this time, in ns; NEVER while it did not
+        self.prm_req_at = NEVER
         #: Slave_Diag is wanted while in data exchange (DH, Stat_Diag)
         self.diag_due = False
         self._emit = emit
@@ -102,7 +110,8 @@ class SlaveHandler:
         self._left: str | None = None
         #: the octets of the last Set_Prm
         self._prm_sent = b""
-        self._requests = SlaveRequests(setup.address, self)
+        self._refused_data = False  # it left data exchange by itself, and no diagnosis was read since
+        self._requests = SlaveRequests(setup.address, self, still)
         #: Data_Exchange with the outputs given; the same object as long as they stay the same
         self.data_request: Callable[[bytes], Request] = self._requests.data
         if before is not None:
@@ -270,6 +279,10 @@ class SlaveHandler:
             self._on_refusal(answer, "Slave_Diag", now)
             return
         owner = foreign_owner(diagnosis, self.own)
+        if self._refused_data:
+            self._refused_data = False
+            if diagnosis.prm_req:
+                self.prm_req_at = now
         if diagnosis.prm_req or owner is not None or diagnosis.ident != self.ident:
             self.owned = False
         if diagnosis.ident != self.ident:
@@ -362,6 +375,9 @@ class SlaveHandler:
             self._leave_exchange(now, silent=state is SlaveState.OFFLINE)
         self.since = now
         self._busy = 0
+        self._refused_data = was is _DATA_EXCHANGE and state is SlaveState.DIAGNOSIS
+        if state not in _BRINGING_UP:
+            self.prm_req_at = NEVER
         self._odd.clear()
         self._ready.entered(state)
         if state in (SlaveState.DATA_EXCHANGE, SlaveState.DEACTIVATED):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Final
 
 from dpstack.fdl.telegram import MAX_DATA, SSAP_MS0, Req
@@ -12,14 +13,16 @@ _NEW: Final = tuple.__new__  # NamedTuple's own constructor costs four times as 
 
 
 class SlaveRequests:
-    """Makes what is asked of the slave at ``address``; ``tag`` goes into every request."""
+    """Makes what is asked of the slave at ``address``; ``tag`` goes into every request, ``still`` into
+    Data_Exchange (see :class:`~dpstack.fdl.user.Request`)."""
 
-    __slots__ = ("_address", "_data", "_tag")
+    __slots__ = ("_address", "_data", "_still", "_tag")
 
-    def __init__(self, address: int, tag: object) -> None:
+    def __init__(self, address: int, tag: object, still: Callable[[int], bool] | None = None) -> None:
         self._address = address
         self._tag = tag
-        self._data = Request(address, _SRD_HIGH, patient=True, tag=tag, cyclic=True)
+        self._still = still
+        self._data = Request(address, _SRD_HIGH, patient=True, tag=tag, cyclic=True, still=still)
 
     def data(self, outputs: bytes) -> Request:
         """Data_Exchange with ``outputs``."""
@@ -27,7 +30,7 @@ class SlaveRequests:
         if request.data != outputs:
             to, tag = self._address, self._tag
             request = self._data = _NEW(
-                Request, (to, _SRD_HIGH, outputs, None, None, True, True, False, tag, 0, MAX_DATA, True)
+                Request, (to, _SRD_HIGH, outputs, None, None, True, True, False, tag, 0, MAX_DATA, True, self._still)
             )
         return request
 

@@ -40,6 +40,7 @@ async def outlast(future: asyncio.Future[Any]) -> None:
 class AsyncioRuntime(Stepping):
     """:class:`Stepping` in the running asyncio loop; implements :class:`dpstack.drivers.base.Runtime`."""
 
+    blocked_by = "the program did not let its event loop run, or was stopped,"
     _loop: asyncio.AbstractEventLoop | None = None  # of the last open
     _quiet_until = 0  # until then the port hands nothing over; the timer waits for it, or for something sooner
     _reopening: asyncio.Task[None] | None = None

@@ -96,6 +96,7 @@ class Host:
             echo=setup.echo,
             on_failure=self._on_failure,
             tune=self._station.set_patience if setup.tune else None,
+            held_up=self._station.held_up,
         )
         self._ending = Ending(
             loop, self.runtime.command, stack.station, lambda: stack.master.rotation.max_ns, self._finish

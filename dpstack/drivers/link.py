@@ -234,6 +234,21 @@ class Link:
             raise error_of(answer.error)
         return answer.value
 
+    def tell(self, order: object) -> None:
+        """Send ``order`` without waiting for its answer. Left out while the bus process reads nothing.
+
+        Raises what :meth:`ask` raises of a bus process that is gone.
+        """
+        if self._gone is not None:
+            raise self._gone
+        if self._sock is None:
+            raise UsageError("the driver is not open: await open() first")
+        if self.silent_ns() or self._unsent:
+            return
+        self._number += 1
+        now = monotonic_ns()
+        self._send(framed(Message(question=Question(self._number, named(order), now + LIMIT_NS))), now)
+
     def _unanswered(self, *, taken: bool, ending: bool) -> BusError:
         who = f"the bus process (pid {self.pid})"
         if taken:

@@ -9,6 +9,7 @@ from dpstack.dp.class2 import ChangeAddress, ReadService
 from dpstack.dp.commands import (
     ActivateSlave,
     AddSlave,
+    Alive,
     DeactivateSlave,
     DriveCommand,
     RemoveSlave,
@@ -34,6 +35,7 @@ ENDING_ORDERS: Final = (Shutdown, CloseConnections, CloseConnection, GoOffline, 
 
 MACHINE_ORDERS: Final[tuple[type, ...]] = (
     SetMode,
+    Alive,
     Shutdown,
     AddSlave,
     RemoveSlave,

@@ -16,7 +16,7 @@ from dpstack.drivers.echo import Echo
 from dpstack.drivers.lateness import Tune
 from dpstack.drivers.plain_loop import Alarm, PlainLoop
 from dpstack.drivers.reopening import BACKOFF_NS, Attempts
-from dpstack.drivers.stepping import Stepping
+from dpstack.drivers.stepping import OnHeldUp, Stepping
 from dpstack.errors import PortError
 from dpstack.machine import Machine
 from dpstack.ports import Port
@@ -44,6 +44,7 @@ class PlainRuntime(Stepping):
         echo: Echo = Echo.AUTO,
         on_failure: OnFailure | None = None,
         tune: Tune | None = None,
+        held_up: OnHeldUp | None = None,
         spin_ns: int = PLAIN_SPIN_NS,
         backoff_ns: tuple[int, int] = BACKOFF_NS,
     ) -> None:
@@ -54,6 +55,7 @@ class PlainRuntime(Stepping):
             echo=echo,
             on_failure=on_failure,
             tune=tune,
+            held_up=held_up,
             spin_ns=spin_ns,
             backoff_ns=backoff_ns,
         )

@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterable, Mapping
 from time import monotonic_ns
 from typing import Final
 
-from dpstack.dp.commands import AddSlave, DriveCommand, RemoveSlave, ReparameteriseSlave
+from dpstack.dp.commands import AddSlave, Alive, DriveCommand, RemoveSlave, ReparameteriseSlave
 from dpstack.dp.events import Fault, FaultKind, SlaveState, SlaveStateChanged
 from dpstack.dp.survey import SurveyOrder, SurveyResult
 from dpstack.drivers import link
@@ -233,6 +233,8 @@ class ProcessRuntime:
             case EndSurvey(number):
                 self._surveys.pop(number, None)
                 self._ask(command)
+            case Alive():
+                self._link.tell(command)
             case DriveCommand(args=args):
                 self._ask(dataclasses.replace(command, args=checked_arguments(args)))
             case _:

@@ -32,6 +32,8 @@ class StackSpec:
     watchdog_ms: int
     auto_clear: bool
     data_control_ns: int
+    safe_after_stall: bool = True
+    application_watchdog_ns: int = 0
     read_only: bool
     watched: bool
     cycle_ns: int = 0
@@ -58,6 +60,8 @@ def build_stack(spec: StackSpec) -> Stack:
         absent_share=patience.unknown_share,
         auto_clear=spec.auto_clear,
         data_control_ns=spec.data_control_ns,
+        safe_after_stall=spec.safe_after_stall,
+        application_watchdog_ns=spec.application_watchdog_ns,
         read_only=spec.read_only,
         cycle_ns=spec.cycle_ns,
         cycle_freeze=spec.cycle_freeze,

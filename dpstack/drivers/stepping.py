@@ -8,6 +8,7 @@ Everything that can wait (events, arming the timer) comes after the write.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from functools import partial
 from time import monotonic_ns
 from typing import Final
@@ -18,23 +19,29 @@ from dpstack.drivers.expecting import Answers
 from dpstack.drivers.lateness import Lateness, Tune
 from dpstack.drivers.rate import NoRateError, follow, wire_times
 from dpstack.drivers.reopening import BACKOFF_NS, Attempts
-from dpstack.drivers.timers import Timer
+from dpstack.drivers.timers import Timer, suspended_ns
 from dpstack.errors import BusError, DpError, PortError, UsageError
-from dpstack.machine import LineDown, LineUp, Machine, pump
+from dpstack.machine import HeldUp, LineDown, LineUp, Machine, pump
 from dpstack.ports import Loop, Pending, Port
 from dpstack.trace import Event, Notice, Severity
-from dpstack.units import NEVER, NS_PER_US
+from dpstack.units import NEVER, NS_PER_MS, NS_PER_US, ms_text
 
 #: Waits shorter than this are spun: a timer would be later (measured 40 us).
 SPIN_NS: Final = 20 * NS_PER_US
 #: A deadline missed by more than this is judged only after the port was read again.
 _LATE_NS: Final = 30 * NS_PER_US
+#: A machine that is run later than this is told. No slave's watchdog is shorter.
+_HELD_UP_NS: Final = 10 * NS_PER_MS
 #: A line that is never silent is not looked at more often before a deadline is judged.
 _LOOKS: Final = 4
 #: Steps without giving the loop a turn; a lone master's token at 12 Mbit/s is due every few microseconds.
 _BURST: Final = 8
 
 _LONGEST: Final = 256
+
+#: Takes what a machine is told when it was not run in time, and the time. True: what it has handed out to be sent, and
+#: is not sent yet, is too old by it.
+OnHeldUp = Callable[[HeldUp, int], bool]
 
 
 def _filter(echo: Echo) -> EchoFilter | None:
@@ -47,8 +54,12 @@ class Stepping(ABC):
     Events of the machine and of the driver go to ``on_events``. The port follows the rate that the machine wants. A
     port that vanishes is an event and is opened again with back-off. When the machine raises, which it never should,
     the driver stops, tells ``on_failure`` (without one: the loop's exception handler) and keeps the exception in
-    ``failed``. ``echo``: whether the line returns what is sent.
+    ``failed``. ``echo``: whether the line returns what is sent. ``held_up`` is told when the machine was run late, or
+    the computer slept, before the machine does anything.
     """
+
+    #: for people: why a machine is run late
+    blocked_by = "the process was stopped, or had no processor"
 
     def __init__(
         self,
@@ -59,6 +70,7 @@ class Stepping(ABC):
         echo: Echo = Echo.AUTO,
         on_failure: OnFailure | None = None,
         tune: Tune | None = None,
+        held_up: OnHeldUp | None = None,
         spin_ns: int = SPIN_NS,
         backoff_ns: tuple[int, int] = BACKOFF_NS,
     ) -> None:
@@ -69,6 +81,9 @@ class Stepping(ABC):
         self._machine = machine
         self._on_events = on_events
         self._on_failure = on_failure
+        self._held_up = held_up
+        self._stepped_at = 0  # the last step was over
+        self._suspended_ns = 0  # so long the computer has slept, as far as the machine knows
         self._spin_ns = spin_ns
         self._early_ns = spin_ns  # so much before a deadline the timer shall call: the rest is spun
         self._backoff_ns = backoff_ns
@@ -146,6 +161,8 @@ class Stepping(ABC):
             raise
         self._at = loop
         self._timer = timer
+        self._suspended_ns = suspended_ns()
+        self._stepped_at = monotonic_ns()
         self._attach()
         self._step(b"")
 
@@ -183,6 +200,8 @@ class Stepping(ABC):
         heard, sent_at, spun = 0, 0, 0
         try:
             now = monotonic_ns()
+            if self._held_up is not None:
+                self._tell_held_up(self._held_up, now)
             if now >= self._deadline:
                 chunk, now = self._look(chunk, now)
             arrived = now
@@ -192,7 +211,10 @@ class Stepping(ABC):
                     sent_at, self.lateness.sent_at = self.lateness.sent_at, 0
             while True:
                 deadline = pump(machine, chunk, now, transmit)
-                now = monotonic_ns()
+                began, now = now, monotonic_ns()
+                if now - began >= _HELD_UP_NS and self._held_up is not None:
+                    self._held_up(self._late(now - began), now)
+                    deadline = machine.wake_at()
                 if deadline - now > spin_ns:
                     break
                 steps -= 1
@@ -209,6 +231,7 @@ class Stepping(ABC):
                 self._wire_ns = wire_times(self._port)
                 deadline = machine.wake_at()
             self._deadline = deadline
+            self._stepped_at = now
             if sent_at:
                 self.lateness.heard(sent_at, self._wire_ns[min(heard, _LONGEST - 1)], arrived)
             events = machine.take_events()
@@ -225,8 +248,25 @@ class Stepping(ABC):
         if events:
             self._tell(events)
 
+    def _tell_held_up(self, tell: OnHeldUp, now: int) -> None:
+        """Tell the machine before it acts that it was not run in time, or that the computer slept."""
+        asleep = suspended_ns() - self._suspended_ns
+        if asleep >= _HELD_UP_NS:
+            self._suspended_ns += asleep
+            tell(HeldUp(asleep, f"the computer was suspended for {ms_text(asleep)}", suspended=True), now)
+        late = now - max(self._deadline, self._stepped_at)
+        if late >= _HELD_UP_NS:
+            tell(self._late(late), now)
+
+    def _late(self, late_ns: int) -> HeldUp:
+        return HeldUp(late_ns, f"{self.blocked_by} for {ms_text(late_ns)}")
+
     def _put(self, octets: bytes, now: int) -> int:
         """Transmit: the return value is when the last bit leaves, as well as can be known."""
+        if self._held_up is not None:
+            before = monotonic_ns()
+            if before - now >= _HELD_UP_NS and self._held_up(self._late(before - now), before):
+                return before + self._wire_ns[len(octets)]  # as if it had been lost on the line
         if self._echo is not None:
             self._echo.sent(octets)
         if not self._port.write(octets):

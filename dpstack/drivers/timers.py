@@ -1,16 +1,30 @@
-"""Deadlines inside an event loop: a timerfd on Linux, the loop's own timer elsewhere."""
+"""Deadlines inside an event loop (a timerfd on Linux, the loop's own timer elsewhere); how long the computer slept."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 from dpstack.ports import timerfd
 from dpstack.units import NS_PER_S
 
 if TYPE_CHECKING:  # the bus process runs without asyncio, and starts sooner without it
     import asyncio
+
+
+_BOOTTIME: Final[int | None] = getattr(time, "CLOCK_BOOTTIME", None)
+
+
+def suspended_ns() -> int:
+    """How long the computer has slept since it was started, in ns: CLOCK_BOOTTIME less CLOCK_MONOTONIC. 0 on systems
+    without CLOCK_BOOTTIME.
+
+    Never too much: a pause between looking at the two clocks only makes it smaller.
+    """
+    if _BOOTTIME is None:
+        return 0
+    return time.clock_gettime_ns(_BOOTTIME) - time.monotonic_ns()
 
 
 class Timer(Protocol):

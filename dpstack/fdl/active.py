@@ -20,17 +20,19 @@ from dpstack.fdl.guard import Guard, GuardedUser, unguarded
 from dpstack.fdl.states import Input, State, handlers_by_state
 from dpstack.fdl.telegram import SHORT_ACK, Kind, StationType, Telegram
 from dpstack.fdl.user import LinkStats, LinkUser
-from dpstack.machine import LineDown, LineUp
+from dpstack.machine import HeldUp, LineDown, LineUp
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT, Patience
 from dpstack.stats import Histogram
 from dpstack.trace import Event, Notice, Severity, WireEntry
-from dpstack.units import NEVER, chars_to_ns
+from dpstack.units import NEVER, NS_PER_MS, chars_to_ns
 
 #: the longest telegram in octets: what an edge on the line may turn into
 _LONGEST: Final = 255
 #: more telegrams in one chunk than a line brings in order, with those a busy computer had no time to read before
 _FLOOD: Final = 8
+#: a telegram that was made so long ago may have data that are too old
+_LATE_NS: Final = NS_PER_MS
 
 
 def _ignored(link: Link, _: Telegram, now: int) -> None:
@@ -270,6 +272,9 @@ class ActiveStation:
         octets = link.tx
         if octets is None or now < link.tx_at():
             return None
+        if now - link.made_at > _LATE_NS and active_exchange.is_outdated(link, now):
+            active_exchange.drop_outdated(link, now)
+            return None
         link.tx = None
         link.taken_at = now
         self._sending = octets
@@ -297,6 +302,12 @@ class ActiveStation:
         link.patience = patience
         link.set_times(now)
         self._decoder.stall_ns = link.line.t_stall_ns + patience.stall_ns
+
+    def held_up(self, gap: HeldUp, now: int) -> bool:
+        """The driver ran this station late; True when one of its users says that its outputs are too old by it."""
+        too_old = [user.command(gap, now) for user in self._link.users]
+        self._link.ask_times()
+        return any(too_old)
 
     # --- orders and news ----------------------------------------------------------------------------------------
     def take_events(self) -> list[Event]:

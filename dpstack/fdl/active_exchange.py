@@ -149,7 +149,7 @@ def waits_long(link: Link, request: Request) -> bool:
 
 def start(link: Link, user: LinkUser, request: Request) -> None:
     """Make the telegram of a new request and let it wait for its gate."""
-    da, function, data, dsap, ssap, patient, retry, restart, _, _, _, _ = request
+    da, function, data, dsap, ssap, patient, retry, restart, _, _, _, _, _ = request
     fc, counted, answered, _ = _SERVICES[function]
     tries = link.max_retry if answered and retry else 0
     if counted:
@@ -304,12 +304,15 @@ def timeout(link: Link, _: Telegram, now: int) -> None:
     _unanswered(link, now)
     if now > link.budget.next_at and not request.cyclic:
         link.budget.silent = f"{request_name(request)} to station {request.da}"
+    outdated = False
     if link.tries_left:
-        link.tries_left -= 1
-        link.repeats += 1
-        station.retries += 1
-        link.queue(link.frame)
-        return
+        outdated = request.still is not None and not request.still(now)
+        if not outdated:
+            link.tries_left -= 1
+            link.repeats += 1
+            station.retries += 1
+            link.queue(link.frame)
+            return
     link.slow.discard(request.da)
     link.doubted.add(request.da)
     if request.patient or request.function != Req.FDL_STATUS:
@@ -320,7 +323,9 @@ def timeout(link: Link, _: Telegram, now: int) -> None:
         del link.stats.stations[request.da]
     if _SERVICES[request.function].counted:
         link.fcb.given_up(request.da)
-    if link.wrong:
+    if outdated:
+        failure = Failure.ABANDONED
+    elif link.wrong:
         failure = Failure.WRONG
     elif link.garbled:
         link.stats.garbled += 1
@@ -328,6 +333,21 @@ def timeout(link: Link, _: Telegram, now: int) -> None:
     else:
         failure = Failure.NO_ANSWER
     _finish(link, failure, now)
+
+
+def is_outdated(link: Link, now: int) -> bool:
+    """Whether the request that waits for its gate has data that are too old to be sent."""
+    still = link.request.still
+    return link.user is not None and still is not None and not still(now)
+
+
+def drop_outdated(link: Link, now: int) -> None:
+    """Do not send the request that waits: its data are too old. A first attempt may have been sent."""
+    link.tx = None
+    if link.repeats:
+        _owe(link, now)
+        link.fcb.given_up(link.request.da)
+    _finish(link, Failure.ABANDONED, now)
 
 
 def _not_ours(link: Link, telegram: Telegram, now: int) -> None:

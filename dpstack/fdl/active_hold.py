@@ -66,6 +66,7 @@ def check(link: Link, _: Telegram, now: int) -> None:
                         user.result(request, Failure.HELD_BACK, now)
                         continue
                     link.fresh = False
+                    link.made_at = now
                     exchange.start(link, user, request)
                     return
         if link.gap.enabled and _poll(link, now):

@@ -121,6 +121,7 @@ class Link:
         "leaving",
         "line",
         "line_is_down",
+        "made_at",
         "max_retry",
         "owed",
         "own_token_at",
@@ -183,6 +184,7 @@ class Link:
         self.staggered = 0  # so many tokens to ourselves are delayed by TS bit times
         self.after_ns = self.line.t_id1_ns  # silence that has to follow what was on the line last
         self.taken_at = 0  # first bit of the last transmission
+        self.made_at = 0  # the last request of a user was made
         self.deadline = NEVER
         # what is on the line now
         self.busy_until = 0  # a telegram is arriving; deadlines and starts wait so long

@@ -6,6 +6,7 @@ side. It owns FC, FCB, retries, slot times and the token; a user owns what is sa
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Final, NamedTuple, Protocol
@@ -34,7 +35,8 @@ class Request(NamedTuple):
     a fixed cycle and other masters have room. ``retry`` False makes it one attempt; ``restart`` takes the station up
     afresh (FCV 0, FCB 1) whatever was known of it. ``tag`` is the user's own.
     ``answer``: so many octets of data its answer has at most, as far as is known. ``cyclic``: it is part of a fixed
-    cycle itself and never held back.
+    cycle itself and never held back. ``still``: asked with the time before a repetition, and before a telegram goes out
+    for which the driver came late; where it is False the data are too old, and the request ends as ABANDONED.
     """
 
     da: int
@@ -49,6 +51,7 @@ class Request(NamedTuple):
     extra_ns: int = 0
     answer: int = MAX_DATA
     cyclic: bool = False
+    still: Callable[[int], bool] | None = None
 
     @property
     def expect(self) -> Expect:
@@ -78,7 +81,7 @@ class Failure(Enum):
     NO_ANSWER = "no answer"  # slot time over, retries used up
     GARBLED = "garbled answer"  # octets came, no telegram
     WRONG = "wrong answer"  # a telegram that does not answer this request: other SAPs, another station
-    ABANDONED = "abandoned"  # the station left the ring or went offline meanwhile
+    ABANDONED = "abandoned"  # the station left the ring or went offline meanwhile, or Request.still said no
     REFUSED = "refused by this station's guard"  # never sent: this station may not (dpstack.fdl.guard)
     HELD_BACK = "held back"  # not sent now: it might run into the next cycle (dpstack.fdl.budget); ask again
 

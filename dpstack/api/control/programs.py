@@ -25,6 +25,7 @@ from dpstack.api.streams import OnEvent, hand_to
 from dpstack.dp.commands import Mode, SetMode
 from dpstack.dp.fields import as_json
 from dpstack.errors import UsageError
+from dpstack.units import ns_to_s
 
 #: a pty that the program makes itself
 PTY: Final = "pty"
@@ -114,8 +115,17 @@ def segment_status(segment: Segment) -> dict[str, object]:
     return status | ({"injected": injected} if injected else {})
 
 
+def clear_since(bus: Bus) -> dict[str, object]:
+    """Of a master that went to Clear by itself: ``since`` (seconds since the start) and ``because``; else empty."""
+    event = bus.forced_clear
+    if event is None:
+        return {}
+    return {"since": round(ns_to_s(event.t_ns - bus.started_ns), 3), "because": event.why}
+
+
 def run_status(bus: Bus) -> dict[str, object]:
-    """The master at this moment: ``seconds``, ``mode``, ``baud``, ``in_ring``, ``masters``, and each slave.
+    """The master at this moment: ``seconds``, ``mode``, ``baud``, ``in_ring``, ``masters``, and each slave; ``clear``
+    (:func:`clear_since`) while it is in Clear by itself.
 
     While the baud rate is searched only that: ``baud`` None and a ``text``.
     """
@@ -147,6 +157,7 @@ def run_status(bus: Bus) -> dict[str, object]:
         "seconds": round(bus.seconds, 3),
         "address": bus.params.address,
         "mode": bus.mode.name.lower(),
+        **({"clear": clear} if (clear := clear_since(bus)) else {}),
         "baud": bus.params.baud,
         "in_ring": bus.station.in_ring,
         "masters": sorted(bus.station.las),

@@ -1,0 +1,418 @@
+"""A stall: a slave was not asked for longer than its watchdog, so the old outputs do not go out again unasked."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from scripted_link import DIAG_FREE, MS, RUN, SAFE, ScriptedLink, link, mode_of, operating, setup, squeezed, wire
+
+from dpstack.dp.commands import Alive, DeactivateSlave, Mode, RemoveSlave, SetMode
+from dpstack.dp.events import ApplicationSilent, AutoCleared, Blocked, ForcedClear, SlaveState, Stalled
+from dpstack.fdl.telegram import Kind, Telegram
+from dpstack.fdl.user import Request
+from dpstack.machine import HeldUp, LineDown, LineUp
+
+ZEROS = "00 00 00 00"
+
+
+def outputs(bus: ScriptedLink, address: int = 3) -> list[str]:
+    """The outputs that were sent to a slave, without repetitions."""
+    return [octets for _, octets in squeezed([entry for entry in wire(bus, address) if entry[0] is None])]
+
+
+def stalls(bus: ScriptedLink) -> list[Stalled]:
+    return [event for event in bus.events if isinstance(event, Stalled)]
+
+
+def running(*addresses: int, **options: Any) -> ScriptedLink:
+    """Slaves with the outputs RUN, a watchdog of 200 ms and zeros as safe values, in Operate."""
+    return operating(*(setup(address, initial=RUN) for address in addresses), **options)
+
+
+def test_no_old_output_goes_out_after_a_gap_longer_than_the_watchdog() -> None:
+    bus = running(3, 4)
+    bus.now += 201 * MS
+    bus.run(300 * MS)
+    assert mode_of(bus) is Mode.CLEAR
+    assert outputs(bus, 3) == outputs(bus, 4) == [ZEROS]
+    (stall,) = stalls(bus)
+    assert stall.slaves == (3, 4)
+    assert stall.gap_ns is not None
+    assert 201 <= stall.gap_ns / MS < 202
+    clear = [r.data for r in bus.requests if r.dsap == 58]
+    assert set(clear) == {b"\x02\x00"}  # Global_Control: Clear, never Operate
+    assert "slave 3 (s3) was not asked for 201 ms, longer than its watchdog of 200 ms" in stall.text
+    bus.requests.clear()
+    bus.master.command(SetMode(Mode.OPERATE), bus.now)
+    bus.run(10 * MS)
+    assert outputs(bus) == ["04 7F 40 00"]
+
+
+def test_safe_values_first_where_they_are_not_zeros() -> None:
+    bus = operating(setup(3, initial=RUN, safe=SAFE))
+    bus.now += 300 * MS
+    bus.run(100 * MS)
+    assert outputs(bus) == ["04 7E 00 00", ZEROS]
+    assert mode_of(bus) is Mode.CLEAR
+
+
+@pytest.mark.parametrize(
+    ("gap_ms", "watchdogs", "options"),
+    [
+        (198, {3: 200, 4: 200}, {}),
+        (5_000, {3: 0, 4: 0}, {}),
+        (5_000, {3: 200, 4: 200}, {"safe_after_stall": False}),
+    ],
+    ids=["a shorter gap", "no watchdogs", "resume"],
+)
+def test_nothing_changes(gap_ms: int, watchdogs: dict[int, int], options: dict[str, Any]) -> None:
+    slaves = [setup(address, initial=RUN, watchdog_ms=ms) for address, ms in watchdogs.items()]
+    bus = operating(*slaves, **options)
+    bus.now += gap_ms * MS
+    bus.run(300 * MS)
+    assert mode_of(bus) is Mode.OPERATE
+    assert outputs(bus, 3) == outputs(bus, 4) == ["04 7F 40 00"]
+    assert not stalls(bus)
+
+
+def test_a_slave_without_a_watchdog_gets_no_old_outputs_either() -> None:
+    """The bus goes to Clear before anything old goes out, whoever is asked first."""
+    bus = operating(setup(3, initial=RUN, watchdog_ms=0), setup(4, initial=RUN, watchdog_ms=300))
+    bus.now += 301 * MS
+    bus.run(20 * MS)
+    assert outputs(bus, 3) == outputs(bus, 4) == [ZEROS]
+    assert stalls(bus)[0].slaves == (4,)
+
+
+def test_a_restart_of_one_slave_changes_nothing() -> None:
+    bus = running(3, 4)
+    bus.slaves[3].configured = False
+    bus.run(3_000 * MS)
+    assert bus.states(3)[-1] == "data_exchange"
+    assert mode_of(bus) is Mode.OPERATE
+    gone = bus.slaves.pop(4)
+    bus.run(2_000 * MS)
+    gone.configured = False
+    bus.slaves[4] = gone
+    bus.run(2_000 * MS)
+    assert bus.states(4)[-1] == "data_exchange"
+    assert mode_of(bus) is Mode.OPERATE
+
+
+def test_the_only_slave_may_restart() -> None:
+    bus = running(3)
+    bus.slaves[3].configured = False
+    bus.run(3_000 * MS)
+    assert bus.states(3)[-1] == "data_exchange"
+    assert mode_of(bus) is Mode.OPERATE
+
+
+def test_all_slaves_want_parameters_at_once() -> None:
+    """The clock shows no gap, but the watchdogs of all slaves ran out: the computer's clocks stood still."""
+    bus = running(3, 4)
+    bus.slaves[3].configured = bus.slaves[4].configured = False
+    bus.run(3_000 * MS)
+    assert bus.states(3)[-1] == bus.states(4)[-1] == "data_exchange"
+    assert mode_of(bus) is Mode.CLEAR
+    refused = [r for r in bus.requests if r.dsap == 61]
+    after = bus.requests[bus.requests.index(refused[-1]) :]
+    assert {r.data for r in after if r.dsap is None} == {bytes(4)}
+    (stall,) = stalls(bus)
+    assert (stall.gap_ns, stall.slaves, stall.blocked) == (None, (3, 4), None)
+
+
+def test_slaves_that_leave_one_after_the_other_are_no_stall() -> None:
+    bus = running(3, 4)
+    for address in (3, 4):
+        bus.slaves[address].configured = False
+        bus.run(100 * MS)
+    assert mode_of(bus) is Mode.OPERATE
+
+
+def test_one_refuses_for_another_reason() -> None:
+    """Slave 4 refuses data at the same time, but does not want parameters."""
+    bus = running(3, 4)
+    bus.slaves[3].configured = False
+    bus.slaves[4].answers[None] = lambda request: Telegram(Kind.SD1, 2, request.da, 0x03)
+    bus.run(100 * MS)
+    assert mode_of(bus) is Mode.OPERATE
+
+
+# --- what blocked -----------------------------------------------------------------------------------------------------
+
+
+def test_the_computer_was_suspended() -> None:
+    """The machine's time does not contain it."""
+    bus = running(3)
+    gap = HeldUp(3_000 * MS, "the computer was suspended for 3000 ms", suspended=True)
+    bus.master.command(gap, bus.now)
+    bus.run(20 * MS)
+    assert outputs(bus) == [ZEROS]
+    (stall,) = stalls(bus)
+    assert stall.blocked is Blocked.SUSPENDED
+    assert stall.gap_ns is not None
+    assert 3_000 <= stall.gap_ns / MS < 3_001
+    assert "suspended for 3000 ms" in stall.text
+
+
+def test_nobody_ran_the_master() -> None:
+    bus = running(3)
+    bus.now += 500 * MS
+    bus.master.command(HeldUp(498 * MS, "the process was stopped for 498 ms"), bus.now)
+    bus.run(20 * MS)
+    assert stalls(bus)[0].blocked is Blocked.PROGRAM
+    assert "the process was stopped for 498 ms" in stalls(bus)[0].text
+
+
+def test_the_token_did_not_come() -> None:
+    bus = running(3)
+    bus.now += 500 * MS
+    bus.run(20 * MS)
+    assert stalls(bus)[0].blocked is Blocked.TOKEN
+
+
+@pytest.mark.parametrize(("away_ms", "mode"), [(150, Mode.OPERATE), (250, Mode.CLEAR)])
+def test_a_lost_port(away_ms: int, mode: Mode) -> None:
+    bus = running(3, 4)
+    bus.master.command(LineDown("the adapter was pulled"), bus.now)
+    for slave in bus.slaves.values():
+        slave.configured = away_ms < 200
+    bus.now += away_ms * MS
+    bus.master.command(LineUp(), bus.now)
+    bus.run(1_000 * MS)
+    assert bus.states(3)[-1] == bus.states(4)[-1] == "data_exchange"
+    assert mode_of(bus) is mode
+    if mode is Mode.CLEAR:
+        assert outputs(bus, 3) == outputs(bus, 4) == [ZEROS]
+        assert stalls(bus)[0].blocked is Blocked.PORT
+        assert "the port vanished (the adapter was pulled)" in stalls(bus)[0].text
+
+
+def test_the_token_was_away_so_long_that_the_line_counts_as_lost() -> None:
+    bus = running(3)
+    bus.now += 3_000 * MS
+    bus.master.tick(bus.now)
+    bus.run(1_000 * MS)
+    assert outputs(bus) == [ZEROS]
+    assert stalls(bus)[0].blocked is Blocked.TOKEN
+
+
+def test_a_port_that_comes_back_when_its_slaves_are_gone_lets_nothing_old_out() -> None:
+    """Slave 3 was asked in vain at once, which is no sign that its watchdog was kept alive before."""
+    bus = running(3)
+    bus.master.command(LineDown("pulled"), bus.now)
+    bus.now += 400 * MS
+    gone = bus.slaves.pop(3)
+    bus.master.command(LineUp(), bus.now)
+    bus.run(2_000 * MS)
+    gone.configured = False
+    bus.slaves[3] = gone
+    bus.run(2_000 * MS)
+    assert bus.states(3)[-1] == "data_exchange"
+    assert outputs(bus) == [ZEROS]
+
+
+# --- who is no stall --------------------------------------------------------------------------------------------------
+
+
+def test_a_gap_in_clear_tells_nothing() -> None:
+    bus = running(3)
+    bus.master.command(SetMode(Mode.CLEAR), bus.now)
+    bus.run(100 * MS)
+    bus.now += 5_000 * MS
+    bus.run(100 * MS)
+    assert not stalls(bus)
+    bus.master.command(SetMode(Mode.OPERATE), bus.now)
+    bus.run(300 * MS)
+    assert mode_of(bus) is Mode.OPERATE
+
+
+def test_operate_after_stop_begins_anew() -> None:
+    bus = running(3)
+    bus.master.command(SetMode(Mode.STOP), bus.now)
+    bus.run(1_000 * MS)
+    bus.slaves[3].configured = False
+    bus.master.command(SetMode(Mode.OPERATE), bus.now)
+    bus.run(300 * MS)
+    assert bus.states(3)[-1] == "data_exchange"
+    assert mode_of(bus) is Mode.OPERATE
+
+
+def test_a_slow_bring_up_is_no_stall() -> None:
+    bus = link(setup(3, initial=RUN))
+    bus.master.command(SetMode(Mode.OPERATE), bus.now)
+    bus.slaves[3].ready = bytes.fromhex("02 0C 00 02 06 96")  # Station_Not_Ready
+    bus.run(1_000 * MS)
+    bus.slaves[3].ready = bytes.fromhex("00 0C 00 02 06 96")
+    bus.run(2_000 * MS)
+    assert bus.states(3)[-1] == "data_exchange"
+    assert mode_of(bus) is Mode.OPERATE
+
+
+@pytest.mark.parametrize("order", [RemoveSlave(3), DeactivateSlave(3)])
+def test_a_slave_that_was_given_up_does_not_count(order: object) -> None:
+    bus = operating(setup(3, initial=RUN), setup(4, initial=RUN, watchdog_ms=0))
+    bus.master.command(order, bus.now)
+    bus.now += 1_000 * MS
+    bus.run(300 * MS)
+    assert mode_of(bus) is Mode.OPERATE
+
+
+def test_a_slave_in_every_nth_round_within_its_watchdog() -> None:
+    bus = operating(setup(3, initial=RUN, every=50), setup(4, initial=RUN))
+    bus.run(1_000 * MS)
+    assert mode_of(bus) is Mode.OPERATE
+
+
+# --- one way to Clear and back ----------------------------------------------------------------------------------------
+
+
+def test_operate_on_the_way_down_is_told() -> None:
+    bus = operating(setup(3, initial=RUN, safe=SAFE))
+    bus.now += 300 * MS
+    bus.run(5 * MS)
+    assert mode_of(bus) is Mode.OPERATE  # safe values stand for 50 ms
+    bus.master.command(SetMode(Mode.OPERATE), bus.now)
+    bus.run(200 * MS)
+    assert mode_of(bus) is Mode.OPERATE
+    assert outputs(bus)[-1] == "04 7F 40 00"
+    assert [type(e).__name__ for e in bus.events if type(e).__name__ == "ModeChanged"] == ["ModeChanged"]
+
+
+def test_operate_that_waits_for_slaves_ends_by_a_stall() -> None:
+    bus = link(setup(3, initial=RUN), setup(4), auto_clear=True)
+    gone = bus.slaves.pop(4)
+    bus.master.command(SetMode(Mode.OPERATE), bus.now)
+    bus.run(100 * MS)
+    bus.now += 500 * MS
+    bus.run(10 * MS)
+    assert len(stalls(bus)) == 1
+    bus.slaves[4] = gone
+    bus.run(2_000 * MS)
+    assert bus.states(4)[-1] == "data_exchange"
+    assert mode_of(bus) is Mode.CLEAR
+    assert outputs(bus) == [ZEROS]
+
+
+def test_only_one_reason_for_one_clear() -> None:
+    """The slaves are late for auto_clear, too."""
+    bus = running(3, auto_clear=True, data_control_ns=300 * MS)
+    bus.now += 2_000 * MS
+    bus.run(2_000 * MS)
+    assert [type(e) for e in bus.events if isinstance(e, ForcedClear)] == [Stalled]
+    assert not [e for e in bus.events if isinstance(e, AutoCleared)]
+
+
+def test_a_second_stall_is_told_again() -> None:
+    bus = running(3)
+    for count in (1, 2):
+        bus.now += 300 * MS
+        bus.run(100 * MS)
+        assert len(stalls(bus)) == count
+        bus.master.command(SetMode(Mode.OPERATE), bus.now)
+        bus.run(100 * MS)
+        assert mode_of(bus) is Mode.OPERATE
+
+
+def test_a_repetition_with_old_outputs_is_not_sent() -> None:
+    """The link layer asks before it repeats."""
+    bus = running(3)
+    bus.now += bus.period
+    bus.master.token_received(bus.now)
+    request = bus.master.next_request(bus.now, False)
+    assert request is not None
+    assert request.still is not None
+    bus.master.started(request, bus.now)
+    assert request.still(bus.now + 199 * MS)
+    assert not request.still(bus.now + 201 * MS)
+    assert [type(e) for e in bus.master.take_events()][:1] == [Stalled]
+
+
+def test_diag_free_is_what_a_slave_says_whose_watchdog_ran_out() -> None:
+    """All slaves answer as after the end of their watchdogs: nothing old before, during or after their bring-up."""
+    bus = running(3, 4)
+    for slave in bus.slaves.values():
+        slave.configured = False
+        slave.free = DIAG_FREE
+    bus.now += 800 * MS
+    bus.run(3_000 * MS)
+    assert bus.states(3)[-1] == bus.states(4)[-1] == "data_exchange"
+    assert outputs(bus, 3) == outputs(bus, 4) == [ZEROS]
+    assert len(stalls(bus)) == 1
+
+
+# --- the application watchdog -----------------------------------------------------------------------------------------
+
+
+def silent(bus: ScriptedLink) -> list[ApplicationSilent]:
+    return [event for event in bus.events if isinstance(event, ApplicationSilent)]
+
+
+def test_the_application_watchdog_runs_out() -> None:
+    bus = running(3, application_watchdog_ns=100 * MS)
+    began = bus.now
+    for _ in range(20):
+        bus.master.command(Alive(), bus.now)
+        bus.run(90 * MS)
+    assert mode_of(bus) is Mode.OPERATE
+    assert bus.now - began > 1_800 * MS
+    last = bus.now - 90 * MS
+    while mode_of(bus) is Mode.OPERATE:
+        bus.requests.clear()
+        bus.hold()
+    bus.run(10 * MS)
+    (event,) = silent(bus)
+    assert 99 <= (event.t_ns - last) / MS <= 102
+    assert "alive() was not called for 100 ms" in event.text
+    assert outputs(bus) == [ZEROS]
+    bus.master.command(Alive(), bus.now)  # does not bring it back
+    bus.run(200 * MS)
+    assert mode_of(bus) is Mode.CLEAR
+    assert len(silent(bus)) == 1
+    bus.master.command(SetMode(Mode.OPERATE), bus.now)
+    bus.run(50 * MS)
+    assert mode_of(bus) is Mode.OPERATE
+    bus.run(60 * MS)
+    assert mode_of(bus) is Mode.CLEAR  # operate() armed it again
+
+
+def test_the_application_watchdog_is_armed_by_operate_and_off_in_clear() -> None:
+    bus = link(setup(3), application_watchdog_ns=100 * MS)
+    bus.run(1_000 * MS)
+    bus.master.command(Alive(), bus.now)
+    assert not silent(bus)
+    bus.master.command(SetMode(Mode.OPERATE), bus.now)
+    bus.run(50 * MS)
+    bus.master.command(SetMode(Mode.CLEAR), bus.now)
+    bus.run(1_000 * MS)
+    assert not silent(bus)
+
+
+def test_without_an_application_watchdog_alive_changes_nothing() -> None:
+    bus = running(3)
+    bus.master.command(Alive(), bus.now)
+    bus.run(2_000 * MS)
+    assert mode_of(bus) is Mode.OPERATE
+
+
+def test_the_application_watchdog_runs_out_while_the_token_is_away() -> None:
+    bus = running(3, application_watchdog_ns=100 * MS)
+    bus.master.tick(bus.now)  # its watch over the token is moved on
+    bus.now = bus.master.wake_at()
+    bus.master.tick(bus.now)
+    bus.run(10 * MS)
+    assert len(silent(bus)) == 1
+    assert outputs(bus) == [ZEROS]
+    assert bus.master.handlers[3].state is SlaveState.DATA_EXCHANGE
+
+
+def test_requests_of_services_are_asked_before_nothing() -> None:
+    """Only outputs can be too old: a diagnosis is repeated as always."""
+    bus = running(3)
+    seen: list[Request] = []
+    bus.slaves[3].configured = False
+    bus.run(5 * MS)
+    seen = [r for r in bus.requests if r.dsap is not None]
+    assert seen
+    assert all(r.still is None for r in seen)
