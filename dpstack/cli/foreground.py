@@ -1,4 +1,4 @@
-"""What commands share that are the master themselves: ``run``; ``drive`` and ``acyclic`` where no run holds the port."""
+"""What commands share that are the master themselves: `run`; `drive` and `acyclic` where no run holds the port."""
 
 from __future__ import annotations
 
