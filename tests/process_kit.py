@@ -78,6 +78,13 @@ def runtime_of(bus: dpstack.Bus) -> ProcessRuntime:
     return runtime
 
 
+def begun(bus: dpstack.Bus) -> int:
+    """The fixed cycles that its books have."""
+    book = bus.stats.cycles
+    assert book is not None
+    return book.begun
+
+
 def process_of(bus: dpstack.Bus) -> int:
     """The process id of its bus process."""
     pid = runtime_of(bus).pid
