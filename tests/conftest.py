@@ -40,7 +40,10 @@ def runtime_directory() -> Iterator[str]:
 
     What they are made of is compiled once, not at every start, whatever the environment says.
     """
-    with tempfile.TemporaryDirectory(prefix="dp") as path, pytest.MonkeyPatch.context() as patch:
+    # tests bind sockets there by their paths, which have 107 octets at most: a long TMPDIR breaks none of them
+    folder = tempfile.gettempdir()
+    folder = folder if len(folder) < 40 else "/tmp"
+    with tempfile.TemporaryDirectory(prefix="dp", dir=folder) as path, pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_RUNTIME_DIR", path)
         patch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)
         yield path

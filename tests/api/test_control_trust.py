@@ -35,11 +35,10 @@ ROOT = os.geteuid() == 0
 
 
 @pytest.fixture
-def runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    path = tmp_path / "run"
-    path.mkdir(mode=0o700)
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(path))
-    return path
+def runtime(runtime_directory: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    with tempfile.TemporaryDirectory(prefix="t", dir=runtime_directory) as path:
+        monkeypatch.setenv("XDG_RUNTIME_DIR", path)
+        yield Path(path)
 
 
 class Owners:
@@ -194,10 +193,10 @@ def test_links_that_lead_in_a_circle_end(runtime: Path) -> None:
         open_own(runtime / "a" / "dpstack", make=True)
 
 
-async def test_the_directory_is_the_one_that_was_checked(runtime: Path, tmp_path: Path) -> None:
+async def test_the_directory_is_the_one_that_was_checked(runtime: Path) -> None:
     """What happens to the path afterwards leads nobody to another program."""
     with places.Sockets(make=True) as sockets:
-        (runtime / "dpstack").rename(tmp_path / "away")
+        (runtime / "dpstack").rename(runtime / "away")
         (runtime / "dpstack").mkdir(mode=0o700)
         with socket.socket(socket.AF_UNIX) as planted, socket.socket(socket.AF_UNIX) as ours:
             planted.bind(str(runtime / "dpstack" / "a.sock"))
@@ -206,7 +205,7 @@ async def test_the_directory_is_the_one_that_was_checked(runtime: Path, tmp_path
                 sockets.connect("a.sock", 1.0)
             sockets.bind(ours, "b.sock")
         assert sockets.names() == ["b.sock"]
-    assert (tmp_path / "away" / "b.sock").is_socket()
+    assert (runtime / "away" / "b.sock").is_socket()
 
 
 # --- sockets and peers ---------------------------------------------------------------------------------------------
@@ -320,7 +319,8 @@ def test_root_and_ourselves_are_trusted_and_nobody_else() -> None:
     ours, theirs = socket.socketpair()
     with ours, theirs:
         assert places.peer_uid(ours) == os.geteuid()
-    assert [uid for uid in (0, os.geteuid(), MALLORY, MALLORY - 1) if places.is_trusted(uid)] == [0, os.geteuid()]
+    asked = (0, os.geteuid(), os.geteuid() + 1, MALLORY)
+    assert {uid for uid in asked if places.is_trusted(uid)} == {0, os.geteuid()}
 
 
 async def test_elsewhere_getpeereid_tells_who_it_is(runtime: Path, monkeypatch: pytest.MonkeyPatch) -> None:
