@@ -229,8 +229,8 @@ def _not_one(runs: list[dict[str, Any]], fitting: int, port: str, config: Path |
     mine = config or "a program without a configuration file"
     if fitting:
         return (
-            f'{fitting} runs on "{port}" have the configuration {mine}; there is: {_listed(runs)}; name the one '
-            f"that is meant, for instance `dpstack ctl {runs[0].get('name')} help`"
+            f'{fitting} runs on "{port}" have the configuration {mine}; there is: {_listed(runs)}; give the '
+            f"order to the one that is meant by its name: `dpstack ctl {runs[0].get('name')} drive NAME ORDER`"
         )
     if port == VIRTUAL:
         return (
