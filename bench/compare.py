@@ -121,7 +121,7 @@ def load_report(path: Path) -> Report:
         if not isinstance(data, dict):
             raise ValueError("no object")
         return report_of(data)
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise ValueError(f"{path} cannot be read as a benchmark's JSON: {error}") from None
 
 

@@ -10,6 +10,7 @@ import json
 import unicodedata
 from typing import Final
 
+_MOST_DIGITS: Final = 9
 _SHORT: Final = {"\n": "\\n", "\r": "\\r", "\t": "\\t"}
 
 
@@ -38,6 +39,17 @@ def long_escape(letter: str) -> str:
     """As :func:`escape`, with four digits at least: TOML knows no ``\\x``."""
     code = ord(letter)
     return f"\\u{code:04x}" if code < 0x1_0000 else f"\\U{code:08x}"
+
+
+def decimal(text: str) -> int | None:
+    """The number that ``text`` is, in one to nine decimal digits as every number of ours; None for anything else."""
+    return int(text) if len(text) <= _MOST_DIGITS and text.isascii() and text.isdigit() else None
+
+
+def number_or_name(text: str) -> int | str:
+    """What people type for a thing that has both: the number where it is one (:func:`decimal`), else the name."""
+    number = decimal(text)
+    return text if number is None else number
 
 
 def shortened(text: str, most: int = 60) -> str:

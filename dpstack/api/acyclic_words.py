@@ -17,6 +17,7 @@ from dpstack.dp.v1.im import Im, Im0
 from dpstack.dp.v1.records import MAX_RECORD, MAX_SLOT
 from dpstack.errors import AcyclicError, SlaveFault, UsageError
 from dpstack.profile.acyclic import Progress
+from dpstack.text import shortened
 
 PARAMETERS: Final = "parameters"
 WORDS: Final = (
@@ -150,7 +151,7 @@ def _check_number(name: str, text: str) -> None:
         value = -1
     highest = _HIGHEST[name]
     if not 0 <= value <= highest:
-        raise UsageError(f"{text!r} is no {name}: write a number 0..{highest}, 0x2F for instance")
+        raise UsageError(f"{shortened(text)!r} is no {name}: write a number 0..{highest}, 0x2F for instance")
 
 
 def _numbers(args: Sequence[str]) -> tuple[int, ...]:

@@ -14,6 +14,7 @@ from dpstack.api.control.specs import Spec
 from dpstack.api.drive import Drive
 from dpstack.api.parameter_dump import ParameterPlace, ParameterValue
 from dpstack.errors import ParameterError, UsageError
+from dpstack.text import number_or_name, shortened
 
 START: Final = "start"
 #: for programs: what people are shown is a file
@@ -79,11 +80,11 @@ async def carry_out(drive: Drive, word: str, args: Sequence[str]) -> dict[str, o
     places = {"data_set": options.data_set, "index": options.index}
     match word:
         case "read":
-            found = await drive.parameter(number_of(plain[0]), **places, timeout=seconds)
+            found = await drive.parameter(number_or_name(plain[0]), **places, timeout=seconds)
             return {**told, "parameter": asdict(found)}
         case "write":
             value = _value(plain[1])
-            found = await drive.write(number_of(plain[0]), value, **places, ram=options.ram, timeout=seconds)
+            found = await drive.write(number_or_name(plain[0]), value, **places, ram=options.ram, timeout=seconds)
             return {**told, "parameter": asdict(found)}
         case "parameters":
             listed = [asdict(one) for one in drive.parameters]
@@ -116,16 +117,11 @@ def wrong_arguments(spec: Spec) -> str:
     return f"{spec.name} takes {spec.usage or 'nothing'}, for instance: {f'{spec.name} {spec.example}'.rstrip()}"
 
 
-def number_of(text: str) -> int | str:
-    """A parameter as typed: a number in decimal digits, else a name (0x... is one of those that plugins know)."""
-    return int(text) if text.isdecimal() else text
-
-
 def _places(text: str) -> list[ParameterPlace]:
     try:
         return [ParameterPlace(**one) for one in json.loads(text)]
-    except (ValueError, TypeError):
-        raise UsageError(f'{text}: write for instance [{{"number":964,"index":6}}]') from None
+    except (ValueError, TypeError, RecursionError):
+        raise UsageError(f'{shortened(text)}: write for instance [{{"number":964,"index":6}}]') from None
 
 
 def _entry(one: ParameterValue | ParameterError) -> dict[str, object]:
@@ -149,7 +145,7 @@ def _options(word: str, given: Sequence[str]) -> _Options:
                 options.data_set = int(value)
         except (ValueError, KeyError):
             example = "true" if name == "ram" else "1"
-            raise UsageError(f"{name}={value}: write for instance {name}={example}") from None
+            raise UsageError(f"{name}={shortened(value)}: write for instance {name}={example}") from None
     return options
 
 

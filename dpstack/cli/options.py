@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from dpstack.api.config import AUTO
 from dpstack.api.tables import parse_hex
+from dpstack.text import decimal, shortened
 from dpstack.units import BAUD_RATES
 
 if TYPE_CHECKING:
@@ -71,30 +72,34 @@ def milliseconds(text: str) -> float:
 
 def count(text: str) -> int:
     """A whole number from 1 on."""
-    if not text.isdecimal() or not int(text):
-        raise argparse.ArgumentTypeError(f"{text!r} is no whole number from 1 on")
-    return int(text)
+    value = decimal(text)
+    if not value:
+        raise argparse.ArgumentTypeError(f"{shortened(text)!r} is no whole number from 1 on")
+    return value
 
 
 def whole(text: str) -> int:
     """A whole number from 0 on."""
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"{text!r} is no whole number from 0 on")
-    return int(text)
+    value = decimal(text)
+    if value is None:
+        raise argparse.ArgumentTypeError(f"{shortened(text)!r} is no whole number from 0 on")
+    return value
 
 
 def address(text: str) -> int:
     """A station address."""
-    if not text.isdecimal() or int(text) > 125:
-        raise argparse.ArgumentTypeError(f"{text!r} is no station address, 0..125")
-    return int(text)
+    value = decimal(text)
+    if value is None or value > 125:
+        raise argparse.ArgumentTypeError(f"{shortened(text)!r} is no station address, 0..125")
+    return value
 
 
 def slave_address(text: str) -> int:
     """The address of a slave, 126 as delivered included."""
-    if not text.isdecimal() or int(text) > 126:
-        raise argparse.ArgumentTypeError(f"{text!r} is no address of a slave, 0..126")
-    return int(text)
+    value = decimal(text)
+    if value is None or value > 126:
+        raise argparse.ArgumentTypeError(f"{shortened(text)!r} is no address of a slave, 0..126")
+    return value
 
 
 def ident(text: str) -> int:

@@ -18,6 +18,7 @@ from dpstack.cli.outlet import unhurried
 from dpstack.cli.signals import StopSignal
 from dpstack.cli.streams import warn
 from dpstack.errors import UsageError
+from dpstack.text import number_or_name
 from dpstack.units import baud_text, ns_to_s
 
 
@@ -71,7 +72,7 @@ def _config(args: argparse.Namespace) -> Config:
         )
     table["name"] = args.drive or Path(args.gsd).stem
     if args.modules:
-        table["modules"] = [int(module) if module.isdecimal() else module for module in args.modules]
+        table["modules"] = [number_or_name(module) for module in args.modules]
     master = 2 if args.address != 2 else 1
     return make_config(args.port, DEFAULT_BAUD, master, [table], where="sim")
 

@@ -7,6 +7,7 @@ stands as a pair of the class's name and its fields.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import inspect
 import signal
@@ -301,12 +302,19 @@ def encoded(thing: object) -> bytes:
     return _encoder.encode(thing)
 
 
+@contextlib.contextmanager
+def _readable(what: str) -> Iterator[None]:
+    """Raises BusError for what msgspec cannot read: also text that is no UTF-8, and brackets too deep in each other."""
+    try:
+        yield
+    except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
+        raise BusError(f"{what} cannot be read: {error}") from None
+
+
 def decoded(octets: bytes, kind: type[T]) -> T:
     """The object of ``kind`` that :func:`encoded` was given. Raises BusError."""
-    try:
+    with _readable(kind.__name__):
         return msgspec.json.decode(octets, type=kind, dec_hook=_strange)
-    except msgspec.MsgspecError as error:
-        raise BusError(f"{kind.__name__} cannot be read: {error}") from None
 
 
 def framed(message: Message) -> bytes:
@@ -338,18 +346,15 @@ class Frames:
                 return
             octets = bytes(rest[_LENGTH : _LENGTH + length])
             del rest[: _LENGTH + length]
-            try:
-                yield _decoder().decode(octets)
-            except msgspec.MsgspecError as error:
-                raise BusError(f"a message between bus process and application cannot be read: {error}") from None
+            with _readable("a message between bus process and application"):
+                message = _decoder().decode(octets)
+            yield message
 
 
 def typed(value: object, kind: type[T]) -> T:
     """``value`` as it came out of a message as an object of ``kind``. Raises BusError."""
-    try:
+    with _readable(kind.__name__):
         return msgspec.convert(value, kind, str_keys=True, dec_hook=_strange)
-    except msgspec.ValidationError as error:
-        raise BusError(f"{kind.__name__} cannot be read: {error}") from None
 
 
 def named(thing: object) -> Named:
@@ -400,9 +405,10 @@ def error_pair(error: Exception) -> tuple[str, str]:
 def error_of(pair: tuple[str, str]) -> DpError:
     """The exception again: orders raise only those that carry a text and nothing else."""
     name, text = pair
-    kind = getattr(errors, name, BusError)
-    return BusError(text) if kind in _MORE else kind(text)
-
-
-#: exceptions that carry more than their text
-_MORE: Final = (errors.SlaveError, errors.SlaveFault, errors.ServiceRefused, errors.SlaveTimeout, errors.DriveError)
+    kind = getattr(errors, name, None)
+    if not (isinstance(kind, type) and issubclass(kind, DpError)):
+        return BusError(text)
+    try:
+        return kind(text)
+    except (TypeError, DpError):  # it carries more, or something else
+        return BusError(text)

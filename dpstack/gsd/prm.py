@@ -8,6 +8,7 @@ module's slot in both.
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,6 +19,7 @@ from dpstack.errors import GsdError
 from dpstack.gsd.joining import reach_of
 from dpstack.gsd.model import Device, Module, Parameter, PrmBlock, PrmKind, PrmType, folded, in_ranges, ranges_text
 from dpstack.gsd.module_block import MAX_USER_PRM
+from dpstack.text import shortened
 
 
 class Reading(Enum):
@@ -252,24 +254,27 @@ def value_of(parameter: Parameter, value: int | str | bool) -> int:
     return number
 
 
+#: characters; 32 bits in binary have 35
+_LONGEST_NUMBER: Final = 40
+
+
 def _number(parameter: Parameter, value: int | str | bool) -> int:
     if isinstance(value, int):
         return int(value)
     for number, text in parameter.texts.items():
         if folded(text) == folded(value):
             return number
-    try:
-        return int(value, 0)
-    except ValueError:
-        pass
+    if len(value) <= _LONGEST_NUMBER:
+        with contextlib.suppress(ValueError):
+            return int(value, 0)
     if not parameter.texts:
         low, high = parameter.type.limits
         allowed = ranges_text(parameter.allowed or ((low, high),))
-        raise GsdError(f"{parameter.name!r} = {value!r} is no number; allowed are {allowed}")
+        raise GsdError(f"{parameter.name!r} = {shortened(value)!r} is no number; allowed are {allowed}")
     texts = list(parameter.texts.values())
     near = near_names(value, texts, _CLOSE)
     hint = f"did you mean {near[0]!r}? known: " if near else "known: "
-    raise GsdError(f"{parameter.name!r} has no value {value!r}; {hint}{', '.join(map(repr, texts[:20]))}")
+    raise GsdError(f"{parameter.name!r} has no value {shortened(value)!r}; {hint}{', '.join(map(repr, texts[:20]))}")
 
 
 _CLOSE: Final = 0.5

@@ -15,6 +15,7 @@ from functools import partial
 from typing import Protocol
 
 from dpstack.errors import BaudError, PortError
+from dpstack.text import decimal
 
 #: Takes octets read from the line, in order; called from the loop.
 OnData = Callable[[bytes], None]
@@ -169,6 +170,7 @@ def host_and_port(name: str, scheme: str) -> tuple[str, int]:
     """Host and TCP port of ``scheme://host:port``. Raises PortError."""
     host, colon, number = name.removeprefix(f"{scheme}://").partition("?")[0].rpartition(":")
     host = host.removeprefix("[").removesuffix("]")
-    if not colon or not host or not number.isdecimal() or not 0 < int(number) < 65_536:
+    port = decimal(number)
+    if not colon or not host or port is None or not 0 < port < 65_536:
         raise PortError(f"{name}: write it as {scheme}://host:port, for instance {scheme}://192.168.0.10:7000")
-    return host, int(number)
+    return host, port

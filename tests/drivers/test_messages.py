@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from enum import Enum
 from types import UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
@@ -12,6 +13,7 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from linear_kit import assert_linear
 from property_kit import examples
 
 from dpstack.dp.acyclic_job import Outcome, ServiceFailure
@@ -35,7 +37,7 @@ from dpstack.dp.v1.prm_blocks import PrmBlock
 from dpstack.dp.v1.status import Dpv1
 from dpstack.drivers import messages as m
 from dpstack.drivers.stack import StackSpec
-from dpstack.errors import BusError, ConfigError, PortBusyError, SlaveFault, UsageError
+from dpstack.errors import BusError, ConfigError, DpError, PortBusyError, SlaveFault, UsageError
 from dpstack.fdl.user import LinkStats
 from dpstack.gsd.diag_texts import DiagTexts as GsdTexts
 from dpstack.gsd.model import Device
@@ -176,6 +178,68 @@ def test_messages_are_cut_however_they_arrive(numbers: list[int], size: int) -> 
 def test_garbage_is_an_error_of_the_bus(octets: bytes) -> None:
     with pytest.raises(BusError, match="between bus process and application"):
         list(m.Frames().feed(octets + b" " * 20))
+
+
+def frame(octets: bytes) -> bytes:
+    return len(octets).to_bytes(4, "big") + octets
+
+
+@pytest.mark.parametrize(
+    "octets",
+    [
+        b'{"news":{"over":"\xff\xfe"}}',
+        b'{"news":{"over":"\xed\xa0\x80"}}',
+        b'{"answer":{"number":1,"value":"\\ud800"}}',
+        b'{"answer":{"number":1,"value":' + b"[" * 100_000,
+        b'{"answer":{"number":1,"value":' + b'{"a":' * 100_000,
+        b'{"answer":{"number":' + b"9" * 5000 + b"}}",
+        b'{"answer":{"number":1,"value":' + b"9" * 5000 + b"}}",
+        b'{"answer":{"number":1,"value":1e999}}',
+    ],
+)
+def test_octets_that_are_no_json_of_ours(octets: bytes) -> None:
+    with pytest.raises(BusError, match="a message between bus process and application cannot be read"):
+        list(m.Frames().feed(frame(octets)))
+
+
+@given(st.binary(max_size=60))
+def test_any_octets_in_a_frame(octets: bytes) -> None:
+    for inside in (
+        octets,
+        b'{"news":{"over":"' + octets + b'"}}',
+        b'{"question":{"number":1,"order":' + octets + b"}}",
+    ):
+        with contextlib.suppress(BusError):
+            for message in m.Frames().feed(frame(inside)):
+                if message.question is not None:
+                    m.order_of(message.question.order)
+
+
+@given(st.text(max_size=20), st.text(max_size=20))
+def test_any_name_of_an_error(name: str, text: str) -> None:
+    assert isinstance(m.error_of((name, text)), DpError)
+
+
+@pytest.mark.parametrize(
+    "name", ["annotations", "__doc__", "AlarmError", "AcyclicError", "RecordRefused", "DriveFault"]
+)
+def test_names_that_are_no_error_of_a_text_alone(name: str) -> None:
+    assert type(m.error_of((name, "text"))) is BusError
+
+
+def test_frames_cost_what_they_are_long() -> None:
+    octets = m.framed(m.Message(answer=m.Answer(1, value="x" * 200)))
+
+    def work_of(n: int) -> Callable[[], object]:
+        whole = octets * n
+
+        def work() -> None:
+            frames = m.Frames()
+            assert sum(1 for at in range(0, len(whole), 50) for _ in frames.feed(whole[at : at + 50])) == n
+
+        return work
+
+    assert_linear(work_of, 50)
 
 
 def test_errors_keep_their_class_and_text() -> None:

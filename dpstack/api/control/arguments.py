@@ -8,9 +8,10 @@ from typing import Final
 
 from dpstack.api.tables import parse_hex
 from dpstack.errors import UsageError
+from dpstack.text import decimal, shortened
 from dpstack.units import NS_PER_S
 
-_TIME: Final = re.compile(r"(\d+(?:\.\d*)?|\.\d+)(ms|s|min|)")
+_TIME: Final = re.compile(r"([0-9]{1,12}(?:\.[0-9]{0,12})?|\.[0-9]{1,12})(ms|s|min|)")
 _UNIT_NS: Final = {"ms": NS_PER_S // 1000, "s": NS_PER_S, "min": 60 * NS_PER_S, "": NS_PER_S}
 _LONGEST_NS: Final = 365 * 86_400 * NS_PER_S
 
@@ -20,7 +21,7 @@ def time_ns(text: str) -> int:
     match = _TIME.fullmatch(text.strip().lower())
     ns = round(float(match[1]) * _UNIT_NS[match[2]]) if match else 0
     if not 0 < ns < _LONGEST_NS:
-        raise UsageError(f"{text!r} is no time; write it as 2s or 500ms")
+        raise UsageError(f"{shortened(text)!r} is no time; write it as 2s or 500ms")
     return ns
 
 
@@ -83,9 +84,10 @@ def octets(text: str) -> tuple[str, bytes]:
 
 def whole(text: str) -> int:
     """A whole number from 0 (slots, channels)."""
-    if not text.isdecimal() or len(text) > 5:
-        raise UsageError(f"{text!r} is no whole number; write for instance 1")
-    return int(text)
+    value = decimal(text)
+    if value is None:
+        raise UsageError(f"{shortened(text)!r} is no whole number; write for instance 1")
+    return value
 
 
 def hex_octets(text: str, example: str) -> bytes:

@@ -17,6 +17,7 @@ from dpstack.api.parameter_dump import ParameterPlace, ParameterValue
 from dpstack.api.parts import SEARCHING
 from dpstack.errors import BusError, ParameterError, UsageError
 from dpstack.profile import ListedParam
+from dpstack.text import number_or_name
 
 
 def drive_order(bus: Bus, args: list[str]) -> AsyncIterator[object]:
@@ -26,7 +27,7 @@ def drive_order(bus: Bus, args: list[str]) -> AsyncIterator[object]:
     if bus.config.bus.read_only:
         raise BusError("this run is read only: it gives no drive an order; end it and run without read_only")
     name, word, *rest = args
-    drive = bus.drive(int(name) if name.isdecimal() else name)
+    drive = bus.drive(number_or_name(name))
     return kept_alive(carry_out(drive, word, rest), lambda: {"status": drive.status.as_dict()})
 
 

@@ -25,6 +25,7 @@ from dpstack.api.streams import OnEvent, hand_to
 from dpstack.dp.commands import Mode, SetMode
 from dpstack.dp.fields import as_json
 from dpstack.errors import UsageError
+from dpstack.text import decimal, shortened
 from dpstack.units import ns_to_s
 
 #: a pty that the program makes itself
@@ -228,6 +229,7 @@ async def _put_out(bus: Bus, wanted: dict[int, bytes]) -> None:
 
 
 def _station(text: str) -> int:
-    if not text.isdecimal():
-        raise UsageError(f"{text!r} is no station of the segment; they are numbered from 0")
-    return int(text)
+    number = decimal(text)
+    if number is None:
+        raise UsageError(f"{shortened(text)!r} is no station of the segment; they are numbered from 0")
+    return number

@@ -15,6 +15,7 @@ from dpstack.api.control.client import ControlClient, find_run
 from dpstack.api.control.server import Result
 from dpstack.api.parts import SEARCHING
 from dpstack.errors import BusError, UsageError
+from dpstack.text import number_or_name
 
 #: parameters in one line of an answer: it stays well below what the server keeps for a slow reader
 _IN_A_LINE: Final = 100
@@ -33,7 +34,7 @@ async def acyclic_order(bus: Bus, args: list[str], *, class2: bool = False) -> A
     if bus.searching:
         raise BusError(f"{SEARCHING}: the slaves are known once it is found")
     name, word, *rest = args
-    slave = bus.slave(int(name) if name.isdecimal() else name)
+    slave = bus.slave(number_or_name(name))
     who = f"ctl {COMMANDS[2 if class2 else 1]}"
     if word in (DUMP, COMPARE):
         with_class = " --class 2" if class2 else ""

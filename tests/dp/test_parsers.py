@@ -1,0 +1,72 @@
+"""Every parser of octets from the bus: an object, None or a PduError, with work in proportion to the octets."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from linear_kit import assert_linear
+
+from dpstack.dp.diagnosis import Diagnosis
+from dpstack.dp.pdu import GlobalControl, SetPrm, SetSlaveAdd
+from dpstack.dp.v1 import im
+from dpstack.dp.v1.alarms import AlarmAck, parse_block
+from dpstack.dp.v1.connection import Abort, DataTransport, InitiateReq, InitiateRes, ResourceManagerRes
+from dpstack.dp.v1.ms2_server_connection import parse_transport
+from dpstack.dp.v1.prm_blocks import parse_blocks
+from dpstack.dp.v1.records import parse_request, parse_response
+from dpstack.errors import ConfigError, PduError
+from dpstack.fdl.codec import decode
+from dpstack.gsd.identifiers import agree, parse_identifiers
+from dpstack.profile.acyclic.record47 import Request, Response
+
+PARSERS: dict[str, Callable[[bytes], object]] = {
+    "diagnosis": Diagnosis.parse,
+    "Set_Prm": SetPrm.parse,
+    "Global_Control": GlobalControl.parse,
+    "Set_Slave_Add": SetSlaveAdd.parse,
+    "Read and Write, asked": parse_request,
+    "Read and Write, answered": parse_response,
+    "blocks of parameters": parse_blocks,
+    "alarms and status": parse_block,
+    "Alarm_Ack": AlarmAck.parse,
+    "Resource Manager": ResourceManagerRes.parse,
+    "Initiate, asked": InitiateReq.parse,
+    "Initiate, answered": InitiateRes.parse,
+    "Data_Transport": DataTransport.parse,
+    "Data_Transport at a slave": parse_transport,
+    "Abort": Abort.parse,
+    "I&M call": im.parse_call,
+    "I&M 0": lambda octets: im.parse_answer(octets, 0),
+    "I&M 3": lambda octets: im.parse_answer(octets, 3),
+    "record 47, asked": Request.parse,
+    "record 47, answered": Response.parse,
+    "identifiers": parse_identifiers,
+    "identifiers compared": lambda octets: agree(octets, octets + b"\0"),
+    "telegrams": decode,
+}
+
+
+@pytest.mark.parametrize("name", PARSERS)
+@given(octets=st.binary(max_size=80))
+def test_any_octets(name: str, octets: bytes) -> None:
+    with contextlib.suppress(PduError, ConfigError):
+        PARSERS[name](octets)
+
+
+@pytest.mark.parametrize("name", PARSERS)
+@pytest.mark.parametrize("octet", [0x00, 0x01, 0x04, 0x41, 0x81, 0x95, 0xC0, 0xFF])
+def test_twice_the_octets_take_twice_the_steps(name: str, octet: int) -> None:
+    def work_of(n: int) -> Callable[[], object]:
+        octets = bytes([octet]) * n
+
+        def work() -> None:
+            with contextlib.suppress(PduError, ConfigError):
+                PARSERS[name](octets)
+
+        return work
+
+    assert_linear(work_of, 120)
