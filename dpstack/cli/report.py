@@ -109,11 +109,16 @@ def _cycles(stats: BusStats) -> None:
 
 
 def _process_data(slaves: Iterable[SlaveStats]) -> None:
-    octets = [(s.address, s.name, s.inputs.hex(), s.outputs.hex()) for s in slaves]
+    octets = [(s.address, s.name, _inputs(s), s.outputs.hex()) for s in slaves]
     output.table("Process data", ("address", "name", "inputs", "outputs"), octets)
     named = [(s.address, s.name, key, value) for s in slaves for key, value in s.fields.items()]
     if named:
         output.table("Named inputs and outputs", ("address", "name", "field", "value"), named)
+
+
+def _inputs(s: SlaveStats) -> str:
+    """The last inputs, marked where they are not those of this moment."""
+    return f"{s.inputs.hex()} (not valid)" if s.inputs and not s.inputs_valid else s.inputs.hex()
 
 
 def _slave_row(s: SlaveStats) -> tuple[object, ...]:

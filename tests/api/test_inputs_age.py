@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import dataclasses
 import time
 
 import pytest
@@ -11,7 +12,8 @@ from process_kit import SPEC, VALVES, bus_on, octet_slaves
 
 import dpstack
 from dpstack.api.control.programs import run_status
-from dpstack.api.statistics import SlaveStats
+from dpstack.api.statistics import BusStats, SlaveStats
+from dpstack.cli.report import Reporter
 
 SLOW: dict[str, object] = RAW | {"name": "slow", "address": 10, "every": 60, "watchdog_ms": 2000}
 
@@ -150,3 +152,24 @@ async def test_a_defect_that_stops_the_bus_leaves_no_slave_alive(monkeypatch: py
             assert bus.slave("valves").state is dpstack.SlaveState.OFFLINE
             assert not bus.slave("valves").inputs_valid
             assert bus.stats.stale
+
+
+def test_the_tables_at_the_end_mark_what_is_old(capsys: pytest.CaptureFixture[str]) -> None:
+    async def program() -> tuple[BusStats, BusStats]:
+        async with bus_of(RAW) as bus:
+            await bus.operate()
+            await bus.ready()
+            await bus.rotated(5)
+            good = bus.stats
+            await bus.stop()
+            return good, bus.stats
+
+    good, bad = virtual(program())
+    Reporter(json=False).summary(good)
+    told = capsys.readouterr().out
+    assert "not valid" not in told
+    assert "counters are" not in told
+    Reporter(json=False).summary(dataclasses.replace(bad, age=1.5, stale=True))
+    told = capsys.readouterr().out
+    assert "00 (not valid)" in told
+    assert "the counters are 1.5 s old" in told
