@@ -162,6 +162,7 @@ def test_the_tables_at_the_end_mark_what_is_old(capsys: pytest.CaptureFixture[st
             await bus.rotated(5)
             good = bus.stats
             await bus.stop()
+            await asyncio.sleep(1)
             return good, bus.stats
 
     good, bad = virtual(program())
