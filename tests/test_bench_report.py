@@ -159,7 +159,8 @@ def test_wrong_use_is_one_line(
 
 def test_a_file_that_is_no_report_is_named(tmp_path: Path) -> None:
     path = tmp_path / "x.json"
-    for text in ("[]", "{}", "nonsense", '{"benchmark": "gsd", "machine": {}, "notes": [], "taken": "", "figures": 3}'):
+    no_figures = '{"benchmark": "gsd", "machine": {}, "notes": [], "taken": "", "figures": 3}'
+    for text in ("[]", "{}", "nonsense", no_figures, "[" * 100_000, "9" * 5000):
         path.write_text(text)
         with pytest.raises(ValueError, match=r"x\.json cannot be read"):
             load_report(path)

@@ -90,7 +90,8 @@ def test_toml_keeps_its_values(streams: Streams, gsd: str) -> None:
     """The second answer is UTF-8, which is no ASCII and no address: it is asked for again."""
     assert streams.main("gsd", "configure", gsd) == 0
     (slave,) = tomllib.loads(streams.written("stdout"))["slave"]
-    assert (slave["name"], slave["address"]) == ("öler", 8)
+    assert slave["name"].startswith("öler")
+    assert (slave["address"], slave["modules"]) == (8, ["Ö \u2013 温"])
 
 
 def test_errors_are_written_with_what_there_is(streams: Streams) -> None:
@@ -99,7 +100,8 @@ def test_errors_are_written_with_what_there_is(streams: Streams) -> None:
 
 
 @pytest.mark.parametrize("command", ["", *program._COMMANDS])
-def test_help(command: str, streams: Streams) -> None:
+def test_help(command: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    streams = Streams("ascii", b"", monkeypatch)
     assert streams.main(*command.split(), "--help") == 0
     assert "usage: dpstack" in streams.written("stdout")
 

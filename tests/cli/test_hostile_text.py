@@ -17,6 +17,7 @@ from dpstack.api.control.places import Sockets, own_name, socket_path
 from dpstack.cli import main as program
 from dpstack.cli import output
 from dpstack.cli.main import main
+from dpstack.profile import DriveStatus, State
 
 #: a title, colours by C1 CSI, DEL, bidi, marks, zero width, separators, markup and an emoji's name of rich
 EVIL = (
@@ -213,12 +214,13 @@ def test_every_command_is_in_the_list() -> None:
     assert {argv[0] for argv in NAMES} == {*program._COMMANDS, EVIL}
 
 
+READY = DriveStatus(
+    state=State.READY, running=False, reached=False, remote=True, setpoint=0.5, speed=0.5, frequency_hz=25.0
+)
+#: every text and every list of texts that a drive's status has
 STATUS = {
-    **dict.fromkeys(("state", "setpoint", "speed", "frequency_hz", "current", "torque"), 0.5),
-    "state": EVIL,
-    "reached": True,
-    "remote": True,
-    **{key: [EVIL, EVIL] for key in ("faults", "warnings", "bits", "words")},
+    key: EVIL if isinstance(value, str) else [EVIL, EVIL] if isinstance(value, list) else value
+    for key, value in READY.as_dict().items()
 }
 ANSWER: dict[str, Any] = {
     "kind": EVIL,
