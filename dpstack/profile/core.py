@@ -21,7 +21,7 @@ from dpstack.profile.settings import Setting, SettingsCheck
 from dpstack.profile.states import FAULTED, ControlTable, Goal, State
 from dpstack.profile.status import DriveStatus
 from dpstack.profile.words import SPEED, Scale
-from dpstack.units import NS_PER_MS
+from dpstack.units import NS_PER_MS, NS_PER_S
 
 #: The orders every drive knows, with the ones that move it first.
 OPS: Final = (*motion.OPS, "speed", "frequency", "reached", "settled", *param_orders.OPS)
@@ -193,6 +193,11 @@ class DriveCore:
         rotations (outputs leave, inputs come, their turn here), 20 ms at least.
         """
         return self._scans_ns + max(3 * self._rotation_ns, _LEAST_NS)
+
+    def answers_until(self, deadline: int) -> int:
+        """Until when a start may wait for answers of the parameter channel: the rest is for the way to RUNNING."""
+        left = deadline - self.now
+        return deadline - min(max(NS_PER_S, 4 * self.settle_ns), 3 * left // 4)
 
     @property
     def raw_state(self) -> State:

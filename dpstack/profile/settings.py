@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 OPTION: Final = "check_settings"
 #: for one request: record 47 takes 1.4 s for one element at 9.6 kbit/s beside four drives
 _ANSWER_NS: Final = 5 * NS_PER_S
-#: what start() keeps of its time-out for the way to RUNNING, at most
-_RESERVE_NS: Final = NS_PER_S
 _NO_ANSWER: Final = "the drive has not yet answered"
 
 
@@ -146,8 +144,7 @@ class SettingsCheck:
         core = self._core
         if self._stale or self._refused:  # somebody may have set it right
             self.begin()
-        half = (deadline - core.now) // 2
-        until = deadline - min(half, max(_RESERVE_NS, 10 * core.settle_ns))
+        until = core.answers_until(deadline)
         while self._busy and core.now < until and not self._refused:
             yield
         if self._refused:

@@ -93,8 +93,8 @@ def test_nothing_is_sent_while_the_mode_is_unknown(op: str) -> None:
 def test_without_an_answer_the_status_word_proves_the_state_machine() -> None:
     bench = ppo1(ZERO + "02 40 00 00")
     bench.order("start", timeout_s=4)
-    assert words(bench, 1900, 8) == {"0000"}
-    assert bench.run(200)[8:10].hex() == "0006"
+    assert words(bench, 2900, 8) == {"0000"}
+    assert bench.run(100)[8:10].hex() == "0006"
 
 
 def test_without_a_channel_0x23_at_control_word_0_is_not_the_state_machine() -> None:

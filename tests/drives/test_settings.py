@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import pytest
-from demag_kit import ZERO
-from drive_bench import MS, PairBench, PluginBench, S, as_mapping
+from demag_kit import ZERO, pkw, sim
+from drive_bench import MS, DeviceBench, PairBench, PluginBench, S, as_mapping
 
 from dpstack.profile import CommandError, DriveProfile, SettingsState
 from dpstack_drives.demag import DRIVE as DEMAG
@@ -218,6 +218,69 @@ def test_fuji_f03_and_y98_with_the_octets_of_the_manual() -> None:
     ]
 
 
+def test_ls_pnu_930_and_its_codes_over_pkw() -> None:
+    """Addresses as in 4.2.5 and 6.2.1: dr-07 is 1107h, dr-20 1114h, COM-68 1744h, COM-14 170Eh; 60.00 Hz is 1770h."""
+    idle = "02 35 00 00"
+    bench = PluginBench(LS.core("pump", "PPO1"), ZERO + idle)
+    for request, reply in (
+        ("13 A2 00 00 00 00 00 00", "13 A2 00 00 00 00 00 01"),
+        ("10 11 07 00 00 00 00 00", "10 11 07 00 00 00 00 08"),
+        ("10 11 14 00 00 00 00 00", "10 11 14 00 00 00 17 70"),
+        ("10 17 44 00 00 00 00 00", "10 17 44 00 00 00 00 00"),
+        ("10 17 0E 00 00 00 00 00", "10 17 0E 00 00 00 00 01"),
+    ):
+        assert request in [bench.out()[:23] for _ in range(40)]
+        bench.see(f"{reply} {idle}", 2)
+    assert bench.core.status().settings is SettingsState.DIFFERENT
+    assert bench.notices() == [
+        "COM-14 is 1, not 0: set COM-14 = 0 and COM-94 = 1, or the option speed_unit (now 'percent'); "
+        "start is refused until then"
+    ]
+
+
+def test_imo_asks_for_source_and_maximum_after_its_maps() -> None:
+    """Requests of table 2-9: PKW1 = 1, PKW2 the address. P00.06 = 9, P00.03 = 4000 (40.00 Hz)."""
+    values = {0x0006: 9, 0x0003: 4000, 0x0F02: 1}
+    bench = PluginBench(IMO.core("pump"), ZERO + "41 03 " + "00 " * 22)
+    asked: list[int] = []
+    for _ in range(4000):
+        out = bench.run()
+        if out[1] == 1:
+            address = int.from_bytes(out[2:4], "big")
+            asked += [address] if asked[-1:] != [address] else []
+            reply = f"0001 {address:04X} 0000 {values.get(address, 0):04X} "
+            bench.inputs = bytes.fromhex(reply + "4103" + "00" * 22)
+    assert asked == [*range(0x0F02, 0x0F18), 0x0006, 0x0003]
+    assert bench.core.status().settings_texts == (
+        "P00.03 (maximum frequency) is 40 Hz, not 50 Hz: set points are limited there; set P00.03 = 50 or the option "
+        "max_hz = 40",
+    )
+
+
+@pytest.mark.parametrize(
+    ("index", "value"),
+    [("10", "00 00 00 33"), ("11", "00 00 00 01"), ("12", "00 00 00 35"), ("14", "FF FF FF FF"), ("1A", "00 00 00 34")],
+)
+def test_the_simulated_keb_tells_its_active_map(index: str, value: str) -> None:
+    """sy.16, sy.17, sy.18, sy.20 and sy.26 of the map as delivered: 0033h and 0035h in, 0032h and 0034h out, -1 off."""
+    bench = DeviceBench(KEB.device("PCH+4/4"), KEB.telegram("PCH+4/4").config.hex())
+    request = f"71 01 20 {index} 00 00 00 00"
+    assert bench.send(f"{request} 00 00 00 00", 20)[:23] == f"41 01 20 {index} {value}"
+
+
+@pytest.mark.parametrize(
+    ("order", "reply"),
+    [
+        ("61 86 01 00 00 00 00 00", "51 86 01 00 00 00 17 70"),  # 390 = 60.00 Hz
+        ("61 77 01 00 00 00 00 00", "51 77 01 00 00 00 13 88"),  # 375 = 50.00 Hz
+        ("61 B2 01 00 00 00 00 00", "41 B2 01 00 00 00 00 01"),  # 434 = 1
+        ("10 E4 00 00 00 00 00 00", "20 E4 00 00 00 00 01 F4"),  # 228 = 5.00 Hz
+    ],
+)
+def test_the_simulated_demag_tells_its_reference(order: str, reply: str) -> None:
+    assert pkw(sim("PPO1", {"390": 60, "434": 1, "228": 5}), order) == reply
+
+
 def test_keb_reads_its_active_map_by_index() -> None:
     """oP.00, then sy.24, sy.26, sy.28 (definitions of the outputs), sy.25, sy.27 (their sets) and the inputs'."""
     options = {"check_settings": True, "control_bits": "enable=0 run=2", "status_bits": "run=2", "rpm_per_count": 1.0}
@@ -279,6 +342,18 @@ def test_without_an_answer_it_starts_within_its_time_and_says_not_checked() -> N
     )
     bench.run(3 * S // bench.rotation)
     assert bench.core.status().settings is SettingsState.NOT_CHECKED
+
+
+@pytest.mark.parametrize(("drive", "telegram", "simulated"), [(DEMAG, "PPO1", BUS), (FUJI, "PPO1", NONE)])
+def test_a_slow_bus_leaves_time_for_the_start_itself(
+    drive: DriveProfile, telegram: str, simulated: Mapping[str, object]
+) -> None:
+    """Six drives at 9.6 kbit/s take 350 ms a rotation, a request of the Demag 1.9 s, its way to RUNNING 2 s."""
+    bench = pair(drive, telegram, simulated, rotation=350 * MS)
+    bench.ok("start")
+    assert any("settings not checked: the drive has not yet answered" in notice for notice in bench.notices())
+    bench.pass_time(20_000)
+    assert bench.core.status().settings is SettingsState.CHECKED
 
 
 def test_what_the_drive_does_not_have_is_not_checked_and_the_rest_is() -> None:

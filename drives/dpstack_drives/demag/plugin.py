@@ -259,12 +259,13 @@ class DemagCore(MappedCore[OutMap]):
 
     def _known_mode(self, deadline: int) -> Steps[None]:
         """Read 249 and 412 unless that was done just now; without an answer the status word may prove mode 1."""
-        while self._asking and self.now < deadline:
+        until = self.answers_until(deadline)
+        while self._asking and self.now < until:
             yield
         if self._mode is not None and self.now < self._mode_at + _MODE_AGE:
             return
         try:
-            yield from self._ask_mode(self.now + (deadline - self.now) // 2)
+            yield from self._ask_mode(until)
         except CommandError as error:
             if error.kind not in ("timeout", "parameter"):
                 raise

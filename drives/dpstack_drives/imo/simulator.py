@@ -186,9 +186,8 @@ class ImoDevice(DriveDevice):
         return wanted and self.released and not self.fault and self.store.value(t.SOURCE) == t.Source.COMMUNICATION
 
     def _set_hertz(self, direction: int) -> float:
-        source = t.source(t.FREQUENCY_SOURCE)
-        keypad = source is not None and self.store.value(t.name_of(source[0])) != source[1]
-        wanted = self.store.value(t.name_of(t.KEYPAD_FREQUENCY)) if keypad else self.values.get(1, 0) / 100
+        from_bus = self.store.value(t.FREQUENCY_CHANNEL) == t.FROM_PROFIBUS
+        wanted = self.values.get(1, 0) / 100 if from_bus else self.store.value(t.name_of(t.KEYPAD_FREQUENCY))
         hertz = min(wanted, self.store.value(t.MAXIMUM_HZ))
         limit = self.values.get(5 if direction > 0 else 6)
         return hertz if limit is None else min(hertz, limit / 100)

@@ -238,7 +238,8 @@ MOST_RECEIVED, MOST_TRANSMITTED = 18, 26
 SOURCE, MAXIMUM_HZ, ACCELERATION, DECELERATION = "P00.01", "P00.03", "P00.11", "P00.12"
 #: Of the inverter, which has a manual of its own: a reading, from the numbering of the inverters of this family
 #: (address 10, the keypad's frequency, is P00.10 there, too). The plugin takes other ones by its options
-FREQUENCY_SOURCE: Final = "P00.06=9"
+FREQUENCY_CHANNEL, FROM_PROFIBUS = "P00.06", 9
+FREQUENCY_SOURCE: Final = f"{FREQUENCY_CHANNEL}={FROM_PROFIBUS}"
 PER_HZ: Final = 100
 #: made up: refused while running
 STANDSTILL_ONLY: Final = frozenset({ADDRESS, 0x0003})
@@ -262,7 +263,7 @@ def _spec(number: int, title: str, high: float, factory: float, **more: object) 
 def _specs() -> Iterator[ParamSpec]:
     yield _spec(0x0001, "Run command channel", 2, Source.COMMUNICATION, made_up=True)
     yield _spec(0x0003, "Maximum frequency", 400, 50, decimals=2, unit="Hz", made_up=True)
-    yield _spec(0x0006, "Source of the set frequency", 15, 9, made_up=True)
+    yield _spec(0x0006, "Source of the set frequency", 15, FROM_PROFIBUS, made_up=True)
     yield _spec(KEYPAD_FREQUENCY, "Frequency set by keypad", 400, 50, decimals=2, unit="Hz")
     yield _spec(0x000B, "Acceleration time", 3600, 1, decimals=1, unit="s", made_up=True)
     yield _spec(0x000C, "Deceleration time", 3600, 1, decimals=1, unit="s", made_up=True)
