@@ -1,0 +1,130 @@
+"""docs/ends.md, "While the bus goes on", row by row: what the slaves are given next, and what is told."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import pytest
+from scripted_link import MS, RUN, SAFE, ScriptedLink, mode_of, operating, setup, wire
+
+from dpstack.api.events import event_json
+from dpstack.dp.events import ForcedClear
+from dpstack.machine import HeldUp, LineDown, LineUp
+
+PAGE: Final = Path(__file__).parents[2] / "docs" / "ends.md"
+GAP: Final = 500 * MS
+OUTPUTS: Final = {"04 7F 40 00": "live outputs", "04 7E 00 00": "safe values", "00 00 00 00": "zeros"}
+
+
+def stopped(bus: ScriptedLink) -> None:
+    bus.now += GAP
+    bus.master.command(HeldUp(GAP, "the process was stopped for 500 ms"), bus.now)
+
+
+def suspended(bus: ScriptedLink) -> None:
+    bus.master.command(HeldUp(GAP, "the computer was suspended for 500 ms", suspended=True), bus.now)
+
+
+def port(bus: ScriptedLink) -> None:
+    bus.master.command(LineDown("pulled"), bus.now)
+    bus.now += GAP
+    bus.master.command(LineUp(), bus.now)
+
+
+def token(bus: ScriptedLink) -> None:
+    bus.now += GAP
+
+
+def prm_req(bus: ScriptedLink) -> None:
+    for slave in bus.slaves.values():
+        slave.configured = False
+
+
+def short(bus: ScriptedLink) -> None:
+    bus.now += 150 * MS
+    bus.master.command(HeldUp(150 * MS, "the process was stopped for 150 ms"), bus.now)
+
+
+def restart(bus: ScriptedLink) -> None:
+    gone = bus.slaves.pop(3)
+    bus.run(GAP)
+    gone.configured = False
+    bus.slaves[3] = gone
+
+
+def no_watchdog(bus: ScriptedLink) -> None:
+    bus.now += 10 * GAP
+
+
+def silent(bus: ScriptedLink) -> None:
+    bus.run(GAP)
+
+
+def missing(bus: ScriptedLink) -> None:
+    del bus.slaves[3]
+
+
+CASES: Final[dict[str, Callable[[ScriptedLink], None]]] = {
+    case.__name__: case
+    for case in (stopped, suspended, port, token, prm_req, short, restart, no_watchdog, silent, missing)
+}
+OPTIONS: Final[dict[str, dict[str, Any]]] = {
+    "silent": {"application_watchdog_ns": 400 * MS},
+    "missing": {"auto_clear": True},
+}
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row of the table."""
+
+    outputs: list[str]
+    mode: str
+    told: list[str]
+
+
+def rows() -> dict[tuple[str, str], Row]:
+    """The table by case and ``after_stall``."""
+    section = PAGE.read_text(encoding="utf-8").partition("## While the bus goes on")[2].partition("\n## ")[0]
+    found: dict[tuple[str, str], Row] = {}
+    case = ""
+    for line in section.splitlines():
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        if not line.startswith("| ") or cells[0] == "what happens":
+            continue
+        what, after_stall, outputs, mode, told, _back = cells
+        named = re.findall(r"\(`([a-z_]+)`\)$", what)
+        case = named[0] if named else case
+        found[case, after_stall] = Row(outputs.split(", "), mode.lower(), re.findall(r"`([^`]+)`", told))
+    return found
+
+
+TABLE: Final = rows()
+
+
+def test_the_table_has_every_case_with_both_settings() -> None:
+    assert list(TABLE) == [(case, setting) for case in CASES for setting in ("safe", "resume")]
+
+
+@pytest.mark.parametrize(("case", "after_stall"), list(TABLE))
+def test_row(case: str, after_stall: str) -> None:
+    row = TABLE[case, after_stall]
+    watchdog = 0 if case == "no_watchdog" else None
+    slaves = [setup(address, initial=RUN, safe=SAFE, watchdog_ms=watchdog) for address in (3, 4)]
+    bus = operating(*slaves, safe_after_stall=after_stall == "safe", **OPTIONS.get(case, {}))
+    CASES[case](bus)
+    bus.run(4_000 * MS)
+    taken = [r for r in bus.requests if r.da == 4 and r.dsap is None]
+    if case in ("silent", "missing", "prm_req"):  # the outputs stay live until it is noticed
+        live = next((n for n, r in enumerate(taken) if r.data != RUN), 0)
+        taken = taken[live:]
+    words = dict.fromkeys(OUTPUTS[r.data.hex(" ").upper()] for r in taken)
+    assert list(words) == row.outputs
+    assert mode_of(bus).name.lower() == row.mode
+    told = [line for e in bus.events if isinstance(e, ForcedClear) and (line := event_json(e, 0)) is not None]
+    assert [word for line in told for word in (line["event"], line.get("blocked")) if word is not None] == row.told
+    assert wire(bus)
