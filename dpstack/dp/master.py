@@ -224,8 +224,9 @@ class Master:
         if mode is Mode.OFFLINE:
             raise UsageError("a master goes offline by Shutdown, so that outputs become safe first")
         if mode is not self._course.target:
+            before = self.mode
             self._head_for(mode, now)
-            if mode is Mode.OPERATE is self.mode and self._held_in_clear:  # it was on its way down
+            if mode is before is Mode.OPERATE and self._held_in_clear:  # it was on its way down
                 self._events.append(ModeChanged(t_ns=now, mode=mode))
             self._held_in_clear = False
 

@@ -19,7 +19,7 @@ from dpstack.drivers.expecting import Answers
 from dpstack.drivers.lateness import Lateness, Tune
 from dpstack.drivers.rate import NoRateError, follow, wire_times
 from dpstack.drivers.reopening import BACKOFF_NS, Attempts
-from dpstack.drivers.timers import Timer, suspended_ns
+from dpstack.drivers.timers import Timer, boottime_ns, suspended_ns
 from dpstack.errors import BusError, DpError, PortError, UsageError
 from dpstack.machine import HeldUp, LineDown, LineUp, Machine, pump
 from dpstack.ports import Loop, Pending, Port
@@ -250,8 +250,11 @@ class Stepping(ABC):
 
     def _tell_held_up(self, tell: OnHeldUp, now: int) -> None:
         """Tell the machine before it acts that it was not run in time, or that the computer slept."""
-        asleep = suspended_ns() - self._suspended_ns
-        if asleep >= _HELD_UP_NS:
+        # one look at the clock at every step, a second one only where it seems to have run ahead
+        if (
+            boottime_ns() - now - self._suspended_ns >= _HELD_UP_NS
+            and (asleep := suspended_ns() - self._suspended_ns) >= _HELD_UP_NS
+        ):
             self._suspended_ns += asleep
             tell(HeldUp(asleep, f"the computer was suspended for {ms_text(asleep)}", suspended=True), now)
         late = now - max(self._deadline, self._stepped_at)

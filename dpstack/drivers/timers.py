@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from dpstack.ports import timerfd
 from dpstack.units import NS_PER_S
@@ -13,18 +13,23 @@ if TYPE_CHECKING:  # the bus process runs without asyncio, and starts sooner wit
     import asyncio
 
 
-_BOOTTIME: Final[int | None] = getattr(time, "CLOCK_BOOTTIME", None)
+if hasattr(time, "CLOCK_BOOTTIME"):
+
+    def boottime_ns() -> int:
+        """The clock that goes on while the computer sleeps (CLOCK_BOOTTIME), in ns; CLOCK_MONOTONIC where there is no
+        such clock."""
+        return time.clock_gettime_ns(time.CLOCK_BOOTTIME)
+else:
+    boottime_ns = time.monotonic_ns
 
 
 def suspended_ns() -> int:
-    """How long the computer has slept since it was started, in ns: CLOCK_BOOTTIME less CLOCK_MONOTONIC. 0 on systems
-    without CLOCK_BOOTTIME.
+    """How long the computer has slept since it was started, in ns: CLOCK_BOOTTIME less CLOCK_MONOTONIC. About 0 on
+    systems without CLOCK_BOOTTIME.
 
     Never too much: a pause between looking at the two clocks only makes it smaller.
     """
-    if _BOOTTIME is None:
-        return 0
-    return time.clock_gettime_ns(_BOOTTIME) - time.monotonic_ns()
+    return boottime_ns() - time.monotonic_ns()
 
 
 class Timer(Protocol):

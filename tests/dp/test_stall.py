@@ -8,7 +8,7 @@ import pytest
 from scripted_link import DIAG_FREE, MS, RUN, SAFE, ScriptedLink, link, mode_of, operating, setup, squeezed, wire
 
 from dpstack.dp.commands import Alive, DeactivateSlave, Mode, RemoveSlave, SetMode
-from dpstack.dp.events import ApplicationSilent, AutoCleared, Blocked, ForcedClear, SlaveState, Stalled
+from dpstack.dp.events import ApplicationSilent, AutoCleared, Blocked, ForcedClear, ModeChanged, SlaveState, Stalled
 from dpstack.fdl.telegram import Kind, Telegram
 from dpstack.fdl.user import Request
 from dpstack.machine import HeldUp, LineDown, LineUp
@@ -47,6 +47,7 @@ def test_no_old_output_goes_out_after_a_gap_longer_than_the_watchdog() -> None:
     bus.master.command(SetMode(Mode.OPERATE), bus.now)
     bus.run(10 * MS)
     assert outputs(bus) == ["04 7F 40 00"]
+    assert [event.mode for event in bus.events if isinstance(event, ModeChanged)] == [Mode.CLEAR, Mode.OPERATE]
 
 
 def test_safe_values_first_where_they_are_not_zeros() -> None:
