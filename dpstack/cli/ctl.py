@@ -40,8 +40,9 @@ def execute(args: argparse.Namespace) -> int:
     if args.json:
         output.json_line({"result": result})
     elif args.order == "help":
-        config = f", {result['config']}" if result.get("config") else ""
-        output.line(f"{result['kind']} on {result.get('name', result['port'])} (pid {result['pid']}{config})", "bold")
+        output.line(f"{result['kind']} on {result.get('name', result['port'])} (pid {result['pid']})", "bold")
+        if result.get("config"):
+            output.line(f"configuration: {result['config']}")
         rows = [(f"{one['command']} {one['args']}".rstrip(), one["text"]) for one in result["commands"]]
         output.table("", ("command", "does"), rows)
     else:

@@ -258,7 +258,7 @@ def test_each_run_on_virtual_has_a_name_of_its_own(tmp_path: Path, start: Starte
     first = start("run", str(theirs))
     first.wait_for("operate")
     one = f"virtual:{first.process.pid}"
-    assert ctl(capsys, "virtual").startswith(f"run on {one} (pid {first.process.pid}, {theirs})\n")
+    assert ctl(capsys, "virtual").startswith(f"run on {one} (pid {first.process.pid})\nconfiguration: {theirs}\n")
     assert "mode: operate" in ctl(capsys, "virtual", "status")
     for order in (("drive", str(mine), "fan", "start"), ("acyclic", str(mine), "9", "im")):
         assert main(list(order)) == 2
