@@ -13,7 +13,7 @@ from dpstack.api.files import FileToBe
 from dpstack.api.list_file import keep
 from dpstack.api.parameter_list import ParameterList, Place, SavedParam, file_for
 from dpstack.errors import ConfigError, DriveError, DriveTimeout, ParameterError, UsageError
-from dpstack.profile import ListedParam
+from dpstack.profile import ListedParam, count_of
 
 #: so many in a row that are not answered: the others will not be either
 _SILENT: Final = 3
@@ -149,7 +149,7 @@ async def compare(
     """Read the drive's parameters that are in ``saved`` (a list, or a file) and tell where they differ.
 
     What is read only is what the drive measures or is, and is compared with ``read_only`` alone. Raises ConfigError
-    for a file of another type of drive, UsageError, DriveError.
+    for a file of another type of drive and for a value between two steps of its parameter, UsageError, DriveError.
     """
     listed = saved if isinstance(saved, ParameterList) else ParameterList.load(saved)
     where = "the list" if isinstance(saved, ParameterList) else str(saved)
@@ -169,6 +169,8 @@ async def compare(
             wanted.append(one)
         else:
             skipped.append((one, why))
+    for one in wanted:
+        _held(one, there[one.place], where)
     in_file = {one.place for one in listed.parameters}
     skipped += [(_saved(one), "it is not in the file") for place, one in there.items() if place not in in_file]
     found: list[SavedParam] = []
@@ -263,6 +265,16 @@ def _saved(one: ListedParam, told: ParameterValue | None = None, why: str | None
 
 def _place(one: ListedParam) -> Place:
     return one.name.lower(), one.data_set, one.index
+
+
+def _held(saved: SavedParam, there: ListedParam, where: str) -> None:
+    """Raises ConfigError where the value lies between two that the drive can hold: no drive is ever equal to it."""
+    if saved.value is None or saved.unit != there.unit or not there.per_unit:
+        return
+    try:
+        count_of(saved.label, saved.value, there.per_unit, there.unit)
+    except ValueError as error:
+        raise ConfigError(f"{where}: {error}; correct the line") from None
 
 
 def _equal(old: SavedParam, new: SavedParam) -> bool:

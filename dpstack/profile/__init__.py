@@ -17,9 +17,9 @@ from dpstack.profile.mapped import MAP_OPS, MappedCore
 from dpstack.profile.motion import settled
 from dpstack.profile.motor import AT_ONCE, NEAR, Motor, ramp
 from dpstack.profile.param_errors import PARAMETER_ERRORS, error_text
-from dpstack.profile.params import ParamSpec, ParamTable
+from dpstack.profile.params import ParamSpec, ParamTable, count_of
 from dpstack.profile.pkw import Order, Pkw, PkwClient, PkwDialect, PkwServer, Reply
-from dpstack.profile.pkw_access import ParamRef, PkwAccess, PkwChannel
+from dpstack.profile.pkw_access import RETRY_NS, ParamRef, PkwAccess, PkwChannel
 from dpstack.profile.plain import PLAIN_PKW, plain_resolver, plain_server
 from dpstack.profile.registry import broken, find, known, refresh
 from dpstack.profile.settings import Setting, SettingsState, equal, same
@@ -44,6 +44,7 @@ __all__ = [
     "OPS",
     "PARAMETER_ERRORS",
     "PLAIN_PKW",
+    "RETRY_NS",
     "SPEED",
     "Args",
     "ChannelServer",
@@ -92,6 +93,7 @@ __all__ = [
     "Word",
     "acyclic",
     "broken",
+    "count_of",
     "datamap",
     "drivecom",
     "equal",

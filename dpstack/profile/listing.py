@@ -13,6 +13,7 @@ class ListedParam:
     """One line of the list, read by ``name`` with ``data_set`` and ``index`` as a user would.
 
     ``number`` and ``subindex`` are what the table declares. ``why_not``: why it cannot be read, for people.
+    ``per_unit``: counts on the wire that make 1 in ``unit``, 0 where it is not known.
     """
 
     name: str
@@ -24,6 +25,7 @@ class ListedParam:
     unit: str = ""
     read_only: bool = False
     why_not: str | None = None
+    per_unit: float = 0
 
 
 def listing(
@@ -51,6 +53,7 @@ def listing(
             index=index,
             unit=spec.unit,
             read_only=spec.read_only,
+            per_unit=spec.counts,
             why_not="it is a text, which the parameter channel cannot carry" if spec.text else why_not(spec),
         )
         for spec in table

@@ -10,6 +10,33 @@ from typing import Final
 
 _WORD: Final = 0xFFFF
 _LONG: Final = 0xFFFF_FFFF
+#: parts of a step by which a value may miss it: what decimal fractions lose as floats
+_TOLERANCE: Final = 1e-6
+
+
+def count_of(what: str, value: float, per_unit: float, unit: str = "") -> int:
+    """The integer on the wire of ``value``, where 1 in ``unit`` is ``per_unit``; ``value`` must be finite.
+
+    Raises ValueError with the step and the two nearest values where ``value`` lies between two of them: a value is
+    never rounded without the caller's knowledge.
+    """
+    exact = value * per_unit
+    raw = round(exact)
+    if abs(exact - raw) <= max(_TOLERANCE, abs(exact) * 1e-15):
+        return raw
+    below = math.floor(exact)
+    behind = f" {unit}" if unit else ""
+    low, high, step = (_shown(count / per_unit) for count in (below, below + 1, 1))
+    raise ValueError(
+        f"{what}: {_shown(value)}{behind} lies between two values, the step is {step}{behind}: "
+        f"give {low} or {high}{behind}"
+    )
+
+
+def _shown(value: float) -> str:
+    """A value with the digits that it needs to be accepted again."""
+    short = f"{value:.12g}"
+    return short if math.isclose(float(short), value, rel_tol=1e-15) else repr(value)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,11 +66,20 @@ class ParamSpec:
     by_name: bool = False
 
     def to_raw(self, value: float) -> int:
-        """The integer on the wire. Raises ValueError with the limits."""
+        """The integer on the wire. Raises ValueError with the limits, or with the step where it lies between two."""
         if not (math.isfinite(value) and self.low <= value <= self.high):
             unit = f" {self.unit}" if self.unit else ""
             raise ValueError(f"{self.label}: {value:g}{unit} is outside {self.low:g}..{self.high:g}{unit}")
-        return round(value * (self.per_unit or float(10**self.decimals)))
+        return count_of(self.label, value, self.counts, self.unit)
+
+    def nearest_raw(self, value: float) -> int:
+        """The integer on the wire that is nearest to a measured ``value``, within the limits."""
+        return round(min(max(value, self.low), self.high) * self.counts)
+
+    @property
+    def counts(self) -> float:
+        """Counts on the wire that make 1 in ``unit``."""
+        return self.per_unit or float(10**self.decimals)
 
     def to_value(self, raw: int) -> int | float:
         """The value in ``unit`` of an integer on the wire: an int where there are no decimals."""
@@ -57,8 +93,12 @@ class ParamSpec:
 
     def from_pwe(self, pwe: int) -> int:
         """The integer in PWE; signed where the parameter can be negative."""
-        half, mask = (0x8000_0000, _LONG) if self.long else (0x8000, _WORD)
-        raw = pwe & mask
+        return self.from_wire(pwe, 32 if self.long else 16)
+
+    def from_wire(self, raw: int, bits: int) -> int:
+        """The low ``bits`` as the drive sent them, whatever its type is here; signed where it can be negative."""
+        half = 1 << bits - 1
+        raw &= (half << 1) - 1
         return (raw ^ half) - half if self.low < 0 else raw
 
     @property

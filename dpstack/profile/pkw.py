@@ -70,13 +70,15 @@ class PkwDialect:
 
     ``zero_between``: the drive takes a new order only after it has answered 0 with 0 (D4). Without it a new order
     may follow at once unless it looks like the last one; then a reply counts only when id, PNU and index match.
-    ``parse``: of a :class:`Pkw` whose octets are laid out in another way.
+    ``parse``: of a :class:`Pkw` whose octets are laid out in another way. ``busy``: error numbers with which the drive
+    says that it cannot do it yet: the order is given again.
     """
 
     answers: Mapping[int, tuple[int, ...]]
     errors: Mapping[int, str]
     zero_between: bool = True
     parse: Callable[[bytes], Pkw] = Pkw.parse
+    busy: frozenset[int] = frozenset()
 
     def error_text(self, number: int) -> str:
         """The drive's text for an error number."""

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from dpstack.profile.channel import ParamKey
 from dpstack.profile.jobs import CommandError, Steps
 from dpstack.profile.params import ParamSpec
 from dpstack.profile.pkw import Order, Pkw, PkwClient, PkwDialect, Reply
+from dpstack.units import NS_PER_MS
+
+#: pause before a drive that said it was busy is asked again
+RETRY_NS: Final = 25 * NS_PER_MS
 
 
 class ParamRef(NamedTuple):
@@ -136,11 +140,23 @@ class PkwAccess(PkwChannel):
     def _exchange(self, order: Pkw, ref: ParamRef, deadline: int) -> Steps[Pkw]:
         if order.id not in self._dialect.answers:
             raise CommandError("usage", f"{ref.label}: the drive has no order {order.id} in its parameter channel")
-        reply = yield from self.replied(order, ref.label, deadline)
-        if reply.id == Reply.ERROR:
+        busy: CommandError | None = None
+        while True:
+            try:
+                reply = yield from self.replied(order, ref.label, deadline)
+            except CommandError as late:
+                raise busy or late from None
+            if reply.id != Reply.ERROR:
+                break
             number = reply.pwe & 0xFFFF
             text = self._dialect.error_text(number)
-            raise CommandError("parameter", f"{ref.label}: error {number}, {text}", number)
+            refusal = CommandError("parameter", f"{ref.label}: error {number}, {text}", number)
+            again = self._clock() + RETRY_NS
+            if number not in self._dialect.busy or again >= deadline:
+                raise refusal
+            busy = refusal
+            while self._clock() < again:
+                yield
         if reply.id == Reply.NO_CONTROL:
             raise CommandError("parameter", f"{ref.label}: the bus has no control over the parameters (reply 8)")
         if reply.id not in self._dialect.answers[order.id]:
@@ -149,12 +165,13 @@ class PkwAccess(PkwChannel):
 
 
 def _outcome(ref: ParamRef, reply: Pkw) -> dict[str, object]:
+    """A reply is read as what its id says it is, a word or a double word, also where the table has the other type."""
     spec = ref.spec
-    long = reply.id in (Reply.LONG, Reply.ARRAY_LONG)
-    raw = reply.pwe if long else reply.pwe & 0xFFFF
+    bits = 32 if reply.id in (Reply.LONG, Reply.ARRAY_LONG) else 16
+    raw = reply.pwe & (1 << bits) - 1
     value: int | float = raw
     if spec is not None:
-        raw = spec.from_pwe(reply.pwe)
+        raw = spec.from_wire(reply.pwe, bits)
         value = spec.to_value(raw)
     return {
         "value": value,

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 import dpstack
 from dpstack.api.files import FileToBe
+from dpstack.api.parameter_dump import Comparison
 from dpstack.api.parameter_list import ParameterList, SavedParam, file_for
 from dpstack.errors import ConfigError, UsageError
 from dpstack.profile import DriveDevice
@@ -341,3 +342,22 @@ def test_a_drive_that_does_not_answer_some() -> None:
             assert len(found) == 3
 
     virtual(program())
+
+
+async def _compared(line: str, telegram: str = "PPO1") -> object:
+    """What a compare makes of one line of a file."""
+    text = TEXT[: TEXT.index("  {")] + line + "\n]\n"
+    slaves = [{**slave("demag-dedrive"), "telegram": telegram}]
+    async with dpstack.open_bus(port="virtual", baud=500_000, slaves=slaves) as bus:
+        await bus.operate()
+        return await bus.drive("it").compare(ParameterList.parse(text))
+
+
+def test_a_file_with_a_value_between_two_steps_is_refused_with_both() -> None:
+    line = '  { name = "fixed_frequency_1", number = 480, data_set = 3, value = 5.005, unit = "Hz", title = "x" },'
+    says = "480, data set 3|fixed_frequency_1, data set 3: 5.005 Hz lies between two values, the step is 0.01 Hz"
+    with pytest.raises(ConfigError, match=says):
+        virtual(_compared(line))
+    held = virtual(_compared(line.replace("5.005", "5.0")))
+    assert isinstance(held, Comparison)
+    assert held.same == 1

@@ -240,7 +240,6 @@ def test_f7_f8_f11_writes_of_the_plugin(args: dict[str, object], order: str) -> 
         ("00 0B", "while running"),
         ("00 11", "cannot be read"),
         ("00 65", "link priority"),
-        ("00 68", "busy"),
     ],
 )
 def test_f14_errors_by_their_text(number: str, text: str) -> None:

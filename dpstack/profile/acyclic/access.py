@@ -264,21 +264,28 @@ def _raw(spec: ParamSpec | None, number: int, value: float) -> Raw:
             raise ValueError(f"its scale is unknown here, give the integer of format {form.name} on the wire")
         return raw
     integer = spec.to_raw(value)
-    return integer if form.low < 0 else integer & form.high
+    if spec.low >= 0 or form.low < 0:
+        return integer
+    half = form.high + 1 >> 1  # two's complement in a format without a sign
+    if not -half <= integer < half:
+        raise ValueError(f"{value:g} {spec.unit}".rstrip() + f" is more than the drive's format {form.name} can hold")
+    return integer & form.high
 
 
 def _outcome(place: Place, values: Values) -> dict[str, object]:
     spec = place.spec
     form = FORMATS[values.format]
     first = values.raws[0]
+    octets = form.octets
     if isinstance(first, bytes) and form.number in _NUMBERS and 0 < len(first) <= _LONGEST_NUMBER:
+        octets = len(first)
         first = int.from_bytes(first, "big")
     value: Value = first if form.number in _NUMBERS else form.value(first)
     if isinstance(value, (str, bytes)):
         raise CommandError("parameter", f"{place.label} is no number but {form.name}: {value!r}")
     raw = first if isinstance(first, int) else int.from_bytes(form.pack((first,)), "big")
     if spec is not None and isinstance(first, int):
-        raw = spec.from_pwe(first)
+        raw = spec.from_wire(first, 8 * octets)
         value = spec.to_value(raw)
     return {
         "value": value,

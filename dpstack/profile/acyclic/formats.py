@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from dpstack.errors import PduError
+from dpstack.profile.params import count_of
 
 #: a value as it stands on the wire: integers, floats of format 8 and 15, octets of whatever is no number
 Raw = int | float | bytes
@@ -94,11 +95,19 @@ class Format:
             if self.number != VISIBLE_STRING:
                 raise ValueError(f"{self.name} takes no text")
             return value.encode("latin-1", "replace")
-        if isinstance(value, bytes) or not self.scale:
+        if isinstance(value, bytes):
             return value
-        return round(value / self.scale)
+        if self.code == "f" and value == int(value) and abs(value) > _EXACT:
+            # beyond 24 bits not every whole number is there
+            step = 1 << int(abs(value)).bit_length() - _EXACT.bit_length() + 1
+            count_of(self.name, value, 1 / step)
+        if not self.scale:
+            return value
+        return count_of(self.name, value, 1 / self.scale)
 
 
+#: up to here FloatingPoint holds every whole number
+_EXACT: Final = 1 << 24
 BOOLEAN, INTEGER8, INTEGER16, INTEGER32, UNSIGNED8, UNSIGNED16, UNSIGNED32, FLOAT = range(1, 9)
 VISIBLE_STRING, OCTET_STRING, BIT_STRING = 9, 10, 14
 #: no value: an answer to a change that succeeded beside others that did not

@@ -345,7 +345,7 @@ class DemagDevice(DriveDevice):
             raise _RefusedError(107)
         else:
             live = self._live(order.pnu)
-            raw = self.store.raw(spec, data_set or 1) if live is None else spec.to_raw(live)
+            raw = self.store.raw(spec, data_set or 1) if live is None else spec.nearest_raw(live)
         plain = Reply.LONG if spec.long else Reply.WORD
         in_set = Reply.ARRAY_LONG if spec.long else Reply.ARRAY_WORD
         return in_set if array else plain, spec.pwe(raw)

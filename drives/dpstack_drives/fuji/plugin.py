@@ -88,7 +88,9 @@ class FujiCore(MappedCore[PcdMap]):
         return self._pack(control, setpoint, *datamap.pack(self.outputs_map.fields, self.values, pcd.COUNT))
 
     def setpoint_word(self, fraction: float) -> int:
-        """MRV."""
+        """MRV. Raises ValueError beyond 4000h, the maximum frequency (manual, 7.2 and 8.2 (3))."""
+        if not abs(fraction) <= 1:
+            raise ValueError(f"speed {fraction:g} is outside -1..1: 100 % is F03 (maximum frequency)")
         return self.scale.encode(abs(fraction) if self._by_bit else fraction)
 
     def control_bits(self) -> int:

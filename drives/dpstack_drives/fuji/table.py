@@ -71,6 +71,7 @@ PKW: Final = PkwDialect(
         104: "busy writing",
     },
     zero_between=False,
+    busy=frozenset({104}),
 )
 
 #: Table 8.8

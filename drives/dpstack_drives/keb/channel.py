@@ -14,14 +14,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-from dpstack.profile import CHANNEL_LEN, NS_PER_MS, CommandError, ParamKey, Steps
+from dpstack.profile import CHANNEL_LEN, RETRY_NS, CommandError, ParamKey, Steps, count_of
 from dpstack_drives.keb import table as t
 
 RESULT, HANDSHAKE, WRITE, READ = 0x80, 0x40, 0x02, 0x01
 _FOUR: Final = 0x30
 _ZEROS: Final = bytes(CHANNEL_LEN)
-#: pause before a busy inverter is asked again
-_RETRY_NS: Final = 25 * NS_PER_MS
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +35,14 @@ class Target:
     def scale(self) -> tuple[int, str]:
         """Counts per unit, and the unit, where the manual shows them."""
         return t.SCALES.get(self.index, (1, ""))
+
+
+def _count(label: str, value: float, scale: float, unit: str) -> int:
+    """The integer on the wire. Raises CommandError where the value lies between two."""
+    try:
+        return count_of(label, value, scale, unit)
+    except ValueError as error:
+        raise CommandError("usage", str(error)) from None
 
 
 def find(key: ParamKey) -> Target:
@@ -164,7 +170,7 @@ class KebChannel:
         """Write one parameter; the integer on the wire where the manual shows no scale."""
         target = find(key)
         scale, unit = target.scale
-        raw = round(value * scale)
+        raw = int(value) if scale == 1 else _count(target.label, value, scale, unit)
         if (scale == 1 and raw != value) or not -(1 << 31) <= raw < 1 << 32:
             hint = (
                 f"a number in {unit}" if unit else "the integer on the wire (32 bits): its scale is not in the manual"
@@ -190,7 +196,7 @@ class KebChannel:
             if not reply[0] & RESULT:
                 return reply[4:]
             code = t.Code(reply[4], reply[5], int.from_bytes(reply[6:8], "big"))
-            again = self._clock() + _RETRY_NS
+            again = self._clock() + RETRY_NS
             if code != t.BUSY or again >= deadline:
                 text = t.ERRORS.get(code, "an error without a text in the manual")
                 raise CommandError("parameter", f"{target.label}: error {code}, {text}", code.number)
