@@ -41,8 +41,6 @@ def test_a_master_that_was_away(away_ms: int, clear: bool) -> None:
     world.add(bus.station, on_events=bus.events.extend)
     world.run_for(2_000 * MS)
     assert bus.exchanging
-    assert world.referee is not None
-    world.referee.check()
     stalls = [event for event in bus.events if isinstance(event, Stalled)]
     if not clear:
         assert (bus.master.mode, stalls) == (Mode.OPERATE, [])
@@ -57,6 +55,8 @@ def test_a_master_that_was_away(away_ms: int, clear: bool) -> None:
     world.command(bus.station, SetMode(Mode.OPERATE))
     world.run_for(50 * MS)
     assert RUN in outputs(entries, 3) & outputs(entries, 4)
+    assert world.referee is not None
+    world.referee.check()  # (after a short absence it takes the master that comes back for a second one)
 
 
 def test_a_slave_says_that_its_watchdog_ran_out() -> None:
