@@ -1,4 +1,4 @@
-"""docs/dp-v0.md is the program's, and every test it names exists."""
+"""docs/dp-v0.md is the program's, and every test that it, dp-v1.md and ends.md name exists."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from tools.make_dp_v0_docs import TARGET, render
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 DP_V1 = ROOT / "docs" / "dp-v1.md"
+ENDS = ROOT / "docs" / "ends.md"
 
 
 @functools.cache
@@ -51,7 +52,7 @@ def test_every_service_of_the_slave_has_a_row() -> None:
     assert [a.name for a in ACCESS.values() if not re.search(rf"^\| .*{a.name}", text, re.MULTILINE)] == []
 
 
-@pytest.mark.parametrize(("page", "least"), [(TARGET, 80), (DP_V1, 15)])
+@pytest.mark.parametrize(("page", "least"), [(TARGET, 80), (DP_V1, 15), (ENDS, 5)])
 def test_modules_and_tests_named_on_the_page_exist(page: Path, least: int) -> None:
     text = page.read_text(encoding="utf-8")
     named = re.findall(r"`([\w/]+\.py)::(\w+)`", text)
