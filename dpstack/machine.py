@@ -103,7 +103,14 @@ def pump(machine: Machine, chunk: bytes, now: int, transmit: Transmit) -> int:
         machine.wake(now)
         tx = machine.take_tx(now)
         if tx is not None:
-            machine.sent(transmit(tx, now))
+            try:
+                end = transmit(tx, now)
+            except Exception:
+                raise
+            except BaseException:  # Ctrl-C in the middle of writing: a machine that is not told waits for ever
+                machine.sent(now)
+                raise
+            machine.sent(end)
             return machine.wake_at()
         deadline = machine.wake_at()
         settle -= 1

@@ -241,6 +241,9 @@ class Stepping(ABC):
         except Exception as exc:
             self._fail(exc)
             return
+        except BaseException:  # Ctrl-C, wherever it came: where the loop runs on, so does the bus
+            self._let_loop_turn()
+            raise
         if deadline < self._armed:
             self._arm(deadline)
         if spun:

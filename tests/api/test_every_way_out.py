@@ -22,6 +22,7 @@ from support_responder import Responder
 
 import dpstack
 from dpstack.fdl.active import ActiveStation
+from dpstack.ports.tty import TtyPort
 
 ROOT = Path(__file__).parents[2]
 DRIVERS = ("asyncio", "process")
@@ -178,3 +179,31 @@ def test_a_closed_bus_leaves_no_finaliser(caplog: pytest.LogCaptureFixture) -> N
     with octet_slaves(SPEC) as (path, _there):
         Ways(path, "asyncio").the_block_ends()
         assert caplog.records == []
+
+
+@pytest.mark.parametrize("then", ["closed", "goes on"])
+def test_ctrl_c_in_the_middle_of_a_telegram(then: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without asyncio.run() the first Ctrl-C raises KeyboardInterrupt wherever the program is: here as it writes."""
+    interrupted: list[bytes] = []
+    write = TtyPort.write
+
+    def interrupt(port: TtyPort, octets: bytes) -> bool:
+        taken = write(port, octets)
+        if octets[7:9] == bytes.fromhex(LIVE) and not interrupted:
+            interrupted.append(octets)
+            raise KeyboardInterrupt
+        return taken
+
+    with octet_slaves(SPEC) as (path, there), heard(there) as words:
+        ways = Ways(path, "asyncio")
+        loop = asyncio.new_event_loop()
+        monkeypatch.setattr(TtyPort, "write", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            loop.run_until_complete(ways.opened())
+        assert ways.bus_left is not None
+        if then == "goes on":
+            loop.run_until_complete(ways.bus_left.rotated(ways.bus_left.stats.rotations + 5, HANG_S))
+            loop.run_until_complete(ways.bus_left.close())
+        loop.close()
+        eventually(lambda: bool(words) and words[-1] == "clear", "Clear")
+        check(TABLE["the_loop_is_closed", "asyncio"], words, "was not closed before its event loop was")
