@@ -16,8 +16,9 @@ from support_responder import Responder
 import dpstack
 from dpstack.drivers.process import ProcessRuntime
 
-#: [bus] of tests in which nobody may be lost: the other end may have to wait 16 times 50 ms for a busy computer
-UNHURRIED: dict[str, Any] = {"gap": 0, "max_retry": 15}
+#: [bus] of tests in which nobody may be lost: the other end may have to wait 16 times 50 ms for a busy computer, and a
+#: pause of a busy computer, or of a test that blocks, shall not end in Clear
+UNHURRIED: dict[str, Any] = {"gap": 0, "max_retry": 15, "after_stall": "resume"}
 
 #: s in which each answer of a slave comes that is a task of the test's own program (1 and 2 s where nothing is said)
 ANSWER_S = 20
