@@ -46,9 +46,17 @@ def heard(there: Responder, address: int = 4) -> Iterator[list[str]]:
         yield words
 
 
+def after_live(words: list[str], live: str) -> tuple[list[str], list[str]]:
+    """What came after the last of the ``live`` outputs: outputs up to the first Clear, and all from there on.
+
+    Operate is repeated every 200 ms, with safe values too, up to Clear.
+    """
+    after = words[len(words) - words[::-1].index(live) :]
+    cut = after.index("clear") if "clear" in after else len(after)
+    return [word for word in after[:cut] if word != "operate"], after[cut:]
+
+
 def is_in_order(words: list[str], *, live: str, safe: str) -> bool:
-    """Safe values after the live ones, then Clear, then nothing live again."""
-    if safe not in words:
-        return False
-    after = words[words.index(safe) :]
-    return "clear" in after and live not in after and "operate" not in after
+    """Safe values after the live ones, then Clear, then nothing of Operate."""
+    before, rest = after_live(words, live)
+    return before[:1] == [safe] and bool(rest) and set(before + rest) <= {safe, "00" * (len(safe) // 2), "clear"}
