@@ -54,6 +54,7 @@ if TYPE_CHECKING:
         DriveError,
         DriveFault,
         DriveTimeout,
+        NoInputs,
         OrderDropped,
         ParamError,
         ParameterError,
@@ -64,6 +65,7 @@ if TYPE_CHECKING:
         SlaveError,
         SlaveFault,
         SlaveTimeout,
+        UnknownAttribute,
         UsageError,
     )
     from dpstack.profile import DriveStatus
@@ -101,6 +103,7 @@ __all__ = [
     "IoStation",
     "Mode",
     "ModuleState",
+    "NoInputs",
     "OrderDropped",
     "ParamError",
     "ParameterError",
@@ -124,6 +127,7 @@ __all__ = [
     "SlaveTimeout",
     "Specifier",
     "StatusType",
+    "UnknownAttribute",
     "UsageError",
     "UserDiag",
     "World",

@@ -54,6 +54,10 @@ class UsageError(DpError, RuntimeError):
     """A call that does not fit the state, for instance on a bus that is closed."""
 
 
+class UnknownAttribute(UsageError, AttributeError):
+    """An attribute was assigned that the object does not have; the text names the nearest one."""
+
+
 class PduError(DpError, ValueError):
     """Octets of a DP service PDU that cannot be read, or values that cannot be put into one; names the octet.
 
@@ -91,6 +95,10 @@ class SlaveError(DpError):
 
 class SlaveFault(SlaveError):
     """The slave refused parameters or configuration, is another device, is owned by another master, or lies."""
+
+
+class NoInputs(SlaveError, LookupError):
+    """There are no inputs of the slave at this moment: it is not in data exchange, or they are too old to be valid."""
 
 
 class ServiceRefused(SlaveError):

@@ -26,6 +26,7 @@ from dpstack.api.statistics import BusStats, collect
 from dpstack.api.streams import Events, EventStream, OnEvent, Waiters
 from dpstack.dp.commands import AddSlave, Alive, Mode, RemoveSlave, SetMode
 from dpstack.dp.events import ControlSent, DriveEvent, ForcedClear, ModeChanged, OperateWaits, SlaveStateChanged
+from dpstack.dp.given import Sealed
 from dpstack.dp.scanner import Found
 from dpstack.drivers.aio import outlast
 from dpstack.drivers.ending import end_limit_ns
@@ -46,7 +47,7 @@ class BusFailed(Notice):
 SlaveTable = Mapping[str, object] | SlaveConfig
 
 
-class Bus(Composed):
+class Bus(Sealed, Composed):
     """A running bus: the slaves of a configuration under a class 1 master. Made by :func:`dpstack.open_bus`."""
 
     def __init__(
@@ -89,6 +90,7 @@ class Bus(Composed):
         self._drives: dict[int, Drive] = {}
         if not self.searching:
             self._build(config)
+        self._seal()
 
     def _build(self, config: Config) -> None:
         super()._build(config)

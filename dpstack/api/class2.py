@@ -20,7 +20,7 @@ from dpstack.dp.class2_jobs import Service, ServiceDone
 from dpstack.dp.diag_texts import block_texts
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.fields import Value
-from dpstack.dp.given import octets, whole
+from dpstack.dp.given import Sealed, octets, whole
 from dpstack.dp.v1.ms2_orders import OpenConnection
 from dpstack.dp.v1.times import least_send_timeout
 from dpstack.errors import ConfigError, PduError, UsageError
@@ -71,7 +71,7 @@ class ReadDiagnosis(Diagnosis):
     diagnosis_texts: tuple[str, ...] = ()
 
 
-class Class2:
+class Class2(Sealed):
     """The class 2 services of one bus. A ``timeout`` in seconds counts from the call: others may be waiting before.
 
     All raise UsageError for what cannot be (another address range, a closed bus, 32 services waiting), SlaveTimeout
@@ -81,6 +81,7 @@ class Class2:
 
     def __init__(self, bus: Bus) -> None:
         self._bus = bus
+        self._seal()
 
     async def diagnosis(self, slave: Slave | str | int, *, timeout: float = 5.0) -> ReadDiagnosis:
         """Slave_Diag. (Of a slave in data exchange with this very master, the master takes notice of it too.)"""

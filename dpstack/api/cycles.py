@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from dpstack.dp.cycle import CycleData
 from dpstack.dp.fields import FieldMap, Value
 from dpstack.dp.image import inputs_are_valid
-from dpstack.errors import UsageError
+from dpstack.errors import NoInputs, UsageError
 from dpstack.units import NS_PER_MS, ns_to_s
 
 if TYPE_CHECKING:
@@ -24,7 +24,8 @@ class Cycle:
     ``number`` counts fixed cycles by their due times (those left out count too), free running the rounds. ``t_ns`` is
     the machine's time of its first bit, ``late_ns`` how much later that was than due (0 free running). ``inputs`` are
     the octets of every slave in data exchange by name, all as they stood at the end of this round, never some of this
-    and some of the next; ``fresh`` names the slaves that answered in it. A slave is left out where this round, when it
+    and some of the next; ``fresh`` names the slaves that answered in it, :attr:`stale` the others. A slave is left out
+    where this round, when it
     was handed over, was older than its valid inputs may be (``Slave.inputs_limit``); all are where nobody kept the bus
     running. ``skipped``: rounds since the one read before
     that this reader was too slow for. ``missed``: deadline misses since the start of the bus.
@@ -38,6 +39,8 @@ class Cycle:
     missed: int
     skipped: int = 0
     _fields: Mapping[str, FieldMap] = field(default_factory=dict, repr=False, compare=False)
+    #: addresses of all slaves of the bus by name
+    _slaves: Mapping[str, int] = field(default_factory=dict, repr=False, compare=False)
     _now: Callable[[], int] = field(default=lambda: 0, repr=False, compare=False)
 
     @property
@@ -50,13 +53,32 @@ class Cycle:
         """How long ago it began, in seconds at this moment."""
         return ns_to_s(max(0, self._now() - self.t_ns))
 
-    def values(self, name: str) -> dict[str, Value]:
-        """The named inputs of one slave. Raises UsageError where it was not in data exchange."""
+    @property
+    def stale(self) -> frozenset[str]:
+        """The slaves whose inputs are of an earlier round: no turn in this one (``every``), or no answer."""
+        return frozenset(self.inputs) - self.fresh
+
+    def get(self, name: str) -> dict[str, Value] | None:
+        """The named inputs of one slave; None while there are none, because it is not in data exchange.
+
+        Raises UsageError for a name that no slave of the bus has.
+        """
         octets = self.inputs.get(name)
-        if octets is None:
-            known = ", ".join(self.inputs) or "none"
-            raise UsageError(f"no slave {name!r} was in data exchange in cycle {self.number}; there were: {known}")
-        return self._fields[name].values(octets)
+        if octets is not None:
+            return self._fields[name].values(octets)
+        if name not in self._slaves:
+            known = ", ".join(self._slaves) or "none"
+            raise UsageError(f"no slave {name!r} on this bus; there are: {known}")
+        return None
+
+    def values(self, name: str) -> dict[str, Value]:
+        """As :meth:`get`; raises NoInputs instead of returning None."""
+        found = self.get(name)
+        if found is None:
+            address = self._slaves[name]
+            text = f"slave {address} ({name}) has no inputs in cycle {self.number}: it is not in data exchange"
+            raise NoInputs(address, f"{text}; cycle.get({name!r}) gives None then")
+        return found
 
     def __getitem__(self, name: str) -> dict[str, Value]:
         return self.values(name)
@@ -136,6 +158,7 @@ class _Reader:
             fresh=frozenset(slave.name for slave in here if slave.address in data.fresh),
             missed=data.missed,
             skipped=skipped,
+            _slaves={slave.name: slave.address for slave in slaves.values()},
             _fields={slave.name: slave.config.input_fields for slave in here},
             _now=now,
         )

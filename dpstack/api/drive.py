@@ -15,6 +15,7 @@ from dpstack.api.parameter_list import ParameterList
 from dpstack.api.slave import Slave
 from dpstack.api.streams import Latest
 from dpstack.dp.commands import DriveCommand, Mode
+from dpstack.dp.given import Sealed
 from dpstack.drivers.seen import ImageSeen
 from dpstack.errors import (
     BusError,
@@ -35,7 +36,7 @@ _GRACE: Final = 0.25
 _tokens = itertools.count(1)
 
 
-class Drive:
+class Drive(Sealed):
     """A drive by its name in the configuration. Orders are awaitable and raise DriveFault or DriveTimeout."""
 
     def __init__(self, bus: Bus, slave: Slave, core: DriveSeen, image: ImageSeen) -> None:
@@ -48,6 +49,10 @@ class Drive:
         self._over = False
         #: the slave behind it
         self.slave = slave
+        self._seal()
+
+    def _called(self) -> str:
+        return f"drive {self.name}"
 
     def __repr__(self) -> str:
         return f"<Drive {self.name!r} {self._core.drive} at {self.slave.address}>"

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, TypeVar
 from dpstack.api.slave import Slave
 from dpstack.dp.commands import SendControl
 from dpstack.dp.events import ControlFailed, ControlSent, PictureTaken
+from dpstack.dp.given import Sealed
 from dpstack.errors import BusError, DpError, SlaveFault, UsageError
 from dpstack.trace import Event
 from dpstack.units import NS_PER_US, ns_to_s
@@ -92,7 +93,7 @@ def _failure(event: ControlFailed) -> DpError:
     return BusError(f"SYNC or FREEZE was not sent: {event.reason}")
 
 
-class Group:
+class Group(Sealed):
     """The slaves of some groups (none: all slaves) acted on together. Made by ``Bus.group``.
 
     ::
@@ -111,6 +112,7 @@ class Group:
         if not self.members:
             known = ", ".join(str(g) for g in sorted({g for s in bus.slaves for g in s.setup.groups})) or "none"
             raise UsageError(f"no slave is in group {', '.join(map(str, self._groups))}; groups of this bus: {known}")
+        self._seal()
 
     @property
     def members(self) -> tuple[Slave, ...]:

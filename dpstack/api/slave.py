@@ -17,6 +17,7 @@ from dpstack.dp.diag_texts import block_texts
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.events import Fault, SlaveState
 from dpstack.dp.fields import Field, Value
+from dpstack.dp.given import Sealed
 from dpstack.dp.image import inputs_are_valid, inputs_limit_ns
 from dpstack.dp.scanner import Found, SlaveView
 from dpstack.dp.setup import SlaveSetup
@@ -30,13 +31,25 @@ if TYPE_CHECKING:
     from dpstack.api.bus import Bus
 
 
-class Slave:
+class Slave(Sealed):
     """One slave of a bus: inputs, outputs, state, diagnosis. Made by the bus, see ``Bus.slave``."""
 
     def __init__(self, bus: Bus, config: SlaveConfig, handler: HandlerSeen) -> None:
         self._bus = bus
         self._handler = handler
         self.config = config
+        self._seal()
+
+    def _called(self) -> str:
+        return f"slave {self.address} ({self.name})"
+
+    def _no_attribute(self, name: str, *, method: bool) -> str:
+        """Named outputs are items, not attributes."""
+        outputs = tuple(self.config.output_fields)
+        near = difflib.get_close_matches(name, outputs, n=1, cutoff=0.5)
+        if near and not method:
+            return f"{self._called()} has no attribute {name!r}: write slave[{near[0]!r}] = ..."
+        return super()._no_attribute(name, method=method)
 
     def __repr__(self) -> str:
         return f"<Slave {self.address} {self.name!r} {self.state.value}>"
@@ -163,14 +176,21 @@ class Slave:
     def outputs(self) -> bytes:
         """The outputs of the next Data_Exchange in Operate. Assigning is atomic and goes out in the next rotation.
 
-        Raises UsageError where the length does not fit, a drive plugin makes the outputs, or the bus is read-only.
+        Raises UsageError on a bus that is not open; assigning also where the length does not fit, a drive plugin makes
+        the outputs, or the bus is read-only.
         """
-        return self._handler.image.outputs
+        self._bus.check_open()
+        return self.outputs_held
 
     @outputs.setter
     def outputs(self, octets: bytes) -> None:
         self.check_outputs(octets)
         self._handler.image.outputs = octets
+
+    @property
+    def outputs_held(self) -> bytes:
+        """The octets of :attr:`outputs`, also before the bus is open and after its end."""
+        return self._handler.image.outputs
 
     @property
     def outputs_sent(self) -> bytes:
@@ -182,13 +202,14 @@ class Slave:
             return b""
         match bus.mode:
             case Mode.OPERATE:
-                return self.outputs
+                return self.outputs_held
             case Mode.CLEAR:
-                return b"" if self.setup.fail_safe else bytes(len(self.outputs))
+                return b"" if self.setup.fail_safe else bytes(len(self.outputs_held))
         return b""
 
     def check_outputs(self, octets: bytes) -> None:
         """Raises UsageError where ``octets`` cannot become the outputs (see :attr:`outputs`)."""
+        self._bus.check_open()
         image = self._handler.image
         why = ""
         if self._bus.master.read_only:
@@ -210,7 +231,7 @@ class Slave:
     @property
     def output_values(self) -> dict[str, Value]:
         """The named outputs of the next Data_Exchange in Operate."""
-        return self.config.output_fields.values(self.outputs)
+        return self.config.output_fields.values(self.outputs_held)
 
     def __contains__(self, name: object) -> bool:
         return name in self.config.input_fields or name in self.config.output_fields
@@ -219,7 +240,8 @@ class Slave:
         return iter((*self.config.input_fields, *self.config.output_fields))
 
     def __getitem__(self, name: str) -> Value:
-        """A named input or output. Raises UsageError naming those there are."""
+        """A named input or output. Raises UsageError naming those there are, and on a bus that is not open."""
+        self._bus.check_open()
         found = self.config.input_fields.fields.get(name)
         if found is not None:
             return found.get(self.inputs)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
@@ -55,6 +56,10 @@ _KEYS: Final = (
     "inputs",
     "outputs",
 )
+
+
+#: commands take a name or an address: a name that is a number could mean another slave
+_NUMERIC: Final = re.compile(r"[+-]?(\d+|0[xX][0-9a-fA-F]+)")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -180,6 +185,8 @@ def _build(table: Table, address: int, basis: Basis) -> SlaveConfig:
     ident, ident_note = _ident(table, basis)
     input_fields, output_fields = read_fields(table, *io_lengths(basis.config))
     name = table.text("name") or f"slave{address}"
+    if _NUMERIC.fullmatch(name.strip()):
+        table.fail("name", f"name = {name!r} looks like an address", f'write a word: name = "slave{address}"')
     profile = basis.profile
     interval_ns = basis.interval_ns if interval is None else interval * INTERVAL_UNIT
     dpv1 = read_dpv1(table, device, user_prm)

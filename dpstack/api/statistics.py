@@ -206,7 +206,7 @@ def collect(bus: Bus) -> BusStats:
                 inputs=slave.inputs,
                 inputs_valid=slave.inputs_valid,
                 inputs_age=slave.inputs_age,
-                outputs=slave.outputs,
+                outputs=slave.outputs_held,
                 watchdog_ms=slave.watchdog_ms,
                 link=link.station(slave.address),
                 master=slave.found.master if slave.found is not None else None,

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Iterable, Mapping, Set
 from typing import Any
 
-from dpstack.errors import UsageError
+from dpstack.errors import UnknownAttribute, UsageError
+
+#: classes outside of it are a user's own, and may have any attribute
+_OURS = "dpstack."
 
 
 def whole(what: str, value: Any, error: type[Exception] = UsageError) -> int:
@@ -30,3 +34,45 @@ def functions(who: str, error: type[Exception] = UsageError, /, **given: object)
     for at, (name, value) in enumerate(given.items()):
         if not callable(value) and (value is not None or not at):
             raise error(f"{who}: {name} = {value!r} is no function")
+
+
+class Sealed:
+    """Base of classes of the public API: once :meth:`_seal` was called, to assign an attribute that is not there raises
+    :class:`~dpstack.errors.UnknownAttribute`. A misspelt set point would otherwise be taken and do nothing.
+
+    Private names are free, and so is everything in a class that a user derives.
+    """
+
+    _sealed: bool = False
+
+    def _seal(self) -> None:
+        """From the end of ``__init__`` on."""
+        self._sealed = type(self).__module__.startswith(_OURS)
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if self._sealed and not name.startswith("_") and name not in vars(self):
+            found = getattr(type(self), name, None)
+            if not isinstance(found, property):
+                raise UnknownAttribute(self._no_attribute(name, method=callable(found)))
+            if found.fset is None:
+                raise UnknownAttribute(f"{self._called()}: {name} can only be read")
+        super().__setattr__(name, value)
+
+    def _called(self) -> str:
+        """The object in messages."""
+        return type(self).__name__.lower()
+
+    def _no_attribute(self, name: str, *, method: bool) -> str:
+        """The message about the assignment to ``name``."""
+        if method:
+            return f"{self._called()}: {name} is a method: call it instead of assigning to it"
+        settable = [key for key, value in _properties(type(self)).items() if value.fset is not None]
+        near = difflib.get_close_matches(name, settable, n=1, cutoff=0.5)
+        known = ", ".join(settable)
+        hint = f"did you mean {near[0]}?" if near else f"these can be assigned: {known or 'none'}"
+        return f"{self._called()} has no attribute {name!r}; {hint}"
+
+
+def _properties(kind: type) -> dict[str, property]:
+    found = {key: value for base in kind.__mro__ for key, value in vars(base).items() if isinstance(value, property)}
+    return {key: value for key, value in found.items() if not key.startswith("_")}

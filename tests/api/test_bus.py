@@ -144,7 +144,10 @@ def test_wrong_length(world: WorldFactory) -> None:
         slave_in(w, MirrorDevice(0x1234, bytes.fromhex("20 10")), 11)
         async with bus_of(RAW, RAW | {"name": "good", "address": 11}, world=w) as bus:
             await bus.slave(9).wait_state(dpstack.SlaveState.FAULT, timeout=3)
-            with pytest.raises(dpstack.SlaveFault, match="answers Data_Exchange with 2 octets instead of 1; its real"):
+            with pytest.raises(
+                dpstack.SlaveFault,
+                match="with 2 octets instead of 1: Chk_Cfg was 20 10; its real",
+            ):
                 await bus.slave(9).ready(0.1)
             await bus.slave("good").ready(1)
 

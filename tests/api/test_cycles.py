@@ -48,9 +48,7 @@ def test_one_cycle_for_each_round_and_outputs_come_back_in_the_one_after_next() 
             assert {b.number - a.number for a, b in itertools.pairwise(cycles)} == {1}
             assert {b.t_ns - a.t_ns for a, b in itertools.pairwise(cycles[2:])} == {4 * MS}
             assert {(cycle.late_ns, cycle.late_ms, cycle.missed) for cycle in cycles} == {(0, 0.0, 0)}
-            with pytest.raises(
-                dpstack.UsageError, match=r"no slave 'c' was in data exchange in cycle \d+; there were: a, b"
-            ):
+            with pytest.raises(dpstack.UsageError, match=r"no slave 'c' on this bus; there are: a, b"):
                 cycle.values("c")
 
     virtual(program())
@@ -129,6 +127,58 @@ def test_free_running_rounds_are_cycles_too() -> None:
             summary = bus.stats.summary()
             assert "cycle_us" not in summary
             assert bus.stats.cycles is None
+
+    virtual(program())
+
+
+def test_a_loop_goes_on_while_a_slave_is_away() -> None:
+    async def program() -> None:
+        async with bus_of(A, B, cycle_ms=8) as bus:
+            await bus.operate()
+            await bus.ready()
+            assert bus.bench is not None
+            seen: list[tuple[bool, bool, bool]] = []
+            async for cycle in bus.cycles():
+                bus.slave("a").outputs = word(len(seen) % 100)
+                a, b = cycle.get("a"), cycle.get("b")
+                assert a is not None
+                if b is None:
+                    with pytest.raises(dpstack.NoInputs, match=r"slave 6 \(b\) has no inputs in cycle \d+") as raised:
+                        cycle["b"]
+                    assert raised.value.address == 6
+                    assert isinstance(raised.value, dpstack.SlaveError)
+                    assert not isinstance(raised.value, dpstack.UsageError)
+                else:
+                    assert b == cycle["b"]
+                assert cycle.fresh | cycle.stale == set(cycle.inputs)
+                assert not cycle.fresh & cycle.stale
+                state = (b is not None, "b" in cycle.fresh, "b" in cycle.stale)
+                if not seen or seen[-1] != state:
+                    seen.append(state)
+                    if len(seen) == 1:
+                        bus.bench.power(6, False)
+                if state == (False, False, False):
+                    bus.bench.power(6, True)
+                if len(seen) > 2 and state == (True, True, False):
+                    break
+            # there and fresh; not there; there again (in the round in which it comes back nothing of it is fresh)
+            assert [state[0] for state in seen if state[1] or not state[0]] == [True, False, True]
+
+    virtual(program())
+
+
+def test_inputs_of_an_earlier_round_are_marked() -> None:
+    async def program() -> None:
+        async with bus_of(A, {**B, "every": 3}, cycle_ms=8) as bus:
+            await bus.ready()
+            stale = []
+            async for cycle in bus.cycles():
+                assert cycle.get("b") is not None
+                stale.append(cycle.stale)
+                if len(stale) == 6:
+                    break
+            assert sorted(map(len, stale)) == [0, 0, 1, 1, 1, 1]
+            assert set().union(*stale) == {"b"}
 
     virtual(program())
 

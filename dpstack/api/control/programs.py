@@ -171,7 +171,7 @@ def _outputs_of(slave: Slave) -> dict[str, object]:
 
     So with ``fields``, the named inputs and outputs, and ``held_fields``.
     """
-    sent, held = slave.outputs_sent, slave.outputs
+    sent, held = slave.outputs_sent, slave.outputs_held
     named = as_json(slave.output_values)
     now = named
     entry: dict[str, object] = {"outputs": sent.hex()}
@@ -207,7 +207,7 @@ async def _set(bus: Bus, args: list[str]) -> None:
         slave = bus.slave(address)
         found = slave.output_field(name)
         try:
-            wanted[address] = found.put(wanted.get(address, slave.outputs), found.read(value))
+            wanted[address] = found.put(wanted.get(address, slave.outputs_held), found.read(value))
         except ValueError as error:
             raise UsageError(f"slave {address} ({slave.name}): {error}") from None
     await _put_out(bus, wanted)
@@ -219,10 +219,9 @@ async def _put_out(bus: Bus, wanted: dict[int, bytes]) -> None:
         slave = bus.slave(address)
         if any(drive.slave is slave for drive in bus.drives):
             raise UsageError(f"slave {address} ({slave.name}): its drive plugin makes the outputs")
-        if len(octets) != len(slave.outputs):
-            raise UsageError(
-                f"slave {address} ({slave.name}) has {len(slave.outputs)} octets of outputs, {len(octets)} were given"
-            )
+        length = len(slave.outputs_held)
+        if len(octets) != length:
+            raise UsageError(f"slave {address} ({slave.name}) has {length} octets of outputs, {len(octets)} were given")
     for address, octets in wanted.items():
         bus.slave(address).outputs = octets
     await bus.outputs_taken()

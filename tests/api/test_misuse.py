@@ -1,0 +1,117 @@
+"""What a program does wrong, and is told at once: attributes that do not exist, a bus that is not open, names that are
+numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from api_kit import FAN, bus_of, virtual
+
+import dpstack
+
+VALVES: dict[str, object] = {
+    "name": "valves", "address": 5, "ident": 0x1234, "config": "21 11",
+    "inputs": {"limit": "bool@0.0"}, "outputs": {"flap": "bool@0.3"},
+}  # fmt: skip
+
+Misuse = Callable[[dpstack.Bus], object]
+ASSIGNED: list[tuple[Misuse, str, object, str]] = [
+    (lambda bus: bus.drive("fan"), "sped", 0.3, "drive fan has no attribute 'sped'; did you mean speed?"),
+    (lambda bus: bus.drive("fan"), "start", True, "drive fan: start is a method: call it instead of assigning to it"),
+    (lambda bus: bus.drive("fan"), "status", 1, "drive fan: status can only be read"),
+    (
+        lambda bus: bus.slave("valves"), "flap", True,
+        "slave 5 (valves) has no attribute 'flap': write slave['flap'] = ...",
+    ),
+    (
+        lambda bus: bus.slave("valves"), "output", b"",
+        "slave 5 (valves) has no attribute 'output'; did you mean outputs?",
+    ),
+    (lambda bus: bus.slave("valves"), "state", 1, "slave 5 (valves): state can only be read"),
+    (lambda bus: bus, "operating", True, "bus has no attribute 'operating'; these can be assigned: none"),
+    (lambda bus: bus.group(), "outputs", b"", "group has no attribute 'outputs'; these can be assigned: none"),
+    (lambda bus: bus.class2, "timeout", 1, "class2 has no attribute 'timeout'; these can be assigned: none"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("thing", "name", "value", "text"), ASSIGNED)
+def test_an_attribute_that_does_not_exist(thing: Misuse, name: str, value: object, text: str) -> None:
+    async def program() -> None:
+        async with bus_of(VALVES, FAN) as bus:
+            with pytest.raises(dpstack.UnknownAttribute) as raised:
+                setattr(thing(bus), name, value)
+            assert str(raised.value) == text
+            assert isinstance(raised.value, (dpstack.UsageError, AttributeError))
+
+    virtual(program())
+
+
+def test_what_may_be_assigned_still_may() -> None:
+    class Named(dpstack.Bus):
+        """A class of a user's own has attributes of its own."""
+
+        title = ""
+
+    async def program() -> None:
+        async with bus_of(VALVES, FAN) as bus:
+            bus.drive("fan").speed = 0.3
+            bus.slave("valves").outputs = b"\x00\x08"
+            bus.slave("valves")["flap"] = False
+            own = Named(bus.config)
+            own.title = "mine"
+            assert own.title == "mine"
+
+    virtual(program())
+
+
+def read(bus: dpstack.Bus) -> object:
+    return bus.slave("valves")["flap"]
+
+
+def write(bus: dpstack.Bus) -> None:
+    bus.slave("valves")["flap"] = True
+
+
+def read_outputs(bus: dpstack.Bus) -> object:
+    return bus.slave("valves").outputs
+
+
+def write_outputs(bus: dpstack.Bus) -> None:
+    bus.slave("valves").outputs = b"\x00\x08"
+
+
+@pytest.mark.parametrize("misuse", [read, write, read_outputs, write_outputs])
+def test_data_of_a_bus_that_is_not_open(misuse: Misuse) -> None:
+    async def program() -> None:
+        bus = bus_of(VALVES)
+        with pytest.raises(dpstack.UsageError, match="the bus is not open"):
+            misuse(bus)
+        async with bus:
+            misuse(bus)
+        with pytest.raises(dpstack.UsageError, match="the bus is not open"):
+            misuse(bus)
+        slave = bus.slave("valves")  # what was, for a report
+        assert (slave.inputs, slave.outputs_held, slave.inputs_valid) == (bytes(2), slave.outputs_held, False)
+        assert bus.stats.slaves[5].outputs == slave.outputs_held
+
+    virtual(program())
+
+
+@pytest.mark.parametrize("name", ["4", "0x04", " 12 ", "-3", "007"])
+def test_a_name_that_is_a_number(name: str) -> None:
+    with pytest.raises(dpstack.ConfigError, match=r"looks like an address; write a word: name = \"slave5\""):
+        bus_of({**VALVES, "name": name})
+
+
+def test_a_name_that_only_begins_with_a_number() -> None:
+    assert bus_of({**VALVES, "name": "4th valve"}).slaves[0].name == "4th valve"
+
+
+def test_a_name_that_is_a_number_is_refused_on_a_running_bus() -> None:
+    async def program() -> None:
+        async with bus_of(FAN) as bus:
+            with pytest.raises(dpstack.ConfigError, match="looks like an address"):
+                await bus.add_slave({**VALVES, "name": "4"})
+
+    virtual(program())
