@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 from demag_kit import ZERO, ppo1, ppo3
 from drive_bench import MS, PairBench, PluginBench, S, as_mapping
@@ -193,6 +195,38 @@ def test_without_a_channel_a_slow_ramp_is_left_alone() -> None:
     for speed in range(0x2000, 0x0100, -0x0100):  # 1.6 % of the reference in 2 s
         bench.see(f"02 27 {speed:04X}", 2 * S // bench.rotation)
         assert bench.out() == "00 07 00 00"
+
+
+@pytest.mark.parametrize("op", ["stop", "quick_stop"])
+@pytest.mark.parametrize("bench", [ppo3, ppo1], ids=["PPO3", "PPO1"])
+def test_412_that_changed_while_the_drive_stands_gets_no_word_of_a_stop(bench: Any, op: str) -> None:
+    """It showed 0x40 and was ours; now another data set is active, 412 = 2 in it, and the drive shows 0x23."""
+    lead = "" if bench is ppo3 else ZERO
+    found: PluginBench = bench(lead + "02 40 00 00")
+    token = found.order("start", timeout_s=4)
+    if lead:
+        answered(found, "10 F9 00 00 00 00 00 01", "41 9C 01 00 00 00 00 01", process="02 40 00 00")
+    for word in ("02 21 00 00", "02 23 00 00", "02 27 00 00"):
+        found.see(lead + word, 2)
+    assert as_mapping(found.result(token))["ok"] is True
+    found.order("coast")
+    found.see(lead + "02 40 00 00", 100)
+    found.see(lead + READY_2, 100)
+    found.order(op)
+    at = 8 if lead else 0
+    assert words(found, 500, at) == {"0000"}
+
+
+def test_412_that_changes_on_the_way_to_running_ends_the_start() -> None:
+    """The drive shows 0x23 and bit 9 all the time, so only the channel tells that its contacts are driven."""
+    bench = ppo1(ZERO + "02 40 00 00")
+    token = bench.order("start", timeout_s=5)
+    answered(bench, "10 F9 00 00 00 00 00 01", "41 9C 01 00 00 00 00 01", process="02 40 00 00")
+    assert bench.see(ZERO + READY_2, 20)[24:29] == "00 0F"
+    bench.run(S // bench.rotation)
+    answered(bench, "10 F9 00 00 00 00 00 02", "41 9C 02 00 00 00 00 02", process=READY_2)
+    assert words(bench, 500, 8) == {"0000"}
+    assert "412 is 2" in text(bench, token)
 
 
 def test_after_a_stop_the_word_is_0_so_that_the_mode_shows() -> None:

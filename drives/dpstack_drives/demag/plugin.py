@@ -57,6 +57,8 @@ _SILENT: Final = replace(drivecom.TABLE, run={}, steady={**dict.fromkeys(Goal, 0
 _OF_STATE_MACHINE: Final = frozenset(
     {State.SWITCH_ON_INHIBITED, State.READY_TO_SWITCH_ON, State.QUICK_STOP, State.FAULT_REACTION}
 )
+#: goals whose control word is not 0
+_COMMANDS: Final = frozenset({Goal.RUN, Goal.STOP, Goal.QUICK_STOP})
 #: 249 and 412 are read again before a start when they are older, and while the drive runs
 _MODE_AGE: Final = NS_PER_S
 #: without a parameter channel: a drive that has not slowed down by this much in this time does not obey
@@ -131,7 +133,7 @@ class DemagCore(MappedCore[OutMap]):
     def received(self) -> None:
         """Take the actual value for what ZSW bits 12-14 say it is (11.2.3), or all of them (11.2.4)."""
         words = self.words
-        if self.access is None and self._mode is None and self.raw_state in _OF_STATE_MACHINE:
+        if self.access is None and self._mode != _STATE_MACHINE and self.raw_state in _OF_STATE_MACHINE:
             self._take_mode(_STATE_MACHINE)
         self._toggles |= bool(words[0] & _TOGGLE)
         if self._wide:
@@ -190,7 +192,9 @@ class DemagCore(MappedCore[OutMap]):
         return listing(t.PARAMETERS, data_sets=range(1, t.SETS + 1))
 
     def obstacle(self) -> str | None:
-        """Bit 9 tells whether the bus controls the drive at all."""
+        """Bit 9 tells whether the bus controls the drive at all, and 412 how."""
+        if self._mode not in (None, _STATE_MACHINE):
+            return self._not_ours()
         if self.status_word & _REMOTE:
             return None
         return f"remote (bit 9) is 0: 412 is not 1 in the active data set, or {_NO_RELEASE}"
@@ -262,7 +266,8 @@ class DemagCore(MappedCore[OutMap]):
         until = self.answers_until(deadline)
         while self._asking and self.now < until:
             yield
-        if self._mode is not None and self.now < self._mode_at + _MODE_AGE:
+        proven = self.goal is not Goal.IDLE or self.raw_state in _OF_STATE_MACHINE
+        if self._mode is not None and self.now < self._mode_at + _MODE_AGE and (proven or self._mode != _STATE_MACHINE):
             return
         try:
             yield from self._ask_mode(until)
@@ -298,10 +303,13 @@ class DemagCore(MappedCore[OutMap]):
             )
         return f"412 is {self._mode}: control not by the bus; write 412 = 1 in the active data set{which}"
 
-    def achieved(self) -> None:
-        """412 may change with the data set: watch it as long as a command stands."""
-        super().achieved()
-        if not self._watching:
+    def set_goal(self, goal: Goal) -> None:
+        """412 may change with the data set: a command is given on a proof of now, and watched as long as it stands."""
+        commands = goal in _COMMANDS
+        if commands and self.goal is Goal.IDLE and goal is not Goal.RUN and self.raw_state not in _OF_STATE_MACHINE:
+            self._take_mode(None)  # with the control word 0 the state machine would show another state
+        super().set_goal(goal)
+        if commands and not self._watching:
             self._watching = True
             self.spawn("watch", self._watch())
 
