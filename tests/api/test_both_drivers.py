@@ -34,8 +34,8 @@ async def test_process_data_events_and_the_end(driver: Driver) -> None:
 
     with octet_slaves(SPEC, LAMPS_SPEC) as (path, there):
         bus = bus_on(path, driver, VALVES | {"watchdog_ms": 3000}, LAMPS, on_event=on_event)
-        bus.slave("lamps").outputs = b"\x0f"  # before there is anybody to send it
         async with bus:
+            bus.slave("lamps").outputs = b"\x0f"  # before there is anybody to get it
             assert bus.driver == driver
             assert bus.runtime.port_name == path
             await bus.ready(60)
@@ -189,7 +189,7 @@ async def test_class_2_and_scan(driver: Driver) -> None:
             assert (await bus.class2.diagnosis(7)).master == 1
             with pytest.raises(SlaveTimeout, match="slave 9 does not answer"):
                 await bus.class2.inputs(9)
-            with pytest.raises(SlaveFault, match="owned by master 1"):
+            with pytest.raises(SlaveFault, match="locked by master 1"):
                 await bus.class2.set_address(7, 8)
             found = await bus.scan(addresses=range(3, 9), configs=True)
             assert [(f.address, f.ident, f.master, f.config) for f in found] == [

@@ -35,7 +35,7 @@ async def test_reading_beside_data_exchange(tmp_path: Path) -> None:
                 foreign = await bus.class2.diagnosis(7)
                 assert (foreign.ident, foreign.master) == (0x0696, 1)
                 assert (await bus.class2.inputs(7)).octets == bytes(12)
-                with pytest.raises(dpstack.SlaveFault, match="owned by master 1"):
+                with pytest.raises(dpstack.SlaveFault, match="locked by master 1"):
                     await bus.class2.set_address(7, 8)
                 with pytest.raises(dpstack.SlaveTimeout, match="slave 99 does not answer RD_Inp"):
                     await bus.class2.inputs(99)
