@@ -6,6 +6,7 @@ import errno
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from far_ends import PtyFarEnd
@@ -48,10 +49,10 @@ def test_no_permission(
 ) -> None:
     opened = os.open
 
-    def refuse(path: str, flags: int, *rest: int) -> int:
+    def refuse(path: str, *rest: Any, **more: Any) -> int:
         if path == far.path:
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
-        return opened(path, flags, *rest)
+        return opened(path, *rest, **more)
 
     monkeypatch.setattr(os, "open", refuse)
     line = refusal(far, tmp_path, capsys)
