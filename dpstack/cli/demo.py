@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from rich.console import Group
+from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
@@ -35,7 +35,7 @@ _PATIENCE_S = 120.0
 #: measured and planned rotation may differ by so much
 _TOLERANCE = 0.02
 _REFRESH_S = 0.1
-#: lines of the stories under the live table
+#: lines of the stories under the live table, at most
 _SHOWN = 15
 #: half of the speed bar, in characters
 _BAR = 6
@@ -123,7 +123,7 @@ class _Stage:
             output.line(line)
 
     def picture(self) -> Group:
-        """What moves: a line for each drive, and the stories so far. Its height stays the same."""
+        """What moves: a row for each drive, and the last lines of the stories as the terminal has room for them."""
         bus = self.bus
         p50 = bus.master.rotation.quantile_ns(0.5) / 1e6
         title = f"dpstack demo  {bus.seconds:6.1f} s  rotation {p50:.3f} ms"
@@ -133,16 +133,18 @@ class _Stage:
             state = str(status.state) if slave.ready_now else slave.state.value
             speed = "" if status.speed is None else f"{status.speed:7.1%} {_bar(status.speed)}"
             rows.append((slave.address, drive.name, f"{state:<19}", f"{speed:<21}", slave.exchanges))
-        table = output.rich_table(title, ("address", "drive", "state", "speed", "exchanges"), rows)
-        lines = [*self.lines, *[""] * (_SHOWN - len(self.lines))]
-        return Group(table, *(Text(printable(line), no_wrap=True, overflow="ellipsis") for line in lines))
+        console = Console()
+        table = output.rich_table(title, ("address", "drive", "state", "speed", "exchanges"), rows, console.width)
+        room = min(_SHOWN, max(1, console.height - len(console.render_lines(table)) - 1))
+        told = [line for text in self.lines for line in Text(printable(text)).wrap(console, console.width)][-room:]
+        return Group(table, *told, *[""] * (room - len(told)))
 
 
 def _bar(speed: float) -> str:
-    """A bar from the middle: reverse to the left, forward to the right."""
+    """A bar from the middle: reverse to the left, forward to the right. Without spaces, so that it is not wrapped."""
     length = min(_BAR, round(abs(speed) * _BAR))
     back, forth = ("█" * length, "") if speed < 0 else ("", "█" * length)
-    return f"{back:>{_BAR}}|{forth:<{_BAR}}"
+    return f"{back:·>{_BAR}}|{forth:·<{_BAR}}"
 
 
 async def _demo(config: Config, args: argparse.Namespace) -> int:
