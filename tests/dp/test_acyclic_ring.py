@@ -283,7 +283,9 @@ def test_on_a_port_that_delivers_late_silence_costs_what_a_dying_slave_costs(cla
     w.command(plant.station, ReadService(1, 20, Service.INPUTS) if class2 else order(1, 20, write=False))
     w.run_for(2 * S)
     done = plant.others if class2 else plant.done
-    assert [each.outcome.failure for each in done] == [ServiceFailure.SILENT]
+    # it answers Slave_Diag: it is there, and leaves the service out
+    failure = ServiceFailure.REFUSED if class2 else ServiceFailure.SILENT
+    assert [each.outcome.failure for each in done] == [failure]
     params, octets = plant.params, 11 if class2 else 15
     took = 2 * (params.ns(octets * 11 + 200) + HOST.known_ns)
     more = plant.master.rotation.max_ns - quiet
@@ -308,7 +310,7 @@ def test_whom_nobody_knows_is_waited_for_on_a_late_port_between_two_cycles_only(
 
 
 def test_in_stop_a_silent_slave_is_asked_as_often_as_otherwise(world: WorldFactory) -> None:
-    """There is no Data_Exchange to wait for: four attempts, and an end that says so."""
+    """There is no Data_Exchange to wait for: four attempts, a look whether it is there, and an end that says so."""
     w = world()
     plant = silent(w)
     w.command(plant.station, SetMode(Mode.STOP))
@@ -316,4 +318,5 @@ def test_in_stop_a_silent_slave_is_asked_as_often_as_otherwise(world: WorldFacto
     w.command(plant.station, ReadService(1, 20, Service.INPUTS))
     w.run_for(S)
     (done,) = plant.others
-    assert done.outcome.failure is ServiceFailure.SILENT
+    assert done.outcome.failure is ServiceFailure.REFUSED
+    assert "is there (it answers Slave_Diag)" in done.text

@@ -70,6 +70,7 @@ def test_a_wrong_length_is_given_up_with_safe_values_at_once(wrong: bytes) -> No
         (None, "04 7F 40 00"),
         (None, "04 7E 00 00"),
         (61, "40 01 01 0B 06 96 00"),
+        (59, ""),  # what it has instead is told
     ]
     safe = [dsap for dsap, octets in wire(bus) if octets == "04 7E 00 00"]
     assert len(safe) * (bus.period + bus.step) >= 45 * MS
