@@ -92,7 +92,8 @@ class ListedValues:
     @classmethod
     def from_dict(cls, plain: Mapping[str, Any]) -> ListedValues:
         """From what :meth:`as_dict` made."""
-        return cls(**{**plain, "values": tuple(plain.get("values", ()))})
+        known = {name: plain[name] for name in _FILE.entry if name in plain}
+        return cls(**{**known, "values": tuple(plain.get("values", ()))})
 
     def differences(self, other: ListedValues) -> tuple[int, ...]:
         """The elements that are not the same, from 0 on; those that one of the two does not have are among them."""

@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Mapping
 from typing import Any, Final
 
+from dpstack.api.control.answers import Help
 from dpstack.api.control.client import connect
 from dpstack.api.control.records import ask
 from dpstack.cli import options, output
@@ -36,7 +37,7 @@ def add_to(commands: options.Commands) -> None:
 def execute(args: argparse.Namespace) -> int:
     """Ask and print the answer."""
     with connect(args.port) as client:
-        result = ask(client, args.order, *args.args)
+        result = ask(client, args.order, *args.args, kind=Help if args.order == "help" else None)
     if args.json:
         output.json_line({"result": result})
     elif args.order == "help":

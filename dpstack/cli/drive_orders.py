@@ -141,7 +141,7 @@ def show_status(told: Mapping[str, Any]) -> None:
         ("set point", f"{status['setpoint']:.2%}"),
     ]
     if status["speed"] is not None:
-        rows.append(("speed", f"{status['speed']:.2%} ({status['frequency_hz']:.2f} Hz)"))
+        rows.append(("speed", _speed_text(status, 2)))
     rows += [
         (name, f"{status[name]:.2%} of the rated one") for name in ("current", "torque") if status[name] is not None
     ]
@@ -150,19 +150,30 @@ def show_status(told: Mapping[str, Any]) -> None:
         ("faults", ", ".join(status["faults"]) or "none"),
         ("warnings", ", ".join(status["warnings"]) or "none"),
         ("status bits", ", ".join(status["bits"]) or "none"),
-        ("settings", "; ".join([str(status["settings"]).replace("_", " "), *status["settings_texts"]])),
+        ("settings", _settings_text(status)),
         ("words", " ".join(status["words"])),
     ]
     output.table(f"{told['drive']}: {told['type']} at address {told['address']}", ("what", "value"), rows)
 
 
+def _settings_text(status: Mapping[str, Any]) -> str:
+    """A run of an earlier version does not compare them."""
+    state = str(status.get("settings", "not told")).replace("_", " ")
+    return "; ".join([state, *status.get("settings_texts", ())])
+
+
 def status_text(status: Mapping[str, Any]) -> str:
     """One line: state, speed, set point, what is wrong."""
-    speed = "" if status["speed"] is None else f" at {status['speed']:.1%} ({status['frequency_hz']:.1f} Hz)"
+    speed = "" if status["speed"] is None else f" at {_speed_text(status, 1)}"
     wrong = [f"fault {name}" for name in status["faults"]] + [f"warning {name}" for name in status["warnings"]]
-    if status["settings"] == "different":
+    if status.get("settings") == "different":
         wrong.append("its settings are not the expected ones (see status)")
     return ", ".join([f"{status['state']}{speed}", f"set point {status['setpoint']:.1%}", *wrong])
+
+
+def _speed_text(status: Mapping[str, Any], digits: int) -> str:
+    hz = status["frequency_hz"]
+    return f"{status['speed']:.{digits}%}" + ("" if hz is None else f" ({hz:.{digits}f} Hz)")
 
 
 def _plain(one: SavedParam) -> dict[str, object]:

@@ -13,6 +13,7 @@ from time import monotonic_ns
 from typing import Any, Final
 
 from dpstack.api.bus_config import VIRTUAL
+from dpstack.api.control.answers import Help, checked
 from dpstack.api.control.failures import failure
 from dpstack.api.control.places import Sockets, directory, names_of, own_name, socket_name
 from dpstack.errors import DpError, PortError, UsageError
@@ -24,6 +25,8 @@ TIMEOUT_S: Final = 10.0
 _CHUNK: Final = 65_536
 #: a list of parameters comes in lines of a hundred
 LONGEST_ANSWER: Final = 16_000_000
+#: brackets in each other; the answers of dpstack have at most eight
+_MOST_LEVELS: Final = 32
 
 
 class ControlClient:
@@ -47,11 +50,15 @@ class ControlClient:
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
 
-    def call(self, command: str, *args: str, on_item: Callable[[Any], None] | None = None) -> Any:
-        """The result of ``command``; ``on_item`` is told what came before it.
+    def call(
+        self, command: str, *args: str, kind: type | None = None, on_item: Callable[[Any], None] | None = None
+    ) -> Any:
+        """The result of ``command``, as it came, with the fields of ``kind`` (:mod:`dpstack.api.control.answers`);
+        ``on_item`` is told what came before it.
 
         Raises what it raised there: UsageError or ConfigError where the request is wrong, one of the others with all
-        that it carries where it failed (a BusError that tells a defect, too). PortError when nobody answers.
+        that it carries where it failed (a BusError that tells a defect, too). PortError when nobody answers, or
+        something else.
         """
         result = None
         for answer in self._answers(command, args):
@@ -59,7 +66,13 @@ class ControlClient:
                 result = answer.get("result")
             elif on_item is not None:
                 on_item(answer["item"])
+        if kind is not None:
+            checked(result, kind, self.port, command)
         return result
+
+    def help(self) -> Any:
+        """What the program is, with the fields of ``Help``. Raises like :meth:`call`."""
+        return self.call("help", kind=Help)
 
     def items(self, command: str, *args: str) -> Iterator[Any]:
         """What a command that goes on tells, one by one. Raises like :meth:`call`."""
@@ -106,7 +119,7 @@ class ControlClient:
             answer = json.loads(line)
         except (ValueError, RecursionError):
             answer = None
-        if not isinstance(answer, dict):
+        if not isinstance(answer, dict) or _levels(answer) > _MOST_LEVELS:
             raise PortError(f"{self.port}: the answer is no JSON object; is it another version of dpstack?")
         return answer
 
@@ -203,14 +216,14 @@ def _asked(sockets: Sockets, names: Iterable[str]) -> list[dict[str, Any]]:
             contextlib.suppress(OSError, DpError),
             ControlClient(str(sockets.path / name), _open(sockets, name, 1.0)) as client,
         ):
-            found.append(client.call("help"))
+            found.append(client.help())
     return found
 
 
 def _chosen(clients: list[ControlClient], port: str, config: Path | None) -> ControlClient:
     """The one whose run has the configuration file ``config``; the others are closed. Raises as :func:`find_run`."""
     try:
-        runs = [(client, client.call("help")) for client in clients]
+        runs = [(client, client.help()) for client in clients]
         fitting = [client for client, told in runs if _is_file(told.get("config"), config)]
         if len(fitting) != 1:
             raise UsageError(_not_one([told for _, told in runs], len(fitting), port, config))
@@ -242,6 +255,17 @@ def _not_one(runs: list[dict[str, Any]], fitting: int, port: str, config: Path |
         f"the run on {port} (pid {runs[0].get('pid')}) has the configuration {theirs}, not {mine}: give the one that "
         f"the run has, or end that run"
     )
+
+
+def _levels(answer: object) -> int:
+    """How deep objects and lists stand in each other, up to one more than what is allowed."""
+    count, level = 0, [answer]
+    while level and count <= _MOST_LEVELS:
+        below: list[object] = []
+        for one in level:
+            below += one.values() if isinstance(one, dict) else one if isinstance(one, list) else ()
+        count, level = count + 1, below
+    return count
 
 
 def _is_file(told: object, config: Path | None) -> bool:

@@ -10,12 +10,13 @@ from typing import Any
 from dpstack.api.bus import Bus
 from dpstack.api.config import Config
 from dpstack.api.control.alive import kept_alive
+from dpstack.api.control.answers import OF_DRIVE, DriveTold, ParametersTold, checked
 from dpstack.api.control.client import ControlClient, find_run
 from dpstack.api.control.failures import failure
-from dpstack.api.drive_words import READ_MANY, carry_out
+from dpstack.api.drive_words import PARAMETERS, READ_MANY, carry_out
 from dpstack.api.parameter_dump import ParameterPlace, ParameterValue
 from dpstack.api.parts import SEARCHING
-from dpstack.errors import BusError, ParameterError, UsageError
+from dpstack.errors import BusError, ParameterError, PortError, UsageError
 from dpstack.profile import ListedParam
 from dpstack.text import number_or_name
 
@@ -55,18 +56,19 @@ class RemoteDrive:
     async def meet(self) -> None:
         """Who it is. Raises UsageError where the run has no such drive, BusError where it cannot tell now."""
         told = await self.order("status")
-        self.kind, self.address = str(told["type"]), int(told["address"])
+        self.kind, self.address = told["type"], told["address"]
 
     async def learn(self) -> None:
         """Ask for its parameters."""
-        told = await self.order("parameters")
-        self._parameters = tuple(ListedParam(**one) for one in told["parameters"])
-        self.per_request = int(told["per_request"])
+        told = checked(await self.order(PARAMETERS), ParametersTold, self._client.port, PARAMETERS)
+        self._parameters = tuple(told["parameters"])
+        self.per_request = told["per_request"]
 
     async def order(self, word: str, *args: str) -> dict[str, Any]:
         """As :func:`~dpstack.api.drive_words.carry_out`, over there. Cancelled, the connection is gone."""
         try:
-            answer = await asyncio.to_thread(self._client.call, "drive", self.name, word, *args)
+            kind = OF_DRIVE.get(word, DriveTold)
+            answer = await asyncio.to_thread(self._client.call, "drive", self.name, word, *args, kind=kind)
         except asyncio.CancelledError:
             self.close()
             raise
@@ -77,21 +79,25 @@ class RemoteDrive:
     ) -> list[ParameterValue | ParameterError]:
         """Some parameters."""
         places = json.dumps([one.as_dict() for one in parameters])
-        told = await self.order(READ_MANY, places, f"timeout={timeout}")
-        return [_entry(one) for one in told["parameters"]]
+        told = (await self.order(READ_MANY, places, f"timeout={timeout}"))["parameters"]
+        if len(told) != len(parameters):
+            raise PortError(
+                f"{self._client.port}: {len(parameters)} parameters were asked for and {len(told)} were told; is it "
+                f"another version of dpstack?"
+            )
+        return [self._entry(one) for one in told]
+
+    def _entry(self, told: Mapping[str, Any]) -> ParameterValue | ParameterError:
+        if "error" not in told:
+            return checked(told, ParameterValue, self._client.port, READ_MANY)
+        error = failure(told)
+        if not isinstance(error, ParameterError):
+            raise error
+        return error
 
     def close(self) -> None:
         """Hang up; an order that is under way ends."""
         self._client.close()
-
-
-def _entry(told: Mapping[str, Any]) -> ParameterValue | ParameterError:
-    if "error" not in told:
-        return ParameterValue(**told)
-    error = failure(told)
-    if not isinstance(error, ParameterError):
-        raise error
-    return error
 
 
 async def find_drive(config: Config, name: str) -> RemoteDrive | None:
@@ -105,8 +111,8 @@ async def find_drive(config: Config, name: str) -> RemoteDrive | None:
     if client is None:
         return None
     try:
-        told = await asyncio.to_thread(client.call, "help")
-        drive = RemoteDrive(client, name, int(told["pid"]))
+        told = await asyncio.to_thread(client.help)
+        drive = RemoteDrive(client, name, told["pid"])
         await drive.meet()
     except BaseException:
         client.close()

@@ -11,6 +11,7 @@ from dpstack.api.acyclic_words import COMPARE, DUMP, PARAMETERS, OnProgress, car
 from dpstack.api.bus import Bus
 from dpstack.api.config import Config
 from dpstack.api.control.alive import kept_alive
+from dpstack.api.control.answers import OF_SLAVE, Item, checked
 from dpstack.api.control.client import ControlClient, find_run
 from dpstack.api.control.server import Result
 from dpstack.api.parts import SEARCHING
@@ -80,19 +81,27 @@ async def through_run(
     if client is None:
         return None
     with client:
-        told = await asyncio.to_thread(ask, client, COMMANDS[master], str(slave), word, *args, progress=progress)
-    return {PARAMETERS: [], **told} if word == PARAMETERS else told
+        told = await asyncio.to_thread(
+            ask, client, COMMANDS[master], str(slave), word, *args, kind=OF_SLAVE.get(word), progress=progress
+        )
+    return {PARAMETERS: [], **told, "order": word} if word == PARAMETERS else {**told, "order": word}
 
 
-def ask(client: ControlClient, command: str, *args: str, progress: OnProgress | None = None) -> Any:
+def ask(
+    client: ControlClient,
+    command: str,
+    *args: str,
+    kind: type | None = None,
+    progress: OnProgress | None = None,
+) -> Any:
     """The result of ``command`` as :meth:`ControlClient.call` has it, with the parameters that came in items before."""
     found: list[object] = []
 
     def on_item(item: Any) -> None:
-        if isinstance(item, Mapping):
-            found.extend(item.get(PARAMETERS, ()))
-            if progress is not None and "progress" in item:
-                progress(*item["progress"])
+        told = checked(item, Item, client.port, command)
+        found.extend(item.get(PARAMETERS, ()))
+        if progress is not None and "progress" in told:
+            progress(*told["progress"])
 
-    told = client.call(command, *args, on_item=on_item)
+    told = client.call(command, *args, kind=kind, on_item=on_item)
     return {**told, PARAMETERS: found} if found and isinstance(told, Mapping) else told
