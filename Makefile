@@ -4,20 +4,21 @@ VENV := .venv
 PY := $(VENV)/bin/python
 
 .NOTPARALLEL:
-.PHONY: help demo test check soak clean
+.PHONY: help demo test check soak strangers clean
 
 help:
 	@echo "make demo    the simulated plant in one process (installs what it needs into $(VENV))"
 	@echo "make test    all tests"
 	@echo "make check   lint, types, documentation"
 	@echo "make soak    the long runs"
+	@echo "make strangers  the tests with programs of others (installs them into $(VENV))"
 
 demo: $(VENV)/.core
 	$(VENV)/bin/dpstack demo
 
 # Two files at a time, whatever the computer has: ports and programs of tests need processors too.
 test: $(VENV)/.test
-	$(PY) -m pytest -m "not soak" -n 2 --dist loadfile
+	$(PY) -m pytest -m "not soak and not strangers" -n 2 --dist loadfile
 
 check: $(VENV)/.check
 	$(PY) -m ruff check .
@@ -33,6 +34,10 @@ soak: SEED := $(shell date +%s)
 soak: $(VENV)/.test
 	@echo "what hypothesis tries: SEED=$(SEED)"
 	$(PY) -m pytest -m soak --hypothesis-profile=soak --hypothesis-seed=$(SEED) $(TESTS)
+
+# Programs of others at one end: each is installed, run in processes of its own, and missed with an error, not skipped.
+strangers: $(VENV)/.strangers
+	$(PY) -m pytest -m strangers tests/strangers
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info drives/*.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
@@ -53,4 +58,8 @@ $(VENV)/.test: pyproject.toml | $(PY)
 
 $(VENV)/.check: pyproject.toml | $(PY)
 	$(PY) -m pip install --quiet --disable-pip-version-check -e '.[test,check]'
+	@touch $@ $(VENV)/.core $(VENV)/.test
+
+$(VENV)/.strangers: pyproject.toml | $(PY)
+	$(PY) -m pip install --quiet --disable-pip-version-check -e '.[test,strangers]'
 	@touch $@ $(VENV)/.core $(VENV)/.test
