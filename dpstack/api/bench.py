@@ -83,8 +83,8 @@ def set_rate(slave: SlaveConfig) -> int | None:
 class Unit:
     """One simulated slave as it stands: station, application and device, made anew by :meth:`renew`.
 
-    A drive keeps what it has stored in its EEPROM, and stands at the address that this gives; an I/O station what is
-    plugged into it.
+    It keeps an address that Set_Slave_Add gave it. A drive keeps what it has stored in its EEPROM, and stands at the
+    address that this gives; an I/O station what is plugged into it.
 
     ``searching``: it finds the baud rate by itself, among those that
     the device knows. One that cannot stays at the rate it is set to, whatever the bus has.
@@ -96,6 +96,7 @@ class Unit:
         self.config = config
         self.powered = True
         self._address = config.address
+        self._address_fixed = False
         self._patience = patience
         self._searching = searching
         self.device: Device = device_of(config)
@@ -104,6 +105,8 @@ class Unit:
     def renew(self, params: BusParams) -> None:
         """Switched on again."""
         before, self.device = self.device, device_of(self.config)
+        kept, self._address_fixed = self.app.kept_address
+        self._address = self._address if kept is None else kept
         if isinstance(before, DriveDevice) and isinstance(self.device, DriveDevice):
             self.device.inherit(before)
             own = self.device.own_address
@@ -118,7 +121,7 @@ class Unit:
             params = BusParams.preset(own)
         if isinstance(self.device, DriveDevice):
             self.device.installed(self._address, None if self._searching else params.baud)
-        self.app = SlaveApp(self.device, address=self._address)
+        self.app = SlaveApp(self.device, address=self._address, address_fixed=self._address_fixed)
         self.station = PassiveStation(self._address, self.app, params, patience=self._patience)
         #: what is on a simulated bus: the station, or the search around it
         self.on_bus: BusStation = self.station

@@ -46,19 +46,20 @@ def plan_bus(config: Config, baud: int | None = None) -> Plan:
     setups = config.setups(rate)
     params = with_t_tr(config, config.params(rate), setups)
     notes = [note for slave in config.slaves for note in slave.notes]
+    others = other_masters(config, rate)
     pty, slack_ns, beside = False, 0, ""
     if config.bus.port is not None and not config.virtual:
         port = port_of(config, rate)
         patience = patience_for(config, port)
         pty, slack_ns = port.delivery is Delivery.HOST, patience.known_ns
-        beside = Neighbours(params, patience).advice()
+        beside = Neighbours(params, patience).advice() if others.count else ""
         if port.delivery is Delivery.ADAPTER:
             notes += adapter_notes(config, params, setups)
     findings = rate_findings(config, rate)
     return make_plan(
         params,
         setups,
-        others=other_masters(config, rate),
+        others=others,
         cycle_ns=config.bus.cycle_ns,
         pty=pty,
         host_slack_ns=slack_ns,

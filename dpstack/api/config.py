@@ -197,10 +197,12 @@ def make_config(
     return _checked(Config(bus=read, slaves=entries, source=source))
 
 
-def slave_config(table: Mapping[str, object], number: int = 0, *, where: str = "open_bus") -> SlaveConfig:
-    """One slave from a mapping with the keys of a [[slave]] table."""
+def slave_config(
+    table: Mapping[str, object], number: int = 0, *, where: str = "open_bus", unaddressed: bool = False
+) -> SlaveConfig:
+    """One slave from a mapping with the keys of a [[slave]] table. ``unaddressed``: 126 is an address too."""
     source = Source(where)
-    return read_slave(Table(source, ("slave", number), table, f"slave {number + 1}"))
+    return read_slave(Table(source, ("slave", number), table, f"slave {number + 1}"), unaddressed=unaddressed)
 
 
 def _checked(config: Config) -> Config:

@@ -23,7 +23,7 @@ from dpstack.drivers.rate import settle_ns_of
 from dpstack.drivers.segment import Segment, default_directory
 from dpstack.errors import BusError, ConfigError
 from dpstack.fdl.multidrop import Multidrop
-from dpstack.params import BusParams
+from dpstack.params import MAX_STATION, UNADDRESSED, BusParams
 from dpstack.phy.neighbours import t_sl_of_answers
 from dpstack.sim.io_station import NAME, IoStation
 from dpstack.trace import Event
@@ -49,10 +49,14 @@ class SimulatedSlave:
     def __init__(self, unit: Unit) -> None:
         self.unit = unit
         self.name = unit.config.name
-        self.address = unit.config.address
         profile, description = unit.config.profile, unit.config.description
         what = f"mirror, {description.name}" if description else "mirror"
         self.kind = profile.name if profile else NAME if isinstance(unit.device, IoStation) else what
+
+    @property
+    def address(self) -> int:
+        """Its station address now: Set_Slave_Add may have changed that of the configuration."""
+        return self.unit.station.address
 
     @property
     def state(self) -> SlaveAppState:
@@ -103,8 +107,13 @@ class Simulation:
         #: T_SL in bit times that a real master needs for these slaves behind this port, 0 where it needs none for it
         self.t_sl = t_sl_of_answers(params, patience)
         units = [Unit(slave, params, patience) for slave in config.slaves]
+        for unit in units:
+            if unit.config.address == UNADDRESSED and not unit.device.set_slave_add:
+                raise ConfigError(
+                    f"slave {unit.config.name} has no Set_Slave_Add: nobody could give it another address than "
+                    f"{UNADDRESSED} over the bus; give it one of 0..{MAX_STATION}"
+                )
         self.slaves = tuple(SimulatedSlave(unit) for unit in units)
-        self._units = {unit.config.address: unit for unit in units}
         self._failure: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._line = Multidrop([unit.station for unit in units], params, patience=patience)
         self._search: SearchingPort | None = None
@@ -191,23 +200,26 @@ class Simulation:
 
     def device(self, address: int) -> Device:
         """What simulates the slave."""
-        return self._units[address].device
+        return self._unit(address).device
+
+    def _unit(self, address: int) -> Unit:
+        return next(slave.unit for slave in self.slaves if slave.address == address)
 
     def silence(self, address: int, for_ns: int | None) -> None:
         """Make a slave deaf and mute for a time, None: until :meth:`resume`; one that is off stays off."""
-        unit = self._units[address]
+        unit = self._unit(address)
         if unit.powered:
             self._line.silence(unit.station.address, NEVER if for_ns is None else self.runtime.now() + for_ns)
 
     def resume(self, address: int) -> None:
         """End a silence."""
-        unit = self._units[address]
+        unit = self._unit(address)
         if unit.powered:
             self._line.resume(unit.station.address)
 
     def power(self, address: int, on: bool) -> None:
         """Switch a slave off at once, or on again; a drive keeps its EEPROM."""
-        unit = self._units[address]
+        unit = self._unit(address)
         if on is unit.powered:
             return
         if on:
@@ -219,7 +231,7 @@ class Simulation:
 
     def injected(self, address: int) -> list[str]:
         """What was done to the slave from outside and is not over."""
-        unit = self._units[address]
+        unit = self._unit(address)
         until = self._line.silent_until(unit.station.address) if unit.powered else None
         return injected_text(unit.device, unit.powered, None if until is None else until - self.runtime.now())
 
@@ -250,11 +262,11 @@ class Simulation:
 
     def _watched(self) -> bool:
         """Whether the watchdog of any slave runs."""
-        return any(unit.app.watchdog.time_ns and unit.powered for unit in self._units.values())
+        return any(slave.unit.app.watchdog.time_ns and slave.unit.powered for slave in self.slaves)
 
     def _rate_lost(self, now: int) -> None:
-        for unit in self._units.values():
-            unit.app.rate_lost(now)
+        for slave in self.slaves:
+            slave.unit.app.rate_lost(now)
 
     def _failed(self, error: Exception) -> None:
         failure = BusError(f"the simulation was stopped by a defect in dpstack ({type(error).__name__}: {error})")

@@ -22,7 +22,7 @@ from dpstack.dp.v1.status import DPV1_STATUS_LEN, Dpv1
 from dpstack.errors import ConfigError
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.gsd.model import Device
-from dpstack.params import MAX_STATION
+from dpstack.params import MAX_STATION, UNADDRESSED
 from dpstack.profile import DriveProfile
 from dpstack.units import ms_text
 
@@ -153,13 +153,14 @@ class SlaveConfig:
         )
 
 
-def read_slave(table: Table) -> SlaveConfig:
-    """Check one table. Raises ConfigError, one line."""
+def read_slave(table: Table, *, unaddressed: bool = False) -> SlaveConfig:
+    """Check one table. ``unaddressed``: 126, a slave as delivered, is an address too. Raises ConfigError, one line."""
     named = table.raw("name")
     if isinstance(named, str) and named.strip() and named.isprintable():
         table.title = f"[[slave]] {named}" if table.title.startswith("[[") else f"slave {named}"
     table.check_keys(_KEYS)
-    address = table.integer("address", 0, MAX_STATION, "stations have 0..125; 126 is a slave without an address yet")
+    highest = UNADDRESSED if unaddressed else MAX_STATION
+    address = table.integer("address", 0, highest, "stations have 0..125; 126 is a slave without an address yet")
     if address is None:
         table.fail(None, "no address", "add its station address, 0..125")
     slave = _build(table, address, basis_of(table))

@@ -7,7 +7,6 @@ import math
 from typing import TYPE_CHECKING
 
 from dpstack.api.config import AUTO
-from dpstack.api.tables import parse_hex
 from dpstack.text import decimal, shortened
 from dpstack.units import BAUD_RATES
 
@@ -111,14 +110,3 @@ def ident(text: str) -> int:
     if not 0 <= value <= 0xFFFF:
         raise argparse.ArgumentTypeError(f"{text!r} is no ident number, for instance 0x0696")
     return value
-
-
-def outputs(text: str) -> tuple[int, bytes]:
-    """``ADDRESS=HEX``."""
-    where, equals, octets = text.partition("=")
-    if not equals:
-        raise argparse.ArgumentTypeError(f"{text!r} is not ADDRESS=HEX, for instance 3=00FF")
-    try:
-        return address(where.strip()), parse_hex(octets)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(f"{text!r}: {error}; write ADDRESS=HEX, for instance 3=00FF") from None

@@ -7,8 +7,10 @@ import asyncio
 
 from dpstack.api.bus import Bus
 from dpstack.api.config import Config, load_config
+from dpstack.api.control import arguments
 from dpstack.api.control.programs import PTY, clear_since, control_run
 from dpstack.api.control.server import ControlServer
+from dpstack.api.control.slaves import address_of
 from dpstack.api.opening import open_bus
 from dpstack.cli import options, output
 from dpstack.cli.control import reachable
@@ -23,24 +25,37 @@ from dpstack.errors import UsageError
 def add_to(commands: options.Commands) -> None:
     """The command and its options."""
     parser = options.command(
-        commands, "run", "the soft master, operating at once", "dpstack run plant.toml --seconds 10 --json"
+        commands,
+        "run",
+        "the soft master, operating at once",
+        "dpstack run plant.toml --outputs valves=07 9=00FF --seconds 10\n"
+        "         dpstack run plant.toml --read-only --address 1",
     )
-    parser.add_argument("config", metavar="CONFIG", help="configuration file")
+    # optional, because --outputs may stand before it
+    parser.add_argument("config", metavar="CONFIG", nargs="?", help="configuration file")
     parser.add_argument("--port", metavar="P", help="another port")
     parser.add_argument("--baud", metavar="B|auto", type=options.baud_or_auto, help='another rate; "auto": listens')
     parser.add_argument("--seconds", metavar="S", type=options.seconds, help="end after so many seconds in the ring")
     parser.add_argument("--rotations", metavar="N", type=options.count, help="end after so many rotations")
     parser.add_argument("--driver", choices=("auto", "asyncio", "process"), help="what keeps the bus going")
     parser.add_argument(
+        "--address", metavar="N", type=options.address, help="another station address of the master, 0..125"
+    )
+    parser.add_argument(
         "--outputs",
-        metavar="ADDRESS=HEX",
-        type=options.outputs,
-        action="append",
+        metavar="SLAVE=HEX",
+        nargs="+",
+        action="extend",
         default=[],
-        help="initial output octets; a drive that gets some is run without its plugin",
+        help="initial output octets of slaves by address or name; a drive that gets some is run without its plugin",
     )
     parser.add_argument("--clear", action="store_true", help="stay in Clear: read inputs, outputs are zero")
-    parser.add_argument("--read-only", action="store_true", help="only listen and ask, change nothing")
+    parser.add_argument(
+        "--read-only",
+        action="store_true",
+        help="join the token ring as one more master, show who is there and in what state, write nothing to any slave; "
+        "with --address beside the master that has the same file",
+    )
     options.add_json(parser)
     parser.set_defaults(execute=execute)
 
@@ -48,14 +63,34 @@ def add_to(commands: options.Commands) -> None:
 def execute(args: argparse.Namespace) -> int:
     """Run until a limit or a signal; 1 when a slave is not in data exchange at the end, after a stall, and when the
     master went to Clear by itself and still is there."""
-    config = load_config(args.config).with_bus(
-        port=args.port, baud=args.baud, driver=args.driver, read_only=args.read_only or None
+    name, given = _config_and_outputs(args)
+    config = load_config(name).with_bus(
+        port=args.port,
+        baud=args.baud,
+        address=args.address,
+        driver=args.driver,
+        read_only=args.read_only or None,
     )
     refuse_application_watchdog(config, "run")
-    if config.bus.read_only and args.outputs:
+    if config.bus.read_only and given:
         raise UsageError("--outputs on a read-only bus: nothing is written there; leave one of the two out")
+    names = {slave.address: slave.name for slave in config.slaves}
+    outputs = {address_of(slave, names): octets for slave, octets in map(arguments.octets, given)}
     with unhurried(output.missing(args.json)):
-        return asyncio.run(_run(config.with_outputs(dict(args.outputs)), args))
+        return asyncio.run(_run(config.with_outputs(outputs), args))
+
+
+def _config_and_outputs(args: argparse.Namespace) -> tuple[str, list[str]]:
+    """CONFIG and all SLAVE=HEX. A file straight behind ``--outputs SLAVE=HEX`` is not one of them but CONFIG."""
+    given = list(args.outputs)
+    name: str | None = args.config
+    others = [text for text in given if "=" not in text]
+    if name is None and len(others) == 1 and len(given) > 1:
+        name = others[0]
+        given.remove(name)
+    if name is None:
+        raise UsageError("run: no CONFIG; give the configuration file, for instance dpstack run plant.toml")
+    return name, given
 
 
 async def _run(config: Config, args: argparse.Namespace) -> int:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
-from dpstack.api.config import AUTO, Config, load_config, make_config
+from dpstack.api.config import AUTO, Config, load_config, make_config, slave_config
 from dpstack.api.control.programs import control_sim
 from dpstack.api.events import Event
 from dpstack.api.simulation import DEFAULT_BAUD, Simulation, sim_event_json
@@ -30,7 +30,8 @@ def add_to(commands: options.Commands) -> None:
         "the slaves of a configuration, one simulated drive, or one device of a GSD file, on one port",
         "dpstack sim plant.toml --port pty\n"
         "         dpstack sim --drive fuji-frenic --address 4 --port pty\n"
-        '         dpstack sim --gsd io-station --modules "8 DI" "8 DO" --address 8 --port pty',
+        '         dpstack sim --gsd io-station --modules "8 DI" "8 DO" --address 8 --port pty\n'
+        "         dpstack sim --drive demag-dedrive --address 126 --port pty",
     )
     parser.add_argument("config", metavar="CONFIG", nargs="?", help="configuration file")
     parser.add_argument("--drive", metavar="NAME", help="one simulated drive instead of a configuration")
@@ -38,7 +39,12 @@ def add_to(commands: options.Commands) -> None:
     parser.add_argument(
         "--modules", metavar="M", nargs="+", help="what is plugged into it, by name or reference number"
     )
-    parser.add_argument("--address", metavar="A", type=options.address, help="its address")
+    parser.add_argument(
+        "--address",
+        metavar="A",
+        type=options.slave_address,
+        help="its address; 126: as delivered, until `dpstack address` gives it another one",
+    )
     parser.add_argument("--telegram", metavar="T", help="its telegram")
     parser.add_argument("--port", metavar="P", required=True, help='the port; "pty" makes one and prints its path')
     parser.add_argument(
@@ -74,7 +80,8 @@ def _config(args: argparse.Namespace) -> Config:
     if args.modules:
         table["modules"] = [number_or_name(module) for module in args.modules]
     master = 2 if args.address != 2 else 1
-    return make_config(args.port, DEFAULT_BAUD, master, [table], where="sim")
+    slave = slave_config(table, where="sim", unaddressed=True)
+    return make_config(args.port, DEFAULT_BAUD, master, [slave], where="sim")
 
 
 async def _run(config: Config, baud: int | Literal["auto"], args: argparse.Namespace) -> int:

@@ -29,6 +29,11 @@ class SlaveAddress:
         self._kept_address = self._report.address
 
     @property
+    def kept(self) -> tuple[int | None, bool]:
+        """The address from the next power-on, and whether Set_Slave_Add is closed then."""
+        return self._kept_address, self._kept_fixed
+
+    @property
     def open(self) -> bool:
         """Whether Set_Slave_Add is served at all."""
         return self._device.set_slave_add and not self.fixed

@@ -92,6 +92,11 @@ class SlaveApp:
         return self._core.address.fixed
 
     @property
+    def kept_address(self) -> tuple[int | None, bool]:
+        """The address that it has from the next power-on, and whether that is fixed then."""
+        return self._core.address.kept
+
+    @property
     def outputs(self) -> bytes:
         """The outputs the device has; empty while not in data exchange."""
         data = self._core.data

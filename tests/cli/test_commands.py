@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,8 @@ from typing import Any
 import pytest
 
 import dpstack
+from dpstack.api.simulation import Simulation
+from dpstack.cli import sim
 from dpstack.cli.main import main
 
 PLANT = """
@@ -102,6 +105,29 @@ def test_run_in_clear_sends_zeros(plant: str, capsys: Out) -> None:
     assert summary["slaves"]["9"]["inputs"] == "00"
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        "PLANT --outputs 9=5A hoist=000000000000000000000000 --rotations 20",
+        "--outputs raw=5A --outputs 3=000000000000000000000000 PLANT --rotations 20",
+        "--outputs raw=00 --rotations 20 PLANT --outputs hoist=000000000000000000000000 raw=5A",
+    ],
+)
+def test_outputs_of_several_slaves_by_address_or_name(plant: str, capsys: Out, words: str) -> None:
+    args = [plant if word == "PLANT" else word for word in words.split()]
+    assert call("run", *args, "--json", "--address", "7") == 0
+    told = lines(capsys.readouterr().out)
+    assert (told[-1]["slaves"]["9"]["outputs"], told[-1]["slaves"]["9"]["inputs"]) == ("5a", "5a")
+    assert "station 7 claimed the token on a silent bus" in {line.get("text") for line in told}
+
+
+def test_help_says_that_a_read_only_run_joins_the_ring(capsys: Out) -> None:
+    call("run", "--help")
+    words = " ".join(capsys.readouterr().out.split())
+    assert "--read-only join the token ring as one more master, show who is there" in words
+    assert "--address N another station address of the master" in words
+
+
 def test_run_for_people(plant: str, capsys: Out) -> None:
     assert call("run", plant, "--seconds", "0.3") == 0
     out = capsys.readouterr().out
@@ -188,7 +214,7 @@ def test_read_only_shows_people_no_process_data_since_none_is_exchanged(plant: s
 WRONG: list[tuple[list[str], int, str]] = [
     ([], 2, "dpstack: the following arguments are required: COMMAND; see dpstack --help"),
     (["scann"], 2, "dpstack: argument COMMAND: invalid choice: 'scann'"),
-    (["run"], 2, "dpstack run: the following arguments are required: CONFIG; see dpstack run --help"),
+    (["run"], 2, "dpstack: run: no CONFIG; give the configuration file, for instance dpstack run plant.toml"),
     (["run", "nosuch.toml"], 2, "dpstack: nosuch.toml: there is no such file; "),
     (["run", "PLANT", "--port", "/dev/nosuch"], 1, "dpstack: /dev/nosuch: no such port; "),
     (["run", "PLANT", "--port", "/dev/null"], 1, "dpstack: /dev/null is no serial port but another device; "),
@@ -202,10 +228,21 @@ WRONG: list[tuple[list[str], int, str]] = [
     (["baud", "--port", "/dev/null"], 1, "dpstack: /dev/null is no serial port but another device; "),
     (["run", "PLANT", "--seconds", "0"], 2, "dpstack run: argument --seconds: '0' is no number of seconds above 0"),
     (["run", "PLANT", "--rotations", "-1"], 2, "dpstack run: argument --rotations: '-1' is no whole number from 1"),
-    (["run", "PLANT", "--outputs", "9"], 2, "dpstack run: argument --outputs: '9' is not ADDRESS=HEX, for instance"),
-    (["run", "PLANT", "--outputs", "9=5"], 2, "dpstack run: argument --outputs: '9=5': an odd number of digits;"),
+    (["run", "PLANT", "--outputs", "9"], 2, "dpstack: '9' is not SLAVE=HEX; write it as 9=00FF"),
+    (["run", "PLANT", "--outputs", "9=5"], 2, "dpstack: '9=5': an odd number of digits; write it as 9=00FF"),
     (["run", "PLANT", "--outputs", "9=5A5A"], 2, "dpstack: outputs for slave 9 (raw): 2 octets given; it has 1 oct"),
-    (["run", "PLANT", "--outputs", "7=5A"], 2, "dpstack: outputs for address 7: no slave has it; configured: 3, 9"),
+    (["run", "PLANT", "--outputs", "7=5A"], 2, "dpstack: no slave '7' here; there are: 3 (hoist), 9 (raw)"),
+    (["run", "PLANT", "--outputs", "9=00", "x=5A"], 2, "dpstack: no slave 'x' here; there are: 3 (hoist), 9 (raw)"),
+    (["run", "--outputs", "9=00"], 2, "dpstack: run: no CONFIG; give the configuration file, for instance dpstack run"),
+    (["run", "--seconds", "1"], 2, "dpstack: run: no CONFIG; give the configuration file, for instance dpstack run"),
+    (["run", "PLANT", "--address", "3"], 2, "dpstack: PLANT:9: slave hoist has address 3, which is the master's own"),
+    (["run", "PLANT", "--address", "126"], 2, "dpstack run: argument --address: '126' is no station address, 0..125"),
+    (
+        ["sim", "--drive", "keb-f5", "--address", "126", "--port", "pty"],
+        2,
+        "dpstack: slave keb-f5 has no Set_Slave_Add",
+    ),
+    (["sim", "--drive", "keb-f5", "--address", "127", "--port", "pty"], 2, "dpstack sim: argument --address: '127' is"),
     (["run", "PLANT", "--driver", "process"], 2, 'dpstack: PLANT:2: [bus]: driver = "process": a simulated bus lives'),
     (["run", "PLANT", "--read-only", "--outputs", "9=5A"], 2, "dpstack: --outputs on a read-only bus: nothing is writ"),
     (["scan"], 2, "dpstack scan: the following arguments are required: --port; see dpstack scan --help"),
@@ -237,7 +274,7 @@ WRONG: list[tuple[list[str], int, str]] = [
         2,
         "dpstack: sim: slave fuji-frenic: fuji-frenic has no telegram 'PPO9'; it has PPO1, PPO2, PPO3, PPO4",
     ),
-    (["sim", "--drive", "x", "--address", "126", "--port", "pty"], 2, "dpstack sim: argument --address: '126' is no"),
+    (["sim", "--drive", "x", "--address", "127", "--port", "pty"], 2, "dpstack sim: argument --address: '127' is no"),
     (["segment", "--stations", "1"], 2, "dpstack: 1 stations: a segment joins 2 to 64"),
     (["segment", "--error-rate", "2"], 2, "dpstack segment: argument --error-rate: '2' is no probability, 0 up to 1"),
     (["plan", "PLANT", "--baud", "7"], 2, "dpstack plan: argument --baud: 7 is no PROFIBUS rate, nearest is 9600;"),
@@ -350,6 +387,23 @@ def test_demo_says_which_story_failed(capsys: Out, monkeypatch: pytest.MonkeyPat
     printed = capsys.readouterr()
     assert printed.err == "dpstack: it will not\n"
     assert lines(printed.out)[-1]["stories"] == {"ended": 4, "of": 5}
+
+
+async def test_a_simulated_slave_as_delivered_gets_an_address(tmp_path: Path) -> None:
+    args: Any = argparse.Namespace(
+        config=None, drive="demag-dedrive", gsd=None, modules=None, telegram=None, address=126, port="pty"
+    )
+    config = sim._config(args)
+    async with Simulation(config, "pty", 500_000) as simulation:
+        port = simulation.port_name
+        async with dpstack.open_bus(port=port, baud=500_000, address=1) as bus:
+            told = await bus.class2.set_address(126, 5)
+        assert told.ident == 0x0696
+        assert simulation.names() == {5: "demag-dedrive"}
+        simulation.power(5, False)
+        simulation.power(5, True)
+        assert [slave.address for slave in simulation.slaves] == [5]
+        assert list(simulation.status()["slaves"]) == ["5"]  # type: ignore[call-overload]
 
 
 def test_one_device_of_a_gsd_file_is_simulated(capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,7 +8,10 @@ from typing import Any
 
 import pytest
 
+from dpstack.api import compose
 from dpstack.cli.main import main
+from dpstack.ports.base import Delivery
+from dpstack.ports.memory import MemoryPort
 
 ROOT = Path(__file__).resolve().parents[2]
 FIVE = str(ROOT / "examples" / "two_milliseconds.toml")
@@ -95,6 +98,23 @@ def test_other_masters_for_people(capsys: Out, tmp_path: Path) -> None:
     hold = 5 * (143 + 150 + 143 + 37) + (121 + 150 + 255 * 11 + 37) + (143 + 150) + 366
     needed = 2 * (hold + 70) + hold
     assert f"1 other master: a T_TR of {needed} or more on all of them, then each sees this rotation" in out
+
+
+@pytest.mark.parametrize("others", [0, 1])
+def test_an_adapter_is_judged_beside_other_masters_only_where_there_are_some(
+    others: int, capsys: Out, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "adapter.toml"
+    text = Path(FIVE).read_text(encoding="utf-8").replace('"virtual"', '"/dev/ttyUSB0"')
+    path.write_text(text.replace("baud = 1500000\n", f"baud = 1500000\nother_masters = {others}\n"), encoding="utf-8")
+    adapter = MemoryPort("adapter", 1_500_000)
+    monkeypatch.setattr(adapter, "delivery", Delivery.ADAPTER)
+    monkeypatch.setattr(compose, "port_of", lambda *_: adapter)
+    assert main(["plan", str(path), "--json"]) in (0, 1)
+    notes = json.loads(capsys.readouterr().out)["notes"]
+    assert any("other master" in note for note in notes) is bool(others)
+    assert main(["plan", str(path)]) in (0, 1)
+    assert ("other master" in capsys.readouterr().out) is bool(others)
 
 
 @pytest.mark.parametrize("value", ["0", "-1", "nan", "fast"])
