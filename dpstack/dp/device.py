@@ -111,8 +111,8 @@ class Device:
         """When :meth:`tick` is wanted, in ns, or NEVER."""
         return NEVER
 
-    def tick(self, now: int) -> None:
-        """The time asked for has come."""
+    def tick(self, now: int) -> int | None:
+        """The time asked for has come. An address where the slave restarts by itself and stands there from then on."""
 
 
 #: From the outputs and the time since data exchange began in ns to the inputs.

@@ -54,6 +54,10 @@ class SlaveAddress:
         """As delivered: 126, and open. Exceptions of the device pass through."""
         self._change(UNADDRESSED, False, b"", None, now)
 
+    def set_at_device(self, address: int) -> None:
+        """By a parameter of the device: from the next restart."""
+        self._kept_address = address
+
     def restart(self) -> None:
         """Switched on again: what was not kept is gone."""
         self.fixed = self._kept_fixed

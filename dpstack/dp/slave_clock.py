@@ -30,16 +30,22 @@ class DeviceClock:
             self._error = error
             return NOW
 
-    def tick(self, now: int) -> None:
-        """Let the device catch up with ``now``. Raises what the device raises, and RuntimeError when it never does."""
+    def tick(self, now: int) -> int | None:
+        """Let the device catch up with ``now``; the address at which it restarts by itself, None where it does not.
+
+        Raises what the device raises, and RuntimeError when it never catches up.
+        """
         if self._due is None:
-            return
+            return None
         if self._error is not None:
             error, self._error = self._error, None
             raise error
         due = self._due()
+        restart: int | None = None
         while due <= now:
-            self._device.tick(now)
+            told = self._device.tick(now)
+            restart = restart if told is None else told
             before, due = due, self._due()
             if due <= before:
                 raise RuntimeError(f"wake_at() stays at {due} after tick({now})")
+        return restart

@@ -95,6 +95,14 @@ class SlaveCore:
         self.address.restart()
         self.report.forget()
 
+    def restart_at(self, address: int, now: int) -> None:
+        """The device restarts by itself, at an address that was set at it."""
+        self.address.set_at_device(address)
+        before = self.report.address
+        self.restart(now)
+        if before != address:
+            self.report.address_changed(before, None, self.address.fixed, True, now)
+
     def step(self, event: AppEv, now: int, leave: Leave | None = None) -> None:
         """Take the row of ``event``; ``leave``: why data exchange ends, unless the row leads back into it."""
         was = self.state

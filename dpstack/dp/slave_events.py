@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from dpstack.dp.slave_states import AppEv, SlaveAppState
 from dpstack.dp.v1.alarms import Alarm
+from dpstack.params import UNADDRESSED
 from dpstack.trace import Event
 from dpstack.units import NS_PER_MS
 
@@ -111,7 +112,8 @@ class AlarmAcknowledged(SlaveAppEvent):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AddressChanged(SlaveAppEvent):
-    """``address`` is new: set by ``master``, or None by an initial reset. ``fixed``: No_Add_Chg came with it.
+    """``address`` is new: set by ``master``; None: at the device itself, 126 by an initial reset or another one by a
+    parameter. ``fixed``: No_Add_Chg is set.
 
     ``kept``: the device keeps it over a restart.
     """
@@ -124,7 +126,8 @@ class AddressChanged(SlaveAppEvent):
     @property
     def text(self) -> str:
         """From where to where, by whom, for how long."""
-        by = "by an initial reset" if self.master is None else f"by master {self.master}"
+        at_device = "by an initial reset" if self.address == UNADDRESSED else "by a setting of the device"
+        by = at_device if self.master is None else f"by master {self.master}"
         how = ", fixed" if self.fixed else ""
         return f"{self.who}: address {self.before} became {self.address} {by}{how}" + (
             "" if self.kept else ", until the next restart"

@@ -233,9 +233,12 @@ class SlaveApp:
             core.step(AppEv.WATCHDOG, now, Leave.WATCHDOG)
         if core.failure is None:
             try:
-                self._clock.tick(now)
+                restart_at = self._clock.tick(now)
             except Exception as error:
                 core.fail("its own time", error, now)
+                return
+            if restart_at is not None:
+                core.restart_at(restart_at, now)
 
     # --- inside -------------------------------------------------------------------------------------------------
 

@@ -7,16 +7,27 @@ not depend on how often it is asked.
 
 from __future__ import annotations
 
+import contextlib
 import struct
+from collections.abc import Mapping
 from functools import cache
+from typing import Final
 
 from dpstack.dp.device import Device, Leave
+from dpstack.dp.diagnosis import FIXED_LEN
+from dpstack.dp.v1.alarm_server import AlarmServer, AlarmSupport
+from dpstack.dp.v1.alarms import Alarm, AlarmType, Specifier
+from dpstack.errors import AlarmError
 from dpstack.profile.acyclic.server import ParameterServer
 from dpstack.profile.channel import CHANNEL_LEN, ChannelServer
 from dpstack.profile.drive import DriveProfile, TelegramSpec
 from dpstack.profile.motor import Motor
+from dpstack.profile.pkw import READS, Pkw, Reply
 from dpstack.profile.store import ParamStore
+from dpstack.units import NEVER, NS_PER_MS
 
+#: from a setting that restarts the station to the restart: the answer to it is fetched meanwhile (made up)
+RESTART_NS: Final = 100 * NS_PER_MS
 #: scans that are caught up one by one; of a longer silence the first part is skipped
 _MOST_SCANS = 20_000
 
@@ -26,11 +37,16 @@ class DriveDevice(Device):
 
     ``telegram`` is the one in use, at first the drive's own.
 
-    Faults and conditions from outside: :meth:`trip`, :meth:`warn`, :meth:`set_load`, :meth:`release`; they take
-    effect at the next scan. ``address_parameter``: the one in ``store`` that holds the station address.
+    Faults and conditions from outside: :meth:`trip`, :meth:`warn`, :meth:`set_load`, :meth:`release`, :meth:`refuse`;
+    they take effect at the next scan. ``address_parameter``: the one in ``store`` that holds the station address.
+    ``parameter_errors``: the errors that an access to a parameter can end with, by number; ``read_errors``,
+    ``write_errors``: those of them that only a read, only a write can have.
     """
 
     address_parameter: str = ""
+    parameter_errors: Mapping[int, str] = {}
+    read_errors: frozenset[int] = frozenset()
+    write_errors: frozenset[int] = frozenset()
     store: ParamStore
 
     def __init__(self, profile: DriveProfile, telegram: TelegramSpec, motor: Motor) -> None:
@@ -54,6 +70,12 @@ class DriveDevice(Device):
         self._tripped: str | None = None  # by trip(), until the drive has no fault any more
         self._own_load: float | None = None  # before set_load()
         self._jog = 0
+        #: the inverter has no power under its bus option: no answers in the parameter channel
+        self.unpowered = False
+        self._refusal: tuple[int, int, str] | None = None  # by refuse(): number, how often yet, as it was given
+        self._restart_at = NEVER
+        #: where it stands, None before it was installed
+        self.station_address: int | None = None
 
     # -- what happens to it from outside --------------------------------------------------------------------------
 
@@ -80,6 +102,55 @@ class DriveDevice(Device):
         """Jog terminals: 1 forward, -1 reverse, 0 off. Raises ValueError where the drive has none."""
         raise ValueError(f"{self.profile.name} has no jog terminals here")
 
+    def link(self, on: bool) -> None:
+        """The link between the bus option and the inverter. Raises ValueError where there is none to break."""
+        raise ValueError(f"{self.profile.name} has no link here that can break")
+
+    def mains(self, on: bool) -> None:
+        """The inverter's power under an option that stays on the bus. Raises ValueError where they have the same."""
+        raise ValueError(f"{self.profile.name} has one supply for all of it: power-off and power-on")
+
+    def refuse(self, error: str, times: int = 1) -> None:
+        """The next accesses to parameters end with an error, given by its number or a word of its text.
+
+        Raises ValueError naming the errors that the drive knows.
+        """
+        wanted = error.strip().lower()
+        found = [number for number in self.parameter_errors if wanted == str(number)] or [
+            number for number, text in self.parameter_errors.items() if wanted in text.lower().split()
+        ]
+        if len(found) == 1:
+            self._refusal = (found[0], times, wanted)
+            return
+        known = ", ".join(f"{number} ({text})" for number, text in self.parameter_errors.items()) or "none"
+        raise ValueError(f"{error!r} is not one error of parameters of {self.profile.name}; known: {known}")
+
+    def refusal(self, *, write: bool) -> int | None:
+        """An access to a parameter begins: the number of the error that it ends with by :meth:`refuse`, or None."""
+        if self._refusal is None:
+            return None
+        number, times, given = self._refusal
+        if number in (self.read_errors if write else self.write_errors):
+            return None
+        self._refusal = (number, times - 1, given) if times > 1 else None
+        return number
+
+    def refuse_order(self, order: Pkw) -> tuple[int, int] | None:
+        """:meth:`refusal` as the parameter channel answers it."""
+        number = self.refusal(write=order.id not in READS)
+        return None if number is None else (Reply.ERROR, number)
+
+    def has_alarms(self, *kinds: str) -> None:
+        """It raises alarms of these ``kinds``, one of each at a time, where its master enables them."""
+        self.alarm_server = AlarmServer(AlarmSupport(frozenset(kinds)), self.max_diag_len - FIXED_LEN, self.name)
+
+    def diagnosis_alarm(self, slot: int, appears: bool, data: bytes = b"") -> None:
+        """A fault of ``slot`` appears, or the last one is gone. Left out where its master takes no alarm now."""
+        if self.alarm_server is not None:
+            how = Specifier.APPEARS if appears else Specifier.DISAPPEARS
+            with contextlib.suppress(AlarmError):
+                self.alarm_server.alarm(Alarm(AlarmType.DIAGNOSIS, slot, how, data=data))
+
     @property
     def faulted(self) -> bool:
         """Whether a fault stands, until it is acknowledged."""
@@ -99,6 +170,9 @@ class DriveDevice(Device):
             told.append("release off")
         if self._jog:
             told.append("jog forward" if self._jog > 0 else "jog reverse")
+        if self._refusal is not None:
+            _, times, given = self._refusal
+            told.append(f"parameter-error {given} {times}")
         return tuple(told)
 
     def inherit(self, before: DriveDevice) -> None:
@@ -106,8 +180,25 @@ class DriveDevice(Device):
 
     def installed(self, address: int, baud: int | None) -> None:
         """Where it stands: its address and the baud rate in bit/s, None while it is not known."""
+        self.station_address = address
         if self.address_parameter:
             self.store.install(self.address_parameter, address)
+
+    def restart_soon(self) -> None:
+        """It restarts by itself :data:`RESTART_NS` after the last scan, at the address that it has by its setting."""
+        self._restart_at = (self.seen_until or 0) + RESTART_NS
+
+    def wake_at(self) -> int:
+        """The restart."""
+        return self._restart_at
+
+    def tick(self, now: int) -> int | None:
+        """The address at which it restarts."""
+        self._restart_at = NEVER
+        self.advance(now)
+        if self.own_address is not None:
+            self.station_address = self.own_address
+        return self.station_address
 
     @property
     def own_address(self) -> int | None:
@@ -226,7 +317,7 @@ class DriveDevice(Device):
         reply = b""
         if lead:
             order = bytes(lead) if outputs is None else outputs[:lead]
-            reply = bytes(lead) if self.channel is None else self.channel.step(order)
+            reply = bytes(lead) if self.channel is None or self.unpowered else self.channel.step(order)
         self._inputs = reply + self.refresh(None if outputs is None else outputs[lead:], now)
         if self._tripped is not None and self._trip is None and not self.faulted:
             self._tripped = None

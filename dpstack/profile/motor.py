@@ -88,6 +88,13 @@ class Motor:
         """Absolute current of the rated one."""
         return math.hypot(self.torque, self.magnetising) if self.on else 0.0
 
+    @property
+    def motoring(self) -> float:
+        """Torque of the rated one in the direction of the motion: positive as a motor, negative as a generator."""
+        if not self.on:
+            return 0.0
+        return math.copysign(1.0, self.speed or self.frequency) * self.torque
+
     def reached(self, reference: float) -> bool:
         """The frequency is at ``reference`` (:data:`NEAR`), and nothing holds it back."""
         return not self.limited and abs(self.frequency - reference) <= NEAR

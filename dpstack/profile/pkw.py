@@ -45,6 +45,10 @@ class Reply(IntEnum):
     NO_CONTROL = 8
 
 
+#: orders that change nothing
+READS: Final = frozenset({int(Order.READ), int(Order.READ_ARRAY), int(Order.ELEMENTS)})
+
+
 class Pkw(NamedTuple):
     """One content of the channel: order or reply id, PNU, IND (its high octet), value (32 bits unsigned)."""
 
@@ -202,26 +206,30 @@ class PkwServer:
 
     With ``zero_between`` an order is carried out once and its reply held until the order is 0. Without it an order
     acts when it changes, and the value of a read is the momentary one in every call (reads: ids in ``reads``).
+    ``refuse`` is asked once for each new order: the negative reply to it, None where it is carried out.
     """
 
-    __slots__ = ("_dialect", "_handler", "_held", "_last", "_reads", "_reply")
+    __slots__ = ("_dialect", "_handler", "_held", "_last", "_reads", "_refuse", "_refused", "_reply")
 
     def __init__(
         self,
         dialect: PkwDialect,
         handler: Callable[[Pkw], tuple[int, int]],
-        reads: frozenset[int] = frozenset({Order.READ, Order.READ_ARRAY, Order.ELEMENTS}),
+        reads: frozenset[int] = READS,
+        refuse: Callable[[Pkw], tuple[int, int] | None] = lambda order: None,
     ) -> None:
         self._dialect = dialect
         self._handler = handler
         self._reads = reads
+        self._refuse = refuse
+        self._refused = False
         self._held = False
         self._last = ZEROS
         self._reply = ZEROS
 
     def reset(self) -> None:
         """Data exchange begins: the reply is 0, the next order is new."""
-        self._held = False
+        self._held = self._refused = False
         self._last = ZEROS
         self._reply = ZEROS
 
@@ -233,10 +241,13 @@ class PkwServer:
             return ZEROS
         if self._held and self._dialect.zero_between:
             return self._reply
-        if octets == self._last and order.id not in self._reads:
+        again = octets == self._last
+        if again and (self._refused or order.id not in self._reads):
             return self._reply
         self._held = True
         self._last = octets
-        reply, pwe = self._handler(order)
+        refusal = None if again else self._refuse(order)
+        self._refused = refusal is not None
+        reply, pwe = self._handler(order) if refusal is None else refusal
         self._reply = order._replace(id=reply, pwe=pwe).build()
         return self._reply

@@ -310,11 +310,11 @@ def test_k5_errors_of_the_drive(request_octets: str, answer: str) -> None:
 
 def test_k5_no_inverter_busy_and_password() -> None:
     bench = drive()
-    keb(bench).break_link(True)
+    keb(bench).link(False)
     assert ask(bench, "71 01 23 03 00 00 00 00") == "C1 01 23 03 06 02 00 00"
     assert ask(bench, "31 00 5F F8 00 00 00 00") == "01 00 5F F8 00 00 00 FF"  # the operator's own works on
-    keb(bench).break_link(False)
-    keb(bench).parameters.busy_accesses = 1
+    keb(bench).link(True)
+    keb(bench).refuse("busy")
     assert ask(bench, "71 01 23 03 00 00 00 00") == "C1 01 23 03 08 00 00 22"
     assert ask(bench, "31 01 23 03 00 00 00 00") == "01 01 23 03 00 00 00 00"
     locked = drive(**{"ud.01": 0})

@@ -305,13 +305,13 @@ def test_k10_fb39_is_when_it_begins(activation: int, life: Life, begun: bool) ->
 def test_k10_sy09_supervises_the_inner_link() -> None:
     bench = sim({"sy.09": 0.2, "Pn.05": 0})
     bench.send(RUN, 1200)
-    keb(bench).break_link(True)
+    keb(bench).link(False)
     frozen = bench.send(RUN, 150)
     assert frozen == "00 15 05 DC"  # nothing is read any more
     assert not keb(bench).fault
     bench.send(RUN, 60)
     assert keb(bench).fault == 18
-    keb(bench).break_link(False)
+    keb(bench).link(True)
     assert bench.send(RUN, 60)[:5] == "00 02"
 
 

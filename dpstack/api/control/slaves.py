@@ -66,6 +66,9 @@ class SlaveCommands:
             "load": self._drive(lambda drive, text: drive.set_load(arguments.number(text, -10, 10, "0.6"))),
             "release": self._drive(lambda drive, text: drive.release(arguments.switch(text))),
             "jog": self._drive(lambda drive, text: drive.jog(arguments.direction(text))),
+            "mains": self._drive(lambda drive, text: drive.mains(arguments.switch(text))),
+            "link": self._drive(lambda drive, text: drive.link(arguments.switch(text))),
+            "parameter-error": self._drive(_refuse),
             "input": self._station(lambda io, slot, args: io.set_input(slot, arguments.hex_octets(args[0], "01"))),
             "wire-break": self._station(
                 lambda io, slot, args: io.wire_break(slot, arguments.whole(args[0]), arguments.switch(args[1]))
@@ -82,14 +85,16 @@ class SlaveCommands:
     def _silence(self, args: list[str]) -> None:
         self._bench.silence(self._address(args[0]), arguments.time_ns(args[1]) if len(args) > 1 else None)
 
-    def _drive(self, act: Callable[[DriveDevice, str], None]) -> Handler:
+    def _drive(self, act: Callable[..., None]) -> Handler:
+        """``act`` takes the drive and the arguments behind its address."""
+
         def command(args: list[str]) -> None:
             address = self._address(args[0])
             device = self._bench.device(address)
             if not isinstance(device, DriveDevice):
                 what = "the I/O station" if isinstance(device, IoStation) else "it mirrors its outputs"
                 raise UsageError(f"slave {address} ({device.name}) is no simulated drive: {what}")
-            act(device, args[1])
+            act(device, *args[1:])
 
         return command
 
@@ -106,6 +111,13 @@ class SlaveCommands:
 
     def _address(self, text: str) -> int:
         return address_of(text, self._bench.names())
+
+
+def _refuse(drive: DriveDevice, error: str, times: str = "1") -> None:
+    count = arguments.whole(times)
+    if not count:
+        raise UsageError("0 times: write 1 or more")
+    drive.refuse(error, count)
 
 
 def address_of(text: str, names: dict[int, str]) -> int:

@@ -43,6 +43,11 @@ SLAVES: Final = (
     Spec("load", "SLAVE TORQUE", "load torque against the motion, of the rated torque", "3 0.6"),
     Spec("release", "SLAVE on|off", "its hardware release inputs", "3 off"),
     Spec("jog", "SLAVE forward|reverse|off", "the jog terminals of a drive that has them", "6 forward"),
+    Spec("mains", "SLAVE on|off", "the inverter's power under an option with 24 V of its own", "3 off"),
+    Spec("link", "SLAVE on|off", "the link between a drive's operator and its inverter", "5 off"),
+    Spec(
+        "parameter-error", "SLAVE ERROR [TIMES]", "the next accesses to its parameters end with this error", "4 104 3"
+    ),
     Spec("input", "SLAVE SLOT HEX", "inputs of a module of the simulated I/O station", "io 1 01"),
     Spec("wire-break", "SLAVE SLOT CHANNEL on|off", "the wire of an analogue input of it", "io 3 0 on"),
     Spec("pull", "SLAVE SLOT", "takes a module out of it", "io 2"),

@@ -7,7 +7,7 @@ from typing import Final
 from dpstack.profile import NS_PER_US, DriveProfile, OptionSpec
 from dpstack_drives.demag import table as t
 from dpstack_drives.demag.plugin import DemagCore
-from dpstack_drives.demag.simulator import DemagDevice
+from dpstack_drives.demag.simulator import OWN_SUPPLY, DemagDevice
 
 DRIVE: Final = DriveProfile(
     name="demag-dedrive",
@@ -52,6 +52,11 @@ DRIVE: Final = DriveProfile(
             text="kind of configuration: only with vf 392 can be 1 (DC brake), with torque it is 0 at the factory",
         ),
         "load": OptionSpec(default=0.2, low=0, high=2, text="load torque of the rated one"),
+        "supply": OptionSpec(
+            default="inverter",
+            choices=("inverter", OWN_SUPPLY),
+            text="what feeds the Profibus module: the inverter or 24 V (manual 4.1)",
+        ),
     },
     notes=(
         "412 is 44 at the factory: only 412 = 1 lets the bus control it; PPO3 and PPO4 cannot set it",

@@ -36,6 +36,13 @@ _QUICK_STOP: Final = 0x0002
 _POWERED: Final = frozenset({State.RUNNING, State.QUICK_STOP})
 
 
+#: the module has a 24 V supply of its own (4.1)
+OWN_SUPPLY: Final = "24v"
+_S1, _S2, _S3 = 0x0001, 0x0002, 0x0004
+#: S1IND to S8IND
+_CONTACTS: Final = 0x00FF
+
+
 class _RefusedError(Exception):
     """A parameter order that ends in reply 7 with ``number``."""
 
@@ -45,13 +52,22 @@ class _RefusedError(Exception):
 
 
 class DemagDevice(DriveDevice):
-    """Options: ``f_max``, ``f_min``, ``acceleration``, ``deceleration`` (Hz, Hz/s), ``load``; parameters by number.
+    """Options: ``f_max``, ``f_min``, ``acceleration``, ``deceleration`` (Hz, Hz/s), ``load``, ``supply``; parameters by
+    number. With ``supply`` = ``24v`` (4.1) ``mains off`` takes the inverter's power and leaves the module on the bus;
+    ``power-off`` takes the module's only, which is F2061.
 
     ``application``: of the configurations that 392 depends on (``vf``, ``speed``, ``torque``).
 
     Readings: modes of 412 other than 1 and 2 leave the drive off (its contacts are not wired for a start); entering
-    mode 1 begins in switch-on inhibit; F2062 comes only when the bus has the power stage on.
+    mode 1 begins in switch-on inhibit; F2062 comes only when the bus has the power stage on, F2065 with every wrong
+    Chk_Cfg; a write of 391 (6) resets the drive at once and is answered, then the module restarts at the new address;
+    in mode 2 S3 turns the ramp's reference round, whatever its sign is; without the inverter's power all words are 0
+    and the parameter channel is silent.
     """
+
+    parameter_errors: Mapping[int, str] = {number: t.PKW.errors[number] for number in t.STATE_ERRORS}
+    read_errors = t.READ_ERRORS
+    write_errors = t.WRITE_ERRORS
 
     address_parameter = "node_id"
     set_slave_add = True
@@ -70,7 +86,7 @@ class DemagDevice(DriveDevice):
         self.store = ParamStore(t.PARAMETERS, {**factory, **presets}, sets=t.SETS, where=where)
         if not self._vf and self.store.value("state_transition_5") == _DC_BRAKE:
             raise ConfigError(f"{where}: 392 = 1 (DC brake) needs application = 'vf'")
-        self.channel = PkwServer(t.PKW, self._order)
+        self.channel = PkwServer(t.PKW, self._order, refuse=self.refuse_order)
         self.machine = drivecom.DrivecomMachine()
         self.f_max = float(options["f_max"])
         self.f_min = float(options["f_min"])
@@ -79,6 +95,9 @@ class DemagDevice(DriveDevice):
         #: the fault word; 0 without a fault
         self.fault = 0
         self._locked_until = 0
+        self._own_supply = options["supply"] == OWN_SUPPLY
+        self._control = 0  # the control word as it came
+        self._anticlockwise = False  # mode 2: started by S3
         self._mode = -1
         self.toggle = toggle.Toggle()
         self._words: tuple[int, ...] | None = None
@@ -128,9 +147,37 @@ class DemagDevice(DriveDevice):
         return outpzd.source(number, words or (0,) * 6, self._reference(self.active_set))
 
     def inherit(self, before: DriveDevice) -> None:
-        """The parameters."""
+        """The parameters; with a supply of its own the module was off under a live inverter: F2061 (13.2)."""
         if isinstance(before, DemagDevice):
             self.store.inherit(before.store)
+            self.unpowered = before.unpowered
+            if self._own_supply and not self.unpowered:
+                self._trip = t.FAULT_MODULE
+
+    def mains(self, on: bool) -> None:
+        """Of the inverter (4.1). Raises ValueError where it feeds the module, too."""
+        if not self._own_supply:
+            raise ValueError(
+                f"the inverter feeds the module of {self.name}: power-off takes both; "
+                f'simulated = {{ supply = "{OWN_SUPPLY}" }} gives the module 24 V of its own'
+            )
+        if on and self.unpowered:
+            self._reset()
+            self.fault = 0
+            self._locked_until = 0
+        self.unpowered = not on
+
+    @property
+    def injected(self) -> tuple[str, ...]:
+        """With the inverter's power."""
+        return super().injected + (("mains off",) if self.unpowered else ())
+
+    def check_cfg(self, config: bytes) -> str | None:
+        """A wrong configuration is F2065 (13.2)."""
+        reason = super().check_cfg(config)
+        if reason is not None and not self.unpowered:
+            self._trip = t.FAULT_CONFIGURATION
+        return reason
 
     def master_lost(self, reason: Leave, now: int) -> None:
         """The bus no longer controls: F2062 when the watchdog ended it, else the power stage just goes off."""
@@ -147,6 +194,11 @@ class DemagDevice(DriveDevice):
         """Commands, set points, motor; then status and actual values."""
         self._words = words
         control, line = (words[0], words[1]) if words is not None else (0, 0)
+        self._control = control
+        if self.unpowered:
+            self._trip = None
+            self.motor.switch(False)
+            return (0,) * (self.telegram.inputs // 2)
         active = self.active_set
         mode = int(self.store.value("local_remote", active))
         machine = self.machine
@@ -155,6 +207,7 @@ class DemagDevice(DriveDevice):
             self._fail(trip, now)
         if mode != self._mode:
             self._mode = mode
+            self._anticlockwise = False
             if machine.state is not State.FAULT:
                 machine.enter(State.SWITCH_ON_INHIBITED if mode == _STATE_MACHINE else State.READY)
         released = self.released and mode in (_STATE_MACHINE, _REMOTE_CONTACTS)
@@ -217,11 +270,12 @@ class DemagDevice(DriveDevice):
         machine = self.machine
         if machine.state is State.FAULT:
             return
-        start = bool(control & 1) and bool(control & 2) != bool(control & 4)
+        start = bool(control & _S1) and bool(control & _S2) != bool(control & _S3)
         if start:
             machine.enter(State.RUNNING)
+            self._anticlockwise = bool(control & _S3)
         elif machine.state is State.RUNNING:
-            machine.stopping = bool(control & 1)
+            machine.stopping = bool(control & _S1)
             if not machine.stopping or self._still(now):
                 machine.enter(State.READY)
         else:
@@ -233,6 +287,8 @@ class DemagDevice(DriveDevice):
         reference = self._reference(active)
         self._bus_hz = line * reference
         self._ramp_hz = self._combined(self._bus_hz, int(self.store.value("ramp_set_point", active)))
+        if self._anticlockwise:
+            self._ramp_hz = -self._ramp_hz
         wanted = min(max(self._ramp_hz + additional * reference, -self.f_max), self.f_max)
         self._wanted_hz = wanted
         quick = machine.state is State.QUICK_STOP
@@ -291,7 +347,7 @@ class DemagDevice(DriveDevice):
         status |= toggle.BIT if self.toggle.bit else 0
         status |= 0x8000 if self.warning_mask & t.TRIPS_SOON else 0
         frequency = SPEED.nearest(motor.frequency * rated / reference)
-        current, active_current = SPEED.nearest(motor.current), SPEED.nearest(motor.torque if motor.on else 0.0)
+        current, active_current = SPEED.nearest(motor.current), SPEED.nearest(motor.motoring)
         if self.telegram.inputs == 12:
             return status, frequency, current, active_current, self.warning_mask, self.fault
         select = control >> 12 & 7
@@ -339,6 +395,7 @@ class DemagDevice(DriveDevice):
             self.store.write(spec, raw, data_set, ram_only=order.ind >= t.RAM_ONLY)
             if spec.name == self.address_parameter:
                 self._reset()
+                self.restart_soon()
         elif spec.text:
             raise _RefusedError(101)
         elif spec.per_set and data_set == 0 and self.store.unequal(spec):
@@ -351,7 +408,7 @@ class DemagDevice(DriveDevice):
         return in_set if array else plain, spec.pwe(raw)
 
     def _reset(self) -> None:
-        """391 was written (6): as after power-on. Reading: the module stays where it is until the next power-on."""
+        """391 was written (6), or the inverter has power again: as after power-on."""
         self.store.power_up()
         self.machine.power_up()
         self.motor.switch(False)
@@ -364,7 +421,9 @@ class DemagDevice(DriveDevice):
             case 249:
                 return self.active_set
             case 250:
-                return 0b011 if self.released else 0b010  # S1 is the release, S2 is wired on
+                if self._mode == _REMOTE_CONTACTS:  # 11.2.1.3: S1 only with the hardware release
+                    return self._control & (_CONTACTS if self.released else _CONTACTS & ~_S1)
+                return _S1 | _S2 if self.released else _S2  # S1 is the release, S2 is wired on
             case 270:
                 return self.warning_mask
             case 282:

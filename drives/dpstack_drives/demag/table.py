@@ -66,6 +66,11 @@ PKW: Final = PkwDialect(
     },
 )
 
+#: 11.1.3, what the drive's own state makes of an access; the others follow from the order
+STATE_ERRORS: Final = (18, 103, 104, 105, 106)
+READ_ERRORS: Final = frozenset({103})
+WRITE_ERRORS: Final = frozenset({104, 106})
+
 SETS: Final = 4
 #: IND of data set n for RAM only is n + 5 (11.1.4)
 RAM_ONLY: Final = 5
@@ -269,7 +274,9 @@ FAULTS: Final = {
     0x2065: "Profibus configuration fault",
     0x2100: "fieldbus toggle bit OFF",
 }
+FAULT_MODULE: Final = 0x2061
 FAULT_MASTER_LOST: Final = 0x2062
+FAULT_CONFIGURATION: Final = 0x2065
 FAULT_TOGGLE: Final = 0x2100
 
 

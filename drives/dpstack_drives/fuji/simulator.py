@@ -39,8 +39,12 @@ class FujiDevice(DriveDevice):
 
     The PPO type is the drive's own setting at power-on: another configuration is refused. Readings: a communications
     error is the end of data exchange by the watchdog only; b4 = 0 takes the frequency to 0 at once; without the
-    inverter all words are 0; with o31 beyond 125 it trips Er5 and stays at the address it has.
+    inverter all words are 0; with o31 beyond 125 it trips Er5 and stays at the address it has. F01 has no effect.
     """
+
+    parameter_errors: Mapping[int, str] = {number: t.PKW.errors[number] for number in t.STATE_ERRORS}
+    read_errors = t.READ_ERRORS
+    write_errors = t.WRITE_ERRORS
 
     def __init__(
         self,
@@ -65,11 +69,12 @@ class FujiDevice(DriveDevice):
             lambda: self.motor.on,
             lambda: self.released,
         )
-        self.channel = PkwServer(t.PKW, self.option.order)
+        self.channel = PkwServer(t.PKW, self.option.order, refuse=self.refuse_order)
         self.machine = profidrive.ProfidriveMachine()
         #: alarm codes (M16 to M19), latest first
         self.alarms: list[int] = []
         self._control = 0
+        self._sent = 0  # CTW as it came, also without bit 10
         self._mrv = 0
         self._status = 0
         self._received = False
@@ -93,6 +98,10 @@ class FujiDevice(DriveDevice):
     def faulted(self) -> bool:
         """Until it is acknowledged."""
         return self.machine.state is State.FAULT
+
+    def mains(self, on: bool) -> None:
+        """Of the inverter, as :meth:`release`: the option stays on the bus."""
+        self.release(on)
 
     def fault_code(self, code: str) -> int:
         """Keypad text (``Er5``) or alarm code. Raises ValueError."""
@@ -138,6 +147,7 @@ class FujiDevice(DriveDevice):
         self._received = True
         if len(outputs) == self.telegram.output_octets:
             control, mrv = _COMMAND.unpack_from(outputs, 8 if self.telegram.channel else 0)
+            self._sent = control
             if control & 0x0400:
                 self._control, self._mrv = control, mrv
         return inputs
@@ -258,7 +268,7 @@ class FujiDevice(DriveDevice):
                 code = self._alarm(t.ALARM_INDEXES.index(where & 0xFF)) if where & 0xFF in t.ALARM_INDEXES else 0
                 return next((alarm.malfunction for alarm in t.ALARMS if alarm.code == code), 0)
             case t.PNU_CTW:
-                return self._control
+                return self._sent
             case t.PNU_STW:
                 return self._status
             case 0x103 if 16 <= where & 0xFF <= 19:

@@ -74,6 +74,11 @@ PKW: Final = PkwDialect(
     busy=frozenset({104}),
 )
 
+#: table 8.10, what the drive's own state makes of an access; 11, 101 and 104 of a write only, 17 of a read
+STATE_ERRORS: Final = (11, 17, 101, 104)
+READ_ERRORS: Final = frozenset({17})
+WRITE_ERRORS: Final = frozenset({11, 101, 104})
+
 #: Table 8.8
 GROUPS: Final = {
     "S": 0x02,
@@ -206,6 +211,7 @@ _CODES: Final = (
     _Code("S05", "Frequency reference", 2, "Hz", 0, 655.35, 0, True, True),
     _Code("S06", "Operation command", 0, "", 0, 0xFFFF, 0, True),
     *(_Code(f"M{16 + n}", f"Alarm code, {n} before the latest", 0, "", 0, 254, 0, False, True) for n in range(4)),
+    _Code("F01", "Frequency command source", 0, "", 0, 10, 0, True),
     _Code("F03", "Maximum frequency", 1, "Hz", 25, 400, 60, True),
     _Code("F07", "Acceleration time", 1, "s", 0, 3600, 1, True),
     _Code("F08", "Deceleration time", 1, "s", 0, 3600, 1, True),

@@ -58,6 +58,8 @@ class ImoDevice(DriveDevice):
     """
 
     address_parameter = "P15.01"
+    parameter_errors: Mapping[int, str] = t.ERRORS
+    write_errors = t.WRITE_ERRORS
 
     def __init__(
         self,
@@ -73,7 +75,7 @@ class ImoDevice(DriveDevice):
         except ValueError as error:
             raise ConfigError(f"{where}: {error}") from None
         self.store = ParamStore(t.PARAMETERS, presets, where=where)
-        self.channel = PkwServer(PKW, self._request, reads=frozenset({int(Request.READ)}))
+        self.channel = PkwServer(PKW, self._request, reads=frozenset({int(Request.READ)}), refuse=self._refuse_request)
         self._rated_current = float(options["rated_current"])
         self._on_loss = str(options["on_loss"])
         self._protected = bool(options["protected"])
@@ -101,6 +103,10 @@ class ImoDevice(DriveDevice):
     def faulted(self) -> bool:
         """Until it is acknowledged."""
         return bool(self.fault)
+
+    def mains(self, on: bool) -> None:
+        """As :meth:`release`: the card stays on the bus."""
+        self.release(on)
 
     def fault_code(self, code: str) -> int:
         """Name or number. Raises ValueError."""
@@ -290,6 +296,10 @@ class ImoDevice(DriveDevice):
     def _load_maps(self) -> None:
         self._received = tuple(int(self.store.value(t.name_of(number))) for number in t.RECEIVED)
         self._transmitted = tuple(int(self.store.value(t.name_of(number))) for number in t.TRANSMITTED)
+
+    def _refuse_request(self, request: Pkw) -> tuple[int, int] | None:
+        number = self.refusal(write=request.id != Request.READ)
+        return None if number is None else _error(number)
 
     def _request(self, request: Pkw) -> tuple[int, int]:
         """Tables 2-10 and 2-11; what is wrong first: the request, the right, the address, then the parameter."""

@@ -187,6 +187,9 @@ ERRORS: Final = {
     9: "protected by password",
 }
 
+#: of a write only
+WRITE_ERRORS: Final = frozenset({3, 5, 7, 8, 9})
+
 _NAME: Final = re.compile(r"[Pp](\d{1,2})\.(\d{1,3})")
 
 

@@ -16,18 +16,24 @@ _PASSWORD, _PASSWORD_INDEX = 440, 0x2801
 
 
 class Parameters:
-    """``presets`` by name; ``live`` gives actual values, None for what is stored. Raises ConfigError.
+    """``presets`` by name; ``live`` gives actual values, None for what is stored; ``refusal``: the error
+    that an access (``write`` or not) ends with by an order from outside. Raises ConfigError.
 
     Readings: writes need the password of the recipe; a parameter that exists once is in set 0; subindex 0 is set 0.
     """
 
-    def __init__(self, presets: Mapping[str, object], live: Callable[[int], int | None], where: str) -> None:
+    def __init__(
+        self,
+        presets: Mapping[str, object],
+        live: Callable[[int], int | None],
+        refusal: Callable[..., int | None],
+        where: str,
+    ) -> None:
         self.store = ParamStore(t.PARAMETERS, presets, sets=t.SETS, where=where)
         self._live = live
         #: the link to the inverter (HSP5) stands
         self.linked = True
-        #: accesses that will be answered as busy
-        self.busy_accesses = 0
+        self._refusal = refusal
 
     def raw(self, index: int) -> int:
         """The integer stored in set 0."""
@@ -72,9 +78,9 @@ class Parameters:
         if index in t.INVERTER:
             if not self.linked:
                 raise RefusedError(t.NO_INVERTER)
-            if self.busy_accesses:
-                self.busy_accesses -= 1
-                raise RefusedError(t.BUSY)
+            number = self._refusal(write=raw is not None)
+            if number is not None:
+                raise RefusedError(t.Code.of(number))
         spec = t.PARAMETERS.get(index)
         if spec is None:
             raise RefusedError(t.BAD_INDEX)

@@ -37,12 +37,13 @@ class KebDevice(DriveDevice):
     ``block2_inputs`` and ``block2_outputs`` (record and enable), ``com_cycle_us``, ``load``; parameters by name.
 
     Readings: sy.50 is obeyed while oP.01 is 9, sy.52 counts while oP.00 is 5 (the recipe's values, factory here);
-    without enable the motor coasts; a reset works with the edge of its bit; Pn.05 = 0 trips E.buS, 1 after a quick
-    stop, all others only switch a digital output (6 is the manual's). Clear writes zeros; after the end of data
-    exchange the last outputs stand until the watchdog acts.
+    without enable (by the bit, or by the terminal: ``release``) the motor coasts; a reset works with the edge of its
+    bit; Pn.05 = 0 trips E.buS, 1 after a quick stop, all others only switch a digital output (6 is the manual's). Clear
+    writes zeros; after the end of data exchange the last outputs stand until the watchdog acts.
     """
 
     address_parameter = "sy.06"
+    parameter_errors: Mapping[int, str] = {code.number: f"{code} {text}" for code, text in t.ERRORS.items()}
 
     def __init__(
         self,
@@ -53,7 +54,7 @@ class KebDevice(DriveDevice):
     ) -> None:
         super().__init__(profile, telegram, Motor(load=float(options["load"])))
         where = f"simulated {profile.name}"
-        self.parameters = Parameters(presets, self._live, where)
+        self.parameters = Parameters(presets, self._live, self.refusal, where)
         self.store = self.parameters.store
         try:
             self._control = t.bits(str(options["control_bits"]), t.CONTROL_BITS, f"{where}: control_bits")
@@ -90,9 +91,14 @@ class KebDevice(DriveDevice):
         """One telegram between operator and inverter."""
         return LINK_NS
 
-    def break_link(self, broken: bool) -> None:
-        """The link between operator and inverter (HSP5)."""
-        self.parameters.linked = not broken
+    def link(self, on: bool) -> None:
+        """HSP5, between operator and inverter."""
+        self.parameters.linked = on
+
+    @property
+    def injected(self) -> tuple[str, ...]:
+        """With the link."""
+        return super().injected + (() if self.parameters.linked else ("link off",))
 
     @property
     def faulted(self) -> bool:
@@ -128,7 +134,8 @@ class KebDevice(DriveDevice):
         return None
 
     def enter(self, config: bytes, now: int) -> None:
-        """Data exchange begins."""
+        """Data exchange begins; up to now there was none, and the watchdog has to see that."""
+        self.advance(now)
         self._exchanging = True
         self._clear = False
         super().enter(config, now)
@@ -208,7 +215,7 @@ class KebDevice(DriveDevice):
         self._reset = reset
         if self._stopping_for is not None and not motor.frequency:
             self.fault, self._stopping_for = self._stopping_for, None
-        enabled = self._told(control, "enable") or "enable" not in self._control
+        enabled = self.released and (self._told(control, "enable") or "enable" not in self._control)
         run = enabled and self._told(control, "run") and not self.fault
         quick = self._told(control, "quick_stop") or self._stopping_for is not None
         counts = self.parameters.raw(t.SET_SPEED) if self.store.value("oP.00") == 5 else 0
@@ -250,7 +257,7 @@ class KebDevice(DriveDevice):
     def _status_word(self) -> int:
         motor = self.motor
         told = {
-            "ready": not self.fault,
+            "ready": not self.fault and self.released,
             "fault": bool(self.fault),
             "run": motor.on,
             "reverse": motor.frequency < 0,

@@ -99,6 +99,11 @@ class Code(NamedTuple):
     code: int
     more: int
 
+    @classmethod
+    def of(cls, number: int) -> Code:
+        """From :attr:`number`."""
+        return cls(number >> 24, number >> 16 & 0xFF, number & 0xFFFF)
+
     def __str__(self) -> str:
         return f"{self.kind}/{self.code}/{self.more:04X}"
 

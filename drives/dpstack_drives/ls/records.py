@@ -28,13 +28,19 @@ RULES: Final = acyclic.Rules(
 
 
 class LsParameters:
-    """What the module has, as record 47 asks for it."""
+    """What the module has, as record 47 asks for it.
 
-    def __init__(self, module: Module) -> None:
+    ``refusal``: the error that an access (``write`` or not) ends with by an order from outside.
+    """
+
+    def __init__(self, module: Module, refusal: Callable[..., int | None]) -> None:
         self._module = module
+        self._refusal = refusal
 
     def read(self, address: acyclic.Address) -> acyclic.Result:
         """Words."""
+        if (number := self._refusal(write=False)) is not None:
+            return acyclic.ErrorValue(number)
         spec = self._wanted(address)
         if isinstance(spec, acyclic.ErrorValue):
             return spec
@@ -44,6 +50,8 @@ class LsParameters:
 
     def change(self, address: acyclic.Address, values: acyclic.Values) -> acyclic.ErrorValue | None:
         """One word: no array can be written."""
+        if (number := self._refusal(write=True)) is not None:
+            return acyclic.ErrorValue(number)
         spec = self._wanted(address)
         if isinstance(spec, acyclic.ErrorValue):
             return spec
@@ -75,9 +83,9 @@ class LsParameters:
         return spec if end <= size else acyclic.ErrorValue(0x03, max(address.subindex, size))
 
 
-def server(module: Module) -> acyclic.ParameterServer:
+def server(module: Module, refusal: Callable[..., int | None]) -> acyclic.ParameterServer:
     """The drive's end."""
-    return acyclic.ParameterServer(LsParameters(module), RULES)
+    return acyclic.ParameterServer(LsParameters(module, refusal), RULES)
 
 
 def identification() -> acyclic.Im0:

@@ -33,15 +33,24 @@ from dpstack_drives.ls.settings import Settings
 _STOPS: Final = t.LS_CONTROL.mask("stop", "emergency")
 
 
+#: made up: what the motor is
+_RATED_VOLTS, _RATED_WATTS = 380, 7500
+
+
 class LsDevice(DriveDevice):
     """Options: the plugin's, ``load``, ``version`` (2.01 knows only VENDOR), ``quick_stop_s``; parameters by code.
 
     Readings: a frame of PROFIdrive with bit 10 stands until the next one with it; OFF1 ramps by dr-04; what Para
     Control writes is not stored over power-off, and out of its limits it is ignored; 0005 and 0006 are obeyed in
-    VENDOR only; a jog runs at dr-11 while there is no run command.
+    VENDOR only; a jog runs at dr-11 while there is no run command; a trip is a diagnosis alarm of slot 1 (table 2: MS1
+    has alarms) with the number of PNU 947, its acknowledgement the one that the fault is gone; COM-09 shows an
+    LED that flashes as on; COM-94 = 1 takes a new COM-07 over (4.2.2): the module restarts at that address.
     """
 
     address_parameter = "COM-07"
+    parameter_errors: Mapping[int, str] = t.PKW.errors
+    write_errors = t.WRITE_ERRORS
+    max_diag_len = t.MAX_DIAG
 
     def __init__(
         self,
@@ -70,9 +79,11 @@ class LsDevice(DriveDevice):
         self._rest = Rest(self.store)
         super().__init__(profile, telegram, Motor(load=float(options["load"])))
         self.module = Module(self.store, self._live, self._changed, lambda: bool(self.motor.frequency))
-        self.channel = PkwServer(t.PKW, self.module.order)
+        self.channel = PkwServer(t.PKW, self.module.order, refuse=self.refuse_order)
+        self._online = self._config_refused = self._command_lost = False  # for the LEDs
         if not self.legacy:
-            self.record47 = records.server(self.module)
+            self.has_alarms("diagnostic")
+            self.record47 = records.server(self.module, self.refusal)
             self.records = records.served(self.record47, self._caught_up)
             self.ms2 = records.CONNECTIONS
 
@@ -97,9 +108,11 @@ class LsDevice(DriveDevice):
     def check_cfg(self, config: bytes) -> str | None:
         """Version 2.01 has only the vendor telegram (2.1, table 2)."""
         found = self.profile.telegrams_of(config)
+        reason = super().check_cfg(config)
         if found and self.legacy and telegrams.number_of(found[0]) != telegrams.VENDOR:
-            return f"version 2.01 has no {found[0].name}: take VENDOR n/m"
-        return super().check_cfg(config)
+            reason = f"version 2.01 has no {found[0].name}: take VENDOR n/m"
+        self._config_refused = reason is not None
+        return reason
 
     @property
     def faulted(self) -> bool:
@@ -141,6 +154,7 @@ class LsDevice(DriveDevice):
             self._apply()
         self._cyclic.clear()
         self._hold = True
+        self._online = True
         super().enter(config, now)
 
     def exchange(self, outputs: bytes, now: int) -> bytes:
@@ -149,6 +163,7 @@ class LsDevice(DriveDevice):
         if len(outputs) == self.telegram.output_octets:
             self._hold = False
             self._received = True
+            self._command_lost = False
             self._loss.returned()
             words = self._words(outputs[8 if self.telegram.channel else 0 :])
             if self.kind == t.PROFIDRIVE:
@@ -166,7 +181,9 @@ class LsDevice(DriveDevice):
     def master_lost(self, reason: Leave, now: int) -> None:
         """Lost command (L11): PRT-12 and PRT-13; until then the last outputs stand."""
         self._hold = True
+        self._online = False
         if self._received:
+            self._command_lost = bool(self.store.value("PRT-12"))
             self._loss.begin(now)
         self._received = False
 
@@ -215,6 +232,7 @@ class LsDevice(DriveDevice):
 
     def _fail(self, number: int) -> None:
         self.module.fault(number)
+        self.diagnosis_alarm(records.SLOT, True, number.to_bytes(2, "big"))
         self.machine.state = State.FAULT
         self.runner.fault = True
         self._loss.forced = False
@@ -308,6 +326,7 @@ class LsDevice(DriveDevice):
 
     def _acknowledged(self) -> None:
         self.module.acknowledged()
+        self.diagnosis_alarm(records.SLOT, False)
         self.machine.state = State.SWITCH_ON_INHIBITED
         self.runner.fault = False
 
@@ -357,6 +376,12 @@ class LsDevice(DriveDevice):
                 return 0 if self.kind == t.IO else self._status
             case t.OUTPUT_FREQUENCY:
                 return self._hundredths()
+            case t.OUTPUT_VOLTAGE:
+                return round(_RATED_VOLTS * min(abs(self.motor.frequency), 1.0))
+            case t.OUTPUT_POWER:
+                return max(round(_RATED_WATTS / 100 * self.motor.motoring * abs(self.motor.speed)), 0)
+            case t.LEDS:
+                return self._leds()
             case t.RUN_STATUS:
                 return self._run_status()
             case t.TRIP:
@@ -371,6 +396,13 @@ class LsDevice(DriveDevice):
         elif where == t.UPDATE and self.store.value("COM-94"):
             self.store.write(settings.spec("COM-94"), 0, ram_only=True)
             self._apply()
+            if self.station_address not in (None, self.own_address):
+                self.restart_soon()
+
+    def _leds(self) -> int:
+        """Table 7. ERROR: a fault, a configuration that differs, a lost command."""
+        error = self.faulted or self._config_refused or self._command_lost
+        return t.LED_CPU | error * t.LED_ERROR | self._online * t.LED_ONLINE
 
     def _apply(self) -> None:
         """COM-94 = 1, or power-on: what counts from now on."""

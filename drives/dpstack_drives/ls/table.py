@@ -45,6 +45,8 @@ INVALID_BAUD: Final = 255
 #: the internal scan time is in no manual: a reading
 SCAN_MS: Final = 4
 
+#: of the diagnosis: the six fixed octets and an alarm; a reading
+MAX_DIAG: Final = 16
 #: COM-11 and what PNU 930 shows for it (L2)
 IO, PROFIDRIVE, LS_DRIVE = 0, 1, 2
 PNU_930: Final = {IO: 0x8000, PROFIDRIVE: 1, LS_DRIVE: 0x8002}
@@ -148,6 +150,12 @@ def ls_table(authority: int) -> ControlTable:
 
 # -- addresses (L6, L7) --------------------------------------------------------------------------------------------
 
+#: 6.2.1 prints 000B and 0316 (and 1101, dr-01); what they show is the inverter manual's:
+#: integers without a scale, made up in the simulated drive
+OUTPUT_VOLTAGE, OUTPUT_POWER = 0x000B, 0x0316
+#: COM-09 (4.2.3). Conflict: the prose has the order "from right to left", its example CPU at the right: the example
+LEDS: Final = 0x1709
+LED_CPU, LED_ERROR, LED_ONLINE = 0x0001, 0x0002, 0x0004
 FREQUENCY, OPERATION, OUTPUT_FREQUENCY, RUN_STATUS, TRIP, WARNING = 0x0005, 0x0006, 0x000A, 0x000E, 0x000F, 0x0334
 #: 5.1: not to be used beside a drive profile
 ADVISED_AGAINST: Final = frozenset({0x0005, 0x000A, 0x0381, 0x0015})
@@ -185,6 +193,9 @@ PKW: Final = PkwDialect(
     errors={number: PARAMETER_ERRORS[number] for number in (*range(8), 0x09, 0x0B, 0x0F, 0x11, *range(0x14, 0x19))},
     zero_between=False,  # 6.2.1: an order acts once, when it changes
 )
+
+#: of a write only
+WRITE_ERRORS: Final = frozenset({0x01, 0x02, 0x06, 0x07, 0x11, 0x14})
 
 #: 7.1
 PNU_ADDRESS, PNU_TELEGRAM, PNU_PROFILE, PNU_COUNTER, PNU_FAULTS, PNU_WARNING = 918, 922, 930, 944, 947, 953
@@ -260,9 +271,12 @@ _ROWS: Final = (
     _Row("0x0005", "Frequency command", 0, 400, 0, 2, "Hz"),
     _Row("0x0006", "Operation command", 0, 0xFFFF, 0),
     _Row("0x000A", "Output frequency", 0, 400, 0, 2, "Hz", True),
+    _Row("0x000B", "Output voltage", 0, 0xFFFF, 0, 0, "", True, True),
     _Row("0x000E", "Operating status", 0, 0xFFFF, 0, 0, "", True),
     _Row("0x000F", "Trip information", 0, 0xFFFF, 0, 0, "", True),
+    _Row("0x0316", "Output power", 0, 0xFFFF, 0, 0, "", True, True),
     _Row("0x0334", "Warning information", 0, 0xFFFF, 0, 0, "", True),
+    _Row("dr-01", "Command frequency", 0, 40_000, 0, 0, "", False, True),
     _Row("dr-03", "Acceleration time", 0, 600, 1, 1, "s", False, True),
     _Row("dr-04", "Deceleration time", 0, 600, 1, 1, "s", False, True),
     _Row("dr-06", "Command source, 4: field bus", 0, 5, 4, 0, "", False, True),
