@@ -213,7 +213,7 @@ def test_drive_errors_are_typed() -> None:
             with pytest.raises(dpstack.ParameterError, match="drive hoist") as caught:
                 await hoist.read(999)
             assert caught.value.number == 0
-            with pytest.raises(dpstack.UsageError, match=r"drive fan: speed 3 is outside -2\.\."):
+            with pytest.raises(dpstack.UsageError, match=r"drive fan: speed 3 is outside -1\.\."):
                 fan.speed = 3
             with pytest.raises(dpstack.UsageError, match="timeout"):
                 await fan.start(-1)
