@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import itertools
+import math
 from collections.abc import AsyncIterator, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -27,6 +28,7 @@ from dpstack.errors import (
     UsageError,
 )
 from dpstack.profile import DriveStatus, ListedParam, per_request
+from dpstack.profile.jobs import LARGEST
 
 if TYPE_CHECKING:
     from dpstack.api.bus import Bus
@@ -88,7 +90,7 @@ class Drive(Sealed):
 
     @speed.setter
     def speed(self, fraction: float) -> None:
-        self._set("speed", fraction, fraction)
+        self._set("speed", fraction, 1.0)
 
     @property
     def frequency(self) -> float:
@@ -97,11 +99,13 @@ class Drive(Sealed):
 
     @frequency.setter
     def frequency(self, hertz: float) -> None:
-        self._set("frequency", hertz, hertz / self._core.reference_hz)
+        self._set("frequency", hertz, self._core.reference_hz)
 
-    def _set(self, op: str, value: float, fraction: float) -> None:
+    def _set(self, op: str, value: float, reference: float) -> None:
+        if isinstance(value, (int, float)) and LARGEST < abs(value) < math.inf:
+            raise UsageError(f"drive {self.name}: {op} must be a number up to {LARGEST:g}")
         try:
-            self._core.setpoint_word(fraction)
+            self._core.setpoint_word(value / reference)
         except (ValueError, TypeError) as error:
             raise UsageError(f"drive {self.name}: {error}") from None
         self._bus.command(DriveCommand(self.slave.address, op, {"value": value}, next(_tokens)))
@@ -318,7 +322,7 @@ class Drive(Sealed):
                 reader.put(status)
 
     async def _order(self, op: str, timeout: float, **args: object) -> dict[str, object]:
-        if not timeout >= 0:
+        if not 0 <= timeout <= LARGEST:
             raise UsageError(f"drive {self.name}: {op}: timeout must be a number of seconds, not {timeout!r}")
         token = next(_tokens)
         given = {key: value for key, value in args.items() if value is not None}

@@ -304,6 +304,13 @@ class DriveEvent(SlaveEvent):
     payload: dict[str, object]
 
     @property
+    def text(self) -> str:
+        """The drive, and the plugin's text; where it has none, what the message is."""
+        kind, told = self.payload.get("type"), self.payload.get("text")
+        said = kind if told is None else f"its plugin failed: {told}" if kind == "failed" else told
+        return f"drive {self.address} ({self.name}): {said}"
+
+    @property
     def owed(self) -> bool:
         """The result of an order."""
         return self.payload.get("type") == "result"

@@ -294,10 +294,20 @@ def checked_arguments(args: Mapping[str, object]) -> dict[str, object]:
     return {key: _checked(value) for key, value in args.items()}
 
 
+def _is_utf8(text: str) -> bool:
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
 def _checked(value: object) -> object:
     """Lists and tables by their members."""
     match value:
-        case str() | int() | None:
+        case str() if _is_utf8(value):
+            return value
+        case int() | None:
             return value
         case float() if math.isfinite(value):
             return value

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from dpstack.errors import ConfigError
 from dpstack.profile.acyclic.choice import ChosenAccess
 from dpstack.profile.channel import CHANNEL_LEN
+from dpstack.profile.jobs import LARGEST
 from dpstack.profile.settings import OPTION as CHECK_SETTINGS
 
 if TYPE_CHECKING:
@@ -251,6 +252,8 @@ def _check(spec: OptionSpec, name: str, value: object, where: str) -> bool | flo
         raise ConfigError(f"{where}: {name} must be {' or '.join(map(repr, spec.choices)) or 'text'}, not {value!r}")
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise ConfigError(f"{where}: {name} must be a number, not {value!r}")
+    if abs(value) > LARGEST:
+        raise ConfigError(f"{where}: {name} must be a number up to {LARGEST:g}")
     if (spec.low is not None and not value >= spec.low) or (spec.high is not None and not value <= spec.high):
         low, high = ("" if limit is None else f"{limit:g}" for limit in (spec.low, spec.high))
         raise ConfigError(f"{where}: {name} = {value:g} is outside {low}..{high}")

@@ -4,13 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Generator, Mapping
-from typing import Literal, TypeVar
+from typing import Final, Literal, TypeVar
 
 from dpstack.units import s_to_ns
 
 T = TypeVar("T")
 #: Yields once a cycle until it returns its result or raises :class:`CommandError`.
 Steps = Generator[None, None, T]
+
+#: No drive has a larger number; with any up to it a plugin can calculate.
+LARGEST: Final = 1e15
+#: no parameter, index or data set has a larger number
+_LARGEST_WHOLE: Final = 999_999_999
+#: names of parameters are shorter
+_LONGEST_NAME: Final = 100
 
 #: Why an order failed: the drive's fault, time, the parameter channel, wrong use, or the slave left data exchange.
 ErrorKind = Literal["fault", "timeout", "parameter", "usage", "lost"]
@@ -49,12 +56,14 @@ class Args:
         self._read: set[str] = set()
 
     def number(self, name: str, default: float | None = None) -> float:
-        """A finite number; required without a default."""
+        """A finite number up to :data:`LARGEST`; required without a default."""
         value = self._get(name)
         if value is None and default is not None:
             return default
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not -math.inf < value < math.inf:
             raise CommandError("usage", f"{self._op}: {name} must be a number, not {value!r}")
+        if abs(value) > LARGEST:
+            raise CommandError("usage", f"{self._op}: {name} must be a number up to {LARGEST:g}")
         return value
 
     def optional(self, name: str) -> float | None:
@@ -70,7 +79,7 @@ class Args:
                 continue
             if isinstance(value, bool) or not isinstance(value, int) or value < 0:
                 raise CommandError("usage", f"{self._op}: {name} must be a whole number from 0 on, not {value!r}")
-            found = value
+            found = self._whole(name, value)
         return found
 
     def name_or_number(self, name: str) -> str | int:
@@ -78,6 +87,12 @@ class Args:
         value = self._get(name)
         if isinstance(value, bool) or not isinstance(value, (int, str)):
             raise CommandError("usage", f"{self._op}: {name} must be a parameter number or name, not {value!r}")
+        if isinstance(value, int):
+            return self._whole(name, value)
+        if len(value) > _LONGEST_NAME:
+            raise CommandError(
+                "usage", f"{self._op}: {name} has {len(value)} characters; no parameter's name is so long"
+            )
         return value
 
     def text(self, name: str) -> str | None:
@@ -115,6 +130,11 @@ class Args:
         unknown = [name for name in self._given if name not in self._read]
         if unknown:
             raise CommandError("usage", f"{self._op}: unknown argument {unknown[0]!r}")
+
+    def _whole(self, name: str, value: int) -> int:
+        if abs(value) > _LARGEST_WHOLE:
+            raise CommandError("usage", f"{self._op}: {name} must be a whole number up to {_LARGEST_WHOLE}")
+        return value
 
     def _get(self, name: str) -> object:
         self._read.add(name)

@@ -131,7 +131,7 @@ class ParamTable:
     def named(self, name: str) -> ParamSpec | None:
         """By name (any case), or by the number as text."""
         found = self._by_name.get(name.strip().lower())
-        if found is None and name.strip().isdecimal():
+        if found is None and name.isascii() and name.strip().isdecimal():
             found = self.get(int(name))
         return found
 

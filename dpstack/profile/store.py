@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from dpstack.errors import ConfigError
+from dpstack.profile.jobs import LARGEST
 from dpstack.profile.params import ParamSpec, ParamTable
 
 
@@ -39,6 +40,8 @@ class ParamStore:
             raise ConfigError(f"{where}: there is no option or parameter {name!r}{hint}")
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise ConfigError(f"{where}: parameter {spec.label} must be a number, not {value!r}")
+        if abs(value) > LARGEST:
+            raise ConfigError(f"{where}: parameter {spec.label} must be a number up to {LARGEST:g}")
         try:
             raw = spec.to_raw(value)
         except ValueError as error:

@@ -52,7 +52,8 @@ class Scale:
     def encode(self, value: float) -> int:
         """``value`` as the unsigned integer, two's complement. Raises ValueError with the possible range."""
         half = 1 << self.bits - 1
-        raw = round(value / self.span * self.full) if math.isfinite(value) else half
+        counts = value / self.span * self.full
+        raw = round(counts) if math.isfinite(counts) else half
         if not -half <= raw < half:
             low, high = self.limits
             unit = f" {self.unit}" if self.unit else ""

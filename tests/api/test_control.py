@@ -446,6 +446,35 @@ def test_a_program_that_hangs(own_runtime_directory: Path) -> None:
             client.call("status")
 
 
+async def test_a_client_waits_for_a_place_in_a_full_queue() -> None:
+    """The server of a busy program comes to accept later; a client with a time-out is not told off by the system."""
+    async with server():
+        path = str(places.socket_path("COM3"))
+        with contextlib.ExitStack() as stack:
+            with contextlib.suppress(BlockingIOError):
+                while True:  # the loop does not run meanwhile: nobody is accepted
+                    waiting = stack.enter_context(socket.socket(socket.AF_UNIX))
+                    waiting.setblocking(False)
+                    waiting.connect(path)
+            await asyncio.to_thread(lambda: connect("COM3").close())
+
+
+def test_a_stopped_program_with_a_full_queue(own_runtime_directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(places, "_QUEUE_TRIES", 2)
+    own_runtime_directory.mkdir(exist_ok=True)
+    with contextlib.ExitStack() as stack:
+        listening = stack.enter_context(socket.socket(socket.AF_UNIX))
+        listening.bind(str(places.socket_path("COM3")))
+        listening.listen(1)
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                waiting = stack.enter_context(socket.socket(socket.AF_UNIX))
+                waiting.setblocking(False)
+                waiting.connect(str(places.socket_path("COM3")))
+        with pytest.raises(PortError, match=r"cannot be reached .*too many clients wait for it; is it stopped"):
+            connect("COM3")
+
+
 def test_every_kind_of_program_has_help_and_its_own_names() -> None:
     for kind, specs in KINDS.items():
         names = [spec.name for spec in specs]

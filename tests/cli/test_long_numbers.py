@@ -7,12 +7,14 @@ from pathlib import Path
 
 import pytest
 
+import dpstack
 from dpstack.api.control import arguments
 from dpstack.cli.main import main
 from dpstack.errors import UsageError
 from dpstack.text import decimal, number_or_name
 
 BIG = "9" * 5000
+HOIST = {"name": "hoist", "address": 3, "drive": "demag-dedrive", "watchdog_ms": 0}
 PLANT = '[bus]\nport = "virtual"\nbaud = 500000\n[[slave]]\nname = "hoist"\naddress = 3\ndrive = "demag-dedrive"\n'
 
 
@@ -36,6 +38,9 @@ PLANT = '[bus]\nport = "virtual"\nbaud = 500000\n[[slave]]\nname = "hoist"\naddr
         ["drive", "PLANT", "hoist", "read", "412", "--data-set", BIG],
         ["drive", "PLANT", "hoist", "write", "412", BIG],
         ["drive", "PLANT", "hoist", "speed", BIG],
+        ["drive", "PLANT", "hoist", "speed", "0xBIG"],
+        ["drive", "PLANT", "hoist", "frequency", "1e308"],
+        ["drive", "PLANT", "hoist", "write", "480", "0xBIG"],
         ["acyclic", "PLANT", BIG, "im"],
         ["acyclic", "PLANT", "3", "read", BIG, "1"],
         ["acyclic", "PLANT", "3", "im", "--address", BIG, "--class", "2"],
@@ -53,11 +58,31 @@ def test_an_argument(argv: list[str], tmp_path: Path, capsys: pytest.CaptureFixt
     plant = tmp_path / "plant.toml"
     plant.write_text(PLANT, encoding="utf-8")
     try:
-        code = main([str(plant) if arg == "PLANT" else arg for arg in argv])
+        code = main([str(plant) if arg == "PLANT" else arg.replace("BIG", "f" * 5000) for arg in argv])
     except SystemExit as end:
         code = int(str(end.code))
     assert code in (1, 2)
-    assert "dpstack" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert "dpstack" in told
+    assert "plugin failed" not in told
+
+
+@pytest.mark.parametrize("number", [10**400, 1e308, -1e16], ids=["int", "1e308", "-1e16"])
+def test_a_set_point_of_a_program(number: float) -> None:
+    async def program() -> None:
+        async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[HOIST]) as bus:
+            hoist = bus.drive("hoist")
+            with pytest.raises(UsageError, match="drive hoist: speed must be a number up to 1e"):
+                hoist.speed = number
+            with pytest.raises(UsageError, match="drive hoist: frequency must be a number up to 1e"):
+                hoist.frequency = number
+            with pytest.raises(UsageError, match="write: value must be a number up to 1e"):
+                await hoist.write(480, number)
+            with pytest.raises(UsageError, match="timeout must be a number of seconds"):
+                await hoist.start(abs(number))
+            assert hoist.status.faults == ()
+
+    dpstack.run_virtual(program())
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from linear_kit import assert_linear
 from property_kit import examples
 
 from dpstack.dp.acyclic_job import Outcome, ServiceFailure
-from dpstack.dp.commands import AddSlave, ReparameteriseSlave
+from dpstack.dp.commands import AddSlave, DriveCommand, ReparameteriseSlave
 from dpstack.dp.diag_texts import DiagTexts
 from dpstack.dp.setup import SlaveSetup
 from dpstack.dp.v1.ms1 import ReadRecord, RecordDone, WriteRecord
@@ -36,6 +36,7 @@ from dpstack.dp.v1.ms2_orders import (
 from dpstack.dp.v1.prm_blocks import PrmBlock
 from dpstack.dp.v1.status import Dpv1
 from dpstack.drivers import messages as m
+from dpstack.drivers.mirror import checked_arguments
 from dpstack.drivers.stack import StackSpec
 from dpstack.errors import BusError, ConfigError, DpError, PortBusyError, SlaveFault, UsageError
 from dpstack.fdl.user import LinkStats
@@ -291,3 +292,11 @@ def test_class_2_connections_survive_the_way() -> None:
     (message,) = m.Frames().feed(m.framed(m.Message(news=m.News(events=[m.named(event) for event in events]))))
     assert message.news is not None
     assert [m.event_of(event) for event in message.news.events] == events
+
+
+def test_arguments_of_a_drives_order_always_go_over() -> None:
+    asked = {"number": "F\udcff", "value": float("nan"), "index": 10**400, "parameters": [{"number": "\ud800"}]}
+    told = checked_arguments(asked)
+    assert told["number"] == "'F\\udcff'"
+    assert told["parameters"] == [{"number": "'\\ud800'"}]
+    assert m.framed(m.Message(question=m.Question(1, m.named(DriveCommand(3, "read", told, 1)))))

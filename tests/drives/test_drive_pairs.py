@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import random
 from collections.abc import Mapping
@@ -12,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from property_kit import examples
 
+from dpstack.errors import ConfigError
 from dpstack.profile import DriveProfile, State
 from dpstack_drives.demag import DRIVE as DEMAG
 from dpstack_drives.fuji import DRIVE as FUJI
@@ -258,3 +260,65 @@ def test_switched_off_and_on_a_drive_has_what_its_eeprom_holds() -> None:
     assert other.check_cfg(FUJI.telegram("PPO1").config) == "configuration f3 71 is not PPO3 (71), o30 is 3"
     assert other.check_cfg(FUJI.telegram("PPO3").config) is None
     assert other.configs[0] == FUJI.telegram("PPO3").config
+
+
+@pytest.mark.parametrize(("drive", "telegram", "presets"), ALL)
+def test_a_name_that_no_parameter_has_faults_no_plugin(
+    drive: DriveProfile, telegram: str, presets: Mapping[str, object]
+) -> None:
+    bench = pair(drive, telegram, presets)
+    for name in (
+        "9" * 5000,
+        "9" * 60,
+        "\u0663",
+        "\u00b2",
+        "0x" + "f" * 5000,
+        "-1",
+        "",
+        "F" + "9" * 90,
+        "\ud800",
+        "1" * 4,
+    ):
+        if bench.core.access is not None:
+            assert bench.refused("read", number=name)[0] in ("usage", "parameter"), name
+            assert bench.refused("write", number=name, value=1)[0] in ("usage", "parameter"), name
+            assert "error" in str(bench.do("read_many", parameters=[{"number": name}])), name
+
+
+@pytest.mark.parametrize(("drive", "telegram", "presets"), ALL)
+@pytest.mark.parametrize("number", [10**400, 10**19, 1e308, -1e308, 1e16, float("inf"), float("nan")], ids=str)
+def test_a_number_that_no_drive_has_is_refused_and_faults_no_plugin(
+    drive: DriveProfile, telegram: str, presets: Mapping[str, object], number: float
+) -> None:
+    bench = pair(drive, telegram, presets)
+    bench.ok("start", timeout_s=3)
+    orders: list[tuple[str, dict[str, object]]] = [
+        ("speed", {"value": number}),
+        ("frequency", {"value": number}),
+        ("reached", {"tolerance": number}),
+        ("start", {"timeout_s": number}),
+    ]
+    if bench.core.access is not None:
+        listed = bench.core.parameters()
+        orders += [("write", {"number": one.name, "value": number}) for one in listed if not one.read_only][:20]
+        orders += [("read", {"number": number}), ("read", {"number": listed[0].name, "data_set": number})]
+        orders += [("read", {"number": listed[0].name, "index": number})]
+    for op, args in orders:
+        assert bench.refused(op, **args)[0] in ("usage", "parameter"), (op, args)
+    assert bench.core.status().running
+
+
+_LONG = "9" * 5000
+STRANGE_OPTIONS: list[object] = [
+    10**400, 1e308, float("nan"), True, None, [], {}, _LONG, f"{_LONG}+{_LONG}", f"P15.02={_LONG}", f"{_LONG}={_LONG}",
+    f"1:{_LONG}", f"F{_LONG}", f"0x{'f' * 5000}", f"{_LONG} {_LONG}", "\u0663", "\u00b2", "\ud800", ",", ";=:+", "1,2",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("drive", [DEMAG, FUJI, IMO, KEB, LS], ids=lambda drive: drive.name)
+def test_any_value_of_any_option_is_taken_or_refused(drive: DriveProfile) -> None:
+    for option in (*drive.core_options, *drive.device_options, "412", "F26", "dr-03", "ud.01", "P00.03"):
+        for value in STRANGE_OPTIONS:
+            for make in (lambda given: drive.core("it", None, given), lambda given: drive.device(None, given)):
+                with contextlib.suppress(ConfigError):
+                    make({option: value})

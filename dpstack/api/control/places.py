@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import errno
 import hashlib
 import os
 import re
@@ -18,6 +19,7 @@ import struct
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from time import sleep
 from typing import Any, Final
 
 from dpstack.api.bus_config import VIRTUAL
@@ -34,6 +36,9 @@ _VIRTUAL_NAME: Final = re.compile(rf"{VIRTUAL}:(\d{{1,10}}(?:\.\d{{1,6}})?)")
 _VIRTUAL_SOCKET: Final = re.compile(rf"{VIRTUAL}-(\d{{1,10}}(?:\.\d{{1,6}})?){re.escape(SUFFIX)}")
 #: octets of a socket's path without the final zero (sun_path of Linux; BSD and macOS have 104)
 _LONGEST_PATH: Final = 107 if sys.platform == "linux" else 103
+#: tries to get a place in the queue of a program, and the pause after each
+_QUEUE_TRIES: Final = 50
+_QUEUE_PAUSE_S: Final = 0.01
 #: struct ucred of unix(7): process, user, group
 _UCRED: Final = struct.Struct("iII")
 _PEERCRED: Final[int | None] = getattr(socket, "SO_PEERCRED", None) if sys.platform == "linux" else None
@@ -167,7 +172,7 @@ class Sockets:
         connection = socket.socket(socket.AF_UNIX)
         try:
             connection.settimeout(timeout)
-            connection.connect(self._address(name))
+            self._join_queue(connection, name)
             peer = peer_uid(connection)
             if peer is not None and not is_trusted(peer):
                 raise PortError(
@@ -178,6 +183,17 @@ class Sockets:
             connection.close()
             raise
         return connection
+
+    def _join_queue(self, connection: socket.socket, name: str) -> None:
+        """Connect. Where the queue of the program is full, wait a little for a place: the system does not wait for a
+        socket that has a time-out. Raises OSError.
+        """
+        for _ in range(_QUEUE_TRIES):
+            with contextlib.suppress(BlockingIOError):
+                connection.connect(self._address(name))
+                return
+            sleep(_QUEUE_PAUSE_S)
+        raise TimeoutError(errno.ETIMEDOUT, "too many clients wait for it; is it stopped or busy?")
 
     def answers(self, name: str) -> bool:
         """Whether a program lives behind the socket ``name``. Raises PortError as :meth:`connect` does."""

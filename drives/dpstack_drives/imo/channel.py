@@ -135,7 +135,7 @@ def _address(key: ParamKey) -> int:
     """PKW2 of what a user named. Raises CommandError."""
     name = key.name
     number = t.address(name) if isinstance(name, str) else name
-    if isinstance(name, str) and number is None and name.strip().isdecimal():
+    if isinstance(name, str) and number is None and name.isascii() and name.strip().isdecimal():
         number = int(name)
     if number is None:
         raise CommandError("usage", f"{name!r} is neither a function code such as P15.02 nor an address")
