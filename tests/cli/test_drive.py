@@ -157,6 +157,7 @@ def test_parameters_for_people(plant: Path, capsys: Out) -> None:
         ("hoist status --data-set 1", 2, "--data-set is for compare, dump, read, write: leave it out"),
         ("hoist speed fast", 2, "'fast' is no number; write for instance 20.5"),
         ("fan speed 9", 2, "drive fan: speed 9 is outside -1..1"),
+        ("hoist write 400 2.5", 2, "2.5 kHz lies between two values, the step is 1 kHz: give 2 or 3 kHz"),
         ("fan reached", 2, "the drive is not running (it reports ready_to_switch_on): start it first"),
         ("fan read F26", 2, "PPO3 of fuji-frenic has no parameter channel"),
         ("fan dump f.toml", 2, "PPO3 of fuji-frenic has no parameter channel"),
