@@ -443,7 +443,7 @@ class Bus(Sealed, Composed):
                 case DriveEvent(address=address, payload=payload):
                     drive = self._drives.get(address)
                     if drive is not None:
-                        drive.on_payload(payload)
+                        drive.on_payload(payload, event.t_ns)
                 case SlaveStateChanged(address=address) if address in self._drives:
                     self._drives[address].on_state()
                 case AddressCollision():

@@ -6,9 +6,10 @@ import asyncio
 import contextlib
 import itertools
 import math
+from collections import deque
 from collections.abc import AsyncIterator, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from dpstack.api.drive_seen import DriveSeen
 from dpstack.api.parameter_dump import Comparison, OnParameter, ParameterPlace, ParameterValue, compare, dump
@@ -35,7 +36,16 @@ if TYPE_CHECKING:
 
 #: the plugin judges time-outs once a rotation; this much later nobody can have judged them
 _GRACE: Final = 0.25
+#: so many notices of a drive are kept
+_NOTICES: Final = 5
 _tokens = itertools.count(1)
+
+
+class DriveNotice(NamedTuple):
+    """One line of a drive plugin for the application; ``t_ns`` is the bus's time."""
+
+    t_ns: int
+    text: str
 
 
 class Drive(Sealed):
@@ -49,6 +59,7 @@ class Drive(Sealed):
         self._readers: list[Latest[DriveStatus]] = []
         self._seen = b""
         self._over = False
+        self._notices: deque[DriveNotice] = deque(maxlen=_NOTICES)
         #: the slave behind it
         self.slave = slave
         self._seal()
@@ -79,6 +90,11 @@ class Drive(Sealed):
         """What the drive tells at this moment; offline while nobody keeps the bus running."""
         status = self._core.status()
         return status if self._bus.runtime.not_running is None else status.unknown()
+
+    @property
+    def notices(self) -> tuple[DriveNotice, ...]:
+        """The last notices of its plugin (why it left the running state, settings that differ), oldest first."""
+        return tuple(self._notices)
 
     @property
     def speed(self) -> float:
@@ -283,8 +299,8 @@ class Drive(Sealed):
         """The slave reached another state."""
         self._hand_on()
 
-    def on_payload(self, payload: Mapping[str, object]) -> None:
-        """What the plugin told."""
+    def on_payload(self, payload: Mapping[str, object], t_ns: int) -> None:
+        """What the plugin told at ``t_ns``."""
         kind = payload.get("type")
         if kind == "result":
             token = payload.get("token")
@@ -296,6 +312,12 @@ class Drive(Sealed):
                     future.set_exception(self._error(payload))
         elif kind == "status":
             self._hand_on()
+        elif kind == "notice":
+            text = str(payload.get("text"))
+            before = next((one for one in self._notices if one.text == text), None)
+            if before is not None:
+                self._notices.remove(before)
+            self._notices.append(DriveNotice(t_ns, text))
         elif kind == "failed":
             self._refuse(DriveError(self.name, f"drive {self.name}: its plugin failed: {payload.get('text')}"))
 

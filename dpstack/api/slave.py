@@ -13,7 +13,7 @@ from dpstack.api.slave_changes import Changes, changed
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.dp import faults
 from dpstack.dp.commands import ActivateSlave, DeactivateSlave, Mode, ReparameteriseSlave
-from dpstack.dp.diag_texts import block_texts
+from dpstack.dp.diag_texts import block_texts, conspicuous_text
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.events import Fault, SlaveState
 from dpstack.dp.fields import Field, Value
@@ -136,7 +136,27 @@ class Slave(Sealed):
         diagnosis = self.diagnosis
         if diagnosis is None:
             return ()
-        return diagnosis.texts + block_texts(diagnosis, self.setup.texts, dpv1=self.setup.dpv1 is not None)
+        return diagnosis.texts + self.block_texts
+
+    @property
+    def conspicuous(self) -> str:
+        """What people are told of :attr:`diagnosis`, in one line: flags that are not of the ordinary course, and texts;
+        empty where there is nothing."""
+        diagnosis = self.diagnosis
+        return "" if diagnosis is None else self.conspicuous_text(diagnosis, exchanging=self.ready_now)
+
+    def conspicuous_text(self, diagnosis: Diagnosis, *, exchanging: bool) -> str:
+        """As :attr:`conspicuous`, of any diagnosis of this slave."""
+        setup = self.setup
+        return conspicuous_text(diagnosis, setup.texts, dpv1=setup.dpv1 is not None, exchanging=exchanging)
+
+    @property
+    def block_texts(self) -> tuple[str, ...]:
+        """What the blocks of :attr:`diagnosis` say, one line each, in the words of the GSD file."""
+        diagnosis = self.diagnosis
+        if diagnosis is None:
+            return ()
+        return block_texts(diagnosis, self.setup.texts, dpv1=self.setup.dpv1 is not None)
 
     @property
     def inputs(self) -> bytes:

@@ -16,6 +16,8 @@ from dpstack.units import NS_PER_MS, NS_PER_S, NS_PER_US, ns_to_s
 
 if TYPE_CHECKING:
     from dpstack.api.bus import Bus
+    from dpstack.api.drive import Drive
+    from dpstack.api.slave import Slave
 
 #: counters that are older are not those of this moment
 STALE_NS: Final = NS_PER_S
@@ -47,6 +49,12 @@ class SlaveStats:
     fields: Mapping[str, object] = field(default_factory=dict)
     #: of its alarms, None for a slave without DP-V1
     alarms: AlarmCounts | None = None
+    #: flags and texts of its last diagnosis; empty before the first
+    diagnosis: Mapping[str, object] = field(default_factory=dict)
+    #: what people are told of it, empty where there is nothing
+    conspicuous: str = ""
+    #: status and notices of the drive that it is
+    drive: Mapping[str, object] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, object]:
         """As in the summary line of ``run --json``."""
@@ -64,12 +72,28 @@ class SlaveStats:
             **_link_dict(self.link),
             **({} if self.master is None else {"master": self.master}),
             **({} if self.alarms is None else {"alarms": dataclasses.asdict(self.alarms)}),
+            **self.diagnosis,
+            **({"drive": dict(self.drive)} if self.drive else {}),
         }
 
 
 def inputs_dict(valid: bool, age: float | None) -> dict[str, object]:
     """What is printed beside inputs: whether they are valid, and their age in ms (null: there never were any)."""
     return {"inputs_valid": valid, "inputs_age_ms": None if age is None else round(age * 1000, 1)}
+
+
+def diagnosis_dict(slave: Slave) -> dict[str, object]:
+    """``diagnosis`` with ``flags`` and ``texts`` of the last one read, as ``status`` and summary have it."""
+    diagnosis = slave.diagnosis
+    if diagnosis is None:
+        return {}
+    return {"diagnosis": {"flags": list(diagnosis.flags), "texts": list(slave.block_texts)}}
+
+
+def drive_dict(bus: Bus, drive: Drive) -> dict[str, object]:
+    """The status of ``drive``, and ``notices`` with ``t`` in seconds since the start, where there were some."""
+    notices = [{"t": round(ns_to_s(one.t_ns - bus.started_ns), 3), "text": one.text} for one in drive.notices]
+    return drive.status.as_dict() | ({"notices": notices} if notices else {})
 
 
 def _link_dict(link: StationStats) -> dict[str, object]:
@@ -183,6 +207,7 @@ def collect(bus: Bus) -> BusStats:
     """The picture at this moment: a copy, later counts do not change it. It never waits for a bus process."""
     age_ns = bus.runtime.counters_age_ns
     link = copy.deepcopy(bus.station.stats)
+    drives = {drive.address: drive_dict(bus, drive) for drive in bus.drives}
     lateness = bus.runtime.lateness
     bad = bus.station.decoder_stats.by_cause()
     bad |= {f"uart_{cause}": count for cause, count in bus.runtime.damage().items() if count}
@@ -212,6 +237,9 @@ def collect(bus: Bus) -> BusStats:
                 master=slave.found.master if slave.found is not None else None,
                 fields=as_json(slave.input_values | slave.output_values),
                 alarms=slave.alarm_counts,
+                diagnosis=diagnosis_dict(slave),
+                conspicuous=slave.conspicuous,
+                drive=drives.get(slave.address, {}),
             )
             for slave in bus.slaves
         },

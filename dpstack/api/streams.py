@@ -9,7 +9,7 @@ from collections.abc import AsyncIterator, Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final, Generic, Self, TypeVar
 
-from dpstack.dp.events import SlaveDiagnosis, SlaveEvent, SlaveFaulted, SlaveStateChanged
+from dpstack.dp.events import DriveEvent, SlaveDiagnosis, SlaveEvent, SlaveFaulted, SlaveStateChanged
 from dpstack.drivers.seen import MasterSeen
 from dpstack.trace import Event
 from dpstack.units import ns_to_s
@@ -90,21 +90,27 @@ def hand_to(on_event: OnEvent | None, event: Event) -> None:
 class SlaveFlapping(SlaveEvent):
     """A slave's state or diagnosis changes too often to be told one by one: ``count`` changes were left out.
 
-    The newest state, fault and diagnosis among them follow this event.
+    The newest state, fault and diagnosis among them follow this event. ``drive``: the changes are those of the drive.
     """
 
     count: int
+    drive: bool = False
 
     @property
     def text(self) -> str:
         """How many changes, and what to look at."""
+        if self.drive:
+            return (
+                f"slave {self.address} ({self.name}): {self.count} changes of the drive's state, faults or warnings "
+                "are not told one by one; look at the drive"
+            )
         return (
             f"slave {self.address} ({self.name}) flaps: {self.count} changes of its state or diagnosis are not told "
             f"one by one; look at its connector, its supply and its watchdog time"
         )
 
 
-class _Flapping:
+class Flapping:
     """Holds back the changes of one slave that come too often, and reports them once a second."""
 
     def __init__(self, pass_on: Callable[[Event], None]) -> None:
@@ -139,7 +145,8 @@ class _Flapping:
         count, self._count = self._count - len(newest), 0
         last = newest[-1]
         if count:
-            self._pass_on(SlaveFlapping(t_ns=last.t_ns, address=last.address, name=last.name, count=count))
+            drive = isinstance(last, DriveEvent)
+            self._pass_on(SlaveFlapping(t_ns=last.t_ns, address=last.address, name=last.name, count=count, drive=drive))
         for event in newest:
             self._pass_on(event)
 
@@ -153,14 +160,14 @@ class Events:
         self._history: deque[Event] = deque(maxlen=DEPTH)
         self._streams: list[EventStream] = []
         self._ended = False
-        self._flapping: dict[int, _Flapping] = {}
+        self._flapping: dict[int, Flapping] = {}
 
     def tell(self, event: Event) -> None:
         """To all of them; of a slave whose state flaps not each change, but the newest once a second."""
         if isinstance(event, (SlaveStateChanged, SlaveFaulted, SlaveDiagnosis)):
             flapping = self._flapping.get(event.address)
             if flapping is None:
-                flapping = self._flapping[event.address] = _Flapping(self._pass_on)
+                flapping = self._flapping[event.address] = Flapping(self._pass_on)
             flapping.tell(event)
         else:
             self._pass_on(event)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
+from typing import Any
 
 from dpstack.api.bus import Bus
 from dpstack.api.events import (
@@ -12,12 +13,15 @@ from dpstack.api.events import (
     MasterStopped,
     Severity,
     SlaveDiagnosis,
+    SlaveState,
+    SlaveStateChanged,
     Stalled,
     event_json,
     severity_of,
 )
 from dpstack.api.parts import SEARCHING
 from dpstack.api.statistics import BusStats, SlaveStats
+from dpstack.api.streams import Flapping
 from dpstack.cli import output
 from dpstack.units import baud_text, ms_text, ns_to_s
 
@@ -32,6 +36,12 @@ class Reporter:
         self._json = json
         self._quiet = quiet
         self._started = False
+        #: by address: what people were told last of diagnosis and drive
+        self._diagnoses: dict[int, str] = {}
+        self._drives: dict[int, tuple[str, ...]] = {}
+        self._flapping: dict[int, Flapping] = {}
+        #: slaves in data exchange, as the events have it
+        self._exchanging: set[int] = set()
         #: the master stalled at least once
         self.stalled = False
 
@@ -65,17 +75,67 @@ class Reporter:
             line = event_json(event, t)
             if line is not None:
                 output.json_line(line)
-        elif not self._quiet and not isinstance(event, (DriveEvent, MasterStopped, SlaveDiagnosis)):
-            output.line(f"{t:9.3f} s  {event.text}", _STYLES[severity_of(event)])
+        elif not self._quiet:
+            self._for_people(bus, event)
+
+    def _for_people(self, bus: Bus, event: Event) -> None:
+        """A line, where there is something to tell: of diagnoses and drives what is new."""
+        match event:
+            case MasterStopped():
+                return
+            case SlaveDiagnosis(address=address, diagnosis=diagnosis):
+                exchanging = address in self._exchanging
+                slaves = [slave for slave in bus.slaves if slave.address == address]  # none: it was removed meanwhile
+                told = "".join(slave.conspicuous_text(diagnosis, exchanging=exchanging) for slave in slaves)
+                if told != self._diagnoses.get(address, ""):
+                    self._diagnoses[address] = told
+                    text = f"slave {address} ({event.name}): diagnosis {told or 'without findings'}"
+                    self._line(event, text, "yellow" if told else "")
+            case DriveEvent(address=address, payload=payload):
+                self._drive(address, event, payload)
+            case SlaveStateChanged(address=address, state=state):
+                if state is SlaveState.DATA_EXCHANGE:
+                    self._exchanging.add(address)
+                else:
+                    self._exchanging.discard(address)
+                    self._diagnoses.pop(address, None)  # what it says next is new
+                self._line(event)
+            case _:
+                self._line(event)
+
+    def _drive(self, address: int, event: DriveEvent, payload: Mapping[str, object]) -> None:
+        match payload.get("type"):
+            case "result":
+                return
+            case "status":
+                told = tuple(str(payload.get(key)) for key in ("state", "faults", "warnings"))
+                if told == self._drives.get(address):
+                    return
+                self._drives[address] = told
+                if payload.get("state") == "offline":
+                    return  # its slave's state tells that
+                if address not in self._flapping:
+                    self._flapping[address] = Flapping(self._line)
+                self._flapping[address].tell(event)
+            case _:
+                self._line(event)
+
+    def _line(self, event: Event, text: str = "", style: str | None = None) -> None:
+        if self.bus is not None:
+            t = ns_to_s(event.t_ns - self.bus.started_ns)
+            output.line(f"{t:9.3f} s  {text or event.text}", _style(event) if style is None else style)
 
     def summary(self, stats: BusStats, **more: object) -> None:
         """The summary line, or a table with what a person wants to know."""
         if self._json:
             output.json_line({"event": "summary", "t": round(stats.seconds, 3), **stats.summary(), **more})
             return
+        for flapping in self._flapping.values():
+            flapping.report()
         slaves = stats.slaves.values()
         columns = ("address", "name", "state", "exchanges", "retries", "time-outs", "late", "bad")
         output.table("Slaves", columns, [_slave_row(s) for s in slaves])
+        _diagnoses(slaves)
         if self.bus is None or not self.bus.config.bus.read_only:  # else none was exchanged
             _process_data(slaves)
         output.line(f"{stats.rotations} rotations in {stats.seconds:.3f} s, {_traffic(stats)}")
@@ -106,6 +166,29 @@ def _cycles(stats: BusStats) -> None:
         output.line(f"{book.missed} deadline misses ({book.left_out} cycles left out): {why}", "yellow")
     else:
         output.line("no deadline was missed")
+
+
+def _style(event: Event) -> str:
+    if isinstance(event, DriveEvent) and event.payload.get("type") != "failed":
+        return "red" if event.payload.get("faults") else "yellow" if event.payload.get("warnings") else ""
+    return _STYLES[severity_of(event)]
+
+
+def _diagnoses(slaves: Iterable[SlaveStats]) -> None:
+    """What slaves and drives have to tell at the end; nothing where all is well."""
+    rows: list[tuple[object, ...]] = []
+    for s in slaves:
+        told = [("diagnosis", s.conspicuous)] if s.conspicuous else []
+        for kind in ("fault", "warning"):
+            told += [(f"drive {kind}", str(one)) for one in _list(s.drive.get(f"{kind}s"))]
+        told += [(f"drive at {one['t']} s", str(one["text"])) for one in _list(s.drive.get("notices"))]
+        rows += [(s.address, s.name, what, text) for what, text in told]
+    if rows:
+        output.table("Diagnoses and drives", ("address", "name", "what", "text"), rows)
+
+
+def _list(found: object) -> list[Any]:
+    return list(found) if isinstance(found, (list, tuple)) else []
 
 
 def _process_data(slaves: Iterable[SlaveStats]) -> None:

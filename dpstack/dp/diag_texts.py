@@ -43,12 +43,25 @@ def block_texts(diagnosis: Diagnosis, texts: DiagTexts | None = None, *, dpv1: b
     return (*lines, f"not decoded: {diagnosis.ext_rest.hex(' ')}") if diagnosis.ext_rest else lines
 
 
-def texts_of(blocks: Iterable[Block], texts: DiagTexts | None, *, dpv1: bool) -> tuple[str, ...]:
-    """Of some blocks of a diagnosis."""
-    return tuple(line for block in blocks for line in _lines(block, texts, dpv1))
+def texts_of(blocks: Iterable[Block], texts: DiagTexts | None, *, dpv1: bool, messages: bool = True) -> tuple[str, ...]:
+    """Of some blocks of a diagnosis. ``messages`` False: without alarms and status messages."""
+    return tuple(line for block in blocks for line in _lines(block, texts, dpv1, messages))
 
 
-def _device_lines(block: DeviceBlock, texts: DiagTexts | None, dpv1: bool) -> Iterator[str]:
+def conspicuous_text(
+    diagnosis: Diagnosis, texts: DiagTexts | None = None, *, dpv1: bool = False, exchanging: bool
+) -> str:
+    """What people are told of ``diagnosis``, in one line: its conspicuous flags, then its blocks as :func:`block_texts`
+    has them, without alarms and status messages (they have lines of their own). Empty where there is nothing."""
+    said = texts_of(diagnosis.blocks, texts, dpv1=dpv1, messages=False)
+    flags = (
+        flag.name if said and flag.name == "ext_diag" else f"{flag.name} ({flag.text})"
+        for flag in diagnosis.conspicuous(exchanging=exchanging)
+    )
+    return "; ".join(filter(None, (", ".join(flags), *said)))
+
+
+def _device_lines(block: DeviceBlock, texts: DiagTexts | None, dpv1: bool, messages: bool) -> Iterator[str]:
     known = () if texts is None else texts.unit_diag_texts(block.data)
     said = ""
     if dpv1:
@@ -56,7 +69,7 @@ def _device_lines(block: DeviceBlock, texts: DiagTexts | None, dpv1: bool) -> It
             said = parse_block(block.octets).told
         except PduError:  # told by who handles its alarms
             said = ""
-    if said:
+    if said and messages:
         yield said
     if texts is not None and known:
         yield from map(_explained, known, texts.unit_diag_helps(block.data))
@@ -64,11 +77,11 @@ def _device_lines(block: DeviceBlock, texts: DiagTexts | None, dpv1: bool) -> It
         yield f"device: {block.data.hex(' ')}"
 
 
-def _lines(block: Block, texts: DiagTexts | None, dpv1: bool) -> Iterator[str]:
+def _lines(block: Block, texts: DiagTexts | None, dpv1: bool, messages: bool) -> Iterator[str]:
     first = FIRST_SLOT if texts is None else texts.first_slot
     match block:
         case DeviceBlock():
-            yield from _device_lines(block, texts, dpv1)
+            yield from _device_lines(block, texts, dpv1, messages)
         case IdentifierBlock():
             if block.modules:
                 slots = (_explained(str(first + number), _name(texts, number)) for number in block.modules)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from dpstack.dp.diag_bits import ALWAYS_ONE, FLAG, FLAGS, Flag, SetBy
+from dpstack.dp.diag_bits import ALWAYS_ONE, FLAG, FLAGS, Does, Flag, SetBy
 from dpstack.dp.ext_diagnosis import Block, split_blocks
 from dpstack.dp.wire import DIAGNOSIS, DiagnosisOctets
 from dpstack.errors import PduError
@@ -66,6 +66,18 @@ class Diagnosis:
     def flags(self) -> tuple[str, ...]:
         """The names of the flags that are set, as the JSON lines have them."""
         return tuple(flag.name for flag in self.findings)
+
+    def conspicuous(self, *, exchanging: bool) -> tuple[Flag, ...]:
+        """The flags that people are told of one by one; ``exchanging``: the slave is in data exchange.
+
+        Left out are those that only name a mode (WD_On, Sync_Mode), those that a master sets, and those that the master
+        deals with itself: states and faults of the slave tell of them.
+        """
+        found = self.findings
+        if exchanging and any(flag.exchange in (Does.PARAMETERISES, Does.REFUSES) for flag in found):
+            exchanging = False  # it is about to be brought up again
+        told = (Does.TELLS, Does.WAITS) if exchanging else (Does.TELLS,)
+        return tuple(flag for flag in found if flag.remedy and (flag.exchange if exchanging else flag.bring_up) in told)
 
     @property
     def texts(self) -> tuple[str, ...]:

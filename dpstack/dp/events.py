@@ -305,12 +305,21 @@ class DriveEvent(SlaveEvent):
 
     @property
     def text(self) -> str:
-        """The drive, and the plugin's text; where it has none, what the message is."""
-        kind, told = self.payload.get("type"), self.payload.get("text")
-        said = kind if told is None else f"its plugin failed: {told}" if kind == "failed" else told
+        """The drive, and a status in short or the plugin's text; where it has neither, what the message is."""
+        payload, kind = self.payload, self.payload.get("type")
+        said = kind if payload.get("text") is None else payload["text"]
+        if kind == "status":
+            wrong = [f"{what} {one}" for what in ("fault", "warning") for one in _texts(payload.get(f"{what}s"))]
+            said = ", ".join((str(payload.get("state")), *wrong))
+        elif kind == "failed":
+            said = f"its plugin failed: {said}"
         return f"drive {self.address} ({self.name}): {said}"
 
     @property
     def owed(self) -> bool:
         """The result of an order."""
         return self.payload.get("type") == "result"
+
+
+def _texts(told: object) -> tuple[str, ...]:
+    return tuple(map(str, told)) if isinstance(told, (list, tuple)) else ()

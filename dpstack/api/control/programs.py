@@ -20,7 +20,7 @@ from dpstack.api.events import Injected
 from dpstack.api.parts import SEARCHING
 from dpstack.api.simulation import Segment, Simulation
 from dpstack.api.slave import Slave
-from dpstack.api.statistics import inputs_dict
+from dpstack.api.statistics import diagnosis_dict, drive_dict, inputs_dict
 from dpstack.api.streams import OnEvent, hand_to
 from dpstack.dp.commands import Mode, SetMode
 from dpstack.dp.fields import as_json
@@ -144,10 +144,11 @@ def run_status(bus: Bus) -> dict[str, object]:
         }
         if slave.fault is not None:
             entry["fault"] = slave.fault.text
+        entry |= diagnosis_dict(slave)
         if slave.alarm_counts is not None:
             entry["alarms"] = dataclasses.asdict(slave.alarm_counts)
         if slave.address in drives:
-            entry["drive"] = drives[slave.address].status.as_dict()
+            entry["drive"] = drive_dict(bus, drives[slave.address])
         if bus.bench is not None:
             entry |= station_status(bus.bench.device(slave.address))
             injected = bus.bench.injected(slave.address)

@@ -1,0 +1,194 @@
+"""What people read of diagnoses and drives: a line for each change, the table at the end, and ``ctl status``."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from api_kit import bus_of, virtual
+
+import dpstack
+from dpstack.api.config import slave_config
+from dpstack.api.control.programs import run_status
+from dpstack.api.control.slaves import SlaveCommands
+from dpstack.api.events import DriveEvent, SlaveDiagnosis
+from dpstack.cli import ctl
+from dpstack.cli.report import Reporter
+from dpstack.dp.diag_texts import conspicuous_text
+from dpstack.dp.diagnosis import Diagnosis
+
+IO: dict[str, object] = {"name": "io", "address": 8, "gsd": "io-station", "modules": ["8 DI", "8 DO", "2 AI"]}
+RAW: dict[str, object] = {"name": "raw", "address": 9, "ident": 0x1234, "config": "20 10"}
+FAN: dict[str, object] = {"name": "fan", "address": 4, "drive": "fuji-frenic", "telegram": "PPO2", "ident": "ask"}
+TERMINAL = str(Path(__file__).resolve().parents[2] / "examples" / "terminal.gsd")
+Out = pytest.CaptureFixture[str]
+#: what a person does at the plant while the run goes on
+Story = Callable[[dpstack.Bus, dict[str, Any]], Awaitable[None]]
+
+
+def told_of(story: Story, *slaves: dict[str, object], capsys: Out) -> tuple[list[str], list[str], Any]:
+    """The lines about slaves from data exchange on, without their times; the end; the status before it."""
+
+    async def program() -> Any:
+        reporter = Reporter(json=False)
+        async with bus_of(*slaves, on_event=reporter.event) as bus:
+            reporter.bus = bus
+            assert bus.bench is not None
+            await bus.operate()
+            await bus.ready()
+            await asyncio.sleep(0.5)
+            capsys.readouterr()
+            await story(bus, SlaveCommands(bus.bench).handlers())
+            await bus.rotated(bus.stats.rotations + 10)
+            lines = [
+                line[13:] for line in capsys.readouterr().out.splitlines() if line[13:].startswith(("slave ", "drive "))
+            ]
+            status, stats = run_status(bus), bus.stats
+        capsys.readouterr()
+        reporter.summary(stats)
+        return lines, capsys.readouterr().out.splitlines(), status
+
+    result: tuple[list[str], list[str], Any] = virtual(program())
+    return result
+
+
+def rows(end: list[str]) -> list[list[str]]:
+    """Of the table "Diagnoses and drives"; empty where there is none."""
+    if "Diagnoses and drives" not in end:
+        return []
+    table = end[end.index("Diagnoses and drives") + 2 : end.index("Process data")]
+    return [[cell.strip() for cell in line.split("  ") if cell] for line in table]
+
+
+def test_a_wire_break_with_its_text_in_lines_table_and_status(capsys: Out) -> None:
+    async def story(bus: dpstack.Bus, order: dict[str, Any]) -> None:
+        order["wire-break"](["io", "3", "0", "on"])
+        await asyncio.sleep(1)
+
+    lines, end, status = told_of(story, IO, capsys=capsys)
+    text = "ext_diag; slots with a diagnosis: 3 (2 AI); slot 3 (2 AI), input channel 0 (word): line break"
+    assert [line for line in lines if "diagnosis ext_diag" in line] == [f"slave 8 (io): diagnosis {text}"]
+    assert rows(end) == [["8", "io", "diagnosis", text]]
+    told = status["slaves"]["8"]["diagnosis"]
+    assert told["flags"] == ["ext_diag", "wd_on"]
+    assert "slot 3 (2 AI), input channel 0 (word): line break" in told["texts"]
+    ctl._show(status)
+    assert "line break" in capsys.readouterr().out
+
+
+def test_what_is_over_is_told_once_and_leaves_the_table(capsys: Out) -> None:
+    async def story(bus: dpstack.Bus, order: dict[str, Any]) -> None:
+        order["wire-break"](["io", "3", "0", "on"])
+        await asyncio.sleep(0.5)
+        order["wire-break"](["io", "3", "0", "off"])
+        await asyncio.sleep(0.5)
+
+    lines, end, _ = told_of(story, IO, capsys=capsys)
+    diagnoses = [line for line in lines if "diagnosis ext_diag" in line or "without findings" in line]
+    assert len(diagnoses) == 2
+    assert diagnoses[1] == "slave 8 (io): diagnosis without findings"
+    assert rows(end) == []
+
+
+def test_a_slave_that_is_not_ready_says_so_in_data_exchange() -> None:
+    """Octets of a diagnosis: Station_Not_Ready alone, of a slave that goes on with Data_Exchange."""
+    not_ready = Diagnosis.parse(bytes.fromhex("020C00021234"))
+    wants_parameters = Diagnosis.parse(bytes.fromhex("030500FF1234"))
+    in_order = Diagnosis.parse(bytes.fromhex("000C00021234"))
+    assert not_ready is not None
+    assert wants_parameters is not None
+    assert in_order is not None
+
+    def names(diagnosis: Diagnosis, *, exchanging: bool) -> list[str]:
+        return [flag.name for flag in diagnosis.conspicuous(exchanging=exchanging)]
+
+    assert names(not_ready, exchanging=True) == ["station_not_ready"]
+    assert names(not_ready, exchanging=False) == []  # its state is wait_ready
+    assert names(wants_parameters, exchanging=True) == []  # as every slave says before it is brought up
+    assert names(in_order, exchanging=True) == []
+
+
+def test_a_slave_in_data_exchange_that_is_not_ready_gets_a_line(capsys: Out) -> None:
+    async def story(bus: dpstack.Bus, order: dict[str, Any]) -> None:
+        for octets in ("020C00021234", "020C00021234", "000C00021234"):
+            diagnosis = Diagnosis.parse(bytes.fromhex(octets))
+            assert diagnosis is not None
+            bus.tell(SlaveDiagnosis(t_ns=bus.runtime.now(), address=9, name="raw", diagnosis=diagnosis))
+
+    lines, _, _ = told_of(story, RAW, capsys=capsys)
+    assert lines == [
+        "slave 9 (raw): diagnosis station_not_ready (is not ready for data exchange)",
+        "slave 9 (raw): diagnosis without findings",
+    ]
+
+
+def test_a_blown_fuse_in_the_words_of_the_gsd_file() -> None:
+    """Device related block 02 01: bit 0 of octet 1."""
+    diagnosis = Diagnosis.parse(bytes.fromhex("080C00021A2B0201"))
+    assert diagnosis is not None
+    terminal = slave_config({"name": "t", "address": 7, "gsd": TERMINAL, "modules": ["8 DI"], "dpv1": False})
+    told = conspicuous_text(diagnosis, terminal.texts, exchanging=True)
+    assert told == "ext_diag; fuse blown (replace F1)"
+
+
+def test_a_trip_its_name_and_why_the_drive_stopped(capsys: Out) -> None:
+    async def story(bus: dpstack.Bus, order: dict[str, Any]) -> None:
+        fan = bus.drive("fan")
+        await fan.start()
+        fan.speed = 0.5
+        await fan.reached()
+        await asyncio.sleep(0.5)
+        order["trip"](["fan", "Er5"])
+        await asyncio.sleep(1)
+
+    lines, end, status = told_of(story, FAN, capsys=capsys)
+    drive = [line for line in lines if line.startswith("drive 4 (fan): ")]
+    assert drive[0] == "drive 4 (fan): running"
+    assert any(line.startswith("drive 4 (fan): fault, fault Er5") for line in drive)
+    assert any("left the running state by itself" in line for line in drive)
+    assert sum(": running" in line for line in drive) == 1  # and nothing of set point, speed and reached
+    assert any(row[2] == "drive fault" and "Er5" in row[3] for row in rows(end))
+    assert any("left the running state by itself" in row[-1] for row in rows(end))
+    told = status["slaves"]["4"]["drive"]
+    assert any("Er5" in fault for fault in told["faults"])
+    assert any("left the running state by itself" in one["text"] for one in told["notices"])
+
+
+def test_an_ordinary_run_tells_nothing_of_diagnoses(capsys: Out) -> None:
+    async def program() -> None:
+        reporter = Reporter(json=False)
+        async with bus_of(RAW, IO, on_event=reporter.event) as bus:
+            reporter.bus = bus
+            await bus.ready()
+            await bus.rotated(20)
+            stats = bus.stats
+        reporter.summary(stats)
+
+    virtual(program())
+    assert "iagnos" not in capsys.readouterr().out
+
+
+def test_a_drive_that_flickers_is_no_flood(capsys: Out) -> None:
+    async def program() -> None:
+        reporter = Reporter(json=False)
+        async with bus_of(FAN) as bus:
+            reporter.bus = bus
+            for number in range(2000):
+                payload: dict[str, object] = {
+                    "type": "status",
+                    "state": "ready",
+                    "faults": [],
+                    "warnings": ["fan"][: number % 2],
+                }
+                reporter.event(DriveEvent(t_ns=bus.runtime.now(), address=4, name="fan", payload=payload))
+                await asyncio.sleep(0.001)
+            stats = bus.stats
+        reporter.summary(stats)
+
+    virtual(program())
+    out = capsys.readouterr().out
+    assert 40 <= out.count("drive 4 (fan): ready") < 60
+    assert "changes of the drive's state, faults or warnings are not told one by one" in out
