@@ -18,6 +18,7 @@ from far_ends import until
 from process_kit import VALVES, bus_on
 
 import dpstack
+from dpstack.dp.commands import Mode
 
 LIVE = b"\x11\x22"
 #: for who is not ended by itself
@@ -114,7 +115,37 @@ class Ways:
 
         asyncio.run(main())
 
+    def closed_in_another_loop(self) -> None:
+        loop = asyncio.new_event_loop()
+        bus = loop.run_until_complete(self.opened())
+        asyncio.run(bus.close())
+        loop.run_until_complete(bus.close())  # nothing is left to be closed
+        loop.close()
+
     # --- by the finaliser ---
+    def ctrl_c_without_asyncio_run(self) -> None:
+        """A thread's own signal reaches the main thread whatever signals that one blocks."""
+        live = threading.Event()
+
+        def interrupts() -> None:
+            live.wait(LONG_S)
+            for _ in range(12):
+                os.kill(os.getpid(), signal.SIGINT)
+                time.sleep(0.004)
+
+        async def main() -> None:
+            async with self.bus() as bus:
+                await self.live(bus)
+                live.set()
+                await asyncio.sleep(LONG_S)
+
+        threading.Thread(target=interrupts, daemon=True).start()
+        loop = asyncio.new_event_loop()
+        try:
+            loop.run_until_complete(main())
+        finally:
+            loop.close()
+
     def the_loop_is_closed(self) -> None:
         loop = asyncio.new_event_loop()
         try:
@@ -145,6 +176,12 @@ class Ways:
 
         self.run(kills)
 
+    def sigterm_without_handler(self) -> None:
+        async def told_to_end(_: dpstack.Bus) -> None:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+        self.run(told_to_end)
+
     def os_exit(self) -> None:
         async def exits(_: dpstack.Bus) -> None:
             os._exit(3)
@@ -156,6 +193,9 @@ class Ways:
         async def forks(bus: dpstack.Bus) -> None:
             pid = os.fork()
             if not pid:
+                valves = bus.slave("valves")
+                assert not valves.inputs_valid
+                assert (bus.mode, valves.state) == (Mode.OFFLINE, dpstack.SlaveState.OFFLINE)
                 sys.exit(0)  # through asyncio.run() and the `async with` block of the child
             await until(lambda: os.waitpid(pid, os.WNOHANG)[0] == pid, "the end of the child")
             await asyncio.to_thread(time.sleep, 0.01)  # a thread still wakes the loop up

@@ -146,10 +146,10 @@ class Bus(Sealed, Composed):
         """The ordered end: safe values for one cycle, Clear twice, out of the ring, port released. May be repeated.
 
         It takes a few rotations, and never longer than :attr:`end_limit_s`. It goes through any number of
-        cancellations; the cancellation is raised when it is over. In a process that was forked from the one that
-        opened the bus it does nothing.
+        cancellations; the cancellation is raised when it is over. It may be called in another event loop than the
+        one that opened the bus. In a process that was forked from the one that opened the bus it does nothing.
         """
-        if self.is_left:
+        if self.is_left or await self._ordered_end.elsewhere():
             return
         ending = self._begin_end()
         await outlast(ending)
@@ -169,6 +169,12 @@ class Bus(Sealed, Composed):
     def end_limit_s(self) -> float:
         """No end takes longer than this (s), whatever port and slaves do."""
         return ns_to_s(end_limit_ns(self.params, self.rotation_limit_ns) + self.runtime.close_limit_ns)
+
+    @property
+    def end_failed(self) -> bool:
+        """True after an end in which slaves that had outputs got neither safe values nor Clear (dead port, no token,
+        a bus process that hangs). An event tells it, and what the slaves do."""
+        return self._ordered_end.failed
 
     def _begin_end(self) -> asyncio.Task[None]:
         if self._ending is None:
@@ -206,6 +212,10 @@ class Bus(Sealed, Composed):
         self._open = False
         self._left = True
         self._over = why
+
+    def at_exit(self) -> None:
+        """The interpreter ends, and the bus is still open."""
+        self._ordered_end.at_exit()
 
     def forsake(self) -> None:
         """In the child of a fork: it is the parent's."""

@@ -6,24 +6,27 @@ docs/ends.md has every way out.
 from __future__ import annotations
 
 import asyncio
+import atexit
 import contextlib
 import functools
 import logging
 import os
+import re
 import select
-import selectors
 import signal
 import sys
 import threading
 import weakref
-from collections.abc import AsyncGenerator, Iterator
+from collections.abc import AsyncGenerator, Callable, Iterable, Iterator
+from pathlib import Path
+from time import monotonic
 from types import FrameType
 from typing import TYPE_CHECKING, Final
 
 from dpstack.dp.commands import Mode
 from dpstack.drivers.aio import outlast
 from dpstack.drivers.ending import EndSteps, at_slaves
-from dpstack.errors import DpError, UsageError
+from dpstack.errors import BusError, DpError, UsageError
 from dpstack.trace import Event, Severity
 from dpstack.units import ns_to_s
 
@@ -34,6 +37,10 @@ _log: Final = logging.getLogger("dpstack")
 
 #: the buses of this process that are open: for :func:`hurry_all` and for the child of a fork
 _open_buses: weakref.WeakSet[Bus] = weakref.WeakSet()
+#: what the system sends to end a program
+_ENDING_SIGNALS: Final = tuple(
+    number for name in ("SIGINT", "SIGTERM", "SIGHUP") if (number := getattr(signal, name, None)) is not None
+)
 #: Ctrl-C within so many seconds of the beginning of the end is the one that began it
 SAME_SIGNAL_S: Final = 1.0
 
@@ -58,6 +65,8 @@ class OrderedEnd:
         self._wake_fd = -1
         self._held: _HeldByLoop | None = None
         self._pid = os.getpid()
+        #: slaves had outputs, and got neither safe values nor Clear
+        self.failed = False
 
     # --- the bus opens and closes -------------------------------------------------------------------------------
 
@@ -72,8 +81,6 @@ class OrderedEnd:
         _open_buses.add(self._bus)
         self._keeper = self._keep()
         await anext(self._keeper)
-        if self._bus.driver == "virtual":  # nobody real has outputs
-            return
         held = _HeldByLoop()
         if hasattr(os, "eventfd"):
             fd = os.eventfd(0, os.EFD_CLOEXEC)
@@ -82,9 +89,12 @@ class OrderedEnd:
                 self._wake_fd = fd
             except NotImplementedError:
                 os.close(fd)
+        if self._bus.driver == "virtual":  # nobody real has outputs
+            return
         if self._wake_fd < 0:  # only the end of the interpreter is noticed then
             self._held = held
         self._finalizer = weakref.finalize(held, self._without_loop)
+        self._finalizer.atexit = False  # see _at_exit
 
     async def _keep(self) -> AsyncGenerator[None, None]:
         try:
@@ -160,14 +170,15 @@ class OrderedEnd:
             # no event: no port tells when the last bit is on the wire, only time does
             self._steps = None
             await self._pause(ns_to_s(steps.over_at(now) - now))
+        self.failed = bool(owed) and not steps.cleared
         # a bus process that is no more has its own words for that
-        if owed and (steps.cleared is False or (steps.cleared is None and bus.driver != "process")):
+        if self.failed and not (steps.cleared is None and bus.driver == "process"):
             text = f"the end could not be sent: the slaves got neither safe values nor Clear. {at_slaves(owed)}"
             bus.notice("bus", text, Severity.ERROR)
 
     def _exchanging(self) -> dict[str, int]:
         """The watchdogs in ns of the slaves that have outputs of this master, by name."""
-        if self._bus.mode is not Mode.OPERATE:
+        if self._bus.master.mode is not Mode.OPERATE:
             return {}
         handlers = self._bus.master.handlers.values()
         return {h.setup.name: h.watchdog_effective_ns for h in handlers if h.exchanges}
@@ -201,23 +212,19 @@ class OrderedEnd:
             yield
             return
         assert callable(before)
-        caught: list[FrameType | None] = []
-        begun = loop.time()
-
-        def defer(_number: int, frame: FrameType | None) -> None:
-            caught.append(frame)
-            if loop.time() - begun >= SAME_SIGNAL_S:
-                loop.call_soon_threadsafe(self._bus.hurry)
-
-        signal.signal(signal.SIGINT, defer)
+        deferred = _DeferredSignals((signal.SIGINT,), lambda: loop.call_soon_threadsafe(self._bus.hurry))
         try:
             yield
         finally:
-            signal.signal(signal.SIGINT, before)
-            if caught:
+            if deferred.restore():
                 loop.call_soon(before, signal.SIGINT, None)
 
     # --- without a loop -----------------------------------------------------------------------------------------
+
+    def at_exit(self) -> None:
+        """The interpreter ends: the finaliser acts now, if the bus has one."""
+        if self._finalizer is not None and self._finalizer.detach():
+            self._without_loop()
 
     def _without_loop(self) -> None:
         """The finaliser: the loop was closed, or the interpreter ends, and nobody has closed the bus."""
@@ -225,22 +232,67 @@ class OrderedEnd:
         if os.getpid() != self._pid or bus.is_left:
             return
         where = f"the bus on {bus.runtime.port_name}"
-        if loop is not None and loop.is_running():  # in another thread, which ends with the interpreter
-            with contextlib.suppress(Exception):
-                asyncio.run_coroutine_threadsafe(bus.close(), loop).result(bus.end_limit_s)
-                _log.warning("%s was still open as the program ended and was closed then", where)
-                return
-        with _signals_blocked():
-            owed = self._exchanging()
-            why = bus.runtime.end_without_loop()
-            bus.leave(UsageError("the bus was left with its event loop"))
+        deferred = _DeferredSignals(_ENDING_SIGNALS, self._hurry_in_thread)
+        try:
+            if loop is not None and loop.is_running():  # in another thread, which ends with the interpreter
+                with contextlib.suppress(Exception):
+                    asyncio.run_coroutine_threadsafe(bus.close(), loop).result(bus.end_limit_s)
+                    _log.warning("%s was still open as the program ended and was closed then", where)
+                    return
+            self._end_now(f"{where} was not closed before its event loop was (use `async with`)")
+        finally:
+            deferred.raise_again()
+
+    def _hurry_in_thread(self) -> None:
+        loop = self._loop
+        if loop is not None and loop.is_running():
+            loop.call_soon_threadsafe(self._bus.hurry)
+
+    def _end_now(self, how: str) -> None:
+        """The end by this thread, without the loop. ``how`` the bus was left, for people."""
+        bus = self._bus
+        owed = self._exchanging()
+        why = bus.runtime.end_without_loop()
+        bus.leave(UsageError("the bus was left with its event loop"))
         self._forget()
         self._drop_keeper()
-        was = f"{where} was not closed before its event loop was (use `async with`)"
+        self.failed = bool(owed and why)
         if not why:
-            _log.warning("%s: safe values and Clear were sent at the last moment", was)
+            _log.warning("%s: safe values and Clear were sent at the last moment", how)
         elif owed:
-            _log.error("%s, and safe values and Clear could not be sent: %s. %s", was, why, at_slaves(owed))
+            _log.error("%s, and safe values and Clear could not be sent: %s. %s", how, why, at_slaves(owed))
+
+    async def elsewhere(self) -> bool:
+        """Close the bus for a caller outside of the bus's event loop; False where the caller is in that loop.
+
+        A loop that runs in another thread makes the end itself. For a loop that does not run the end is made here, as
+        the finaliser would make it. Without any running loop (Python throws a coroutine away) it is left to the
+        finaliser. Raises BusError where the loop in the other thread is blocked.
+        """
+        loop = self._loop
+        try:
+            running = asyncio.get_running_loop()
+        except RuntimeError:
+            return True
+        if loop is None or loop is running:
+            return False
+        if loop.is_running():
+            ending = asyncio.wrap_future(asyncio.run_coroutine_threadsafe(self._bus.close(), loop))
+            limit = running.call_later(self._bus.end_limit_s, ending.cancel)
+            await outlast(ending)
+            limit.cancel()
+            if ending.cancelled():
+                raise BusError(
+                    f"the event loop of the bus on {self._bus.runtime.port_name} is blocked: it does not end it"
+                )
+            ending.result()
+        else:
+            deferred = _DeferredSignals(_ENDING_SIGNALS, lambda: None)
+            try:
+                self._end_now(f"the bus on {self._bus.runtime.port_name} was closed in another event loop than its own")
+            finally:
+                deferred.raise_again()
+        return True
 
     def _drop_keeper(self) -> None:
         keeper, self._keeper = self._keeper, None
@@ -253,8 +305,7 @@ class OrderedEnd:
     def forsake(self) -> None:
         """In the child of a fork: the bus stays the parent's, and nothing that both share is touched."""
         bus = self._bus
-        if self._loop is not None:
-            _separate(self._loop)
+        _separate(self._wake_fd)
         bus.runtime.forsake()
         text = "this process was forked from the one that runs the bus, which goes on there: open a bus of its own"
         bus.leave(UsageError(text))
@@ -282,29 +333,65 @@ def _raises(handler: object) -> bool:
     return isinstance(getattr(func, "__self__", None), asyncio.Runner)
 
 
-@contextlib.contextmanager
-def _signals_blocked() -> Iterator[None]:
-    """SIGINT and SIGTERM wait meanwhile, where this system can do that."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+class _DeferredSignals:
+    """Signals of ``numbers`` are kept from now on until :meth:`restore`, whichever thread the system gives them to.
 
-
-def _separate(loop: asyncio.AbstractEventLoop) -> None:
-    """In the child of a fork: give its copy of ``loop`` an epoll of its own.
-
-    The copy has the parent's. Closing the loop in the child, as asyncio.run() does, would take descriptors out of the
-    parent's loop, among them the one by which threads and signals wake it up.
+    Nothing is changed in threads other than the main one, where no handler runs, and for ignored signals.
+    ``late`` is called by one that comes more than :data:`SAME_SIGNAL_S` after the beginning.
     """
-    selector = getattr(loop, "_selector", None)
-    if sys.platform == "linux" and isinstance(selector, selectors.EpollSelector) and not loop.is_closed():
-        with select.epoll() as fresh:
-            os.dup2(fresh.fileno(), selector.fileno(), inheritable=False)
+
+    def __init__(self, numbers: Iterable[int], late: Callable[[], object]) -> None:
+        self._caught: list[int] = []
+        self._before: dict[int, object] = {}
+        self._late = late
+        self._begun = monotonic()
+        if threading.current_thread() is threading.main_thread():
+            for number in numbers:
+                self._defer(number)
+
+    def _defer(self, number: int) -> None:
+        before = signal.getsignal(number)
+        while before not in (None, signal.SIG_IGN) and number not in self._before:
+            try:
+                signal.signal(number, self._keep)
+            except BaseException as error:  # it came before: Python runs its handler before it takes another one
+                self._caught.append(signal.SIGINT if isinstance(error, KeyboardInterrupt) else signal.SIGTERM)
+            else:
+                self._before[number] = before
+
+    def _keep(self, number: int, _frame: FrameType | None) -> None:
+        self._caught.append(number)
+        if monotonic() - self._begun >= SAME_SIGNAL_S:
+            self._late()
+
+    def raise_again(self) -> None:
+        """The handlers from before are back, and see the signals that came."""
+        for number in self.restore():
+            signal.raise_signal(number)
+
+    def restore(self) -> list[int]:
+        """The handlers from before are back. Returns the signals that came, each once."""
+        for number, before in self._before.items():
+            if callable(before) or isinstance(before, signal.Handlers):
+                signal.signal(number, before)
+        return list(dict.fromkeys(self._caught))
+
+
+def _separate(watched_fd: int) -> None:
+    """In the child of a fork: an event loop's epoll that watches ``watched_fd`` becomes one of the child's own.
+
+    The copy of a loop has the parent's epoll. Closing the loop in the child, as asyncio.run() does, would take
+    descriptors out of the parent's loop, among them the one by which threads and signals wake it up. Which epoll it is
+    Linux tells, so it may be the loop of asyncio or another one (uvloop).
+    """
+    if sys.platform != "linux" or watched_fd < 0:
+        return
+    for name in os.listdir("/proc/self/fd"):
+        with contextlib.suppress(OSError, ValueError):
+            watched = Path("/proc/self/fdinfo", name).read_text(encoding="ascii")
+            if re.search(rf"^tfd:\s*{watched_fd}\s", watched, re.MULTILINE):
+                with select.epoll() as fresh:
+                    os.dup2(fresh.fileno(), int(name), inheritable=False)
 
 
 def _in_child() -> None:
@@ -312,6 +399,15 @@ def _in_child() -> None:
         bus.forsake()
 
 
+def _at_exit() -> None:
+    """End all buses that are left, before a signal that comes meanwhile ends the program."""
+    deferred = _DeferredSignals(_ENDING_SIGNALS, lambda: None)
+    for bus in list(_open_buses):
+        bus.at_exit()
+    deferred.raise_again()
+
+
+atexit.register(_at_exit)
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_in_child)
 

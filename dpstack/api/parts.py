@@ -117,8 +117,8 @@ class Composed:
 
     @property
     def mode(self) -> Mode:
-        """The mode of the master."""
-        return self.master.mode
+        """The mode of the master; OFFLINE while nobody keeps it running."""
+        return self.master.mode if self.runtime.not_running is None else Mode.OFFLINE
 
     @property
     def station(self) -> StationSeen:

@@ -61,8 +61,8 @@ def add_to(commands: options.Commands) -> None:
 
 
 def execute(args: argparse.Namespace) -> int:
-    """Run until a limit or a signal; 1 when a slave is not in data exchange at the end, after a stall, and when the
-    master went to Clear by itself and still is there."""
+    """Run until a limit or a signal; 1 when a slave is not in data exchange at the end, after a stall, when the
+    master went to Clear by itself and still is there, and when safe values and Clear could not be sent at the end."""
     name, given = _config_and_outputs(args)
     config = load_config(name).with_bus(
         port=args.port,
@@ -123,7 +123,7 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
         missing = [clear_text(held), *missing]
     for text in missing:
         warn(text)
-    return 1 if missing or reporter.stalled else 0
+    return 1 if missing or reporter.stalled or bus.end_failed else 0
 
 
 async def _open(bus: Bus, control: ControlServer) -> None:

@@ -9,6 +9,7 @@ once.
 from __future__ import annotations
 
 import asyncio
+import atexit
 import contextlib
 import os
 import signal
@@ -61,8 +62,16 @@ class StopSignal:
         streams.lost.told = None
         if self.hurried:
             _alarm(0.0, signal.SIG_DFL)
-        if not (self.received and self._clock() - self._at < _SAME_S):  # else its double may be on its way
+        if not (self.received and self._clock() - self._at < _SAME_S):
             self._restore()
+        else:  # its double may be on its way: until the interpreter ends, and takes the handlers of signals away
+            atexit.register(self._ignore)
+
+    def _ignore(self) -> None:
+        """What still holds on to the signals lets them pass until the process has ended."""
+        for number in self._old:
+            if signal.getsignal(number) == self._caught:
+                signal.signal(number, signal.SIG_IGN)
 
     def _restore(self) -> None:
         for number, old in self._old.items():

@@ -6,7 +6,7 @@ import asyncio
 from time import monotonic_ns
 from typing import Any
 
-from dpstack.drivers.base import OnFailure
+from dpstack.drivers.base import IN_PARENT, OnFailure
 from dpstack.drivers.ending import end_on_port
 from dpstack.drivers.lateness import patience_of
 from dpstack.drivers.reopening import Attempts
@@ -44,10 +44,13 @@ class AsyncioRuntime(Stepping):
     _loop: asyncio.AbstractEventLoop | None = None  # of the last open
     _quiet_until = 0  # until then the port hands nothing over; the timer waits for it, or for something sooner
     _reopening: asyncio.Task[None] | None = None
+    _left: str | None = None  # why nobody runs it any more, though it was not closed
 
     @property
     def not_running(self) -> str | None:
-        """The defect that stopped it; None when there was none."""
+        """The defect that stopped it, or why it was left; None when there was none."""
+        if self._left is not None:
+            return self._left
         return None if self.failed is None else f"the bus was stopped by a defect in dpstack: {self.failed}"
 
     @property
@@ -82,6 +85,11 @@ class AsyncioRuntime(Stepping):
 
     def end_without_loop(self) -> str:
         """The loop was closed or never runs again: the end of its bus by this thread alone, see :func:`end_on_port`."""
+        self._left = self._ended_here()
+        return self._left or ""
+
+    def _ended_here(self) -> str | None:
+        """The end by this thread alone; why safe values and Clear could not be sent, None where they were."""
         port, station = self._port, self._machine
         lost = self._at is None or self._attempts is not None or self.failed is not None
         self._reopening = None
@@ -89,11 +97,16 @@ class AsyncioRuntime(Stepping):
         try:
             if lost or not isinstance(station, ActiveStation):
                 return "its port is lost"
-            return end_on_port(port, station, self.echo)
+            return end_on_port(port, station, self.echo) or None
         except Exception as exc:  # at the end of an interpreter anything may be missing
             return f"{type(exc).__name__}: {exc}"
         finally:
             port.close()
+
+    def forsake(self) -> None:
+        """In the child of a fork: no more steps; line, timer and loop stay the parent's."""
+        self._left = IN_PARENT
+        super().forsake()
 
     def _expect(self, at: int, quiet_until: int) -> None:
         if quiet_until:

@@ -17,6 +17,9 @@ END_LIMIT: Final = 2 * NS_PER_S
 #: Global_Control, the longest telegram of the end
 _LAST_OCTETS: Final = 13
 
+#: Why nobody keeps a machine running in the child of a fork, for people.
+IN_PARENT: Final = "the bus runs in the process from which this one was forked"
+
 #: Takes what a machine told, in order; called from the loop, never from another thread.
 OnEvents = Callable[[list[Event]], None]
 #: Told when the machine raised: a defect of ours, the driver has stopped.

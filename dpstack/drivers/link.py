@@ -142,8 +142,11 @@ class Link:
         process, loop = self._process, self._loop
         if process is None or loop is None or self._silent or process.poll() is not None:
             return
+        try:
+            fd = os.pidfd_open(process.pid)
+        except OSError:  # no descriptor is left: who releases it waits for it
+            return
         over: asyncio.Future[None] = loop.create_future()
-        fd = os.pidfd_open(process.pid)
         limit = loop.call_later(_END_S, _set, over)
         try:
             loop.add_reader(fd, _set, over)

@@ -26,7 +26,7 @@ from dpstack.dp.events import Fault, FaultKind, SlaveState, SlaveStateChanged
 from dpstack.dp.survey import SurveyOrder, SurveyResult
 from dpstack.drivers import link
 from dpstack.drivers.aio import outlast
-from dpstack.drivers.base import BusProcessBack, BusProcessSilent, OnEvents, OnFailure, OutputsDropped
+from dpstack.drivers.base import IN_PARENT, BusProcessBack, BusProcessSilent, OnEvents, OnFailure, OutputsDropped
 from dpstack.drivers.ending import at_slaves
 from dpstack.drivers.lateness import Lateness
 from dpstack.drivers.messages import (
@@ -188,6 +188,8 @@ class ProcessRuntime:
 
     def forsake(self) -> None:
         """The bus process is the parent's: the child closes its copies of what leads there."""
+        self._not_running = IN_PARENT
+        self.mirror.lost(Fault(FaultKind.LOST, IN_PARENT, ""))
         self._link.forsake()
         if self._image is not None:
             self._image.close()

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from time import monotonic_ns
 from typing import Final, Protocol
 
-from dpstack.drivers.base import OnEvents
+from dpstack.drivers.base import IN_PARENT, OnEvents
 from dpstack.drivers.lateness import Lateness
 from dpstack.drivers.virtual_loop import Timeline, VirtualLoop
 from dpstack.errors import BusError, UsageError
@@ -74,10 +74,13 @@ class VirtualRuntime:
         self._station = station
         self._on_events = on_events
         self._clockwork: _Clockwork | None = None
+        self._forsaken = False
 
     @property
     def not_running(self) -> str | None:
-        """That a defect stopped the simulated bus; None when there was none."""
+        """That a defect stopped the simulated bus, or that it was forked away from; None when it runs."""
+        if self._forsaken:
+            return IN_PARENT
         failed = self._clockwork is not None and self._clockwork.failed
         return "the simulated bus was stopped by a defect in dpstack" if failed else None
 
@@ -120,6 +123,7 @@ class VirtualRuntime:
     def forsake(self) -> None:
         """Both processes have a world of their own now; the child's stands still."""
         self._clockwork = None
+        self._forsaken = True
 
     def command(self, command: object) -> None:
         """Hand an order to the station and let it act at once. Raises UsageError when not open, BusError when a defect

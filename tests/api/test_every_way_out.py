@@ -7,6 +7,7 @@ import contextlib
 import logging
 import os
 import re
+import select
 import subprocess
 import sys
 from collections.abc import Callable
@@ -21,6 +22,7 @@ from process_kit import SPEC, eventually, octet_slaves
 from support_responder import Responder
 
 import dpstack
+from dpstack.api import ending
 from dpstack.fdl.active import ActiveStation
 from dpstack.ports.tty import TtyPort
 
@@ -80,7 +82,8 @@ def test_the_table_has_every_way_with_every_driver() -> None:
 
 #: what can be seen from within the process of the test
 HERE = [way for way in WAYS if way not in ("the_interpreter_ends", "in_a_daemon_thread", "killed", "os_exit")]
-HERE.remove("a_forked_child_ends")
+for out in ("a_forked_child_ends", "ctrl_c_without_asyncio_run", "sigterm_without_handler"):
+    HERE.remove(out)
 RAISED: dict[str, type[BaseException]] = {
     "an_exception": ZeroDivisionError,
     "ctrl_c_three_times": KeyboardInterrupt,
@@ -117,7 +120,13 @@ def as_program(way: str, driver: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("way", "driver"), [("the_interpreter_ends", "asyncio"), ("a_forked_child_ends", "process"), ("os_exit", "process")]
+    ("way", "driver"),
+    [
+        ("the_interpreter_ends", "asyncio"),
+        ("ctrl_c_without_asyncio_run", "asyncio"),
+        ("a_forked_child_ends", "process"),
+        ("os_exit", "process"),
+    ],
 )
 def test_as_programs(way: str, driver: str) -> None:
     as_program(way, driver)
@@ -172,6 +181,39 @@ def test_the_finaliser_sends_nothing_beside_other_masters(
         )
         assert there.slaves[4].outputs == b"\x11\x22"
         assert there.slaves[4].control != b"\x02\x00"
+
+
+def test_the_child_of_a_fork_gets_an_epoll_of_its_own_whatever_loop_has_it() -> None:
+    """asyncio keeps its epoll in the selector; other loops (uvloop) show it nowhere in Python."""
+    fd = os.eventfd(0)
+    with select.epoll() as of_loop:
+        of_loop.register(fd, select.EPOLLIN)
+        pid = os.fork()
+        if not pid:
+            try:
+                ending._separate(fd)
+                of_loop.unregister(fd)
+            finally:
+                os._exit(0)
+        os.waitpid(pid, 0)
+        os.eventfd_write(fd, 1)
+        assert of_loop.poll(0) == [(fd, select.EPOLLIN)]
+    os.close(fd)
+
+
+def test_close_in_another_thread_has_the_loop_make_the_end() -> None:
+    with octet_slaves(SPEC) as (path, there), heard(there) as words:
+
+        async def main() -> None:
+            async with ways.bus() as bus:
+                await ways.live(bus)
+                await asyncio.to_thread(asyncio.run, bus.close())
+                assert not bus.is_open
+
+        ways = Ways(path, "asyncio")
+        asyncio.run(main())
+        eventually(lambda: bool(words) and words[-1] == "clear", "Clear")
+        check(TABLE["the_block_ends", "asyncio"], words, "")
 
 
 def test_a_closed_bus_leaves_no_finaliser(caplog: pytest.LogCaptureFixture) -> None:

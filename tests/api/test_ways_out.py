@@ -241,6 +241,7 @@ def test_an_end_that_cannot_be_sent_is_told_once(world: WorldFactory) -> None:
             plant.bus.command(LineDown("unplugged"))
             begun = loop.time()
         assert loop.time() - begun <= plant.bus.end_limit_s
+        assert plant.bus.end_failed
         assert [text for text in plant.events if "could not be sent" in text] == [
             "bus: the end could not be sent: the slaves got neither safe values nor Clear. "
             "The slaves' watchdogs make their outputs safe within 200 ms"
@@ -260,6 +261,7 @@ def test_a_hurried_end_is_over_within_a_second(world: WorldFactory) -> None:
             await plant.bus.close()
             assert loop.time() - begun < 1
         plant.ended_in_order()
+        assert not plant.bus.end_failed
         with pytest.raises(dpstack.UsageError, match="the bus is not open"):
             await plant.bus.operate()
 

@@ -7,7 +7,7 @@ import contextlib
 import os
 import signal
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -17,7 +17,9 @@ from process_kit import SPEC, octet_slaves
 from programs import Starter
 
 import dpstack
+from dpstack.api.ending import OrderedEnd
 from dpstack.cli import signals
+from dpstack.cli.main import main
 from dpstack.cli.signals import StopSignal
 
 RUN = """
@@ -142,6 +144,33 @@ def test_the_double_that_comes_when_all_is_over_does_nothing(left: list[int]) ->
         signal.signal(signal.SIGTERM, lambda number, _frame: others.append(number))
         asyncio.run(program())
     assert (left, others) == ([], [signal.SIGTERM])
+
+
+def test_the_double_that_comes_as_the_interpreter_ends_does_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An interpreter that ends gives the signals it handled back to the system, whose default kills the process."""
+    at_exit: list[Callable[[], None]] = []
+    monkeypatch.setattr("atexit.register", at_exit.append)
+
+    async def program() -> None:
+        with StopSignal(Clock()):
+            await caught(signal.SIGTERM)
+
+    with old_handlers():
+        asyncio.run(program())
+        assert signal.getsignal(signal.SIGTERM) is not signal.SIG_IGN
+        for function in at_exit:
+            function()
+        assert signal.getsignal(signal.SIGTERM) is signal.SIG_IGN
+
+
+def test_run_ends_with_1_where_the_end_could_not_be_sent(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plant = tmp_path / "plant.toml"
+    plant.write_text(RUN.format(port="virtual"), encoding="utf-8")
+    assert main(["run", str(plant), "--rotations", "5"]) == 0, capsys.readouterr().err
+    monkeypatch.setattr(OrderedEnd, "failed", property(lambda _: True, lambda *_: None), raising=False)
+    assert main(["run", str(plant), "--rotations", "5"]) == 1
 
 
 def test_a_hurried_end_that_hangs_is_left(
