@@ -94,6 +94,11 @@ def why_not_joined(station: StationSeen, after_s: float) -> str:
             f"{late}: masters {', '.join(map(str, others))} do not let it in; "
             f"their HSA must be {own} or more and their GAP on"
         )
+    if station.stats.heard:
+        return (
+            f"{late}: {station.stats.heard} telegrams of other stations are heard, and no token: a master that passes "
+            "none shares its bus with nobody; stop it first"
+        )
     if station.decoder_stats.octets:
         return f"{late}: what is heard is no PROFIBUS at this rate; check the baud rate, A and B, the termination"
     return f"{late}: nothing is heard and nothing could be sent; check port and cable"

@@ -6,6 +6,7 @@ import asyncio
 
 import pytest
 from api_kit import FAN, RAW, bus_of, slave_in, virtual
+from foreign_master import ForeignMaster
 from support import WorldFactory
 
 import dpstack
@@ -107,6 +108,25 @@ def test_without_a_ring_there_is_a_reason(world: WorldFactory) -> None:
                 await bus.open()
 
     virtual(program(world()))
+
+
+class Tokenless(ForeignMaster):
+    """A master that passes no token, as pyprofibus: a request to slave 8 every 200 bits, and never a pause."""
+
+    def sent(self, at: int) -> None:
+        self.plan = [(at + self.bits(200), bytes.fromhex("68 04 04 68 08 02 7D 55 DC 16"))]
+
+
+def test_a_master_without_a_token_is_named_as_the_reason(world: WorldFactory) -> None:
+    async def program(w: World) -> None:
+        master = Tokenless(2, 2)
+        master.sent(w.now)
+        w.add(master)
+        bus = dpstack.open_bus(port="virtual", baud=500_000, address=1, slaves=[], world=w, join_timeout=1.0)
+        with pytest.raises(dpstack.BusError, match=r"\d+ telegrams of other stations are heard, and no token"):
+            await bus.open()
+
+    virtual(program(world(referee=False)))
 
 
 def test_misuse_says_what_to_do() -> None:
