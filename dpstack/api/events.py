@@ -33,7 +33,7 @@ from dpstack.dp.scanner import Found, ScanDone, SlaveView, StationSeen
 from dpstack.dp.v1.alarm_events import AlarmRaised, StatusTold
 from dpstack.dp.v1.alarms import Alarm, Specifier, Status
 from dpstack.dp.v1.ms2_orders import ConnectionOver
-from dpstack.drivers.base import BusProcessBack, BusProcessSilent, OutputsDropped, PortBack, PortLost
+from dpstack.drivers.base import BehindRealTime, BusProcessBack, BusProcessSilent, OutputsDropped, PortBack, PortLost
 from dpstack.fdl.events import AddressCollision, DoesNotFit, MasterSeen, RingJoined, RingLeft, StationFound, TokenLost
 from dpstack.trace import Event, Notice, Severity
 from dpstack.units import NS_PER_MS, NS_PER_US
@@ -43,6 +43,7 @@ __all__ = [
     "AlarmRaised",
     "ApplicationSilent",
     "AutoCleared",
+    "BehindRealTime",
     "Blocked",
     "BusProcessBack",
     "BusProcessSilent",
@@ -133,7 +134,7 @@ def severity_of(event: Event) -> Severity:
             return Severity.WARNING
         case DriveEvent(payload={"type": "failed"}):
             return Severity.ERROR
-        case ConnectionOver(ordered=False):
+        case ConnectionOver(ordered=False) | BehindRealTime(keeps_up=False):
             return Severity.WARNING
     return Severity.INFO
 
@@ -209,6 +210,9 @@ def event_json(event: Event, t: float) -> dict[str, object] | None:
         case BusProcessSilent(silent_ns=silent_ns) | BusProcessBack(silent_ns=silent_ns):
             silent = {"silent": isinstance(event, BusProcessSilent), "silent_ms": round(silent_ns / NS_PER_MS, 1)}
             return {"event": "bus_process", **line, **silent, "text": event.text}
+        case BehindRealTime(bus_ns=bus_ns, real_ns=real_ns, behind_ns=behind_ns):
+            told = {"speed": round(bus_ns / real_ns, 3), "behind_ms": round(behind_ns / NS_PER_MS, 1)}
+            return {"event": "behind", **line, **told, "keeps_up": event.keeps_up, "text": event.text}
         case OutputsDropped(outputs=outputs):
             return {"event": "outputs_dropped", **line, "outputs": outputs.hex(), "text": event.text}
         case Notice():

@@ -137,6 +137,8 @@ class BusStats:
     host_slack_ms: float
     age: float = 0.0
     stale: bool = False
+    #: how far the time of a simulated bus has fallen behind real time, in s
+    behind: float = 0.0
 
     @property
     def stations(self) -> dict[int, StationStats]:
@@ -199,6 +201,7 @@ class BusStats:
             "host_slack_ms": self.host_slack_ms,
             "age_ms": round(self.age * 1000, 1),
             "stale": self.stale,
+            "behind_ms": round(self.behind * 1000, 1),
             "slaves": {str(address): slave.as_dict() for address, slave in self.slaves.items()},
         }
 
@@ -251,5 +254,6 @@ def collect(bus: Bus) -> BusStats:
         host_us=lateness.histogram.summary_us() if lateness.histogram.count else None,
         host_slack_ms=bus.station.patience.known_ns / NS_PER_MS,
         age=ns_to_s(age_ns),
+        behind=ns_to_s(bus.runtime.behind_ns),
         stale=bus.runtime.not_running is not None or age_ns > STALE_NS,
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, Final
 
 from dpstack.api.bus import Bus
 from dpstack.api.events import (
@@ -25,6 +25,9 @@ from dpstack.api.streams import Flapping
 from dpstack.cli import output
 from dpstack.units import baud_text, ms_text, ns_to_s
 
+#: a simulated bus that fell behind real time by more than this, in s and as a part of its time, is told of at the end
+_BEHIND_S: Final = 0.1
+_BEHIND: Final = 0.02
 _STYLES = {Severity.INFO: "", Severity.WARNING: "yellow", Severity.ERROR: "red"}
 
 
@@ -148,6 +151,12 @@ class Reporter:
             output.line(
                 f"port and computer cost {late['p50']} us an exchange (p99.9 {late['p999']} us); "
                 f"a missing answer is waited for {stats.host_slack_ms:g} ms longer"
+            )
+        if stats.behind > max(_BEHIND_S, _BEHIND * stats.seconds):
+            output.line(
+                f"simulated {stats.seconds:.1f} s of bus time in {stats.seconds + stats.behind:.1f} s: "
+                "the simulated bus did not keep up with real time",
+                "yellow",
             )
         if stats.stale:
             output.line(f"the counters are {stats.age:.1f} s old: the bus process did not go on counting", "yellow")

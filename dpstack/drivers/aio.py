@@ -54,6 +54,11 @@ class AsyncioRuntime(Stepping):
         return None if self.failed is None else f"the bus was stopped by a defect in dpstack: {self.failed}"
 
     @property
+    def behind_ns(self) -> int:
+        """A real bus is where it is."""
+        return 0
+
+    @property
     def counters_age_ns(self) -> int:
         """They are those of this moment."""
         return 0

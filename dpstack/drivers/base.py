@@ -10,7 +10,7 @@ from dpstack.dp.events import SlaveEvent
 from dpstack.drivers.lateness import Lateness
 from dpstack.params import BusParams
 from dpstack.trace import Event
-from dpstack.units import BITS_PER_CHAR, NS_PER_S, ms_text
+from dpstack.units import BITS_PER_CHAR, NS_PER_S, ms_text, ns_to_s
 
 #: the ordered end takes a few rotations; nobody waits longer than this for each of its steps (plus ten rotations)
 END_LIMIT: Final = 2 * NS_PER_S
@@ -96,6 +96,30 @@ class OutputsDropped(SlaveEvent):
         )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BehindRealTime(Event):
+    """The time of a simulated bus falls behind real time, how fast it goes has changed much, or it keeps up again.
+
+    ``bus_ns`` of bus time went by in the last ``real_ns``; ``behind_ns`` is how far it is behind in all.
+    """
+
+    bus_ns: int
+    real_ns: int
+    behind_ns: int
+    keeps_up: bool
+
+    @property
+    def text(self) -> str:
+        """How fast, and what helps."""
+        if self.keeps_up:
+            return f"the simulated bus keeps up with real time again, {ns_to_s(self.behind_ns):.1f} s behind in all"
+        return (
+            f"the simulated bus falls behind real time: {ns_to_s(self.bus_ns):.2f} s of bus time in the last "
+            f"{ns_to_s(self.real_ns):.2f} s; the computer is too slow for it, or the program blocks its event loop: "
+            f"take a lower baud rate, or fewer slaves"
+        )
+
+
 def last_bits_ns(params: BusParams) -> int:
     """How long to wait after the event that ends the ordered end, before the port is closed: events tell of
     transmissions whose last bit lies ahead."""
@@ -125,6 +149,10 @@ class Runtime(Protocol):
     @property
     def counters_age_ns(self) -> int:
         """How old the counters are that can be read now."""
+
+    @property
+    def behind_ns(self) -> int:
+        """How far the time of a simulated bus has fallen behind real time since the opening (ns), else 0."""
 
     def damage(self) -> dict[str, int]:
         """Octets that arrived damaged, by cause, as far as the port can tell."""

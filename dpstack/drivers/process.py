@@ -127,6 +127,11 @@ class ProcessRuntime:
         return self._not_running
 
     @property
+    def behind_ns(self) -> int:
+        """A real bus is where it is."""
+        return 0
+
+    @property
     def counters_age_ns(self) -> int:
         """How old the counters are."""
         counted = self.counters().t_ns

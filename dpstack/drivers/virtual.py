@@ -12,13 +12,13 @@ from collections.abc import Callable
 from time import monotonic_ns
 from typing import Final, Protocol
 
-from dpstack.drivers.base import IN_PARENT, OnEvents
+from dpstack.drivers.base import IN_PARENT, BehindRealTime, OnEvents
 from dpstack.drivers.lateness import Lateness
 from dpstack.drivers.virtual_loop import Timeline, VirtualLoop
 from dpstack.errors import BusError, UsageError
 from dpstack.fdl.station import BusStation
 from dpstack.trace import Event
-from dpstack.units import NEVER, NS_PER_MS, ns_to_s
+from dpstack.units import NEVER, NS_PER_MS, NS_PER_S, ns_to_s
 
 #: Told when a machine raised: a defect of ours, the world stands still.
 OnFailure = Callable[[Exception], None]
@@ -30,6 +30,11 @@ _PORTION_NS: Final = 4 * NS_PER_MS
 #: Later than this is not caught up any more.
 _DEBT_NS: Final = 50 * NS_PER_MS
 _EVENTS_PER_LOOK: Final = 16
+#: A bus whose time goes slower than this part of real time falls behind; above the other one it keeps up again.
+_SLOW: Final = 0.9
+_KEEPS_UP: Final = 0.97
+#: Told again when the speed has changed by this factor.
+_MUCH: Final = 2
 
 
 class SimulatedBus(Timeline, Protocol):
@@ -75,6 +80,8 @@ class VirtualRuntime:
         self._on_events = on_events
         self._clockwork: _Clockwork | None = None
         self._forsaken = False
+        self._behind_at_open_ns = 0
+        self._behind_ns = 0  # of a bus that was closed
 
     @property
     def not_running(self) -> str | None:
@@ -88,6 +95,12 @@ class VirtualRuntime:
     def counters_age_ns(self) -> int:
         """They are those of this moment."""
         return 0
+
+    @property
+    def behind_ns(self) -> int:
+        """How far the bus's time has fallen behind real time since the opening (ns); 0 where it is not held to it."""
+        clockwork = self._clockwork
+        return self._behind_ns if clockwork is None else clockwork.behind_ns - self._behind_at_open_ns
 
     def hand_over_outputs(self) -> None:
         """The machine has them as soon as they are set."""
@@ -104,11 +117,13 @@ class VirtualRuntime:
         self._world.add(self._station, on_events=self._tell)
         self._clockwork = _clockworks[self._world] = clockwork
         clockwork.join(self)
+        self._behind_at_open_ns = clockwork.behind_ns
 
     async def close(self) -> None:
         """Unplug the station; with the last one the world stands still."""
         clockwork = self._clockwork
         if clockwork is not None:
+            self._behind_ns = self.behind_ns
             self._clockwork = None
             self._world.remove(self._station)
             clockwork.leave(self)
@@ -139,12 +154,48 @@ class VirtualRuntime:
         """The world's time in ns."""
         return self._world.now
 
+    def tell(self, event: Event) -> None:
+        """Hand an event of the clockwork to the application."""
+        self._tell([event])
+
     def _tell(self, events: list[Event]) -> None:
         try:
             self._on_events(events)
         except Exception as exc:
             text = f"{self.port_name}: the application's event handler raised"
             asyncio.get_running_loop().call_exception_handler({"message": text, "exception": exc})
+
+
+class Pace:
+    """Compares bus time with real time, both in ns; begins at ``real`` and ``bus``."""
+
+    def __init__(self, real: int, bus: int) -> None:
+        self._start = self._window = (real, bus)
+        self._told: float | None = None  # bus time by real time, as told last; None: it keeps up
+
+    def behind_ns(self, real: int, bus: int) -> int:
+        """In all."""
+        return max(0, (real - self._start[0]) - (bus - self._start[1]))
+
+    def look(self, real: int, bus: int) -> BehindRealTime | None:
+        """What is to be told, judged once a second: that it falls behind, anew at another speed, that it keeps up."""
+        real_ns, bus_ns = real - self._window[0], bus - self._window[1]
+        if real_ns < NS_PER_S:
+            return None
+        self._window = (real, bus)
+        speed, told = bus_ns / real_ns, self._told
+        if speed < _SLOW:
+            if told is not None and told / _MUCH < speed < told * _MUCH:
+                return None
+            self._told = speed
+        elif told is None or speed < _KEEPS_UP:
+            return None
+        else:
+            self._told = None
+        behind_ns = self.behind_ns(real, bus)
+        return BehindRealTime(
+            t_ns=bus, bus_ns=bus_ns, real_ns=real_ns, behind_ns=behind_ns, keeps_up=self._told is None
+        )
 
 
 class _Clockwork:
@@ -154,6 +205,7 @@ class _Clockwork:
         self.loop = loop
         self._world = world
         self._users: list[VirtualRuntime] = []
+        self._pace: Pace | None = None  # where bus time is held to real time
         self.failed = False
         self._timer: asyncio.TimerHandle | None = None
         self._resting = False  # the timer is a long one
@@ -166,6 +218,8 @@ class _Clockwork:
         self._users.append(user)
         if len(self._users) > 1:
             return
+        if not isinstance(self.loop, VirtualLoop) or self.loop.paced:
+            self._pace = Pace(monotonic_ns(), self.now)
         if isinstance(self.loop, VirtualLoop):
             self.loop.attach(self)
         else:
@@ -188,6 +242,17 @@ class _Clockwork:
             self._timer.cancel()
             self._set_timer(_TICK_NS)
 
+    @property
+    def behind_ns(self) -> int:
+        """How far bus time is behind real time since the first runtime joined."""
+        return 0 if self._pace is None else self._pace.behind_ns(monotonic_ns(), self.now)
+
+    def _look(self) -> None:
+        event = None if self._pace is None else self._pace.look(monotonic_ns(), self.now)
+        if event is not None:
+            for user in tuple(self._users):
+                user.tell(event)
+
     # --- Timeline ---
     @property
     def now(self) -> int:
@@ -200,7 +265,7 @@ class _Clockwork:
         if self.failed:
             return False
         try:
-            return self._world.run(until_ns, stop)
+            stopped = self._world.run(until_ns, stop)
         except Exception as exc:
             self.failed = True
             told = [user.on_failure for user in self._users if user.on_failure is not None]
@@ -211,6 +276,8 @@ class _Clockwork:
             if not told:
                 self.loop.call_exception_handler({"message": "the simulated bus stands still", "exception": exc})
             return True
+        self._look()
+        return stopped
 
     # --- in an ordinary loop ---
     def _tick(self) -> None:
