@@ -64,10 +64,10 @@ class FileToBe:
         self.path = Path(path)
         self._is_earlier = is_earlier
         self._what = what
-        self._real = Path(os.path.realpath(self.path)) if self.path.is_symlink() else self.path
+        self._real = Path(os.path.realpath(self.path)) if os.path.islink(self.path) else self.path
         #: where a list that was cut short is kept
-        self.part = self._real.with_name(self._real.name + ".part")
-        self._new = self._real.with_name(f".{secrets.token_hex(8)}.tmp")
+        self.part = self._real.parent / f"{self._real.name}.part"
+        self._new = self._real.parent / f".{secrets.token_hex(8)}.tmp"
         self._file: BinaryIO | None = None
 
     def __enter__(self) -> FileToBe:
@@ -102,8 +102,12 @@ class FileToBe:
         """Raises UsageError where ``target``, called ``path``, may not be written."""
         try:
             found = os.stat(target)
-        except OSError:
-            return  # whatever it is: writing will tell
+        except FileNotFoundError:
+            return
+        except ValueError as error:  # a path with a zero octet
+            raise UsageError(f"{path}: {error}; name a file") from None
+        except OSError as error:  # links that lead to each other, for instance: their names would be taken away
+            raise _unwritten(path, error) from None
         if stat.S_ISDIR(found.st_mode):
             raise UsageError(f"{path}: is a directory; name a file")
         if not stat.S_ISREG(found.st_mode):

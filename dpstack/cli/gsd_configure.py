@@ -223,8 +223,7 @@ def _existing(path: str | None) -> Config | None:
     """The configuration at ``path``; None where there is none, or where it is empty. Raises ConfigError."""
     if path is None:
         return None
-    file = Path(path)
-    if not file.exists() or (file.is_file() and not file.stat().st_size):
+    if not os.path.exists(path) or (os.path.isfile(path) and not os.path.getsize(path)):
         return None
     return load_config(path)
 
@@ -232,7 +231,7 @@ def _existing(path: str | None) -> Config | None:
 def _seen_from(path: str, config: str) -> str:
     """``path`` of a GSD file as the configuration at ``config`` names it; a bundled device's name stays as it is."""
     file = Path(path)
-    if not file.exists() or file.is_absolute():
+    if not os.path.exists(file) or file.is_absolute():
         return path
     return os.path.relpath(file.resolve(), Path(config).resolve().parent)
 

@@ -273,7 +273,7 @@ class Segment:
                 self._made_directory = own_directory(self.directory)
                 self._lock_fd = os.open(self.directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
             else:
-                missing = not self.directory.exists()
+                missing = not os.path.exists(self.directory)
                 self._lock_fd = open_own(self.directory, make=True)
                 self._made_directory = missing
         except PortError as error:

@@ -31,7 +31,7 @@ _TODO: Final = "set XDG_RUNTIME_DIR to a directory that belongs to you, with mod
 def runtime_path(name: str) -> Path:
     """``name`` in the user's runtime directory, else in the temporary one with the user's id. Makes nothing."""
     runtime = os.environ.get("XDG_RUNTIME_DIR")
-    if runtime and Path(runtime).is_dir():
+    if runtime and os.path.isdir(runtime):
         return Path(os.path.abspath(runtime)) / name
     return Path(tempfile.gettempdir()) / f"{name}-{os.geteuid()}"
 

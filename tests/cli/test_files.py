@@ -100,6 +100,22 @@ def test_a_name_that_cannot_be() -> None:
         load_config("x" * 5000)
 
 
+@pytest.mark.parametrize("command", ["gsd show", "gsd check", "gsd configure", "plan", "run", "gsd copy io-station"])
+@pytest.mark.parametrize("name", ["x" * 300, "x/" * 3000 + "x", "", ".", "loop"], ids=lambda name: name[:4] or "empty")
+def test_a_name_of_no_file(
+    command: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    loop = tmp_path / "loop"
+    loop.symlink_to("loop")
+    assert main([*command.split(), name]) in (1, 2)
+    told = capsys.readouterr().err
+    assert told.startswith("dpstack: ")
+    assert told.count("\n") == 1
+    assert list(tmp_path.iterdir()) == [loop]
+    assert loop.is_symlink()
+
+
 # --- written ---------------------------------------------------------------------------------------------------------
 
 
@@ -132,6 +148,14 @@ def test_a_file_that_comes_meanwhile_stays(tmp_path: Path) -> None:
             file.keep(b"ours")
     assert path.read_text() == "mine"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_list_under_a_name_of_no_file(tmp_path: Path) -> None:
+    (tmp_path / "loop").symlink_to("loop")
+    for name in (".", "/", "..", "x" * 300, "a\0b", tmp_path / "loop", tmp_path / "loop" / "x"):
+        with pytest.raises(UsageError), FileToBe(name, lambda _: True):
+            pass
+    assert (tmp_path / "loop").is_symlink()
 
 
 def test_an_empty_file_holds_nothing_to_lose(tmp_path: Path) -> None:
