@@ -28,7 +28,7 @@ from dpstack.drivers.aio import outlast
 from dpstack.drivers.ending import EndSteps, at_slaves
 from dpstack.errors import BusError, DpError, UsageError
 from dpstack.trace import Event, Severity
-from dpstack.units import ns_to_s
+from dpstack.units import NS_PER_MS, ns_to_s
 
 if TYPE_CHECKING:
     from dpstack.api.bus import Bus
@@ -37,6 +37,8 @@ _log: Final = logging.getLogger("dpstack")
 
 #: the buses of this process that are open: for :func:`hurry_all` and for the child of a fork
 _open_buses: weakref.WeakSet[Bus] = weakref.WeakSet()
+#: a loop that calls so much too late was blocked
+_HELD_UP_NS: Final = 10 * NS_PER_MS
 #: what the system sends to end a program
 _ENDING_SIGNALS: Final = tuple(
     number for name in ("SIGINT", "SIGTERM", "SIGHUP") if (number := getattr(signal, name, None)) is not None
@@ -164,8 +166,13 @@ class OrderedEnd:
                 begun = bus.runtime.now()
                 with contextlib.suppress(DpError):  # a bus that can no longer do it does not hold the program up
                     bus.command(order)
+                    held_up = False
                     while not steps.done and (left := steps.wait_until(begun, rotation) - bus.runtime.now()) > 0:
+                        paused = bus.runtime.now()
                         await self._pause(ns_to_s(left))
+                        if not held_up and bus.runtime.now() - paused - left > _HELD_UP_NS:
+                            held_up = True  # by another task that blocked the loop, and with it the bus
+                            begun = bus.runtime.now()
             now = bus.runtime.now()
             # no event: no port tells when the last bit is on the wire, only time does
             self._steps = None

@@ -193,6 +193,8 @@ class Master:
                 return False
             case HeldUp():
                 self._watch.held_up(command)
+                if not command.suspended:  # that time is not in `now`
+                    self._token.held_up(command.for_ns)
                 return not self._still_fresh(now)
             case _:
                 return False

@@ -14,7 +14,7 @@ _SILENCE: Final = NS_PER_S
 class TokenAge:
     """``watch_at``: when :meth:`too_old` is to be asked, in ns, or NEVER. It is moved on only there."""
 
-    __slots__ = ("_at", "_limit", "_since", "sent_at", "watch_at")
+    __slots__ = ("_at", "_held_ns", "_limit", "_since", "sent_at", "watch_at")
 
     def __init__(self, params: BusParams) -> None:
         #: first bit of the last request: what is sent after a token is its sign of life
@@ -22,6 +22,7 @@ class TokenAge:
         self.watch_at = NEVER
         self._at = NEVER
         self._since = 0
+        self._held_ns = 0  # nobody ran this station for so long since the last token
         # at 9.6 kbit/s one rotation may rightly take T_TR = 5 s
         self._limit = _SILENCE + params.ns(params.t_tr)
 
@@ -33,6 +34,7 @@ class TokenAge:
     def received(self, now: int) -> None:
         """A token hold begins."""
         self._at = now
+        self._held_ns = 0
         if self.watch_at == NEVER:
             self.watch_at = self._quiet_at()
 
@@ -41,6 +43,10 @@ class TokenAge:
         self._limit = _SILENCE
         self._since = now
         self.watch_at = self._quiet_at()
+
+    def held_up(self, for_ns: int) -> None:
+        """Nobody ran this station for so long: it could take no token in that time, which does not count therefore."""
+        self._held_ns += for_ns
 
     def lost(self) -> None:
         """No token, or none is needed any more."""
@@ -57,4 +63,4 @@ class TokenAge:
     def _quiet_at(self) -> int:
         if self._at == NEVER:
             return NEVER
-        return max(self._at, self.sent_at, self._since) + self._limit
+        return max(self._at, self.sent_at, self._since) + self._held_ns + self._limit

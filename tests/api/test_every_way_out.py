@@ -10,6 +10,7 @@ import re
 import select
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,8 +24,10 @@ from support_responder import Responder
 
 import dpstack
 from dpstack.api import ending
+from dpstack.drivers import ending as of_drivers
 from dpstack.fdl.active import ActiveStation
 from dpstack.ports.tty import TtyPort
+from dpstack.units import ns_to_s
 
 ROOT = Path(__file__).parents[2]
 DRIVERS = ("asyncio", "process")
@@ -209,6 +212,25 @@ def test_close_in_another_thread_has_the_loop_make_the_end() -> None:
                 await ways.live(bus)
                 await asyncio.to_thread(asyncio.run, bus.close())
                 assert not bus.is_open
+
+        ways = Ways(path, "asyncio")
+        asyncio.run(main())
+        eventually(lambda: bool(words) and words[-1] == "clear", "Clear")
+        check(TABLE["the_block_ends", "asyncio"], words, "")
+
+
+def test_another_task_blocks_the_loop_for_longer_than_the_end_waits(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The time in which the loop does not run is none in which the master could have ended."""
+    monkeypatch.setattr(of_drivers, "END_LIMIT", 50_000_000)
+
+    with octet_slaves(SPEC) as (path, there), heard(there) as words:
+
+        async def main() -> None:
+            async with ways.bus() as bus:
+                await ways.live(bus)
+                # safe values stand for 50 ms
+                asyncio.get_running_loop().call_later(0.02, time.sleep, ns_to_s(bus.rotation_limit_ns * 10) + 0.2)
+            assert not bus.end_failed
 
         ways = Ways(path, "asyncio")
         asyncio.run(main())

@@ -77,6 +77,20 @@ def test_nothing_changes(gap_ms: int, watchdogs: dict[int, int], options: dict[s
     assert not stalls(bus)
 
 
+def test_a_station_that_nobody_ran_has_not_lost_its_token_by_that() -> None:
+    """Its slaves stay in data exchange: a gap shorter than their watchdogs changes nothing."""
+    bus = operating(setup(3, initial=RUN, watchdog_ms=10_000))
+    bus.now += 3_000 * MS
+    bus.master.command(HeldUp(3_000 * MS, "the program was stopped for 3000 ms"), bus.now)
+    bus.master.tick(bus.now)
+    assert bus.master.handlers[3].state is SlaveState.DATA_EXCHANGE
+    bus.now += 3_000 * MS  # and now it runs, but there is no token
+    bus.master.tick(bus.now)
+    fault = bus.master.handlers[3].fault
+    assert fault is not None
+    assert "holds no token" in fault.text
+
+
 def test_a_slave_without_a_watchdog_gets_no_old_outputs_either() -> None:
     """The bus goes to Clear before anything old goes out, whoever is asked first."""
     bus = operating(setup(3, initial=RUN, watchdog_ms=0), setup(4, initial=RUN, watchdog_ms=300))
