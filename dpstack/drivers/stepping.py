@@ -200,7 +200,10 @@ class Stepping(ABC):
         heard, sent_at, spun = 0, 0, 0
         try:
             now = monotonic_ns()
-            if self._held_up is not None:
+            # one look at the clock of sleep a step: nothing old may go out after it
+            if self._held_up is not None and (
+                boottime_ns() - now - self._suspended_ns >= _HELD_UP_NS or now - self._deadline >= _HELD_UP_NS
+            ):
                 self._tell_held_up(self._held_up, now)
             if now >= self._deadline:
                 chunk, now = self._look(chunk, now)
@@ -253,11 +256,8 @@ class Stepping(ABC):
 
     def _tell_held_up(self, tell: OnHeldUp, now: int) -> None:
         """Tell the machine before it acts that it was not run in time, or that the computer slept."""
-        # one look at the clock at every step, a second one only where it seems to have run ahead
-        if (
-            boottime_ns() - now - self._suspended_ns >= _HELD_UP_NS
-            and (asleep := suspended_ns() - self._suspended_ns) >= _HELD_UP_NS
-        ):
+        asleep = suspended_ns() - self._suspended_ns
+        if asleep >= _HELD_UP_NS:
             self._suspended_ns += asleep
             tell(HeldUp(asleep, f"the computer was suspended for {ms_text(asleep)}", suspended=True), now)
         late = now - max(self._deadline, self._stepped_at)

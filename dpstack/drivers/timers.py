@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Protocol
 
 from dpstack.ports import timerfd
@@ -14,11 +15,9 @@ if TYPE_CHECKING:  # the bus process runs without asyncio, and starts sooner wit
 
 
 if hasattr(time, "CLOCK_BOOTTIME"):
-
-    def boottime_ns() -> int:
-        """The clock that goes on while the computer sleeps (CLOCK_BOOTTIME), in ns; CLOCK_MONOTONIC where there is no
-        such clock."""
-        return time.clock_gettime_ns(time.CLOCK_BOOTTIME)
+    #: the clock that goes on while the computer sleeps (CLOCK_BOOTTIME), in ns; CLOCK_MONOTONIC where there is no such
+    #: clock. Without a function of Python's around it: it is read in each step.
+    boottime_ns: Callable[[], int] = partial(time.clock_gettime_ns, time.CLOCK_BOOTTIME)
 else:
     boottime_ns = time.monotonic_ns
 
