@@ -19,6 +19,7 @@ from dpstack.api.groups import Group, GroupOrders, Groups
 from dpstack.api.joining import Beside, join, what_was_heard
 from dpstack.api.livelist import scan_on
 from dpstack.api.parts import Composed
+from dpstack.api.planning import news_of_plan
 from dpstack.api.services import Services
 from dpstack.api.slave import Slave
 from dpstack.api.slave_config import SlaveConfig
@@ -90,7 +91,7 @@ class Bus(Sealed, Composed):
         self._drives: dict[int, Drive] = {}
         if not self.searching:
             self._build(config)
-        self._seal()
+        self._seal(Bus)
 
     def _build(self, config: Config) -> None:
         super()._build(config)
@@ -326,15 +327,20 @@ class Bus(Sealed, Composed):
     async def add_slave(self, table: SlaveTable) -> Slave:
         """Take up one more slave while the bus runs: ``table`` has the keys of a [[slave]] table. Raises ConfigError.
 
-        With ``port="virtual"`` it is simulated like the others.
+        With ``port="virtual"`` it is simulated like the others. What the plan has to say about it comes as notices.
         """
         config = table if isinstance(table, SlaveConfig) else slave_config(table)
         if any(slave.name == config.name for slave in self._slaves.values()):
             raise ConfigError(f"there is a slave called {config.name!r} already: give the new one another name")
-        self.command(AddSlave(self.fitting(config)))
+        setup = self.fitting(config)
+        others = [handler.setup for handler in self.master.handlers.values()]
+        self.command(AddSlave(setup))
         if self.bench is not None:
             self.bench.add(config)
-        return self._register(config)
+        slave = self._register(config)
+        for note in (*config.notes, *news_of_plan(self.config, self.plan, others, setup)):
+            self.notice("plan", note, Severity.WARNING)
+        return slave
 
     async def remove(self, slave: Slave | str | int) -> None:
         """Give a slave up: safe outputs for 50 ms, Unlock, then forget it.

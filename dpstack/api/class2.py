@@ -81,7 +81,7 @@ class Class2(Sealed):
 
     def __init__(self, bus: Bus) -> None:
         self._bus = bus
-        self._seal()
+        self._seal(Class2)
 
     async def diagnosis(self, slave: Slave | str | int, *, timeout: float = 5.0) -> ReadDiagnosis:
         """Slave_Diag. (Of a slave in data exchange with this very master, the master takes notice of it too.)"""

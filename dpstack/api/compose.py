@@ -12,7 +12,7 @@ from dpstack.api.bus_config import SAFE
 from dpstack.api.config import Config, rate_findings
 from dpstack.api.drive_seen import DriveSeen
 from dpstack.api.driver_choice import PROCESS, driver_for
-from dpstack.api.planning import adapter_notes, other_masters, refuse_misfit, with_t_tr
+from dpstack.api.planning import adapter_notes, data_control_ns, other_masters, refuse_misfit, with_t_tr
 from dpstack.api.remote import attach_remote, core_of, known_places, plugin_of
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.api.streams import Rounds
@@ -63,7 +63,7 @@ def plan_bus(config: Config, baud: int | None = None) -> Plan:
         cycle_ns=config.bus.cycle_ns,
         pty=pty,
         host_slack_ns=slack_ns,
-        data_control_ns=config.bus.data_control_time_ms * NS_PER_MS if config.bus.auto_clear else 0,
+        data_control_ns=data_control_ns(config),
         findings=findings,
         notes=notes,
         beside=beside,

@@ -13,7 +13,7 @@ from dpstack.api.ms2_config import Ms2Limits
 from dpstack.api.record_parameters import RecordParameters, over_records
 from dpstack.api.records import RecordAccess, usual_timeout
 from dpstack.api.services import Ending
-from dpstack.dp.given import octets, whole
+from dpstack.dp.given import Sealed, octets, whole
 from dpstack.dp.v1.connection import Address, InitiateReq
 from dpstack.dp.v1.ms1 import RecordDone
 from dpstack.dp.v1.ms2 import NO_CONNECTION
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 Done = TypeVar("Done", RecordDone, TransportDone)
 
 
-class Connection(RecordAccess):
+class Connection(Sealed, RecordAccess):
     """An open connection. Its services queue, up to 32; it is kept alive until it is closed, or the bus is, or nothing
     refers to it any more: slaves have few.
 
@@ -57,6 +57,10 @@ class Connection(RecordAccess):
         # who forgets it does not say so
         left = weakref.finalize(self, _close_later, bus, done.token, ending, asyncio.get_running_loop())
         left.atexit = False
+        self._seal(Connection)
+
+    def _sealed_name(self) -> str:
+        return f"connection to slave {self.address}"
 
     @property
     def address(self) -> int:

@@ -62,9 +62,9 @@ class Drive(Sealed):
         self._notices: deque[DriveNotice] = deque(maxlen=_NOTICES)
         #: the slave behind it
         self.slave = slave
-        self._seal()
+        self._seal(Drive)
 
-    def _called(self) -> str:
+    def _sealed_name(self) -> str:
         return f"drive {self.name}"
 
     def __repr__(self) -> str:

@@ -112,7 +112,7 @@ class Group(Sealed):
         if not self.members:
             known = ", ".join(str(g) for g in sorted({g for s in bus.slaves for g in s.setup.groups})) or "none"
             raise UsageError(f"no slave is in group {', '.join(map(str, self._groups))}; groups of this bus: {known}")
-        self._seal()
+        self._seal(Group)
 
     @property
     def members(self) -> tuple[Slave, ...]:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from typing import Final
 
 from dpstack.api.config import Config, rate_findings
-from dpstack.dp.plan import Case, OtherMasters, Plan, rotation, t_tr_preset
+from dpstack.dp.plan import Case, OtherMasters, Plan, make_plan, rotation, t_tr_preset
 from dpstack.dp.plan_cycle import Verdict, judge_cycle, slowest_rates
 from dpstack.dp.rotations import Figures, figures
 from dpstack.dp.setup import SlaveSetup
@@ -35,6 +35,30 @@ def with_t_tr(config: Config, params: BusParams, setups: Sequence[SlaveSetup]) -
     if config.bus.t_tr is not None:
         return params
     return params.replace(t_tr=t_tr_preset(params, setups, other_masters(config, params.baud)))
+
+
+def data_control_ns(config: Config) -> int:
+    """The Data_Control_Time of a bus with auto-clear, else 0."""
+    return config.bus.data_control_time_ms * NS_PER_MS if config.bus.auto_clear else 0
+
+
+def news_of_plan(config: Config, plan: Plan, setups: Sequence[SlaveSetup], added: SlaveSetup) -> list[str]:
+    """Findings and notes of the running bus of ``plan`` that are new because ``added`` joins ``setups``."""
+
+    def texts(slaves: Sequence[SlaveSetup]) -> tuple[str, ...]:
+        now = make_plan(
+            plan.params,
+            slaves,
+            others=plan.figures.others,
+            cycle_ns=config.bus.cycle_ns,
+            host_slack_ns=plan.figures.host_slack_ns,
+            data_control_ns=data_control_ns(config),
+            watchdog_ms=plan.watchdog_ms,
+        )
+        return (*now.findings, *now.notes)
+
+    known = set(texts(setups))
+    return [text for text in texts([*setups, added]) if text not in known]
 
 
 def cycle_rates(config: Config, cycle_ns: int) -> dict[Verdict, int | None]:
@@ -84,4 +108,13 @@ def refuse_misfit(config: Config, plan: Plan, setups: Sequence[SlaveSetup]) -> N
     raise config.source.error(path, what, todo)
 
 
-__all__ = ["Verdict", "adapter_notes", "cycle_rates", "other_masters", "refuse_misfit", "with_t_tr"]
+__all__ = [
+    "Verdict",
+    "adapter_notes",
+    "cycle_rates",
+    "data_control_ns",
+    "news_of_plan",
+    "other_masters",
+    "refuse_misfit",
+    "with_t_tr",
+]

@@ -12,7 +12,7 @@ from dpstack.api.streams import OnEvent, Waiters, hand_to
 from dpstack.dp.device import Device
 from dpstack.dp.diagnosis import Diagnosis
 from dpstack.dp.dp_slave import DpSlave
-from dpstack.dp.given import octets, whole
+from dpstack.dp.given import Sealed, octets, whole
 from dpstack.dp.slaveapp import SlaveApp, SlaveAppState, SlaveAppStats
 from dpstack.dp.v1.alarms import Alarm, ModuleState, Specifier, Status
 from dpstack.dp.v1.ms2_server import ServedConnection
@@ -32,7 +32,7 @@ from dpstack.trace import Event
 from dpstack.units import baud_text
 
 
-class ServedSlave:
+class ServedSlave(Sealed):
     """One slave as it is served. ``restart()`` and ``initial_reset()`` raise UsageError within its own functions."""
 
     def __init__(self, device: Device, address: int, fixed: bool, params: BusParams, patience: Patience) -> None:
@@ -49,6 +49,15 @@ class ServedSlave:
         self._alarms = ServedAlarms(device.alarm_server, device.name)
         self._waiters = Waiters()
         self._over: BusError | None = None
+        self._seal(ServedSlave)
+
+    def _sealed_name(self) -> str:
+        return f"served slave {self.name}"
+
+    def _no_attribute(self, name: str, *, method: bool) -> str:
+        if not method and hasattr(self.device, name):
+            return f"{self._sealed_name()} has no attribute {name!r}: its device has: assign to device.{name}"
+        return super()._no_attribute(name, method=method)
 
     @property
     def name(self) -> str:
@@ -207,7 +216,7 @@ class ServedSlave:
             self.runtime.command(AtStation(again))
 
 
-class SlaveServer:
+class SlaveServer(Sealed):
     """Serves slaves as stations behind one port (or in ``world``); ``async with`` opens and closes it.
 
     On leaving, for whatever reason, all outputs go to their safe values. Raises ConfigError; PortError on entering.
@@ -249,6 +258,10 @@ class SlaveServer:
         elif world is not None:
             for slave in self.slaves:
                 self._take(VirtualRuntime(world, slave.station, self._on_events, on_failure=self._failed), slave)
+        self._seal(SlaveServer)
+
+    def _sealed_name(self) -> str:
+        return "slave server"
 
     def _take(self, runtime: Runtime, *slaves: ServedSlave) -> None:
         self._runtimes.append(runtime)

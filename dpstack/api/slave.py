@@ -38,9 +38,9 @@ class Slave(Sealed):
         self._bus = bus
         self._handler = handler
         self.config = config
-        self._seal()
+        self._seal(Slave)
 
-    def _called(self) -> str:
+    def _sealed_name(self) -> str:
         return f"slave {self.address} ({self.name})"
 
     def _no_attribute(self, name: str, *, method: bool) -> str:
@@ -48,7 +48,7 @@ class Slave(Sealed):
         outputs = tuple(self.config.output_fields)
         near = difflib.get_close_matches(name, outputs, n=1, cutoff=0.5)
         if near and not method:
-            return f"{self._called()} has no attribute {name!r}: write slave[{near[0]!r}] = ..."
+            return f"{self._sealed_name()} has no attribute {name!r}: write slave[{near[0]!r}] = ..."
         return super()._no_attribute(name, method=method)
 
     def __repr__(self) -> str:

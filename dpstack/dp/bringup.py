@@ -29,7 +29,6 @@ class Ev(Enum):
     NOT_EXCHANGING = "refuses Data_Exchange"
     WRONG_LENGTH = "data of the wrong length, repeatedly"
     TOO_LONG = "waited too long"
-    RETRY = "the back-off is over"
     DEACTIVATE = "order: take it out of service"
     ACTIVATE = "order: bring it up again"
 
@@ -78,7 +77,12 @@ TABLE: Final[dict[tuple[S, Ev], Row]] = {
     (S.DATA_EXCHANGE, Ev.DIAG_OTHER): Row(S.FAULT, "B1 octets 5-6: exchanged for another device"),
     (S.DATA_EXCHANGE, Ev.REFUSED): Row(S.DIAGNOSIS, "A3: busy for too long"),
     (S.DATA_EXCHANGE, Ev.WRONG_LENGTH): Row(S.FAULT, "B6: wrong length is an error"),
-    (S.FAULT, Ev.RETRY): Row(S.DIAGNOSIS, "design: refused ones are retried after 1 to 10 s"),
+    # design: refused ones are asked for their diagnosis again after 1 to 10 s
+    (S.FAULT, Ev.SILENT): Row(S.OFFLINE, "SP p131"),
+    (S.FAULT, Ev.DIAG_FREE): Row(S.SET_PRM, "B6: diagnosis, then Set_Prm"),
+    (S.FAULT, Ev.DIAG_LOCKED): Row(S.FAULT, "B1 octet 4"),
+    (S.FAULT, Ev.DIAG_OTHER): Row(S.FAULT, "B1 octets 5-6"),
+    (S.FAULT, Ev.REFUSED): Row(S.FAULT, "Slave_Diag is served always (B5)"),
     (S.DEACTIVATED, Ev.ACTIVATE): Row(S.OFFLINE, "B1: Deactivated, by order"),
     **{(s, Ev.DEACTIVATE): Row(S.DEACTIVATED, "B1: Deactivated, by order") for s in S if s is not S.DEACTIVATED},
 }

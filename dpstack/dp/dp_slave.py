@@ -8,7 +8,7 @@ from typing import Protocol
 
 from dpstack.dp.device import FunctionDevice, Leave, OnCycle
 from dpstack.dp.diagnosis import FIXED_LEN
-from dpstack.dp.given import functions, octets, whole
+from dpstack.dp.given import Sealed, functions, octets, whole
 from dpstack.dp.slave_description import SlaveDescription
 from dpstack.dp.user_diag import NO_DIAG, UserDiag
 from dpstack.dp.v1.alarm_server import AlarmServer
@@ -47,7 +47,7 @@ OnTransport = Callable[[int, int, bytes], Awaitable[bytes]]
 OnInitiate = Callable[[int, InitiateReq], None]
 
 
-class DpSlave(FunctionDevice):
+class DpSlave(Sealed, FunctionDevice):
     """A slave of the type ``description`` that does what ``on_cycle(outputs, elapsed)`` does.
 
     ``on_cycle`` takes the outputs in the length of the configuration in use, ``elapsed`` in ns since data exchange
@@ -163,6 +163,10 @@ class DpSlave(FunctionDevice):
         self.serve_records(None)
         #: one of the user's functions runs at this moment
         self.inside = False
+        self._seal(DpSlave)
+
+    def _sealed_name(self) -> str:
+        return f"slave {self.name}"
 
     # --- what a user may say at any time ------------------------------------------------------------------------
 

@@ -1,4 +1,4 @@
-"""What a caller gives, judged where it is given: another type is refused at once, with what is wanted instead."""
+"""Argument checks of the public API: a wrong type or an unknown attribute raises UsageError at once."""
 
 from __future__ import annotations
 
@@ -7,9 +7,6 @@ from collections.abc import Iterable, Mapping, Set
 from typing import Any
 
 from dpstack.errors import UnknownAttribute, UsageError
-
-#: classes outside of it are a user's own, and may have any attribute
-_OURS = "dpstack."
 
 
 def whole(what: str, value: Any, error: type[Exception] = UsageError) -> int:
@@ -45,32 +42,34 @@ class Sealed:
 
     _sealed: bool = False
 
-    def _seal(self) -> None:
-        """From the end of ``__init__`` on."""
-        self._sealed = type(self).__module__.startswith(_OURS)
+    def _seal(self, kind: type) -> None:
+        """At the end of ``kind.__init__``: nothing follows in an instance of ``kind`` itself."""
+        self._sealed = type(self) is kind
 
     def __setattr__(self, name: str, value: object) -> None:
         if self._sealed and not name.startswith("_") and name not in vars(self):
-            found = getattr(type(self), name, None)
-            if not isinstance(found, property):
+            kind = type(self)
+            found = getattr(kind, name, None)
+            if isinstance(found, property):
+                if found.fset is None:
+                    raise UnknownAttribute(f"{self._sealed_name()}: {name} can only be read")
+            elif callable(found) or not hasattr(kind, name):
                 raise UnknownAttribute(self._no_attribute(name, method=callable(found)))
-            if found.fset is None:
-                raise UnknownAttribute(f"{self._called()}: {name} can only be read")
         super().__setattr__(name, value)
 
-    def _called(self) -> str:
+    def _sealed_name(self) -> str:
         """The object in messages."""
         return type(self).__name__.lower()
 
     def _no_attribute(self, name: str, *, method: bool) -> str:
         """The message about the assignment to ``name``."""
         if method:
-            return f"{self._called()}: {name} is a method: call it instead of assigning to it"
+            return f"{self._sealed_name()}: {name} is a method: call it instead of assigning to it"
         settable = [key for key, value in _properties(type(self)).items() if value.fset is not None]
         near = difflib.get_close_matches(name, settable, n=1, cutoff=0.5)
         known = ", ".join(settable)
         hint = f"did you mean {near[0]}?" if near else f"these can be assigned: {known or 'none'}"
-        return f"{self._called()} has no attribute {name!r}; {hint}"
+        return f"{self._sealed_name()} has no attribute {name!r}; {hint}"
 
 
 def _properties(kind: type) -> dict[str, property]:

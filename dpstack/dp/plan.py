@@ -137,6 +137,7 @@ def make_plan(
     findings: Iterable[str] = (),
     notes: Iterable[str] = (),
     beside: str = "",
+    watchdog_ms: int | None = None,
 ) -> Plan:
     """The whole plan of a bus with ``setups`` at ``params``; ``pty`` where another process stands at the other end.
 
@@ -144,9 +145,10 @@ def make_plan(
     ``host_slack_ns`` is how much later than the wire's deadline a known station's answer may come (see Patience).
     ``data_control_ns`` is the Data_Control_Time of a bus with auto-clear, else 0.
     ``findings``, ``notes`` and ``beside`` are what the caller knows beyond that; they come first.
+    ``watchdog_ms`` is the default watchdog that a running bus uses; None: the recommended one.
     """
     counted = figures(params, setups, others=others, cycle_ns=cycle_ns, host_slack_ns=host_slack_ns)
-    recommended = counted.watchdog_ms(pty=pty)
+    recommended = counted.watchdog_ms(pty=pty) if watchdog_ms is None else watchdog_ms
     slaves = _slave_plans(counted, recommended)
     watchdogs = {s.setup.address: s.watchdog_ms for s in slaves}
     cycle = judge_cycle(counted) if cycle_ns else None

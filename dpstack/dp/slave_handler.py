@@ -210,10 +210,9 @@ class SlaveHandler:
         """The next step of the bring-up, or the diagnosis in data exchange. ``long``: wait for an absent slave."""
         if self._inquiry is not None:
             return self._service(SAP_GET_CFG, b"")
-        if self.state is SlaveState.FAULT:
-            self.restart = True
-            self._step(Ev.RETRY, now)
         state = self.state
+        if state is SlaveState.FAULT:
+            self.restart = True
         if state is SlaveState.SET_PRM:
             self.owned = True
             self._prm_sent = set_prm(self.setup, self.ident, self.watchdog)
@@ -368,6 +367,9 @@ class SlaveHandler:
             self.findings.tell(fault, now)
         if row.next is not self.state:
             self._enter(row.next, now)
+        elif row.next is SlaveState.FAULT:
+            self._busy = 0
+            self._pacing.refused(now)
 
     def _enter(self, state: SlaveState, now: int) -> None:
         was, self.state = self.state, state

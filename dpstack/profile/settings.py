@@ -187,8 +187,10 @@ class SettingsCheck:
         if silent:
             self._end([_not_checked(silent, open_ones)])
         else:
-            reasons = {next(refused[key] for key in one.keys if key in refused): one for one in open_ones}
-            self._end([_not_checked(why, [one]) for why, one in reasons.items()])
+            reasons: dict[str, list[Setting]] = {}
+            for one in open_ones:
+                reasons.setdefault(next(refused[key] for key in one.keys if key in refused), []).append(one)
+            self._end([_not_checked(why, ones) for why, ones in reasons.items()])
         return {}
 
     def _judge(self, settings: Sequence[Setting], found: dict[ParamKey, float]) -> None:

@@ -303,6 +303,29 @@ def test_a_plugin_that_raises_stops_its_drive_only(monkeypatch: pytest.MonkeyPat
 # --- slaves come and go ---------------------------------------------------------------------------------------------
 
 
+def test_what_the_plan_says_of_a_slave_that_is_added_is_told() -> None:
+    """As at the start: notes of its table, its watchdog, its place in the round. What was told then is not repeated."""
+    told: list[str] = []
+
+    def tell(event: dpstack.Event) -> None:
+        if isinstance(event, Notice) and event.source == "plan":
+            told.append(event.text)
+
+    async def program() -> None:
+        async with bus_of(RAW | {"watchdog_ms": 0}, on_event=tell) as bus:
+            assert len(told) == 1
+            await bus.add_slave({"name": "far", "address": 20, "ident": 0x4321, "config": "20", "watchdog_ms": 0})
+            await bus.add_slave(FAN | {"watchdog_ms": 10})
+
+    virtual(program())
+    assert told[0].startswith("plan: slave 9 (raw): its watchdog is off")
+    far, ident, config, short = told[1:]
+    assert ident.startswith("plan: slave 4 (fan): the ident number ")
+    assert config.startswith("plan: slave 4 (fan): the identifier octets ")
+    assert short.startswith("plan: slave 4 (fan): its watchdog of 10 ms is shorter than the longest rotation can take")
+    assert far.startswith("plan: slave 20 (far): its watchdog is off")
+
+
 def test_add_and_remove() -> None:
     async def program() -> None:
         async with bus_of(RAW) as bus:

@@ -7,8 +7,11 @@ from collections.abc import Callable
 
 import pytest
 from api_kit import FAN, bus_of, virtual
+from ms2_kit import ms2_in
 
 import dpstack
+from dpstack.api.config import make_config
+from dpstack.sim.world import World
 
 VALVES: dict[str, object] = {
     "name": "valves", "address": 5, "ident": 0x1234, "config": "21 11",
@@ -45,6 +48,55 @@ def test_an_attribute_that_does_not_exist(thing: Misuse, name: str, value: objec
             assert isinstance(raised.value, (dpstack.UsageError, AttributeError))
 
     virtual(program())
+
+
+RIG = dpstack.SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig")
+SERVED: list[tuple[str, str, str]] = [
+    ("device", "diagnosis", "slave rig has no attribute 'diagnosis'; did you mean diag?"),
+    ("device", "exchange", "slave rig: exchange is a method: call it instead of assigning to it"),
+    ("device", "im", "slave rig: im can only be read"),
+    ("slave", "outputs", "served slave rig: outputs can only be read"),
+    ("slave", "diag", "served slave rig has no attribute 'diag': its device has: assign to device.diag"),
+    ("slave", "speed", "served slave rig has no attribute 'speed'; these can be assigned: none"),
+    ("server", "slave", "slave server: slave can only be read"),
+    ("server", "outputs", "slave server has no attribute 'outputs'; these can be assigned: none"),
+]
+
+
+@pytest.mark.parametrize(("which", "name", "text"), SERVED)
+def test_an_attribute_that_a_slave_of_ones_own_does_not_have(which: str, name: str, text: str) -> None:
+    device = dpstack.DpSlave(RIG, lambda outputs, elapsed: outputs)
+    server = dpstack.serve_slave(device, world=World(), address=9)
+    with pytest.raises(dpstack.UnknownAttribute) as raised:
+        setattr({"device": device, "slave": server.slave, "server": server}[which], name, b"")
+    assert str(raised.value) == text
+
+
+def test_an_attribute_that_a_connection_does_not_have() -> None:
+    async def program() -> None:
+        world = World()
+        ms2_in(world)
+        async with dpstack.open_bus(make_config("virtual", 500_000, 5), world=world) as bus:
+            connection = await bus.class2.connect(9)
+            with pytest.raises(dpstack.UnknownAttribute) as raised:
+                connection.timeout = 3
+            assert str(raised.value) == "connection to slave 9 has no attribute 'timeout'; these can be assigned: none"
+
+    virtual(program())
+
+
+def test_a_slave_of_ones_own_may_have_more_attributes_in_a_class_of_its_own() -> None:
+    class Pump(dpstack.DpSlave):
+        def __init__(self) -> None:
+            super().__init__(RIG, self.cycle)
+            self.pressure = 3
+
+        def cycle(self, outputs: bytes, elapsed: int) -> bytes:
+            return bytes([self.pressure])
+
+    pump = Pump()
+    pump.temperature = 20
+    assert pump.pressure == 3
 
 
 def test_what_may_be_assigned_still_may() -> None:

@@ -23,6 +23,8 @@ def test_the_right_device_is_taken_up_when_a_gap_poll_has_found_it(world: WorldF
     bus.world.run_for(16 * S)  # refused after 1, 3, 7 and 15 s: the next time would be at 25 s
     (fault,) = (e.fault for e in bus.events if isinstance(e, SlaveFaulted) and e.address == 3)
     assert "0x4321 instead of 0x1234" in fault.message
+    told = [e.state for e in bus.events if isinstance(e, SlaveStateChanged) and e.address == 3]
+    assert told == [SlaveState.FAULT]  # the four questions in vain are no changes of state
     bus.world.remove(wrong)
     bus.world.run_for(1 * S)
     bus.events.clear()
@@ -31,7 +33,7 @@ def test_the_right_device_is_taken_up_when_a_gap_poll_has_found_it(world: WorldF
     assert bus.master.handlers[3].state is SlaveState.DATA_EXCHANGE
     found = next(e.t_ns for e in bus.events if isinstance(e, StationFound) and e.address == 3)
     states = [(e.state, e.t_ns) for e in bus.events if isinstance(e, SlaveStateChanged) and e.address == 3]
-    assert states[0][0] is SlaveState.DIAGNOSIS
+    assert states[0][0] is SlaveState.SET_PRM
     assert states[0][1] - found < 20 * MS
     assert states[-1][0] is SlaveState.DATA_EXCHANGE
     assert states[-1][1] - found < 50 * MS

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import pytest
 from demag_kit import ZERO, pkw, sim
 from drive_bench import MS, DeviceBench, PairBench, PluginBench, S, as_mapping
 
-from dpstack.profile import CommandError, DriveProfile, SettingsState
+from dpstack.profile import CommandError, DriveProfile, ParameterChannel, ParamKey, SettingsState, Steps, many, settings
 from dpstack_drives.demag import DRIVE as DEMAG
 from dpstack_drives.fuji import DRIVE as FUJI
 from dpstack_drives.imo import DRIVE as IMO
@@ -502,3 +502,23 @@ def test_a_command_error_of_a_plugin_ends_the_comparison_only() -> None:
     bench.run(5)
     assert core.status().settings is SettingsState.NOT_CHECKED
     assert "no answer of this drive" in core.status().settings_texts[0]
+
+
+def test_settings_that_one_parameter_tells_are_all_named_where_it_cannot_be_read(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """434 tells the source of the set point, and whether 228 is added."""
+    read = many.read_many
+
+    def without_434(
+        access: ParameterChannel, keys: Sequence[ParamKey], deadline: int
+    ) -> Steps[list[dict[str, object]]]:
+        entries = yield from read(access, keys, deadline)
+        return [{"text": "no 434"} if key.name == 434 else one for key, one in zip(keys, entries, strict=True)]
+
+    monkeypatch.setattr(settings, "read_many", without_434)
+    bench = pair(DEMAG, "PPO1", BUS)
+    bench.ok("start")
+    assert bench.core.status().settings_texts == (
+        "settings not checked: no 434; the plugin relies on 434 = 2 or 3, 228 = 0 Hz where 434 is 3",
+    )

@@ -72,6 +72,7 @@ class IoStation(DpSlave):
         self._station_records = StationRecords(self.slots, self._change_parameter)
         self.records = self._station_records
         self.transport = loop_back
+        self._seal(IoStation)
 
     @classmethod
     def of(cls, modules: Sequence[str], name: str = "io-station") -> IoStation:
