@@ -33,9 +33,18 @@ attribute of the same name: so an error crosses the control socket as what it is
 
 from __future__ import annotations
 
+from dpstack.text import printable
+
 
 class DpError(Exception):
-    """The root: everything dpstack raises on purpose."""
+    """The root: everything dpstack raises on purpose.
+
+    Its text may hold names out of files and from devices: :func:`str` of it, which is what tracebacks and loggers
+    show, holds nothing that a terminal would obey (:mod:`dpstack.text`).
+    """
+
+    def __str__(self) -> str:
+        return printable(super().__str__())
 
 
 class ConfigError(DpError, ValueError):

@@ -1,12 +1,14 @@
 """Text of others (GSD files, slaves, masters, other programs, file names) for people and as JSON.
 
 Such text may hold octets that a terminal obeys (escape sequences), that turn the direction of what follows, or that
-cannot be seen. :func:`printable` and :func:`json_text` are the only two ways by which text leaves the program.
+cannot be seen. :func:`printable` and :func:`json_text` are the only two ways by which text leaves the program. Errors
+and events (``DpError``, ``Event.text``) are printable of themselves, also in loggers and in programs of others.
 """
 
 from __future__ import annotations
 
 import json
+import traceback
 import unicodedata
 from typing import Final
 
@@ -27,6 +29,11 @@ def printable(text: str) -> str:
     if text.isprintable():
         return text
     return "".join(letter if is_plain(letter) else _SHORT.get(letter) or escape(letter) for letter in text)
+
+
+def traceback_text(error: BaseException) -> str:
+    """Where ``error`` comes from, as Python shows it: lines of :func:`printable` text."""
+    return "\n".join(map(printable, "".join(traceback.format_exception(error)).split("\n"))).removesuffix("\n")
 
 
 def escape(letter: str) -> str:

@@ -9,7 +9,9 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+from dpstack.text import printable
 
 
 class Severity(Enum):
@@ -20,11 +22,28 @@ class Severity(Enum):
     ERROR = "error"
 
 
+class _PrintableText(property):
+    """``text`` of a class of events, with nothing in it that a terminal would obey."""
+
+    def __get__(self, instance: Any, owner: type | None = None) -> Any:
+        found = super().__get__(instance, owner)
+        return printable(found) if isinstance(found, str) else found
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Event:
-    """Something happened at ``t_ns`` (the machine's time). Layers derive their own events from this one."""
+    """Something happened at ``t_ns`` (the machine's time). Layers derive their own events from this one.
+
+    ``text`` may hold names out of files and from devices; whatever a derived class makes of it, it is printable
+    (:mod:`dpstack.text`). Other fields are as the file or the device has them.
+    """
 
     t_ns: int
+
+    def __init_subclass__(cls) -> None:
+        text = vars(cls).get("text")
+        if isinstance(text, property):
+            type.__setattr__(cls, "text", _PrintableText(text.fget, doc=text.__doc__))
 
     @property
     def text(self) -> str:

@@ -21,8 +21,8 @@ DP = FDL | {"dp", "gsd"}
 #: What each package may import of ours, besides itself.
 MAY: dict[str, set[str]] = {
     "units": set(),
-    "errors": set(),
-    "trace": set(),
+    "errors": {"text"},
+    "trace": {"text"},
     "text": set(),
     "stats": {"units"},
     "params": {"units", "errors"},

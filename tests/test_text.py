@@ -5,14 +5,20 @@ from __future__ import annotations
 import json
 import tomllib
 import unicodedata
+from dataclasses import dataclass
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dpstack.api.streams import SlaveFlapping, hand_to
 from dpstack.api.toml_text import quoted
-from dpstack.errors import ConfigError
-from dpstack.text import json_text, printable, shortened
+from dpstack.dp.events import DriveEvent, SlaveRemark
+from dpstack.drivers.base import PortLost
+from dpstack.drivers.messages import event_classes
+from dpstack.errors import ConfigError, DriveTimeout, NoInputs, PortError, SlaveFault
+from dpstack.text import json_text, printable, shortened, traceback_text
+from dpstack.trace import Event, Notice
 
 #: C0, DEL, C1; bidi embeddings, isolates and marks; zero width; line and paragraph separator; a tag
 HOSTILE = [
@@ -78,3 +84,56 @@ def test_what_toml_cannot_hold_is_refused() -> None:
 def test_a_message_shows_the_beginning_of_a_long_text() -> None:
     assert shortened("9" * 60) == "9" * 60
     assert shortened("9" * 61) == "9" * 57 + "..."
+
+
+EVIL = "\x1b]0;owned\x07\x9b31m\x7f\u202eevil\nforged"
+
+
+def test_errors_are_printable_wherever_they_are_shown() -> None:
+    for error in (ConfigError(EVIL), PortError(EVIL), SlaveFault(3, EVIL), DriveTimeout("it", EVIL), NoInputs(3, EVIL)):
+        assert str(error) == printable(EVIL)
+        assert EVIL in error.args
+        assert_printable(traceback_text(error))
+        assert r"\x1b]0;owned\x07" in traceback_text(error)
+
+
+def test_events_are_printable_and_their_fields_are_as_they_came() -> None:
+    events = [
+        Notice(t_ns=0, source=EVIL, message=EVIL),
+        SlaveRemark(t_ns=0, address=3, name=EVIL, message=EVIL),
+        SlaveFlapping(t_ns=0, address=3, name=EVIL, count=2),
+        DriveEvent(t_ns=0, address=3, name=EVIL, payload={"type": "notice", "text": EVIL}),
+        PortLost(t_ns=0, port=EVIL, reason=EVIL),
+    ]
+    for event in events:
+        assert r"\x1b]0;owned\x07" in event.text
+        assert_printable(event.text)
+    assert events[1].name == EVIL  # type: ignore[attr-defined]
+
+
+def test_every_event_has_a_printable_text() -> None:
+    for kind in event_classes().values():
+        assert isinstance(vars(kind).get("text", Notice.text), type(Notice.text)), kind
+
+
+def test_an_event_of_an_application_has_a_printable_text() -> None:
+    @dataclass(frozen=True, slots=True, kw_only=True)
+    class Own(Notice):
+        @property
+        def text(self) -> str:
+            return self.message * 2
+
+    assert Own(t_ns=0, source="x", message="\x1b").text == r"\x1b\x1b"
+
+
+async def test_what_an_event_handler_raises_is_logged_printable(caplog: pytest.LogCaptureFixture) -> None:
+    def handler(event: Event) -> None:
+        raise ConfigError(EVIL)
+
+    hand_to(handler, Notice(t_ns=0, source="x", message=EVIL))
+    assert r"on_event raised at 'x: \\x1b]0;owned\\x07" in caplog.text
+    assert_printable(caplog.text)
+
+
+def assert_printable(text: str) -> None:
+    assert all(line.isprintable() for line in text.split("\n")), text

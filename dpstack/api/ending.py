@@ -27,6 +27,7 @@ from dpstack.dp.commands import Mode
 from dpstack.drivers.aio import outlast
 from dpstack.drivers.ending import EndSteps, at_slaves
 from dpstack.errors import BusError, DpError, UsageError
+from dpstack.text import printable
 from dpstack.trace import Event, Severity
 from dpstack.units import NS_PER_MS, ns_to_s
 
@@ -238,7 +239,7 @@ class OrderedEnd:
         bus, loop = self._bus, self._loop
         if os.getpid() != self._pid or bus.is_left:
             return
-        where = f"the bus on {bus.runtime.port_name}"
+        where = f"the bus on {printable(bus.runtime.port_name)}"
         deferred = _DeferredSignals(_ENDING_SIGNALS, self._hurry_in_thread)
         try:
             if loop is not None and loop.is_running():  # in another thread, which ends with the interpreter

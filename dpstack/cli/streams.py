@@ -12,13 +12,12 @@ import contextlib
 import io
 import os
 import sys
-import traceback
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Final
 
-from dpstack.text import escape, printable
+from dpstack.text import escape, printable, traceback_text
 
 #: how a character is written where the encoding of the terminal or the file does not have it
 _PLAIN: Final = {
@@ -81,9 +80,8 @@ def warn(text: str) -> None:
 
 def print_traceback(error: BaseException) -> None:
     """Where ``error`` comes from, on standard error."""
-    lines = "".join(traceback.format_exception(error)).splitlines()
     with contextlib.suppress(OSError):
-        print("\n".join(map(printable, lines)), file=sys.stderr, flush=True)
+        print(traceback_text(error), file=sys.stderr, flush=True)
 
 
 def fill() -> None:

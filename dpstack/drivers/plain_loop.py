@@ -19,7 +19,7 @@ import os
 import select
 import signal
 import socket
-import traceback
+import sys
 from collections import deque
 from collections.abc import Callable, Iterable
 from time import monotonic_ns, sleep
@@ -27,6 +27,7 @@ from typing import Final
 
 from dpstack.drivers.budget import Budget
 from dpstack.errors import UsageError
+from dpstack.text import traceback_text
 from dpstack.units import NEVER, NS_PER_S, NS_PER_US
 
 #: How much earlier than needed it wakes up: at first, at least, at most.
@@ -358,4 +359,4 @@ class PlainLoop:
 
 
 def _print(message: str, error: Exception) -> None:
-    traceback.print_exception(error)
+    print(traceback_text(error), file=sys.stderr, flush=True)

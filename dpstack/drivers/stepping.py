@@ -23,6 +23,7 @@ from dpstack.drivers.timers import Timer, boottime_ns, suspended_ns
 from dpstack.errors import BusError, DpError, PortError, UsageError
 from dpstack.machine import HeldUp, LineDown, LineUp, Machine, pump
 from dpstack.ports import Loop, Pending, Port
+from dpstack.text import printable
 from dpstack.trace import Event, Notice, Severity
 from dpstack.units import NEVER, NS_PER_MS, NS_PER_US, ms_text
 
@@ -450,7 +451,7 @@ class Stepping(ABC):
         if self._on_failure is not None:
             self._on_failure(exc)
         else:
-            self._report(f"{self.port_name}: {text}", exc)
+            self._report(printable(f"{self.port_name}: {text}"), exc)
 
     def _halt(self) -> None:
         """No more steps."""

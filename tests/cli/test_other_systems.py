@@ -67,7 +67,7 @@ REFUSED = [
 ]
 
 
-@pytest.mark.parametrize("system", ["posix", "windows"])
+@pytest.mark.parametrize("system", ["posix", pytest.param("windows", marks=pytest.mark.soak)])
 def test_without_fcntl_and_its_kin(system: str, tmp_path: Path) -> None:
     plant = tmp_path / "plant.toml"
     plant.write_text(PLANT, encoding="utf-8")
