@@ -9,7 +9,7 @@ from functools import partial
 from time import monotonic_ns
 from typing import Final
 
-from dpstack.dp.commands import AddSlave, SendControl, Shutdown
+from dpstack.dp.commands import AddSlave, Mode, SendControl, Shutdown
 from dpstack.dp.cycle import CycleData
 from dpstack.dp.image import SlaveImage
 from dpstack.dp.scanner import Scanner
@@ -181,7 +181,10 @@ class Host:
             answer.error = error_pair(error)
         self._outbox.send(Message(answer=answer))
         if isinstance(order, CloseBus):
-            self._stop()
+            if self._has_ended:
+                self._stop()
+            else:  # this process was stopped while the application ended the bus: its orders have come all at once
+                self.end("the application closed the bus")
         elif self._questions:
             self._loop.call_soon(self._serve)
         else:
@@ -212,7 +215,8 @@ class Host:
                 self.runtime.command(order)
                 self._tell([])
             case CloseBus():
-                self.runtime.close()
+                if self._has_ended:
+                    self.runtime.close()
                 self._tell([])
                 return self._counters()
             case _:
@@ -375,6 +379,12 @@ class Host:
         )
 
     # --- the end ---
+
+    @property
+    def _has_ended(self) -> bool:
+        """The master has stopped and left the token ring, or a defect has stopped it."""
+        left = self._master.mode is Mode.OFFLINE and not self._station.in_ring
+        return left or self.runtime.failed is not None
 
     def _on_failure(self, error: Exception) -> None:
         """The machine raised: a defect of ours."""
