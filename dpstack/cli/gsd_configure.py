@@ -207,7 +207,7 @@ class _Dialogue:
             for field in prm.fields
             if field.parameter.visible and field.parameter.changeable and not is_slot_number(field.parameter)
         ]
-        if not fields or not self._ask(f"{len(fields)} parameters: go through them, y or n [n]: ", _yes, "n"):
+        if not fields or not self._ask(f"parameters: {len(fields)}; go through them, y or n [n]: ", _yes, "n"):
             return
         say("an empty line keeps the value, done keeps all that follow")
         for field in fields:

@@ -102,7 +102,7 @@ async def _run(config: Config, baud: int | Literal["auto"], args: argparse.Names
             if simulation.never_found is not None:
                 warn(f"{args.port}: the baud rate was not found: {simulation.never_found}; or give the rate")
                 return 0 if stop.received else 1
-            _summary(simulation, args.json)
+            print_summary(simulation, args.json)
     return 0
 
 
@@ -117,7 +117,8 @@ def _printer(simulation: Simulation, json: bool) -> Callable[[Event], None]:
     return show
 
 
-def _summary(simulation: Simulation, json: bool) -> None:
+def print_summary(simulation: Simulation, json: bool) -> None:
+    """What the slaves did, as a table or as a JSON line."""
     if json:
         slaves = {
             str(s.address): {

@@ -1,4 +1,4 @@
-"""Reading the diagnoses of one slave: parsed, told when they are new, deviations told once, alarms handed on."""
+"""Parser of the diagnoses of one slave: an event when they change, remarks on deviations, alarms for their handler."""
 
 from __future__ import annotations
 

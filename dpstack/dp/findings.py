@@ -1,4 +1,4 @@
-"""What is told about one slave: faults when they are new, remarks once."""
+"""Faults and remarks of one slave as events: a fault when it changes, each remark once."""
 
 from __future__ import annotations
 

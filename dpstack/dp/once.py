@@ -1,4 +1,4 @@
-"""What is told once, and not without end: a peer that never repeats itself must fill neither a log nor the memory."""
+"""Report each distinct remark once, at most `limit` of them, so that a misbehaving peer cannot fill log or memory."""
 
 from __future__ import annotations
 

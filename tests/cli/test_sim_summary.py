@@ -1,0 +1,25 @@
+"""The summary of ``dpstack sim``."""
+
+from __future__ import annotations
+
+import pytest
+
+from dpstack.api.config import make_config
+from dpstack.api.simulation import Simulation
+from dpstack.cli import sim
+
+
+async def test_the_summary_says_why_answers_were_too_late(capsys: pytest.CaptureFixture[str]) -> None:
+    """The computer was busy, or another master talked meanwhile: either way the answer was not sent."""
+    raw = {"name": "raw", "address": 9, "ident": 0x1234, "config": "20 10"}
+    simulation = Simulation(make_config("pty", 500_000, 2, [raw]), "pty", 500_000)
+    sim.print_summary(simulation, json=False)
+    assert "another master talked" not in capsys.readouterr().out
+    simulation.slaves[0].unit.station.stats.dropped = 3
+    sim.print_summary(simulation, json=False)
+    table, _, text = capsys.readouterr().out.partition("answers too late were not sent, ")
+    assert table.rstrip().endswith("0                 3")
+    assert text.startswith(
+        "because another telegram was there already: this computer was busy for longer than the master waits, or "
+        "another master talked at the same time"
+    )
