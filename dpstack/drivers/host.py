@@ -47,7 +47,7 @@ from dpstack.drivers.plain_loop import PlainLoop
 from dpstack.drivers.shared_image import SharedImage, SlavePicture, picture_octets
 from dpstack.drivers.stack import build_stack
 from dpstack.errors import BusError, OrderDropped, UsageError
-from dpstack.fdl.commands import AttachUser, DetachUser
+from dpstack.fdl.commands import AttachUser, DetachUser, GoOffline
 from dpstack.ports import open_port
 from dpstack.trace import Event, Notice, Severity
 from dpstack.units import NS_PER_MS, ms_text
@@ -214,6 +214,8 @@ class Host:
                 self._leaving = True
                 self.runtime.command(order)
                 self._tell([])
+            case GoOffline() if self._master.mode is not Mode.OFFLINE:
+                self.end("the application ended the bus")  # without a token no Clear could be sent
             case CloseBus():
                 if self._has_ended:
                     self.runtime.close()

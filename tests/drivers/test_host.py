@@ -21,7 +21,7 @@ from dpstack.drivers.outbox import FULL, Outbox
 from dpstack.drivers.plain_loop import PlainLoop
 from dpstack.drivers.shared_image import SharedImage, make_memory
 from dpstack.drivers.stack import StackSpec
-from dpstack.fdl.commands import GoOnline
+from dpstack.fdl.commands import GoOffline, GoOnline
 from dpstack.params import BusParams
 from dpstack.phy.patience import HOST
 from dpstack.trace import Notice
@@ -301,7 +301,8 @@ def test_it_tells_everything_anew_to_an_application_that_found_it_silent(rig: Ri
     assert set(news.slaves) == {4}
 
 
-def test_orders_of_the_end_that_come_all_at_once_do_not_cut_it_short(rig: Rig) -> None:
+@pytest.mark.parametrize("orders", [(Shutdown(), m.CloseBus()), (GoOffline(), m.CloseBus())], ids=["port", "ring"])
+def test_orders_of_the_end_that_come_all_at_once_do_not_cut_it_short(rig: Rig, orders: tuple[object, ...]) -> None:
     """The application ended the bus while this process was stopped, and waited for no answer."""
     rig.closed = True
     asked(rig, 1, GoOnline())
@@ -311,9 +312,10 @@ def test_orders_of_the_end_that_come_all_at_once_do_not_cut_it_short(rig: Rig) -
         assert time.monotonic_ns() - begun < 10 * NS_PER_S
         asked(rig, 3, m.WatchRounds(False))
         rig.got = [message for message in rig.got if message.answer is None]
-    for number, order in enumerate((Shutdown(), m.CloseBus()), 4):
+    for number, order in enumerate(orders, 4):
         rig.sock.send(m.framed(m.Message(question=m.Question(number, m.named(order)))))
     rig.loop.run()
     rig.read()
     assert rig.told[-1] == "station 2 left the token ring: ordered"
+    assert "MasterStopped" in rig.told  # before that
     assert rig.over
