@@ -120,7 +120,7 @@ def test_for_people_and_the_end_in_clear(tmp_path: Path, start: Starter) -> None
         eventually(lambda: there.slaves[4].outputs == OUT, "its outputs")
         stop_and_go(run, there)
         run.wait_for("master: stall: outputs become safe: slave 4 (valves) was not asked for")
-        run.wait_for("valves): data_exchange", 2)
+        run.wait_for("master: clear")
         assert run.end(signal.SIGTERM) == 1
         assert "in Clear since" in run.err
         assert "because of a stall: slave 4 (valves) was not asked for" in " ".join(run.err.split())
