@@ -476,7 +476,8 @@ class Bus(Sealed, Composed):
                 self._events.tell(notice)
             if isinstance(event, RingJoined) and not self._joined_ns:
                 self._joined_ns = event.t_ns
-                self._events.tell(Notice(t_ns=event.t_ns, source="bus", message=what_was_heard(self.station)))
+                text, severity = what_was_heard(self.station)
+                self._events.tell(Notice(t_ns=event.t_ns, source="bus", message=text, severity=severity))
         self._waiters.check()
 
     def _on_failure(self, error: Exception) -> None:

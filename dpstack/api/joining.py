@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Final
 
 from dpstack.drivers.seen import StationSeen
@@ -95,21 +95,37 @@ def why_not_joined(station: StationSeen, after_s: float) -> str:
             f"their HSA must be {own} or more and their GAP on"
         )
     if station.stats.heard:
+        requesters = station.stats.without_token
+        who = _masters(requesters) if requesters else "a master"
         return (
-            f"{late}: {station.stats.heard} telegrams of other stations are heard, and no token: a master that passes "
-            "none shares its bus with nobody; stop it first"
+            f"{late}: {station.stats.heard} telegrams of other stations are heard, and no token: {who} that "
+            f"{'pass' if len(requesters) > 1 else 'passes'} none can share the bus with nobody; stop "
+            f"{'them' if len(requesters) > 1 else 'it'} first"
         )
     if station.decoder_stats.octets:
         return f"{late}: what is heard is no PROFIBUS at this rate; check the baud rate, A and B, the termination"
     return f"{late}: nothing is heard and nothing could be sent; check port and cable"
 
 
-def what_was_heard(station: StationSeen) -> str:
-    """One line: what a station that has just joined heard before, of its own address nothing."""
+def what_was_heard(station: StationSeen) -> tuple[str, Severity]:
+    """One line about the telegrams and masters that a station has heard before it joined the ring, and its severity."""
     heard, bad = station.stats.heard, station.decoder_stats.bad
     others = sorted(station.las - {station.address})
     unreadable = f"{bad} damaged" if heard else f"{bad} damaged telegrams, no readable one: is this the right rate?"
     words = [f"{heard} telegrams"] if heard else []
     words += [unreadable] if bad else []
-    words += [f"master{'s' if len(others) > 1 else ''} {', '.join(map(str, others))}"] if others else []
-    return f"listened first: {', '.join(words) or 'silence'}; nobody has address {station.address}"
+    words += [_masters(others)] if others else []
+    text = f"listened first: {', '.join(words) or 'silence'}; nobody has address {station.address}"
+    requesters = [address for address in station.stats.without_token if address not in station.las]
+    if not requesters:
+        return text, Severity.INFO
+    several = len(requesters) > 1
+    does = "send requests and pass no token: they" if several else "sends requests and passes no token: it"
+    return (
+        f"{text}; {_masters(requesters)} {does} and station {station.address} will garble each other's telegrams; "
+        "stop one of them"
+    ), Severity.WARNING
+
+
+def _masters(addresses: Sequence[int]) -> str:
+    return f"master{'s' if len(addresses) > 1 else ''} {', '.join(map(str, addresses))}"

@@ -122,7 +122,8 @@ def _show(plan: Plan, needs: Needs) -> None:
     rows = [(name, bits, f"{p.ns(bits) / 1000:.1f}") for name, bits in parameters]
     output.table(f"Bus parameters at {baud_text(p.baud)}, master {p.address}", ("parameter", "bit times", "us"), rows)
     gap = f"every {p.gap} T_TR" if p.gap else "off"
-    output.line(f"GAP {gap}, HSA {p.hsa}, {p.max_retry} retries, watchdog {plan.watchdog_ms} ms where none is given")
+    retries = "1 retry" if p.max_retry == 1 else f"{p.max_retry} retries"
+    output.line(f"GAP {gap}, HSA {p.hsa}, {retries}, watchdog {plan.watchdog_ms} ms where none is given")
     others = plan.figures.others.count
     if others:
         output.line(

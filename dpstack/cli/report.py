@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
 from typing import Any, Final
 
 from dpstack.api.bus import Bus
 from dpstack.api.events import (
+    AlarmRaised,
     DriveEvent,
     Event,
     MasterStopped,
@@ -28,6 +30,11 @@ from dpstack.units import baud_text, ms_text, ns_to_s
 #: a simulated bus that fell behind real time by more than this, in s and as a part of its time, is told of at the end
 _BEHIND_S: Final = 0.1
 _BEHIND: Final = 0.02
+#: the summary advises on repetitions where a slave had so many, as a part of its requests
+_REPETITIONS: Final = 10
+_REPEATED: Final = 0.05
+#: extra_idle_bits that help a slave which finds the end of a telegram by a pause (docs/foreign.md)
+_EXTRA_IDLE_BITS: Final = 60
 _STYLES = {Severity.INFO: "", Severity.WARNING: "yellow", Severity.ERROR: "red"}
 
 
@@ -94,6 +101,9 @@ class Reporter:
                     self._diagnoses[address] = told
                     text = f"slave {address} ({event.name}): diagnosis {told or 'without findings'}"
                     self._line(event, text, "yellow" if told else "")
+            case AlarmRaised(address=address, texts=texts):
+                known = self._diagnoses.get(address, "").split("; ")  # the line of the diagnosis that it came in
+                self._line(event, dataclasses.replace(event, texts=tuple(t for t in texts if t not in known)).text)
             case DriveEvent(address=address, payload=payload):
                 self._drive(address, event, payload)
             case SlaveStateChanged(address=address, state=state):
@@ -145,6 +155,8 @@ class Reporter:
         for name, us in (("bus rotation time", stats.rotation_us), ("token rotation", stats.token_us)):
             if us["max"]:
                 output.line(f"{name} in us: " + ", ".join(f"{key} {value}" for key, value in us.items()))
+        if self.bus is not None:
+            _repetitions(slaves, self.bus.config.bus.extra_idle_bits)
         _cycles(stats)
         if stats.host_us is not None:
             late = stats.host_us
@@ -194,6 +206,23 @@ def _diagnoses(slaves: Iterable[SlaveStats]) -> None:
         rows += [(s.address, s.name, what, text) for what, text in told]
     if rows:
         output.table("Diagnoses and drives", ("address", "name", "what", "text"), rows)
+
+
+def _repetitions(slaves: Iterable[SlaveStats], extra_idle_bits: int) -> None:
+    """Advice for each slave that needed many repetitions, by their cause: damaged answers, or none."""
+    for s in slaves:
+        link = s.link
+        if s.retries < max(_REPETITIONS, _REPEATED * link.requests):
+            continue
+        advice = "check cable, shielding and termination"
+        if sum(link.bad.values()) < s.retries // 2 and extra_idle_bits < _EXTRA_IDLE_BITS:
+            advice += (
+                "; a self-made slave that finds the end of a telegram by a pause misses requests that follow too soon: "
+                f"try extra_idle_bits = {_EXTRA_IDLE_BITS} in [bus]"
+            )
+        output.line(
+            f"slave {s.address} ({s.name}): {s.retries} repetitions of {link.requests} requests: {advice}", "yellow"
+        )
 
 
 def _list(found: object) -> list[Any]:

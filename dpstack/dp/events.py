@@ -309,8 +309,12 @@ class DriveEvent(SlaveEvent):
         payload, kind = self.payload, self.payload.get("type")
         said = kind if payload.get("text") is None else payload["text"]
         if kind == "status":
-            wrong = [f"{what} {one}" for what in ("fault", "warning") for one in _texts(payload.get(f"{what}s"))]
-            said = ", ".join((str(payload.get("state")), *wrong))
+            state, faults = str(payload.get("state")), _texts(payload.get("faults"))
+            if state == "fault" and faults:
+                parts = [f"fault: {', '.join(faults)}"]
+            else:
+                parts = [state, *(f"fault {one}" for one in faults)]
+            said = ", ".join((*parts, *(f"warning {one}" for one in _texts(payload.get("warnings")))))
         elif kind == "failed":
             said = f"its plugin failed: {said}"
         return f"drive {self.address} ({self.name}): {said}"

@@ -57,8 +57,19 @@ def go_offline(link: Link, _: Telegram, now: int) -> None:
 def learn(link: Link, telegram: Telegram, now: int) -> None:
     """One token between others, or to a station of our address that was there before us."""
     link.tx = None
+    stats = link.stats
+    if telegram.sa not in stats.token_senders:
+        stats.token_senders |= {telegram.sa}
     link.ring.learn(telegram.sa, telegram.da)
     link.heard_token(telegram.sa, now)
+
+
+def request_listening(link: Link, telegram: Telegram, now: int) -> None:
+    """A request of another master: note its sender, which may be one that passes no token."""
+    stats = link.stats
+    if telegram.sa not in stats.requesters:
+        stats.requesters |= {telegram.sa}
+    heard(link, telegram, now)
 
 
 def status_listening(link: Link, telegram: Telegram, now: int) -> None:

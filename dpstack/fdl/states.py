@@ -149,11 +149,13 @@ def _rows() -> list[Row]:
     idle, watching = (_S.LISTEN_TOKEN, _S.ACTIVE_IDLE), _S.CHECK_TOKEN_PASS
     others = (_I.TOKEN_TO_ME, _I.TOKEN_SEEN, *_REQUESTS)
     rows.append(Row(_S.LISTEN_TOKEN, _I.REQUEST_TO_ME, "idle.heard", (_S.LISTEN_TOKEN,), "stay silent", _FELSER))
+    rows.append(Row(_S.LISTEN_TOKEN, _I.REQUEST_SEEN, "idle.request_listening", (_S.LISTEN_TOKEN,),
+                    "note who sent it, drop an answer not yet sent", "rule"))  # fmt: skip
     for what, name, targets, does, source, states in (
         (_I.LINE_DOWN, "idle.line_down", (_S.OFFLINE,), "the port is gone: abandon everything", "rule", _ONLINE),
         (_I.OWN_ADDRESS, "idle.own_address", (None, _S.LISTEN_TOKEN, _S.OFFLINE),
          "somebody has this address: stay out, back off, listen again", _FELSER, _ONLINE),
-        (_I.REQUEST_SEEN, "idle.heard", (None,), "drop an answer not yet sent", "rule", idle),
+        (_I.REQUEST_SEEN, "idle.heard", (None,), "drop an answer not yet sent", "rule", (_S.ACTIVE_IDLE,)),
         (_I.RESPONSE_SEEN, "idle.heard", (None,), "drop an answer not yet sent", "rule", idle),
         (_I.ACTIVITY, "idle.heard", (None,), "drop an answer not yet sent", "rule", idle),
         (_I.SENT, "idle.answered", (None,), "the status was answered", _FELSER, idle),

@@ -213,7 +213,15 @@ class LinkStats:
     garbled: int = 0  # answers of which only unreadable octets came
     refused: int = 0  # requests of users that the guard did not let through
     ignored: int = 0  # inputs without a row in the state table
+    #: stations that sent requests, and stations that passed a token, while this one listened before it joined the ring
+    requesters: frozenset[int] = frozenset()
+    token_senders: frozenset[int] = frozenset()
     stations: dict[int, StationStats] = field(default_factory=dict)
+
+    @property
+    def without_token(self) -> list[int]:
+        """Addresses of the masters that were heard to send requests and never to pass a token, in ascending order."""
+        return sorted(self.requesters - self.token_senders)
 
     def station(self, address: int) -> StationStats:
         """The counters of ``address``, made when first asked for."""

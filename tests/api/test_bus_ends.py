@@ -10,7 +10,7 @@ from foreign_master import ForeignMaster
 from support import WorldFactory
 
 import dpstack
-from dpstack.api.events import Notice
+from dpstack.api.events import Notice, Severity
 from dpstack.dp.device import FunctionDevice
 from dpstack.sim.world import World
 
@@ -123,8 +123,40 @@ def test_a_master_without_a_token_is_named_as_the_reason(world: WorldFactory) ->
         master.sent(w.now)
         w.add(master)
         bus = dpstack.open_bus(port="virtual", baud=500_000, address=1, slaves=[], world=w, join_timeout=1.0)
-        with pytest.raises(dpstack.BusError, match=r"\d+ telegrams of other stations are heard, and no token"):
+        with pytest.raises(
+            dpstack.BusError,
+            match=r"\d+ telegrams of other stations are heard, and no token: master 2 that passes none",
+        ):
             await bus.open()
+
+    virtual(program(world(referee=False)))
+
+
+def test_a_master_without_a_token_that_pauses_is_named_when_the_station_joins(world: WorldFactory) -> None:
+    """Its requests stop for longer than T_TO: the station claims the token, and says whom it has heard."""
+
+    class Pausing(Tokenless):
+        left = 5
+
+        def sent(self, at: int) -> None:
+            self.left -= 1
+            if self.left >= 0:
+                super().sent(at)
+
+    async def program(w: World) -> None:
+        master = Pausing(2, 2, ready=False)
+        master.sent(w.now)
+        w.add(master)
+        seen: list[dpstack.Event] = []
+        async with dpstack.open_bus(
+            port="virtual", baud=500_000, address=1, slaves=[], world=w, on_event=seen.append
+        ) as bus:
+            await bus.until(lambda: bus.station.in_ring, 1)
+        heard = [e for e in seen if isinstance(e, Notice) and "listened first" in e.text]
+        assert len(heard) == 1
+        assert "nobody has address 1; master 2 sends requests and passes no token" in heard[0].text
+        assert "stop one of them" in heard[0].text
+        assert heard[0].severity is Severity.WARNING
 
     virtual(program(world(referee=False)))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import dataclasses
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
@@ -79,6 +80,48 @@ def test_a_wire_break_with_its_text_in_lines_table_and_status(capsys: Out) -> No
     assert "line break" in capsys.readouterr().out
 
 
+def test_an_alarm_does_not_repeat_the_line_of_its_diagnosis(capsys: Out) -> None:
+    async def story(bus: dpstack.Bus, order: dict[str, Any]) -> None:
+        order["pull"](["io", "2"])
+        await asyncio.sleep(0.5)
+
+    lines, _, _ = told_of(story, IO | {"dpv1": {"alarms": ["pull_plug"]}}, capsys=capsys)
+    assert "slave 8 (io): diagnosis ext_diag; slots with a diagnosis: 2 (8 DO)" in lines
+    alarms = [line for line in lines if "pull alarm" in line]
+    assert len(alarms) == 1
+    assert "slots with a diagnosis" not in alarms[0]
+    assert sum("slots with a diagnosis: 2 (8 DO)" in line for line in lines) == 1
+
+
+@pytest.mark.parametrize(
+    ("retries", "bad", "extra_idle_bits", "advice", "pause"),
+    [
+        (45, 0, 0, True, True),
+        (45, 40, 0, True, False),  # damaged answers: the line
+        (45, 0, 60, True, False),  # set already
+        (9, 0, 0, False, False),
+    ],
+)
+def test_many_repetitions_bring_advice_in_the_summary(
+    capsys: Out, retries: int, bad: int, extra_idle_bits: int, advice: bool, pause: bool
+) -> None:
+    async def program() -> None:
+        reporter = Reporter(json=False, quiet=True)
+        async with bus_of(RAW, on_event=reporter.event, extra_idle_bits=extra_idle_bits) as bus:
+            reporter.bus = bus
+            await bus.ready()
+            stats = bus.stats
+        link = dataclasses.replace(stats.slaves[9].link, requests=236, retries=retries, bad={"fcs": bad})
+        slave = dataclasses.replace(stats.slaves[9], retries=retries, link=link)
+        capsys.readouterr()
+        reporter.summary(dataclasses.replace(stats, slaves={9: slave}))
+
+    virtual(program())
+    out = capsys.readouterr().out
+    assert (f"slave 9 (raw): {retries} repetitions of 236 requests: check cable" in out) is advice
+    assert ("extra_idle_bits = 60" in out) is pause
+
+
 def test_what_is_over_is_told_once_and_leaves_the_table(capsys: Out) -> None:
     async def story(bus: dpstack.Bus, order: dict[str, Any]) -> None:
         order["wire-break"](["io", "3", "0", "on"])
@@ -147,7 +190,7 @@ def test_a_trip_its_name_and_why_the_drive_stopped(capsys: Out) -> None:
     lines, end, status = told_of(story, FAN, capsys=capsys)
     drive = [line for line in lines if line.startswith("drive 4 (fan): ")]
     assert drive[0] == "drive 4 (fan): running"
-    assert any(line.startswith("drive 4 (fan): fault, fault Er5") for line in drive)
+    assert any(line.startswith("drive 4 (fan): fault: Er5") for line in drive)
     assert any("left the running state by itself" in line for line in drive)
     assert sum(": running" in line for line in drive) == 1  # and nothing of set point, speed and reached
     assert any(row[2] == "drive fault" and "Er5" in row[3] for row in rows(end))
