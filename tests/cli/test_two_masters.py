@@ -98,8 +98,9 @@ class Plant:
             slaves = run.lines[-1]["slaves"].values()
             assert all(slave["state"] == "data_exchange" and slave["exchanges"] > 20 for slave in slaves)
         first, second = (run.out for run in self.runs)
-        assert "master 5 joined the token ring" in first
-        assert "master 2 is in the token ring" in second
+        # both begin at once: on a busy computer either may be the one that was there first
+        assert any(f"master 5 {said} the token ring" in first for said in ("joined", "is in"))
+        assert any(f"master 2 {said} the token ring" in second for said in ("joined", "is in"))
 
 
 def test_two_masters_a_scan_a_search_and_a_twin_at_once(tmp_path: Path, start: Starter) -> None:
