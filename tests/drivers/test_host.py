@@ -316,6 +316,6 @@ def test_orders_of_the_end_that_come_all_at_once_do_not_cut_it_short(rig: Rig, o
         rig.sock.send(m.framed(m.Message(question=m.Question(number, m.named(order)))))
     rig.loop.run()
     rig.read()
-    assert rig.told[-1] == "station 2 left the token ring: ordered"
-    assert "MasterStopped" in rig.told  # before that
+    # nobody reads the other end of this line: a slow computer may hear of dropped telegrams after it
+    assert rig.told.index("station 2 left the token ring: ordered") > rig.told.index("MasterStopped")
     assert rig.over
