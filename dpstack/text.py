@@ -59,6 +59,11 @@ def number_or_name(text: str) -> int | str:
     return text if number is None else number
 
 
+def octets_text(count: int) -> str:
+    """So many octets, for people."""
+    return f"{count} octet" + ("" if count == 1 else "s")
+
+
 def shortened(text: str, most: int = 60) -> str:
     """``text``, of which a message shows ``most`` characters."""
     return text if len(text) <= most else text[: most - 3] + "..."

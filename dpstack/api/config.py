@@ -22,6 +22,7 @@ from dpstack.api.toml_lines import MAX_OCTETS, TomlError, read_toml
 from dpstack.dp.setup import SlaveSetup
 from dpstack.errors import ConfigError, ParamError
 from dpstack.params import BusParams
+from dpstack.text import octets_text
 from dpstack.units import baud_text
 
 
@@ -63,8 +64,8 @@ class Config:
                 raise ConfigError(f"outputs for address {address}: no slave has it; configured: {known}")
             if len(octets) != slave.output_len:
                 raise ConfigError(
-                    f"outputs for slave {address} ({slave.name}): {len(octets)} octets given; "
-                    f"it has {slave.output_len} octets of outputs"
+                    f"outputs for slave {address} ({slave.name}): {octets_text(len(octets))} given; "
+                    f"it has {octets_text(slave.output_len)} of outputs"
                 )
         slaves = tuple(
             dataclasses.replace(s, initial=outputs[s.address], raw=True) if s.address in outputs else s

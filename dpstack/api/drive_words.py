@@ -65,35 +65,83 @@ class _Options:
     timeout: float | None = None
 
 
-async def carry_out(drive: Drive, word: str, args: Sequence[str]) -> dict[str, object]:
+@dataclass(frozen=True, slots=True)
+class ParsedOrder:
+    """One of :data:`WORDS` with its arguments. ``value``: in the unit of a parameter or of the set point."""
+
+    word: str
+    options: _Options
+    parameter: int | str = ""
+    value: float = 0.0
+    places: tuple[ParameterPlace, ...] = ()
+
+    @property
+    def for_plugin(self) -> tuple[str, dict[str, object]] | None:
+        """The order and its arguments as the drive's plugin takes them; None where it has nothing to do."""
+        options = self.options
+        given: dict[str, object]
+        match self.word:
+            case "status" | "parameters":
+                return None
+            case "speed" | "frequency":
+                given = {"value": self.value}
+            case "read":
+                given = {"number": self.parameter, "data_set": options.data_set, "index": options.index}
+            case "write":
+                given = {"number": self.parameter, "value": self.value, "data_set": options.data_set}
+                given |= {"index": options.index, "ram": options.ram or None}
+            case "read_many":
+                given = {"parameters": [place.as_dict() for place in self.places]}
+            case _:
+                given = {}
+        given["timeout_s"] = options.timeout
+        return self.word, {key: value for key, value in given.items() if value is not None}
+
+
+def parse_order(word: str, args: Sequence[str]) -> ParsedOrder:
     """One of :data:`WORDS` with its arguments; among them ``data_set=3``, ``index=1``, ``ram=true``, ``timeout=20``.
 
-    Raises UsageError, and what the drive raises.
+    Raises UsageError.
     """
     spec = find_word(word)
     plain = [text for text in args if text.partition("=")[0] not in OPTIONS]
     options = _options(word, [text for text in args if text not in plain])
     if len(plain) != len(spec.usage.split()):
         raise UsageError(wrong_arguments(spec))
+    match word:
+        case "read":
+            return ParsedOrder(word, options, parameter=number_or_name(plain[0]))
+        case "write":
+            return ParsedOrder(word, options, parameter=number_or_name(plain[0]), value=_value(plain[1]))
+        case "read_many":
+            return ParsedOrder(word, options, places=tuple(_places(plain[0])))
+        case "speed" | "frequency":
+            return ParsedOrder(word, options, value=_value(plain[0]))
+    return ParsedOrder(word, options)
+
+
+async def carry_out(drive: Drive, word: str, args: Sequence[str]) -> dict[str, object]:
+    """Carry out one order, see :func:`parse_order`. Raises UsageError, and what the drive raises."""
+    order = parse_order(word, args)
+    options = order.options
     told: dict[str, object] = {"order": word, "drive": drive.name, "address": drive.address, "type": drive.kind}
     seconds = 5.0 if options.timeout is None else options.timeout
     places = {"data_set": options.data_set, "index": options.index}
     match word:
         case "read":
-            found = await drive.parameter(number_or_name(plain[0]), **places, timeout=seconds)
+            found = await drive.parameter(order.parameter, **places, timeout=seconds)
             return {**told, "parameter": asdict(found)}
         case "write":
-            value = _value(plain[1])
-            found = await drive.write(number_or_name(plain[0]), value, **places, ram=options.ram, timeout=seconds)
+            found = await drive.write(order.parameter, order.value, **places, ram=options.ram, timeout=seconds)
             return {**told, "parameter": asdict(found)}
         case "parameters":
             listed = [asdict(one) for one in drive.parameters]
             return {**told, "per_request": drive.per_request, "parameters": listed}
         case "read_many":
-            entries = await drive.read_many(_places(plain[0]), timeout=seconds)
+            entries = await drive.read_many(order.places, timeout=seconds)
             return {**told, "parameters": [_entry(one) for one in entries]}
         case "speed" | "frequency":
-            await drive.order(word, value=_value(plain[0]))
+            await drive.order(word, value=order.value)
         case "status":
             pass
         case _:

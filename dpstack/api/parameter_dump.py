@@ -47,8 +47,8 @@ class ParameterPlace:
         return {key: value for key, value in asdict(self).items() if value is not None}
 
 
-class Readable(Protocol):
-    """A drive whose parameters can be read: of this bus, or of another program's."""
+class Listing(Protocol):
+    """A drive of which it is known which parameters it has."""
 
     @property
     def name(self) -> str:
@@ -59,12 +59,16 @@ class Readable(Protocol):
         """The name of its plugin, e.g. ``fuji-frenic``."""
 
     @property
-    def address(self) -> int:
-        """Its station address."""
-
-    @property
     def parameters(self) -> tuple[ListedParam, ...]:
         """All that is to be read. Raises UsageError where the telegram has no parameter channel."""
+
+
+class Readable(Listing, Protocol):
+    """A drive whose parameters can be read: of this bus, or of another program's."""
+
+    @property
+    def address(self) -> int:
+        """Its station address."""
 
     @property
     def per_request(self) -> int:
@@ -152,35 +156,54 @@ async def compare(
     for a file of another type of drive and for a value between two steps of its parameter, UsageError, DriveError.
     """
     listed = saved if isinstance(saved, ParameterList) else ParameterList.load(saved)
-    where = "the list" if isinstance(saved, ParameterList) else str(saved)
+    wanted, skipped = _compared(drive, listed, "the list" if listed is saved else str(saved), data_set, read_only)
+    found: list[SavedParam] = []
+    await _read_all(drive, [there for _, there in wanted], found, on_parameter)
+    pairs = [Difference(old, new) for (old, _), new in zip(wanted, found, strict=True)]
+    differences = tuple(pair for pair in pairs if not _equal(pair.saved, pair.found))
+    return Comparison(differences, len(pairs) - len(differences), tuple(skipped))
+
+
+def check_dump(drive: Listing, path: str | Path, *, data_set: int | None = None) -> None:
+    """Raises what :func:`dump` raises before it reads anything."""
+    _chosen(drive, data_set)
+    with file_for(path, drive.kind, drive.name):
+        pass
+
+
+def check_compare(drive: Listing, path: str | Path, *, data_set: int | None = None, read_only: bool = False) -> None:
+    """Raises what :func:`compare` raises before it reads anything."""
+    _compared(drive, ParameterList.load(path), str(path), data_set, read_only)
+
+
+def _compared(
+    drive: Listing, listed: ParameterList, where: str, data_set: int | None, read_only: bool
+) -> tuple[list[tuple[SavedParam, ListedParam]], list[tuple[SavedParam, str]]]:
+    """What is to be compared, and what is not, with the reason. Raises as :func:`compare`."""
     if listed.drive != drive.kind:
         raise ConfigError(
             f"{where} holds the parameters of a {listed.drive} ({listed.name}), {drive.name} is a {drive.kind}: "
             f"take a file of such a drive"
         )
     there = {_place(one): one for one in _chosen(drive, data_set)}
-    wanted: list[SavedParam] = []
+    wanted: list[tuple[SavedParam, ListedParam]] = []
     skipped: list[tuple[SavedParam, str]] = []
     for one in listed.parameters:
         if data_set is not None and one.data_set not in (None, data_set):
             continue
         why = _why_skipped(one, there, read_only)
         if why is None:
-            wanted.append(one)
+            wanted.append((one, there[one.place]))
         else:
             skipped.append((one, why))
-    for one in wanted:
-        _held(one, there[one.place], where)
+    for one, listed_there in wanted:
+        _held(one, listed_there, where)
     in_file = {one.place for one in listed.parameters}
     skipped += [(_saved(one), "it is not in the file") for place, one in there.items() if place not in in_file]
-    found: list[SavedParam] = []
-    await _read_all(drive, [there[one.place] for one in wanted], found, on_parameter)
-    pairs = [Difference(old, new) for old, new in zip(wanted, found, strict=True)]
-    differences = tuple(pair for pair in pairs if not _equal(pair.saved, pair.found))
-    return Comparison(differences, len(pairs) - len(differences), tuple(skipped))
+    return wanted, skipped
 
 
-def _chosen(drive: Readable, data_set: int | None) -> list[ListedParam]:
+def _chosen(drive: Listing, data_set: int | None) -> list[ListedParam]:
     """What is to be read. Raises UsageError for a data set that the drive does not have."""
     listed = drive.parameters
     sets = sorted({one.data_set for one in listed if one.data_set is not None})

@@ -25,6 +25,7 @@ from dpstack.dp.v1.alarm_events import AlarmCounts
 from dpstack.dp.v1.im import Im
 from dpstack.drivers.seen import HandlerSeen
 from dpstack.errors import SlaveFault, SlaveTimeout, UsageError
+from dpstack.text import octets_text
 from dpstack.units import ns_to_s
 
 if TYPE_CHECKING:
@@ -237,7 +238,7 @@ class Slave(Sealed):
         elif image.unit is not None:
             why = "its drive plugin makes the outputs; use bus.drive()"
         elif len(octets) != image.output_len:
-            why = f"{len(octets)} output octets given, the slave's configuration has {image.output_len}"
+            why = f"{octets_text(len(octets))} of outputs given, the slave's configuration has {image.output_len}"
         if why:
             raise UsageError(f"slave {self.address} ({self.name}): {why}")
 

@@ -29,6 +29,7 @@ from dpstack.cli.progress import progress_bar
 from dpstack.cli.signals import StopSignal
 from dpstack.cli.streams import warn
 from dpstack.errors import BusError, SlaveFault, UsageError
+from dpstack.text import octets_text
 
 _WORDS: Final = (*WORDS, TRANSPORT, *FILES)
 
@@ -229,7 +230,7 @@ def _show(told: Mapping[str, Any]) -> None:
     match told["order"]:
         case "read" | "transport":
             octets = bytes.fromhex(told["data"])
-            output.line(f"{who}: slot {told['slot']}, index {told['index']}, {len(octets)} octets")
+            output.line(f"{who}: slot {told['slot']}, index {told['index']}, {octets_text(len(octets))}")
             for at in range(0, len(octets), 16):
                 line = octets[at : at + 16]
                 text = "".join(chr(octet) if 32 <= octet < 127 else "." for octet in line)
@@ -237,7 +238,7 @@ def _show(told: Mapping[str, Any]) -> None:
         case "parameters":
             show_list(told)
         case "write":
-            output.line(f"{who}: slot {told['slot']}, index {told['index']}: {told['length']} octets written")
+            output.line(f"{who}: slot {told['slot']}, index {told['index']}: {octets_text(told['length'])} written")
         case _:
             rows = [
                 (f"I&M{n}", name, _im_text(name, value))

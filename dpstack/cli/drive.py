@@ -10,6 +10,7 @@ from typing import Final
 from dpstack.api.config import Config, load_config
 from dpstack.api.control.drives import RemoteDrive, find_drive
 from dpstack.api.control.specs import Spec
+from dpstack.api.drive_check import DriveCheck
 from dpstack.api.drive_words import (
     HALTS,
     LASTING,
@@ -25,7 +26,7 @@ from dpstack.api.events import DriveEvent, Event, Notice, Severity, severity_of
 from dpstack.api.one_drive import OneDrive
 from dpstack.api.slave_config import SlaveConfig
 from dpstack.cli import options, output
-from dpstack.cli.drive_orders import DUMP_AND_COMPARE, Order, Orders, status_text
+from dpstack.cli.drive_orders import DUMP_AND_COMPARE, Order, Orders, check_orders, status_text
 from dpstack.cli.foreground import refuse_application_watchdog, tell_simulated
 from dpstack.cli.outlet import unhurried
 from dpstack.cli.signals import INTERRUPTED, StopSignal
@@ -68,6 +69,7 @@ def execute(args: argparse.Namespace) -> int:
     config = load_config(args.config).with_bus(port=args.port, baud=args.baud)
     slave = _slave_of(config, args.name)
     orders = _orders(args)
+    check_orders(DriveCheck(slave, simulated=config.virtual), orders)
     with unhurried(output.missing(args.json)):
         return asyncio.run(_run(config, slave, orders, args))
 

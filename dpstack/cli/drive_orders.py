@@ -8,7 +8,8 @@ from contextlib import asynccontextmanager
 from typing import Any, Final, NamedTuple, Protocol
 
 from dpstack.api.control.specs import Spec
-from dpstack.api.parameter_dump import OnParameter, Readable, compare, dump
+from dpstack.api.drive_check import DriveCheck
+from dpstack.api.parameter_dump import OnParameter, Readable, check_compare, check_dump, compare, dump
 from dpstack.api.parameter_list import SavedParam, label, value_text
 from dpstack.cli import output
 from dpstack.cli.progress import progress_bar
@@ -27,12 +28,32 @@ class Order(NamedTuple):
     args: tuple[str, ...]
     options: Mapping[str, object]
 
+    @property
+    def words(self) -> tuple[str, ...]:
+        """The arguments and options, as a drive is told them."""
+        return (*self.args, *(f"{key}={str(value).lower()}" for key, value in self.options.items()))
+
 
 class Target(Readable, Protocol):
     """A drive, wherever it is."""
 
     async def order(self, word: str, *args: str) -> dict[str, Any]:
         """As :func:`~dpstack.api.drive_words.carry_out`."""
+
+
+def check_orders(drive: DriveCheck, orders: Sequence[Order]) -> None:
+    """Judge all ``orders`` before the first one moves anything. Raises UsageError, ConfigError."""
+    made = {order.args[0] for order in orders if order.word == "dump"}
+    for order in orders:
+        match order.word:
+            case "dump":
+                check_dump(drive, order.args[0], data_set=_data_set(order))
+            case "compare":
+                if order.args[0] not in made:
+                    every = bool(order.options.get("all"))
+                    check_compare(drive, order.args[0], data_set=_data_set(order), read_only=every)
+            case _:
+                drive.order(order.word, order.words)
 
 
 class Orders:
@@ -57,8 +78,7 @@ class Orders:
                 case "compare":
                     await self._compare(order)
                 case _:
-                    given = [f"{key}={str(value).lower()}" for key, value in order.options.items()]
-                    self._tell(order, await self._drive.order(order.word, *order.args, *given))
+                    self._tell(order, await self._drive.order(order.word, *order.words))
 
     def _tell(self, order: Order, told: Mapping[str, Any]) -> None:
         if self._json:

@@ -14,6 +14,7 @@ from dpstack.dp.events import Fault, FaultKind
 from dpstack.dp.pdu import SET_PRM_LEN
 from dpstack.dp.setup import SlaveSetup
 from dpstack.fdl.user import Failure
+from dpstack.text import octets_text
 from dpstack.units import baud_text
 
 #: a fault whose text needs the identifier octets of Get_Cfg: None where the slave does not tell them
@@ -192,7 +193,7 @@ def wrong_length(setup: SlaveSetup, expected: int, got: int, actual: bytes | Non
     difference, correction = _compared(setup.config, actual)
     return Fault(
         FaultKind.WRONG_LENGTH,
-        f"answers Data_Exchange with {got} octets instead of {expected}: {difference}",
+        f"answers Data_Exchange with {octets_text(got)} instead of {expected}: {difference}",
         correction or "its real configuration differs from config or telegram here: compare both with its GSD file",
     )
 

@@ -7,6 +7,7 @@ from typing import Final, Protocol
 
 from dpstack.dp.setup import SlaveSetup
 from dpstack.errors import UsageError
+from dpstack.text import octets_text
 from dpstack.units import NS_PER_S
 
 #: inputs of a slave without watchdog may be this old
@@ -85,7 +86,9 @@ class SlaveImage:
     def outputs(self, octets: bytes) -> None:
         octets = bytes(octets)
         if len(octets) != self.output_len:
-            raise ValueError(f"{len(octets)} output octets given, the slave's configuration has {self.output_len}")
+            raise ValueError(
+                f"{octets_text(len(octets))} of outputs given, the slave's configuration has {self.output_len}"
+            )
         self._outputs = octets
 
 

@@ -13,6 +13,7 @@ from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.params import MAX_STATION, UNADDRESSED
+from dpstack.text import octets_text
 from dpstack.units import NS_PER_MS, NS_PER_US
 
 #: Min_Slave_Interval counts in 100 us, as GSD files do
@@ -99,7 +100,7 @@ class SlaveSetup:
             if getattr(self, key) and len(self.user_prm) < DPV1_STATUS_LEN:
                 raise ConfigError(
                     f"{where}: {key} needs user_prm that begin with the three DPV1_Status octets, "
-                    f"{len(self.user_prm)} octets are given"
+                    f"{octets_text(len(self.user_prm))} given"
                 )
         sent = len(self.user_octets(None))
         if sent > MAX_USER_PRM:

@@ -27,6 +27,7 @@ from dpstack.fdl.user import LinkStats
 from dpstack.params import BusParams
 from dpstack.phy.patience import Patience
 from dpstack.stats import Histogram
+from dpstack.text import octets_text
 from dpstack.trace import Event
 
 
@@ -96,7 +97,9 @@ class ImageMirror:
     def outputs(self, octets: bytes) -> None:
         octets = bytes(octets)
         if len(octets) != self.output_len:
-            raise ValueError(f"{len(octets)} output octets given, the slave's configuration has {self.output_len}")
+            raise ValueError(
+                f"{octets_text(len(octets))} of outputs given, the slave's configuration has {self.output_len}"
+            )
         self._outputs = octets
         self._source.put_outputs(self._address, octets)
 

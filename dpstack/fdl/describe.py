@@ -34,6 +34,7 @@ from dpstack.fdl.telegram import (
 )
 from dpstack.fdl.user import Request
 from dpstack.params import BROADCAST
+from dpstack.text import octets_text
 from dpstack.trace import WireEntry
 from dpstack.units import NS_PER_US, ns_to_bits
 
@@ -145,7 +146,7 @@ def describe(telegram: Telegram, inside: Inside = _nothing) -> str:
         parts.append(_global_control(telegram.data))
     elif telegram.data:
         words = inside(telegram)
-        octets = f"{len(telegram.data)} octet{'s' if len(telegram.data) > 1 else ''}"
+        octets = octets_text(len(telegram.data))
         parts.append(f"{octets}: {words}" if words else octets)
     if telegram.empty_le3:
         parts.append("LE = 3")

@@ -80,7 +80,7 @@ async def test_misuse_raises_at_once_and_changes_nothing(driver: Driver) -> None
         async with bus_on(path, driver, VALVES) as bus:
             await bus.ready(60)
             valves = bus.slave(4)
-            with pytest.raises(UsageError, match="1 output octets given"):
+            with pytest.raises(UsageError, match="1 octet of outputs given"):
                 valves.outputs = b"\x01"
             with pytest.raises(UsageError, match="goes offline by Shutdown"):
                 bus.command(SetMode(Mode.OFFLINE))

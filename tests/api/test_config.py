@@ -281,7 +281,7 @@ def test_initial_outputs() -> None:
     config = parse(BUS + RAW + DRIVE)
     (raw, _hoist) = config.with_outputs({9: b"\x5a"}).slaves
     assert raw.setup(500_000).initial == b"\x5a"
-    with pytest.raises(ConfigError, match="2 octets given; it has 1 octets"):
+    with pytest.raises(ConfigError, match="2 octets given; it has 1 octet "):
         config.with_outputs({9: b"\x5a\x5a"})
     with pytest.raises(ConfigError, match="no slave has it; configured: 3, 9"):
         config.with_outputs({7: b""})

@@ -71,7 +71,7 @@ def test_nothing_is_half_written() -> None:
             await bus.ready()
             await bus.operate()
             group = bus.group(1)
-            with pytest.raises(dpstack.UsageError, match=r"slave 6 \(south\): 2 output octets given"):
+            with pytest.raises(dpstack.UsageError, match=r"slave 6 \(south\): 2 octets of outputs given"):
                 await group.write({"north": b"\x01", "south": b"\x02\x03"})
             with pytest.raises(dpstack.UsageError, match=r"slave 9 \(raw\) is not in this group; in it are: north, so"):
                 await group.write({"north": b"\x01", "raw": b"\x02"})

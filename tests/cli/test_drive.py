@@ -175,6 +175,59 @@ def test_what_cannot_be_done_is_one_line(words: str, code: int, says: str, plant
     assert says in err[0]
 
 
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        ("fan start speed 1.5", "drive fan: speed 1.5 is outside -1..1: 100 % is F03"),
+        ("fan start speed 1e16", "drive fan: speed: value must be a number up to 1e+15"),
+        ("fan start frequency nan", "drive fan: frequency: value must be a number, not nan"),
+        ("fan start read F26", "drive fan: PPO3 of fuji-frenic has no parameter channel"),
+        ("fan start dump f.toml", "drive fan: PPO3 of fuji-frenic has no parameter channel"),
+        ("hoist start speed fast", "'fast' is no number"),
+        ("hoist start speed 0.5 raeched", "did you mean reached?"),
+        ("hoist start write 400 2.5", "2.5 kHz lies between two values, the step is 1 kHz: give 2 or 3 kHz"),
+        ("hoist start write 480 1e9", "drive hoist: 480 (Fixed frequency 1): 1e+09 Hz is outside -999..999 Hz"),
+        ("hoist start read 5000", "parameter numbers are 1..999"),
+        ("hoist start read ramp", "drive hoist: no parameter is called 'ramp'"),
+        ("hoist start read 480 --data-set 5", "data sets are 1..4"),
+        ("hoist start dump no/where.toml", "no/where.toml: cannot be written"),
+        ("hoist start dump plant.toml", "it is no earlier dump of hoist"),
+        ("hoist start dump f.toml --data-set 7", "a demag-dedrive has no data set 7"),
+        ("hoist start compare none.toml", "none.toml: No such file or directory"),
+    ],
+)
+def test_all_orders_are_judged_before_the_first_goes_out(
+    words: str, says: str, plant: Path, capsys: Out, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither a run is asked nor a master of its own begun: nothing starts that a later word would stop again."""
+    begun: list[object] = []
+    monkeypatch.setattr("asyncio.run", begun.append)
+    out, err = drive(capsys, str(plant), *words.split(), code=2)
+    assert (out, begun) == ([], [])
+    assert len(err) == 1
+    assert says in err[0]
+
+
+@pytest.mark.usefixtures("fast")
+def test_a_file_that_an_earlier_order_makes_is_not_looked_for(plant: Path, capsys: Out) -> None:
+    out, err = drive(capsys, str(plant), "hoist", "dump", "new.toml", "compare", "new.toml")
+    assert err == []
+    assert out[-1].endswith("parameters are as in new.toml, 0 differ")
+
+
+async def test_a_run_is_told_nothing_when_a_later_word_is_wrong(plant: Path, capsys: Out) -> None:
+    async with dpstack.open_bus(plant) as bus, control_run(bus, "virtual"):
+        await bus.operate()
+        await bus.ready()
+        fan, slave = bus.drive("fan"), bus.slave(4)
+        await fan.settled()
+        before = slave.outputs_sent
+        assert await asyncio.to_thread(main, ["drive", str(plant), "fan", "start", "speed", "1.5"]) == 2
+        await bus.rotated(bus.stats.rotations + 100, 5)
+        assert (fan.status.running, fan.speed, slave.outputs_sent) == (False, 0.0, before)
+    assert "outside -1..1" in capsys.readouterr().err
+
+
 @pytest.mark.usefixtures("fast")
 def test_a_set_point_alone_moves_nothing(plant: Path, capsys: Out) -> None:
     out, err = drive(capsys, str(plant), "4", "frequency", "12", "--seconds", "1")

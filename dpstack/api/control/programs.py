@@ -25,7 +25,7 @@ from dpstack.api.streams import OnEvent, hand_to
 from dpstack.dp.commands import Mode, SetMode
 from dpstack.dp.fields import as_json
 from dpstack.errors import UsageError
-from dpstack.text import decimal, shortened
+from dpstack.text import decimal, octets_text, shortened
 from dpstack.units import ns_to_s
 
 #: a pty that the program makes itself
@@ -222,7 +222,9 @@ async def _put_out(bus: Bus, wanted: dict[int, bytes]) -> None:
             raise UsageError(f"slave {address} ({slave.name}): its drive plugin makes the outputs")
         length = len(slave.outputs_held)
         if len(octets) != length:
-            raise UsageError(f"slave {address} ({slave.name}) has {length} octets of outputs, {len(octets)} were given")
+            raise UsageError(
+                f"slave {address} ({slave.name}) has {octets_text(length)} of outputs, {octets_text(len(octets))} given"
+            )
     for address, octets in wanted.items():
         bus.slave(address).outputs = octets
     await bus.outputs_taken()
