@@ -18,7 +18,7 @@ from dpstack.errors import ConfigError
 from dpstack.params import BusParams
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
 #: with a process of its own: in real time
 BUSY = ROOT / "examples" / "busy_program.py"
 EXAMPLES = sorted(set((ROOT / "examples").glob("*.py")) - {BUSY})
@@ -107,7 +107,7 @@ def test_the_program_with_a_gsd_file_runs(
 
 
 @pytest.mark.usefixtures("fast")
-@pytest.mark.parametrize("page", [p for p in PAGES if p.parent.name == "docs"], ids=lambda p: p.name)
+@pytest.mark.parametrize("page", [p for p in PAGES if p.parent != ROOT], ids=lambda p: str(p.relative_to(ROOT)))
 def test_programs_in_the_documents_run(page: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A program marked "run" prints what the next block of kind text says."""
     wanted = [text for mark, text in blocks(page, "text") if mark == "output"]
@@ -187,7 +187,7 @@ def test_examples_run(example: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert [line for line in wanted if line not in out] == []
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
 def test_configurations_load(page: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)  # files they name are of the checkout
     for _, text in blocks(page, "toml"):
@@ -197,14 +197,14 @@ def test_configurations_load(page: Path, monkeypatch: pytest.MonkeyPatch) -> Non
             pytest.fail(f"{error}\n{text}")
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
 def test_json_is_json(page: Path) -> None:
     for _, text in blocks(page, "json"):
         for line in text.splitlines():
             json.loads(line)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
 def test_commands_exist(page: Path) -> None:
     parser = build_parser()
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
@@ -220,7 +220,7 @@ def test_commands_exist(page: Path) -> None:
                 assert f"\n{words[1]}:" in makefile
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
 def test_links_lead_somewhere(page: Path) -> None:
     for target in _LINK.findall(page.read_text(encoding="utf-8")):
         if "://" not in target:
