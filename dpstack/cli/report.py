@@ -38,6 +38,12 @@ _EXTRA_IDLE_BITS: Final = 60
 _STYLES = {Severity.INFO: "", Severity.WARNING: "yellow", Severity.ERROR: "red"}
 
 
+#: the way from a fault through another try, back to it
+_RETRIED: Final = frozenset(
+    {SlaveState.DIAGNOSIS, SlaveState.SET_PRM, SlaveState.CHK_CFG, SlaveState.WAIT_READY, SlaveState.FAULT}
+)
+
+
 class Reporter:
     """Prints the start line, then every event of ``bus`` (set before it is opened). ``quiet``: no lines for people."""
 
@@ -50,6 +56,8 @@ class Reporter:
         self._diagnoses: dict[int, str] = {}
         self._drives: dict[int, tuple[str, ...]] = {}
         self._flapping: dict[int, Flapping] = {}
+        #: slaves in a fault that people were told of: they are asked again and again
+        self._retried: set[int] = set()
         #: slaves in data exchange, as the events have it
         self._exchanging: set[int] = set()
         #: the master stalled at least once
@@ -112,6 +120,12 @@ class Reporter:
                 else:
                     self._exchanging.discard(address)
                     self._diagnoses.pop(address, None)  # what it says next is new
+                if state in _RETRIED and address in self._retried:
+                    return  # it is asked again, with the same result as long as nothing else is told
+                if state is SlaveState.FAULT:
+                    self._retried.add(address)
+                else:
+                    self._retried.discard(address)
                 self._line(event)
             case _:
                 self._line(event)

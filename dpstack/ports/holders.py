@@ -7,7 +7,14 @@ import os
 from pathlib import Path
 from typing import Final
 
+from dpstack.text import shortened
+
 PROC: Final = Path("/proc")
+#: a program of ours, and the module of a bus process, in command lines
+_OURS: Final = "dpstack"
+_BUS_PROCESS: Final = "dpstack.drivers.child"
+#: so much of a command line is told
+_LONGEST: Final = 100
 
 
 def holder_of(fd: int) -> str:
@@ -46,7 +53,27 @@ def _lock_holder(info: os.stat_result, proc: Path) -> str | None:
 def _program(pid: int, proc: Path) -> str:
     if pid == os.getpid():
         return f"this program itself (pid {pid})"
+    if pid <= 0:
+        return "another program"
+    words = _command(pid, proc)
+    if _BUS_PROCESS in words:
+        with contextlib.suppress(OSError, ValueError, IndexError):
+            # "4711 (name) S 1234 ...": the application behind a bus process is what its user knows
+            stat = (proc / str(pid) / "stat").read_text(encoding="utf-8", errors="replace")
+            pid = int(stat.rpartition(")")[2].split()[1])
+            words = _command(pid, proc)
+    name = ""
     with contextlib.suppress(OSError):
         name = (proc / str(pid) / "comm").read_text(encoding="utf-8", errors="replace").strip()
-        return f"{name} (pid {pid})"
-    return f"pid {pid}" if pid > 0 else "another program"
+    if name == _OURS:  # which of the commands, with which configuration
+        at = next((n for n, word in enumerate(words) if os.path.basename(word) == _OURS), 0)
+        name = f"`{shortened(' '.join((_OURS, *words[at + 1 :])), _LONGEST)}`"
+    return f"{name} (pid {pid})" if name else f"pid {pid}"
+
+
+def _command(pid: int, proc: Path) -> list[str]:
+    """The words of its command line; none where they cannot be read."""
+    with contextlib.suppress(OSError):
+        octets = (proc / str(pid) / "cmdline").read_bytes()
+        return octets.decode("utf-8", "replace").rstrip("\0").split("\0")
+    return []

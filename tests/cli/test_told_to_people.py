@@ -15,7 +15,7 @@ import dpstack
 from dpstack.api.config import slave_config
 from dpstack.api.control.programs import run_status
 from dpstack.api.control.slaves import SlaveCommands
-from dpstack.api.events import DriveEvent, SlaveDiagnosis
+from dpstack.api.events import DriveEvent, SlaveDiagnosis, SlaveStateChanged
 from dpstack.cli import ctl
 from dpstack.cli.report import Reporter
 from dpstack.dp.diag_texts import conspicuous_text
@@ -235,3 +235,31 @@ def test_a_drive_that_flickers_is_no_flood(capsys: Out) -> None:
     out = capsys.readouterr().out
     assert 40 <= out.count("drive 4 (fan): ready") < 60
     assert "changes of the drive's state, faults or warnings are not told one by one" in out
+
+
+def test_a_slave_that_refuses_tells_its_fault_once_however_often_it_is_asked(capsys: Out) -> None:
+    """The configuration has a module more than the device; it is asked again after 1, 2, 4 ... seconds."""
+
+    async def program() -> None:
+        world = dpstack.World()
+        device = {**IO, "modules": ["8 DI", "8 DO"]}
+        dpstack.simulate(world, [slave_config(device)], baud=500_000)
+        reporter = Reporter(json=False)
+        states: list[str] = []
+
+        def on_event(event: dpstack.Event) -> None:
+            reporter.event(event)
+            if isinstance(event, SlaveStateChanged):
+                states.append(event.state.value)
+
+        async with bus_of(IO, on_event=on_event, world=world) as bus:
+            reporter.bus = bus
+            await bus.operate()
+            await asyncio.sleep(10)
+            assert states.count("fault") > 3
+            lines = [line[13:] for line in capsys.readouterr().out.splitlines() if "slave 8" in line]
+            fault = next(n for n, line in enumerate(lines) if "refuses the parameters" in line)
+            assert lines[:fault] == [f"slave 8 (io): {state}" for state in ("set_prm", "chk_cfg", "wait_ready")]
+            assert lines[fault + 1 :] == ["slave 8 (io): fault"]
+
+    virtual(program())

@@ -44,6 +44,35 @@ def test_without_a_lock_an_open_descriptor_does(tmp_path: Path) -> None:
     assert holder_of_path(str(tmp_path / "ttyUSB1"), proc) is None
 
 
+def test_a_command_of_dpstack_is_named_with_its_configuration(tmp_path: Path) -> None:
+    proc, port = tmp_path / "proc", tmp_path / "ttyUSB0"
+    port.touch()
+    program(proc, 41, "dpstack", str(port))
+    words = ["/venv/bin/python", "/venv/bin/dpstack", "run", "plant.toml"]
+    (proc / "41" / "cmdline").write_text("\0".join(words) + "\0")
+    assert holder_of_path(str(port), proc) == "`dpstack run plant.toml` (pid 41)"
+    (proc / "41" / "cmdline").write_text("\0".join([*words, "x" * 200]) + "\0")
+    told = holder_of_path(str(port), proc)
+    assert told is not None
+    assert told.endswith("xxx...` (pid 41)")
+    assert len(told) == 111
+
+
+def test_behind_a_bus_process_the_application_is_named(tmp_path: Path) -> None:
+    """It is what its user knows and may end; the bus process has no name of its own."""
+    proc, port = tmp_path / "proc", tmp_path / "ttyUSB0"
+    port.touch()
+    program(proc, 41, "python", str(port))
+    (proc / "41" / "cmdline").write_text("\0".join(["python", "-P", "-m", "dpstack.drivers.child", "12", "7"]) + "\0")
+    (proc / "41" / "stat").write_text("41 (python (3)) S 40 41 41 0 -1")
+    assert holder_of_path(str(port), proc) == "pid 40"
+    program(proc, 40, "dpstack")
+    (proc / "40" / "cmdline").write_text("\0".join(["python", "/bin/dpstack", "run", "plant.toml"]) + "\0")
+    assert holder_of_path(str(port), proc) == "`dpstack run plant.toml` (pid 40)"
+    (proc / "41" / "stat").write_text("41 (py")
+    assert holder_of_path(str(port), proc) == "python (pid 41)"
+
+
 def test_the_real_one() -> None:
     far = PtyFarEnd()
     assert holder_of_path(far.path) is None
