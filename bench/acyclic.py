@@ -18,8 +18,8 @@ from bench.masters import DRIVERS
 from bench.records import fetched, rotations
 from bench.report import Report, quantile
 from bench.rig import Processors, Taken, available, bench, note_disturbance, one_round, pinned
-from dpstack.dp.plan_cycle import Verdict, least_ns
-from dpstack.dp.rotations import Case, figures
+from dpstack.dp.plan.cycle_check import Verdict, least_ns
+from dpstack.dp.plan.rotation_time import Case, figures
 from dpstack.params import BusParams
 from dpstack.units import NS_PER_MS, NS_PER_S, NS_PER_US, baud_text
 

@@ -7,24 +7,24 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Final, NamedTuple
 
-from dpstack.dp.acyclic import Acyclic, CancelService
-from dpstack.dp.commands import Mode, SetMode
-from dpstack.dp.cycle import MissReason
-from dpstack.dp.durations import acyclic_bits
-from dpstack.dp.events import SlaveState
-from dpstack.dp.master import Master
-from dpstack.dp.mirror import MirrorDevice
-from dpstack.dp.setup import SlaveSetup
-from dpstack.dp.slaveapp import SlaveApp
-from dpstack.dp.v1.device_records import RecordTable
-from dpstack.dp.v1.ms1 import ReadRecord, RecordDone, WriteRecord
-from dpstack.dp.v1.status import Dpv1
-from dpstack.dp.v1.tickets import Ticket
-from dpstack.fdl.active import ActiveStation
+from dpstack.dp.acyclic.queue import Acyclic, CancelService
+from dpstack.dp.master.commands import Mode, SetMode
+from dpstack.dp.master.cycle_part import MissReason
+from dpstack.dp.master.events import SlaveState
+from dpstack.dp.master.master import Master
+from dpstack.dp.slave.application import SlaveApp
+from dpstack.dp.slave.loopback_device import MirrorDevice
+from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.telegram_times import acyclic_bits
+from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone, WriteRecord
+from dpstack.dpv1.pdu.dpv1_status import Dpv1
+from dpstack.dpv1.slave.record_requests import Ticket
+from dpstack.dpv1.slave.record_table import RecordTable
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
-from dpstack.fdl.passive import PassiveStation
+from dpstack.fdl.interface import LinkUser, Reply
+from dpstack.fdl.passive.station import PassiveStation
 from dpstack.fdl.telegram import SAP_MS1, Telegram
-from dpstack.fdl.user import LinkUser, Reply
 from dpstack.params import BusParams
 from dpstack.sim.world import World
 from dpstack.stats import Histogram

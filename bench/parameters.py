@@ -15,7 +15,7 @@ import dpstack
 from bench.report import Report
 from dpstack import DpSlave, SlaveDescription
 from dpstack.profile import ParamSpec, ParamStore, ParamTable
-from dpstack.profile.acyclic import Counters, ParameterServer, Rules, StoreParameters, TimedRecords
+from dpstack.profile.record47 import Counters, ParameterServer, Rules, StoreParameters, TimedRecords
 from dpstack.units import NS_PER_MS, baud_text
 
 _BAUDS: Final = (500_000, 1_500_000)

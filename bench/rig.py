@@ -22,7 +22,7 @@ from bench.losses import stolen_ns, story
 from bench.masters import CONFIG, DRIVERS, FIRST, IDENT, OCTETS
 from bench.records import Record
 from bench.report import Report
-from dpstack.api.config import make_config
+from dpstack.api.config.config import make_config
 from dpstack.errors import ConfigError
 from dpstack.params import BusParams
 

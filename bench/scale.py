@@ -22,13 +22,13 @@ from typing import Final
 from bench.calibration import calibrate
 from bench.null_medium import NullBus
 from bench.report import Report
-from dpstack.dp.commands import Mode, SetMode
-from dpstack.dp.events import SlaveState
-from dpstack.dp.master import Master
-from dpstack.dp.setup import SlaveSetup
-from dpstack.drivers.aio import AsyncioRuntime, patience_of
-from dpstack.drivers.echo import Echo
-from dpstack.fdl.active import ActiveStation
+from dpstack.dp.master.commands import Mode, SetMode
+from dpstack.dp.master.events import SlaveState
+from dpstack.dp.master.master import Master
+from dpstack.dp.slave_params import SlaveSetup
+from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime, patience_of
+from dpstack.drivers.line.echo import Echo
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.params import BusParams
 from dpstack.ports.pty import PtyPort

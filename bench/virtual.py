@@ -12,14 +12,14 @@ from collections.abc import Sequence
 from typing import Final
 
 from bench.report import Report
-from dpstack.dp.commands import DriveCommand, Mode, SetMode
-from dpstack.dp.device import Device
-from dpstack.dp.events import SlaveState
-from dpstack.dp.master import Master
-from dpstack.dp.mirror import MirrorDevice
-from dpstack.dp.setup import SlaveSetup
-from dpstack.dp.slaveapp import make_slave
-from dpstack.fdl.active import ActiveStation
+from dpstack.dp.master.commands import DriveCommand, Mode, SetMode
+from dpstack.dp.master.events import SlaveState
+from dpstack.dp.master.master import Master
+from dpstack.dp.slave.application import make_slave
+from dpstack.dp.slave.device import Device
+from dpstack.dp.slave.loopback_device import MirrorDevice
+from dpstack.dp.slave_params import SlaveSetup
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.params import BusParams
 from dpstack.profile.registry import find as find_drive

@@ -20,29 +20,29 @@ from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from dpstack import profile
-    from dpstack.api.alarms import SlaveAlarm
-    from dpstack.api.baud import BaudReport, find_baud
-    from dpstack.api.bus import Bus
-    from dpstack.api.config import Config, load_config
-    from dpstack.api.connection import Connection
-    from dpstack.api.cycles import Cycle
-    from dpstack.api.drive import Drive
-    from dpstack.api.events import Event, Mode, SlaveState
-    from dpstack.api.opening import open_bus
-    from dpstack.api.parameter_dump import ParameterPlace
-    from dpstack.api.serving import SlaveServer, serve_slave, serve_slaves
-    from dpstack.api.slave import Slave
-    from dpstack.api.slave_from_gsd import slave_from_gsd
-    from dpstack.api.virtual import IoStation, World, run_virtual, simulate
-    from dpstack.dp.dp_slave import DpSlave
-    from dpstack.dp.slave_description import SlaveDescription, SlaveModule
-    from dpstack.dp.slave_events import DeviceFailed, RequestRefused
-    from dpstack.dp.slaveapp import SlaveApp, SlaveAppState
-    from dpstack.dp.user_diag import UserDiag, channel_block, device_block, identifier_block, revision_block
-    from dpstack.dp.v1.alarms import AlarmType, ModuleState, Specifier, StatusType
-    from dpstack.dp.v1.connection import InitiateReq
-    from dpstack.dp.v1.im import Im0, Im1, Im2, Im3, Im4
-    from dpstack.dp.v1.prm_blocks import PrmBlock
+    from dpstack.api.bus.bus import Bus
+    from dpstack.api.bus.cycles import Cycle
+    from dpstack.api.bus.events_json import Event, Mode, SlaveState
+    from dpstack.api.bus.find_baud import BaudReport, find_baud
+    from dpstack.api.bus.open_bus import open_bus
+    from dpstack.api.bus.virtual import IoStation, World, run_virtual, simulate
+    from dpstack.api.config.config import Config, load_config
+    from dpstack.api.lists.dump_compare import ParameterPlace
+    from dpstack.api.server.server import SlaveServer, serve_slave, serve_slaves
+    from dpstack.api.server.slave_from_gsd import slave_from_gsd
+    from dpstack.api.slave.alarms import SlaveAlarm
+    from dpstack.api.slave.drive import Drive
+    from dpstack.api.slave.ms2_connection import Connection
+    from dpstack.api.slave.slave import Slave
+    from dpstack.dp.pdu.user_diag import UserDiag, channel_block, device_block, identifier_block, revision_block
+    from dpstack.dp.slave.application import SlaveApp, SlaveAppState
+    from dpstack.dp.slave.description import SlaveDescription, SlaveModule
+    from dpstack.dp.slave.slave_events import DeviceFailed, RequestRefused
+    from dpstack.dp.slave.user_slave import DpSlave
+    from dpstack.dpv1.pdu.alarms import AlarmType, ModuleState, Specifier, StatusType
+    from dpstack.dpv1.pdu.im import Im0, Im1, Im2, Im3, Im4
+    from dpstack.dpv1.pdu.ms2 import InitiateReq
+    from dpstack.dpv1.pdu.prm_blocks import PrmBlock
     from dpstack.errors import (
         AcyclicError,
         AlarmError,
@@ -148,53 +148,53 @@ __all__ = [
 ]
 
 _WHERE: Final = {
-    "BaudReport": "api.baud",
-    "find_baud": "api.baud",
-    "Bus": "api.bus",
-    "open_bus": "api.opening",
-    "Config": "api.config",
-    "load_config": "api.config",
-    "Connection": "api.connection",
-    "Cycle": "api.cycles",
-    "Drive": "api.drive",
-    "Event": "api.events",
-    "Mode": "api.events",
-    "SlaveState": "api.events",
-    "Slave": "api.slave",
-    "SlaveAlarm": "api.alarms",
-    "slave_from_gsd": "api.slave_from_gsd",
-    "run_virtual": "api.virtual",
-    "simulate": "api.virtual",
-    "World": "api.virtual",
-    "SlaveServer": "api.serving",
-    "serve_slave": "api.serving",
-    "serve_slaves": "api.serving",
-    "DpSlave": "dp.dp_slave",
-    "SlaveApp": "dp.slaveapp",
-    "SlaveAppState": "dp.slaveapp",
-    "SlaveDescription": "dp.slave_description",
-    "SlaveModule": "dp.slave_description",
-    "DeviceFailed": "dp.slave_events",
-    "RequestRefused": "dp.slave_events",
-    "UserDiag": "dp.user_diag",
-    "channel_block": "dp.user_diag",
-    "device_block": "dp.user_diag",
-    "identifier_block": "dp.user_diag",
-    "revision_block": "dp.user_diag",
-    "ParameterPlace": "api.parameter_dump",
-    "PrmBlock": "dp.v1.prm_blocks",
-    "AlarmType": "dp.v1.alarms",
-    "ModuleState": "dp.v1.alarms",
-    "Specifier": "dp.v1.alarms",
-    "StatusType": "dp.v1.alarms",
-    "Im0": "dp.v1.im",
-    "Im1": "dp.v1.im",
-    "Im2": "dp.v1.im",
-    "Im3": "dp.v1.im",
-    "Im4": "dp.v1.im",
-    "InitiateReq": "dp.v1.connection",
+    "BaudReport": "api.bus.find_baud",
+    "find_baud": "api.bus.find_baud",
+    "Bus": "api.bus.bus",
+    "open_bus": "api.bus.open_bus",
+    "Config": "api.config.config",
+    "load_config": "api.config.config",
+    "Connection": "api.slave.ms2_connection",
+    "Cycle": "api.bus.cycles",
+    "Drive": "api.slave.drive",
+    "Event": "api.bus.events_json",
+    "Mode": "api.bus.events_json",
+    "SlaveState": "api.bus.events_json",
+    "Slave": "api.slave.slave",
+    "SlaveAlarm": "api.slave.alarms",
+    "slave_from_gsd": "api.server.slave_from_gsd",
+    "run_virtual": "api.bus.virtual",
+    "simulate": "api.bus.virtual",
+    "World": "api.bus.virtual",
+    "SlaveServer": "api.server.server",
+    "serve_slave": "api.server.server",
+    "serve_slaves": "api.server.server",
+    "DpSlave": "dp.slave.user_slave",
+    "SlaveApp": "dp.slave.application",
+    "SlaveAppState": "dp.slave.application",
+    "SlaveDescription": "dp.slave.description",
+    "SlaveModule": "dp.slave.description",
+    "DeviceFailed": "dp.slave.slave_events",
+    "RequestRefused": "dp.slave.slave_events",
+    "UserDiag": "dp.pdu.user_diag",
+    "channel_block": "dp.pdu.user_diag",
+    "device_block": "dp.pdu.user_diag",
+    "identifier_block": "dp.pdu.user_diag",
+    "revision_block": "dp.pdu.user_diag",
+    "ParameterPlace": "api.lists.dump_compare",
+    "PrmBlock": "dpv1.pdu.prm_blocks",
+    "AlarmType": "dpv1.pdu.alarms",
+    "ModuleState": "dpv1.pdu.alarms",
+    "Specifier": "dpv1.pdu.alarms",
+    "StatusType": "dpv1.pdu.alarms",
+    "Im0": "dpv1.pdu.im",
+    "Im1": "dpv1.pdu.im",
+    "Im2": "dpv1.pdu.im",
+    "Im3": "dpv1.pdu.im",
+    "Im4": "dpv1.pdu.im",
+    "InitiateReq": "dpv1.pdu.ms2",
     "DriveStatus": "profile",
-    "IoStation": "api.virtual",
+    "IoStation": "api.bus.virtual",
 }
 
 

@@ -28,7 +28,7 @@
 
 Misuse and configuration raise at once; what a peer does wrong on the wire never raises in the core, it becomes an
 event and a counter, and one of the lower branches where a caller waits for it. Every argument of a constructor is an
-attribute of the same name: so an error crosses the control socket as what it is (``dpstack.api.control.failures``).
+attribute of the same name: so an error crosses the control socket as what it is (``dpstack.api.control.errors``).
 """
 
 from __future__ import annotations
@@ -165,7 +165,7 @@ class AcyclicError(SlaveError):
 class ConnectionEnded(SlaveError):
     """A service over a class 2 connection that is over; the text says who ended it and why. Open a new one.
 
-    ``abort``: subnet, instance and reason of the Abort that ended it (``dpstack.dp.v1.connection``); None without any.
+    ``abort``: subnet, instance and reason of the Abort that ended it (``dpstack.dpv1.pdu.ms2``); None without any.
     """
 
     def __init__(self, address: int, message: str, *, abort: tuple[int, int, int] | None = None) -> None:
@@ -180,8 +180,9 @@ class SlaveTimeout(SlaveError, TimeoutError):
 class RecordRefused(DpError):
     """What a function that serves records raises to refuse one: ``code_1`` is Error_Code_1, class and code.
 
-    0xB0 invalid index, 0xB2 invalid slot, 0xB5 state conflict, 0xB6 access denied ... (``dpstack.dp.v1.codes.Code``);
-    ``code_2``: one's own. Both are octets; raises UsageError for anything else.
+    0xB0 invalid index, 0xB2 invalid slot, 0xB5 state conflict, 0xB6 access denied ...
+    (``dpstack.dpv1.pdu.error_codes.Code``); ``code_2``: one's own. Both are octets; raises UsageError for anything
+    else.
     """
 
     def __init__(self, code_1: int, code_2: int = 0) -> None:

@@ -10,7 +10,7 @@ import asyncio
 import dpstack
 from dpstack import AlarmType, DpSlave, Event, Im0, Im1, RecordRefused, SlaveDescription
 from dpstack.profile import ParamSpec, ParamStore, ParamTable
-from dpstack.profile.acyclic import ParameterServer, StoreParameters, TimedRecords
+from dpstack.profile.record47 import ParameterServer, StoreParameters, TimedRecords
 
 TYPE = SlaveDescription.simple(0x4711, inputs=1, outputs=1, name="mixer", dpv1=True, alarms=("process",))
 TABLE = ParamTable([ParamSpec(number=10, name="ramp", title="Ramp time", unit="s", decimals=1, factory=5)])

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
-from dpstack.dp.v1.records import ReadReq, WriteReq
-from dpstack.dp.v1.unit_records import Outcome, ServiceFailure
-from dpstack.profile.acyclic.server import RecordServer
-from dpstack.profile.acyclic.services import Answer, Pause, Refused, Service, Silent, Talk
+from dpstack.dpv1.master.plugin_queue import Outcome, ServiceFailure
+from dpstack.dpv1.pdu.read_write import ReadReq, WriteReq
+from dpstack.profile.record47.server import RecordServer
+from dpstack.profile.record47.transport import Answer, Pause, Refused, Service, Silent, Talk
 
 T = TypeVar("T")
 MS = 1_000_000

@@ -11,9 +11,16 @@ from dataclasses import dataclass, field
 from ms1_kit import MS, Ms1Bus, OctetMs1Slave
 from octet_slave import DL, RS, SC, sd1, sd2
 
-from dpstack.dp.events import SlaveRemark
-from dpstack.dp.v1.alarm_events import AcknowledgeAlarm, AlarmCounts, AlarmDone, AlarmRaised, HoldAlarms, StatusTold
-from dpstack.dp.v1.status import Dpv1
+from dpstack.dp.master.events import SlaveRemark
+from dpstack.dpv1.master.alarm_events import (
+    AcknowledgeAlarm,
+    AlarmCounts,
+    AlarmDone,
+    AlarmRaised,
+    HoldAlarms,
+    StatusTold,
+)
+from dpstack.dpv1.pdu.dpv1_status import Dpv1
 from dpstack.trace import Event
 
 DH = 0x0A

@@ -6,9 +6,9 @@ from collections.abc import Coroutine
 from typing import Any, TypeVar
 
 import dpstack
-from dpstack.dp.device import Device
-from dpstack.dp.slaveapp import SlaveApp, make_slave
-from dpstack.fdl.passive import PassiveStation
+from dpstack.dp.slave.application import SlaveApp, make_slave
+from dpstack.dp.slave.device import Device
+from dpstack.fdl.passive.station import PassiveStation
 from dpstack.params import BusParams
 from dpstack.sim.world import World
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Final
 
+from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.telegram import Req, Telegram
-from dpstack.fdl.user import Failure, Request
 from dpstack.trace import Event
 from dpstack.units import NEVER
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from random import Random
 
-from dpstack.fdl.autobaud import AutoBaud
+from dpstack.fdl.baud_search import AutoBaud
 from dpstack.phy.uart import Receiver, waveform
 from dpstack.units import BITS_PER_CHAR, NS_PER_S, bits_to_ns
 

@@ -6,13 +6,13 @@ from dataclasses import dataclass, field
 
 from ring_bus import RingBus
 
-from dpstack.dp.acyclic import Acyclic
-from dpstack.dp.acyclic_job import Outcome
-from dpstack.dp.class2 import ChangeAddress, ReadService
-from dpstack.dp.class2_jobs import Service, ServiceDone
-from dpstack.fdl.active import ActiveStation
+from dpstack.dp.acyclic.class2_part import ChangeAddress, ReadService
+from dpstack.dp.acyclic.class2_services import Service, ServiceDone
+from dpstack.dp.acyclic.job import Outcome
+from dpstack.dp.acyclic.queue import Acyclic
+from dpstack.fdl.active.request_filter import Guard
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
-from dpstack.fdl.guard import Guard
 from dpstack.params import BusParams
 
 MS = 1_000_000

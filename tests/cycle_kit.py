@@ -10,13 +10,13 @@ from typing import Any
 from bus_kit import IDENT, PPO1, mirror
 from support import MS, S, WorldFactory
 
-from dpstack.dp.commands import Mode, SetMode
-from dpstack.dp.events import SlaveState
-from dpstack.dp.master import Master
-from dpstack.dp.setup import SlaveSetup
-from dpstack.fdl.active import ActiveStation
+from dpstack.dp.master.commands import Mode, SetMode
+from dpstack.dp.master.events import SlaveState
+from dpstack.dp.master.master import Master
+from dpstack.dp.slave_params import SlaveSetup
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
-from dpstack.fdl.user import LinkUser
+from dpstack.fdl.interface import LinkUser
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT, Patience
 from dpstack.sim.world import World

@@ -10,11 +10,11 @@ from collections.abc import Callable
 from time import monotonic_ns
 from typing import Any
 
-from dpstack.drivers.aio import AsyncioRuntime
-from dpstack.drivers.base import OnEvents
-from dpstack.drivers.echo import Echo
-from dpstack.drivers.plain import PlainRuntime
-from dpstack.drivers.plain_loop import PlainLoop
+from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
+from dpstack.drivers.line.echo import Echo
+from dpstack.drivers.line.select_loop import PlainLoop
+from dpstack.drivers.line.select_runtime import PlainRuntime
+from dpstack.drivers.runtime import OnEvents
 from dpstack.machine import Machine
 from dpstack.ports import Port, memory_pair
 from dpstack.trace import Event

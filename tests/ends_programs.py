@@ -18,7 +18,7 @@ from far_ends import until
 from process_kit import VALVES, bus_on
 
 import dpstack
-from dpstack.dp.commands import Mode
+from dpstack.dp.master.commands import Mode
 
 LIVE = b"\x11\x22"
 #: for who is not ended by itself

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from ring_bus import ListUser, RingBus
 
-from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.active.station import ActiveStation
+from dpstack.fdl.interface import Request
 from dpstack.fdl.telegram import Req
-from dpstack.fdl.user import Request
 from dpstack.phy.patience import EXACT, Patience
 
 DX = Request(3, Req.SRD_HIGH, b"\x11\x22", patient=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOffline, GoOnline
 from dpstack.machine import LineDown, LineUp
 from dpstack.sim.transmission import Transmission

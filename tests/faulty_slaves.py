@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dpstack.dp.device import Device
-from dpstack.dp.mirror import MirrorDevice
-from dpstack.dp.pdu import SetPrm
-from dpstack.dp.slaveapp import SlaveApp
+from dpstack.dp.pdu.requests import SetPrm
+from dpstack.dp.slave.application import SlaveApp
+from dpstack.dp.slave.device import Device
+from dpstack.dp.slave.loopback_device import MirrorDevice
+from dpstack.fdl.interface import SC_REPLY, Reply
 from dpstack.fdl.telegram import SAP_CHK_CFG, SAP_SET_PRM, Kind, Req, Telegram
-from dpstack.fdl.user import SC_REPLY, Reply
 
 
 def wrong_ident(device: Device, ident: int = 0xDEAD) -> SlaveApp:

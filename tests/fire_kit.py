@@ -10,16 +10,16 @@ from __future__ import annotations
 from bus_kit import mirror, setup
 from support import WorldFactory
 
-from dpstack.dp.commands import Mode, SetMode
-from dpstack.dp.events import SlaveState
-from dpstack.dp.master import Master
-from dpstack.fdl.active import ActiveStation
+from dpstack.dp.master.commands import Mode, SetMode
+from dpstack.dp.master.events import SlaveState
+from dpstack.dp.master.master import Master
+from dpstack.fdl.active.states import State
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOffline, GoOnline
 from dpstack.fdl.events import RingJoined, RingLeft, TokenLost
-from dpstack.fdl.passive import PassiveStation
-from dpstack.fdl.states import State
+from dpstack.fdl.interface import LinkUser
+from dpstack.fdl.passive.station import PassiveStation
 from dpstack.fdl.telegram import Kind
-from dpstack.fdl.user import LinkUser
 from dpstack.params import BusParams
 from dpstack.sim.transmission import Transmission
 from dpstack.sim.world import World

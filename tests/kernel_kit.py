@@ -14,11 +14,11 @@ from typing import Any, Final
 
 import pytest
 
-from dpstack.drivers import aio, plain, plain_loop, stepping
-from dpstack.drivers.aio import AsyncioRuntime
-from dpstack.drivers.echo import Echo
-from dpstack.drivers.plain import PlainRuntime
-from dpstack.drivers.plain_loop import PlainLoop
+from dpstack.drivers.line import asyncio_runtime, line_runtime, select_loop, select_runtime
+from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
+from dpstack.drivers.line.echo import Echo
+from dpstack.drivers.line.select_loop import PlainLoop
+from dpstack.drivers.line.select_runtime import PlainRuntime
 from dpstack.machine import HeldUp, Machine
 from dpstack.ports.fdport import FdPort
 from dpstack.units import NEVER, NS_PER_MS
@@ -222,7 +222,7 @@ class Driven:
         self.events: list[Any] = []
         self._loop: PlainLoop | None = None
         port = Line(kernel, paced=paced)
-        for module in (stepping, aio, plain, plain_loop):
+        for module in (line_runtime, asyncio_runtime, select_runtime, select_loop):
             patch.setattr(module, "monotonic_ns", kernel.clock)
         port.open_now()
         if kind == "asyncio":
@@ -233,7 +233,7 @@ class Driven:
             self._run = asyncio_loop.run
             self.stop = asyncio_loop.stop
         else:
-            patch.setattr(plain_loop, "select", _Select(kernel))
+            patch.setattr(select_loop, "select", _Select(kernel))
             self._loop = loop = PlainLoop()
             runtime = PlainRuntime(loop, port, machine, self.events.extend, echo=Echo.OFF, held_up=held_up)
             runtime.open()

@@ -11,13 +11,13 @@ from dataclasses import dataclass, field
 from octet_slave import DL, RS, SC, OctetSlave, sd1, sd2
 from ring_bus import RingBus
 
-from dpstack.dp.acyclic import Acyclic
-from dpstack.dp.events import SlaveState
-from dpstack.dp.master import Master
-from dpstack.dp.setup import SlaveSetup
-from dpstack.dp.v1.ms1 import ReadRecord, RecordDone, WriteRecord
-from dpstack.dp.v1.status import Dpv1
-from dpstack.fdl.active import ActiveStation
+from dpstack.dp.acyclic.queue import Acyclic
+from dpstack.dp.master.events import SlaveState
+from dpstack.dp.master.master import Master
+from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone, WriteRecord
+from dpstack.dpv1.pdu.dpv1_status import Dpv1
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.params import BusParams
 

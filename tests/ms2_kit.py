@@ -13,11 +13,11 @@ from typing import Any, TypeVar
 from octet_slave import DL, RS, SC, OctetSlave, sd1, sd2
 from ring_bus import RingBus
 
-from dpstack.dp.acyclic import Acyclic
-from dpstack.dp.mirror import MirrorDevice
-from dpstack.dp.slaveapp import SlaveApp
-from dpstack.dp.v1.ms1 import RecordDone
-from dpstack.dp.v1.ms2_orders import (
+from dpstack.dp.acyclic.queue import Acyclic
+from dpstack.dp.slave.application import SlaveApp
+from dpstack.dp.slave.loopback_device import MirrorDevice
+from dpstack.dpv1.master.ms1 import RecordDone
+from dpstack.dpv1.master.ms2_commands import (
     CloseConnection,
     ConnectionOver,
     InitiateDone,
@@ -27,12 +27,12 @@ from dpstack.dp.v1.ms2_orders import (
     TransportOver,
     WriteOver,
 )
-from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.active.request_filter import Guard
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
-from dpstack.fdl.guard import Guard
-from dpstack.fdl.passive import PassiveStation
+from dpstack.fdl.interface import RS_REPLY, SC_REPLY, Reply
+from dpstack.fdl.passive.station import PassiveStation
 from dpstack.fdl.telegram import Resp, Telegram
-from dpstack.fdl.user import RS_REPLY, SC_REPLY, Reply
 from dpstack.params import BusParams
 from dpstack.sim.world import World
 from dpstack.trace import Event

@@ -12,10 +12,10 @@ from octet_class2 import (
 from octet_wire import MS, Wire, framed
 from slave_kit import Recorder
 
-from dpstack.dp.device import Device
-from dpstack.dp.slaveapp import SlaveApp, SlaveAppState, make_slave
-from dpstack.dp.v1.device_records import RecordTable
-from dpstack.dp.v1.tickets import Records, Ticket, Transport
+from dpstack.dp.slave.application import SlaveApp, SlaveAppState, make_slave
+from dpstack.dp.slave.device import Device
+from dpstack.dpv1.slave.record_requests import Records, Ticket, Transport
+from dpstack.dpv1.slave.record_table import RecordTable
 from dpstack.params import BusParams
 
 READ = "5E 00 01 F0"

@@ -15,9 +15,9 @@ from bus_kit import SimBus
 from fire_kit import FireRing
 from support import MS, S
 
-from dpstack.dp.events import SlaveState, SlaveStateChanged
-from dpstack.dp.master import Master
-from dpstack.fdl.active import ActiveStation
+from dpstack.dp.master.events import SlaveState, SlaveStateChanged
+from dpstack.dp.master.master import Master
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.params import BusParams
 from dpstack.sim.world import World
 from dpstack.trace import Event

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dpstack.fdl.passive import PassiveStation
+from dpstack.fdl.passive.station import PassiveStation
 from dpstack.machine import pump
 from dpstack.params import BusParams
 

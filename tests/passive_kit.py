@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from dpstack.fdl.codec import decode
-from dpstack.fdl.passive import PassiveStation
+from dpstack.fdl.interface import Reply, StationControl
+from dpstack.fdl.passive.station import PassiveStation
 from dpstack.fdl.station import BusStation
 from dpstack.fdl.telegram import Resp, Telegram
-from dpstack.fdl.user import Reply, StationControl
 from dpstack.machine import pump
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT, Patience

@@ -6,9 +6,9 @@ from typing import Final
 
 from bus_kit import IDENT, PPO1
 
-from dpstack.dp.mirror import MirrorDevice
-from dpstack.dp.v1.codes import Code
-from dpstack.dp.v1.tickets import Ticket, TransportTicket
+from dpstack.dp.slave.loopback_device import MirrorDevice
+from dpstack.dpv1.pdu.error_codes import Code
+from dpstack.dpv1.slave.record_requests import Ticket, TransportTicket
 
 #: class 2 connections that it has
 CONNECTIONS: Final = 2

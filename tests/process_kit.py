@@ -14,7 +14,7 @@ from far_ends import HANG_S
 from support_responder import Responder
 
 import dpstack
-from dpstack.drivers.process import ProcessRuntime
+from dpstack.drivers.process.client import ProcessRuntime
 
 #: [bus] of tests in which nobody may be lost: the other end may have to wait 16 times 50 ms for a busy computer, and a
 #: pause of a busy computer, or of a test that blocks, shall not end in Clear

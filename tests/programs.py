@@ -13,7 +13,7 @@ from typing import Any
 from far_ends import HANG_S
 
 from dpstack.api.control.client import connect
-from dpstack.api.control.places import socket_path
+from dpstack.api.control.socket_path import socket_path
 
 #: a slave is lost when it does not answer within 8 times 50 ms: programs may have to wait for a busy computer
 PLANT = """

@@ -11,12 +11,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 
-from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.active.states import State
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.codec import decode
 from dpstack.fdl.commands import GoOnline
-from dpstack.fdl.states import State
+from dpstack.fdl.interface import Failure, LinkUser, Request
 from dpstack.fdl.telegram import Telegram
-from dpstack.fdl.user import Failure, LinkUser, Request
 from dpstack.machine import pump
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT, Patience

@@ -6,12 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from dpstack.dp.commands import Mode, SetMode
-from dpstack.dp.events import SlaveFaulted, SlaveRemark, SlaveState, SlaveStateChanged
-from dpstack.dp.master import Master
-from dpstack.dp.setup import SlaveSetup
+from dpstack.dp.master.commands import Mode, SetMode
+from dpstack.dp.master.events import SlaveFaulted, SlaveRemark, SlaveState, SlaveStateChanged
+from dpstack.dp.master.master import Master
+from dpstack.dp.slave_params import SlaveSetup
+from dpstack.fdl.interface import Expect, Failure, Request
 from dpstack.fdl.telegram import SHORT_ACK, Kind, Telegram
-from dpstack.fdl.user import Expect, Failure, Request
 from dpstack.params import BusParams
 from dpstack.trace import Event
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from slave_kit import CFG, MASTER, PRM, Bench, Recorder, srd
 
-from dpstack.dp.v1.alarm_server import AlarmServer, AlarmSupport, Raised
-from dpstack.dp.v1.alarms import Alarm
+from dpstack.dpv1.pdu.alarms import Alarm
+from dpstack.dpv1.slave.alarms import AlarmServer, AlarmSupport, Raised
+from dpstack.fdl.interface import SC_REPLY, Reply
 from dpstack.fdl.telegram import Kind, Resp, Telegram
-from dpstack.fdl.user import SC_REPLY, Reply
 
 KINDS = frozenset(("pull_plug", "process", "diagnostic", "manufacturer", "status", "update"))
 #: DPV1_Status_2 with every kind

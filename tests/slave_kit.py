@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dpstack.dp.device import Device, Leave
-from dpstack.dp.slaveapp import SlaveApp, SlaveAppState
+from dpstack.dp.slave.application import SlaveApp, SlaveAppState
+from dpstack.dp.slave.device import Device, Leave
+from dpstack.fdl.interface import Reply
 from dpstack.fdl.telegram import Kind, Req, Telegram
-from dpstack.fdl.user import Reply
 
 MS = 1_000_000
 MASTER = 2

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import dpstack
-from dpstack.api.config import parse_config
+from dpstack.api.config.config import parse_config
 from dpstack.cli.main import _COMMANDS, build_parser, main
 from dpstack.errors import ConfigError
 from dpstack.params import BusParams
@@ -234,7 +234,7 @@ def test_every_command_and_option_is_documented() -> None:
 
 
 def test_every_control_command_is_documented() -> None:
-    from dpstack.api.control.specs import KINDS
+    from dpstack.api.control.commands import KINDS
 
     text = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
     names = {spec.name for specs in KINDS.values() for spec in specs}
@@ -242,10 +242,10 @@ def test_every_control_command_is_documented() -> None:
 
 
 def test_every_configuration_key_is_documented() -> None:
-    from dpstack.api import bus_config, slave_config
+    from dpstack.api.config import bus, slave
 
     text = (ROOT / "docs" / "configuration.md").read_text(encoding="utf-8")
-    keys = (*bus_config._KEYS, *slave_config._KEYS)
+    keys = (*bus._KEYS, *slave._KEYS)
     missing = [k for k in keys if f"`{k}`" not in text]
     assert not missing
 
@@ -265,7 +265,7 @@ def test_the_table_of_bus_parameters_is_the_programs() -> None:
 
 
 def test_every_fault_is_in_the_troubleshooting() -> None:
-    from dpstack.dp.events import FaultKind
+    from dpstack.dp.master.events import FaultKind
 
     text = (ROOT / "docs" / "troubleshooting.md").read_text(encoding="utf-8")
     assert [kind.value for kind in FaultKind if f"| `{kind.value}` |" not in text] == []

@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from property_kit import examples
 from support import MS, S
 
-from dpstack.dp.events import SlaveState, SlaveStateChanged
+from dpstack.dp.master.events import SlaveState, SlaveStateChanged
 from dpstack.fdl.decoder import Decoder
 from dpstack.params import BusParams
 from dpstack.sim.transmission import Transmission

@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpstack.api.streams import SlaveFlapping, hand_to
-from dpstack.api.toml_text import quoted
-from dpstack.dp.events import DriveEvent, SlaveRemark
-from dpstack.drivers.base import PortLost
-from dpstack.drivers.messages import event_classes
+from dpstack.api.bus.streams import SlaveFlapping, hand_to
+from dpstack.api.config.toml_text import quoted
+from dpstack.dp.master.events import DriveEvent, SlaveRemark
+from dpstack.drivers.process.messages import event_classes
+from dpstack.drivers.runtime import PortLost
 from dpstack.errors import ConfigError, DriveTimeout, NoInputs, PortError, SlaveFault
 from dpstack.text import json_text, printable, shortened, traceback_text
 from dpstack.trace import Event, Notice

@@ -7,8 +7,8 @@ from itertools import pairwise
 import pytest
 from ring_bus import ListUser, RingBus, fixed
 
+from dpstack.fdl.interface import Request
 from dpstack.fdl.telegram import Req
-from dpstack.fdl.user import Request
 from dpstack.params import T_SYN, BusParams
 from dpstack.phy.line import Line
 from dpstack.phy.patience import ADAPTER, EXACT, HOST, Patience, slack

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 
-from dpstack.drivers.virtual_loop import VirtualLoop
+from dpstack.drivers.virtual.loop import VirtualLoop
 from dpstack.sim.world import World
 
 

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from dpstack.dp.diag_bits import FLAGS, Does, Flag
+from dpstack.dp.pdu.diag_bits import FLAGS, Does, Flag
 
 TARGET: Final = Path(__file__).resolve().parent.parent / "docs" / "dp-v0.md"
 ROWS: Final = Path(__file__).resolve().with_name("dp_v0_rows.toml")

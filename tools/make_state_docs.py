@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from dpstack.fdl.states import render
+from dpstack.fdl.active.states import render
 
 TARGET = Path(__file__).resolve().parent.parent / "docs" / "fdl-states.md"
 

@@ -10,7 +10,7 @@ from enum import Enum
 from pathlib import Path
 from typing import Final
 
-from dpstack.drivers.realtime import SET_UP, Rights, is_privileged, limit
+from dpstack.drivers.realtime.rights import SET_UP, Rights, is_privileged, limit
 from dpstack.errors import PortBusyError, PortError
 from dpstack.params import MAX_T_SL, BusParams
 from dpstack.phy.neighbours import Neighbours

@@ -5,9 +5,9 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Sequence
 
-from dpstack.api.drive_words import parse_order
-from dpstack.api.remote import core_of
-from dpstack.api.slave_config import SlaveConfig
+from dpstack.api.bus.remote_plugins import core_of
+from dpstack.api.config.slave import SlaveConfig
+from dpstack.api.control.drive_commands import parse_order
 from dpstack.errors import UsageError
 from dpstack.profile import ListedParam
 

@@ -14,11 +14,11 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from dpstack import __version__
-from dpstack.cli import streams
+from dpstack.cli.terminal import lost_stdout
 from dpstack.errors import ConfigError, DpError, UsageError
 from dpstack.text import printable
 
-#: modules of this package, imported when the program runs: an early Ctrl-C is no traceback
+#: modules of dpstack.cli.commands, imported when the program runs: an early Ctrl-C is no traceback
 _COMMANDS = (
     "demo",
     "run",
@@ -62,13 +62,13 @@ def build_parser() -> Parser:
     parser.add_argument("--version", action="version", version=f"dpstack {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=Parser)
     for name in _COMMANDS:
-        importlib.import_module(f"dpstack.cli.{name}").add_to(commands)
+        importlib.import_module(f"dpstack.cli.commands.{name}").add_to(commands)
     return parser
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
-    streams.fill()
+    lost_stdout.fill()
     try:
         args = build_parser().parse_args(argv)
         return _execute(args)
@@ -83,15 +83,15 @@ def _execute(args: argparse.Namespace) -> int:
         code = _say(error, 2)
     except DpError as error:
         code = _say(error, 1)
-    with streams.guarded():
+    with lost_stdout.guarded():
         sys.stdout.flush()
-    return code or int(streams.lost.error is not None)
+    return code or int(lost_stdout.lost.error is not None)
 
 
 def _say(error: Exception, code: int) -> int:
     if os.environ.get(_DEBUG):
-        streams.print_traceback(error)
-    streams.warn(str(error))
+        lost_stdout.print_traceback(error)
+    lost_stdout.warn(str(error))
     return code
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
+from dpstack.fdl.interface import LONG_NS, Request
 from dpstack.fdl.telegram import MAX_DATA, SSAP_MS0, Req
-from dpstack.fdl.user import LONG_NS, Request
 
 _SRD_HIGH: Final = Req.SRD_HIGH
 _NEW: Final = tuple.__new__  # NamedTuple's own constructor costs four times as much
@@ -14,7 +14,7 @@ _NEW: Final = tuple.__new__  # NamedTuple's own constructor costs four times as 
 
 class SlaveRequests:
     """Makes what is asked of the slave at ``address``; ``tag`` goes into every request, ``still`` into
-    Data_Exchange (see :class:`~dpstack.fdl.user.Request`)."""
+    Data_Exchange (see :class:`~dpstack.fdl.interface.Request`)."""
 
     __slots__ = ("_address", "_data", "_still", "_tag")
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from dpstack.dp.acyclic import Acyclic
-from dpstack.dp.master import Master
-from dpstack.dp.reading import reading_only
-from dpstack.dp.scanner import Scanner
-from dpstack.dp.setup import SlaveSetup
-from dpstack.fdl.active import ActiveStation
+from dpstack.dp.acyclic.queue import Acyclic
+from dpstack.dp.master.master import Master
+from dpstack.dp.master.read_only import reading_only
+from dpstack.dp.master.scanner import Scanner
+from dpstack.dp.slave_params import SlaveSetup
+from dpstack.fdl.active.station import ActiveStation
+from dpstack.fdl.interface import LinkUser
 from dpstack.fdl.livelist import LiveList, live_allowance
-from dpstack.fdl.user import LinkUser
 from dpstack.params import BusParams
 from dpstack.phy.patience import Patience
 from dpstack.units import NS_PER_MS, NS_PER_S

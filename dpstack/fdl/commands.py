@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from dpstack.fdl.user import LinkUser
+from dpstack.fdl.interface import LinkUser
 
 
 @dataclass(frozen=True, slots=True)

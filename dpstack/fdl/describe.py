@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable
 from typing import Final
 
 from dpstack.fdl.codec import Flaw, decode, parse
+from dpstack.fdl.interface import Request
 from dpstack.fdl.telegram import (
     FC_FCB,
     FC_FCV,
@@ -32,7 +33,6 @@ from dpstack.fdl.telegram import (
     StationType,
     Telegram,
 )
-from dpstack.fdl.user import Request
 from dpstack.params import BROADCAST
 from dpstack.text import octets_text
 from dpstack.trace import WireEntry

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from dpstack.fdl.budget import PATIENCE
+from dpstack.fdl.active.cycle_window import PATIENCE
 from dpstack.fdl.telegram import StationType
 from dpstack.trace import Event, Notice, Severity
 from dpstack.units import ms_text

@@ -10,10 +10,10 @@ from collections import deque
 from collections.abc import Iterable
 from typing import Final, NamedTuple
 
+from dpstack.fdl.active.las_gap import Allowance
 from dpstack.fdl.events import StationFound
-from dpstack.fdl.ring import Allowance
+from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.telegram import Req, StationType, Telegram
-from dpstack.fdl.user import Failure, Request
 from dpstack.params import UNADDRESSED, BusParams
 from dpstack.phy.patience import Patience
 from dpstack.trace import Event

@@ -12,7 +12,7 @@ from dpstack.text import shortened
 PROC: Final = Path("/proc")
 #: a program of ours, and the module of a bus process, in command lines
 _OURS: Final = "dpstack"
-_BUS_PROCESS: Final = "dpstack.drivers.child"
+_BUS_PROCESS: Final = "dpstack.drivers.process.__main__"
 #: so much of a command line is told
 _LONGEST: Final = 100
 

@@ -1,32 +1,33 @@
 """What a drive plugin is written against: declared words, states and parameters, the two ends, the registry."""
 
-from dpstack.dp.device import Device, Leave
-from dpstack.dp.image import CyclicUnit
+from dpstack.dp.process_image import CyclicUnit
+from dpstack.dp.slave.device import Device, Leave
 from dpstack.errors import ConfigError
-from dpstack.profile import acyclic, datamap, drivecom, profidrive, standard
-from dpstack.profile.channel import CHANNEL_LEN, ChannelServer, ParameterChannel, ParamKey
-from dpstack.profile.core import OPS, DriveCore
+from dpstack.profile import record47
+from dpstack.profile.channel.base import CHANNEL_LEN, ChannelServer, ParameterChannel, ParamKey
+from dpstack.profile.channel.pkw import Order, Pkw, PkwClient, PkwDialect, PkwServer, Reply
+from dpstack.profile.channel.pkw_access import RETRY_NS, ParamRef, PkwAccess, PkwChannel
+from dpstack.profile.channel.read_many import per_request
 from dpstack.profile.declared import Declaration, DeclaredCore
-from dpstack.profile.device import DriveDevice
-from dpstack.profile.drive import DriveProfile, OptionSpec, RateSetting, TelegramFamily, TelegramSpec
-from dpstack.profile.jobs import Args, CommandError, Steps
-from dpstack.profile.listing import ListedParam, listing
-from dpstack.profile.lookup import Lookup
-from dpstack.profile.many import per_request
-from dpstack.profile.mapped import MAP_OPS, MappedCore
-from dpstack.profile.motion import settled
-from dpstack.profile.motor import AT_ONCE, NEAR, Motor, ramp
-from dpstack.profile.param_errors import PARAMETER_ERRORS, error_text
-from dpstack.profile.params import ParamSpec, ParamTable, count_of
-from dpstack.profile.pkw import Order, Pkw, PkwClient, PkwDialect, PkwServer, Reply
-from dpstack.profile.pkw_access import RETRY_NS, ParamRef, PkwAccess, PkwChannel
+from dpstack.profile.master.core import OPS, DriveCore
+from dpstack.profile.master.fault_lookup import Lookup
+from dpstack.profile.master.mapped_core import MAP_OPS, MappedCore
+from dpstack.profile.master.motion import settled
+from dpstack.profile.master.settings import Setting, SettingsState, equal, same
+from dpstack.profile.model import drivecom_states, process_data_map, profidrive_states, standard_telegrams
+from dpstack.profile.model.drive_profile import DriveProfile, OptionSpec, RateSetting, TelegramFamily, TelegramSpec
+from dpstack.profile.model.jobs import Args, CommandError, Steps
+from dpstack.profile.model.param_errors import PARAMETER_ERRORS, error_text
+from dpstack.profile.model.param_listing import ListedParam, listing
+from dpstack.profile.model.params import ParamSpec, ParamTable, count_of
+from dpstack.profile.model.states import FAULTED, MOVING, ControlTable, Goal, State, StateRow, StateTable
+from dpstack.profile.model.status import DriveStatus
+from dpstack.profile.model.words import N4, SPEED, Scale, Word, signed16
 from dpstack.profile.plain import PLAIN_PKW, plain_resolver, plain_server
 from dpstack.profile.registry import broken, find, known, refresh
-from dpstack.profile.settings import Setting, SettingsState, equal, same
-from dpstack.profile.states import FAULTED, MOVING, ControlTable, Goal, State, StateRow, StateTable
-from dpstack.profile.status import DriveStatus
-from dpstack.profile.store import ParamStore
-from dpstack.profile.words import N4, SPEED, Scale, Word, signed16
+from dpstack.profile.simulator.device import DriveDevice
+from dpstack.profile.simulator.motor import AT_ONCE, NEAR, Motor, ramp
+from dpstack.profile.simulator.param_store import ParamStore
 from dpstack.units import NEVER, NS_PER_MS, NS_PER_S, NS_PER_US, ns_to_s, s_to_ns
 
 __all__ = [
@@ -91,11 +92,9 @@ __all__ = [
     "TelegramFamily",
     "TelegramSpec",
     "Word",
-    "acyclic",
     "broken",
     "count_of",
-    "datamap",
-    "drivecom",
+    "drivecom_states",
     "equal",
     "error_text",
     "find",
@@ -105,12 +104,14 @@ __all__ = [
     "per_request",
     "plain_resolver",
     "plain_server",
-    "profidrive",
+    "process_data_map",
+    "profidrive_states",
     "ramp",
+    "record47",
     "refresh",
     "s_to_ns",
     "same",
     "settled",
     "signed16",
-    "standard",
+    "standard_telegrams",
 ]

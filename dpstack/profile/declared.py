@@ -1,7 +1,7 @@
 """A plugin as a declaration: words, scales, states, safe outputs, texts and parameters; nothing to be programmed.
 
 What a drive needs beyond that (an obstacle to name, a direction bit) is a subclass of :class:`DeclaredCore` with the
-hooks of :class:`~dpstack.profile.core.DriveCore`.
+hooks of :class:`~dpstack.profile.master.core.DriveCore`.
 """
 
 from __future__ import annotations
@@ -10,19 +10,19 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
-from dpstack.dp.v1.unit_records import RecordQueue
-from dpstack.profile.acyclic.access import AcyclicAccess, plain_places
-from dpstack.profile.acyclic.client import PLUGIN, ParameterClient
-from dpstack.profile.channel import CHANNEL_LEN
-from dpstack.profile.core import DriveCore
-from dpstack.profile.drive import DriveProfile, TelegramSpec
-from dpstack.profile.listing import ListedParam, listing
-from dpstack.profile.params import ParamTable
-from dpstack.profile.pkw import PkwDialect
-from dpstack.profile.pkw_access import PkwAccess, Resolver
+from dpstack.dpv1.master.plugin_queue import RecordQueue
+from dpstack.profile.channel.base import CHANNEL_LEN
+from dpstack.profile.channel.pkw import PkwDialect
+from dpstack.profile.channel.pkw_access import PkwAccess, Resolver
+from dpstack.profile.master.core import DriveCore
+from dpstack.profile.model.drive_profile import DriveProfile, TelegramSpec
+from dpstack.profile.model.param_listing import ListedParam, listing
+from dpstack.profile.model.params import ParamTable
+from dpstack.profile.model.states import FAULTED, ControlTable
+from dpstack.profile.model.words import SPEED, Scale
 from dpstack.profile.plain import PLAIN_PKW, plain_resolver
-from dpstack.profile.states import FAULTED, ControlTable
-from dpstack.profile.words import SPEED, Scale
+from dpstack.profile.record47.client import PLUGIN, ParameterClient
+from dpstack.profile.record47.drive_access import AcyclicAccess, plain_places
 
 #: 0x4000 = 100 % of the rated one
 _CURRENT: Final = Scale("current")

@@ -1,7 +1,8 @@
 """The parameter channel of a drive without peculiarities: every parameter by its PNU, PROFIdrive's error numbers.
 
-Both ends for a drive that is declared: :func:`plain_resolver` for :class:`~dpstack.profile.pkw_access.PkwAccess`,
-:func:`plain_server` over a :class:`~dpstack.profile.store.ParamStore`. Source: PROFIdrive V2, parameter channel.
+Both ends for a drive that is declared: :func:`plain_resolver` for
+:class:`~dpstack.profile.channel.pkw_access.PkwAccess`, :func:`plain_server` over a
+:class:`~dpstack.profile.simulator.param_store.ParamStore`. Source: PROFIdrive V2, parameter channel.
 """
 
 from __future__ import annotations
@@ -9,13 +10,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
-from dpstack.profile.channel import ParamKey
-from dpstack.profile.jobs import CommandError
-from dpstack.profile.param_errors import PARAMETER_ERRORS
-from dpstack.profile.params import ParamSpec, ParamTable
-from dpstack.profile.pkw import Order, Pkw, PkwDialect, PkwServer, Reply
-from dpstack.profile.pkw_access import ParamRef, Resolver
-from dpstack.profile.store import ParamStore
+from dpstack.profile.channel.base import ParamKey
+from dpstack.profile.channel.pkw import Order, Pkw, PkwDialect, PkwServer, Reply
+from dpstack.profile.channel.pkw_access import ParamRef, Resolver
+from dpstack.profile.model.jobs import CommandError
+from dpstack.profile.model.param_errors import PARAMETER_ERRORS
+from dpstack.profile.model.params import ParamSpec, ParamTable
+from dpstack.profile.simulator.param_store import ParamStore
 
 #: words and double words, no arrays, no data sets
 PLAIN_PKW: Final = PkwDialect(

@@ -11,7 +11,7 @@ from api_kit import virtual
 
 import dpstack
 from dpstack import AlarmType, DpSlave, RecordRefused, SlaveDescription, UsageError
-from dpstack.profile.acyclic import Address
+from dpstack.profile.record47 import Address
 from dpstack.sim.world import World
 
 TYPE = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True, alarms=("process",))

@@ -9,9 +9,7 @@ import pytest
 from api_kit import HOIST, RAW, bus_of, virtual
 
 import dpstack
-from dpstack.api.config import parse_config
-from dpstack.api.control.programs import run_status
-from dpstack.api.events import (
+from dpstack.api.bus.events_json import (
     ApplicationSilent,
     Event,
     ModeChanged,
@@ -20,9 +18,11 @@ from dpstack.api.events import (
     event_json,
     severity_of,
 )
-from dpstack.dp.events import AutoCleared
+from dpstack.api.config.config import parse_config
+from dpstack.api.control.handlers import run_status
+from dpstack.dp.master.events import AutoCleared
 from dpstack.errors import ConfigError, DriveError, UsageError
-from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.machine import HeldUp
 from dpstack.units import NS_PER_MS
 

@@ -14,8 +14,8 @@ from support import WorldFactory
 
 import dpstack
 from dpstack import AlarmType, DpSlave, ModuleState, SlaveAlarm, SlaveDescription, Specifier, StatusType
-from dpstack.api.events import AlarmRaised, Severity, StatusTold, event_json, severity_of
-from dpstack.api.serving import ServedSlave
+from dpstack.api.bus.events_json import AlarmRaised, Severity, StatusTold, event_json, severity_of
+from dpstack.api.server.server import ServedSlave
 from dpstack.errors import AlarmError, SlaveFault, UsageError
 from dpstack.sim.world import World
 

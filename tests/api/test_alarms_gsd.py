@@ -9,15 +9,15 @@ import pytest
 from gsd_kit import device
 
 import dpstack
-from dpstack.api.config import parse_config
-from dpstack.api.events import AlarmRaised
-from dpstack.dp.diagnosis import Diagnosis
-from dpstack.dp.findings import Findings
-from dpstack.dp.setup import SlaveSetup
-from dpstack.dp.v1.alarm_book import AlarmBook
-from dpstack.dp.v1.alarm_handler import AlarmHandler
-from dpstack.dp.v1.status import Dpv1
-from dpstack.drivers.mirror import MasterMirror, Mirror, Source, StationMirror
+from dpstack.api.bus.events_json import AlarmRaised
+from dpstack.api.config.config import parse_config
+from dpstack.dp.master.fault_report import Findings
+from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dpv1.master.alarm_book import AlarmBook
+from dpstack.dpv1.master.alarm_handler import AlarmHandler
+from dpstack.dpv1.pdu.dpv1_status import Dpv1
+from dpstack.drivers.process.mirror import MasterMirror, Mirror, Source, StationMirror
 from dpstack.errors import ConfigError
 from dpstack.gsd.diag_texts import DiagTexts as GsdTexts
 from dpstack.params import BusParams

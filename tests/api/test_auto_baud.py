@@ -11,8 +11,8 @@ from api_kit import FAN, HOIST, RAW, virtual
 from far_ends import until
 
 import dpstack
-from dpstack.api.config import make_config
-from dpstack.api.simulation import Segment, Simulation
+from dpstack.api.config.config import make_config
+from dpstack.api.server.simulation import Segment, Simulation
 from dpstack.errors import BusError, ConfigError, UsageError
 from dpstack.sim.world import World
 

@@ -12,12 +12,12 @@ from far_ends import until
 from process_kit import DRIVERS, LAMPS, LAMPS_SPEC, SPEC, VALVES, Driver, begun, bus_on, octet_slaves
 
 import dpstack
-from dpstack.api.config import make_config
-from dpstack.api.simulation import Segment, Simulation
-from dpstack.dp.commands import DriveCommand, Mode, SetMode
-from dpstack.dp.events import SlaveStateChanged
+from dpstack.api.config.config import make_config
+from dpstack.api.server.simulation import Segment, Simulation
+from dpstack.dp.master.commands import DriveCommand, Mode, SetMode
+from dpstack.dp.master.events import SlaveStateChanged
 from dpstack.errors import ConfigError, DriveError, DriveFault, SlaveFault, SlaveTimeout, UsageError
-from dpstack.profile.acyclic import Address, Values
+from dpstack.profile.record47 import Address, Values
 from dpstack.trace import Event
 
 pytestmark = pytest.mark.parametrize("driver", DRIVERS)

@@ -9,14 +9,14 @@ from api_kit import FAN, HOIST, RAW, bus_of, slave_in, virtual
 from support import WorldFactory
 
 import dpstack
-from dpstack.api.events import DriveEvent, ModeChanged, Notice, RingJoined, SlaveFaulted, SlaveStateChanged
-from dpstack.dp.master import Master
-from dpstack.dp.mirror import MirrorDevice
-from dpstack.dp.plan import Case
-from dpstack.dp.slaveapp import SlaveApp, SlaveAppState, make_slave
-from dpstack.fdl.passive import PassiveStation
+from dpstack.api.bus.events_json import DriveEvent, ModeChanged, Notice, RingJoined, SlaveFaulted, SlaveStateChanged
+from dpstack.dp.master.master import Master
+from dpstack.dp.plan.plan import Case
+from dpstack.dp.slave.application import SlaveApp, SlaveAppState, make_slave
+from dpstack.dp.slave.loopback_device import MirrorDevice
+from dpstack.fdl.interface import Reply
+from dpstack.fdl.passive.station import PassiveStation
 from dpstack.fdl.telegram import Telegram
-from dpstack.fdl.user import Reply
 from dpstack.params import BusParams
 from dpstack.sim.world import World
 from dpstack.stats import Histogram

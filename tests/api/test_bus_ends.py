@@ -10,8 +10,8 @@ from foreign_master import ForeignMaster
 from support import WorldFactory
 
 import dpstack
-from dpstack.api.events import Notice, Severity
-from dpstack.dp.device import FunctionDevice
+from dpstack.api.bus.events_json import Notice, Severity
+from dpstack.dp.slave.device import FunctionDevice
 from dpstack.sim.world import World
 
 # --- every kind of end ----------------------------------------------------------------------------------------------

@@ -10,13 +10,13 @@ import pytest
 from api_kit import HOIST, RAW, bus_of, slave_in, virtual
 
 import dpstack
-from dpstack.api.class2 import Class2, Configuration, ProcessData
-from dpstack.api.config import make_config
-from dpstack.dp.mirror import MirrorDevice
-from dpstack.dp.slaveapp import SlaveApp
-from dpstack.fdl.passive import PassiveStation
+from dpstack.api.config.config import make_config
+from dpstack.api.slave.class2 import Class2, Configuration, ProcessData
+from dpstack.dp.slave.application import SlaveApp
+from dpstack.dp.slave.loopback_device import MirrorDevice
+from dpstack.fdl.interface import RS_REPLY, SC_REPLY, Reply, StationControl
+from dpstack.fdl.passive.station import PassiveStation
 from dpstack.fdl.telegram import Telegram
-from dpstack.fdl.user import RS_REPLY, SC_REPLY, Reply, StationControl
 from dpstack.params import BusParams
 from dpstack.sim.world import World
 

@@ -8,7 +8,7 @@ import pytest
 from support_responder import Responder
 
 import dpstack
-from dpstack.drivers.segment import Segment
+from dpstack.drivers.segment.hub import Segment
 
 
 async def test_reading_beside_data_exchange(tmp_path: Path) -> None:

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpstack.api.compose import compose
-from dpstack.api.config import Config, load_config, make_config, parse_config
-from dpstack.drivers.aio import AsyncioRuntime
-from dpstack.drivers.echo import Echo
+from dpstack.api.bus.compose import compose
+from dpstack.api.config.config import Config, load_config, make_config, parse_config
+from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime
+from dpstack.drivers.line.echo import Echo
 from dpstack.errors import ConfigError
 from dpstack.units import NS_PER_US
 

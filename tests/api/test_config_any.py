@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from property_kit import examples
 
-from dpstack.api.bus_config import BusConfig
-from dpstack.api.config import make_config, parse_config
-from dpstack.api.slave_config import _KEYS
+from dpstack.api.config.bus import BusConfig
+from dpstack.api.config.config import make_config, parse_config
+from dpstack.api.config.slave import _KEYS
 from dpstack.errors import ConfigError
 
 #: TOML as it is written

@@ -15,16 +15,16 @@ from ms2_kit import Ms2Server, ms2_in, served
 
 import dpstack
 from dpstack import AcyclicError, Connection, ConnectionEnded, Im0, ServiceRefused, SlaveFault, SlaveTimeout, UsageError
-from dpstack.api.config import make_config
-from dpstack.api.events import Severity, event_json, severity_of
-from dpstack.api.ms2_config import Ms2Limits
-from dpstack.api.slave_config import SlaveConfig
-from dpstack.dp.acyclic import Acyclic
-from dpstack.dp.v1.ms2_orders import ConnectionOver
-from dpstack.dp.v1.times import least_send_timeout
+from dpstack.api.bus.events_json import Severity, event_json, severity_of
+from dpstack.api.config.config import make_config
+from dpstack.api.config.ms2_config import Ms2Limits
+from dpstack.api.config.slave import SlaveConfig
+from dpstack.dp.acyclic.queue import Acyclic
+from dpstack.dpv1.master.ms2_commands import ConnectionOver
+from dpstack.dpv1.timeouts import least_send_timeout
 from dpstack.errors import BusError
 from dpstack.gsd.model import Device, DpV1
-from dpstack.profile.acyclic import Address, Values
+from dpstack.profile.record47 import Address, Values
 from dpstack.sim.world import World
 
 Program = Callable[[dpstack.Bus, Ms2Server], Coroutine[Any, Any, None]]

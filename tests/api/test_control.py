@@ -17,10 +17,10 @@ from typing import Any
 
 import pytest
 
-from dpstack.api.control import places
+from dpstack.api.control import socket_path
 from dpstack.api.control.client import ControlClient, connect, running
+from dpstack.api.control.commands import COMMON, KINDS, SLAVES, Spec, find
 from dpstack.api.control.server import ControlServer, Handler
-from dpstack.api.control.specs import COMMON, KINDS, SLAVES, Spec, find
 from dpstack.errors import BusError, PortBusyError, PortError, SlaveTimeout, UsageError
 
 ECHO = Spec("echo", "WORD...", "says it again", "hello")
@@ -89,7 +89,7 @@ class Raw:
 
 @contextlib.asynccontextmanager
 async def raw(port: str = "COM3") -> AsyncIterator[Raw]:
-    reader, writer = await asyncio.open_unix_connection(str(places.socket_path(port)))
+    reader, writer = await asyncio.open_unix_connection(str(socket_path.socket_path(port)))
     try:
         yield Raw(reader, writer)
     finally:
@@ -203,7 +203,7 @@ async def test_who_does_not_read_is_dropped_and_the_others_are_served(size: int)
     served.patience_s = 0.02
     async with served, raw() as client:
         with socket.socket(socket.AF_UNIX) as deaf:
-            deaf.connect(str(places.socket_path("COM3")))
+            deaf.connect(str(socket_path.socket_path("COM3")))
             deaf.send(b'{"command":"flood"}\n')
             assert b'"ok":true' in await client.ask(b'{"command":"status"}')
             await asyncio.wait_for(ended.wait(), 10)
@@ -280,7 +280,7 @@ async def test_a_client_that_was_dropped_says_why() -> None:
 
 async def test_the_socket_is_the_users_alone_and_goes_with_the_program(own_runtime_directory: Path) -> None:
     async with server():
-        path = places.socket_path("COM3")
+        path = socket_path.socket_path("COM3")
         assert stat.S_IMODE(path.stat().st_mode) == 0o600
         assert stat.S_IMODE(own_runtime_directory.stat().st_mode) == 0o700
     assert list(own_runtime_directory.iterdir()) == []
@@ -291,7 +291,7 @@ async def test_a_second_program_is_refused_a_stale_socket_is_not() -> None:
         with pytest.raises(PortBusyError, match="another program answers `dpstack ctl COM3`"):
             await server().__aenter__()
     stale = socket.socket(socket.AF_UNIX)
-    stale.bind(str(places.socket_path("COM3")))
+    stale.bind(str(socket_path.socket_path("COM3")))
     stale.close()
     async with server(), raw() as client:
         assert b'"ok":true' in await client.ask(b'{"command":"status"}')
@@ -351,7 +351,7 @@ async def test_a_system_without_descriptors_in_proc_says_that_the_path_is_too_lo
             raise FileNotFoundError(2, "No such file or directory")
         return stat_of(path, **options)
 
-    monkeypatch.setattr("dpstack.api.control.places.os.stat", no_proc)
+    monkeypatch.setattr("dpstack.api.control.socket_path.os.stat", no_proc)
     async with server(), raw() as client:  # a short one does
         assert b'"ok":true' in await client.ask(b'{"command":"status"}')
     long = tmp_path / ("x" * 100)
@@ -359,7 +359,7 @@ async def test_a_system_without_descriptors_in_proc_says_that_the_path_is_too_lo
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(long))
     with pytest.raises(PortError) as caught:
         await server().__aenter__()
-    path = long / "dpstack" / places.socket_name("COM3")
+    path = long / "dpstack" / socket_path.socket_name("COM3")
     assert str(caught.value) == (
         f"{path} has {len(str(path))} octets, and the path of a socket at most 107 here: set XDG_RUNTIME_DIR "
         "(or TMPDIR) to a directory with a shorter path"
@@ -410,7 +410,7 @@ async def test_nobody_there_names_those_who_are(own_runtime_directory: Path) -> 
 
         assert await in_thread(ask) == "nobody answers for COM3; there is: sim on socket://plant:7000"
         assert [path.name for path in own_runtime_directory.iterdir()] == [
-            places.socket_path("socket://plant:7000").name
+            socket_path.socket_path("socket://plant:7000").name
         ]
 
 
@@ -421,7 +421,7 @@ async def test_nobody_there_names_those_who_are(own_runtime_directory: Path) -> 
 def test_a_program_that_answers_nonsense(own_runtime_directory: Path, answer: bytes, says: str) -> None:
     own_runtime_directory.mkdir(exist_ok=True)
     with socket.socket(socket.AF_UNIX) as listening:
-        listening.bind(str(places.socket_path("COM3")))
+        listening.bind(str(socket_path.socket_path("COM3")))
         listening.listen(1)
 
         def serve() -> None:
@@ -440,7 +440,7 @@ def test_a_program_that_answers_nonsense(own_runtime_directory: Path, answer: by
 def test_a_program_that_hangs(own_runtime_directory: Path) -> None:
     own_runtime_directory.mkdir(exist_ok=True)
     with socket.socket(socket.AF_UNIX) as listening:
-        listening.bind(str(places.socket_path("COM3")))
+        listening.bind(str(socket_path.socket_path("COM3")))
         listening.listen(1)
         with connect("COM3", timeout=0.05) as client, pytest.raises(PortError, match="does not answer"):
             client.call("status")
@@ -449,7 +449,7 @@ def test_a_program_that_hangs(own_runtime_directory: Path) -> None:
 async def test_a_client_waits_for_a_place_in_a_full_queue() -> None:
     """The server of a busy program comes to accept later; a client with a time-out is not told off by the system."""
     async with server():
-        path = str(places.socket_path("COM3"))
+        path = str(socket_path.socket_path("COM3"))
         with contextlib.ExitStack() as stack:
             with contextlib.suppress(BlockingIOError):
                 while True:  # the loop does not run meanwhile: nobody is accepted
@@ -460,17 +460,17 @@ async def test_a_client_waits_for_a_place_in_a_full_queue() -> None:
 
 
 def test_a_stopped_program_with_a_full_queue(own_runtime_directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(places, "_QUEUE_TRIES", 2)
+    monkeypatch.setattr(socket_path, "_QUEUE_TRIES", 2)
     own_runtime_directory.mkdir(exist_ok=True)
     with contextlib.ExitStack() as stack:
         listening = stack.enter_context(socket.socket(socket.AF_UNIX))
-        listening.bind(str(places.socket_path("COM3")))
+        listening.bind(str(socket_path.socket_path("COM3")))
         listening.listen(1)
         with contextlib.suppress(BlockingIOError):
             while True:
                 waiting = stack.enter_context(socket.socket(socket.AF_UNIX))
                 waiting.setblocking(False)
-                waiting.connect(str(places.socket_path("COM3")))
+                waiting.connect(str(socket_path.socket_path("COM3")))
         with pytest.raises(PortError, match=r"cannot be reached .*too many clients wait for it; is it stopped"):
             connect("COM3")
 
@@ -491,7 +491,7 @@ def test_every_kind_of_program_has_help_and_its_own_names() -> None:
 
 def test_names_of_ports(tmp_path: Path) -> None:
     os.symlink("/dev/null", tmp_path / "0")
-    assert places.names_of("socket://plant:7000") == ("socket://plant:7000",)
-    assert places.names_of("COM3") == ("COM3",)
-    assert places.names_of("/dev/null") == ("/dev/null",)
-    assert places.names_of(str(tmp_path / "0")) == (str(tmp_path / "0"), "/dev/null")
+    assert socket_path.names_of("socket://plant:7000") == ("socket://plant:7000",)
+    assert socket_path.names_of("COM3") == ("COM3",)
+    assert socket_path.names_of("/dev/null") == ("/dev/null",)
+    assert socket_path.names_of(str(tmp_path / "0")) == (str(tmp_path / "0"), "/dev/null")

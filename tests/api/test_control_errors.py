@@ -11,9 +11,9 @@ import pytest
 
 from dpstack import errors
 from dpstack.api.control.client import connect
-from dpstack.api.control.failures import failure, told
+from dpstack.api.control.commands import COMMON, Spec
+from dpstack.api.control.errors import failure, told
 from dpstack.api.control.server import ControlServer, Handler
-from dpstack.api.control.specs import COMMON, Spec
 from dpstack.errors import (
     AcyclicError,
     BaudError,

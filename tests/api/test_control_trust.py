@@ -22,10 +22,10 @@ from typing import Any
 
 import pytest
 
-from dpstack.api.control import places
+from dpstack.api.control import socket_path
 from dpstack.api.control.client import ControlClient, connect, find_run, running
+from dpstack.api.control.commands import COMMON
 from dpstack.api.control.server import ControlServer
-from dpstack.api.control.specs import COMMON
 from dpstack.errors import PortError
 from dpstack.ports.runtime_dir import open_own, user_name
 
@@ -195,7 +195,7 @@ def test_links_that_lead_in_a_circle_end(runtime: Path) -> None:
 
 async def test_the_directory_is_the_one_that_was_checked(runtime: Path) -> None:
     """What happens to the path afterwards leads nobody to another program."""
-    with places.Sockets(make=True) as sockets:
+    with socket_path.Sockets(make=True) as sockets:
         (runtime / "dpstack").rename(runtime / "away")
         (runtime / "dpstack").mkdir(mode=0o700)
         with socket.socket(socket.AF_UNIX) as planted, socket.socket(socket.AF_UNIX) as ours:
@@ -213,7 +213,7 @@ async def test_the_directory_is_the_one_that_was_checked(runtime: Path) -> None:
 
 async def test_a_socket_of_another_user_in_our_directory(runtime: Path, owners: Owners) -> None:
     (runtime / "dpstack").mkdir(mode=0o700)
-    path = places.socket_path("COM3")
+    path = socket_path.socket_path("COM3")
     with socket.socket(socket.AF_UNIX) as planted:
         planted.bind(str(path))
         planted.listen(1)
@@ -273,9 +273,9 @@ def test_a_program_of_another_user_behind_our_socket_is_told_nothing(
     runtime: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if not ROOT:
-        monkeypatch.setattr(places, "peer_uid", lambda _connection: MALLORY)
+        monkeypatch.setattr(socket_path, "peer_uid", lambda _connection: MALLORY)
     (runtime / "dpstack").mkdir(mode=0o700)
-    path = places.socket_path("COM3")
+    path = socket_path.socket_path("COM3")
     with socket.socket(socket.AF_UNIX) as planted:
         planted.bind(str(path))
         with program(POSING, planted.fileno(), keep=planted.fileno()) as posing:
@@ -298,12 +298,12 @@ async def test_an_order_of_another_user_is_refused(runtime: Path, monkeypatch: p
     served = ControlServer("run", "COM3", COMMON, {"status": lambda args: asked.append(args)})
     async with served:
         (runtime / "dpstack").chmod(0o711)
-        places.socket_path("COM3").chmod(0o666)
-        (runtime / "dpstack" / places.socket_name("run COM3")).chmod(0o666)
+        socket_path.socket_path("COM3").chmod(0o666)
+        (runtime / "dpstack" / socket_path.socket_name("run COM3")).chmod(0o666)
         fd = os.open(runtime / "dpstack", os.O_RDONLY)
 
         def order() -> str:
-            with program(ORDERING, fd, places.socket_name("COM3"), keep=fd) as ordering:
+            with program(ORDERING, fd, socket_path.socket_name("COM3"), keep=fd) as ordering:
                 assert ordering.stdout is not None
                 return ordering.stdout.readline()
 
@@ -318,9 +318,9 @@ async def test_an_order_of_another_user_is_refused(runtime: Path, monkeypatch: p
 def test_root_and_ourselves_are_trusted_and_nobody_else() -> None:
     ours, theirs = socket.socketpair()
     with ours, theirs:
-        assert places.peer_uid(ours) == os.geteuid()
+        assert socket_path.peer_uid(ours) == os.geteuid()
     asked = (0, os.geteuid(), os.geteuid() + 1, MALLORY)
-    assert {uid for uid in asked if places.is_trusted(uid)} == {0, os.geteuid()}
+    assert {uid for uid in asked if socket_path.is_trusted(uid)} == {0, os.geteuid()}
 
 
 async def test_elsewhere_getpeereid_tells_who_it_is(runtime: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -336,8 +336,8 @@ async def test_elsewhere_getpeereid_tells_who_it_is(runtime: Path, monkeypatch: 
 
     libc = SimpleNamespace(getpeereid=ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_int, number, number)(getpeereid))
 
-    monkeypatch.setattr(places, "_PEERCRED", None)
-    monkeypatch.setattr(places, "_libc", lambda: libc)
+    monkeypatch.setattr(socket_path, "_PEERCRED", None)
+    monkeypatch.setattr(socket_path, "_libc", lambda: libc)
     async with serving() as ask:
         assert await ask() == {"fine": True}
         answer[1] = MALLORY
@@ -351,8 +351,8 @@ async def test_elsewhere_getpeereid_tells_who_it_is(runtime: Path, monkeypatch: 
 async def test_where_the_system_cannot_tell_the_directories_decide(
     runtime: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(places, "_PEERCRED", None)
-    monkeypatch.setattr(places, "_libc", object)
+    monkeypatch.setattr(socket_path, "_PEERCRED", None)
+    monkeypatch.setattr(socket_path, "_libc", object)
     async with serving() as ask:
         assert await ask() == {"fine": True}
         (runtime / "dpstack").chmod(0o777)

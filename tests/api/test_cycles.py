@@ -11,8 +11,8 @@ from api_kit import FAN, HOIST, RAW, bus_of, slave_in, virtual
 from support import WorldFactory
 
 import dpstack
-from dpstack.api.config import parse_config
-from dpstack.dp.mirror import MirrorDevice
+from dpstack.api.config.config import parse_config
+from dpstack.dp.slave.loopback_device import MirrorDevice
 from dpstack.sim.world import World
 
 A: dict[str, object] = {

@@ -8,8 +8,8 @@ import json
 import pytest
 
 import dpstack
-from dpstack.api.config import parse_config
-from dpstack.api.control.programs import run_status
+from dpstack.api.config.config import parse_config
+from dpstack.api.control.handlers import run_status
 from dpstack.errors import DriveFault
 from dpstack.profile import DriveDevice
 

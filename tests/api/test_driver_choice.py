@@ -9,10 +9,10 @@ import pytest
 from api_kit import RAW, virtual
 
 import dpstack
-from dpstack.api import driver_choice
-from dpstack.api.config import Config, make_config, parse_config
-from dpstack.api.driver_choice import driver_for
-from dpstack.drivers.realtime import Rights
+from dpstack.api.bus import driver_choice
+from dpstack.api.bus.driver_choice import driver_for
+from dpstack.api.config.config import Config, make_config, parse_config
+from dpstack.drivers.realtime.rights import Rights
 from dpstack.errors import ConfigError
 from dpstack.ports import Delivery, Port, open_port
 

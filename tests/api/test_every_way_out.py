@@ -23,9 +23,9 @@ from process_kit import SPEC, eventually, octet_slaves
 from support_responder import Responder
 
 import dpstack
-from dpstack.api import ending
-from dpstack.drivers import ending as of_drivers
-from dpstack.fdl.active import ActiveStation
+from dpstack.api.bus import shutdown
+from dpstack.drivers import shutdown as of_drivers
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.ports.tty import TtyPort
 from dpstack.units import ns_to_s
 
@@ -194,7 +194,7 @@ def test_the_child_of_a_fork_gets_an_epoll_of_its_own_whatever_loop_has_it() -> 
         pid = os.fork()
         if not pid:
             try:
-                ending._separate(fd)
+                shutdown._separate(fd)
                 of_loop.unregister(fd)
             finally:
                 os._exit(0)

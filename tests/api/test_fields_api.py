@@ -10,10 +10,10 @@ import pytest
 from api_kit import HOIST, RAW, bus_of, virtual
 
 import dpstack
-from dpstack.api.config import parse_config
-from dpstack.api.control import places
-from dpstack.api.control.programs import control_run
-from dpstack.dp.fields import Field
+from dpstack.api.config.config import parse_config
+from dpstack.api.control import socket_path
+from dpstack.api.control.handlers import control_run
+from dpstack.dp.process_data import Field
 from dpstack.errors import ConfigError
 
 VALVES: dict[str, object] = {
@@ -146,7 +146,7 @@ async def test_in_the_summary_and_through_the_control_socket() -> None:
     async with bus_of(VALVES, {**HOIST, "outputs": {"command": "u16@8"}}) as bus, control_run(bus, "named"):
         await bus.ready()
         await bus.operate()
-        reader, writer = await asyncio.open_unix_connection(str(places.socket_path("named")))
+        reader, writer = await asyncio.open_unix_connection(str(socket_path.socket_path("named")))
 
         async def ask(command: str, *args: str) -> Any:
             writer.write(json.dumps({"command": command, "args": args}).encode() + b"\n")

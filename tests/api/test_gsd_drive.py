@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 import dpstack
-from dpstack.api.config import parse_config, slave_config
-from dpstack.api.slave_config import SlaveConfig
+from dpstack.api.config.config import parse_config, slave_config
+from dpstack.api.config.slave import SlaveConfig
 from dpstack.errors import ConfigError
 
 FRENIC = """#Profibus_DP

@@ -8,7 +8,7 @@ import pytest
 from gsd_kit import FILES
 
 import dpstack
-from dpstack.api.config import Config, parse_config, rate_findings
+from dpstack.api.config.config import Config, parse_config, rate_findings
 from dpstack.cli.main import main
 from dpstack.errors import ConfigError
 

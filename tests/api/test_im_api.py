@@ -12,11 +12,11 @@ from support import WorldFactory
 
 import dpstack
 from dpstack import AcyclicError, DpSlave, Im0, Im1, Im2, RecordRefused, SlaveDescription
-from dpstack.api.acyclic_words import carry_out
-from dpstack.dp.v1.device_records import RecordTable
-from dpstack.dp.v1.im import Im, Im3, build_call, number_of
-from dpstack.dp.v1.records import WriteReq
-from dpstack.dp.v1.tickets import Ticket
+from dpstack.api.control.record_commands import carry_out
+from dpstack.dpv1.pdu.im import Im, Im3, build_call, number_of
+from dpstack.dpv1.pdu.read_write import WriteReq
+from dpstack.dpv1.slave.record_requests import Ticket
+from dpstack.dpv1.slave.record_table import RecordTable
 from dpstack.sim.world import World
 
 RIG = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True)

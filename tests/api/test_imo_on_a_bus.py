@@ -9,9 +9,9 @@ import pytest
 from api_kit import off_and_on
 
 import dpstack
-from dpstack.api.bench import Unit
-from dpstack.api.config import make_config, slave_config
-from dpstack.api.simulation import Simulation
+from dpstack.api.config.config import make_config, slave_config
+from dpstack.api.server.simulation import Simulation
+from dpstack.api.server.virtual_bench import Unit
 from dpstack.params import BusParams
 
 PUMP: Mapping[str, object] = {"name": "pump", "address": 5, "drive": "imo-hd2"}

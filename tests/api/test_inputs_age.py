@@ -11,9 +11,9 @@ from api_kit import RAW, bus_of, virtual
 from process_kit import SPEC, VALVES, bus_on, octet_slaves
 
 import dpstack
-from dpstack.api.control.programs import run_status
-from dpstack.api.statistics import BusStats, SlaveStats
-from dpstack.cli.report import Reporter
+from dpstack.api.bus.statistics import BusStats, SlaveStats
+from dpstack.api.control.handlers import run_status
+from dpstack.cli.terminal.report import Reporter
 
 SLOW: dict[str, object] = RAW | {"name": "slow", "address": 10, "every": 60, "watchdog_ms": 2000}
 

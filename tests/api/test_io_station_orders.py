@@ -10,14 +10,14 @@ from api_kit import RAW, bus_of, virtual
 
 import dpstack
 from dpstack import Im0
-from dpstack.api.bench import Unit
-from dpstack.api.config import slave_config
-from dpstack.api.control.programs import run_status
+from dpstack.api.config.config import slave_config
+from dpstack.api.control.commands import KINDS, find
+from dpstack.api.control.handlers import run_status
+from dpstack.api.control.handlers_slaves import SlaveCommands
 from dpstack.api.control.server import Handler
-from dpstack.api.control.slaves import SlaveCommands
-from dpstack.api.control.specs import KINDS, find
-from dpstack.api.simulation import SimulatedSlave
-from dpstack.cli import ctl
+from dpstack.api.server.simulation import SimulatedSlave
+from dpstack.api.server.virtual_bench import Unit
+from dpstack.cli.commands import ctl
 from dpstack.errors import UsageError
 from dpstack.params import BusParams
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import dpstack
-from dpstack.api.config import make_config
-from dpstack.api.control.slaves import SlaveCommands
-from dpstack.api.simulation import Simulation, sim_event_json
+from dpstack.api.config.config import make_config
+from dpstack.api.control.handlers_slaves import SlaveCommands
+from dpstack.api.server.simulation import Simulation, sim_event_json
 
 
 async def test_the_simulation_of_a_station() -> None:

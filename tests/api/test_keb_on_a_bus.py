@@ -9,9 +9,9 @@ import pytest
 from api_kit import off_and_on
 
 import dpstack
-from dpstack.api.livelist import LiveListResult
-from dpstack.api.skeleton import config_skeleton
-from dpstack.dp.scanner import Found, SlaveView
+from dpstack.api.bus.scan import LiveListResult
+from dpstack.api.config.from_scan import config_skeleton
+from dpstack.dp.master.scanner import Found, SlaveView
 from dpstack.fdl.telegram import StationType
 
 SAW: Mapping[str, object] = {"name": "saw", "address": 5, "drive": "keb-f5", "telegram": "PCH+8/8"}

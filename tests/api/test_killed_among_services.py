@@ -18,7 +18,7 @@ from process_kit import ANSWER_S, DRIVERS, UNHURRIED, Driver, process_of, unhurr
 
 import dpstack
 from dpstack import BusError, DpError, DpSlave, SlaveAppState, SlaveDescription
-from dpstack.api.simulation import Segment
+from dpstack.api.server.simulation import Segment
 
 RIG = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True, ms2=2, alarms=("process",))
 

@@ -10,9 +10,9 @@ import pytest
 from api_kit import off_and_on
 
 import dpstack
-from dpstack.api.livelist import LiveListResult
-from dpstack.api.skeleton import config_skeleton
-from dpstack.dp.scanner import Found, SlaveView
+from dpstack.api.bus.scan import LiveListResult
+from dpstack.api.config.from_scan import config_skeleton
+from dpstack.dp.master.scanner import Found, SlaveView
 from dpstack.fdl.telegram import StationType
 
 PUMP: Mapping[str, object] = {"name": "pump", "address": 6, "drive": "ls-s100", "telegram": "PPO1"}

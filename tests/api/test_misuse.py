@@ -10,7 +10,7 @@ from api_kit import FAN, bus_of, virtual
 from ms2_kit import ms2_in
 
 import dpstack
-from dpstack.api.config import make_config
+from dpstack.api.config.config import make_config
 from dpstack.sim.world import World
 
 VALVES: dict[str, object] = {

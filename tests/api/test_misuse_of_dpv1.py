@@ -72,7 +72,7 @@ def test_orders_to_an_io_station() -> None:
         ({"ms2": "2"}, ConfigError, "ms2 = '2' is no whole number"),
         ({"config": "10"}, ConfigError, "slave valves: config = '10' is no octets"),
         ({"safe": "00"}, ConfigError, "slave valves: safe = '00' is no octets"),
-        ({"parameters": 5}, ConfigError, "parameters = 5: give dpstack.profile.acyclic.TimedRecords"),
+        ({"parameters": 5}, ConfigError, "parameters = 5: give dpstack.profile.record47.TimedRecords"),
         ({"im": ["x"]}, PduError, "'x' is no I&M record: give Im0(order_id=...)"),
         ({"im": Im0(order_id="V")}, PduError, "is no list: write [Im0(order_id=...), Im1()]"),
         ({"im": 5}, PduError, "I&M = 5 is no list"),

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 
 import dpstack
 from dpstack.api.files import FileToBe
-from dpstack.api.parameter_dump import Comparison
-from dpstack.api.parameter_list import ParameterList, SavedParam, file_for
+from dpstack.api.lists.dump_compare import Comparison
+from dpstack.api.lists.parameter_list import ParameterList, SavedParam, file_for
 from dpstack.errors import ConfigError, UsageError
 from dpstack.profile import DriveDevice
 

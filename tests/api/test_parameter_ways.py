@@ -9,8 +9,8 @@ from api_kit import virtual
 
 import dpstack
 from dpstack import ParameterError, ParameterPlace, UsageError
-from dpstack.dp.v1.device_records import ImRecords
-from dpstack.dp.v1.tickets import Ticket
+from dpstack.dpv1.slave.record_requests import Ticket
+from dpstack.dpv1.slave.record_table import ImRecords
 from dpstack.errors import DriveError
 
 

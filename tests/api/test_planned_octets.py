@@ -11,12 +11,12 @@ from gsd_kit import FILES
 from ms1_kit import MS, OctetMs1Slave
 from ring_bus import RingBus
 
-from dpstack.api.compose import plan_bus
-from dpstack.api.config import parse_config
+from dpstack.api.bus.compose import plan_bus
+from dpstack.api.config.config import parse_config
 from dpstack.cli.main import main
-from dpstack.dp.events import SlaveState
-from dpstack.dp.master import Master
-from dpstack.fdl.active import ActiveStation
+from dpstack.dp.master.events import SlaveState
+from dpstack.dp.master.master import Master
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 
 PLANT = f"""

@@ -9,11 +9,11 @@ import pytest
 from api_kit import HOIST, RAW, bus_of, virtual
 
 import dpstack
-from dpstack.api.compose import plan_bus
-from dpstack.api.config import Config, parse_config
-from dpstack.api.planning import Verdict, cycle_rates
-from dpstack.dp.master import Master
-from dpstack.dp.plan import Case
+from dpstack.api.bus.compose import plan_bus
+from dpstack.api.bus.plan_checks import Verdict, cycle_rates
+from dpstack.api.config.config import Config, parse_config
+from dpstack.dp.master.master import Master
+from dpstack.dp.plan.plan import Case
 from dpstack.errors import ConfigError
 from dpstack.stats import Histogram
 from dpstack.units import NS_PER_MS

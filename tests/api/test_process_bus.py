@@ -16,9 +16,9 @@ from process_kit import LAMPS, LAMPS_SPEC, SPEC, UNHURRIED, VALVES, begun, bus_o
 from support_responder import Responder
 
 import dpstack
-from dpstack.api.config import make_config
-from dpstack.api.parameter_list import ParameterList
-from dpstack.api.simulation import Segment, Simulation
+from dpstack.api.config.config import make_config
+from dpstack.api.lists.parameter_list import ParameterList
+from dpstack.api.server.simulation import Segment, Simulation
 
 INVERTER: dict[str, object] = {"name": "it", "address": 4, "drive": "imo-hd2"}
 

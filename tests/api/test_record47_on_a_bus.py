@@ -12,7 +12,7 @@ from support import WorldFactory
 
 import dpstack
 from bench.parameters import MIXER, mixer, read_out
-from dpstack.profile.acyclic import Address, ErrorValue, Values
+from dpstack.profile.record47 import Address, ErrorValue, Values
 from dpstack.sim.world import World
 
 PUMP: dict[str, object] = {"name": "pump", "address": 6, "drive": "ls-s100", "telegram": "ST1"}

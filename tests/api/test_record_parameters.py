@@ -8,9 +8,9 @@ import pytest
 from acyclic_kit import octets
 
 import dpstack
-from dpstack.api.record_parameters import RecordParameters
+from dpstack.api.slave.record_parameters import RecordParameters
 from dpstack.profile import ParamSpec, ParamStore, ParamTable
-from dpstack.profile.acyclic import (
+from dpstack.profile.record47 import (
     Address,
     ErrorValue,
     ParameterServer,

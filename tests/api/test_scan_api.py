@@ -9,13 +9,13 @@ import pytest
 from api_kit import FAN, HOIST, RAW, bus_of, slave_in, virtual
 
 import dpstack
-from dpstack.api.bus import Bus
-from dpstack.api.config import make_config, parse_config
-from dpstack.api.events import Found, Notice, SlaveView, StationSeen, event_json
-from dpstack.api.livelist import LiveListResult, scan_port
-from dpstack.api.skeleton import config_skeleton
-from dpstack.dp.mirror import MirrorDevice
-from dpstack.dp.slaveapp import SlaveAppState
+from dpstack.api.bus.bus import Bus
+from dpstack.api.bus.events_json import Found, Notice, SlaveView, StationSeen, event_json
+from dpstack.api.bus.scan import LiveListResult, scan_port
+from dpstack.api.config.config import make_config, parse_config
+from dpstack.api.config.from_scan import config_skeleton
+from dpstack.dp.slave.application import SlaveAppState
+from dpstack.dp.slave.loopback_device import MirrorDevice
 from dpstack.fdl.telegram import StationType
 from dpstack.sim.world import World
 

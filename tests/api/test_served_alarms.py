@@ -12,9 +12,9 @@ from slave_alarm_kit import OctetMaster, prm
 
 import dpstack
 from dpstack import AlarmError, AlarmType, DpSlave, ModuleState, SlaveDescription, Specifier, StatusType
-from dpstack.api.serving import ServedSlave
-from dpstack.dp.slaveapp import SlaveApp
-from dpstack.dp.v1.status import Dpv1
+from dpstack.api.server.server import ServedSlave
+from dpstack.dp.slave.application import SlaveApp
+from dpstack.dpv1.pdu.dpv1_status import Dpv1
 from dpstack.errors import ConfigError, PduError, SlaveTimeout, UsageError
 
 RIG = SlaveDescription.simple(0x0A35, inputs=1, outputs=1, name="rig", dpv1=True, alarms=("process", "diagnostic"))

@@ -9,13 +9,13 @@ from slave_kit import Bench
 
 import dpstack
 from dpstack import DpSlave, SlaveDescription
-from dpstack.dp.events import SlaveState
-from dpstack.dp.v1.records import WriteReq
-from dpstack.dp.v1.tickets import Ticket
+from dpstack.dp.master.events import SlaveState
+from dpstack.dpv1.pdu.read_write import WriteReq
+from dpstack.dpv1.slave.record_requests import Ticket
+from dpstack.fdl.interface import SC_REPLY
 from dpstack.fdl.telegram import Resp
-from dpstack.fdl.user import SC_REPLY
 from dpstack.profile import ParamSpec, ParamStore, ParamTable
-from dpstack.profile.acyclic import (
+from dpstack.profile.record47 import (
     Address,
     ErrorValue,
     Limits,

@@ -15,9 +15,9 @@ from support import WorldFactory
 
 import dpstack
 from dpstack import DpSlave, SlaveAppState, SlaveDescription
-from dpstack.dp.device import Leave
-from dpstack.dp.slave_events import AddressChanged, DeviceFailed
-from dpstack.drivers.segment import Segment
+from dpstack.dp.slave.device import Leave
+from dpstack.dp.slave.slave_events import AddressChanged, DeviceFailed
+from dpstack.drivers.segment.hub import Segment
 from dpstack.errors import BusError, ConfigError, SlaveTimeout
 from dpstack.sim.world import World
 
@@ -226,7 +226,7 @@ def test_a_defect_of_ours_ends_serving_with_safe_outputs(
                 w.inject(bytes.fromhex(framed(0x88, 0x82, 0x6D, unit)), baud=500_000)
                 await asyncio.sleep(0.01)
             assert server.slave.state is DATA_EXCH
-            monkeypatch.setattr("dpstack.dp.slaveapp.SlaveApp.serve", broken)
+            monkeypatch.setattr("dpstack.dp.slave.application.SlaveApp.serve", broken)
             w.inject(bytes.fromhex(framed(0x88, 0x82, 0x6D, "3C 3E")), baud=500_000)
             with pytest.raises(BusError, match=r"stopped by a defect in dpstack \(ZeroDivisionError: ours\)"):
                 await (server.serve_forever() if wait == "serve_forever" else server.slave.reached(WAIT_PRM, 5))

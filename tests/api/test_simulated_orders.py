@@ -8,9 +8,9 @@ import pytest
 from api_kit import virtual
 
 import dpstack
-from dpstack.api.control.programs import control_run
+from dpstack.api.control.handlers import control_run
 from dpstack.api.control.server import ControlServer
-from dpstack.dp.v1.alarms import AlarmType, Specifier
+from dpstack.dpv1.pdu.alarms import AlarmType, Specifier
 from dpstack.errors import UsageError
 from dpstack.profile import DriveDevice
 

@@ -12,12 +12,12 @@ from gsd_kit import FILES, device, made
 from octet_wire import PARAMS, Wire, framed
 
 import dpstack
-from dpstack.api.bench import device_of
-from dpstack.api.config import slave_config
-from dpstack.api.events import event_json
-from dpstack.dp.device import Device
-from dpstack.dp.slave_gsd import slave_description
-from dpstack.dp.slaveapp import make_slave
+from dpstack.api.bus.events_json import event_json
+from dpstack.api.config.config import slave_config
+from dpstack.api.server.virtual_bench import device_of
+from dpstack.dp.slave.application import make_slave
+from dpstack.dp.slave.description_from_gsd import slave_description
+from dpstack.dp.slave.device import Device
 from dpstack.errors import ConfigError
 from dpstack.gsd.configuration import configure
 

@@ -10,7 +10,7 @@ from api_kit import bus_of, virtual
 
 import dpstack
 from dpstack import DpSlave, PrmBlock, SlaveDescription
-from dpstack.api.config import parse_config
+from dpstack.api.config.config import parse_config
 from dpstack.errors import ConfigError
 
 HEAD = '[bus]\nport = "virtual"\nbaud = 500000\n[[slave]]\nname = "io"\naddress = 9\n'

@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from linear_kit import assert_linear
 
-from dpstack.api.config import parse_config
-from dpstack.api.parameter_list import ParameterList
-from dpstack.api.record_list import RecordList
-from dpstack.api.toml_lines import MAX_BARE, MAX_DEPTH, MAX_PARTS, TomlError, read_toml
+from dpstack.api.config.config import parse_config
+from dpstack.api.config.toml import MAX_BARE, MAX_DEPTH, MAX_PARTS, TomlError, read_toml
+from dpstack.api.lists.parameter_list import ParameterList
+from dpstack.api.lists.record_list import RecordList
 from dpstack.errors import ConfigError
 
 BUS = '[bus]\nport = "virtual"\nbaud = 500000\n'

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpstack.api.toml_lines import line_numbers
+from dpstack.api.config.toml import line_numbers
 
 TEXT = '''\
 # comment [not a table]

@@ -11,7 +11,7 @@ from ends_kit import told
 from support import WorldFactory
 
 import dpstack
-from dpstack.dp.device import FunctionDevice
+from dpstack.dp.slave.device import FunctionDevice
 from dpstack.machine import LineDown
 from dpstack.sim.world import World
 

@@ -12,13 +12,13 @@ from cli_kit import acyclic as run
 
 import dpstack
 from dpstack import DpSlave, Im0, Im1, SlaveDescription
-from dpstack.api.bus import OnEvent
-from dpstack.api.config import Config
-from dpstack.api.control.programs import control_run
-from dpstack.api.control.records import through_run
-from dpstack.cli import acyclic
-from dpstack.dp.mirror import MirrorDevice
-from dpstack.dp.v1.device_records import RecordTable
+from dpstack.api.bus.bus import OnEvent
+from dpstack.api.config.config import Config
+from dpstack.api.control.handlers import control_run
+from dpstack.api.control.remote_records import through_run
+from dpstack.cli.commands import acyclic
+from dpstack.dp.slave.loopback_device import MirrorDevice
+from dpstack.dpv1.slave.record_table import RecordTable
 from dpstack.errors import AcyclicError, UsageError
 
 Out = pytest.CaptureFixture[str]

@@ -10,18 +10,18 @@ import pytest
 from ms2_kit import Ms2Server, ms2_in, served
 
 import dpstack
-from dpstack.api.bus import OnEvent
-from dpstack.api.config import Config
-from dpstack.api.control.programs import control_run
-from dpstack.api.control.records import through_run
-from dpstack.cli import acyclic
+from dpstack.api.bus.bus import OnEvent
+from dpstack.api.config.config import Config
+from dpstack.api.control.handlers import control_run
+from dpstack.api.control.remote_records import through_run
+from dpstack.cli.commands import acyclic
 from dpstack.cli.main import main
-from dpstack.dp.commands import Mode, SetMode
-from dpstack.dp.events import SlaveState
-from dpstack.dp.master import Master
-from dpstack.dp.setup import SlaveSetup
+from dpstack.dp.master.commands import Mode, SetMode
+from dpstack.dp.master.events import SlaveState
+from dpstack.dp.master.master import Master
+from dpstack.dp.slave_params import SlaveSetup
 from dpstack.errors import AcyclicError, UsageError
-from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.params import BusParams
 

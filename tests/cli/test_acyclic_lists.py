@@ -13,21 +13,13 @@ from cli_kit import acyclic as run
 
 import dpstack
 from dpstack import DpSlave, SlaveDescription
-from dpstack.api.bus import OnEvent
-from dpstack.api.config import Config
-from dpstack.api.control.programs import control_run
-from dpstack.api.control.records import through_run
-from dpstack.cli import acyclic
+from dpstack.api.bus.bus import OnEvent
+from dpstack.api.config.config import Config
+from dpstack.api.control.handlers import control_run
+from dpstack.api.control.remote_records import through_run
+from dpstack.cli.commands import acyclic
 from dpstack.cli.main import main
-from dpstack.profile.acyclic import (
-    Address,
-    Description,
-    ErrorValue,
-    ParameterServer,
-    Result,
-    TimedRecords,
-    Values,
-)
+from dpstack.profile.record47 import Address, Description, ErrorValue, ParameterServer, Result, TimedRecords, Values
 
 Out = pytest.CaptureFixture[str]
 RIG = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="pump", dpv1=True)
@@ -278,7 +270,7 @@ def test_wrong_use(plant: Path, capsys: Out, args: list[str], text: str) -> None
 async def test_through_a_run_it_comes_in_pieces_with_progress(
     plant: Path, capsys: Out, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("dpstack.api.control.records._IN_A_LINE", 3)
+    monkeypatch.setattr("dpstack.api.control.remote_records._IN_A_LINE", 3)
     monkeypatch.setattr("dpstack.api.control.alive._SIGN_OF_LIFE_S", 0.01)
     device = Device()
     told: list[tuple[object, ...]] = []

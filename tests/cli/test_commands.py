@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 import dpstack
-from dpstack.api.simulation import Simulation
-from dpstack.cli import sim
+from dpstack.api.server.simulation import Simulation
+from dpstack.cli.commands import sim
 from dpstack.cli.main import main
 
 PLANT = """
@@ -375,14 +375,14 @@ def test_demo_for_people_goes_on_as_long_as_asked(capsys: Out) -> None:
 
 
 def test_demo_says_which_story_failed(capsys: Out, monkeypatch: pytest.MonkeyPatch) -> None:
-    from dpstack.api.drive import Drive
-    from dpstack.cli import stories
+    from dpstack.api.slave.drive import Drive
+    from dpstack.cli.commands import demo_stories
     from dpstack.errors import DriveError
 
-    async def fails(drive: Drive, tell: stories.Tell, trip: stories.Trip) -> None:
+    async def fails(drive: Drive, tell: demo_stories.Tell, trip: demo_stories.Trip) -> None:
         raise DriveError(drive.name, "it will not")
 
-    monkeypatch.setitem(stories.STORIES, "fuji-frenic", stories.Story(fails, "PPO3"))
+    monkeypatch.setitem(demo_stories.STORIES, "fuji-frenic", demo_stories.Story(fails, "PPO3"))
     assert call("demo", "--fast", "--json") == 1
     printed = capsys.readouterr()
     assert printed.err == "dpstack: it will not\n"

@@ -14,11 +14,11 @@ from far_ends import until
 from programs import PLANT, Starter
 
 import dpstack
-from dpstack.api.config import make_config
+from dpstack.api.config.config import make_config
 from dpstack.api.control.client import connect
-from dpstack.api.control.programs import control_run, control_segment, control_sim
+from dpstack.api.control.handlers import control_run, control_segment, control_sim
 from dpstack.api.control.server import ControlServer
-from dpstack.api.simulation import Segment, Simulation
+from dpstack.api.server.simulation import Segment, Simulation
 from dpstack.cli.main import main
 from dpstack.errors import DpError, UsageError
 from dpstack.profile import DriveDevice

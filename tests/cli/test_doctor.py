@@ -14,7 +14,7 @@ from far_ends import PtyFarEnd
 
 from dpstack.api import doctor
 from dpstack.api.doctor import AdapterInfo, Check, Computer, Level, examine
-from dpstack.cli import ports as ports_command
+from dpstack.cli.commands import ports as ports_command
 from dpstack.cli.main import main
 from dpstack.errors import PortBusyError, PortError
 from dpstack.ports.adapters import Abilities

@@ -16,16 +16,16 @@ from ends_kit import told
 from programs import PLANT, Program, Starter
 
 import dpstack
-from dpstack.api.bus import Bus
+from dpstack.api.bus.bus import Bus
 from dpstack.api.control import alive
 from dpstack.api.control.client import connect
-from dpstack.api.control.drives import find_drive
-from dpstack.api.control.programs import control_run
-from dpstack.api.one_drive import OneDrive
-from dpstack.api.parameter_dump import ParameterPlace, ParameterValue, dump
-from dpstack.api.parameter_list import ParameterList
+from dpstack.api.control.handlers import control_run
+from dpstack.api.control.own_master import OneDrive
+from dpstack.api.control.remote_drive import find_drive
+from dpstack.api.lists.dump_compare import ParameterPlace, ParameterValue, dump
+from dpstack.api.lists.parameter_list import ParameterList
 from dpstack.cli.main import main
-from dpstack.cli.signals import StopSignal
+from dpstack.cli.terminal.signals import StopSignal
 from dpstack.errors import BusError, DriveFault, DriveTimeout, ParameterError, UsageError
 from dpstack.profile import DriveDevice
 

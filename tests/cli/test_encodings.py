@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from dpstack.cli import main as program
-from dpstack.cli import output
 from dpstack.cli.main import main
+from dpstack.cli.terminal import output
 
 GSD = """#Profibus_DP
 GSD_Revision = 5

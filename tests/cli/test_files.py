@@ -12,11 +12,11 @@ from pathlib import Path
 
 import pytest
 
-from dpstack.api.config import load_config
+from dpstack.api.config.config import load_config
 from dpstack.api.files import FileToBe, read_file
-from dpstack.api.gsd import copy_gsd, read_gsd
-from dpstack.api.parameter_list import ParameterList
-from dpstack.api.record_list import RecordList
+from dpstack.api.gsd_info import copy_gsd, read_gsd
+from dpstack.api.lists.parameter_list import ParameterList
+from dpstack.api.lists.record_list import RecordList
 from dpstack.cli.main import main
 from dpstack.errors import ConfigError, UsageError
 

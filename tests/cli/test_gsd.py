@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from gsd_kit import FILES, device, octets
 
-from dpstack.api.config import load_config, parse_config
-from dpstack.api.gsd import check_gsd
+from dpstack.api.config.config import load_config, parse_config
+from dpstack.api.gsd_info import check_gsd
 from dpstack.cli.main import main
 from dpstack.errors import ConfigError, GsdError
 from dpstack.gsd.configuration import find_module, plug
@@ -318,7 +318,7 @@ def test_check_of_a_directory_goes_on_after_a_file_that_cannot_be_read(
         return whole(path)
 
     (tmp_path / "a.gsd").touch()
-    monkeypatch.setattr("dpstack.cli.gsd.check_gsd", refused)
+    monkeypatch.setattr("dpstack.cli.commands.gsd.check_gsd", refused)
     assert main(["gsd", "check", str(tmp_path)]) == 1
     assert capsys.readouterr().out.splitlines() == [
         f"{tmp_path}/a.gsd: Permission denied; give the path of a GSD file",

@@ -13,10 +13,10 @@ from typing import Any
 
 import pytest
 
-from dpstack.api.control.places import Sockets, own_name, socket_path
+from dpstack.api.control.socket_path import Sockets, own_name, socket_path
 from dpstack.cli import main as program
-from dpstack.cli import output
 from dpstack.cli.main import main
+from dpstack.cli.terminal import output
 from dpstack.profile import DriveStatus, State
 
 #: a title, colours by C1 CSI, DEL, bidi, marks, zero width, separators, markup and an emoji's name of rich

@@ -15,7 +15,7 @@ import pytest
 from far_ends import HANG_S
 from programs import PLANT, Starter, wait_for_exchanges
 
-from dpstack.cli.outlet import LIMIT, Queue
+from dpstack.cli.terminal.nonblocking_stdout import LIMIT, Queue
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from dpstack.api import compose
+from dpstack.api.bus import compose
 from dpstack.cli.main import main
 from dpstack.ports.base import Delivery
 from dpstack.ports.memory import MemoryPort

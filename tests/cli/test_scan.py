@@ -19,11 +19,11 @@ from far_ends import HANG_S
 from programs import PLANT, Starter
 
 import dpstack
-from dpstack.api.config import load_config
-from dpstack.cli import visit
+from dpstack.api.config.config import load_config
+from dpstack.cli.commands import on_bus
 from dpstack.cli.main import main
-from dpstack.dp.mirror import MirrorDevice
-from dpstack.fdl.active import ActiveStation
+from dpstack.dp.slave.loopback_device import MirrorDevice
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.params import BusParams
 from dpstack_drives import demag, fuji
@@ -57,7 +57,7 @@ def world(monkeypatch: pytest.MonkeyPatch) -> None:
     slave_in(made, demag.DRIVE.device("PPO1"), 3)
     slave_in(made, fuji.DRIVE.device("PPO3"), 4)
     slave_in(made, MirrorDevice(0x1234, b"\x20\x10"), 9)
-    monkeypatch.setattr(visit, "Bus", functools.partial(dpstack.Bus, world=made))
+    monkeypatch.setattr(on_bus, "Bus", functools.partial(dpstack.Bus, world=made))
     monkeypatch.setattr("asyncio.run", dpstack.run_virtual)
 
 
@@ -70,7 +70,7 @@ def owned(monkeypatch: pytest.MonkeyPatch) -> dpstack.World:
     made.command(station, GoOnline())
     made.run_for(100_000_000)
     assert station.in_ring
-    monkeypatch.setattr(visit, "Bus", functools.partial(dpstack.Bus, world=made))
+    monkeypatch.setattr(on_bus, "Bus", functools.partial(dpstack.Bus, world=made))
     monkeypatch.setattr("asyncio.run", dpstack.run_virtual)
     return made
 

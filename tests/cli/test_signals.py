@@ -17,10 +17,10 @@ from process_kit import SPEC, octet_slaves
 from programs import Starter
 
 import dpstack
-from dpstack.api.ending import OrderedEnd
-from dpstack.cli import signals
+from dpstack.api.bus.shutdown import OrderedEnd
 from dpstack.cli.main import main
-from dpstack.cli.signals import StopSignal
+from dpstack.cli.terminal import signals
+from dpstack.cli.terminal.signals import StopSignal
 
 RUN = """
 [bus]

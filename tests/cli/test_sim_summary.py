@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from dpstack.api.config import make_config
-from dpstack.api.simulation import Simulation
-from dpstack.cli import sim
+from dpstack.api.config.config import make_config
+from dpstack.api.server.simulation import Simulation
+from dpstack.cli.commands import sim
 
 
 async def test_the_summary_says_why_answers_were_too_late(capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,7 +11,7 @@ import pytest
 from cli_kit import SIMULATED
 
 import dpstack
-from dpstack.api.control.programs import control_run
+from dpstack.api.control.handlers import control_run
 from dpstack.cli.main import main
 
 Out = pytest.CaptureFixture[str]

@@ -12,10 +12,10 @@ from typing import Any
 
 import pytest
 
-from dpstack.api.config import load_config
+from dpstack.api.config.config import load_config
 from dpstack.api.control import client as client_module
 from dpstack.api.control.client import ControlClient
-from dpstack.cli import acyclic, drive
+from dpstack.cli.commands import acyclic, drive
 from dpstack.cli.main import main
 
 PLANT = """

@@ -18,12 +18,13 @@ from property_kit import examples
 from rich.cells import cell_len
 from rich.console import Console
 
-from dpstack.api.livelist import LiveListResult
-from dpstack.api.opening import open_bus
-from dpstack.cli import demo, output, ports, scan
+from dpstack.api.bus.open_bus import open_bus
+from dpstack.api.bus.scan import LiveListResult
+from dpstack.cli.commands import demo, ports, scan
 from dpstack.cli.main import main
-from dpstack.cli.report import Reporter
-from dpstack.dp.scanner import Found, SlaveView
+from dpstack.cli.terminal import output
+from dpstack.cli.terminal.report import Reporter
+from dpstack.dp.master.scanner import Found, SlaveView
 from dpstack.fdl.telegram import StationType
 from dpstack.ports.adapters import AdapterInfo
 

@@ -12,14 +12,14 @@ import pytest
 from api_kit import bus_of, virtual
 
 import dpstack
-from dpstack.api.config import slave_config
-from dpstack.api.control.programs import run_status
-from dpstack.api.control.slaves import SlaveCommands
-from dpstack.api.events import DriveEvent, SlaveDiagnosis, SlaveStateChanged
-from dpstack.cli import ctl
-from dpstack.cli.report import Reporter
-from dpstack.dp.diag_texts import conspicuous_text
-from dpstack.dp.diagnosis import Diagnosis
+from dpstack.api.bus.events_json import DriveEvent, SlaveDiagnosis, SlaveStateChanged
+from dpstack.api.config.config import slave_config
+from dpstack.api.control.handlers import run_status
+from dpstack.api.control.handlers_slaves import SlaveCommands
+from dpstack.cli.commands import ctl
+from dpstack.cli.terminal.report import Reporter
+from dpstack.dp.pdu.diag_texts import conspicuous_text
+from dpstack.dp.pdu.diagnosis import Diagnosis
 
 IO: dict[str, object] = {"name": "io", "address": 8, "gsd": "io-station", "modules": ["8 DI", "8 DO", "2 AI"]}
 RAW: dict[str, object] = {"name": "raw", "address": 9, "ident": 0x1234, "config": "20 10"}

@@ -15,20 +15,17 @@ import pytest
 from bus_kit import IDENT, PPO1
 from support import MS, S, WorldFactory
 
-from dpstack.dp.acyclic import Acyclic
-from dpstack.dp.acyclic_job import ServiceFailure
-from dpstack.dp.commands import Mode, SetMode
-from dpstack.dp.events import SlaveState
-from dpstack.dp.master import Master
-from dpstack.dp.mirror import MirrorDevice
-from dpstack.dp.setup import SlaveSetup
-from dpstack.dp.slaveapp import SlaveApp, make_slave
-from dpstack.dp.v1.alarm_events import AlarmRaised
-from dpstack.dp.v1.alarm_server import AlarmEnd, AlarmServer, AlarmSupport, Raised
-from dpstack.dp.v1.alarms import SEQUENCES, Alarm
-from dpstack.dp.v1.codes import Code
-from dpstack.dp.v1.ms1 import ReadRecord, RecordDone, WriteRecord
-from dpstack.dp.v1.ms2_orders import (
+from dpstack.dp.acyclic.job import ServiceFailure
+from dpstack.dp.acyclic.queue import Acyclic
+from dpstack.dp.master.commands import Mode, SetMode
+from dpstack.dp.master.events import SlaveState
+from dpstack.dp.master.master import Master
+from dpstack.dp.slave.application import SlaveApp, make_slave
+from dpstack.dp.slave.loopback_device import MirrorDevice
+from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dpv1.master.alarm_events import AlarmRaised
+from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone, WriteRecord
+from dpstack.dpv1.master.ms2_commands import (
     CloseConnection,
     CloseConnections,
     ConnectionOver,
@@ -39,10 +36,13 @@ from dpstack.dp.v1.ms2_orders import (
     TransportOver,
     WriteOver,
 )
-from dpstack.dp.v1.status import ALARMS, Dpv1
-from dpstack.dp.v1.tickets import Ticket, TransportTicket
+from dpstack.dpv1.pdu.alarms import SEQUENCES, Alarm
+from dpstack.dpv1.pdu.dpv1_status import ALARMS, Dpv1
+from dpstack.dpv1.pdu.error_codes import Code
+from dpstack.dpv1.slave.alarms import AlarmEnd, AlarmServer, AlarmSupport, Raised
+from dpstack.dpv1.slave.record_requests import Ticket, TransportTicket
 from dpstack.errors import UsageError
-from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOffline, GoOnline
 from dpstack.params import BusParams
 from dpstack.sim.transmission import Transmission

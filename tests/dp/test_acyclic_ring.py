@@ -18,24 +18,24 @@ from property_kit import examples
 from support import MS, S, WorldFactory
 
 from bench.acyclic_plant import Answers, AnswersAtOnce, RecordDevice
-from dpstack.dp.acyclic import Acyclic
-from dpstack.dp.acyclic_job import ServiceFailure
-from dpstack.dp.class2 import ReadService
-from dpstack.dp.class2_jobs import Service, ServiceDone
-from dpstack.dp.commands import Mode, SetMode
-from dpstack.dp.events import SlaveState
-from dpstack.dp.master import Master
-from dpstack.dp.plan_cycle import Verdict, least_ns
-from dpstack.dp.rotations import Case, Figures, OtherMasters, figures, rotation, t_tr_needed
-from dpstack.dp.setup import SlaveSetup
-from dpstack.dp.slaveapp import SlaveApp
-from dpstack.dp.v1.ms1 import ReadRecord, RecordDone, WriteRecord
-from dpstack.dp.v1.status import Dpv1
-from dpstack.fdl.active import ActiveStation
+from dpstack.dp.acyclic.class2_part import ReadService
+from dpstack.dp.acyclic.class2_services import Service, ServiceDone
+from dpstack.dp.acyclic.job import ServiceFailure
+from dpstack.dp.acyclic.queue import Acyclic
+from dpstack.dp.master.commands import Mode, SetMode
+from dpstack.dp.master.events import SlaveState
+from dpstack.dp.master.master import Master
+from dpstack.dp.plan.cycle_check import Verdict, least_ns
+from dpstack.dp.plan.rotation_time import Case, Figures, OtherMasters, figures, rotation, t_tr_needed
+from dpstack.dp.slave.application import SlaveApp
+from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone, WriteRecord
+from dpstack.dpv1.pdu.dpv1_status import Dpv1
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
-from dpstack.fdl.passive import PassiveStation
+from dpstack.fdl.interface import LinkUser, Reply
+from dpstack.fdl.passive.station import PassiveStation
 from dpstack.fdl.telegram import SAP_MS1, SAP_RD_INP, Telegram
-from dpstack.fdl.user import LinkUser, Reply
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT, HOST, Patience
 from dpstack.sim.world import World

@@ -16,12 +16,12 @@ from ms2_kit import DL, MS, SC, Ms2Bus, sd1, sd2
 from octet_slave import NR, RR, UE
 from ring_bus import RingBus
 
-from dpstack.dp.acyclic_job import Outcome, ServiceFailure
-from dpstack.dp.class2 import ReadService
-from dpstack.dp.class2_jobs import Service
-from dpstack.dp.v1.ms1 import RecordDone
-from dpstack.dp.v1.ms2_orders import InitiateDone, OpenConnection
-from dpstack.dp.v1.status import Dpv1
+from dpstack.dp.acyclic.class2_part import ReadService
+from dpstack.dp.acyclic.class2_services import Service
+from dpstack.dp.acyclic.job import Outcome, ServiceFailure
+from dpstack.dpv1.master.ms1 import RecordDone
+from dpstack.dpv1.master.ms2_commands import InitiateDone, OpenConnection
+from dpstack.dpv1.pdu.dpv1_status import Dpv1
 
 LIMIT = 100 * MS
 RDL = 0x0C

@@ -6,12 +6,12 @@ import pytest
 from slave_alarm_kit import AlarmBench, prm
 from slave_kit import CFG, OTHER, PRM, UNLOCK
 
-from dpstack.dp.slaveapp import SlaveAppState
-from dpstack.dp.user_diag import UserDiag, channel_block
-from dpstack.dp.v1.alarm_server import MAX_WAITING, AlarmEnd, AlarmServer, AlarmSupport
-from dpstack.dp.v1.alarms import Alarm, ModuleState, Status, kind_of, module_status
+from dpstack.dp.pdu.user_diag import UserDiag, channel_block
+from dpstack.dp.slave.application import SlaveAppState
+from dpstack.dpv1.pdu.alarms import Alarm, ModuleState, Status, kind_of, module_status
+from dpstack.dpv1.slave.alarms import MAX_WAITING, AlarmEnd, AlarmServer, AlarmSupport
 from dpstack.errors import AlarmError, ConfigError, PduError, UsageError
-from dpstack.fdl.user import RS_REPLY
+from dpstack.fdl.interface import RS_REPLY
 
 
 @pytest.mark.parametrize(

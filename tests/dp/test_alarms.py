@@ -8,14 +8,14 @@ import pytest
 from alarm_kit import ALL, AlarmBus, AlarmSlave, block
 from ms1_kit import setup
 
-from dpstack.dp.acyclic_job import ServiceFailure
-from dpstack.dp.class2 import ReadService
-from dpstack.dp.class2_jobs import Service
-from dpstack.dp.commands import Mode, ReparameteriseSlave, SetMode
-from dpstack.dp.events import SlaveState
-from dpstack.dp.v1.alarm_handler import MAX_OPEN
-from dpstack.dp.v1.alarms import ModuleState
-from dpstack.dp.v1.status import Dpv1
+from dpstack.dp.acyclic.class2_part import ReadService
+from dpstack.dp.acyclic.class2_services import Service
+from dpstack.dp.acyclic.job import ServiceFailure
+from dpstack.dp.master.commands import Mode, ReparameteriseSlave, SetMode
+from dpstack.dp.master.events import SlaveState
+from dpstack.dpv1.master.alarm_handler import MAX_OPEN
+from dpstack.dpv1.pdu.alarms import ModuleState
+from dpstack.dpv1.pdu.dpv1_status import Dpv1
 from dpstack.errors import UsageError
 
 PROCESS = block(2, 3, 1, data="12 34")

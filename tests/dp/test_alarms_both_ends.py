@@ -11,19 +11,19 @@ from hypothesis import strategies as st
 from property_kit import examples
 from support import wire_log
 
-from dpstack.dp.acyclic import Acyclic
-from dpstack.dp.commands import Mode, SetMode
-from dpstack.dp.events import SlaveState
-from dpstack.dp.master import Master
-from dpstack.dp.mirror import MirrorDevice
-from dpstack.dp.setup import SlaveSetup
-from dpstack.dp.slaveapp import make_slave
-from dpstack.dp.v1.alarm_events import AlarmRaised, StatusTold
-from dpstack.dp.v1.alarm_server import AlarmEnd, AlarmServer, AlarmSupport, Raised
-from dpstack.dp.v1.alarms import Alarm, Status
-from dpstack.dp.v1.status import ALARMS, Dpv1
+from dpstack.dp.acyclic.queue import Acyclic
+from dpstack.dp.master.commands import Mode, SetMode
+from dpstack.dp.master.events import SlaveState
+from dpstack.dp.master.master import Master
+from dpstack.dp.slave.application import make_slave
+from dpstack.dp.slave.loopback_device import MirrorDevice
+from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dpv1.master.alarm_events import AlarmRaised, StatusTold
+from dpstack.dpv1.pdu.alarms import Alarm, Status
+from dpstack.dpv1.pdu.dpv1_status import ALARMS, Dpv1
+from dpstack.dpv1.slave.alarms import AlarmEnd, AlarmServer, AlarmSupport, Raised
 from dpstack.errors import AlarmError
-from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.params import BusParams
 from dpstack.sim.transmission import Transmission

@@ -8,22 +8,22 @@ from class2_kit import MS, Class2Bus
 from octet_slave import NR, RR, RS, UE, OctetSlave, sd1, sd2
 from support import WorldFactory
 
-from dpstack.dp.acyclic import CAPACITY, Acyclic, CancelService
-from dpstack.dp.acyclic_job import ServiceFailure
-from dpstack.dp.class2 import ReadService
-from dpstack.dp.class2_jobs import Service, ServiceDone
-from dpstack.dp.commands import Mode, SetMode
-from dpstack.dp.diagnosis import Diagnosis
-from dpstack.dp.events import SlaveDiagnosis, SlaveStateChanged
-from dpstack.dp.master import Master
-from dpstack.dp.mirror import MirrorDevice
-from dpstack.dp.slaveapp import SlaveApp, SlaveAppState
+from dpstack.dp.acyclic.class2_part import ReadService
+from dpstack.dp.acyclic.class2_services import Service, ServiceDone
+from dpstack.dp.acyclic.job import ServiceFailure
+from dpstack.dp.acyclic.queue import CAPACITY, Acyclic, CancelService
+from dpstack.dp.master.commands import Mode, SetMode
+from dpstack.dp.master.events import SlaveDiagnosis, SlaveStateChanged
+from dpstack.dp.master.master import Master
+from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.slave.application import SlaveApp, SlaveAppState
+from dpstack.dp.slave.loopback_device import MirrorDevice
 from dpstack.errors import UsageError
-from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import AttachUser, GoOffline, GoOnline
-from dpstack.fdl.passive import PassiveStation
+from dpstack.fdl.interface import Reply
+from dpstack.fdl.passive.station import PassiveStation
 from dpstack.fdl.telegram import Telegram
-from dpstack.fdl.user import Reply
 from dpstack.machine import LineDown, LineUp
 from dpstack.params import BusParams
 from dpstack.trace import Event

@@ -9,18 +9,18 @@ from octet_slave import DL, RS, OctetSlave, sd1, sd2
 from ring_bus import fixed
 from support import WorldFactory
 
-from dpstack.dp.acyclic import Acyclic
-from dpstack.dp.acyclic_job import Heard, Outcome, ServiceFailure
-from dpstack.dp.class2 import ChangeAddress
-from dpstack.dp.class2_jobs import Service, ServiceDone, asked, request
-from dpstack.dp.mirror import MirrorDevice
-from dpstack.dp.reading import reading_only
-from dpstack.dp.slaveapp import SlaveApp
+from dpstack.dp.acyclic.class2_part import ChangeAddress
+from dpstack.dp.acyclic.class2_services import Service, ServiceDone, asked, request
+from dpstack.dp.acyclic.job import Heard, Outcome, ServiceFailure
+from dpstack.dp.acyclic.queue import Acyclic
+from dpstack.dp.master.read_only import reading_only
+from dpstack.dp.slave.application import SlaveApp
+from dpstack.dp.slave.loopback_device import MirrorDevice
 from dpstack.errors import UsageError
 from dpstack.fdl.commands import AttachUser
-from dpstack.fdl.passive import PassiveStation
+from dpstack.fdl.interface import LONG_NS, SC_REPLY, Failure, Reply, StationControl
+from dpstack.fdl.passive.station import PassiveStation
 from dpstack.fdl.telegram import Telegram
-from dpstack.fdl.user import LONG_NS, SC_REPLY, Failure, Reply, StationControl
 from dpstack.machine import LineDown
 from dpstack.params import BusParams
 from dpstack.trace import Notice

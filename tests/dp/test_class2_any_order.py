@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from octet_slave import RR, RS, SC, OctetSlave, Say, sd1, sd2
 from property_kit import examples
 
-from dpstack.dp.acyclic import CancelService
-from dpstack.dp.acyclic_job import ServiceFailure
-from dpstack.dp.class2 import ChangeAddress, ReadService
-from dpstack.dp.class2_jobs import Service
+from dpstack.dp.acyclic.class2_part import ChangeAddress, ReadService
+from dpstack.dp.acyclic.class2_services import Service
+from dpstack.dp.acyclic.job import ServiceFailure
+from dpstack.dp.acyclic.queue import CancelService
 from dpstack.errors import UsageError
 from dpstack.fdl.commands import GoOffline, GoOnline
 from dpstack.machine import LineDown, LineUp

@@ -15,11 +15,10 @@ from bus_kit import mirror
 from cycle_kit import CycleBus, slave
 from support import MS, WorldFactory
 
-from dpstack.dp.acyclic import Acyclic
-from dpstack.dp.cadence import Cadence
-from dpstack.dp.class2 import ReadService
-from dpstack.dp.class2_jobs import Service
-from dpstack.dp.commands import (
+from dpstack.dp.acyclic.class2_part import ReadService
+from dpstack.dp.acyclic.class2_services import Service
+from dpstack.dp.acyclic.queue import Acyclic
+from dpstack.dp.master.commands import (
     ActivateSlave,
     AddSlave,
     DeactivateSlave,
@@ -28,9 +27,10 @@ from dpstack.dp.commands import (
     ReparameteriseSlave,
     SetMode,
 )
-from dpstack.dp.cycle import CycleData
-from dpstack.dp.rotations import Case, figures, t_tr_preset
-from dpstack.dp.setup import SlaveSetup
+from dpstack.dp.master.cycle_part import CycleData
+from dpstack.dp.master.fixed_cycle import Cadence
+from dpstack.dp.plan.rotation_time import Case, figures, t_tr_preset
+from dpstack.dp.slave_params import SlaveSetup
 from dpstack.errors import BusError, UsageError
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT, HOST

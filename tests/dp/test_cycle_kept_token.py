@@ -6,12 +6,12 @@ import pytest
 from cycle_kit import CycleBus, slave
 from support import MS, WorldFactory
 
-from dpstack.dp.acyclic import Acyclic
-from dpstack.dp.class2 import ReadService
-from dpstack.dp.class2_jobs import Service, ServiceDone
-from dpstack.dp.plan_cycle import Verdict, least_ns
-from dpstack.dp.rotations import figures
-from dpstack.fdl.budget import PATIENCE
+from dpstack.dp.acyclic.class2_part import ReadService
+from dpstack.dp.acyclic.class2_services import Service, ServiceDone
+from dpstack.dp.acyclic.queue import Acyclic
+from dpstack.dp.plan.cycle_check import Verdict, least_ns
+from dpstack.dp.plan.rotation_time import figures
+from dpstack.fdl.active.cycle_window import PATIENCE
 from dpstack.params import BusParams
 from dpstack.units import NS_PER_US
 

@@ -8,10 +8,10 @@ import pytest
 from cycle_kit import CycleBus, slave
 from support import MS, WorldFactory
 
-from dpstack.dp.commands import AddSlave, Mode, RemoveSlave, SendControl, SetMode, Shutdown
-from dpstack.dp.events import SlaveRemark, SlaveState
-from dpstack.dp.setup import SlaveSetup
-from dpstack.dp.slaveapp import SlaveApp
+from dpstack.dp.master.commands import AddSlave, Mode, RemoveSlave, SendControl, SetMode, Shutdown
+from dpstack.dp.master.events import SlaveRemark, SlaveState
+from dpstack.dp.slave.application import SlaveApp
+from dpstack.dp.slave_params import SlaveSetup
 from dpstack.errors import ConfigError, UsageError
 from dpstack.params import BusParams
 

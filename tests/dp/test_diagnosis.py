@@ -6,15 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpstack.dp.diagnosis import FLAG, FLAGS, Diagnosis, SetBy
-from dpstack.dp.ext_diagnosis import (
-    Block,
-    ChannelBlock,
-    DeviceBlock,
-    IdentifierBlock,
-    RevisionBlock,
-    split_blocks,
-)
+from dpstack.dp.pdu.diag_blocks import Block, ChannelBlock, DeviceBlock, IdentifierBlock, RevisionBlock, split_blocks
+from dpstack.dp.pdu.diagnosis import FLAG, FLAGS, Diagnosis, SetBy
 from dpstack.errors import PduError
 
 PROPERTIES = {

@@ -8,13 +8,13 @@ from typing import Any
 import pytest
 from slave_kit import CFG, CLEAR, FREEZE, MS, OPERATE, PRM, PRM_NO_WD, SYNC, UNLOCK, UNSYNC, Bench
 
-from dpstack.dp.device import FunctionDevice, Leave, OnCycle
-from dpstack.dp.dp_slave import DpSlave
-from dpstack.dp.slave_description import SlaveDescription, SlaveModule
-from dpstack.dp.slave_events import DeviceFailed
-from dpstack.dp.slaveapp import SlaveAppState
+from dpstack.dp.slave.application import SlaveAppState
+from dpstack.dp.slave.description import SlaveDescription, SlaveModule
+from dpstack.dp.slave.device import FunctionDevice, Leave, OnCycle
+from dpstack.dp.slave.slave_events import DeviceFailed
+from dpstack.dp.slave.user_slave import DpSlave
 from dpstack.errors import ConfigError
-from dpstack.fdl.user import RS_REPLY
+from dpstack.fdl.interface import RS_REPLY
 
 IDENT = 0x0A35
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from dpstack.dp.slave_states import ACCESS
+from dpstack.dp.slave.state_table import ACCESS
 from tools.make_dp_v0_docs import TARGET, render
 
 ROOT = Path(__file__).resolve().parent.parent.parent

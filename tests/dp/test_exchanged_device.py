@@ -5,11 +5,11 @@ from __future__ import annotations
 from bus_kit import IDENT, PPO1, SimBus
 from support import MS, S, WorldFactory
 
-from dpstack.dp.commands import AddSlave
-from dpstack.dp.events import SlaveFaulted, SlaveState, SlaveStateChanged
-from dpstack.dp.mirror import MirrorDevice
-from dpstack.dp.setup import SlaveSetup
-from dpstack.dp.slaveapp import make_slave
+from dpstack.dp.master.commands import AddSlave
+from dpstack.dp.master.events import SlaveFaulted, SlaveState, SlaveStateChanged
+from dpstack.dp.slave.application import make_slave
+from dpstack.dp.slave.loopback_device import MirrorDevice
+from dpstack.dp.slave_params import SlaveSetup
 from dpstack.fdl.events import StationFound
 from dpstack.params import BusParams
 

@@ -11,8 +11,8 @@ from bus_kit import SimBus
 from support import MS, WorldFactory
 
 import dpstack
-from dpstack.dp.master import Master
-from dpstack.dp.plan import Case
+from dpstack.dp.master.master import Master
+from dpstack.dp.plan.plan import Case
 from dpstack.params import BusParams
 from dpstack.stats import Histogram
 from dpstack.trace import WireEntry

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpstack.dp.fields import Field, FieldMap, Value, as_json, field_of, overlap
+from dpstack.dp.process_data import Field, FieldMap, Value, as_json, field_of, overlap
 from dpstack.errors import ConfigError
 
 OCTETS = bytes.fromhex("80 01 FF FE 7F FF FF FF 3F C0 00 00 00 00 00 05")

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from scripted_link import MS, ScriptedSlave, exchanging, link, setup
 
-from dpstack.dp.commands import AddSlave, Mode, RemoveSlave, SetMode, Shutdown
-from dpstack.dp.events import MasterStopped, SlaveState
+from dpstack.dp.master.commands import AddSlave, Mode, RemoveSlave, SetMode, Shutdown
+from dpstack.dp.master.events import MasterStopped, SlaveState
 from dpstack.errors import ConfigError, UsageError
 from dpstack.fdl.telegram import SHORT_ACK, Req
 from dpstack.machine import LineDown

@@ -19,7 +19,7 @@ from property_kit import examples
 from scripted_link import MS, ScriptedLink
 from support_responder import Slave as OctetSlave
 
-from dpstack.dp.commands import (
+from dpstack.dp.master.commands import (
     ActivateSlave,
     AddSlave,
     DeactivateSlave,
@@ -29,15 +29,15 @@ from dpstack.dp.commands import (
     SendControl,
     SetMode,
 )
-from dpstack.dp.events import ControlFailed, ControlSent, PictureTaken, SlaveState
-from dpstack.dp.master import Master
-from dpstack.dp.mirror import MirrorDevice
-from dpstack.dp.setup import SlaveSetup
-from dpstack.dp.slaveapp import SlaveApp
+from dpstack.dp.master.events import ControlFailed, ControlSent, PictureTaken, SlaveState
+from dpstack.dp.master.master import Master
+from dpstack.dp.slave.application import SlaveApp
+from dpstack.dp.slave.loopback_device import MirrorDevice
+from dpstack.dp.slave_params import SlaveSetup
 from dpstack.errors import BusError, UsageError
 from dpstack.fdl.codec import decode
+from dpstack.fdl.interface import Expect, Failure, Reply, Request
 from dpstack.fdl.telegram import SAP_SET_SLAVE_ADD, SHORT_ACK, Kind, Telegram
-from dpstack.fdl.user import Expect, Failure, Reply, Request
 from dpstack.machine import LineDown
 from dpstack.params import BusParams
 

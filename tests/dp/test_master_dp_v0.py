@@ -22,9 +22,9 @@ from scripted_link import (
     wire,
 )
 
-from dpstack.dp.commands import DeactivateSlave
-from dpstack.dp.diag_bits import FLAGS, Does, SetBy
-from dpstack.dp.events import SlaveDiagnosis, SlaveState
+from dpstack.dp.master.commands import DeactivateSlave
+from dpstack.dp.master.events import SlaveDiagnosis, SlaveState
+from dpstack.dp.pdu.diag_bits import FLAGS, Does, SetBy
 
 
 def inputs_valid(bus: ScriptedLink) -> bool:

@@ -7,11 +7,11 @@ from collections.abc import Callable
 import pytest
 from scripted_link import DIAG_FREE, DIAG_READY, MS, ScriptedSlave, data, exchanging, link, setup
 
-from dpstack.dp.events import SlaveFaulted, SlaveState
-from dpstack.dp.v1.status import Dpv1
+from dpstack.dp.master.events import SlaveFaulted, SlaveState
+from dpstack.dpv1.pdu.dpv1_status import Dpv1
 from dpstack.fdl.events import StationFound
+from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.telegram import Kind, StationType, Telegram
-from dpstack.fdl.user import Failure, Request
 
 
 def test_absent_slave_backs_off_is_told_once_and_the_other_goes_on() -> None:

@@ -5,16 +5,10 @@ from __future__ import annotations
 import pytest
 from scripted_link import CHK_CFG, DIAG, MS, RUN, SAFE, SET_PRM, data, link, mode_of, operating, setup, squeezed, wire
 
-from dpstack.dp.commands import (
-    ActivateSlave,
-    DeactivateSlave,
-    Mode,
-    ReparameteriseSlave,
-    SetMode,
-)
-from dpstack.dp.events import AutoCleared, OperateWaits, SlaveState
+from dpstack.dp.master.commands import ActivateSlave, DeactivateSlave, Mode, ReparameteriseSlave, SetMode
+from dpstack.dp.master.events import AutoCleared, OperateWaits, SlaveState
+from dpstack.fdl.interface import Request
 from dpstack.fdl.telegram import SHORT_ACK, Telegram
-from dpstack.fdl.user import Request
 
 # --- auto-clear -----------------------------------------------------------------------------------------------------
 

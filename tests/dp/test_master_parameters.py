@@ -7,12 +7,12 @@ import itertools
 import pytest
 from scripted_link import MS, RUN, SAFE, data, link, operating, setup, squeezed, wire
 
-from dpstack.dp.commands import Mode, SetMode
-from dpstack.dp.events import SlaveState
-from dpstack.dp.setup import WatchdogTime, watchdog_factors
+from dpstack.dp.master.commands import Mode, SetMode
+from dpstack.dp.master.events import SlaveState
+from dpstack.dp.slave_params import WatchdogTime, watchdog_factors
 from dpstack.errors import ConfigError
+from dpstack.fdl.interface import Request
 from dpstack.fdl.telegram import SHORT_ACK, Telegram
-from dpstack.fdl.user import Request
 
 # --- lengths --------------------------------------------------------------------------------------------------------
 

@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 from scripted_link import DIAG_FREE, DIAG_READY, MS, ScriptedSlave, data, exchanging, link, setup
 
-from dpstack.dp.bringup import TABLE
-from dpstack.dp.commands import ActivateSlave, DeactivateSlave
-from dpstack.dp.events import SlaveState
+from dpstack.dp.master.commands import ActivateSlave, DeactivateSlave
+from dpstack.dp.master.events import SlaveState
+from dpstack.dp.master.slave_states import TABLE
+from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.telegram import Kind, Telegram
-from dpstack.fdl.user import Failure, Request
 
 
 def test_states_of_the_table_are_reachable_and_named() -> None:
@@ -46,7 +46,7 @@ _WANTS, _BAD_PRM, _STATIC, _WAITS = "02 05 00 FF 06 96", "42 05 00 02 06 96", "0
 
 
 def test_every_row_of_the_table_is_exercised(monkeypatch: pytest.MonkeyPatch) -> None:
-    from dpstack.dp import slave_handler
+    from dpstack.dp.master import slave_handler
 
     table = _Recorder()
     monkeypatch.setattr(slave_handler, "TABLE", table)

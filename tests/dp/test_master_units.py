@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from scripted_link import MS, exchanging, operating, setup
 
-from dpstack.dp.commands import DriveCommand, Mode, ReparameteriseSlave, SetMode
-from dpstack.dp.events import DriveEvent, SlaveState
+from dpstack.dp.master.commands import DriveCommand, Mode, ReparameteriseSlave, SetMode
+from dpstack.dp.master.events import DriveEvent, SlaveState
 from dpstack.errors import UsageError
 
 

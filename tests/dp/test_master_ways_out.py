@@ -5,11 +5,11 @@ from __future__ import annotations
 import pytest
 from scripted_link import MS, RUN, SAFE, ScriptedLink, ScriptedSlave, data, operating, setup
 
-from dpstack.dp.commands import AddSlave, Mode, RemoveSlave, SetMode, Shutdown
-from dpstack.dp.events import MasterStopped, ModeChanged, SlaveState, SlaveStateChanged
-from dpstack.dp.master import Master
+from dpstack.dp.master.commands import AddSlave, Mode, RemoveSlave, SetMode, Shutdown
+from dpstack.dp.master.events import MasterStopped, ModeChanged, SlaveState, SlaveStateChanged
+from dpstack.dp.master.master import Master
+from dpstack.fdl.interface import Failure
 from dpstack.fdl.telegram import Kind, Telegram
-from dpstack.fdl.user import Failure
 from dpstack.machine import LineDown
 from dpstack.params import BusParams
 

@@ -6,12 +6,12 @@ import pytest
 from ms1_kit import MS, Ms1Bus, OctetMs1Slave, answer, first_an_old_one, status
 from octet_slave import NR, RR, RS, SC, UE
 
-from dpstack.dp.acyclic import CAPACITY, CancelService
-from dpstack.dp.acyclic_job import ServiceFailure
-from dpstack.dp.class2 import ReadService
-from dpstack.dp.class2_jobs import Service, ServiceDone
-from dpstack.dp.v1.ms1 import ReadRecord, RecordDone, WriteRecord
-from dpstack.dp.v1.status import Dpv1
+from dpstack.dp.acyclic.class2_part import ReadService
+from dpstack.dp.acyclic.class2_services import Service, ServiceDone
+from dpstack.dp.acyclic.job import ServiceFailure
+from dpstack.dp.acyclic.queue import CAPACITY, CancelService
+from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone, WriteRecord
+from dpstack.dpv1.pdu.dpv1_status import Dpv1
 from dpstack.errors import UsageError
 
 RDL = 0x0C

@@ -17,16 +17,16 @@ from patient_kit import Patient
 from property_kit import examples
 from support import wire_log
 
-from dpstack.dp.acyclic import Acyclic, CancelService
-from dpstack.dp.acyclic_job import ServiceFailure
-from dpstack.dp.commands import Mode, SetMode
-from dpstack.dp.events import SlaveState
-from dpstack.dp.master import Master
-from dpstack.dp.setup import SlaveSetup
-from dpstack.dp.slaveapp import make_slave
-from dpstack.dp.v1.ms1 import ReadRecord, RecordDone, WriteRecord
-from dpstack.dp.v1.status import Dpv1
-from dpstack.fdl.active import ActiveStation
+from dpstack.dp.acyclic.job import ServiceFailure
+from dpstack.dp.acyclic.queue import Acyclic, CancelService
+from dpstack.dp.master.commands import Mode, SetMode
+from dpstack.dp.master.events import SlaveState
+from dpstack.dp.master.master import Master
+from dpstack.dp.slave.application import make_slave
+from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone, WriteRecord
+from dpstack.dpv1.pdu.dpv1_status import Dpv1
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.params import BusParams
 from dpstack.sim.transmission import Transmission

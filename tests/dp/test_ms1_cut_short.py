@@ -6,10 +6,10 @@ import pytest
 from ms1_kit import MS, Ms1Bus, answer, first_an_old_one
 from octet_slave import SC
 
-from dpstack.dp.acyclic import CancelService
-from dpstack.dp.acyclic_job import ServiceFailure
-from dpstack.dp.commands import Mode, RemoveSlave, SetMode
-from dpstack.dp.v1.ms1 import ReadRecord, WriteRecord
+from dpstack.dp.acyclic.job import ServiceFailure
+from dpstack.dp.acyclic.queue import CancelService
+from dpstack.dp.master.commands import Mode, RemoveSlave, SetMode
+from dpstack.dpv1.master.ms1 import ReadRecord, WriteRecord
 from dpstack.machine import LineDown
 
 

@@ -6,20 +6,20 @@ import pytest
 from bus_kit import IDENT, PPO1
 from support import MS, WorldFactory
 
-from dpstack.dp.acyclic import Acyclic
-from dpstack.dp.commands import Mode, SetMode
-from dpstack.dp.durations import acyclic_bits
-from dpstack.dp.events import SlaveState
-from dpstack.dp.master import Master
-from dpstack.dp.mirror import MirrorDevice
-from dpstack.dp.setup import SlaveSetup
-from dpstack.dp.slaveapp import make_slave
-from dpstack.dp.v1.device_records import RecordTable
-from dpstack.dp.v1.ms1 import ReadRecord, RecordDone
-from dpstack.dp.v1.status import Dpv1
-from dpstack.fdl.active import ActiveStation
+from dpstack.dp.acyclic.queue import Acyclic
+from dpstack.dp.master.commands import Mode, SetMode
+from dpstack.dp.master.events import SlaveState
+from dpstack.dp.master.master import Master
+from dpstack.dp.slave.application import make_slave
+from dpstack.dp.slave.loopback_device import MirrorDevice
+from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.telegram_times import acyclic_bits
+from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone
+from dpstack.dpv1.pdu.dpv1_status import Dpv1
+from dpstack.dpv1.slave.record_table import RecordTable
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
-from dpstack.fdl.user import LinkUser
+from dpstack.fdl.interface import LinkUser
 from dpstack.params import BusParams
 from dpstack.sim.world import World
 from dpstack.stats import Histogram

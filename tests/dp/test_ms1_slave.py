@@ -5,15 +5,15 @@ from __future__ import annotations
 import pytest
 from slave_kit import CFG, MASTER, OTHER, PRM, UNLOCK, Bench, Recorder
 
-from dpstack.dp.slaveapp import SlaveAppState
-from dpstack.dp.v1.codes import Code
-from dpstack.dp.v1.device_records import ImRecords, RecordTable
-from dpstack.dp.v1.im import Im, Im0, Im1, Im3
-from dpstack.dp.v1.records import WriteReq
-from dpstack.dp.v1.tickets import Records, Ticket
+from dpstack.dp.slave.application import SlaveAppState
+from dpstack.dpv1.pdu.error_codes import Code
+from dpstack.dpv1.pdu.im import Im, Im0, Im1, Im3
+from dpstack.dpv1.pdu.read_write import WriteReq
+from dpstack.dpv1.slave.record_requests import Records, Ticket
+from dpstack.dpv1.slave.record_table import ImRecords, RecordTable
 from dpstack.errors import RecordRefused
+from dpstack.fdl.interface import RS_REPLY, SC_REPLY, Reply
 from dpstack.fdl.telegram import Resp
-from dpstack.fdl.user import RS_REPLY, SC_REPLY, Reply
 
 ENABLE = PRM + b"\x80\0\0"
 

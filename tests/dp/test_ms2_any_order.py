@@ -12,10 +12,10 @@ from ms2_kit import DL, MS, SC, Ms2Bus, sd1, sd2
 from octet_slave import NR, RR, RS, UE
 from property_kit import examples
 
-from dpstack.dp.acyclic import CancelService
-from dpstack.dp.acyclic_job import ServiceFailure
-from dpstack.dp.v1.ms1 import RecordDone
-from dpstack.dp.v1.ms2_orders import (
+from dpstack.dp.acyclic.job import ServiceFailure
+from dpstack.dp.acyclic.queue import CancelService
+from dpstack.dpv1.master.ms1 import RecordDone
+from dpstack.dpv1.master.ms2_commands import (
     CloseConnection,
     ConnectionOver,
     InitiateDone,

@@ -5,15 +5,15 @@ from __future__ import annotations
 from ms2_kit import Ms2Server, ms2_in
 from support import MS, WorldFactory
 
-from dpstack.dp.acyclic import Acyclic
-from dpstack.dp.commands import Mode, SetMode
-from dpstack.dp.durations import acyclic_bits
-from dpstack.dp.events import SlaveState
-from dpstack.dp.master import Master
-from dpstack.dp.setup import SlaveSetup
-from dpstack.dp.v1.ms1 import RecordDone
-from dpstack.dp.v1.ms2_orders import InitiateDone, OpenConnection, ReadOver
-from dpstack.fdl.active import ActiveStation
+from dpstack.dp.acyclic.queue import Acyclic
+from dpstack.dp.master.commands import Mode, SetMode
+from dpstack.dp.master.events import SlaveState
+from dpstack.dp.master.master import Master
+from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.telegram_times import acyclic_bits
+from dpstack.dpv1.master.ms1 import RecordDone
+from dpstack.dpv1.master.ms2_commands import InitiateDone, OpenConnection, ReadOver
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.events import DoesNotFit
 from dpstack.params import BusParams

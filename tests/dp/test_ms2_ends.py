@@ -6,9 +6,9 @@ import pytest
 from ms2_kit import MS, Ms2Bus, served
 from ring_bus import Sent
 
-from dpstack.dp.acyclic_job import ServiceFailure
-from dpstack.dp.v1.ms1 import RecordDone
-from dpstack.dp.v1.ms2_orders import (
+from dpstack.dp.acyclic.job import ServiceFailure
+from dpstack.dpv1.master.ms1 import RecordDone
+from dpstack.dpv1.master.ms2_commands import (
     CloseConnection,
     CloseConnections,
     ConnectionOver,

@@ -6,14 +6,10 @@ import pytest
 from ms2_kit import DL, MS, SC, Ms2Bus, sd2
 from ring_bus import Sent
 
-from dpstack.dp.acyclic import CancelService
-from dpstack.dp.acyclic_job import ServiceFailure
-from dpstack.dp.reading import reading_only
-from dpstack.dp.v1.ms2_orders import (
-    CloseConnection,
-    ConnectionOver,
-    InitiateDone,
-)
+from dpstack.dp.acyclic.job import ServiceFailure
+from dpstack.dp.acyclic.queue import CancelService
+from dpstack.dp.master.read_only import reading_only
+from dpstack.dpv1.master.ms2_commands import CloseConnection, ConnectionOver, InitiateDone
 
 RDL = 0x0C
 

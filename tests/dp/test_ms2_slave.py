@@ -18,11 +18,11 @@ from octet_class2 import (
 from octet_wire import MS
 from slave_kit import CFG, PRM, Recorder
 
-from dpstack.dp.slaveapp import SlaveAppState
-from dpstack.dp.v1.device_records import ImRecords
-from dpstack.dp.v1.im import Im0, Im1
-from dpstack.dp.v1.tickets import Ticket, TransportTicket
-from dpstack.dp.v1.times import least_send_timeout
+from dpstack.dp.slave.application import SlaveAppState
+from dpstack.dpv1.pdu.im import Im0, Im1
+from dpstack.dpv1.slave.record_requests import Ticket, TransportTicket
+from dpstack.dpv1.slave.record_table import ImRecords
+from dpstack.dpv1.timeouts import least_send_timeout
 from dpstack.errors import ConfigError, RecordRefused
 
 # --- the sequence ---------------------------------------------------------------------------------------------------

@@ -12,9 +12,9 @@ from octet_wire import MS, Wire
 from property_kit import examples
 from slave_kit import Recorder
 
-from dpstack.dp.slave_events import ConnectionClosed, ConnectionOpened
-from dpstack.dp.slaveapp import SlaveApp, make_slave
-from dpstack.dp.v1.tickets import Ticket, TransportTicket
+from dpstack.dp.slave.application import SlaveApp, make_slave
+from dpstack.dp.slave.slave_events import ConnectionClosed, ConnectionOpened
+from dpstack.dpv1.slave.record_requests import Ticket, TransportTicket
 from dpstack.params import BusParams
 
 COUNT = 3

@@ -18,9 +18,9 @@ from octet_class2 import (
 from octet_wire import MS
 from slave_kit import Recorder
 
-from dpstack.dp.slave_baud import SearchingSlave
-from dpstack.dp.v1.connection import Abort
-from dpstack.dp.v1.ms2_server_states import TABLE, Act, Ev, State
+from dpstack.dp.slave.auto_baud import SearchingSlave
+from dpstack.dpv1.pdu.ms2 import Abort
+from dpstack.dpv1.slave.ms2_states import TABLE, Act, Ev, State
 
 # --- time -------------------------------------------------------------------------------------------------------------
 

@@ -7,9 +7,9 @@ from octet_class2 import ABORT_REQUEST, INITIATE, OPENED, RS, SC, Class2
 from octet_wire import MS, Wire
 from slave_kit import Recorder
 
-from dpstack.dp.slaveapp import SlaveApp, make_slave
-from dpstack.dp.v1.connection import InitiateReq
-from dpstack.dp.v1.tickets import Ticket
+from dpstack.dp.slave.application import SlaveApp, make_slave
+from dpstack.dpv1.pdu.ms2 import InitiateReq
+from dpstack.dpv1.slave.record_requests import Ticket
 from dpstack.errors import ConfigError, RecordRefused, UsageError
 from dpstack.params import BusParams
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dpstack.dp.events import SlaveRemark
-from dpstack.dp.findings import Findings
-from dpstack.dp.once import News, Once
+from dpstack.dp.master.events import SlaveRemark
+from dpstack.dp.master.fault_report import Findings
+from dpstack.report_once import News, Once
 from dpstack.trace import Event
 
 

@@ -11,10 +11,10 @@ from ms1_kit import Ms1Bus, answer, first_an_old_one
 from ms2_kit import DL, MS, RS, SC, Ms2Bus, sd1, sd2
 from octet_slave import RR
 
-from dpstack.dp.acyclic_job import ServiceFailure
-from dpstack.dp.v1.ms1 import ReadRecord
-from dpstack.dp.v1.ms2_orders import ConnectionOver
-from dpstack.dp.v1.status import Dpv1
+from dpstack.dp.acyclic.job import ServiceFailure
+from dpstack.dpv1.master.ms1 import ReadRecord
+from dpstack.dpv1.master.ms2_commands import ConnectionOver
+from dpstack.dpv1.pdu.dpv1_status import Dpv1
 
 
 def test_services_with_less_time_than_the_slave_do_not_fetch_for_ever() -> None:

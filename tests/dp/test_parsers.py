@@ -10,18 +10,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from linear_kit import assert_linear
 
-from dpstack.dp.diagnosis import Diagnosis
-from dpstack.dp.pdu import GlobalControl, SetPrm, SetSlaveAdd
-from dpstack.dp.v1 import im
-from dpstack.dp.v1.alarms import AlarmAck, parse_block
-from dpstack.dp.v1.connection import Abort, DataTransport, InitiateReq, InitiateRes, ResourceManagerRes
-from dpstack.dp.v1.ms2_server_connection import parse_transport
-from dpstack.dp.v1.prm_blocks import parse_blocks
-from dpstack.dp.v1.records import parse_request, parse_response
+from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.pdu.requests import GlobalControl, SetPrm, SetSlaveAdd
+from dpstack.dpv1.pdu import im
+from dpstack.dpv1.pdu.alarms import AlarmAck, parse_block
+from dpstack.dpv1.pdu.ms2 import Abort, DataTransport, InitiateReq, InitiateRes, ResourceManagerRes
+from dpstack.dpv1.pdu.prm_blocks import parse_blocks
+from dpstack.dpv1.pdu.read_write import parse_request, parse_response
+from dpstack.dpv1.slave.ms2_connection import parse_transport
 from dpstack.errors import ConfigError, PduError
 from dpstack.fdl.codec import decode
 from dpstack.gsd.identifiers import agree, parse_identifiers
-from dpstack.profile.acyclic.record47 import Request, Response
+from dpstack.profile.record47.pdu import Request, Response
 
 PARSERS: dict[str, Callable[[bytes], object]] = {
     "diagnosis": Diagnosis.parse,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from dpstack.dp.plan import Case, make_plan, rotation, t_tr_preset, watchdog_ms
-from dpstack.dp.setup import SlaveSetup
+from dpstack.dp.plan.plan import Case, make_plan, rotation, t_tr_preset, watchdog_ms
+from dpstack.dp.slave_params import SlaveSetup
 from dpstack.params import BusParams
 from dpstack.units import BAUD_RATES, NS_PER_MS, NS_PER_US
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 from planned_bus import IDENT, identifiers
 
-from dpstack.dp.plan import OtherMasters, Plan, make_plan
-from dpstack.dp.plan_cycle import Verdict, slowest_rates, token_wait_ns
-from dpstack.dp.rotations import figures
-from dpstack.dp.setup import SlaveSetup
+from dpstack.dp.plan.cycle_check import Verdict, slowest_rates, token_wait_ns
+from dpstack.dp.plan.plan import OtherMasters, Plan, make_plan
+from dpstack.dp.plan.rotation_time import figures
+from dpstack.dp.slave_params import SlaveSetup
 from dpstack.params import BusParams
 from dpstack.units import BAUD_RATES, NS_PER_MS
 

@@ -19,9 +19,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from planned_bus import identifiers, setups
 
-from dpstack.api.compose import plan_bus
-from dpstack.api.config import load_config
-from dpstack.dp.plan import Case, rotation
+from dpstack.api.bus.compose import plan_bus
+from dpstack.api.config.config import load_config
+from dpstack.dp.plan.plan import Case, rotation
 from dpstack.params import BusParams
 from dpstack.units import BAUD_RATES
 

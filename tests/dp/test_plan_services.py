@@ -9,10 +9,10 @@ import pytest
 from octet_slave import DL, SC, sd2
 from ring_bus import ListUser, RingBus
 
-from dpstack.dp.durations import acyclic_bits, exchange_bits, service_bits, service_octets
-from dpstack.dp.setup import SlaveSetup
+from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.telegram_times import acyclic_bits, exchange_bits, service_bits, service_octets
+from dpstack.fdl.interface import Request
 from dpstack.fdl.telegram import Req
-from dpstack.fdl.user import Request
 from dpstack.params import BusParams
 from dpstack.units import BAUD_RATES, NS_PER_S
 

@@ -7,10 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from slave_kit import Bench
 
-from dpstack.dp.dp_slave import DpSlave
-from dpstack.dp.slave_description import SlaveDescription
-from dpstack.dp.slaveapp import SlaveApp, SlaveAppState
-from dpstack.dp.v1.prm_blocks import (
+from dpstack.dp.slave.application import SlaveApp, SlaveAppState
+from dpstack.dp.slave.description import SlaveDescription
+from dpstack.dp.slave.user_slave import DpSlave
+from dpstack.dpv1.pdu.prm_blocks import (
     BlockType,
     Content,
     DxbLink,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpstack.dp.rates import HYPERPERIOD, Share, fullest, offsets, round_interval_ns
+from dpstack.dp.rate_groups import HYPERPERIOD, Share, fullest, offsets, round_interval_ns
 
 
 def loads(shares: list[Share], chosen: dict[int, int], cycles: int) -> list[int]:

@@ -25,19 +25,19 @@ from recordings import (
 )
 from ring_bus import RingBus
 
-from dpstack.dp.commands import Mode, SetMode
-from dpstack.dp.describe import inside
-from dpstack.dp.diagnosis import Diagnosis
-from dpstack.dp.events import SlaveState
-from dpstack.dp.ext_diagnosis import DeviceBlock, IdentifierBlock
-from dpstack.dp.master import Master
-from dpstack.dp.mirror import MirrorDevice
-from dpstack.dp.pdu import SetPrm
-from dpstack.dp.setup import SlaveSetup
-from dpstack.dp.slaveapp import make_slave
-from dpstack.dp.v1.device_records import RecordTable
-from dpstack.dp.v1.status import Dpv1
-from dpstack.fdl.active import ActiveStation
+from dpstack.dp.master.commands import Mode, SetMode
+from dpstack.dp.master.events import SlaveState
+from dpstack.dp.master.master import Master
+from dpstack.dp.pdu.diag_blocks import DeviceBlock, IdentifierBlock
+from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.pdu.requests import SetPrm
+from dpstack.dp.slave.application import make_slave
+from dpstack.dp.slave.loopback_device import MirrorDevice
+from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dpv1.pdu.describe import inside
+from dpstack.dpv1.pdu.dpv1_status import Dpv1
+from dpstack.dpv1.slave.record_table import RecordTable
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.decoder import Decoder
 from dpstack.fdl.describe import describe_octets

@@ -9,22 +9,22 @@ from bus_kit import IDENT, PPO1, SimBus, mirror
 from ring_bus import ListUser, RingBus
 from support import MS, S, WorldFactory
 
-from dpstack.dp.commands import Mode, SetMode
-from dpstack.dp.diagnosis import Diagnosis
-from dpstack.dp.events import SlaveStateChanged
-from dpstack.dp.master import Master
-from dpstack.dp.mirror import MirrorDevice
-from dpstack.dp.reading import reading_only
-from dpstack.dp.scanner import Found, Scanner, SlaveView, StationSeen, view_of
-from dpstack.dp.setup import SlaveSetup
-from dpstack.dp.slaveapp import SlaveApp, SlaveAppState
-from dpstack.fdl.active import ActiveStation
+from dpstack.dp.master.commands import Mode, SetMode
+from dpstack.dp.master.events import SlaveStateChanged
+from dpstack.dp.master.master import Master
+from dpstack.dp.master.read_only import reading_only
+from dpstack.dp.master.scanner import Found, Scanner, SlaveView, StationSeen, view_of
+from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.slave.application import SlaveApp, SlaveAppState
+from dpstack.dp.slave.loopback_device import MirrorDevice
+from dpstack.dp.slave_params import SlaveSetup
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOffline, GoOnline
 from dpstack.fdl.events import TokenLost
+from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.livelist import LiveList
-from dpstack.fdl.passive import PassiveStation
+from dpstack.fdl.passive.station import PassiveStation
 from dpstack.fdl.telegram import Req, StationType
-from dpstack.fdl.user import Failure, Request
 from dpstack.params import BusParams
 from dpstack.sim.world import World
 from dpstack.trace import Event, Notice

@@ -5,14 +5,14 @@ from __future__ import annotations
 import pytest
 from support import MS, S
 
-from dpstack.dp.baud_watch import BaudState
-from dpstack.dp.mirror import MirrorDevice
-from dpstack.dp.searching_port import PortBaudChanged, SearchingPort
-from dpstack.dp.slaveapp import SlaveApp, SlaveAppState
+from dpstack.dp.slave.application import SlaveApp, SlaveAppState
+from dpstack.dp.slave.baud_control import BaudState
+from dpstack.dp.slave.loopback_device import MirrorDevice
+from dpstack.dp.slave.searching_port import PortBaudChanged, SearchingPort
 from dpstack.errors import ConfigError, UsageError
-from dpstack.fdl.autobaud import Missing
-from dpstack.fdl.multidrop import Multidrop
-from dpstack.fdl.passive import PassiveStation
+from dpstack.fdl.baud_search import Missing
+from dpstack.fdl.passive.multi_station import Multidrop
+from dpstack.fdl.passive.station import PassiveStation
 from dpstack.machine import LineDown, LineUp, Machine, RateRefused, pump
 from dpstack.params import BusParams
 from dpstack.units import NS_PER_MS

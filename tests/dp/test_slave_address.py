@@ -6,12 +6,12 @@ import pytest
 from octet_wire import PARAMS, Wire, framed
 from slave_kit import CFG, OTHER, PRM, Bench, Recorder
 
-from dpstack.dp.mirror import MirrorDevice
-from dpstack.dp.slave_events import AddressChanged, DeviceFailed, RequestRefused
-from dpstack.dp.slaveapp import SlaveApp, SlaveAppState, make_slave
-from dpstack.fdl.multidrop import Multidrop
-from dpstack.fdl.passive import PassiveStation
-from dpstack.fdl.user import RS_REPLY, SC_REPLY
+from dpstack.dp.slave.application import SlaveApp, SlaveAppState, make_slave
+from dpstack.dp.slave.loopback_device import MirrorDevice
+from dpstack.dp.slave.slave_events import AddressChanged, DeviceFailed, RequestRefused
+from dpstack.fdl.interface import RS_REPLY, SC_REPLY
+from dpstack.fdl.passive.multi_station import Multidrop
+from dpstack.fdl.passive.station import PassiveStation
 from dpstack.machine import pump
 
 #: new address 9, ident 0A35, No_Add_Chg 0

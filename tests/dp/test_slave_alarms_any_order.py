@@ -12,8 +12,8 @@ from property_kit import examples
 from slave_alarm_kit import KINDS, AlarmBench, prm
 from slave_kit import UNLOCK
 
-from dpstack.dp.v1.alarm_server import AlarmEnd, Raised
-from dpstack.dp.v1.alarms import Alarm, Status, kind_of
+from dpstack.dpv1.pdu.alarms import Alarm, Status, kind_of
+from dpstack.dpv1.slave.alarms import AlarmEnd, Raised
 from dpstack.errors import AlarmError
 
 LIMITS = {0: 1, 1: 2, 3: 8, 7: 32}

@@ -6,16 +6,16 @@ import pytest
 from bus_kit import IDENT, PPO1, setup
 from support import MS, S, WorldFactory
 
-from dpstack.api.bench import Unit
-from dpstack.api.config import slave_config
-from dpstack.dp.commands import Mode, SetMode
-from dpstack.dp.events import SlaveState
-from dpstack.dp.master import Master
-from dpstack.dp.mirror import MirrorDevice
-from dpstack.dp.slave_baud import BaudState, BaudStateChanged, SearchingSlave, make_searching_slave
-from dpstack.dp.slaveapp import SlaveAppState
+from dpstack.api.config.config import slave_config
+from dpstack.api.server.virtual_bench import Unit
+from dpstack.dp.master.commands import Mode, SetMode
+from dpstack.dp.master.events import SlaveState
+from dpstack.dp.master.master import Master
+from dpstack.dp.slave.application import SlaveAppState
+from dpstack.dp.slave.auto_baud import BaudState, BaudStateChanged, SearchingSlave, make_searching_slave
+from dpstack.dp.slave.loopback_device import MirrorDevice
 from dpstack.errors import UsageError
-from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.machine import LineUp, pump
 from dpstack.params import BusParams

@@ -16,11 +16,11 @@ from faulty_slaves import (
 from octet_wire import BIT, PARAMS, Wire, framed
 from slave_kit import CFG, MS, PRM, Bench
 
-from dpstack.dp.mirror import MirrorDevice
-from dpstack.dp.slave_events import SlaveAppStateChanged
-from dpstack.dp.slaveapp import SlaveApp, SlaveAppState, make_slave
+from dpstack.dp.slave.application import SlaveApp, SlaveAppState, make_slave
+from dpstack.dp.slave.loopback_device import MirrorDevice
+from dpstack.dp.slave.slave_events import SlaveAppStateChanged
+from dpstack.fdl.interface import RS_REPLY, SC_REPLY, Reply
 from dpstack.fdl.telegram import Resp
-from dpstack.fdl.user import RS_REPLY, SC_REPLY, Reply
 
 
 def test_the_telegrams_of_real_logs() -> None:

@@ -17,16 +17,16 @@ from faulty_slaves import (
 )
 from slave_kit import MS
 
-from dpstack.dp.commands import Mode, RemoveSlave, SetMode
-from dpstack.dp.device import Device
-from dpstack.dp.events import FaultKind, SlaveDiagnosis, SlaveFaulted, SlaveState, SlaveStateChanged
-from dpstack.dp.master import Master
-from dpstack.dp.mirror import MirrorDevice
-from dpstack.dp.setup import SlaveSetup
-from dpstack.dp.slaveapp import SlaveApp, SlaveAppState
-from dpstack.fdl.active import ActiveStation
+from dpstack.dp.master.commands import Mode, RemoveSlave, SetMode
+from dpstack.dp.master.events import FaultKind, SlaveDiagnosis, SlaveFaulted, SlaveState, SlaveStateChanged
+from dpstack.dp.master.master import Master
+from dpstack.dp.slave.application import SlaveApp, SlaveAppState
+from dpstack.dp.slave.device import Device
+from dpstack.dp.slave.loopback_device import MirrorDevice
+from dpstack.dp.slave_params import SlaveSetup
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
-from dpstack.fdl.passive import PassiveStation
+from dpstack.fdl.passive.station import PassiveStation
 from dpstack.params import BusParams
 from dpstack.sim.world import World
 from dpstack.trace import Event

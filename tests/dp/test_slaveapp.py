@@ -20,13 +20,13 @@ from slave_kit import (
     in_state,
 )
 
-from dpstack.dp.mirror import MirrorDevice
-from dpstack.dp.slave_events import RequestRefused, SlaveAppStateChanged, WatchdogExpired
-from dpstack.dp.slave_states import AppEv
-from dpstack.dp.slaveapp import SlaveApp, SlaveAppState
+from dpstack.dp.slave.application import SlaveApp, SlaveAppState
+from dpstack.dp.slave.loopback_device import MirrorDevice
+from dpstack.dp.slave.slave_events import RequestRefused, SlaveAppStateChanged, WatchdogExpired
+from dpstack.dp.slave.state_table import AppEv
 from dpstack.errors import ConfigError
+from dpstack.fdl.interface import RS_REPLY, SC_REPLY, Reply
 from dpstack.fdl.telegram import Resp
-from dpstack.fdl.user import RS_REPLY, SC_REPLY, Reply
 from dpstack.units import NEVER
 
 

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from property_kit import examples
 from slave_kit import CFG, KEEP, MS, PRM, PRM_NO_WD, SLAVE, UNLOCK, Bench, Recorder, global_control, srd
 
-from dpstack.dp.slaveapp import SlaveAppState
+from dpstack.dp.slave.application import SlaveAppState
+from dpstack.fdl.interface import RS_REPLY, Reply
 from dpstack.fdl.telegram import Kind, Telegram
-from dpstack.fdl.user import RS_REPLY, Reply
 
 # Outputs tell who sent them: master 2 sends 02, master 9 sends 09.
 masters = st.sampled_from([2, 9])

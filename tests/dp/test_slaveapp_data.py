@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from slave_kit import CFG, CLEAR, FREEZE, OPERATE, OTHER, PRM, SYNC, UNFREEZE, UNSYNC, Bench, Recorder
 
-from dpstack.dp.slaveapp import SlaveAppState
+from dpstack.dp.slave.application import SlaveAppState
+from dpstack.fdl.interface import RS_REPLY
 from dpstack.fdl.telegram import Kind, Telegram
-from dpstack.fdl.user import RS_REPLY
 
 
 def test_clear_and_operate() -> None:

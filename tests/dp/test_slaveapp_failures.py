@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from slave_kit import CFG, CLEAR, MASTER, MS, OPERATE, SYNC, Bench, Recorder
 
-from dpstack.dp.slave_events import DeviceFailed
-from dpstack.dp.slaveapp import SlaveAppState
-from dpstack.fdl.user import RS_REPLY
+from dpstack.dp.slave.application import SlaveAppState
+from dpstack.dp.slave.slave_events import DeviceFailed
+from dpstack.fdl.interface import RS_REPLY
 from dpstack.units import NEVER
 
 DURING = {

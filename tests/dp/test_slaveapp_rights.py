@@ -5,12 +5,12 @@ from __future__ import annotations
 import pytest
 from slave_kit import CFG, DATA_EXCH, KEEP, MASTER, OTHER, PRM, UNLOCK, WAIT_PRM, Bench, Recorder, in_state, srd
 
-from dpstack.dp.slave_states import ACCESS
-from dpstack.dp.slaveapp import SlaveApp, SlaveAppState
-from dpstack.dp.v1.alarm_server import AlarmServer, AlarmSupport
-from dpstack.dp.v1.device_records import RecordTable
+from dpstack.dp.slave.application import SlaveApp, SlaveAppState
+from dpstack.dp.slave.state_table import ACCESS
+from dpstack.dpv1.slave.alarms import AlarmServer, AlarmSupport
+from dpstack.dpv1.slave.record_table import RecordTable
+from dpstack.fdl.interface import RS_REPLY, SC_REPLY, Reply
 from dpstack.fdl.telegram import Req, Resp
-from dpstack.fdl.user import RS_REPLY, SC_REPLY, Reply
 
 
 class Station:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 from slave_kit import CFG, KEEP, MS, OTHER, PRM, UNLOCK, Bench
 
-from dpstack.dp.slave_states import TABLE, AppEv, SlaveAppState
+from dpstack.dp.slave.state_table import TABLE, AppEv, SlaveAppState
 
 Cause = Callable[[Bench], object]
 
@@ -65,7 +65,7 @@ def test_every_row(row: tuple[SlaveAppState, AppEv], monkeypatch: pytest.MonkeyP
         bench.cfg()
     assert bench.app.state is start
     taken = Rows()
-    monkeypatch.setattr("dpstack.dp.slave_core.TABLE", taken)
+    monkeypatch.setattr("dpstack.dp.slave.state.TABLE", taken)
     CAUSES[event](bench)
     assert taken.last == row
     assert bench.app.state is TABLE[row].next

@@ -7,10 +7,18 @@ from typing import Any
 import pytest
 from scripted_link import DIAG_FREE, MS, RUN, SAFE, ScriptedLink, link, mode_of, operating, setup, squeezed, wire
 
-from dpstack.dp.commands import Alive, DeactivateSlave, Mode, RemoveSlave, SetMode
-from dpstack.dp.events import ApplicationSilent, AutoCleared, Blocked, ForcedClear, ModeChanged, SlaveState, Stalled
+from dpstack.dp.master.commands import Alive, DeactivateSlave, Mode, RemoveSlave, SetMode
+from dpstack.dp.master.events import (
+    ApplicationSilent,
+    AutoCleared,
+    Blocked,
+    ForcedClear,
+    ModeChanged,
+    SlaveState,
+    Stalled,
+)
+from dpstack.fdl.interface import Request
 from dpstack.fdl.telegram import Kind, Telegram
-from dpstack.fdl.user import Request
 from dpstack.machine import HeldUp, LineDown, LineUp
 
 ZEROS = "00 00 00 00"

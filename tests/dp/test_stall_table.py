@@ -11,8 +11,8 @@ from typing import Any, Final
 import pytest
 from scripted_link import MS, RUN, SAFE, ScriptedLink, mode_of, operating, setup, wire
 
-from dpstack.api.events import event_json
-from dpstack.dp.events import ForcedClear
+from dpstack.api.bus.events_json import event_json
+from dpstack.dp.master.events import ForcedClear
 from dpstack.machine import HeldUp, LineDown, LineUp
 
 PAGE: Final = Path(__file__).parents[2] / "docs" / "ends.md"

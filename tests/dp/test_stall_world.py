@@ -6,9 +6,9 @@ import pytest
 from bus_kit import SimBus
 from support import MS
 
-from dpstack.dp.commands import Mode, SetMode
-from dpstack.dp.events import Stalled
-from dpstack.dp.slave_events import WatchdogExpired
+from dpstack.dp.master.commands import Mode, SetMode
+from dpstack.dp.master.events import Stalled
+from dpstack.dp.slave.slave_events import WatchdogExpired
 from dpstack.params import BusParams
 from dpstack.sim.world import World
 from dpstack.trace import Event, WireEntry

@@ -12,14 +12,14 @@ from scripted_link import MS, ScriptedLink, data, operating
 from scripted_link import setup as slave
 from support import US, WorldFactory
 
-from dpstack.dp.commands import Mode, RemoveSlave, SendControl, SetMode, Shutdown
-from dpstack.dp.device import Device
-from dpstack.dp.events import ControlFailed, ControlSent, PictureTaken, SlaveState
-from dpstack.dp.master import Master
-from dpstack.dp.setup import SlaveSetup
-from dpstack.dp.slaveapp import make_slave
+from dpstack.dp.master.commands import Mode, RemoveSlave, SendControl, SetMode, Shutdown
+from dpstack.dp.master.events import ControlFailed, ControlSent, PictureTaken, SlaveState
+from dpstack.dp.master.master import Master
+from dpstack.dp.slave.application import make_slave
+from dpstack.dp.slave.device import Device
+from dpstack.dp.slave_params import SlaveSetup
 from dpstack.errors import BusError, UsageError
-from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.codec import encode_sd2
 from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.telegram import Telegram

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpstack.dp.v1.alarms import (
+from dpstack.dpv1.pdu.alarms import (
     Alarm,
     AlarmAck,
     AlarmType,
@@ -21,7 +21,7 @@ from dpstack.dp.v1.alarms import (
     parse_block,
     status_name,
 )
-from dpstack.dp.v1.redundancy import PrmFunction, RedState, Redundancy
+from dpstack.dpv1.pdu.redundancy import PrmFunction, RedState, Redundancy
 from dpstack.errors import PduError
 
 BLOCKS: list[tuple[Alarm | Status, str, str]] = [

@@ -17,13 +17,13 @@ from ms2_kit import Ms2Server
 from octet_slave import DL, RS, SC, sd1, sd2
 from property_kit import examples
 
-from dpstack.dp.acyclic import CancelService
-from dpstack.dp.class2 import ReadService
-from dpstack.dp.class2_jobs import Service, ServiceDone
-from dpstack.dp.events import SlaveRemark, SlaveState, SlaveStateChanged
-from dpstack.dp.v1.alarm_events import AlarmDone, AlarmRaised
-from dpstack.dp.v1.ms1 import ReadRecord, RecordDone, WriteRecord
-from dpstack.dp.v1.ms2_orders import (
+from dpstack.dp.acyclic.class2_part import ReadService
+from dpstack.dp.acyclic.class2_services import Service, ServiceDone
+from dpstack.dp.acyclic.queue import CancelService
+from dpstack.dp.master.events import SlaveRemark, SlaveState, SlaveStateChanged
+from dpstack.dpv1.master.alarm_events import AlarmDone, AlarmRaised
+from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone, WriteRecord
+from dpstack.dpv1.master.ms2_commands import (
     CloseConnection,
     ConnectionOver,
     InitiateDone,
@@ -32,7 +32,7 @@ from dpstack.dp.v1.ms2_orders import (
     TransportDone,
     TransportOver,
 )
-from dpstack.dp.v1.status import Dpv1
+from dpstack.dpv1.pdu.dpv1_status import Dpv1
 from dpstack.errors import UsageError
 from dpstack.fdl.codec import decode
 

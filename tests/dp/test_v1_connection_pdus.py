@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpstack.dp.v1.connection import (
+from dpstack.dpv1.pdu.ms2 import (
     IDLE,
     Abort,
     AbortReason,

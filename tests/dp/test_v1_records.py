@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpstack.dp.v1.codes import Code, class_text, code_text, negative_text, remedy
-from dpstack.dp.v1.im import Im, Im0, Im1, Im2, Im3, Im4, build_call, number_of, parse_answer, parse_call
-from dpstack.dp.v1.records import (
+from dpstack.dpv1.pdu.error_codes import Code, class_text, code_text, negative_text, remedy
+from dpstack.dpv1.pdu.im import Im, Im0, Im1, Im2, Im3, Im4, build_call, number_of, parse_answer, parse_call
+from dpstack.dpv1.pdu.read_write import (
     Function,
     Negative,
     ReadReq,

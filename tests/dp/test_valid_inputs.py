@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from dpstack.dp.image import inputs_are_valid, inputs_limit_ns
+from dpstack.dp.process_image import inputs_are_valid, inputs_limit_ns
 
 MS = 1_000_000
 

@@ -9,8 +9,8 @@ import pytest
 from far_ends import until
 from process_kit import DRIVERS, SPEC, VALVES, Driver, bus_on, eventually, octet_slaves
 
-from dpstack.dp.commands import Mode
-from dpstack.dp.events import ApplicationSilent, ForcedClear
+from dpstack.dp.master.commands import Mode
+from dpstack.dp.master.events import ApplicationSilent, ForcedClear
 
 OUT = b"\x11\x22"
 

@@ -9,10 +9,10 @@ import pytest
 from api_kit import RAW, bus_of, virtual
 
 import dpstack
-from dpstack.api.events import BehindRealTime, Event, Severity, event_json, severity_of
-from dpstack.cli.report import Reporter
-from dpstack.drivers import virtual as driver
-from dpstack.drivers.virtual import Pace
+from dpstack.api.bus.events_json import BehindRealTime, Event, Severity, event_json, severity_of
+from dpstack.cli.terminal.report import Reporter
+from dpstack.drivers.virtual import runtime as driver
+from dpstack.drivers.virtual.runtime import Pace
 from dpstack.units import NS_PER_S
 
 Out = pytest.CaptureFixture[str]

@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from dpstack.drivers.budget import SPIN_AT_ONCE_NS, Budget, is_real_time
+from dpstack.drivers.realtime.cpu_budget import SPIN_AT_ONCE_NS, Budget, is_real_time
 from dpstack.units import NS_PER_MS, NS_PER_S
 
 

@@ -9,8 +9,8 @@ from time import monotonic_ns
 
 import pytest
 
-from dpstack.drivers import collecting
-from dpstack.drivers.collecting import Collector
+from dpstack.drivers.realtime import gc_control
+from dpstack.drivers.realtime.gc_control import Collector
 from dpstack.units import NEVER, NS_PER_US
 
 
@@ -69,7 +69,7 @@ def test_a_collection_that_took_long_needs_more_time_the_next_time(collector: Co
 
 def test_without_any_time_memory_does_not_grow_for_ever(collector: Collector) -> None:
     last = knots(1)
-    for _ in range(collecting._YOUNG * collecting._FORCED // 1_000 + 2):
+    for _ in range(gc_control._YOUNG * gc_control._FORCED // 1_000 + 2):
         knots(1_000)
         now = monotonic_ns()
         collector.idle(now, now + NS_PER_US)

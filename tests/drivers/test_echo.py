@@ -8,7 +8,7 @@ from far_ends import until
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpstack.drivers.echo import Echo, EchoFilter
+from dpstack.drivers.line.echo import Echo, EchoFilter
 from dpstack.units import NS_PER_MS
 
 REQUEST = bytes.fromhex("68 05 05 68 82 E3 6D 3C 3E 4C 16")

@@ -19,10 +19,10 @@ from hypothesis import strategies as st
 from kernel_kit import Driven, Kernel
 from property_kit import examples
 
-from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
+from dpstack.fdl.interface import Failure
 from dpstack.fdl.telegram import Telegram
-from dpstack.fdl.user import Failure
 from dpstack.params import BusParams
 from dpstack.phy.patience import HOST
 from dpstack.units import NS_PER_MS, NS_PER_US, chars_to_ns

@@ -11,15 +11,15 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from dpstack.dp.commands import AddSlave, Mode, SetMode, Shutdown
-from dpstack.dp.events import DriveEvent
-from dpstack.dp.setup import SlaveSetup
-from dpstack.drivers import messages as m
-from dpstack.drivers.echo import Echo
-from dpstack.drivers.host import Host
-from dpstack.drivers.outbox import FULL, Outbox
-from dpstack.drivers.plain_loop import PlainLoop
-from dpstack.drivers.shared_image import SharedImage, make_memory
+from dpstack.dp.master.commands import AddSlave, Mode, SetMode, Shutdown
+from dpstack.dp.master.events import DriveEvent
+from dpstack.dp.slave_params import SlaveSetup
+from dpstack.drivers.line.echo import Echo
+from dpstack.drivers.line.select_loop import PlainLoop
+from dpstack.drivers.process import messages as m
+from dpstack.drivers.process.outbox import FULL, Outbox
+from dpstack.drivers.process.server import Host
+from dpstack.drivers.process.shared_image import SharedImage, make_memory
 from dpstack.drivers.stack import StackSpec
 from dpstack.fdl.commands import GoOffline, GoOnline
 from dpstack.params import BusParams

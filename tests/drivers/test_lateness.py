@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from driver_rig import REQUEST, Rig
 
-from dpstack.drivers.lateness import FIRST, Lateness
+from dpstack.drivers.line.port_latency import FIRST, Lateness
 from dpstack.phy.patience import Patience, measured
 from dpstack.units import NS_PER_MS
 

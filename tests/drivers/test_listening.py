@@ -11,11 +11,11 @@ import pytest
 from baud_rig import Sent, exchange, lone_token
 from far_ends import FarEnd, PtyFarEnd, TcpFarEnd, open_slave, until
 
-from dpstack.drivers.listening import search_baud
-from dpstack.drivers.segment import Segment
+from dpstack.drivers.line.baud_search import search_baud
+from dpstack.drivers.segment.hub import Segment
 from dpstack.errors import BaudError, PortError
-from dpstack.fdl.autobaud import BaudFound, BaudNotFound, Missing
 from dpstack.fdl.baud_evidence import Confidence
+from dpstack.fdl.baud_search import BaudFound, BaudNotFound, Missing
 from dpstack.ports import memory_pair, open_port, termios2
 from dpstack.ports.tty import TtyPort
 from dpstack.units import NS_PER_MS, NS_PER_S

@@ -16,12 +16,12 @@ from hypothesis import strategies as st
 from linear_kit import assert_linear
 from property_kit import examples
 
-from dpstack.dp.acyclic_job import Outcome, ServiceFailure
-from dpstack.dp.commands import AddSlave, DriveCommand, ReparameteriseSlave
-from dpstack.dp.diag_texts import DiagTexts
-from dpstack.dp.setup import SlaveSetup
-from dpstack.dp.v1.ms1 import ReadRecord, RecordDone, WriteRecord
-from dpstack.dp.v1.ms2_orders import (
+from dpstack.dp.acyclic.job import Outcome, ServiceFailure
+from dpstack.dp.master.commands import AddSlave, DriveCommand, ReparameteriseSlave
+from dpstack.dp.pdu.diag_texts import DiagTexts
+from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone, WriteRecord
+from dpstack.dpv1.master.ms2_commands import (
     CloseConnection,
     CloseConnections,
     ConnectionOver,
@@ -33,13 +33,13 @@ from dpstack.dp.v1.ms2_orders import (
     TransportOver,
     WriteOver,
 )
-from dpstack.dp.v1.prm_blocks import PrmBlock
-from dpstack.dp.v1.status import Dpv1
-from dpstack.drivers import messages as m
-from dpstack.drivers.mirror import checked_arguments
+from dpstack.dpv1.pdu.dpv1_status import Dpv1
+from dpstack.dpv1.pdu.prm_blocks import PrmBlock
+from dpstack.drivers.process import messages as m
+from dpstack.drivers.process.mirror import checked_arguments
 from dpstack.drivers.stack import StackSpec
 from dpstack.errors import BusError, ConfigError, DpError, PortBusyError, SlaveFault, UsageError
-from dpstack.fdl.user import LinkStats
+from dpstack.fdl.interface import LinkStats
 from dpstack.gsd.diag_texts import DiagTexts as GsdTexts
 from dpstack.gsd.model import Device
 from dpstack.params import BusParams

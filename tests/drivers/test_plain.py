@@ -11,19 +11,19 @@ from driver_rig import BACKOFF, REQUEST, TOKEN, Script
 from far_ends import TcpFarEnd
 from support_responder import Responder
 
-from dpstack.dp.commands import Mode, SetMode
-from dpstack.dp.events import SlaveState
-from dpstack.dp.master import Master
-from dpstack.dp.setup import SlaveSetup
-from dpstack.drivers.base import PortBack, PortLost
-from dpstack.drivers.budget import Budget
-from dpstack.drivers.echo import Echo
-from dpstack.drivers.expecting import Answers
-from dpstack.drivers.lateness import patience_of
-from dpstack.drivers.plain import PlainRuntime
-from dpstack.drivers.plain_loop import PlainLoop
+from dpstack.dp.master.commands import Mode, SetMode
+from dpstack.dp.master.events import SlaveState
+from dpstack.dp.master.master import Master
+from dpstack.dp.slave_params import SlaveSetup
+from dpstack.drivers.line.answer_timing import Answers
+from dpstack.drivers.line.echo import Echo
+from dpstack.drivers.line.port_latency import patience_of
+from dpstack.drivers.line.select_loop import PlainLoop
+from dpstack.drivers.line.select_runtime import PlainRuntime
+from dpstack.drivers.realtime.cpu_budget import Budget
+from dpstack.drivers.runtime import PortBack, PortLost
 from dpstack.errors import PortError
-from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.params import BusParams
 from dpstack.ports import Port, memory_pair, open_port

@@ -12,8 +12,8 @@ from time import monotonic_ns
 
 import pytest
 
-from dpstack.drivers.budget import Budget
-from dpstack.drivers.plain_loop import PlainLoop
+from dpstack.drivers.line.select_loop import PlainLoop
+from dpstack.drivers.realtime.cpu_budget import Budget
 from dpstack.errors import UsageError
 from dpstack.units import NEVER, NS_PER_MS, NS_PER_US
 

@@ -19,7 +19,7 @@ from process_kit import LAMPS, LAMPS_SPEC, SPEC, VALVES, bus_on, eventually, oct
 from support_responder import Responder
 
 import dpstack
-from dpstack.dp.events import MasterStopped
+from dpstack.dp.master.events import MasterStopped
 from dpstack.errors import BusError, ConfigError, PortError, UsageError
 from dpstack.ports import open_port
 from dpstack.trace import Event, Notice, Severity
@@ -166,8 +166,8 @@ async def test_a_bus_process_that_hangs_at_the_end_is_killed_and_that_is_told(mo
             path, "process", VALVES | {"watchdog_ms": 500}, on_event=lambda e: told.append(e.text)
         ) as bus:
             await bus.ready(60)
-            monkeypatch.setattr("dpstack.drivers.link.LIMIT_NS", 50_000_000)
-            monkeypatch.setattr("dpstack.drivers.link._AGAIN_NS", 10_000_000)
+            monkeypatch.setattr("dpstack.drivers.process.channel.LIMIT_NS", 50_000_000)
+            monkeypatch.setattr("dpstack.drivers.process.channel._AGAIN_NS", 10_000_000)
             os.kill(process_of(bus), signal.SIGSTOP)
         assert not runs(process_of(bus))
     assert told[-1] == (

@@ -10,9 +10,9 @@ import pytest
 from asker_kit import ANSWER, BAUD, SHORT, Asker
 from kernel_kit import LATE_NS, Driven, Kernel
 
-from dpstack.drivers import expecting
-from dpstack.drivers.expecting import Answers, is_answered
-from dpstack.fdl.active import ActiveStation
+from dpstack.drivers.line import answer_timing
+from dpstack.drivers.line.answer_timing import Answers, is_answered
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.params import BusParams
 from dpstack.phy.patience import HOST
@@ -110,7 +110,7 @@ class Scenes:
 
     def twice(self, plan: dict[int, bytes], exchanges: int, **options: int) -> tuple[Scene, Scene]:
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(expecting, "_ALIKE_ANSWERS", 1 << 30)
+            patch.setattr(answer_timing, "_ALIKE_ANSWERS", 1 << 30)
             listening = self.play(plan, exchanges, paced=bool(options.get("paced", 1)), piece=options.get("piece", 4))
         quiet = self.play(plan, exchanges, paced=bool(options.get("paced", 1)), piece=options.get("piece", 4))
         return quiet, listening

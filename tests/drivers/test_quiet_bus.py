@@ -11,8 +11,8 @@ from asker_kit import ANSWER, BAUD, SHORT, Asker
 from driver_rig import driver_on
 from far_ends import PtyFarEnd, until
 
-from dpstack.drivers.echo import Echo
-from dpstack.fdl.active import ActiveStation
+from dpstack.drivers.line.echo import Echo
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.telegram import Resp, Telegram
 from dpstack.params import BusParams

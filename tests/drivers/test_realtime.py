@@ -12,20 +12,20 @@ from typing import Any
 
 import pytest
 
-from dpstack.drivers import realtime
-from dpstack.drivers.realtime import MEMORY, PRIORITY, Rights, become_real_time, stay_on
+from dpstack.drivers.realtime import rights
+from dpstack.drivers.realtime.rights import MEMORY, PRIORITY, Rights, become_real_time, stay_on
 from dpstack.errors import ConfigError
 
 SCRIPT = """
 import ctypes, json, os, resource, sys
-from dpstack.drivers import realtime
+from dpstack.drivers.realtime import rights
 as_nobody, priority = int(sys.argv[1]), int(sys.argv[2])
 if priority >= 0:
     resource.setrlimit(resource.RLIMIT_RTPRIO, (priority, priority))
     resource.setrlimit(resource.RLIMIT_MEMLOCK, (8 << 20, 8 << 20))
 if as_nobody and os.geteuid() == 0:
     os.setuid(65534)
-notices = realtime.become_real_time([min(os.sched_getaffinity(0))])
+notices = rights.become_real_time([min(os.sched_getaffinity(0))])
 child = os.fork()
 if not child:
     os._exit(os.sched_getscheduler(0))
@@ -105,24 +105,24 @@ def test_rights(rights: Rights, priority: bool, memory: bool) -> None:
 
 def test_a_container_may_have_taken_roots_rights_away(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     status = tmp_path / "status"
-    monkeypatch.setattr(realtime, "_STATUS", status)
+    monkeypatch.setattr(rights, "_STATUS", status)
     for capabilities, privileged in (
         ("000001ffffffffff", True),
         ("00000000a80425fb", False),
         ("0000000000804000", True),
     ):
         status.write_text(f"Name:\tpython\nCapEff:\t{capabilities}\n")
-        assert realtime.is_privileged() is privileged
+        assert rights.is_privileged() is privileged
     status.unlink()
-    assert realtime.is_privileged() is (os.geteuid() == 0)
+    assert rights.is_privileged() is (os.geteuid() == 0)
 
 
 @pytest.mark.parametrize(("limit", "taken"), [(10, 10), (99, PRIORITY), (None, PRIORITY)])
 def test_no_more_priority_than_the_limit_allows(monkeypatch: pytest.MonkeyPatch, limit: int | None, taken: int) -> None:
     asked: list[int] = []
-    monkeypatch.setattr(realtime, "rights", lambda: Rights(False, limit, None))
+    monkeypatch.setattr(rights, "rights", lambda: Rights(False, limit, None))
     monkeypatch.setattr(os, "sched_setscheduler", lambda _pid, _policy, param: asked.append(param.sched_priority))
-    assert realtime.set_priority() == ""
+    assert rights.set_priority() == ""
     assert asked == [taken]
 
 
@@ -130,9 +130,9 @@ def test_refusals_of_the_system_in_spite_of_the_limits(monkeypatch: pytest.Monke
     def refuse(*_args: object) -> None:
         raise PermissionError(1, "Operation not permitted")
 
-    monkeypatch.setattr(realtime, "rights", lambda: Rights(False, 50, None))
+    monkeypatch.setattr(rights, "rights", lambda: Rights(False, 50, None))
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
-    notice = realtime.set_priority()
+    notice = rights.set_priority()
     assert f"SCHED_FIFO {PRIORITY} is refused (Operation not permitted) although the limits allow it" in notice
     monkeypatch.setattr(os, "sched_setaffinity", refuse)
     assert "0 refused (Operation not permitted)" in stay_on([0])
@@ -141,9 +141,9 @@ def test_refusals_of_the_system_in_spite_of_the_limits(monkeypatch: pytest.Monke
 def test_in_front_of_a_pty_it_is_preferred_and_stays_an_ordinary_process(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[tuple[int, int, int]] = []
     monkeypatch.setattr(os, "setpriority", lambda *given: asked.append(given))
-    monkeypatch.setattr(realtime, "set_priority", lambda: "not to be asked for")
-    monkeypatch.setattr(realtime, "lock_memory", lambda: "")
-    monkeypatch.setattr(realtime, "exact_timers", lambda: "")
+    monkeypatch.setattr(rights, "set_priority", lambda: "not to be asked for")
+    monkeypatch.setattr(rights, "lock_memory", lambda: "")
+    monkeypatch.setattr(rights, "exact_timers", lambda: "")
     assert become_real_time(pty=True) == []
     assert asked == [(os.PRIO_PROCESS, 0, -20)]
 

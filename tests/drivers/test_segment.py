@@ -18,8 +18,8 @@ from typing import Any
 import pytest
 from far_ends import FarEnd, open_slave, set_rate, until
 
-from dpstack.drivers.segment import Segment, default_directory
-from dpstack.drivers.segment_station import StationStats
+from dpstack.drivers.segment.hub import Segment, default_directory
+from dpstack.drivers.segment.station import StationStats
 from dpstack.errors import ConfigError, PortBusyError, PortError, UsageError
 from dpstack.ports.pacing import slice_octets
 

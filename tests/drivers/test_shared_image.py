@@ -13,7 +13,7 @@ from far_ends import HANG_S
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpstack.drivers.shared_image import (
+from dpstack.drivers.process.shared_image import (
     SIZE,
     Outputs,
     Picture,
@@ -36,7 +36,7 @@ SLAVES = st.dictionaries(
 #: writes pictures whose octets are all alike, of every length, as quickly as it can
 WRITER = """
 import sys
-from dpstack.drivers.shared_image import SharedImage
+from dpstack.drivers.process.shared_image import SharedImage
 image = SharedImage(int(sys.argv[1]))
 print(flush=True)
 number = 0

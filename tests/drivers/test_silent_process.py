@@ -16,13 +16,13 @@ from process_kit import LAMPS, LAMPS_SPEC, SPEC, VALVES, bus_on, eventually, oct
 from support_responder import Responder
 
 import dpstack
-from dpstack.api.config import make_config
-from dpstack.api.control.programs import control_run, run_status
-from dpstack.api.events import event_json, severity_of
-from dpstack.api.simulation import Segment, Simulation
-from dpstack.dp.commands import DriveCommand
-from dpstack.drivers.base import BusProcessBack, BusProcessSilent, OutputsDropped
-from dpstack.drivers.link import Link
+from dpstack.api.bus.events_json import event_json, severity_of
+from dpstack.api.config.config import make_config
+from dpstack.api.control.handlers import control_run, run_status
+from dpstack.api.server.simulation import Segment, Simulation
+from dpstack.dp.master.commands import DriveCommand
+from dpstack.drivers.process.channel import Link
+from dpstack.drivers.runtime import BusProcessBack, BusProcessSilent, OutputsDropped
 from dpstack.errors import BusError, OrderDropped
 from dpstack.profile import State
 from dpstack.trace import Event, Severity
@@ -219,7 +219,7 @@ async def test_orders_that_the_socket_does_not_take_are_sent_when_the_bus_proces
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Orders that end something have no time limit: half a frame in the socket is followed by its other half."""
-    monkeypatch.setattr("dpstack.drivers.link._AGAIN_NS", 10_000_000)
+    monkeypatch.setattr("dpstack.drivers.process.channel._AGAIN_NS", 10_000_000)
     with octet_slaves(SPEC) as (path, _there):
         async with bus_on(path, "process", VALVES | {"watchdog_ms": 30_000}) as bus:
             await bus.ready(60)
@@ -247,7 +247,7 @@ async def test_who_waits_for_rounds_of_a_silent_bus_process_is_told_when_it_goes
 async def test_the_drives_of_a_stopped_bus_process_do_not_look_alive(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("dpstack.drivers.link._AGAIN_NS", 10_000_000)  # of the end
+    monkeypatch.setattr("dpstack.drivers.process.channel._AGAIN_NS", 10_000_000)  # of the end
     async with Segment(2, tmp_path / "bus", baud=1_500_000) as segment:
         plant = make_config(segment.paths[1], 1_500_000, slaves=[FAN])
         async with Simulation(plant, segment.paths[1], 1_500_000), bus_on(segment.paths[0], "process", FAN) as bus:
@@ -275,7 +275,7 @@ def is_running(drive: dpstack.Drive) -> bool:
 async def test_the_end_of_a_bus_whose_process_is_stopped_says_what_the_slaves_do(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("dpstack.drivers.link._AGAIN_NS", 10_000_000)
+    monkeypatch.setattr("dpstack.drivers.process.channel._AGAIN_NS", 10_000_000)
     told: list[str] = []
     with octet_slaves(SPEC) as (path, _there):
         slave = VALVES | {"watchdog_ms": 500}

@@ -14,12 +14,12 @@ import pytest
 from kernel_kit import Driven, Kernel
 from octet_slave import SC, sd1, sd2
 
-from dpstack.dp.commands import Mode, SetMode
-from dpstack.dp.events import Blocked, Stalled
-from dpstack.dp.master import Master
-from dpstack.dp.setup import SlaveSetup
-from dpstack.drivers.timers import suspended_ns
-from dpstack.fdl.active import ActiveStation
+from dpstack.dp.master.commands import Mode, SetMode
+from dpstack.dp.master.events import Blocked, Stalled
+from dpstack.dp.master.master import Master
+from dpstack.dp.slave_params import SlaveSetup
+from dpstack.drivers.line.timers import suspended_ns
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.params import BusParams
 from dpstack.phy.patience import HOST
@@ -187,7 +187,7 @@ def test_resume_sends_the_old_outputs_again(kind: str) -> None:
 def test_a_suspended_computer(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """CLOCK_MONOTONIC stands still meanwhile, CLOCK_BOOTTIME goes on."""
     asleep = [5_000 * NS_PER_MS]
-    monkeypatch.setattr("dpstack.drivers.stepping.suspended_ns", lambda: asleep[0])
+    monkeypatch.setattr("dpstack.drivers.line.line_runtime.suspended_ns", lambda: asleep[0])
     plant = Plant(kind)
     asleep[0] += 3_600_000 * NS_PER_MS
     resumed = plant.kernel.now
@@ -203,7 +203,7 @@ def test_a_suspended_computer(kind: str, monkeypatch: pytest.MonkeyPatch) -> Non
 
 def test_a_short_sleep_changes_nothing(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     asleep = [0]
-    monkeypatch.setattr("dpstack.drivers.stepping.suspended_ns", lambda: asleep[0])
+    monkeypatch.setattr("dpstack.drivers.line.line_runtime.suspended_ns", lambda: asleep[0])
     plant = Plant(kind)
     for _ in range(5):
         asleep[0] += 150 * NS_PER_MS

@@ -11,10 +11,10 @@ import pytest
 from driver_rig import BACKOFF, REQUEST, TOKEN, Rig, Script, driver_on
 from far_ends import PtyFarEnd, until
 
-from dpstack.drivers import stepping
-from dpstack.drivers.base import PortBack, PortLost
-from dpstack.drivers.echo import Echo
-from dpstack.drivers.lateness import patience_of
+from dpstack.drivers.line import line_runtime
+from dpstack.drivers.line.echo import Echo
+from dpstack.drivers.line.port_latency import patience_of
+from dpstack.drivers.runtime import PortBack, PortLost
 from dpstack.errors import BusError, PortError, UsageError
 from dpstack.machine import LineDown, LineUp
 from dpstack.phy.patience import ADAPTER, HOST
@@ -136,7 +136,7 @@ async def test_endless_near_deadlines_leave_the_loop_its_turns() -> None:
 
         rig.machine.on_wake = at_once
         rig.driver.command(2_000)
-        enough = len(rig.machine.did("wake")) + 2 * stepping._BURST
+        enough = len(rig.machine.did("wake")) + 2 * line_runtime._BURST
         await until(lambda: len(rig.machine.did("wake")) > enough, "turns of the loop between them")
         rig.machine.on_wake = lambda _now: None
 

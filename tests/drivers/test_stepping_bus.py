@@ -12,17 +12,17 @@ import pytest
 from driver_rig import driver_on
 from far_ends import open_slave, until
 
-from dpstack.dp.commands import Mode, SetMode, Shutdown
-from dpstack.dp.device import FunctionDevice
-from dpstack.dp.events import MasterStopped, SlaveState
-from dpstack.dp.master import Master
-from dpstack.dp.setup import SlaveSetup
-from dpstack.dp.slaveapp import SlaveApp
-from dpstack.drivers.lateness import patience_of
-from dpstack.drivers.segment import Segment
-from dpstack.fdl.active import ActiveStation
+from dpstack.dp.master.commands import Mode, SetMode, Shutdown
+from dpstack.dp.master.events import MasterStopped, SlaveState
+from dpstack.dp.master.master import Master
+from dpstack.dp.slave.application import SlaveApp
+from dpstack.dp.slave.device import FunctionDevice
+from dpstack.dp.slave_params import SlaveSetup
+from dpstack.drivers.line.port_latency import patience_of
+from dpstack.drivers.segment.hub import Segment
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
-from dpstack.fdl.passive import PassiveStation
+from dpstack.fdl.passive.station import PassiveStation
 from dpstack.params import BusParams
 from dpstack.ports import open_port
 from dpstack.trace import Event

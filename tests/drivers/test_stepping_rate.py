@@ -9,7 +9,7 @@ import pytest
 from driver_rig import Rig, Script, driver_on
 from far_ends import TcpFarEnd, until
 
-from dpstack.drivers.base import PortBack, PortLost
+from dpstack.drivers.runtime import PortBack, PortLost
 from dpstack.errors import BaudError, ConfigError, PortError
 from dpstack.machine import LineDown, LineUp, RateRefused
 from dpstack.ports import open_port

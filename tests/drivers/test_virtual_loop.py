@@ -9,7 +9,7 @@ from collections.abc import Callable
 import pytest
 from virtual_kit import attach, here
 
-from dpstack.drivers.virtual_loop import StandstillError, run
+from dpstack.drivers.virtual.loop import StandstillError, run
 from dpstack.sim.world import World
 
 S = 1_000_000_000

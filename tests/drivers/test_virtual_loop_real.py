@@ -12,7 +12,7 @@ import time
 import pytest
 from virtual_kit import attach, here
 
-from dpstack.drivers.virtual_loop import run
+from dpstack.drivers.virtual.loop import run
 from dpstack.sim.world import World
 from dpstack.units import NEVER
 

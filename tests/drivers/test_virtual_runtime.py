@@ -10,14 +10,14 @@ import pytest
 from bus_kit import mirror, setup
 from support import MS, Dummy
 
-from dpstack.dp.commands import Mode, SetMode
-from dpstack.dp.events import SlaveState, SlaveStateChanged
-from dpstack.dp.master import Master
-from dpstack.drivers.base import Runtime
-from dpstack.drivers.virtual import VirtualRuntime
-from dpstack.drivers.virtual_loop import run
+from dpstack.dp.master.commands import Mode, SetMode
+from dpstack.dp.master.events import SlaveState, SlaveStateChanged
+from dpstack.dp.master.master import Master
+from dpstack.drivers.runtime import Runtime
+from dpstack.drivers.virtual.loop import run
+from dpstack.drivers.virtual.runtime import VirtualRuntime
 from dpstack.errors import UsageError
-from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.params import BusParams
 from dpstack.sim.world import World

@@ -13,11 +13,11 @@ from property_kit import examples
 from slave_kit import MS, Bench
 
 from dpstack import DpSlave, Im0, IoStation, SlaveDescription
-from dpstack.dp.device import Device
-from dpstack.dp.slave_events import ConnectionClosed, ConnectionOpened, DeviceFailed, RequestRefused
-from dpstack.dp.slaveapp import SlaveApp, SlaveAppState
+from dpstack.dp.slave.application import SlaveApp, SlaveAppState
+from dpstack.dp.slave.device import Device
+from dpstack.dp.slave.slave_events import ConnectionClosed, ConnectionOpened, DeviceFailed, RequestRefused
+from dpstack.fdl.interface import Reply
 from dpstack.fdl.telegram import Kind, Telegram
-from dpstack.fdl.user import Reply
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.profile.registry import find
 

@@ -6,8 +6,8 @@ import pytest
 
 from dpstack.errors import ConfigError
 from dpstack.gsd.identifiers import io_lengths
-from dpstack.profile import State, drivecom
-from dpstack.profile.drivecom import TRANSITIONS, Command, DrivecomMachine, command
+from dpstack.profile import State, drivecom_states
+from dpstack.profile.model.drivecom_states import TRANSITIONS, Command, DrivecomMachine, command
 from dpstack_drives.demag import DRIVE
 
 
@@ -82,9 +82,9 @@ ROWS = [
 
 @pytest.mark.parametrize(("word", "state"), ROWS)
 def test_d7_states(word: int, state: State) -> None:
-    assert drivecom.STATES.decode(word) is state
-    assert drivecom.STATES.decode(word ^ 0x0010) is state  # bit 4 is in no row
-    assert drivecom.STATES.decode(word ^ 0xFF80) is state  # nor are bits 7 to 15
+    assert drivecom_states.STATES.decode(word) is state
+    assert drivecom_states.STATES.decode(word ^ 0x0010) is state  # bit 4 is in no row
+    assert drivecom_states.STATES.decode(word ^ 0xFF80) is state  # nor are bits 7 to 15
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from demag_kit import ZERO, pkw, plugin, sim
 from drive_bench import MS, S, as_mapping
 from slave_kit import SLAVE, Bench
 
-from dpstack.dp.slaveapp import SlaveApp
+from dpstack.dp.slave.application import SlaveApp
 from dpstack.errors import ConfigError
 from dpstack.profile import Leave
 from dpstack_drives.demag import DRIVE

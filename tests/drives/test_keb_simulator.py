@@ -9,9 +9,9 @@ import pytest
 from drive_bench import MS, START, DeviceBench, S
 from slave_kit import Bench
 
-from dpstack.dp.slaveapp import SlaveApp, SlaveAppState
+from dpstack.dp.slave.application import SlaveApp, SlaveAppState
+from dpstack.fdl.interface import Reply
 from dpstack.fdl.telegram import Resp
-from dpstack.fdl.user import Reply
 from dpstack.profile import Leave
 from dpstack_drives.keb import DRIVE
 from dpstack_drives.keb.simulator import KebDevice

@@ -9,10 +9,10 @@ from acyclic_kit import octets, outcome
 from drive_bench import ALONE, MS, DeviceBench, PluginBench
 from ls_kit import NONE, ZERO, sim
 
-from dpstack.dp.v1.records import parse_request
-from dpstack.dp.v1.tickets import Ticket
-from dpstack.dp.v1.unit_records import ServiceFailure
-from dpstack.profile.acyclic import RecordQueue, Refused, WriteReq
+from dpstack.dpv1.master.plugin_queue import ServiceFailure
+from dpstack.dpv1.pdu.read_write import parse_request
+from dpstack.dpv1.slave.record_requests import Ticket
+from dpstack.profile.record47 import RecordQueue, Refused, WriteReq
 from dpstack_drives.ls import DRIVE
 from dpstack_drives.ls.simulator import LsDevice
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dpstack.profile import Pkw, PkwClient, PkwDialect, PkwServer
-from dpstack.profile.pkw import Exchange
+from dpstack.profile.channel.pkw import Exchange
 
 READ_400 = bytes.fromhex("11 90 00 00 00 00 00 00")
 REPLY_400 = bytes.fromhex("11 90 00 00 00 00 00 02")

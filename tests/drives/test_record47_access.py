@@ -8,7 +8,7 @@ import pytest
 from acyclic_kit import outcome
 
 from dpstack.profile import CommandError, ParamKey, ParamSpec, ParamTable, Steps
-from dpstack.profile.acyclic import AcyclicAccess, ParameterClient, RecordQueue, WriteReq, plain_places
+from dpstack.profile.record47 import AcyclicAccess, ParameterClient, RecordQueue, WriteReq, plain_places
 
 TABLE = ParamTable(
     [

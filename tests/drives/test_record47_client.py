@@ -5,13 +5,13 @@ from __future__ import annotations
 import pytest
 from acyclic_kit import BUSY, IS_965, MS, READ_965, Script, octets, talk
 
-from dpstack.dp.v1.records import ReadReq, WriteReq
-from dpstack.profile.acyclic.client import PLUGIN, PROGRAM, ParameterClient
-from dpstack.profile.acyclic.lists import defined, describe, read_limits, texts
-from dpstack.profile.acyclic.record47 import Address, ErrorValue, Values
-from dpstack.profile.acyclic.services import Answer, Refused, Service, Silent
-from dpstack.profile.acyclic.split import Limits
-from dpstack.profile.jobs import CommandError
+from dpstack.dpv1.pdu.read_write import ReadReq, WriteReq
+from dpstack.profile.model.jobs import CommandError
+from dpstack.profile.record47.client import PLUGIN, PROGRAM, ParameterClient
+from dpstack.profile.record47.param_lists import defined, describe, read_limits, texts
+from dpstack.profile.record47.pdu import Address, ErrorValue, Values
+from dpstack.profile.record47.split import Limits
+from dpstack.profile.record47.transport import Answer, Refused, Service, Silent
 
 
 def client(**limits: int) -> ParameterClient:

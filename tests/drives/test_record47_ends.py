@@ -9,13 +9,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from property_kit import examples
 
-from dpstack.profile.acyclic.client import ParameterClient
-from dpstack.profile.acyclic.formats import FORMATS
-from dpstack.profile.acyclic.lists import Description, ReadParameter, read_limits, read_out
-from dpstack.profile.acyclic.record47 import Address, ErrorValue, Request, Response, Result, Values
-from dpstack.profile.acyclic.server import ParameterServer, Rules
-from dpstack.profile.acyclic.services import Refused
-from dpstack.profile.acyclic.split import Item, Limits
+from dpstack.profile.record47.client import ParameterClient
+from dpstack.profile.record47.formats import FORMATS
+from dpstack.profile.record47.param_lists import Description, ReadParameter, read_limits, read_out
+from dpstack.profile.record47.pdu import Address, ErrorValue, Request, Response, Result, Values
+from dpstack.profile.record47.server import ParameterServer, Rules
+from dpstack.profile.record47.split import Item, Limits
+from dpstack.profile.record47.transport import Refused
 
 # -- both ends ---------------------------------------------------------------------------------------------------------
 

@@ -6,7 +6,8 @@ import pytest
 from acyclic_kit import Script, Wire, octets, talk
 
 from dpstack.profile import ParamSpec, ParamStore, ParamTable
-from dpstack.profile.acyclic import (
+from dpstack.profile.model.jobs import CommandError
+from dpstack.profile.record47 import (
     Address,
     Answer,
     ErrorValue,
@@ -22,8 +23,7 @@ from dpstack.profile.acyclic import (
     read_limits,
     read_out,
 )
-from dpstack.profile.acyclic.split import Limits
-from dpstack.profile.jobs import CommandError
+from dpstack.profile.record47.split import Limits
 from dpstack.units import NS_PER_MS, NS_PER_S
 
 TABLE = ParamTable(

@@ -15,8 +15,8 @@ from property_kit import examples
 
 from dpstack.errors import PduError
 from dpstack.profile import error_text
-from dpstack.profile.acyclic.formats import FORMATS, Format, Raw, format_of
-from dpstack.profile.acyclic.record47 import Address, ErrorValue, Request, Response, Values
+from dpstack.profile.record47.formats import FORMATS, Format, Raw, format_of
+from dpstack.profile.record47.pdu import Address, ErrorValue, Request, Response, Values
 
 # -- the manuals' octets ---------------------------------------------------------------------------------------------
 

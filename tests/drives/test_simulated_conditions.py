@@ -18,9 +18,9 @@ from ls_kit import sim as ls
 from slave_alarm_kit import OctetMaster
 from slave_kit import SLAVE, Bench
 
-from dpstack.dp.slave_events import AddressChanged
-from dpstack.dp.slaveapp import SlaveApp, SlaveAppState
-from dpstack.dp.v1.tickets import Ticket
+from dpstack.dp.slave.application import SlaveApp, SlaveAppState
+from dpstack.dp.slave.slave_events import AddressChanged
+from dpstack.dpv1.slave.record_requests import Ticket
 from dpstack.profile import DriveDevice, Leave
 from dpstack.units import NEVER
 from dpstack_drives.demag import DRIVE as DEMAG

@@ -14,7 +14,7 @@ from ls_kit import plugin as ls
 
 from dpstack.errors import ConfigError
 from dpstack.profile import CommandError, ParamKey, ParamSpec, ParamTable, count_of
-from dpstack.profile.acyclic import AcyclicAccess, ParameterClient, RecordQueue, WriteReq, plain_places
+from dpstack.profile.record47 import AcyclicAccess, ParameterClient, RecordQueue, WriteReq, plain_places
 from dpstack_drives.demag import DRIVE as DEMAG
 from dpstack_drives.keb import DRIVE as KEB
 

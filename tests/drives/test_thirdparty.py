@@ -15,7 +15,7 @@ from drive_bench import ALONE, DeviceBench, PluginBench
 import dpstack
 from dpstack import profile
 from dpstack.cli.main import main
-from dpstack.dp.events import FaultKind
+from dpstack.dp.master.events import FaultKind
 from dpstack.profile import DriveDevice, DriveProfile
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "thirdparty_drive"
@@ -199,7 +199,7 @@ def test_it_needs_the_profile_only() -> None:
 def test_its_parameters_go_over_record_47_where_it_has_it(installed: Path, acme: DriveProfile) -> None:
     from acme_drive.table import DECLARED
 
-    queue = profile.acyclic.RecordQueue()
+    queue = profile.record47.RecordQueue()
     core = replace(acme, record_access=DECLARED.record_access).core("belt", "STD", ALONE, records=queue)
     assert acme.core("belt", "STD", records=queue).access is None  # it declares none
     bench = PluginBench(core, "00 09 00 00 00 00 00 00")
@@ -209,7 +209,7 @@ def test_its_parameters_go_over_record_47_where_it_has_it(installed: Path, acme:
         pending = queue.take()
         assert pending is not None
         asked = pending.request
-        octets = asked.data if isinstance(asked, profile.acyclic.WriteReq) else b""
+        octets = asked.data if isinstance(asked, profile.record47.WriteReq) else b""
         assert octets.hex(" ").upper() in ("01 01 01 01 10 00 00 01 00 00", "")
         assert (asked.slot, asked.index) == (1, 47)
         pending.outcome = outcome(answer)

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpstack.profile import SPEED, State, StateRow, StateTable, Word, drivecom, signed16
-from dpstack.profile.drivecom import Command, command
+from dpstack.profile import SPEED, State, StateRow, StateTable, Word, drivecom_states, signed16
+from dpstack.profile.model.drivecom_states import Command, command
 
 
 @pytest.mark.parametrize(
@@ -72,4 +72,4 @@ def test_every_control_word_is_exactly_one_drivecom_command(word: int) -> None:
 
 @given(st.integers(0, 0xFFFF))
 def test_any_status_word_decodes(word: int) -> None:
-    assert isinstance(drivecom.STATES.decode(word), State)
+    assert isinstance(drivecom_states.STATES.decode(word), State)

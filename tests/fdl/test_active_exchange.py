@@ -6,11 +6,11 @@ import pytest
 from exchange_kit import DIAG, DIAG_ANSWER, DX, DX_ANSWER, Slave, bus_with
 from ring_bus import ListUser, RingBus
 
-from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.active.states import State
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
-from dpstack.fdl.states import State
+from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.telegram import SHORT_ACK, Kind, Req, Telegram
-from dpstack.fdl.user import Failure, Request
 from dpstack.machine import pump
 from dpstack.params import BusParams
 from dpstack.phy.patience import HOST

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from property_kit import examples
 from ring_bus import ListUser, RingBus, Sent
 
-from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOffline, GoOnline
+from dpstack.fdl.interface import Request
 from dpstack.fdl.telegram import SHORT_ACK, Kind, Req, Telegram
-from dpstack.fdl.user import Request
 from dpstack.machine import LineDown, LineUp, pump
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT, HOST

@@ -7,11 +7,11 @@ from itertools import pairwise
 import pytest
 from ring_bus import ListUser, RingBus
 
-from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.events import StationFound
+from dpstack.fdl.interface import Request
 from dpstack.fdl.telegram import Req, StationType
-from dpstack.fdl.user import Request
 from dpstack.params import BusParams
 from dpstack.phy.patience import ADAPTER, HOST, Patience
 from dpstack.units import NS_PER_MS

@@ -8,12 +8,12 @@ import pytest
 from ring_bus import ListUser, RingBus, Sent
 
 from dpstack.errors import UsageError
-from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.active.states import State
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOffline, GoOnline
 from dpstack.fdl.events import AddressCollision, MasterSeen, RingJoined, RingLeft, StationFound, TokenLost
-from dpstack.fdl.states import State
+from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.telegram import Req, token
-from dpstack.fdl.user import Failure, Request
 from dpstack.machine import LineDown, LineUp
 from dpstack.trace import WireEntry
 from dpstack.units import BAUD_RATES, NS_PER_MS

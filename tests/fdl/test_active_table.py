@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 from ring_bus import ListUser
 
-from dpstack.fdl import states
-from dpstack.fdl.active import ActiveStation
-from dpstack.fdl.active_link import Handler, Link
-from dpstack.fdl.budget import Budget
+from dpstack.fdl.active import states
+from dpstack.fdl.active.context import Handler, Link
+from dpstack.fdl.active.cycle_window import Budget
+from dpstack.fdl.active.states import TABLE, Input, Row, State
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOffline, GoOnline
-from dpstack.fdl.states import TABLE, Input, Row, State
+from dpstack.fdl.interface import Request
 from dpstack.fdl.telegram import SHORT_ACK, Kind, Req, Telegram, token
-from dpstack.fdl.user import Request
 from dpstack.machine import LineDown, LineUp
 from dpstack.params import BusParams
 from dpstack.units import NEVER, chars_to_ns

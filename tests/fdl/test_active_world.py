@@ -6,11 +6,11 @@ import pytest
 from ring_bus import ListUser
 from support import MS, WorldFactory
 
-from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOffline, GoOnline
-from dpstack.fdl.passive import PassiveStation
+from dpstack.fdl.interface import SC_REPLY, Reply, Request, StationControl
+from dpstack.fdl.passive.station import PassiveStation
 from dpstack.fdl.telegram import Req, Resp, StationType, Telegram
-from dpstack.fdl.user import SC_REPLY, Reply, Request, StationControl
 from dpstack.params import BusParams
 from dpstack.sim.world import World
 from dpstack.trace import Event

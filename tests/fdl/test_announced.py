@@ -7,8 +7,8 @@ from random import Random
 import pytest
 from support import MS
 
-from dpstack.fdl.active import ActiveStation
-from dpstack.fdl.announced import Announced
+from dpstack.fdl.active.announced import Announced
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.decoder import DecoderStats
 from dpstack.fdl.events import MasterSeen

@@ -9,11 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from ring_bus import ListUser
 
-from dpstack.fdl.active import ActiveStation
-from dpstack.fdl.active_exchange import ends_at, in_vain_until
-from dpstack.fdl.budget import PATIENCE, Budget
+from dpstack.fdl.active.cycle_window import PATIENCE, Budget
+from dpstack.fdl.active.exchange import ends_at, in_vain_until
+from dpstack.fdl.active.station import ActiveStation
+from dpstack.fdl.interface import Request
 from dpstack.fdl.telegram import Req
-from dpstack.fdl.user import Request
 from dpstack.params import BusParams
 from dpstack.phy.patience import Patience, slack
 from dpstack.units import NEVER

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpstack.fdl.fcb import FrameCount
+from dpstack.fdl.active.fcb import FrameCount
 
 SRD_HIGH = 0x4D
 

@@ -7,9 +7,9 @@ from ring_bus import ListUser, RingBus, fixed
 
 from dpstack.fdl.commands import AttachUser, DetachUser
 from dpstack.fdl.events import StationFound
+from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.livelist import LiveList, live_allowance, long_look
 from dpstack.fdl.telegram import Kind, Req, StationType, Telegram
-from dpstack.fdl.user import Failure, Request
 from dpstack.params import BusParams
 from dpstack.phy.patience import ADAPTER, EXACT, HOST, Patience, slack
 from dpstack.units import NS_PER_MS

@@ -6,10 +6,10 @@ import pytest
 
 from dpstack.errors import ConfigError, UsageError
 from dpstack.fdl.commands import AtStation
-from dpstack.fdl.multidrop import Multidrop
-from dpstack.fdl.passive import PassiveStation
+from dpstack.fdl.interface import Reply, StationControl
+from dpstack.fdl.passive.multi_station import Multidrop
+from dpstack.fdl.passive.station import PassiveStation
 from dpstack.fdl.telegram import Resp, Telegram
-from dpstack.fdl.user import Reply, StationControl
 from dpstack.machine import LineDown, LineUp, Machine, pump
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT, Patience

@@ -25,9 +25,9 @@ from passive_kit import (
 
 from dpstack.errors import ConfigError
 from dpstack.fdl.codec import decode
-from dpstack.fdl.passive import PassiveStation
+from dpstack.fdl.interface import RS_REPLY, SC_REPLY, Reply
+from dpstack.fdl.passive.station import PassiveStation
 from dpstack.fdl.telegram import Req, Resp
-from dpstack.fdl.user import RS_REPLY, SC_REPLY, Reply
 from dpstack.params import BusParams
 from dpstack.trace import Notice
 from dpstack.units import NEVER

@@ -21,8 +21,8 @@ from passive_kit import (
 
 from dpstack.errors import ConfigError, UsageError
 from dpstack.fdl.commands import AtStation
+from dpstack.fdl.interface import Reply
 from dpstack.fdl.telegram import Resp
-from dpstack.fdl.user import Reply
 from dpstack.machine import LineDown, LineUp
 from dpstack.phy.patience import Patience
 from dpstack.units import BAUD_RATES, NEVER

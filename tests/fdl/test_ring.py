@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpstack.fdl.ring import Allowance, Gap, Ring, distance
+from dpstack.fdl.active.las_gap import Allowance, Gap, Ring, distance
 from dpstack.fdl.telegram import StationType
 from dpstack.params import BusParams
 

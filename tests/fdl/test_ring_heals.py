@@ -19,8 +19,8 @@ from hypothesis import strategies as st
 from property_kit import examples
 from support import wire_log
 
+from dpstack.fdl.active.states import State
 from dpstack.fdl.events import AddressCollision
-from dpstack.fdl.states import State
 from dpstack.sim.world import World
 
 #: Data_Exchange of the masters' slaves, twice a hold, in bit times

@@ -7,8 +7,8 @@ from itertools import pairwise
 import pytest
 from ring_bus import ListUser, RingBus, Sent
 
+from dpstack.fdl.active.states import State
 from dpstack.fdl.commands import GoOffline
-from dpstack.fdl.states import State
 from dpstack.phy.patience import EXACT, HOST, Patience
 from dpstack.units import NS_PER_MS
 

@@ -11,11 +11,11 @@ from foreign_master import ForeignMaster, fdl_status
 from ring_bus import ListUser
 from support import WorldFactory
 
-from dpstack.dp.events import SlaveState, SlaveStateChanged
+from dpstack.dp.master.events import SlaveState, SlaveStateChanged
+from dpstack.fdl.active.states import State
 from dpstack.fdl.events import AddressCollision, RingJoined, StationFound, TokenLost
-from dpstack.fdl.states import State
+from dpstack.fdl.interface import Request
 from dpstack.fdl.telegram import Kind, Req
-from dpstack.fdl.user import Request
 from dpstack.sim.token_watch import Rule
 from dpstack.trace import WireEntry
 

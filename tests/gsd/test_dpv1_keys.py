@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from gsd_kit import HEAD, made
 
-from dpstack.api.gsd import requires
+from dpstack.api.gsd_info import requires
 from dpstack.gsd.check import check
 
 CLASS1 = "DPV1_Slave = 1\nC1_Read_Write_supp = 1\nC1_Max_Data_Len = 240\nC1_Response_Timeout = 50\n"

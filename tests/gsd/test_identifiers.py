@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpstack.dp.setup import watchdog_factors, watchdog_ns
+from dpstack.dp.slave_params import watchdog_factors, watchdog_ns
 from dpstack.errors import ConfigError
 from dpstack.gsd.identifiers import Identifier, io_lengths, parse_identifiers
 

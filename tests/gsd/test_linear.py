@@ -8,7 +8,7 @@ import gsd_kit
 import pytest
 from linear_kit import assert_linear
 
-from dpstack.api.gsd import gsd_dict
+from dpstack.api.gsd_info import gsd_dict
 from dpstack.errors import GsdError
 from dpstack.gsd import joining
 from dpstack.gsd.check import check

@@ -63,7 +63,9 @@ def test_behind_a_bus_process_the_application_is_named(tmp_path: Path) -> None:
     proc, port = tmp_path / "proc", tmp_path / "ttyUSB0"
     port.touch()
     program(proc, 41, "python", str(port))
-    (proc / "41" / "cmdline").write_text("\0".join(["python", "-P", "-m", "dpstack.drivers.child", "12", "7"]) + "\0")
+    (proc / "41" / "cmdline").write_text(
+        "\0".join(["python", "-P", "-m", "dpstack.drivers.process.__main__", "12", "7"]) + "\0"
+    )
     (proc / "41" / "stat").write_text("41 (python (3)) S 40 41 41 0 -1")
     assert holder_of_path(str(port), proc) == "pid 40"
     program(proc, 40, "dpstack")

@@ -8,12 +8,12 @@ import pytest
 from bus_kit import mirror, setup
 from support import MS, US, Dummy, S, WorldFactory
 
-from dpstack.dp.commands import Mode, SetMode
-from dpstack.dp.events import SlaveState
-from dpstack.dp.master import Master
-from dpstack.drivers.echo import Echo, EchoFilter
+from dpstack.dp.master.commands import Mode, SetMode
+from dpstack.dp.master.events import SlaveState
+from dpstack.dp.master.master import Master
+from dpstack.drivers.line.echo import Echo, EchoFilter
 from dpstack.errors import ConfigError
-from dpstack.fdl.active import ActiveStation
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.events import AddressCollision
 from dpstack.fdl.telegram import token

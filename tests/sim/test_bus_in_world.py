@@ -8,8 +8,8 @@ import pytest
 from bus_kit import SimBus, mirror
 from support import MS, S, WorldFactory
 
-from dpstack.dp.events import SlaveState
-from dpstack.fdl.active import ActiveStation
+from dpstack.dp.master.events import SlaveState
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOffline, GoOnline
 from dpstack.fdl.telegram import Kind
 from dpstack.params import BusParams

@@ -12,11 +12,11 @@ from octet_wire import Wire
 
 import dpstack
 from dpstack import Im0, IoStation
-from dpstack.api.config import make_config
-from dpstack.api.gsd import check_gsd, read_gsd
-from dpstack.api.simulation import Simulation
-from dpstack.dp.slaveapp import SlaveApp, make_slave
-from dpstack.drivers.segment import Segment
+from dpstack.api.config.config import make_config
+from dpstack.api.gsd_info import check_gsd, read_gsd
+from dpstack.api.server.simulation import Simulation
+from dpstack.dp.slave.application import SlaveApp, make_slave
+from dpstack.drivers.segment.hub import Segment
 from dpstack.params import BusParams
 from dpstack.sim.io_station import NAME
 

@@ -8,17 +8,17 @@ import pytest
 from planned_bus import IDENT, identifiers
 from support import S, WorldFactory
 
-from dpstack.dp.commands import Mode, SetMode
-from dpstack.dp.cycle import MissReason
-from dpstack.dp.events import SlaveState
-from dpstack.dp.master import Master
-from dpstack.dp.mirror import MirrorDevice
-from dpstack.dp.plan import Case, OtherMasters, rotation, t_tr_needed
-from dpstack.dp.plan_cycle import token_wait_ns
-from dpstack.dp.rotations import figures
-from dpstack.dp.setup import SlaveSetup
-from dpstack.dp.slaveapp import make_slave
-from dpstack.fdl.active import ActiveStation
+from dpstack.dp.master.commands import Mode, SetMode
+from dpstack.dp.master.cycle_part import MissReason
+from dpstack.dp.master.events import SlaveState
+from dpstack.dp.master.master import Master
+from dpstack.dp.plan.cycle_check import token_wait_ns
+from dpstack.dp.plan.plan import Case, OtherMasters, rotation, t_tr_needed
+from dpstack.dp.plan.rotation_time import figures
+from dpstack.dp.slave.application import make_slave
+from dpstack.dp.slave.loopback_device import MirrorDevice
+from dpstack.dp.slave_params import SlaveSetup
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.params import BusParams
 from dpstack.stats import Histogram

@@ -12,7 +12,7 @@ from planned_bus import identifiers, setups, undisturbed
 from property_kit import soaking
 from support import WorldFactory
 
-from dpstack.dp.plan import Case, rotation, t_tr_preset
+from dpstack.dp.plan.plan import Case, rotation, t_tr_preset
 from dpstack.params import BusParams
 from dpstack.units import BAUD_RATES
 

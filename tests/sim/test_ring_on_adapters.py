@@ -8,11 +8,11 @@ import pytest
 from bus_kit import mirror, setup
 from support import MS, S, WorldFactory
 
-from dpstack.api.joining import Beside, join_limit_s, pass_ns
-from dpstack.dp.commands import Mode, SetMode
-from dpstack.dp.events import SlaveState
-from dpstack.dp.master import Master
-from dpstack.fdl.active import ActiveStation
+from dpstack.api.bus.ring_entry import Beside, join_limit_s, pass_ns
+from dpstack.dp.master.commands import Mode, SetMode
+from dpstack.dp.master.events import SlaveState
+from dpstack.dp.master.master import Master
+from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.events import MasterSeen
 from dpstack.params import BusParams

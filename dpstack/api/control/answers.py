@@ -10,7 +10,7 @@ from typing import Annotated, Any, Final, NotRequired, TypedDict, TypeVar
 
 import msgspec
 
-from dpstack.api.record_list import ListedValues
+from dpstack.api.lists.record_list import ListedValues
 from dpstack.errors import PortError
 from dpstack.profile import ListedParam
 

@@ -6,7 +6,7 @@ import math
 import re
 from typing import Final
 
-from dpstack.api.tables import parse_hex
+from dpstack.api.config.table import parse_hex
 from dpstack.errors import UsageError
 from dpstack.text import decimal, shortened
 from dpstack.units import NS_PER_S

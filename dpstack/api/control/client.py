@@ -12,10 +12,10 @@ from pathlib import Path
 from time import monotonic_ns
 from typing import Any, Final
 
-from dpstack.api.bus_config import VIRTUAL
+from dpstack.api.config.bus import VIRTUAL
 from dpstack.api.control.answers import Help, checked
-from dpstack.api.control.failures import failure
-from dpstack.api.control.places import Sockets, directory, names_of, own_name, socket_name
+from dpstack.api.control.errors import failure
+from dpstack.api.control.socket_path import Sockets, directory, names_of, own_name, socket_name
 from dpstack.errors import DpError, PortError, UsageError
 from dpstack.ports import posix
 from dpstack.units import s_to_ns

@@ -15,9 +15,10 @@ from pathlib import Path
 from time import monotonic_ns
 from typing import Final, NamedTuple, Never
 
-from dpstack.api.bus_config import VIRTUAL
-from dpstack.api.control.failures import told
-from dpstack.api.control.places import (
+from dpstack.api.config.bus import VIRTUAL
+from dpstack.api.control.commands import Spec, find
+from dpstack.api.control.errors import told
+from dpstack.api.control.socket_path import (
     OWN_NAMES,
     Sockets,
     directory,
@@ -28,7 +29,6 @@ from dpstack.api.control.places import (
     socket_name,
     virtual_name,
 )
-from dpstack.api.control.specs import Spec, find
 from dpstack.errors import DpError, OrderDropped, PortBusyError, PortError, UsageError
 from dpstack.ports.runtime_dir import user_name
 from dpstack.text import json_text

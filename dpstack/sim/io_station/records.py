@@ -16,11 +16,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from dpstack.dp.v1.codes import Code
-from dpstack.dp.v1.device_records import ImRecords
-from dpstack.dp.v1.im import IM_INDEX, Im0, Im1, Im2, Im3, Im4
-from dpstack.dp.v1.records import WriteReq
-from dpstack.dp.v1.tickets import Ticket, TransportTicket
+from dpstack.dpv1.pdu.error_codes import Code
+from dpstack.dpv1.pdu.im import IM_INDEX, Im0, Im1, Im2, Im3, Im4
+from dpstack.dpv1.pdu.read_write import WriteReq
+from dpstack.dpv1.slave.record_requests import Ticket, TransportTicket
+from dpstack.dpv1.slave.record_table import ImRecords
 from dpstack.sim.io_station.modules import EMPTY, Slot
 
 PARAMETERS: Final = 1

@@ -22,12 +22,12 @@ import contextlib
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-from dpstack.dp.dp_slave import DpSlave
-from dpstack.dp.given import octets, whole
-from dpstack.dp.slave_description import SlaveDescription
-from dpstack.dp.user_diag import UserDiag, channel_block, identifier_block
-from dpstack.dp.v1.alarms import Alarm, AlarmType, ModuleState, Specifier, module_status
-from dpstack.dp.v1.status import DPV1_STATUS_LEN
+from dpstack.argcheck import octets, whole
+from dpstack.dp.pdu.user_diag import UserDiag, channel_block, identifier_block
+from dpstack.dp.slave.description import SlaveDescription
+from dpstack.dp.slave.user_slave import DpSlave
+from dpstack.dpv1.pdu.alarms import Alarm, AlarmType, ModuleState, Specifier, module_status
+from dpstack.dpv1.pdu.dpv1_status import DPV1_STATUS_LEN
 from dpstack.errors import AlarmError, ConfigError
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.sim.io_station.modules import EMPTY, MODULES, Slot, edges, module_named

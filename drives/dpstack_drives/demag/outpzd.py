@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, Final
 
-from dpstack.profile import Scale, datamap, signed16
+from dpstack.profile import Scale, process_data_map, signed16
 
 #: PZD3 is the first one
 FIRST: Final = 3
@@ -87,7 +87,7 @@ class OutMap:
 
 def parse(text: str, reference_hz: float, scaling_current: float) -> OutMap:
     """``reference percent - frequency``; what is not given is not used. Raises ValueError."""
-    kinds = datamap.split(text)[0].lower().split()
+    kinds = process_data_map.split(text)[0].lower().split()
     if len(kinds) > COUNT:
         raise ValueError(f"{len(kinds)} words, there are {COUNT} (PZD3 to PZD6)")
     fields: list[OutPzd | None] = []

@@ -27,9 +27,9 @@ from dpstack.profile import (
     State,
     Steps,
     TelegramSpec,
-    datamap,
-    drivecom,
+    drivecom_states,
     listing,
+    process_data_map,
     same,
     settled,
 )
@@ -39,9 +39,9 @@ from dpstack_drives.demag.outpzd import OutMap
 from dpstack_drives.demag.trace import Trace
 
 _SELECTOR: Final = 12
-_REMOTE: Final = drivecom.STATUS.mask("remote")
-_WARNING: Final = drivecom.STATUS.mask("warning")
-_TOGGLE: Final = drivecom.STATUS.mask("toggle")
+_REMOTE: Final = drivecom_states.STATUS.mask("remote")
+_WARNING: Final = drivecom_states.STATUS.mask("warning")
+_TOGGLE: Final = drivecom_states.STATUS.mask("toggle")
 #: a standing warning is read again after this time
 _WARNING_AGE: Final = NS_PER_S
 #: numbers of EEPROM writes of one parameter at which the user is told
@@ -52,7 +52,7 @@ _NO_RELEASE: Final = "no hardware release: switch on S1 and one of S2 and S3"
 _STATE_MACHINE, _REMOTE_CONTACTS = 1, 2
 #: The words while 412 is not known to be 1. In mode 2 bits 0 to 7 are contacts: zeros open all of them, S1 (release)
 #: too. Bit 7 alone (S8IND) releases nothing, so a fault that hides the mode can be acknowledged.
-_SILENT: Final = replace(drivecom.TABLE, run={}, steady={**dict.fromkeys(Goal, 0x0000), Goal.ACK_HIGH: 0x0080})
+_SILENT: Final = replace(drivecom_states.TABLE, run={}, steady={**dict.fromkeys(Goal, 0x0000), Goal.ACK_HIGH: 0x0080})
 #: states that only control by the state machine has; the other modes show 0x23, 0x27 and 0x08 (11.2.1.1 to 11.2.1.3)
 _OF_STATE_MACHINE: Final = frozenset(
     {State.SWITCH_ON_INHIBITED, State.READY_TO_SWITCH_ON, State.QUICK_STOP, State.FAULT_REACTION}
@@ -128,7 +128,7 @@ class DemagCore(MappedCore[OutMap]):
         """PZD1 and PZD2, and what was given for PZD3 to PZD6."""
         if not self._wide:
             return self._pack(control, setpoint)
-        return self._pack(control, setpoint, *datamap.pack(self.outputs_map.fields, self.values, outpzd.COUNT))
+        return self._pack(control, setpoint, *process_data_map.pack(self.outputs_map.fields, self.values, outpzd.COUNT))
 
     def received(self) -> None:
         """Take the actual value for what ZSW bits 12-14 say it is (11.2.3), or all of them (11.2.4)."""
@@ -213,7 +213,7 @@ class DemagCore(MappedCore[OutMap]):
 
     def _take_mode(self, mode: int | None) -> None:
         self._mode = mode
-        table = drivecom.TABLE if mode == _STATE_MACHINE else _SILENT
+        table = drivecom_states.TABLE if mode == _STATE_MACHINE else _SILENT
         if table is not self.table:
             self.table = table
             self.update()

@@ -21,7 +21,7 @@ from dpstack.profile import (
     Reply,
     State,
     TelegramSpec,
-    drivecom,
+    drivecom_states,
 )
 from dpstack_drives.demag import outpzd, toggle
 from dpstack_drives.demag import table as t
@@ -87,7 +87,7 @@ class DemagDevice(DriveDevice):
         if not self._vf and self.store.value("state_transition_5") == _DC_BRAKE:
             raise ConfigError(f"{where}: 392 = 1 (DC brake) needs application = 'vf'")
         self.channel = PkwServer(t.PKW, self._order, refuse=self.refuse_order)
-        self.machine = drivecom.DrivecomMachine()
+        self.machine = drivecom_states.DrivecomMachine()
         self.f_max = float(options["f_max"])
         self.f_min = float(options["f_min"])
         self.acceleration = float(options["acceleration"])
@@ -235,7 +235,7 @@ class DemagDevice(DriveDevice):
             self._fail(t.FAULT_TOGGLE, now)
         if self.toggle.answered:
             return control
-        acknowledge = control & drivecom.CONTROL.mask("reset_fault")
+        acknowledge = control & drivecom_states.CONTROL.mask("reset_fault")
         return acknowledge | (_QUICK_STOP if reaction == toggle.QUICK_STOP and mode == _STATE_MACHINE else 0)
 
     def _obey(self, control: int, now: int) -> None:
@@ -337,7 +337,7 @@ class DemagDevice(DriveDevice):
         motor = self.motor
         rated = self.store.value("rated_frequency", active)
         reference = self._reference(active)
-        status = drivecom.SHOWN[self.machine.state]
+        status = drivecom_states.SHOWN[self.machine.state]
         off = abs(motor.frequency * rated - self._wanted_hz)
         if motor.on and not motor.limited and off <= self.store.value("max_control_deviation") / 100 * rated:
             status |= 0x0400

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from typing import Final
 
-from dpstack.profile import NS_PER_MS, drivecom
+from dpstack.profile import NS_PER_MS, drivecom_states
 
-BIT: Final = drivecom.STATUS.mask("toggle")
+BIT: Final = drivecom_states.STATUS.mask("toggle")
 #: what 880 makes of an answer that does not come
 OFF, FAULT, SWITCH_OFF, QUICK_STOP = range(4)
 

@@ -24,9 +24,9 @@ from dpstack.profile import (
     State,
     Steps,
     TelegramSpec,
-    datamap,
     equal,
     listing,
+    process_data_map,
     settled,
 )
 from dpstack_drives.fuji import pcd
@@ -85,7 +85,7 @@ class FujiCore(MappedCore[PcdMap]):
         """CTW, MRV, and what was given for PCD1 to PCD4."""
         if not self._rest:
             return self._pack(control, setpoint)
-        return self._pack(control, setpoint, *datamap.pack(self.outputs_map.fields, self.values, pcd.COUNT))
+        return self._pack(control, setpoint, *process_data_map.pack(self.outputs_map.fields, self.values, pcd.COUNT))
 
     def setpoint_word(self, fraction: float) -> int:
         """MRV. Raises ValueError beyond 4000h, the maximum frequency (manual, 7.2 and 8.2 (3))."""
@@ -249,6 +249,6 @@ def _map(
         raise ConfigError(f"{where}: {telegram.name} has no PCD1 to PCD4; take PPO2 or PPO4")
     try:
         outputs = option == "map_outputs"
-        return pcd.parse(datamap.split(text)[0] if outputs else text, outputs=outputs)
+        return pcd.parse(process_data_map.split(text)[0] if outputs else text, outputs=outputs)
     except ValueError as error:
         raise ConfigError(f"{where}: {error}") from None

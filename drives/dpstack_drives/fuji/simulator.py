@@ -20,7 +20,7 @@ from dpstack.profile import (
     PkwServer,
     State,
     TelegramSpec,
-    profidrive,
+    profidrive_states,
     ramp,
 )
 from dpstack_drives.fuji import table as t
@@ -70,7 +70,7 @@ class FujiDevice(DriveDevice):
             lambda: self.released,
         )
         self.channel = PkwServer(t.PKW, self.option.order, refuse=self.refuse_order)
-        self.machine = profidrive.ProfidriveMachine()
+        self.machine = profidrive_states.ProfidriveMachine()
         #: alarm codes (M16 to M19), latest first
         self.alarms: list[int] = []
         self._control = 0
@@ -199,7 +199,7 @@ class FujiDevice(DriveDevice):
     def _unpowered(self) -> tuple[int, ...]:
         """Only the option is on the bus."""
         self.motor.switch(False)
-        self.machine = profidrive.ProfidriveMachine()
+        self.machine = profidrive_states.ProfidriveMachine()
         self._control = self._mrv = self._status = 0
         self._loss, self._forced = None, False
         return (0,) * (self.telegram.inputs // 2)

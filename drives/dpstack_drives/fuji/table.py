@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterator
 from typing import Final, NamedTuple
 
-from dpstack.profile import ParamSpec, ParamTable, PkwDialect, TelegramSpec, Word, profidrive
+from dpstack.profile import ParamSpec, ParamTable, PkwDialect, TelegramSpec, Word, profidrive_states
 
 IDENT: Final = 0xDD04
 
@@ -51,10 +51,10 @@ def telegram_of(o30: int) -> str:
 
 
 #: Table 8.5
-CONTROL: Final = Word("CTW", {**profidrive.CONTROL_BITS, "reverse": 11})
+CONTROL: Final = Word("CTW", {**profidrive_states.CONTROL_BITS, "reverse": 11})
 #: Table 8.6. Bit 9 is what others call remote; bit 6 is always the opposite of bit 0
-STATUS: Final = Word("STW", {**profidrive.STATUS_BITS, "reached": 8, "remote": 9, "frequency_detected": 10})
-TABLE: Final = profidrive.table(CONTROL, STATUS)
+STATUS: Final = Word("STW", {**profidrive_states.STATUS_BITS, "reached": 8, "remote": 9, "frequency_detected": 10})
+TABLE: Final = profidrive_states.table(CONTROL, STATUS)
 
 #: 8.3, tables 8.9 and 8.10
 PKW: Final = PkwDialect(

@@ -21,8 +21,8 @@ from dpstack.profile import (
     Setting,
     Steps,
     TelegramSpec,
-    datamap,
     listing,
+    process_data_map,
     same,
     settled,
 )
@@ -75,7 +75,7 @@ class ImoCore(MappedCore[PzdMap]):
             self._frequency_source = t.source(str(options["frequency_source"]))
             self._maximum = t.parameter(str(options["maximum_parameter"]), "maximum_parameter")
             self._wanted_inputs = PzdMap.parse(str(options["map_inputs"]), pzd.FROM_DRIVE, outputs=False)
-            map_outputs = datamap.split(str(options["map_outputs"]))[0]
+            map_outputs = process_data_map.split(str(options["map_outputs"]))[0]
             self._wanted_outputs = PzdMap.parse(map_outputs, self._functions, outputs=True)
         except ValueError as error:
             raise ConfigError(f"drive {name} ({profile.name}): {error}") from None

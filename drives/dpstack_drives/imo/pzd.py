@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Final
 
-from dpstack.profile import datamap
+from dpstack.profile import process_data_map
 from dpstack_drives.imo import table as t
 
 _ANY: Final = 0xFFFF
@@ -168,11 +168,11 @@ class PzdMap:
 
     def words(self, values: Mapping[int, int]) -> list[int]:
         """PZD2 to PZD12 of the words by function; 0 where there is none."""
-        return datamap.pack(self.fields, values, t.PZDS)
+        return process_data_map.pack(self.fields, values, t.PZDS)
 
     def decode(self, words: Sequence[int]) -> dict[str, float | int]:
         """PZD2 to PZD12 as values by name."""
-        return datamap.decoded(self.fields, words)
+        return process_data_map.decoded(self.fields, words)
 
 
 def _number(word: str, functions: Mapping[int, Function]) -> int:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from itertools import zip_longest
 from typing import Final
 
-from dpstack.profile import datamap
+from dpstack.profile import process_data_map
 from dpstack_drives.keb import table as t
 
 #: octets of one of the two blocks
@@ -145,7 +145,7 @@ class PdMap:
 
     def put(self, values: Mapping[int, int], octets: int) -> bytes:
         """Process data of ``octets`` length; what has no value is 0. Each value's low bits count."""
-        words = datamap.pack(self.entries, values, octets // 2)
+        words = process_data_map.pack(self.entries, values, octets // 2)
         return b"".join(word.to_bytes(2, "big") for word in words).ljust(octets, b"\0")
 
 

@@ -24,9 +24,9 @@ from dpstack.profile import (
     Steps,
     TelegramSpec,
     Word,
-    datamap,
     equal,
     listing,
+    process_data_map,
 )
 from dpstack_drives.keb import mapping, pdmap
 from dpstack_drives.keb import table as t
@@ -69,7 +69,7 @@ class KebCore(MappedCore[PdMap]):
             status = t.bits(str(options["status_bits"]), t.STATUS_BITS, "status_bits")
             inputs = _map(str(options["map_inputs"]), pdmap.DEFAULT_INPUTS, telegram.inputs, "map_inputs")
             map_outputs = str(options["map_outputs"])
-            bare = datamap.split(map_outputs)[0]
+            bare = process_data_map.split(map_outputs)[0]
             outputs = _map(bare, pdmap.DEFAULT_OUTPUTS, telegram.outputs, "map_outputs")
             second = [t.record_and_enable(str(options[f"block2_{way}"])) for way in ("inputs", "outputs")]
             if (wrong := pdmap.check(inputs, outputs)) is not None:

@@ -27,9 +27,9 @@ from dpstack.profile import (
     State,
     Steps,
     TelegramSpec,
-    acyclic,
-    datamap,
     equal,
+    process_data_map,
+    record47,
     settled,
 )
 from dpstack_drives.ls import paramap, records, references, telegrams
@@ -129,7 +129,7 @@ class LsCore(MappedCore[ParaMap]):
         room = self._rooms[written]
         if not text.strip():
             return ParaMap(default[:room])
-        given = ParaMap(paramap.parse(datamap.split(text)[0] if written else text))
+        given = ParaMap(paramap.parse(process_data_map.split(text)[0] if written else text))
         if (wrong := self._wrong(given, "para_control" if written else "para_status", written=written)) is not None:
             raise ValueError(wrong)
         return given
@@ -149,7 +149,7 @@ class LsCore(MappedCore[ParaMap]):
             "COM-31.. and COM-51.. (write_map) or leave it alone"
         )
 
-    def over_records(self, queue: acyclic.RecordQueue) -> acyclic.AcyclicAccess:
+    def over_records(self, queue: record47.RecordQueue) -> record47.AcyclicAccess:
         """Parameters over record 47 (L8); trips and warnings have names in every telegram then."""
         self.lookups = (self._trips, self._warning)
         return records.access(self.drive, queue, lambda: self.now, self._advised)
@@ -166,7 +166,7 @@ class LsCore(MappedCore[ParaMap]):
         return word
 
     def _mapped(self, where: int) -> int | None:
-        return datamap.raws(self.inputs_map.fields, self.words[self._at :]).get(where)
+        return process_data_map.raws(self.inputs_map.fields, self.words[self._at :]).get(where)
 
     def encode(self, control: int, setpoint: int) -> bytes:
         """The profile's two words and what the user gave for the mapped ones; VENDOR has only mapped ones."""
@@ -178,7 +178,7 @@ class LsCore(MappedCore[ParaMap]):
         else:
             front = (control, setpoint)
             values = self.values
-        return self._words_out.pack(*front, *datamap.pack(self.outputs_map.fields, values, mapped))
+        return self._words_out.pack(*front, *process_data_map.pack(self.outputs_map.fields, values, mapped))
 
     def control_bits(self) -> int:
         """The direction of the LS Drive profile's run command."""
@@ -392,7 +392,7 @@ class LsCore(MappedCore[ParaMap]):
         self._advise_maps()
         return {"value": {"inputs": str(inputs), "outputs": str(outputs)}}
 
-    def read_by(self, field: datamap.Field) -> ParamKey:
+    def read_by(self, field: process_data_map.Field) -> ParamKey:
         """By its address."""
         return ParamKey(field.key)
 

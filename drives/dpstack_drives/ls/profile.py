@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from dpstack.profile import DriveCore, DriveProfile, OptionSpec, acyclic
+from dpstack.profile import DriveCore, DriveProfile, OptionSpec, record47
 from dpstack_drives.ls import table as t
 from dpstack_drives.ls import telegrams
 from dpstack_drives.ls.plugin import LsCore
@@ -26,7 +26,7 @@ _COMMON: Final = {
 }
 
 
-def _record_access(core: DriveCore, queue: acyclic.RecordQueue) -> acyclic.AcyclicAccess:
+def _record_access(core: DriveCore, queue: record47.RecordQueue) -> record47.AcyclicAccess:
     assert isinstance(core, LsCore)
     return core.over_records(queue)
 

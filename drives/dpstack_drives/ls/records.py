@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
-from dpstack.profile import NS_PER_MS, ParamKey, ParamSpec, acyclic
+from dpstack.profile import NS_PER_MS, ParamKey, ParamSpec, record47
 from dpstack_drives.ls import references
 from dpstack_drives.ls import table as t
 from dpstack_drives.ls.module import Module
@@ -18,10 +18,10 @@ SLOT: Final = 1
 #: of class 2 (row L8); a reading: the manual gives no number
 CONNECTIONS: Final = 2
 #: at most 8 parameters of at most 8 elements a request, values only, one object
-LIMITS: Final = acyclic.Limits(parameters=8, elements=8)
-RULES: Final = acyclic.Rules(
+LIMITS: Final = record47.Limits(parameters=8, elements=8)
+RULES: Final = record47.Rules(
     slots=frozenset({SLOT}),
-    attributes=frozenset({acyclic.Attribute.VALUE}),
+    attributes=frozenset({record47.Attribute.VALUE}),
     limits=LIMITS,
     busy_ns=2 * t.SCAN_MS * NS_PER_MS,
 )
@@ -37,60 +37,60 @@ class LsParameters:
         self._module = module
         self._refusal = refusal
 
-    def read(self, address: acyclic.Address) -> acyclic.Result:
+    def read(self, address: record47.Address) -> record47.Result:
         """Words."""
         if (number := self._refusal(write=False)) is not None:
-            return acyclic.ErrorValue(number)
+            return record47.ErrorValue(number)
         spec = self._wanted(address)
-        if isinstance(spec, acyclic.ErrorValue):
+        if isinstance(spec, record47.ErrorValue):
             return spec
         first, count = address.subindex, max(address.elements, 1)
         words = (self._module.value(spec, ind) & 0xFFFF for ind in range(first, first + count))
-        return acyclic.Values(acyclic.UNSIGNED16, tuple(words))
+        return record47.Values(record47.UNSIGNED16, tuple(words))
 
-    def change(self, address: acyclic.Address, values: acyclic.Values) -> acyclic.ErrorValue | None:
+    def change(self, address: record47.Address, values: record47.Values) -> record47.ErrorValue | None:
         """One word: no array can be written."""
         if (number := self._refusal(write=True)) is not None:
-            return acyclic.ErrorValue(number)
+            return record47.ErrorValue(number)
         spec = self._wanted(address)
-        if isinstance(spec, acyclic.ErrorValue):
+        if isinstance(spec, record47.ErrorValue):
             return spec
         raw = values.raws[0]
-        if values.format not in (acyclic.UNSIGNED16, acyclic.WORD) or not isinstance(raw, int):
-            return acyclic.ErrorValue(0x05)
+        if values.format not in (record47.UNSIGNED16, record47.WORD) or not isinstance(raw, int):
+            return record47.ErrorValue(0x05)
         error = self._module.write(spec, raw)
-        return None if error is None else acyclic.ErrorValue(error)
+        return None if error is None else record47.ErrorValue(error)
 
-    def describe(self, address: acyclic.Address) -> acyclic.Result:
+    def describe(self, address: record47.Address) -> record47.Result:
         """None has one."""
-        return acyclic.ErrorValue(0x09)
+        return record47.ErrorValue(0x09)
 
-    def text(self, address: acyclic.Address) -> acyclic.Result:
+    def text(self, address: record47.Address) -> record47.Result:
         """None has one."""
-        return acyclic.ErrorValue(0x0F)
+        return record47.ErrorValue(0x0F)
 
-    def _wanted(self, address: acyclic.Address) -> ParamSpec | acyclic.ErrorValue:
+    def _wanted(self, address: record47.Address) -> ParamSpec | record47.ErrorValue:
         spec = t.PARAMETERS.get(address.pnu) if address.pnu > 0xFF else None
         spec = t.spec_at(address.pnu) if spec is None else spec
         if spec is None:
-            return acyclic.ErrorValue(0x00)
+            return record47.ErrorValue(0x00)
         size = t.ARRAYS.get(address.pnu)
         if size is None:
             if address.elements > 1:
-                return acyclic.ErrorValue(0x16)
-            return acyclic.ErrorValue(0x04) if address.subindex else spec
+                return record47.ErrorValue(0x16)
+            return record47.ErrorValue(0x04) if address.subindex else spec
         end = address.subindex + max(address.elements, 1)
-        return spec if end <= size else acyclic.ErrorValue(0x03, max(address.subindex, size))
+        return spec if end <= size else record47.ErrorValue(0x03, max(address.subindex, size))
 
 
-def server(module: Module, refusal: Callable[..., int | None]) -> acyclic.ParameterServer:
+def server(module: Module, refusal: Callable[..., int | None]) -> record47.ParameterServer:
     """The drive's end."""
-    return acyclic.ParameterServer(LsParameters(module, refusal), RULES)
+    return record47.ParameterServer(LsParameters(module, refusal), RULES)
 
 
-def identification() -> acyclic.Im0:
+def identification() -> record47.Im0:
     """I&M0 (row L10; manual 8). Order id, serial number and versions are made up."""
-    return acyclic.Im0(
+    return record47.Im0(
         manufacturer_id=t.DEVICE_ID[0],
         order_id="CPDP-S100",
         serial_number="00000001",
@@ -101,23 +101,23 @@ def identification() -> acyclic.Im0:
     )
 
 
-def served(parameters: acyclic.ParameterServer, clock: Callable[[int], int]) -> acyclic.ImRecords:
+def served(parameters: record47.ParameterServer, clock: Callable[[int], int]) -> record47.ImRecords:
     """All records of the drive: record 47 in slot 1, I&M0 in every slot."""
-    return acyclic.ImRecords((identification(),), acyclic.TimedRecords(parameters, clock))
+    return record47.ImRecords((identification(),), record47.TimedRecords(parameters, clock))
 
 
 def access(
-    drive: str, queue: acyclic.RecordQueue, clock: Callable[[], int], advise: Callable[[int], None]
-) -> acyclic.AcyclicAccess:
+    drive: str, queue: record47.RecordQueue, clock: Callable[[], int], advise: Callable[[int], None]
+) -> record47.AcyclicAccess:
     """The master's end. ``advise`` is told the address of a drive parameter."""
 
-    def placed(key: ParamKey) -> acyclic.Place:
+    def placed(key: ParamKey) -> record47.Place:
         ref, where = references.resolve(key, drive)
         if where is not None:
             advise(where)
-            return acyclic.Place(acyclic.Address(where), ref.spec, ref.label, ref.pnu, format=acyclic.UNSIGNED16)
-        address = acyclic.Address(ref.pnu, ref.ind, 1 if ref.array else 0)
-        return acyclic.Place(address, ref.spec, ref.label, ref.pnu, format=acyclic.UNSIGNED16)
+            return record47.Place(record47.Address(where), ref.spec, ref.label, ref.pnu, format=record47.UNSIGNED16)
+        address = record47.Address(ref.pnu, ref.ind, 1 if ref.array else 0)
+        return record47.Place(address, ref.spec, ref.label, ref.pnu, format=record47.UNSIGNED16)
 
-    client = acyclic.ParameterClient(SLOT, limits=LIMITS, references=acyclic.PLUGIN)
-    return acyclic.AcyclicAccess(client, queue, placed, clock)
+    client = record47.ParameterClient(SLOT, limits=LIMITS, references=record47.PLUGIN)
+    return record47.AcyclicAccess(client, queue, placed, clock)

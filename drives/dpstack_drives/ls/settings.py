@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from dpstack.profile import ConfigError, ParamSpec, ParamStore, TelegramSpec, datamap
+from dpstack.profile import ConfigError, ParamSpec, ParamStore, TelegramSpec, process_data_map
 from dpstack_drives.ls import paramap, telegrams
 from dpstack_drives.ls import table as t
 
@@ -51,7 +51,7 @@ def presets(options: Mapping[str, bool | float | str], given: Mapping[str, objec
     }
     for option, count, first in (("para_status", 30, 31), ("para_control", 50, 51)):
         try:
-            entries = paramap.parse(datamap.split(str(options[option]))[0])
+            entries = paramap.parse(process_data_map.split(str(options[option]))[0])
         except ValueError as error:
             raise ConfigError(f"{where}: {error}") from None
         wrong = paramap.check(entries, telegrams.MOST, option, written=first == 51)

@@ -17,7 +17,7 @@ from dpstack.profile import (
     PkwServer,
     State,
     TelegramSpec,
-    profidrive,
+    profidrive_states,
     ramp,
     signed16,
 )
@@ -63,7 +63,7 @@ class LsDevice(DriveDevice):
         self.legacy = options["version"] == "2.01"
         profile_of(telegram, str(options["profile"]))
         self.store = ParamStore(t.PARAMETERS, settings.presets(options, given, where), where=where)
-        self.machine = profidrive.ProfidriveMachine()
+        self.machine = profidrive_states.ProfidriveMachine()
         self.runner = LsMachine()
         self._reference_rpm = float(options["reference_rpm"])
         self._quick_stop_s = float(options["quick_stop_s"])
@@ -416,7 +416,7 @@ class LsDevice(DriveDevice):
         """Another profile or telegram: no command of the former one counts, a fault stays."""
         faulted = self.runner.fault
         self._control = self._reference = self._stops = 0
-        self.machine, self.runner = profidrive.ProfidriveMachine(), LsMachine()
+        self.machine, self.runner = profidrive_states.ProfidriveMachine(), LsMachine()
         self._last = ()
         if faulted:
             self.machine.state = State.FAULT

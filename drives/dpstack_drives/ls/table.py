@@ -22,7 +22,7 @@ from dpstack.profile import (
     StateRow,
     StateTable,
     Word,
-    profidrive,
+    profidrive_states,
 )
 
 IDENT: Final = 0x0A6C
@@ -54,14 +54,14 @@ PNU_930: Final = {IO: 0x8000, PROFIDRIVE: 1, LS_DRIVE: 0x8002}
 # -- PROFIdrive (5.1, L3) ------------------------------------------------------------------------------------------
 
 #: 5.1.1: jog is not supported, bits 11-15 are reserved
-CONTROL: Final = Word("STW1", profidrive.CONTROL_BITS)
+CONTROL: Final = Word("STW1", profidrive_states.CONTROL_BITS)
 #: 5.1.2. Bits 1, 2, 4, 5, 9 are printed as copies of STW1 bits 0, 3, 1, 2, 10; bit 10 is not supported
-STATUS: Final = Word("ZSW1", {**profidrive.STATUS_BITS, "warning": 7, "reached": 8, "control_requested": 9})
+STATUS: Final = Word("ZSW1", {**profidrive_states.STATUS_BITS, "warning": 7, "reached": 8, "control_requested": 9})
 #: status bit: the bit of STW1 that it repeats
 COPIES: Final = {1: 0, 2: 3, 4: 1, 5: 2, 9: 10}
 #: bit 16 of the plugin's own status word: ACT is not zero. During the ramp of OFF1 the copies look like S2
 TURNING: Final = 0x1_0000
-_BASE: Final = profidrive.table(CONTROL, STATUS)
+_BASE: Final = profidrive_states.table(CONTROL, STATUS)
 PROFIDRIVE_TABLE: Final = replace(
     _BASE,
     states=StateTable(

@@ -1,0 +1,1 @@
+"""A bus as its user sees it: made from a configuration, opened, planned, watched, closed."""

@@ -1,0 +1,509 @@
+"""The bus as an application sees it."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import functools
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping
+from dataclasses import dataclass
+from types import TracebackType
+
+from dpstack.api.bus.compose import compose
+from dpstack.api.bus.cycles import Cycle, Cycles
+from dpstack.api.bus.parts import Composed
+from dpstack.api.bus.plan_checks import news_of_plan
+from dpstack.api.bus.ring_entry import Beside, join, what_was_heard
+from dpstack.api.bus.scan import scan_on
+from dpstack.api.bus.shutdown import OrderedEnd
+from dpstack.api.bus.statistics import BusStats, collect
+from dpstack.api.bus.streams import Events, EventStream, OnEvent, Waiters
+from dpstack.api.bus.sync_freeze import Group, GroupOrders, Groups
+from dpstack.api.config.config import Config, slave_config
+from dpstack.api.config.slave import SlaveConfig
+from dpstack.api.slave.class2 import Class2
+from dpstack.api.slave.drive import Drive
+from dpstack.api.slave.services import Services
+from dpstack.api.slave.slave import Slave
+from dpstack.argcheck import Sealed
+from dpstack.dp.master.commands import AddSlave, Alive, Mode, RemoveSlave, SetMode
+from dpstack.dp.master.events import ControlSent, DriveEvent, ForcedClear, ModeChanged, OperateWaits, SlaveStateChanged
+from dpstack.dp.master.scanner import Found
+from dpstack.drivers.line.asyncio_runtime import outlast
+from dpstack.drivers.shutdown import end_limit_ns
+from dpstack.errors import BusError, ConfigError, DpError, UsageError
+from dpstack.fdl.commands import GoOnline
+from dpstack.fdl.events import AddressCollision, RingJoined
+from dpstack.fdl.livelist import ALL_ADDRESSES
+from dpstack.sim.world import World
+from dpstack.trace import Event, Notice, Severity
+from dpstack.units import ns_to_s
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BusFailed(Notice):
+    """The failure that ends the bus; it is raised to everybody who waits, too."""
+
+
+SlaveTable = Mapping[str, object] | SlaveConfig
+
+
+class Bus(Sealed, Composed):
+    """A running bus: the slaves of a configuration under a class 1 master. Made by :func:`dpstack.open_bus`."""
+
+    def __init__(
+        self,
+        config: Config,
+        *,
+        on_event: OnEvent | None = None,
+        join_timeout: float | None = None,
+        world: World | None = None,
+        watched: bool = True,
+    ) -> None:
+        make = functools.partial(
+            compose, on_events=self._on_events, on_failure=self._on_failure, world=world, watched=watched
+        )
+        super().__init__(config, make, world)
+        #: addresses whose answers to the last scan could not be read
+        self.unreadable: frozenset[int] = frozenset()
+        #: machine time of the start in ns
+        self.started_ns = 0
+        self._events = Events(on_event)
+        self._join_timeout = join_timeout
+        self._open = False
+        self._ending: asyncio.Task[None] | None = None
+        self._left = False
+        self._ordered_end = OrderedEnd(self)
+        self._joined_ns = 0  # machine time of the first token
+        #: what was heard of another station at this one's address
+        self.collision: str | None = None
+        #: why the master is in Clear by itself, until Operate is ordered; None while it is not
+        self.forced_clear: ForcedClear | None = None
+        #: why nothing will happen any more: a failure, or the end
+        self._over: DpError | None = None
+        self._waiters = Waiters()
+        self._groups = GroupOrders(self)
+        self._cycles = Cycles(self)
+        #: the services of a class 2 master: diagnosis, configuration, inputs and outputs of any slave, its address
+        self.class2 = Class2(self)
+        self.services = Services(self)
+        self._slaves: dict[int, Slave] = {}
+        self._drives: dict[int, Drive] = {}
+        if not self.searching:
+            self._build(config)
+        self._seal(Bus)
+
+    def _build(self, config: Config) -> None:
+        super()._build(config)
+        self._beside = Beside(self.station)
+        for slave in config.slaves:
+            self._register(slave)
+
+    def _register(self, config: SlaveConfig) -> Slave:
+        handler = self.master.handlers[config.address]
+        slave = self._slaves[config.address] = Slave(self, config, handler)
+        core = self.parts.attach(config)
+        if core is not None:
+            self._drives[config.address] = Drive(self, slave, core, handler.image)
+        return slave
+
+    # --- from beginning to end ----------------------------------------------------------------------------------
+
+    async def __aenter__(self) -> Bus:
+        await self.open()
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        await self.close()
+
+    async def open(self) -> None:
+        """Listen, join the token ring, begin the bring-up in Clear. Raises PortError, BusError.
+
+        With the baud rate "auto" listen for that first: after 5 s of silence BusError says what to do.
+        """
+        if self._open or self._ending is not None:
+            raise UsageError("this bus was opened before: make a new one with open_bus()")
+        heard = await self._find_rate()
+        if self._ending is not None:
+            raise UsageError("the bus was closed while it was searching for its baud rate")
+        self.started_ns = self.runtime.now()
+        await self.runtime.open()
+        self._open = True
+        try:
+            await self._ordered_end.watch()
+            if heard is not None:
+                self.notice("bus", heard)
+            for note in (*self.plan.findings, *self.plan.notes):
+                self.notice("plan", note, Severity.WARNING)
+            self._hand_on(GoOnline())
+            await join(self, self._join_timeout)
+        except BaseException:
+            await self.close()
+            raise
+
+    async def close(self) -> None:
+        """The ordered end: safe values for one cycle, Clear twice, out of the ring, port released. May be repeated.
+
+        It takes a few rotations, and never longer than :attr:`end_limit_s`. It goes through any number of
+        cancellations; the cancellation is raised when it is over. It may be called in another event loop than the
+        one that opened the bus. In a process that was forked from the one that opened the bus it does nothing.
+        """
+        if self.is_left or await self._ordered_end.elsewhere():
+            return
+        ending = self._begin_end()
+        await outlast(ending)
+        if not ending.cancelled():
+            ending.result()
+
+    def hurry(self) -> None:
+        """End now, and leave out what is not needed to make outputs safe: within a second safe values and Clear are
+        sent, as far as the bus still can, and the port is released. To be called in the bus's event loop; ``close()``
+        waits for it.
+        """
+        self._ordered_end.hurry()
+        if self.is_open:
+            self._begin_end()
+
+    @property
+    def end_limit_s(self) -> float:
+        """No end takes longer than this (s), whatever port and slaves do."""
+        return ns_to_s(end_limit_ns(self.params, self.rotation_limit_ns) + self.runtime.close_limit_ns)
+
+    @property
+    def end_failed(self) -> bool:
+        """True after an end in which slaves that had outputs got neither safe values nor Clear (dead port, no token,
+        a bus process that hangs). An event tells it, and what the slaves do."""
+        return self._ordered_end.failed
+
+    def _begin_end(self) -> asyncio.Task[None]:
+        if self._ending is None:
+            self._ending = asyncio.create_task(self._end())
+        return self._ending
+
+    async def _end(self) -> None:
+        try:
+            if self._open:
+                await self._ordered_end.carry_out()
+        finally:
+            self._open = False
+            try:
+                if not self.searching:
+                    with contextlib.suppress(asyncio.CancelledError):  # it goes on to its end, too
+                        await self.runtime.close()
+            finally:
+                self._nothing_more(UsageError("the bus is closed"))
+                await self._ordered_end.unwatch()
+
+    # --- for dpstack.api.bus.shutdown ---------------------------------------------------------------------------------
+
+    @property
+    def ender(self) -> asyncio.Task[None] | None:
+        """The task that carries the end out, once it was begun."""
+        return self._ending
+
+    @property
+    def is_left(self) -> bool:
+        """A finaliser has ended it, or this process is a fork of its own: there is nothing to close."""
+        return self._left
+
+    def leave(self, why: DpError) -> None:
+        """It is over without :meth:`close`; ``why`` is raised by every order. Its event loop is not touched."""
+        self._open = False
+        self._left = True
+        self._over = why
+
+    def at_exit(self) -> None:
+        """The interpreter ends, and the bus is still open."""
+        self._ordered_end.at_exit()
+
+    def forsake(self) -> None:
+        """In the child of a fork: it is the parent's."""
+        self._ordered_end.forsake()
+
+    def notice(self, source: str, message: str, severity: Severity = Severity.INFO) -> None:
+        """Tell ``message`` as an event."""
+        self._events.tell(Notice(t_ns=self.runtime.now(), source=source, message=message, severity=severity))
+
+    # --- orders -------------------------------------------------------------------------------------------------
+
+    @property
+    def is_open(self) -> bool:
+        """True between a successful opening and the end."""
+        return self._open and self._ending is None
+
+    async def operate(self) -> None:
+        """Outputs go out from the next rotation on; with ``auto_clear`` once all slaves are in data exchange.
+
+        It ends a Clear that the master went to by itself (:attr:`forced_clear`), and arms the application watchdog.
+        """
+        self.command(SetMode(Mode.OPERATE))
+
+    def alive(self) -> None:
+        """The application is alive: call it more often than ``application_watchdog_ms`` while the bus is in Operate.
+
+        When it is not called for so long the master goes to Clear until :meth:`operate`. It changes nothing while the
+        application watchdog is off, not armed, or has run out. Raises UsageError when the bus is not open.
+        """
+        self.check_open()
+        if self.config.bus.application_watchdog_ms:
+            self._hand_on(Alive())
+
+    async def clear(self) -> None:
+        """Inputs are read, outputs are zero (empty for Fail_Safe slaves)."""
+        self.command(SetMode(Mode.CLEAR))
+
+    async def stop(self) -> None:
+        """Nothing more is sent to slaves (their watchdogs will expire); the master stays in the ring."""
+        self.command(SetMode(Mode.STOP))
+
+    async def outputs_taken(self) -> None:
+        """Wait until the master has the outputs that were set up to now; in Operate they go out in its next round.
+
+        Raises OrderDropped where a bus process did not take them within 1 s: they will not go out, and
+        ``Slave.outputs`` are those from before. Raises UsageError when the bus is not open, BusError when it is over.
+        """
+        self.check_open()
+        self._unless_over(self.runtime.hand_over_outputs)
+
+    def command(self, command: object) -> None:
+        """Hand an order to the machine. Raises UsageError when the bus is not open."""
+        self.check_open()
+        self._hand_on(command)
+
+    def check_open(self) -> None:
+        """Raises UsageError when the bus is not open."""
+        if self.is_left and self._over is not None:
+            raise self._over
+        if not self._open:
+            raise UsageError("the bus is not open: use it inside `async with open_bus(...)`")
+
+    def _hand_on(self, command: object) -> None:
+        self._unless_over(functools.partial(self.runtime.command, command))
+
+    def _unless_over(self, order: Callable[[], None]) -> None:
+        try:
+            order()
+        except BusError:
+            if self._over is not None:
+                raise self._over from None
+            raise
+
+    async def ready(self, timeout: float | None = 5.0) -> None:
+        """Wait until every slave in service is in data exchange. Raises SlaveFault or SlaveTimeout for the first that
+        is not.
+        """
+        loop = asyncio.get_running_loop()
+        end = None if timeout is None else loop.time() + timeout
+        for slave in [slave for slave in self._slaves.values() if not slave.deactivated]:
+            await slave.ready(None if end is None else max(0.0, end - loop.time()))
+
+    async def sync(self, groups: Groups = (), *, settle: bool = False) -> ControlSent:
+        """SYNC to ``groups`` (0 or nothing: all slaves): what they were sent last goes to their outputs, all at once,
+        and further outputs wait for the next SYNC. Returns when it has been sent, to the last bit.
+
+        ``settle``: first one whole Data_Exchange with each, so that outputs set just now are passed on. Never sent
+        twice. Raises UsageError in Stop or for slaves without ``sync``, SlaveFault, BusError (no token).
+        """
+        return await self._groups.send(groups, sync=True, settle=settle)
+
+    async def unsync(self, groups: Groups = ()) -> ControlSent:
+        """End SYNC."""
+        return await self._groups.send(groups, unsync=True)
+
+    async def freeze(self, groups: Groups = ()) -> ControlSent:
+        """FREEZE: inputs of this moment are kept until the next FREEZE. Everything else as :meth:`sync`."""
+        return await self._groups.send(groups, freeze=True)
+
+    async def unfreeze(self, groups: Groups = ()) -> ControlSent:
+        """End FREEZE."""
+        return await self._groups.send(groups, unfreeze=True)
+
+    def group(self, groups: Groups = ()) -> Group:
+        """Slaves to be written at one moment and read at one moment, see
+        :class:`~dpstack.api.bus.sync_freeze.Group`."""
+        return Group(self, self._groups, groups)
+
+    async def add_slave(self, table: SlaveTable) -> Slave:
+        """Take up one more slave while the bus runs: ``table`` has the keys of a [[slave]] table. Raises ConfigError.
+
+        With ``port="virtual"`` it is simulated like the others. What the plan has to say about it comes as notices.
+        """
+        config = table if isinstance(table, SlaveConfig) else slave_config(table)
+        if any(slave.name == config.name for slave in self._slaves.values()):
+            raise ConfigError(f"there is a slave called {config.name!r} already: give the new one another name")
+        setup = self.fitting(config)
+        others = [handler.setup for handler in self.master.handlers.values()]
+        self.command(AddSlave(setup))
+        if self.bench is not None:
+            self.bench.add(config)
+        slave = self._register(config)
+        for note in (*config.notes, *news_of_plan(self.config, self.plan, others, setup)):
+            self.notice("plan", note, Severity.WARNING)
+        return slave
+
+    async def remove(self, slave: Slave | str | int) -> None:
+        """Give a slave up: safe outputs for 50 ms, Unlock, then forget it.
+
+        Returns when it has been ordered; the bus does not end before, and a slave added at its address waits.
+        """
+        address = slave.address if isinstance(slave, Slave) else self.slave(slave).address
+        self.command(RemoveSlave(address))
+        self._round_ns = None
+        del self._slaves[address]
+        self.services.alarms.forget(address)
+        drive = self._drives.pop(address, None)
+        if drive is not None:
+            drive.end(UsageError(f"drive {drive.name} was removed from the bus"))
+
+    # --- what there is ------------------------------------------------------------------------------------------
+
+    @property
+    def slaves(self) -> tuple[Slave, ...]:
+        """All slaves by address."""
+        return tuple(self._slaves[address] for address in sorted(self._slaves))
+
+    @property
+    def drives(self) -> tuple[Drive, ...]:
+        """All drives by address."""
+        return tuple(self._drives[address] for address in sorted(self._drives))
+
+    def slave(self, which: str | int) -> Slave:
+        """A slave by name or address. Raises UsageError naming those there are."""
+        for slave in self._slaves.values():
+            if which in (slave.name, slave.address):
+                return slave
+        known = ", ".join(f"{s.name} ({s.address})" for s in self.slaves) or "none"
+        raise UsageError(f"no slave {which!r} on this bus; there are: {known}")
+
+    def drive(self, which: str | int) -> Drive:
+        """A drive by name or address. Raises UsageError naming those there are."""
+        for drive in self._drives.values():
+            if which in (drive.name, drive.slave.address):
+                return drive
+        known = ", ".join(d.name for d in self.drives) or "none"
+        raise UsageError(f"no drive {which!r} on this bus; there are: {known}")
+
+    async def scan(
+        self, *, configs: bool = False, addresses: Iterable[int] = ALL_ADDRESSES, quick: bool | None = None
+    ) -> tuple[Found, ...]:
+        """The live list 0..126 without this station, with ident, state and owner of each slave; it changes nothing.
+
+        ``configs``: ask for the identifier octets too. ``quick``: silent addresses without regard to the port's share
+        for them (default: while no slave of this bus is in data exchange).
+        """
+        return await scan_on(self, configs=configs, addresses=addresses, quick=quick)
+
+    @property
+    def collided(self) -> bool:
+        """Another station uses this one's address."""
+        return self.collision is not None
+
+    def events(self) -> EventStream:
+        """What happens, from the start of the bus on: an async iterator, bounded; ``dropped`` counts what was lost."""
+        return self._events.stream()
+
+    def tell(self, event: Event) -> None:
+        """Hand ``event`` to everybody who reads :meth:`events`, and to ``on_event``."""
+        self._events.tell(event)
+
+    def cycles(self) -> AsyncIterator[Cycle]:
+        """One :class:`~dpstack.api.bus.cycles.Cycle` for each round of data exchange, with or without a fixed cycle.
+
+        Latest wins, ``cycle.skipped`` says how many were missed. Outputs set in the body before the next cycle begins
+        go out in that one, all together. Ends with the bus.
+        """
+        return self._cycles.read()
+
+    @property
+    def stats(self) -> BusStats:
+        """Counters and rotation times up to now."""
+        return collect(self)
+
+    @property
+    def seconds(self) -> float:
+        """Bus time since the start in seconds."""
+        return ns_to_s(self.runtime.now() - self.started_ns)
+
+    @property
+    def seconds_in_ring(self) -> float:
+        """Bus time since this master was given, or claimed, its first token in seconds; 0 before that."""
+        return ns_to_s(self.runtime.now() - self._joined_ns) if self._joined_ns else 0.0
+
+    async def until(self, condition: Callable[[], bool], timeout: float | None = None) -> None:
+        """Wait until ``condition()``, judged after every event; what it raises is raised here. Raises TimeoutError."""
+
+        def judged() -> bool:
+            if self._over is not None:
+                raise self._over
+            return condition()
+
+        await self._waiters.until(judged, timeout)
+
+    async def rotated(self, rotations: int | None, timeout: float | None = None) -> None:
+        """Wait until there were so many rotations in all (None: for ever). Raises TimeoutError."""
+        if rotations is None:
+            await self.until(lambda: False, timeout)
+            return
+        with self.rounds.watched(functools.partial(self._waiters.check)):  # one of its own for each caller
+            await self.until(lambda: self.master.rotation_count >= rotations, timeout)
+
+    # --- from the machine ---------------------------------------------------------------------------------------
+
+    def _on_events(self, events: list[Event]) -> None:
+        for event in events:
+            self._ordered_end.on_event(event)
+            if self.services.take(event):  # told to who waits for it, and to nobody else
+                continue
+            match event:
+                case DriveEvent(address=address, payload=payload):
+                    drive = self._drives.get(address)
+                    if drive is not None:
+                        drive.on_payload(payload, event.t_ns)
+                case SlaveStateChanged(address=address) if address in self._drives:
+                    self._drives[address].on_state()
+                case AddressCollision():
+                    self.collision = event.text
+                case ForcedClear():
+                    self.forced_clear = event
+                case ModeChanged(mode=mode) if mode is not Mode.CLEAR:
+                    self.forced_clear = None
+                case OperateWaits():
+                    self.forced_clear = None
+            self._groups.on_event(event)
+            self._events.tell(event)
+            for notice in self._beside.notices(event):
+                self._events.tell(notice)
+            if isinstance(event, RingJoined) and not self._joined_ns:
+                self._joined_ns = event.t_ns
+                text, severity = what_was_heard(self.station)
+                self._events.tell(Notice(t_ns=event.t_ns, source="bus", message=text, severity=severity))
+        self._waiters.check()
+
+    def _on_failure(self, error: Exception) -> None:
+        """Nothing runs the bus any more: everybody who waits is told. What is no BusError is a defect of ours."""
+        failure = error
+        if not isinstance(failure, BusError):
+            text = f"the bus was stopped by a defect in dpstack ({type(error).__name__}: {error}); please report it"
+            failure = BusError(text)
+            failure.__cause__ = error
+        now = self.runtime.now()
+        self._events.tell(BusFailed(t_ns=now, source="bus", message=str(failure), severity=Severity.ERROR))
+        self._nothing_more(failure)
+
+    def _nothing_more(self, error: DpError) -> None:
+        """Everybody who waits is told why, now and later; the first reason stands."""
+        if self._over is None:
+            self._over = error
+        self._ordered_end.is_over()
+        for drive in self._drives.values():
+            drive.end(self._over)
+        self._groups.end(self._over)
+        self._cycles.end()
+        self.services.end(self._over)
+        self._events.end()
+        self._waiters.check()
+
+
+__all__ = ["Bus", "OnEvent", "SlaveTable"]

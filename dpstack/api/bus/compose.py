@@ -1,0 +1,263 @@
+"""From a configuration to running parts: parameters, plan, master, station, and what keeps them running."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Final
+
+from dpstack.api.bus.driver_choice import PROCESS, driver_for
+from dpstack.api.bus.plan_checks import adapter_notes, data_control_ns, other_masters, refuse_misfit, with_t_tr
+from dpstack.api.bus.remote_plugins import attach_remote, core_of, known_places, plugin_of
+from dpstack.api.bus.streams import Rounds
+from dpstack.api.config.bus import SAFE
+from dpstack.api.config.config import Config, rate_findings
+from dpstack.api.config.slave import SlaveConfig
+from dpstack.api.server.virtual_bench import VirtualBench
+from dpstack.api.slave.drive_view import DriveSeen
+from dpstack.dp.master.master import Master
+from dpstack.dp.master.survey import SurveyOrder, SurveyResult
+from dpstack.dp.plan.plan import Case, Plan, make_plan
+from dpstack.drivers import views
+from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime, OnFailure, patience_of
+from dpstack.drivers.line.echo import Echo
+from dpstack.drivers.runtime import OnEvents, Runtime
+from dpstack.drivers.stack import StackSpec, build_stack
+from dpstack.drivers.virtual.runtime import VirtualRuntime
+from dpstack.fdl.active.station import ActiveStation
+from dpstack.fdl.commands import AttachUser, DetachUser
+from dpstack.phy.neighbours import Neighbours
+from dpstack.phy.patience import EXACT, Patience, slack
+from dpstack.ports import Delivery, Port, open_port
+from dpstack.profile import DriveCore
+from dpstack.sim.world import World
+from dpstack.units import NS_PER_MS
+
+ECHO: Final = {None: Echo.AUTO, True: Echo.ON, False: Echo.OFF}
+
+
+def plan_bus(config: Config, baud: int | None = None) -> Plan:
+    """The plan of ``config`` at ``baud`` (default: its own rate). Raises ConfigError.
+
+    What keeps the bus from being opened is told there, and stands in the plan as a finding.
+    """
+    rate = config.baud if baud is None else baud
+    setups = config.setups(rate)
+    params = with_t_tr(config, config.params(rate), setups)
+    notes = [note for slave in config.slaves for note in slave.notes]
+    others = other_masters(config, rate)
+    pty, slack_ns, beside = False, 0, ""
+    if config.bus.port is not None and not config.virtual:
+        port = port_of(config, rate)
+        patience = patience_for(config, port)
+        pty, slack_ns = port.delivery is Delivery.HOST, patience.known_ns
+        beside = Neighbours(params, patience).advice() if others.count else ""
+        if port.delivery is Delivery.ADAPTER:
+            notes += adapter_notes(config, params, setups)
+    findings = rate_findings(config, rate)
+    return make_plan(
+        params,
+        setups,
+        others=others,
+        cycle_ns=config.bus.cycle_ns,
+        pty=pty,
+        host_slack_ns=slack_ns,
+        data_control_ns=data_control_ns(config),
+        findings=findings,
+        notes=notes,
+        beside=beside,
+    )
+
+
+def port_of(config: Config, baud: int, name: str | None = None) -> Port:
+    """The port of ``config`` (or ``name``, treated as it says), not open yet. Raises PortError."""
+    return open_port(name or config.port, baud, event_char=config.bus.event_char, rs485=config.bus.rs485)
+
+
+def patience_for(config: Config, port: Port) -> Patience:
+    """How long to wait on ``port``: the user's ``host_slack_ms``, or by its kind."""
+    if config.bus.host_slack_ms is not None:
+        return slack(round(config.bus.host_slack_ms * NS_PER_MS), patience_of(port))
+    return patience_of(port)
+
+
+Survey = Callable[[Callable[[object], None], SurveyOrder], views.Survey]
+
+
+@dataclass(slots=True, kw_only=True)
+class Parts:
+    """Everything one bus is made of: machines, or their mirror where they run in another process."""
+
+    config: Config
+    plan: Plan
+    master: views.MasterSeen
+    station: views.StationSeen
+    runtime: Runtime
+    #: "asyncio", "process", or "virtual" on a simulated bus
+    driver: str
+    #: puts the drive plugin of a slave onto its process image; None where it has none. Raises ConfigError
+    attach: Callable[[SlaveConfig], DriveSeen | None]
+    #: begins a live list; its first argument takes the orders for it
+    survey: Survey
+    rounds: Rounds
+    world: World | None = None
+    #: of a read-only bus: what shows the state of its stations
+    watcher: views.WatcherSeen | None = None
+    #: the simulated slaves, where they are part of it
+    bench: VirtualBench | None = None
+
+
+def compose(
+    config: Config,
+    on_events: OnEvents,
+    on_failure: OnFailure,
+    world: World | None = None,
+    *,
+    watched: bool = True,
+) -> Parts:
+    """Build the parts of ``config``, with simulated slaves in a world of its own when its port is "virtual".
+
+    ``on_failure`` is told when a machine raised (a defect of ours), or the bus process ended. ``world`` puts the master
+    into an existing simulated bus, with nothing added. A read-only bus has a guard in front of all that could write,
+    and is watched unless told otherwise. Raises ConfigError, PortError.
+    """
+    plan = plan_bus(config)
+    refuse_misfit(config, plan, config.setups())
+    virtual = world is not None or config.virtual
+    port = None if virtual else port_of(config, plan.params.baud)
+    patience = EXACT if port is None else patience_for(config, port)
+    spec = StackSpec(
+        params=plan.params,
+        patience=patience,
+        slaves=config.setups(),
+        watchdog_ms=plan.watchdog_ms,
+        auto_clear=config.bus.auto_clear,
+        data_control_ns=config.bus.data_control_time_ms * NS_PER_MS,
+        safe_after_stall=config.bus.after_stall == SAFE,
+        application_watchdog_ns=config.bus.application_watchdog_ms * NS_PER_MS,
+        read_only=config.bus.read_only,
+        watched=watched,
+        cycle_ns=config.bus.cycle_ns,
+        cycle_freeze=config.bus.cycle_freeze,
+        cycle_sync=config.bus.cycle_sync,
+    )
+    driver = driver_for(config, port)
+    # a pty is given what a stalled computer needs, and a user's own figure stands
+    tune = port is not None and port.delivery is Delivery.ADAPTER and config.bus.host_slack_ms is None
+    if driver == PROCESS:
+        return in_process(config, plan, spec, on_events, on_failure, tune=tune)
+    stack = build_stack(spec)
+    master, station = stack.master, stack.station
+    bench = None
+    runtime: Runtime
+    if port is not None:
+        runtime = AsyncioRuntime(
+            port,
+            station,
+            on_events,
+            echo=ECHO[config.bus.echo],
+            on_failure=on_failure,
+            tune=station.set_patience if tune else None,
+            held_up=station.held_up,
+        )
+    else:
+        if world is None:
+            world = World(referee=False)
+            bench = VirtualBench(world, plan.params)
+            for slave in config.slaves:
+                bench.add(slave)
+        runtime = VirtualRuntime(world, station, on_events, on_failure=on_failure)
+    return Parts(
+        config=config,
+        plan=plan,
+        master=master,
+        station=station,
+        runtime=runtime,
+        driver=driver,
+        attach=partial(attach_core, master, simulated=bench is not None),
+        survey=partial(LocalSurvey, station, runtime),
+        rounds=Rounds(master),
+        world=world,
+        watcher=stack.watcher,
+        bench=bench,
+    )
+
+
+def in_process(
+    config: Config, plan: Plan, spec: StackSpec, on_events: OnEvents, on_failure: OnFailure, *, tune: bool
+) -> Parts:
+    """The parts where the machines run in a process of their own. Raises ConfigError for plugins without a name."""
+    from dpstack.drivers.process.client import ProcessRuntime, ProcessSurvey
+    from dpstack.drivers.process.messages import SetUp  # msgspec and all it needs: only for who wants it
+
+    plugins = {slave.address: ref for slave in config.slaves if (ref := plugin_of(slave)) is not None}
+    setup = SetUp(
+        port=config.port,
+        event_char=config.bus.event_char,
+        rs485=config.bus.rs485,
+        echo=ECHO[config.bus.echo],
+        tune=tune,
+        stack=spec,
+        plugins=plugins,
+        preload=known_places(),
+    )
+    runtime = ProcessRuntime(setup, on_events, on_failure)
+    mirror = runtime.mirror
+    return Parts(
+        config=config,
+        plan=plan,
+        master=mirror.master,
+        station=mirror.station,
+        runtime=runtime,
+        driver=PROCESS,
+        attach=partial(attach_remote, runtime),
+        survey=partial(ProcessSurvey, runtime),
+        rounds=Rounds(mirror.master),
+        watcher=mirror.watcher,
+    )
+
+
+class LocalSurvey:
+    """A live list by a link user at ``station``."""
+
+    def __init__(
+        self, station: ActiveStation, runtime: Runtime, command: Callable[[object], None], order: SurveyOrder
+    ) -> None:
+        self._command = command
+        self._scanner = order.scanner(station.params, station.patience, runtime.now())
+        command(AttachUser(self._scanner))
+
+    @property
+    def result(self) -> SurveyResult | None:
+        """None until everything was asked."""
+        return SurveyResult.of(self._scanner)
+
+    def end(self) -> None:
+        """Nobody wants it any more."""
+        self._command(DetachUser(self._scanner))
+
+
+def attach_core(master: Master, slave: SlaveConfig, *, simulated: bool) -> DriveCore | None:
+    """Put the drive plugin of ``slave`` onto its process image; None where it has none.
+
+    ``simulated``: the slave is one of ours, in the same process.
+    """
+    core = core_of(slave, simulated=simulated)
+    if core is None:
+        return None
+    master.handlers[slave.address].image.unit = core
+    return core
+
+
+__all__ = [
+    "ECHO",
+    "Case",
+    "Parts",
+    "Plan",
+    "attach_core",
+    "compose",
+    "patience_for",
+    "plan_bus",
+    "port_of",
+]

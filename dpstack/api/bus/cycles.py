@@ -1,0 +1,164 @@
+"""The cycles of a bus as an application sees them: one picture of all inputs at a time, the latest wins."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from dpstack.dp.master.cycle_part import CycleData
+from dpstack.dp.process_data import FieldMap, Value
+from dpstack.dp.process_image import inputs_are_valid
+from dpstack.errors import NoInputs, UsageError
+from dpstack.units import NS_PER_MS, ns_to_s
+
+if TYPE_CHECKING:
+    from dpstack.api.bus.bus import Bus
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cycle:
+    """One round of data exchange. Made by the bus, see ``Bus.cycles``.
+
+    ``number`` counts fixed cycles by their due times (those left out count too), free running the rounds. ``t_ns`` is
+    the machine's time of its first bit, ``late_ns`` how much later that was than due (0 free running). ``inputs`` are
+    the octets of every slave in data exchange by name, all as they stood at the end of this round, never some of this
+    and some of the next; ``fresh`` names the slaves that answered in it, :attr:`stale` the others. A slave is left out
+    where this round, when it
+    was handed over, was older than its valid inputs may be (``Slave.inputs_limit``); all are where nobody kept the bus
+    running. ``skipped``: rounds since the one read before
+    that this reader was too slow for. ``missed``: deadline misses since the start of the bus.
+    """
+
+    number: int
+    t_ns: int
+    late_ns: int
+    inputs: Mapping[str, bytes]
+    fresh: frozenset[str]
+    missed: int
+    skipped: int = 0
+    _fields: Mapping[str, FieldMap] = field(default_factory=dict, repr=False, compare=False)
+    #: addresses of all slaves of the bus by name
+    _slaves: Mapping[str, int] = field(default_factory=dict, repr=False, compare=False)
+    _now: Callable[[], int] = field(default=lambda: 0, repr=False, compare=False)
+
+    @property
+    def late_ms(self) -> float:
+        """How late it began."""
+        return self.late_ns / NS_PER_MS
+
+    @property
+    def age(self) -> float:
+        """How long ago it began, in seconds at this moment."""
+        return ns_to_s(max(0, self._now() - self.t_ns))
+
+    @property
+    def stale(self) -> frozenset[str]:
+        """The slaves whose inputs are of an earlier round: no turn in this one (``every``), or no answer."""
+        return frozenset(self.inputs) - self.fresh
+
+    def get(self, name: str) -> dict[str, Value] | None:
+        """The named inputs of one slave; None while there are none, because it is not in data exchange.
+
+        Raises UsageError for a name that no slave of the bus has.
+        """
+        octets = self.inputs.get(name)
+        if octets is not None:
+            return self._fields[name].values(octets)
+        if name not in self._slaves:
+            known = ", ".join(self._slaves) or "none"
+            raise UsageError(f"no slave {name!r} on this bus; there are: {known}")
+        return None
+
+    def values(self, name: str) -> dict[str, Value]:
+        """As :meth:`get`; raises NoInputs instead of returning None."""
+        found = self.get(name)
+        if found is None:
+            address = self._slaves[name]
+            text = f"slave {address} ({name}) has no inputs in cycle {self.number}: it is not in data exchange"
+            raise NoInputs(address, f"{text}; cycle.get({name!r}) gives None then")
+        return found
+
+    def __getitem__(self, name: str) -> dict[str, Value]:
+        return self.values(name)
+
+
+class Cycles:
+    """Whoever reads the cycles of one bus."""
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+        self._readers: list[_Reader] = []
+        self._over = False
+
+    def end(self) -> None:
+        """There will be no more."""
+        self._over = True
+        for reader in self._readers:
+            reader.more.set()
+
+    async def read(self) -> AsyncIterator[Cycle]:
+        """Each new one; a slow reader gets the latest."""
+        reader = _Reader(self._bus)
+        self._readers.append(reader)
+        self._bus.rounds.watch(reader.on_round)
+        try:
+            while not self._over:
+                if reader.data is None:
+                    reader.more.clear()
+                    await reader.more.wait()
+                else:
+                    yield reader.take()
+        finally:
+            self._readers.remove(reader)
+            self._bus.rounds.unwatch(reader.on_round)
+
+
+class _Reader:
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+        self.more = asyncio.Event()
+        self.data: CycleData | None = None
+        last = bus.master.cycle
+        self._last = 0 if last is None else last.published
+        self._before: int | None = None  # published up to the one read last
+
+    def on_round(self) -> None:
+        data = self._bus.master.cycle
+        if data is None or data.published == self._last:
+            return  # a round in which nobody had a turn
+        if self._before is None:
+            self._before = data.published - 1
+        self.data = data
+        self._last = data.published
+        self.more.set()
+
+    def take(self) -> Cycle:
+        data, self.data = self.data, None
+        assert data is not None
+        assert self._before is not None
+        skipped = data.published - self._before - 1
+        self._before = data.published
+        slaves = {slave.address: slave for slave in self._bus.slaves}
+        now = self._bus.runtime.now
+        age_ns = max(0, now() - data.t_ns)
+        alive = self._bus.runtime.not_running is None
+        here = [
+            slave
+            for address in data.inputs
+            if (slave := slaves.get(address)) is not None
+            and inputs_are_valid(exchanging=alive, age_ns=age_ns, limit_ns=slave.inputs_limit_ns)
+        ]
+        return Cycle(
+            number=data.number,
+            t_ns=data.t_ns,
+            late_ns=data.late_ns,
+            inputs={slave.name: data.inputs[slave.address] for slave in here},
+            fresh=frozenset(slave.name for slave in here if slave.address in data.fresh),
+            missed=data.missed,
+            skipped=skipped,
+            _slaves={slave.name: slave.address for slave in slaves.values()},
+            _fields={slave.name: slave.config.input_fields for slave in here},
+            _now=now,
+        )

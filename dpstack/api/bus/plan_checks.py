@@ -1,0 +1,120 @@
+"""What the plan of a bus takes from the configuration beside the slaves, and what keeps a bus from being opened."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Final
+
+from dpstack.api.config.config import Config, rate_findings
+from dpstack.dp.plan.cycle_check import Verdict, judge_cycle, slowest_rates
+from dpstack.dp.plan.plan import Case, OtherMasters, Plan, make_plan, rotation, t_tr_preset
+from dpstack.dp.plan.rotation_time import Figures, figures
+from dpstack.dp.slave_params import SlaveSetup
+from dpstack.errors import ConfigError
+from dpstack.params import BusParams
+from dpstack.units import BAUD_RATES, NS_PER_MS, NS_PER_S, baud_text, ms_text
+
+#: what an exchange and the token cost over an adapter with a latency timer of 1 ms (docs/bus-parameters.md)
+_ADAPTER_EXCHANGE: Final = 2 * NS_PER_MS
+_ADAPTER_TOKEN: Final = NS_PER_MS
+
+
+def other_masters(config: Config, baud: int) -> OtherMasters:
+    """``other_masters`` at ``baud``. What they need in ms they need at the bus's own rate: in bit times it is the same
+    at every rate.
+    """
+    given = config.bus.other_masters
+    if isinstance(given, int):
+        return OtherMasters(alike=given)
+    own = config.bus.baud if isinstance(config.bus.baud, int) else baud
+    return OtherMasters(rounds=tuple(-(-round(ms * NS_PER_MS) * own // NS_PER_S) for ms in given))
+
+
+def with_t_tr(config: Config, params: BusParams, setups: Sequence[SlaveSetup]) -> BusParams:
+    """``params`` with T_TR enough for the longest normal round of all masters, unless the configuration fixes it."""
+    if config.bus.t_tr is not None:
+        return params
+    return params.replace(t_tr=t_tr_preset(params, setups, other_masters(config, params.baud)))
+
+
+def data_control_ns(config: Config) -> int:
+    """The Data_Control_Time of a bus with auto-clear, else 0."""
+    return config.bus.data_control_time_ms * NS_PER_MS if config.bus.auto_clear else 0
+
+
+def news_of_plan(config: Config, plan: Plan, setups: Sequence[SlaveSetup], added: SlaveSetup) -> list[str]:
+    """Findings and notes of the running bus of ``plan`` that are new because ``added`` joins ``setups``."""
+
+    def texts(slaves: Sequence[SlaveSetup]) -> tuple[str, ...]:
+        now = make_plan(
+            plan.params,
+            slaves,
+            others=plan.figures.others,
+            cycle_ns=config.bus.cycle_ns,
+            host_slack_ns=plan.figures.host_slack_ns,
+            data_control_ns=data_control_ns(config),
+            watchdog_ms=plan.watchdog_ms,
+        )
+        return (*now.findings, *now.notes)
+
+    known = set(texts(setups))
+    return [text for text in texts([*setups, added]) if text not in known]
+
+
+def cycle_rates(config: Config, cycle_ns: int) -> dict[Verdict, int | None]:
+    """The slowest baud rate, of those that all slaves know, at which ``cycle_ns`` is judged so or better."""
+    return slowest_rates(_at_rates(config), cycle_ns)
+
+
+def _at_rates(config: Config) -> Iterable[Figures]:
+    for rate in BAUD_RATES:
+        if rate_findings(config, rate):
+            continue
+        try:
+            params, setups = config.params(rate), config.setups(rate)
+        except ConfigError:
+            continue  # its parameters are for another rate
+        yield figures(params, setups, others=other_masters(config, rate))
+
+
+def adapter_notes(config: Config, params: BusParams, setups: Sequence[SlaveSetup]) -> list[str]:
+    """What a USB adapter does to the cycle, which is known before one is opened; nothing where there is time for it."""
+    slaves = len(rotation(params, setups, Case.SHORTEST).together)
+    round_ns = slaves * _ADAPTER_EXCHANGE + _ADAPTER_TOKEN
+    if not config.bus.cycle_ns or round_ns <= config.bus.cycle_ns:
+        return []
+    return [
+        f"over a USB adapter with a latency timer of 1 ms an exchange takes {ms_text(_ADAPTER_EXCHANGE)} or so at any "
+        f"rate, a round of {slaves} slave{'s' * (slaves != 1)} {ms_text(round_ns)}: longer than "
+        f"cycle_ms = {config.bus.cycle_ms:g}; a UART of the computer's own has no such delay"
+    ]
+
+
+def refuse_misfit(config: Config, plan: Plan, setups: Sequence[SlaveSetup]) -> None:
+    """Refuse ``setups`` that the cycle of ``plan`` cannot have. Raises ConfigError, one line."""
+    cycle_ns = config.bus.cycle_ns
+    if not cycle_ns:
+        return
+    refusals = judge_cycle(figures(plan.params, setups, others=plan.figures.others, cycle_ns=cycle_ns)).refusals
+    if not refusals:
+        return
+    what, todo, address = refusals[0]
+    if address is None:
+        faster = cycle_rates(config, cycle_ns)[Verdict.POSSIBLE]
+        hint = f" ({baud_text(faster)} would do)" if faster is not None and faster > plan.params.baud else ""
+        raise config.source.error(("bus", "cycle_ms"), f"[bus]: {what}", f"{todo}{hint}")
+    numbers = {slave.address: number for number, slave in enumerate(config.slaves)}
+    path = ("slave", numbers[address]) if address in numbers else ("bus", "cycle_ms")
+    raise config.source.error(path, what, todo)
+
+
+__all__ = [
+    "Verdict",
+    "adapter_notes",
+    "cycle_rates",
+    "data_control_ns",
+    "news_of_plan",
+    "other_masters",
+    "refuse_misfit",
+    "with_t_tr",
+]

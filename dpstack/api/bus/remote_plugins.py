@@ -1,0 +1,100 @@
+"""Drive plugins of a bus that runs in a process of its own: named here, working there."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from dpstack.api.config.slave import SlaveConfig
+from dpstack.dp.master.commands import RemoveSlave
+from dpstack.dpv1.master.plugin_queue import RecordQueue
+from dpstack.drivers.process.plugins import PluginRef
+from dpstack.errors import ConfigError
+from dpstack.profile import DriveCore, DriveStatus, ListedParam, registry
+
+if TYPE_CHECKING:
+    from dpstack.drivers.process.client import ProcessRuntime
+
+
+def core_of(slave: SlaveConfig, *, simulated: bool = False) -> DriveCore | None:
+    """The drive plugin of ``slave``; None where it has none, or the application makes the outputs octet by octet.
+
+    ``simulated``: the slave is one of ours, in the same process.
+    """
+    if slave.profile is None or slave.raw:
+        return None
+    records = None if slave.dpv1 is None else RecordQueue()
+    return slave.profile.core(slave.name, slave.telegram, slave.options, simulated=simulated, records=records)
+
+
+def plugin_of(slave: SlaveConfig) -> PluginRef | None:
+    """The plugin of ``slave`` by name. Raises ConfigError for one that is in no entry point: it cannot go along."""
+    if slave.profile is None or slave.raw:
+        return None
+    place = registry.places().get(slave.profile.name)
+    if place is None:
+        raise ConfigError(
+            f"slave {slave.address} ({slave.name}): its drive plugin {slave.profile.name!r} is an object of this "
+            f"program, and the bus process is handed names only; give it an entry point of the group {registry.GROUP}, "
+            'or take driver = "asyncio"'
+        )
+    return PluginRef(
+        place=place,
+        name=slave.name,
+        telegram=slave.telegram,
+        options=dict(slave.options),
+        records=slave.dpv1 is not None,
+    )
+
+
+def known_places() -> tuple[str, ...]:
+    """Where all drives that may be added while the bus runs are imported from."""
+    return tuple(registry.places().values())
+
+
+class RemoteCore:
+    """A drive plugin in the bus process; ``core`` is one like it that knows ranges and references."""
+
+    def __init__(self, runtime: ProcessRuntime, address: int, core: DriveCore) -> None:
+        self.drive = core.drive
+        self.reference_hz = core.reference_hz
+        self.telegram = core.telegram
+        self.access = core.access
+        self._runtime = runtime
+        self._address = address
+        self._core = core
+
+    @property
+    def setpoint(self) -> float:
+        """The set point as a part of the reference, as the plugin has taken it."""
+        return self.status().setpoint
+
+    def parameters(self) -> tuple[ListedParam, ...]:
+        """Those the plugin declares: data that both processes have."""
+        return self._core.parameters()
+
+    def setpoint_word(self, fraction: float) -> int:
+        """The set point as its word. Raises ValueError with the range."""
+        return self._core.setpoint_word(fraction)
+
+    def status(self) -> DriveStatus:
+        """As the plugin tells it at this moment; when the bus is over, that of a drive nothing is known of."""
+        from dpstack.drivers.process.messages import typed
+
+        found = self._runtime.unit_status(self._address)
+        return self._core.status() if found is None else typed(found, DriveStatus)
+
+
+def attach_remote(runtime: ProcessRuntime, slave: SlaveConfig) -> RemoteCore | None:
+    """Put the drive plugin of ``slave`` onto its process image in the bus process; None where it has none.
+
+    Those that it was started with stand there already. Raises ConfigError; the slave is given up again then.
+    """
+    try:
+        core, plugin = core_of(slave), plugin_of(slave)
+        if core is None or plugin is None:
+            return None
+        runtime.attach_plugin(slave.address, plugin)
+    except ConfigError:
+        runtime.command(RemoveSlave(slave.address))
+        raise
+    return RemoteCore(runtime, slave.address, core)

@@ -1,0 +1,131 @@
+"""Beside other masters: joining their ring, how long it may take, why it failed, and what they need; for people."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Final
+
+from dpstack.drivers.views import StationSeen
+from dpstack.errors import BusError
+from dpstack.fdl.events import MasterSeen
+from dpstack.params import BusParams
+from dpstack.phy.neighbours import Neighbours
+from dpstack.phy.patience import Patience
+from dpstack.trace import Event, Notice, Severity
+from dpstack.units import NS_PER_S, ns_to_s
+
+if TYPE_CHECKING:
+    from dpstack.api.bus.bus import Bus
+
+#: a master of another make may be slower than ours: nobody gives up sooner
+_LEAST_LIMIT_S: Final = 30.0
+#: the first poll may come before the newcomer knows the ring, or its answer may be damaged
+_PASSES: Final = 2
+
+
+def pass_ns(params: BusParams, patience: Patience) -> int:
+    """How long a newcomer waits at most for the GAP poll of a master set like this one: the pause between two passes,
+    and one pass over every address up to HSA. (Of what is polled in each rotation only the slot time is counted.)"""
+    cost_ns = patience.silent_ns(params)
+    polls = params.hsa + 1
+    return params.gap * params.ns(params.t_tr) + polls * cost_ns * max(1, patience.gap_share(polls, cost_ns))
+
+
+def join_limit_s(params: BusParams, patience: Patience) -> float:
+    """When to give up: two passes, 30 s at least."""
+    return max(_LEAST_LIMIT_S, float(-(-_PASSES * pass_ns(params, patience) // NS_PER_S)))
+
+
+class Beside:
+    """What is to be told of other masters: how long joining takes, and what they need beside a port such as ours.
+
+    The figures are those of the moment: told again when the port was measured and another master comes.
+    """
+
+    def __init__(self, station: StationSeen) -> None:
+        self._station = station
+        self._told: set[str] = set()
+
+    def notices(self, event: Event) -> Iterator[Notice]:
+        """What ``event`` gives cause for."""
+        if not (isinstance(event, MasterSeen) and event.present):
+            return
+        station = self._station
+        params, patience = station.params, station.patience
+        if not station.in_ring and not self._told:
+            within = ns_to_s(pass_ns(params, patience))
+            text = (
+                f"waiting for master {event.address} to let station {params.address} into the ring: up to "
+                f"{within:.1f} s where it is set like this one; a lower hsa on all masters makes it shorter"
+            )
+            yield self._notice(event.t_ns, text, Severity.INFO)
+        lowest = min(station.las - {params.address}, default=event.address)
+        advice = Neighbours(params, patience, lowest).advice()
+        if advice and advice not in self._told:
+            yield self._notice(event.t_ns, advice, Severity.WARNING)
+
+    def _notice(self, now: int, text: str, severity: Severity) -> Notice:
+        self._told.add(text)
+        return Notice(t_ns=now, source="ring", message=text, severity=severity)
+
+
+async def join(bus: Bus, timeout: float | None) -> None:
+    """Wait until the station is in the ring, for :func:`join_limit_s` unless ``timeout`` is given. Raises BusError."""
+    limit = join_limit_s(bus.params, bus.station.patience) if timeout is None else timeout
+
+    def joined() -> bool:
+        if bus.collision is not None:
+            raise BusError(bus.collision)
+        return bus.station.in_ring
+
+    try:
+        await bus.until(joined, limit)
+    except TimeoutError:
+        raise BusError(why_not_joined(bus.station, limit)) from None
+
+
+def why_not_joined(station: StationSeen, after_s: float) -> str:
+    """One line that says what was heard instead, and what to do."""
+    own = station.address
+    late = f"station {own} is not in the token ring after {after_s:g} s"
+    others = sorted(station.las - {own})
+    if others:
+        return (
+            f"{late}: masters {', '.join(map(str, others))} do not let it in; "
+            f"their HSA must be {own} or more and their GAP on"
+        )
+    if station.stats.heard:
+        requesters = station.stats.without_token
+        who = _masters(requesters) if requesters else "a master"
+        return (
+            f"{late}: {station.stats.heard} telegrams of other stations are heard, and no token: {who} that "
+            f"{'pass' if len(requesters) > 1 else 'passes'} none can share the bus with nobody; stop "
+            f"{'them' if len(requesters) > 1 else 'it'} first"
+        )
+    if station.decoder_stats.octets:
+        return f"{late}: what is heard is no PROFIBUS at this rate; check the baud rate, A and B, the termination"
+    return f"{late}: nothing is heard and nothing could be sent; check port and cable"
+
+
+def what_was_heard(station: StationSeen) -> tuple[str, Severity]:
+    """One line about the telegrams and masters that a station has heard before it joined the ring, and its severity."""
+    heard, bad = station.stats.heard, station.decoder_stats.bad
+    others = sorted(station.las - {station.address})
+    unreadable = f"{bad} damaged" if heard else f"{bad} damaged telegrams, no readable one: is this the right rate?"
+    words = [f"{heard} telegrams"] if heard else []
+    words += [unreadable] if bad else []
+    words += [_masters(others)] if others else []
+    text = f"listened first: {', '.join(words) or 'silence'}; nobody has address {station.address}"
+    requesters = [address for address in station.stats.without_token if address not in station.las]
+    if not requesters:
+        return text, Severity.INFO
+    several = len(requesters) > 1
+    does = "send requests and pass no token: they" if several else "sends requests and passes no token: it"
+    return (
+        f"{text}; {_masters(requesters)} {does} and station {station.address} will garble each other's telegrams; "
+        "stop one of them"
+    ), Severity.WARNING
+
+
+def _masters(addresses: Sequence[int]) -> str:
+    return f"master{'s' if len(addresses) > 1 else ''} {', '.join(map(str, addresses))}"

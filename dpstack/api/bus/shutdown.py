@@ -1,0 +1,423 @@
+"""The end of a bus by its application: through cancellations and Ctrl-C, by a finaliser where the event loop is over,
+and not at all in a forked child. The steps are :class:`dpstack.drivers.shutdown.EndSteps`;
+docs/ends.md has every way out.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import atexit
+import contextlib
+import functools
+import logging
+import os
+import re
+import select
+import signal
+import sys
+import threading
+import weakref
+from collections.abc import AsyncGenerator, Callable, Iterable, Iterator
+from pathlib import Path
+from time import monotonic
+from types import FrameType
+from typing import TYPE_CHECKING, Final
+
+from dpstack.dp.master.commands import Mode
+from dpstack.drivers.line.asyncio_runtime import outlast
+from dpstack.drivers.shutdown import EndSteps, at_slaves
+from dpstack.errors import BusError, DpError, UsageError
+from dpstack.text import printable
+from dpstack.trace import Event, Severity
+from dpstack.units import NS_PER_MS, ns_to_s
+
+if TYPE_CHECKING:
+    from dpstack.api.bus.bus import Bus
+
+_log: Final = logging.getLogger("dpstack")
+
+#: the buses of this process that are open: for :func:`hurry_all` and for the child of a fork
+_open_buses: weakref.WeakSet[Bus] = weakref.WeakSet()
+#: a loop that calls so much too late was blocked
+_HELD_UP_NS: Final = 10 * NS_PER_MS
+#: what the system sends to end a program
+_ENDING_SIGNALS: Final = tuple(
+    number for name in ("SIGINT", "SIGTERM", "SIGHUP") if (number := getattr(signal, name, None)) is not None
+)
+#: Ctrl-C within so many seconds of the beginning of the end is the one that began it
+SAME_SIGNAL_S: Final = 1.0
+
+
+def hurry_all() -> None:
+    """End every open bus of this process now, without what is not needed to make outputs safe. Within their loop."""
+    for bus in list(_open_buses):
+        bus.hurry()
+
+
+class OrderedEnd:
+    """The end of ``bus``: how far it is, who makes it, what is said where slaves were not told to be safe."""
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+        self._steps: EndSteps | None = None
+        self._step: asyncio.Future[None] | None = None
+        self._hurried = False
+        self._keeper: AsyncGenerator[None, None] | None = None
+        self._finalizer: weakref.finalize[[], _HeldByLoop] | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._wake_fd = -1
+        self._held: _HeldByLoop | None = None
+        self._pid = os.getpid()
+        #: slaves had outputs, and got neither safe values nor Clear
+        self.failed = False
+
+    # --- the bus opens and closes -------------------------------------------------------------------------------
+
+    async def watch(self) -> None:
+        """The bus has been opened: from now on somebody ends it, whatever becomes of its task, its loop, the program.
+
+        An asynchronous generator has asyncio.run() end a bus that nobody closed; a finaliser is there for a loop that
+        is closed or never runs again.
+        """
+        self._loop = loop = asyncio.get_running_loop()
+        self._pid = os.getpid()
+        _open_buses.add(self._bus)
+        self._keeper = self._keep()
+        await anext(self._keeper)
+        held = _HeldByLoop()
+        if hasattr(os, "eventfd"):
+            fd = os.eventfd(0, os.EFD_CLOEXEC)
+            try:
+                loop.add_reader(fd, held.never)
+                self._wake_fd = fd
+            except NotImplementedError:
+                os.close(fd)
+        if self._bus.driver == "virtual":  # nobody real has outputs
+            return
+        if self._wake_fd < 0:  # only the end of the interpreter is noticed then
+            self._held = held
+        self._finalizer = weakref.finalize(held, self._without_loop)
+        self._finalizer.atexit = False  # see _at_exit
+
+    async def _keep(self) -> AsyncGenerator[None, None]:
+        try:
+            yield
+        finally:
+            if not self._is_ender():
+                await self._bus.close()
+
+    def _is_ender(self) -> bool:
+        ender = self._bus.ender
+        return ender is not None and asyncio.current_task() is ender
+
+    async def unwatch(self) -> None:
+        """The bus is closed: nothing is left to be done."""
+        self._forget()
+        keeper, self._keeper = self._keeper, None
+        if keeper is not None:
+            with contextlib.suppress(RuntimeError):  # asyncio.run() is closing it and waits for this end
+                await keeper.aclose()
+
+    def _forget(self) -> None:
+        _open_buses.discard(self._bus)
+        if self._finalizer is not None:
+            self._finalizer.detach()
+            self._finalizer = None
+        fd, self._wake_fd = self._wake_fd, -1
+        if fd >= 0:
+            if self._loop is not None and not self._loop.is_closed():
+                self._loop.remove_reader(fd)
+            os.close(fd)
+
+    # --- in the loop --------------------------------------------------------------------------------------------
+
+    def on_event(self, event: Event) -> None:
+        """The master has stopped, the ring was left."""
+        if self._steps is not None:
+            self._steps.on_event(event)
+            if self._steps.done:
+                self._wake()
+
+    def hurry(self) -> None:
+        """Skip what is not needed to make outputs safe, see :class:`EndSteps`."""
+        self._hurried = True
+        if self._steps is not None:
+            self._steps.hurry(self._bus.runtime.now())
+            self._wake()
+
+    def is_over(self) -> None:
+        """Nothing can be sent any more: no step is waited for."""
+        if self._steps is not None:
+            self._steps.done = True
+            self._wake()
+
+    async def carry_out(self) -> None:
+        """All of it, as far as the bus still can, in the time that :func:`~dpstack.drivers.shutdown.end_limit_ns`
+        gives.
+
+        A cancellation of the task that runs this (asyncio.run() cancels all) changes nothing.
+        """
+        bus = self._bus
+        steps = self._steps = EndSteps(bus.station)
+        if self._hurried:
+            steps.hurry(bus.runtime.now())
+        owed = self._exchanging()
+        rotation = bus.rotation_limit_ns
+        with self._interrupts_deferred():
+            while (order := steps.next_order()) is not None:
+                begun = bus.runtime.now()
+                with contextlib.suppress(DpError):  # a bus that can no longer do it does not hold the program up
+                    bus.command(order)
+                    held_up = False
+                    while not steps.done and (left := steps.wait_until(begun, rotation) - bus.runtime.now()) > 0:
+                        paused = bus.runtime.now()
+                        await self._pause(ns_to_s(left))
+                        if not held_up and bus.runtime.now() - paused - left > _HELD_UP_NS:
+                            held_up = True  # by another task that blocked the loop, and with it the bus
+                            begun = bus.runtime.now()
+            now = bus.runtime.now()
+            # no event: no port tells when the last bit is on the wire, only time does
+            self._steps = None
+            await self._pause(ns_to_s(steps.over_at(now) - now))
+        self.failed = bool(owed) and not steps.cleared
+        # a bus process that is no more has its own words for that
+        if self.failed and not (steps.cleared is None and bus.driver == "process"):
+            text = f"the end could not be sent: the slaves got neither safe values nor Clear. {at_slaves(owed)}"
+            bus.notice("bus", text, Severity.ERROR)
+
+    def _exchanging(self) -> dict[str, int]:
+        """The watchdogs in ns of the slaves that have outputs of this master, by name."""
+        if self._bus.master.mode is not Mode.OPERATE:
+            return {}
+        handlers = self._bus.master.handlers.values()
+        return {h.setup.name: h.watchdog_effective_ns for h in handlers if h.exchanges}
+
+    async def _pause(self, seconds: float) -> None:
+        """Until :meth:`_wake`, for so long at most; cancellations change nothing."""
+        loop = asyncio.get_running_loop()
+        self._step = step = loop.create_future()
+        timer = loop.call_later(seconds, _set, step)
+        try:
+            with contextlib.suppress(asyncio.CancelledError):
+                await outlast(step)
+        finally:
+            timer.cancel()
+            self._step = None
+
+    def _wake(self) -> None:
+        if self._step is not None:
+            _set(self._step)
+
+    @contextlib.contextmanager
+    def _interrupts_deferred(self) -> Iterator[None]:
+        """A Ctrl-C that would raise KeyboardInterrupt somewhere in the middle of the end is raised after it.
+
+        One that comes later than :data:`SAME_SIGNAL_S` after the beginning hurries the end. Handlers of signals that
+        the program itself has set stay as they are.
+        """
+        loop = asyncio.get_running_loop()
+        before = signal.getsignal(signal.SIGINT) if threading.current_thread() is threading.main_thread() else None
+        if not _raises(before):
+            yield
+            return
+        assert callable(before)
+        deferred = _DeferredSignals((signal.SIGINT,), lambda: loop.call_soon_threadsafe(self._bus.hurry))
+        try:
+            yield
+        finally:
+            if deferred.restore():
+                loop.call_soon(before, signal.SIGINT, None)
+
+    # --- without a loop -----------------------------------------------------------------------------------------
+
+    def at_exit(self) -> None:
+        """The interpreter ends: the finaliser acts now, if the bus has one."""
+        if self._finalizer is not None and self._finalizer.detach():
+            self._without_loop()
+
+    def _without_loop(self) -> None:
+        """The finaliser: the loop was closed, or the interpreter ends, and nobody has closed the bus."""
+        bus, loop = self._bus, self._loop
+        if os.getpid() != self._pid or bus.is_left:
+            return
+        where = f"the bus on {printable(bus.runtime.port_name)}"
+        deferred = _DeferredSignals(_ENDING_SIGNALS, self._hurry_in_thread)
+        try:
+            if loop is not None and loop.is_running():  # in another thread, which ends with the interpreter
+                with contextlib.suppress(Exception):
+                    asyncio.run_coroutine_threadsafe(bus.close(), loop).result(bus.end_limit_s)
+                    _log.warning("%s was still open as the program ended and was closed then", where)
+                    return
+            self._end_now(f"{where} was not closed before its event loop was (use `async with`)")
+        finally:
+            deferred.raise_again()
+
+    def _hurry_in_thread(self) -> None:
+        loop = self._loop
+        if loop is not None and loop.is_running():
+            loop.call_soon_threadsafe(self._bus.hurry)
+
+    def _end_now(self, how: str) -> None:
+        """The end by this thread, without the loop. ``how`` the bus was left, for people."""
+        bus = self._bus
+        owed = self._exchanging()
+        why = bus.runtime.end_without_loop()
+        bus.leave(UsageError("the bus was left with its event loop"))
+        self._forget()
+        self._drop_keeper()
+        self.failed = bool(owed and why)
+        if not why:
+            _log.warning("%s: safe values and Clear were sent at the last moment", how)
+        elif owed:
+            _log.error("%s, and safe values and Clear could not be sent: %s. %s", how, why, at_slaves(owed))
+
+    async def elsewhere(self) -> bool:
+        """Close the bus for a caller outside of the bus's event loop; False where the caller is in that loop.
+
+        A loop that runs in another thread makes the end itself. For a loop that does not run the end is made here, as
+        the finaliser would make it. Without any running loop (Python throws a coroutine away) it is left to the
+        finaliser. Raises BusError where the loop in the other thread is blocked.
+        """
+        loop = self._loop
+        try:
+            running = asyncio.get_running_loop()
+        except RuntimeError:
+            return True
+        if loop is None or loop is running:
+            return False
+        if loop.is_running():
+            ending = asyncio.wrap_future(asyncio.run_coroutine_threadsafe(self._bus.close(), loop))
+            limit = running.call_later(self._bus.end_limit_s, ending.cancel)
+            await outlast(ending)
+            limit.cancel()
+            if ending.cancelled():
+                raise BusError(
+                    f"the event loop of the bus on {self._bus.runtime.port_name} is blocked: it does not end it"
+                )
+            ending.result()
+        else:
+            deferred = _DeferredSignals(_ENDING_SIGNALS, lambda: None)
+            try:
+                self._end_now(f"the bus on {self._bus.runtime.port_name} was closed in another event loop than its own")
+            finally:
+                deferred.raise_again()
+        return True
+
+    def _drop_keeper(self) -> None:
+        keeper, self._keeper = self._keeper, None
+        if keeper is not None:
+            with contextlib.suppress(StopIteration, StopAsyncIteration, RuntimeError):
+                keeper.aclose().send(None)
+
+    # --- in a forked child --------------------------------------------------------------------------------------
+
+    def forsake(self) -> None:
+        """In the child of a fork: the bus stays the parent's, and nothing that both share is touched."""
+        bus = self._bus
+        _separate(self._wake_fd)
+        bus.runtime.forsake()
+        text = "this process was forked from the one that runs the bus, which goes on there: open a bus of its own"
+        bus.leave(UsageError(text))
+        self._forget()
+        self._drop_keeper()
+
+
+class _HeldByLoop:
+    """Nobody but an event loop refers to it: it is gone when the loop is closed."""
+
+    def never(self) -> None:
+        """Its descriptor never becomes readable."""
+
+
+def _set(future: asyncio.Future[None]) -> None:
+    if not future.done():
+        future.set_result(None)
+
+
+def _raises(handler: object) -> bool:
+    """Whether a signal handler raises KeyboardInterrupt wherever the program is: Python's own and asyncio.run()'s."""
+    if handler is signal.default_int_handler:
+        return True
+    func = handler.func if isinstance(handler, functools.partial) else handler
+    return isinstance(getattr(func, "__self__", None), asyncio.Runner)
+
+
+class _DeferredSignals:
+    """Signals of ``numbers`` are kept from now on until :meth:`restore`, whichever thread the system gives them to.
+
+    Nothing is changed in threads other than the main one, where no handler runs, and for ignored signals.
+    ``late`` is called by one that comes more than :data:`SAME_SIGNAL_S` after the beginning.
+    """
+
+    def __init__(self, numbers: Iterable[int], late: Callable[[], object]) -> None:
+        self._caught: list[int] = []
+        self._before: dict[int, object] = {}
+        self._late = late
+        self._begun = monotonic()
+        if threading.current_thread() is threading.main_thread():
+            for number in numbers:
+                self._defer(number)
+
+    def _defer(self, number: int) -> None:
+        before = signal.getsignal(number)
+        while before not in (None, signal.SIG_IGN) and number not in self._before:
+            try:
+                signal.signal(number, self._keep)
+            except BaseException as error:  # it came before: Python runs its handler before it takes another one
+                self._caught.append(signal.SIGINT if isinstance(error, KeyboardInterrupt) else signal.SIGTERM)
+            else:
+                self._before[number] = before
+
+    def _keep(self, number: int, _frame: FrameType | None) -> None:
+        self._caught.append(number)
+        if monotonic() - self._begun >= SAME_SIGNAL_S:
+            self._late()
+
+    def raise_again(self) -> None:
+        """The handlers from before are back, and see the signals that came."""
+        for number in self.restore():
+            signal.raise_signal(number)
+
+    def restore(self) -> list[int]:
+        """The handlers from before are back. Returns the signals that came, each once."""
+        for number, before in self._before.items():
+            if callable(before) or isinstance(before, signal.Handlers):
+                signal.signal(number, before)
+        return list(dict.fromkeys(self._caught))
+
+
+def _separate(watched_fd: int) -> None:
+    """In the child of a fork: an event loop's epoll that watches ``watched_fd`` becomes one of the child's own.
+
+    The copy of a loop has the parent's epoll. Closing the loop in the child, as asyncio.run() does, would take
+    descriptors out of the parent's loop, among them the one by which threads and signals wake it up. Which epoll it is
+    Linux tells, so it may be the loop of asyncio or another one (uvloop).
+    """
+    if sys.platform != "linux" or watched_fd < 0:
+        return
+    for name in os.listdir("/proc/self/fd"):
+        with contextlib.suppress(OSError, ValueError):
+            watched = Path("/proc/self/fdinfo", name).read_text(encoding="ascii")
+            if re.search(rf"^tfd:\s*{watched_fd}\s", watched, re.MULTILINE):
+                with select.epoll() as fresh:
+                    os.dup2(fresh.fileno(), int(name), inheritable=False)
+
+
+def _in_child() -> None:
+    for bus in list(_open_buses):
+        bus.forsake()
+
+
+def _at_exit() -> None:
+    """End all buses that are left, before a signal that comes meanwhile ends the program."""
+    deferred = _DeferredSignals(_ENDING_SIGNALS, lambda: None)
+    for bus in list(_open_buses):
+        bus.at_exit()
+    deferred.raise_again()
+
+
+atexit.register(_at_exit)
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_in_child)
+
+__all__ = ["OrderedEnd", "hurry_all"]

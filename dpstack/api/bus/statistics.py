@@ -1,0 +1,259 @@
+"""Counters and rotation times of a bus, as one picture."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+from dpstack.dp.master.cycle_part import CycleBook
+from dpstack.dp.process_data import as_json
+from dpstack.dpv1.master.alarm_events import AlarmCounts
+from dpstack.fdl.interface import LinkStats, StationStats
+from dpstack.units import NS_PER_MS, NS_PER_S, NS_PER_US, ns_to_s
+
+if TYPE_CHECKING:
+    from dpstack.api.bus.bus import Bus
+    from dpstack.api.slave.drive import Drive
+    from dpstack.api.slave.slave import Slave
+
+#: counters that are older are not those of this moment
+STALE_NS: Final = NS_PER_S
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlaveStats:
+    """One slave's counters since the start; ``link`` are those of the link layer.
+
+    ``inputs_valid``, ``inputs_age`` (seconds, None: there never were any): see :class:`~dpstack.api.slave.slave.Slave`.
+    ``master`` owns it on a read-only bus, as far as is known. ``fields``: its named inputs and outputs,
+    octets as hex.
+    """
+
+    address: int
+    name: str
+    state: str
+    exchanges: int
+    retries: int
+    timeouts: int
+    inputs: bytes
+    inputs_valid: bool
+    inputs_age: float | None
+    outputs: bytes
+    #: the effective watchdog, 0 when off
+    watchdog_ms: int
+    link: StationStats
+    master: int | None = None
+    fields: Mapping[str, object] = field(default_factory=dict)
+    #: of its alarms, None for a slave without DP-V1
+    alarms: AlarmCounts | None = None
+    #: flags and texts of its last diagnosis; empty before the first
+    diagnosis: Mapping[str, object] = field(default_factory=dict)
+    #: what people are told of it, empty where there is nothing
+    conspicuous: str = ""
+    #: status and notices of the drive that it is
+    drive: Mapping[str, object] = field(default_factory=dict)
+
+    def as_dict(self) -> dict[str, object]:
+        """As in the summary line of ``run --json``."""
+        return {
+            "name": self.name,
+            "state": self.state,
+            "exchanges": self.exchanges,
+            "retries": self.retries,
+            "timeouts": self.timeouts,
+            "inputs": self.inputs.hex(),
+            **inputs_dict(self.inputs_valid, self.inputs_age),
+            "outputs": self.outputs.hex(),
+            "watchdog_ms": self.watchdog_ms,
+            **({"fields": dict(self.fields)} if self.fields else {}),
+            **_link_dict(self.link),
+            **({} if self.master is None else {"master": self.master}),
+            **({} if self.alarms is None else {"alarms": dataclasses.asdict(self.alarms)}),
+            **self.diagnosis,
+            **({"drive": dict(self.drive)} if self.drive else {}),
+        }
+
+
+def inputs_dict(valid: bool, age: float | None) -> dict[str, object]:
+    """What is printed beside inputs: whether they are valid, and their age in ms (null: there never were any)."""
+    return {"inputs_valid": valid, "inputs_age_ms": None if age is None else round(age * 1000, 1)}
+
+
+def diagnosis_dict(slave: Slave) -> dict[str, object]:
+    """``diagnosis`` with ``flags`` and ``texts`` of the last one read, as ``status`` and summary have it."""
+    diagnosis = slave.diagnosis
+    if diagnosis is None:
+        return {}
+    return {"diagnosis": {"flags": list(diagnosis.flags), "texts": list(slave.block_texts)}}
+
+
+def drive_dict(bus: Bus, drive: Drive) -> dict[str, object]:
+    """The status of ``drive``, and ``notices`` with ``t`` in seconds since the start, where there were some."""
+    notices = [{"t": round(ns_to_s(one.t_ns - bus.started_ns), 3), "text": one.text} for one in drive.notices]
+    return drive.status.as_dict() | ({"notices": notices} if notices else {})
+
+
+def _link_dict(link: StationStats) -> dict[str, object]:
+    """What is printed beside requests given up and repeated."""
+    return {"telegrams": link.telegrams, "late": link.late, "wrong": link.wrong, "bad": dict(link.bad)}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BusStats:
+    """The whole bus. Rotation times in whole microseconds: ``min``, ``p50``, ``p99``, ``p999``, ``max``.
+
+    ``rotation_us`` is first Data_Exchange of a round to that of the next, ``token_us`` token receipt to token receipt.
+    ``paced`` is false where no wire gives the octets their time: the figures are the host's. ``bad`` counts octets and
+    telegrams that could not be read, by cause (names of DecoderStats); ``uart_...`` are octets that the adapter or its
+    driver found damaged. ``stations`` are the link layer's counters of every station that was asked anything, ``link``
+    those of this station; ``retries``, ``timeouts`` are their sums.
+
+    ``age`` is how old the counters are in seconds: 0 where the bus runs in this process, some 0.1 s with a bus process.
+    ``stale``: nobody keeps the bus running, or they are older than 1 s.
+    """
+
+    seconds: float
+    paced: bool
+    rotations: int
+    rotation_us: dict[str, int]
+    token_us: dict[str, int]
+    slaves: dict[int, SlaveStats]
+    tokens: int
+    tokens_lost: int
+    late: int
+    bad: dict[str, int]
+    link: LinkStats
+    #: the books over the fixed cycles; None free running
+    cycles: CycleBook | None
+    #: requests that did not fit between two cycles: waits, and what was sent all the same
+    held_back: int
+    forced: int
+    #: how late answers are delivered, as ``rotation_us``: host, adapter and T_SDR; None where nothing was measured
+    host_us: dict[str, int] | None
+    #: how long a station that matters is waited for beyond its slot time, in ms
+    host_slack_ms: float
+    age: float = 0.0
+    stale: bool = False
+    #: how far the time of a simulated bus has fallen behind real time, in s
+    behind: float = 0.0
+
+    @property
+    def stations(self) -> dict[int, StationStats]:
+        """Counters by station address."""
+        return self.link.stations
+
+    @property
+    def telegrams(self) -> int:
+        """Sent and heard, tokens included."""
+        return self.link.sent + self.link.heard
+
+    @property
+    def retries(self) -> int:
+        """Repeated requests."""
+        return sum(station.retries for station in self.stations.values())
+
+    @property
+    def timeouts(self) -> int:
+        """Requests given up."""
+        return sum(station.timeouts for station in self.stations.values())
+
+    def _cycle_dict(self) -> dict[str, object]:
+        """A fixed cycle's keys of the summary."""
+        book = self.cycles
+        if book is None:
+            return {}
+        return {
+            "cycle_us": book.cycle_ns / NS_PER_US,
+            "cycles": book.begun,
+            "late_us": book.late.summary_us(),
+            "missed": book.missed,
+            "left_out": book.left_out,
+            "missed_by": {reason.value: count for reason, count in book.reasons.items()},
+            "held_back": self.held_back,
+            "forced": self.forced,
+        }
+
+    def summary(self) -> dict[str, object]:
+        """The summary line of ``run --json``, without ``event`` and ``t``."""
+        return {
+            "seconds": round(self.seconds, 3),
+            "paced": self.paced,
+            "rotations": self.rotations,
+            "rotation_us": self.rotation_us,
+            "token_us": self.token_us,
+            **self._cycle_dict(),
+            "tokens": self.tokens,
+            "tokens_lost": self.tokens_lost,
+            "telegrams": self.telegrams,
+            "sent": self.link.sent,
+            "retries": self.retries,
+            "timeouts": self.timeouts,
+            "late": self.late,
+            "stray": self.link.stray,
+            "garbled": self.link.garbled,
+            "token_retries": self.link.token_retries,
+            "gap_polls": self.link.gap_polls,
+            "bad": self.bad,
+            "host_us": self.host_us,
+            "host_slack_ms": self.host_slack_ms,
+            "age_ms": round(self.age * 1000, 1),
+            "stale": self.stale,
+            "behind_ms": round(self.behind * 1000, 1),
+            "slaves": {str(address): slave.as_dict() for address, slave in self.slaves.items()},
+        }
+
+
+def collect(bus: Bus) -> BusStats:
+    """The picture at this moment: a copy, later counts do not change it. It never waits for a bus process."""
+    age_ns = bus.runtime.counters_age_ns
+    link = copy.deepcopy(bus.station.stats)
+    drives = {drive.address: drive_dict(bus, drive) for drive in bus.drives}
+    lateness = bus.runtime.lateness
+    bad = bus.station.decoder_stats.by_cause()
+    bad |= {f"uart_{cause}": count for cause, count in bus.runtime.damage().items() if count}
+    return BusStats(
+        seconds=bus.seconds,
+        paced=bus.runtime.paced,
+        rotations=bus.master.rotation_count,
+        rotation_us=bus.master.rotation.summary_us(),
+        token_us=bus.station.token_rotation.summary_us(),
+        cycles=copy.deepcopy(bus.master.cycles) if bus.master.cycles.cycle_ns else None,
+        held_back=bus.master.budget.held_back,
+        forced=bus.master.budget.forced,
+        slaves={
+            slave.address: SlaveStats(
+                address=slave.address,
+                name=slave.name,
+                state=slave.state.value,
+                exchanges=slave.exchanges,
+                retries=link.station(slave.address).retries,
+                timeouts=link.station(slave.address).timeouts,
+                inputs=slave.inputs,
+                inputs_valid=slave.inputs_valid,
+                inputs_age=slave.inputs_age,
+                outputs=slave.outputs_held,
+                watchdog_ms=slave.watchdog_ms,
+                link=link.station(slave.address),
+                master=slave.found.master if slave.found is not None else None,
+                fields=as_json(slave.input_values | slave.output_values),
+                alarms=slave.alarm_counts,
+                diagnosis=diagnosis_dict(slave),
+                conspicuous=slave.conspicuous,
+                drive=drives.get(slave.address, {}),
+            )
+            for slave in bus.slaves
+        },
+        tokens=link.tokens,
+        tokens_lost=link.tokens_lost,
+        late=link.late,
+        bad=bad,
+        link=link,
+        host_us=lateness.histogram.summary_us() if lateness.histogram.count else None,
+        host_slack_ms=bus.station.patience.known_ns / NS_PER_MS,
+        age=ns_to_s(age_ns),
+        behind=ns_to_s(bus.runtime.behind_ns),
+        stale=bus.runtime.not_running is not None or age_ns > STALE_NS,
+    )

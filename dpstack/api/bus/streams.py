@@ -1,0 +1,287 @@
+"""Handing events to the application without ever letting a slow reader hold up the bus."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections import deque
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import Final, Generic, Self, TypeVar
+
+from dpstack.dp.master.events import DriveEvent, SlaveDiagnosis, SlaveEvent, SlaveFaulted, SlaveStateChanged
+from dpstack.drivers.views import MasterSeen
+from dpstack.trace import Event
+from dpstack.units import ns_to_s
+
+T = TypeVar("T")
+
+#: Events kept for a reader that does not read, and for one that comes later.
+DEPTH: Final = 1000
+
+OnEvent = Callable[[Event], None]
+
+#: A slave's state changes, faults and diagnoses are told one by one up to so many at once and so many a second.
+_BURST: Final = 40
+_PER_S: Final = 5
+#: After this time a slave that had more of them is reported: how many there were, and the newest of each kind.
+_FLAP_REPORT_S: Final = 1.0
+
+
+class Stream(AsyncIterator[T]):
+    """An async iterator over what happens; bounded by ``depth``: the oldest are dropped and counted in ``dropped``."""
+
+    def __init__(self, depth: int, backlog: Iterable[T] = ()) -> None:
+        self.dropped = 0
+        self._waiting: deque[T] = deque(backlog, depth)
+        self._more = asyncio.Event()
+        self._ended = False
+
+    def put(self, item: T) -> None:
+        """From the bus."""
+        self.dropped += len(self._waiting) == self._waiting.maxlen
+        self._waiting.append(item)
+        self._more.set()
+
+    def end(self) -> None:
+        """No more will come; what is there can still be read."""
+        self._ended = True
+        self._more.set()
+
+    def __aiter__(self) -> Self:
+        return self
+
+    async def __anext__(self) -> T:
+        while not self._waiting:
+            if self._ended:
+                raise StopAsyncIteration
+            self._more.clear()
+            await self._more.wait()
+        return self._waiting.popleft()
+
+
+class EventStream(Stream[Event]):
+    """Events of a bus, an async iterator. Ends with the bus."""
+
+    def __init__(self, backlog: Iterable[Event], forget: Callable[[EventStream], None]) -> None:
+        super().__init__(DEPTH, backlog)
+        self._forget = forget
+        self._closed = False
+
+    def close(self) -> None:
+        """The reader has had enough. May be repeated."""
+        if not self._closed:
+            self._closed = True
+            self._forget(self)
+        self.end()
+
+
+def hand_to(on_event: OnEvent | None, event: Event) -> None:
+    """``event`` to the application. What that raises is its own: no other event may be lost by it, no bus stopped."""
+    if on_event is not None:
+        try:
+            on_event(event)
+        except Exception as error:
+            told = {"message": f"on_event raised at {event.text!r}", "exception": error}
+            asyncio.get_running_loop().call_exception_handler(told)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlaveFlapping(SlaveEvent):
+    """A slave's state or diagnosis changes too often to be told one by one: ``count`` changes were left out.
+
+    The newest state, fault and diagnosis among them follow this event. ``drive``: the changes are those of the drive.
+    """
+
+    count: int
+    drive: bool = False
+
+    @property
+    def text(self) -> str:
+        """How many changes, and what to look at."""
+        if self.drive:
+            return (
+                f"slave {self.address} ({self.name}): {self.count} changes of the drive's state, faults or warnings "
+                "are not told one by one; look at the drive"
+            )
+        return (
+            f"slave {self.address} ({self.name}) flaps: {self.count} changes of its state or diagnosis are not told "
+            f"one by one; look at its connector, its supply and its watchdog time"
+        )
+
+
+class Flapping:
+    """Holds back the changes of one slave that come too often, and reports them once a second."""
+
+    def __init__(self, pass_on: Callable[[Event], None]) -> None:
+        self._pass_on = pass_on
+        self._allowed = float(_BURST)
+        self._at_ns = 0
+        self._newest: dict[type[Event], SlaveEvent] = {}
+        self._count = 0
+        self._report: asyncio.TimerHandle | None = None
+
+    def tell(self, event: SlaveEvent) -> None:
+        """Pass ``event`` on, or keep it for the report."""
+        self._allowed = min(_BURST, self._allowed + _PER_S * ns_to_s(event.t_ns - self._at_ns))
+        self._at_ns = event.t_ns
+        if self._report is None and self._allowed >= 1:
+            self._allowed -= 1
+            self._pass_on(event)
+            return
+        self._count += 1
+        self._newest.pop(type(event), None)  # the order of the report is that of the events
+        self._newest[type(event)] = event
+        if self._report is None:
+            self._report = asyncio.get_running_loop().call_later(_FLAP_REPORT_S, self.report)
+
+    def report(self) -> None:
+        """Report what was held back, if anything was."""
+        if self._report is None:
+            return
+        self._report.cancel()
+        self._report = None
+        newest, self._newest = list(self._newest.values()), {}
+        count, self._count = self._count - len(newest), 0
+        last = newest[-1]
+        if count:
+            drive = isinstance(last, DriveEvent)
+            self._pass_on(SlaveFlapping(t_ns=last.t_ns, address=last.address, name=last.name, count=count, drive=drive))
+        for event in newest:
+            self._pass_on(event)
+
+
+class Events:
+    """What happened, for everybody who wants to know: streams, and ``on_event`` at once. A stream begins with what
+    happened before it, as far as it was kept."""
+
+    def __init__(self, on_event: OnEvent | None) -> None:
+        self._on_event = on_event
+        self._history: deque[Event] = deque(maxlen=DEPTH)
+        self._streams: list[EventStream] = []
+        self._ended = False
+        self._flapping: dict[int, Flapping] = {}
+
+    def tell(self, event: Event) -> None:
+        """To all of them; of a slave whose state flaps not each change, but the newest once a second."""
+        if isinstance(event, (SlaveStateChanged, SlaveFaulted, SlaveDiagnosis)):
+            flapping = self._flapping.get(event.address)
+            if flapping is None:
+                flapping = self._flapping[event.address] = Flapping(self._pass_on)
+            flapping.tell(event)
+        else:
+            self._pass_on(event)
+
+    def _pass_on(self, event: Event) -> None:
+        self._history.append(event)
+        for stream in self._streams:
+            stream.put(event)
+        hand_to(self._on_event, event)
+
+    def stream(self) -> EventStream:
+        """One more."""
+        stream = EventStream(self._history, self._streams.remove)
+        self._streams.append(stream)
+        if self._ended:
+            stream.end()
+        return stream
+
+    def end(self) -> None:
+        """No stream has more to come."""
+        for flapping in self._flapping.values():
+            flapping.report()
+        self._ended = True
+        for stream in self._streams:
+            stream.end()
+
+
+class Waiters:
+    """Futures that wait for a condition, judged whenever :meth:`check` is called."""
+
+    def __init__(self) -> None:
+        self._waiting: list[tuple[Callable[[], bool], asyncio.Future[None]]] = []
+
+    def check(self) -> None:
+        """Something changed: wake whose condition holds, or has raised."""
+        for condition, future in tuple(self._waiting):
+            if future.done():
+                continue
+            try:
+                if condition():
+                    future.set_result(None)
+            except Exception as error:
+                future.set_exception(error)
+
+    async def until(self, condition: Callable[[], bool], timeout: float | None) -> None:
+        """Wait until ``condition()``; what it raises is raised here. Raises TimeoutError."""
+        if condition():
+            return
+        future: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        entry = (condition, future)
+        self._waiting.append(entry)
+        try:
+            async with asyncio.timeout(timeout):
+                await future
+        finally:
+            self._waiting.remove(entry)
+
+
+class Rounds:
+    """Calls back at the end of every round with data exchange; while nobody wants it, it costs the bus nothing."""
+
+    def __init__(self, master: MasterSeen) -> None:
+        self._master = master
+        self._watchers: list[Callable[[], None]] = []
+
+    def watch(self, watcher: Callable[[], None]) -> None:
+        """Call ``watcher()`` at the end of every round."""
+        if watcher not in self._watchers:
+            self._watchers.append(watcher)
+        self._master.on_round = self._on_round
+
+    def unwatch(self, watcher: Callable[[], None]) -> None:
+        """No longer."""
+        self._watchers.remove(watcher)
+        if not self._watchers:
+            self._master.on_round = None
+
+    @contextlib.contextmanager
+    def watched(self, watcher: Callable[[], None]) -> Iterator[None]:
+        """Call ``watcher()`` at the end of every round inside the block."""
+        self.watch(watcher)
+        try:
+            yield
+        finally:
+            self.unwatch(watcher)
+
+    def _on_round(self, now: int) -> None:
+        for watcher in tuple(self._watchers):
+            watcher()
+
+
+class Latest(Generic[T]):
+    """One value at a time for one reader: the latest wins, never a backlog."""
+
+    def __init__(self) -> None:
+        self._value: list[T] = []
+        self._more = asyncio.Event()
+        self.ended = False
+
+    def put(self, value: T) -> None:
+        """Replace what was not read yet."""
+        self._value = [value]
+        self._more.set()
+
+    def end(self) -> None:
+        """No more will come."""
+        self.ended = True
+        self._more.set()
+
+    async def get(self) -> T | None:
+        """The next value; None at the end."""
+        while not self._value:
+            if self.ended:
+                return None
+            self._more.clear()
+            await self._more.wait()
+        return self._value.pop()

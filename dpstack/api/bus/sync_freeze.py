@@ -1,0 +1,169 @@
+"""SYNC and FREEZE as an application sees them: orders that return when they have been sent, and groups of slaves."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+from collections.abc import Iterable, Mapping
+from types import TracebackType
+from typing import TYPE_CHECKING, TypeVar
+
+from dpstack.api.slave.slave import Slave
+from dpstack.argcheck import Sealed
+from dpstack.dp.master.commands import SendControl
+from dpstack.dp.master.events import ControlFailed, ControlSent, PictureTaken
+from dpstack.errors import BusError, DpError, SlaveFault, UsageError
+from dpstack.trace import Event
+from dpstack.units import NS_PER_US, ns_to_s
+
+if TYPE_CHECKING:
+    from dpstack.api.bus.bus import Bus
+
+#: A group number 1..8, several of them, 0 or nothing for all slaves.
+Groups = int | Iterable[int]
+_tokens = itertools.count(1)
+
+
+T = TypeVar("T", bound=Event)
+
+
+class GroupOrders:
+    """The orders of one bus that wait for the wire."""
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+        self._pending: dict[int, tuple[asyncio.Future[Event], type[Event]]] = {}
+
+    async def send(self, groups: Groups, **what: bool) -> ControlSent:
+        """One Global_Control; returns when its last bit has left the line.
+
+        Raises UsageError where it cannot be sent in this mode or to these slaves, SlaveFault for a slave that is not
+        in data exchange where each is needed, BusError when it can no longer be sent.
+        """
+        sent = await self._order(SendControl(next(_tokens), numbers(groups), **what), ControlSent)
+        ahead = sent.t_ns - self._bus.runtime.now()
+        if ahead > 0:
+            await asyncio.sleep(ns_to_s(ahead + NS_PER_US))  # never early by the rounding of a float
+        return sent
+
+    async def picture(self, groups: Groups) -> dict[int, bytes]:
+        """FREEZE, and the inputs of every slave by address, each from an exchange after it. Raises as :meth:`send`."""
+        command = SendControl(next(_tokens), numbers(groups), freeze=True, picture=True)
+        return (await self._order(command, PictureTaken)).inputs
+
+    async def _order(self, command: SendControl, wanted: type[T]) -> T:
+        future: asyncio.Future[Event] = asyncio.get_running_loop().create_future()
+        self._pending[command.token] = future, wanted
+        try:
+            self._bus.command(command)
+            event = await future
+        finally:
+            del self._pending[command.token]
+        assert isinstance(event, wanted)
+        return event
+
+    def on_event(self, event: Event) -> None:
+        """An outcome from the machine."""
+        if not isinstance(event, (ControlSent, PictureTaken, ControlFailed)) or event.token not in self._pending:
+            return
+        future, wanted = self._pending[event.token]
+        if future.done():
+            return
+        if isinstance(event, ControlFailed):
+            future.set_exception(_failure(event))
+        elif isinstance(event, wanted):
+            future.set_result(event)
+
+    def end(self, error: DpError) -> None:
+        """Nothing will be sent any more."""
+        for future, _ in self._pending.values():
+            if not future.done():
+                future.set_exception(error)
+
+
+def numbers(groups: Groups) -> tuple[int, ...]:
+    """The group numbers meant; empty for all slaves."""
+    given = (groups,) if isinstance(groups, int) else tuple(groups)
+    return () if given == (0,) else given
+
+
+def _failure(event: ControlFailed) -> DpError:
+    if event.address is not None:
+        return SlaveFault(event.address, event.reason)
+    return BusError(f"SYNC or FREEZE was not sent: {event.reason}")
+
+
+class Group(Sealed):
+    """The slaves of some groups (none: all slaves) acted on together. Made by ``Bus.group``.
+
+    ::
+
+        async with bus.group(1) as valves:
+            await valves.write({"north": b"\\x01", "south": b"\\x01"})    # all change within one telegram
+            picture = await valves.read()                               # inputs of one moment, by name
+
+    Leaving the block ends SYNC and FREEZE. However the bus is left, safe values reach the outputs all the same.
+    """
+
+    def __init__(self, bus: Bus, orders: GroupOrders, groups: Groups) -> None:
+        self._bus = bus
+        self._orders = orders
+        self._groups = numbers(groups)
+        if not self.members:
+            known = ", ".join(str(g) for g in sorted({g for s in bus.slaves for g in s.setup.groups})) or "none"
+            raise UsageError(f"no slave is in group {', '.join(map(str, self._groups))}; groups of this bus: {known}")
+        self._seal(Group)
+
+    @property
+    def members(self) -> tuple[Slave, ...]:
+        """Its slaves in service, by address."""
+        wanted = set(self._groups)
+        in_service = (slave for slave in self._bus.slaves if not slave.deactivated)
+        return tuple(slave for slave in in_service if not wanted or wanted & set(slave.setup.groups))
+
+    async def write(self, outputs: Mapping[str | int, bytes]) -> None:
+        """New outputs (by name or address) that all take effect within one telegram; the others keep theirs.
+
+        SYNC (when not in it already), the outputs, one whole Data_Exchange with every slave of the group, SYNC.
+        Nothing is changed when anything is wrong. Raises UsageError, SlaveFault, BusError as ``Bus.sync`` does.
+        """
+        members = self.members
+        wanted = {self._member(which, members): octets for which, octets in outputs.items()}
+        for slave, octets in wanted.items():
+            slave.check_outputs(octets)
+        if not all(slave.synced for slave in members):
+            await self._orders.send(self._groups, sync=True, settle=True)
+        for slave, octets in wanted.items():
+            slave.outputs = octets
+        await self._orders.send(self._groups, sync=True, settle=True)
+
+    async def read(self) -> dict[str, bytes]:
+        """The inputs of all its slaves at one moment, by name: FREEZE, then one whole Data_Exchange with each."""
+        picture = await self._orders.picture(self._groups)
+        return {self._bus.slave(address).name: octets for address, octets in picture.items()}
+
+    async def exchange(self, outputs: Mapping[str | int, bytes]) -> dict[str, bytes]:
+        """:meth:`write`, then :meth:`read`."""
+        await self.write(outputs)
+        return await self.read()
+
+    async def release(self) -> None:
+        """End SYNC and FREEZE: outputs and inputs are live again."""
+        await self._orders.send(self._groups, unsync=True, unfreeze=True)
+
+    async def __aenter__(self) -> Group:
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        held = any(slave.synced or slave.frozen for slave in self.members)
+        if held and self._bus.is_open:
+            await self.release()
+
+    def _member(self, which: str | int, members: tuple[Slave, ...]) -> Slave:
+        slave = self._bus.slave(which)
+        if slave not in members:
+            names = ", ".join(s.name for s in members)
+            raise UsageError(f"slave {slave.address} ({slave.name}) is not in this group; in it are: {names}")
+        return slave

@@ -1,0 +1,39 @@
+"""Running an unmodified program in virtual time."""
+
+from __future__ import annotations
+
+from collections.abc import Coroutine, Iterable
+from typing import Literal, TypeVar
+
+from dpstack.api.bus.bus import SlaveTable
+from dpstack.api.config.config import AUTO, slave_config
+from dpstack.api.config.slave import SlaveConfig
+from dpstack.api.server.virtual_bench import VirtualBench
+from dpstack.drivers.virtual import loop
+from dpstack.params import BusParams
+from dpstack.sim.io_station import IoStation
+from dpstack.sim.world import World
+
+__all__ = ["IoStation", "World", "run_virtual", "simulate"]
+
+T = TypeVar("T")
+
+
+def run_virtual(program: Coroutine[object, object, T], *, paced: bool = False) -> T:
+    """As ``asyncio.run``, in virtual time: exact, deterministic, and as fast as this computer can (a bus needs
+    ``port="virtual"``). ``paced`` holds it back to real time.
+    """
+    return loop.run(program, paced=paced)
+
+
+def simulate(world: World, slaves: Iterable[SlaveTable], *, baud: int | Literal["auto"] = AUTO) -> VirtualBench:
+    """Put simulated ``slaves`` (mappings with the keys of a [[slave]] table) on the bus of ``world``.
+
+    ``baud`` in bit/s, or "auto": they listen until they have found the rate, and search anew when the bus falls silent.
+    Buses that share the world are opened with ``open_bus(world=world, ...)``. What is returned switches the slaves off
+    and on, and silences them. Raises ConfigError.
+    """
+    bench = VirtualBench(world, None if baud == AUTO else BusParams.preset(baud))
+    for slave in slaves:
+        bench.add(slave if isinstance(slave, SlaveConfig) else slave_config(slave))
+    return bench

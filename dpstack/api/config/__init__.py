@@ -1,0 +1,1 @@
+"""Configurations: a TOML file or a dict, checked key by key."""

@@ -1,0 +1,275 @@
+"""The configuration file: TOML in, checked settings out; every refusal is one clear line with file and line.
+
+:func:`load_config` reads a file, :func:`parse_config` a text, :func:`slave_config` one slave given in a program. All
+raise :class:`~dpstack.errors.ConfigError`. What a drive implies (ident, identifier octets, user parameters, MaxTsdr)
+comes from the drive registry.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from dpstack.api.config.bus import AUTO, VIRTUAL, BusConfig, read_bus
+from dpstack.api.config.slave import SlaveConfig, read_slave
+from dpstack.api.config.table import Source, Table
+from dpstack.api.config.toml import MAX_OCTETS, TomlError, read_toml
+from dpstack.api.files import read_file
+from dpstack.dp.slave_params import SlaveSetup
+from dpstack.errors import ConfigError, ParamError
+from dpstack.params import BusParams
+from dpstack.text import octets_text
+from dpstack.units import baud_text
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Config:
+    """A whole configuration. ``source`` names it in messages."""
+
+    bus: BusConfig
+    slaves: tuple[SlaveConfig, ...]
+    source: Source = field(repr=False, compare=False)
+
+    def with_bus(self, **changes: object) -> Config:
+        """A copy with other bus settings (what is None is left as it is), checked again."""
+        given = {key: value for key, value in changes.items() if value is not None}
+        if not given:
+            return self
+        wanted = dataclasses.asdict(self.bus) | given
+        table = {key: value for key, value in wanted.items() if value is not None}
+        bus = read_bus(Table(Source("argument"), ("bus",), table, "[bus]"))
+        return _checked(dataclasses.replace(self, bus=bus))
+
+    def find(self, name: str) -> SlaveConfig | None:
+        """The slave with this name, or at this address as text."""
+        return next((slave for slave in self.slaves if name in (slave.name, str(slave.address))), None)
+
+    def only(self, slave: SlaveConfig) -> Config:
+        """A copy for a command that is about ``slave``: a master that takes the others up, too, would put their
+        outputs to their safe values.
+        """
+        return dataclasses.replace(self, slaves=(slave,))
+
+    def with_outputs(self, outputs: Mapping[int, bytes]) -> Config:
+        """A copy with initial output octets by slave address; a drive that gets some is run without its plugin."""
+        by_address = {slave.address: slave for slave in self.slaves}
+        for address, octets in outputs.items():
+            slave = by_address.get(address)
+            if slave is None:
+                known = ", ".join(map(str, sorted(by_address))) or "none"
+                raise ConfigError(f"outputs for address {address}: no slave has it; configured: {known}")
+            if len(octets) != slave.output_len:
+                raise ConfigError(
+                    f"outputs for slave {address} ({slave.name}): {octets_text(len(octets))} given; "
+                    f"it has {octets_text(slave.output_len)} of outputs"
+                )
+        slaves = tuple(
+            dataclasses.replace(s, initial=outputs[s.address], raw=True) if s.address in outputs else s
+            for s in self.slaves
+        )
+        return dataclasses.replace(self, slaves=slaves)
+
+    def with_slaves(self, slaves: Iterable[Mapping[str, object] | SlaveConfig]) -> Config:
+        """A copy with more slaves."""
+        more = tuple(s if isinstance(s, SlaveConfig) else slave_config(s, n) for n, s in enumerate(slaves))
+        return _checked(dataclasses.replace(self, slaves=self.slaves + more)) if more else self
+
+    @property
+    def file(self) -> Path | None:
+        """The configuration file, as an absolute path without links; None where it was read from no file."""
+        return self.source.file
+
+    @property
+    def port(self) -> str:
+        """The port. Raises ConfigError when there is none."""
+        if self.bus.port is None:
+            raise self.source.error(
+                ("bus",), "[bus]: no port", 'add port = "/dev/ttyUSB0" (or "virtual", or socket://host:port)'
+            )
+        return self.bus.port
+
+    @property
+    def baud(self) -> int:
+        """The baud rate. Raises ConfigError when there is none, or when it is still to be found."""
+        if self.bus.baud is None:
+            raise self.source.error(("bus",), "[bus]: no baud", "add for instance baud = 500000")
+        if self.bus.baud == AUTO:
+            raise self.source.error(
+                ("bus", "baud"),
+                '[bus]: baud "auto" is found when the bus is opened',
+                "give the rate here, for instance --baud 500000",
+            )
+        return self.bus.baud
+
+    @property
+    def virtual(self) -> bool:
+        """True when the slaves are simulated in this process."""
+        return self.bus.port == VIRTUAL
+
+    def setups(self, baud: int | None = None) -> tuple[SlaveSetup, ...]:
+        """The slaves as the master parameterises them at ``baud`` (default: the configured rate)."""
+        rate = self.baud if baud is None else baud
+        return tuple(slave.setup(rate) for slave in self.slaves)
+
+    def params(self, baud: int | None = None) -> BusParams:
+        """Bus parameters for these slaves at ``baud``, T_TR as the table or the file says. Raises ConfigError."""
+        rate = self.baud if baud is None else baud
+        bus = self.bus
+        tsdr = [s.max_tsdr for s in self.setups(rate) if s.max_tsdr is not None]
+        try:
+            return BusParams.preset(
+                rate,
+                address=bus.address,
+                slave_max_tsdr=tsdr,
+                t_sl=bus.t_sl,
+                t_tr=bus.t_tr,
+                gap=bus.gap,
+                hsa=bus.hsa,
+                max_retry=bus.max_retry,
+                extra_idle=bus.extra_idle_bits,
+            )
+        except ParamError as error:
+            keys = [key for key in ("t_sl", "t_tr", "gap", "hsa", "max_retry", "address") if key in str(error)]
+            path = ("bus", keys[0]) if keys else ("bus",)
+            raise self.source.error(path, f"[bus]: {error}", "correct the value or leave it out") from None
+
+
+def load_config(path: str | Path) -> Config:
+    """Read a configuration file. Raises ConfigError, one line, also where the file cannot be read."""
+    name = str(path)
+    try:
+        text = read_file(path, MAX_OCTETS).decode("utf-8-sig")
+    except FileNotFoundError:
+        raise ConfigError(f"{name}: there is no such file; write one (see the README) or correct the path") from None
+    except IsADirectoryError:
+        raise ConfigError(f"{name}: is a directory; name the configuration file in it") from None
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{name}: is not UTF-8 text (octet {error.start}); save it as UTF-8") from None
+    except PermissionError as error:
+        raise ConfigError(f"{name}: cannot be read ({error.strerror}); check its permissions") from None
+    except (OSError, ValueError) as error:
+        why = error.strerror if isinstance(error, OSError) else None
+        raise ConfigError(f"{name}: {why or error}; give the path of a configuration file") from None
+    return parse_config(text, name, file=Path(os.path.realpath(path)))
+
+
+def parse_config(text: str, name: str = "config", *, file: Path | None = None) -> Config:
+    """Read a configuration from ``text``; ``name`` stands in messages, ``file`` is where it was read."""
+    try:
+        data, lines = read_toml(text)
+    except TomlError as error:
+        place = "" if error.column is None else f" at column {error.column}"
+        raise ConfigError(f"{name}:{error.line}: not valid TOML{place}: {error.what}; correct that line") from None
+    source = Source(name, lines, file=file)
+    top = Table(source, (), data, name)
+    for key in data:
+        if key not in ("bus", "slave"):
+            raise source.error((key,), f"unknown table or key {key!r}", "a configuration has [bus] and [[slave]]")
+    if "bus" not in top:
+        raise source.error((), "no [bus] table", "add [bus] with port and baud")
+    bus = read_bus(Table(source, ("bus",), data["bus"], "[bus]"))
+    entries = data.get("slave", [])
+    if not isinstance(entries, list):
+        raise source.error(("slave",), "[slave] must be [[slave]]", "write two brackets: there may be several slaves")
+    slaves = tuple(
+        read_slave(Table(source, ("slave", n), entry, f"[[slave]] {n + 1}")) for n, entry in enumerate(entries)
+    )
+    return _checked(Config(bus=bus, slaves=slaves, source=source))
+
+
+def make_config(
+    port: str,
+    baud: int | Literal["auto"],
+    address: int = 2,
+    slaves: Iterable[Mapping[str, object] | SlaveConfig] = (),
+    *,
+    where: str = "open_bus",
+    bus: Mapping[str, object] | None = None,
+) -> Config:
+    """A configuration from a program: ``slaves`` with the keys of [[slave]], ``bus`` with further keys of [bus]."""
+    source = Source(where)
+    table: dict[str, object] = {"port": port, "baud": baud, "address": address, **(bus or {})}
+    read = read_bus(Table(source, ("bus",), {k: v for k, v in table.items() if v is not None}, "bus"))
+    entries = tuple(s if isinstance(s, SlaveConfig) else slave_config(s, n, where=where) for n, s in enumerate(slaves))
+    return _checked(Config(bus=read, slaves=entries, source=source))
+
+
+def slave_config(
+    table: Mapping[str, object], number: int = 0, *, where: str = "open_bus", unaddressed: bool = False
+) -> SlaveConfig:
+    """One slave from a mapping with the keys of a [[slave]] table. ``unaddressed``: 126 is an address too."""
+    source = Source(where)
+    return read_slave(Table(source, ("slave", number), table, f"slave {number + 1}"), unaddressed=unaddressed)
+
+
+def _checked(config: Config) -> Config:
+    """What concerns several tables: addresses and names are unique, and the master has one of its own."""
+    addresses: dict[int, str] = {}
+    names: dict[str, int] = {}
+    for number, slave in enumerate(config.slaves):
+        path = ("slave", number)
+        if slave.address == config.bus.address:
+            raise config.source.error(
+                (*path, "address"),
+                f"slave {slave.name} has address {slave.address}, which is the master's own",
+                "give one of the two another address",
+            )
+        if slave.address in addresses:
+            raise config.source.error(
+                (*path, "address"),
+                f"slaves {addresses[slave.address]} and {slave.name} both have address {slave.address}",
+                "give one of them another address",
+            )
+        if slave.name in names:
+            raise config.source.error(
+                (*path, "name"),
+                f"the slaves at address {names[slave.name]} and {slave.address} are both called {slave.name!r}",
+                "give each a name of its own",
+            )
+        addresses[slave.address] = slave.name
+        names[slave.name] = slave.address
+    if config.bus.address > config.bus.hsa:
+        raise config.source.error(
+            ("bus", "hsa"),
+            f"[bus]: address {config.bus.address} lies above hsa {config.bus.hsa}",
+            "no other master would ever find it: raise hsa or take a lower address",
+        )
+    return config
+
+
+def rate_findings(config: Config, baud: int) -> list[str]:
+    """Slaves whose manual, GSD file or setting does not have ``baud``."""
+    return [
+        f"slave {s.address} ({s.name}): {_rate_finding(s, baud)}"
+        for s in config.slaves
+        if s.baud_rates and baud not in s.baud_rates
+    ]
+
+
+def _rate_finding(slave: SlaveConfig, baud: int) -> str:
+    profile = slave.profile
+    if profile is not None and profile.rate_setting is not None:
+        rates = " or ".join(baud_text(rate) for rate in slave.baud_rates)
+        option = profile.rate_setting.option
+        return (
+            f"{profile.name} finds no baud rate by itself and hears only {rates}, not {baud_text(baud)}: set it at the "
+            f"drive and tell it by the option {option}, or take another rate"
+        )
+    return f"{profile.name if profile else 'by its GSD file it'} does not know {baud_text(baud)}; take another rate"
+
+
+__all__ = [
+    "AUTO",
+    "VIRTUAL",
+    "BusConfig",
+    "Config",
+    "load_config",
+    "make_config",
+    "parse_config",
+    "rate_findings",
+    "slave_config",
+]

@@ -1,0 +1,96 @@
+"""A configuration made of what a live list found: a start to be read and completed, not the last word."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from dpstack.api.bus.scan import LiveListResult
+from dpstack.api.config.toml_text import quoted
+from dpstack.dp.master.scanner import Found, SlaveView
+from dpstack.errors import ConfigError
+from dpstack.fdl.telegram import MAX_DATA, StationType
+from dpstack.gsd.identifiers import io_lengths
+from dpstack.params import MAX_STATION
+from dpstack.profile import DriveProfile
+from dpstack.profile.profiles import known_drives
+
+_FIRST_MASTER = 2
+
+
+def drive_of(found: Found) -> DriveProfile | None:
+    """The known drive with the ident number of ``found``, if there is one."""
+    return next((p for p in known_drives().values() if p.ident == found.ident), None)
+
+
+def config_skeleton(result: LiveListResult, port: str) -> str:
+    """The text of a configuration file with every slave found.
+
+    What cannot be used as it stands (no identifier octets, address 126) is there as a comment that says why.
+    """
+    lines = [
+        "# Made by dpstack scan from what was found on the bus. Compare it with the GSD files of the devices:",
+        "# user parameters (user_prm) and names are not to be had by asking.",
+        "[bus]",
+        f"port = {quoted(port)}",
+        f"baud = {result.baud}",
+        f"address = {_free_address(result)}",
+    ]
+    masters = [found for found in result.stations if found.kind is not StationType.SLAVE]
+    if masters:
+        lines.append(f"# other masters on this bus: {', '.join(str(found.address) for found in masters)}")
+    for found in result.stations:
+        if found.kind is StationType.SLAVE:
+            lines += ["", *_slave(found)]
+    return "\n".join(lines) + "\n"
+
+
+def _free_address(result: LiveListResult) -> int:
+    taken = {found.address for found in result.stations}
+    candidates: list[int] = [*range(_FIRST_MASTER, MAX_STATION + 1), 0, 1]
+    return next(address for address in candidates if address not in taken)
+
+
+def _slave(found: Found) -> list[str]:
+    why = _unusable(found)
+    table = list(_table(found))
+    if why is None:
+        return table
+    return [f"# {why}", *(f"# {line}" for line in table)]
+
+
+def _unusable(found: Found) -> str | None:
+    """Why a slave cannot be configured from what it told."""
+    if found.address > MAX_STATION:
+        return f"station {found.address} is a slave as delivered: give it an address of its own first"
+    if found.ident is None or found.config is None:
+        return f"slave {found.address} did not tell its {'ident number' if found.ident is None else 'configuration'}"
+    try:
+        inputs, outputs = io_lengths(found.config)
+    except ConfigError as error:
+        return f"slave {found.address}: its configuration cannot be read ({error})"
+    if not found.config or max(inputs, outputs) > MAX_DATA:
+        return f"slave {found.address}: its configuration cannot be ({inputs} input, {outputs} output octets)"
+    return None
+
+
+def _table(found: Found) -> Iterator[str]:
+    drive = drive_of(found)
+    telegrams = [] if drive is None else [t.name for t in drive.telegrams_of(found.config or b"")]
+    if found.master is not None and found.state is SlaveView.DATA_EXCHANGE:
+        yield f"# in data exchange with master {found.master}, which keeps it until it is stopped or gives it free"
+    yield "[[slave]]"
+    yield f'name = "{"slave" if drive is None else drive.name.partition("-")[0]}{found.address}"'
+    yield f"address = {found.address}"
+    ident = None if found.ident is None else f"ident = 0x{found.ident:04X}"
+    if drive is not None and telegrams:
+        yield f'drive = "{drive.name}"'
+        yield f'telegram = "{telegrams[0]}"' + (f"  # or {', '.join(telegrams[1:])}" if telegrams[1:] else "")
+        if drive.ident_made_up and ident is not None:
+            yield ident
+        return
+    if drive is not None:
+        yield f"# by its ident number {drive.title}, but with none of its telegrams"
+    if ident is not None:
+        yield ident
+    if found.config is not None:
+        yield f'config = "{found.config.hex(" ").upper()}"'

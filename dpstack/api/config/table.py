@@ -1,0 +1,200 @@
+"""Typed reading of a configuration table: every refusal is one line that says where, what, and what to do."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Final, NoReturn
+
+from dpstack.api.config.toml import Path as KeyPath
+from dpstack.errors import ConfigError
+
+
+class Source:
+    """What a configuration was read from: the name for messages, the lines of its keys where it has any, and the
+    ``file`` as an absolute path without links, None where it is none.
+    """
+
+    def __init__(self, name: str, lines: Mapping[KeyPath, int] | None = None, *, file: Path | None = None) -> None:
+        self.name = name
+        self.file = file
+        self._lines = lines
+
+    def error(self, path: KeyPath, what: str, todo: str) -> ConfigError:
+        """``file:line: what; what to do``; without lines just the name."""
+        place = self.name
+        if self._lines is not None:
+            place += f":{self.line(path)}"
+        return ConfigError(f"{place}: {what}; {todo}")
+
+    def line(self, path: KeyPath) -> int:
+        """The line of ``path``, or of the nearest table around it."""
+        lines = self._lines or {}
+        while path and path not in lines:
+            path = path[:-1]
+        return lines.get(path, 1)
+
+
+class Table:
+    """One table. ``title`` names it in messages (``[bus]``, ``[[slave]] hoist``)."""
+
+    def __init__(self, source: Source, path: KeyPath, data: object, title: str) -> None:
+        self._source = source
+        self._path = path
+        self.title = title
+        if not isinstance(data, Mapping):
+            raise source.error(path, f"{title} must be a table", f"write {title} on a line of its own")
+        self._data: dict[str, object] = {str(key): value for key, value in data.items()}
+
+    def fail(self, key: str | None, what: str, todo: str) -> NoReturn:
+        """Refuse, pointing at ``key`` or at the table."""
+        raise self.error(key, what, todo)
+
+    def error(self, key: str | None, what: str, todo: str) -> ConfigError:
+        """The refusal itself, for `raise ... from`."""
+        path = self._path if key is None or key not in self._data else (*self._path, key)
+        return self._source.error(path, f"{self.title}: {what}", todo)
+
+    def check_keys(self, known: Iterable[str]) -> None:
+        """Refuse the first unknown key, with the nearest known one."""
+        names = list(known)
+        for key in self._data:
+            if key not in names:
+                near = difflib.get_close_matches(key.lower(), names, n=1, cutoff=0.5)
+                todo = f"did you mean {near[0]!r}?" if near else f"known keys: {', '.join(names)}"
+                self.fail(key, f"unknown key {key!r}", todo)
+
+    @property
+    def folder(self) -> Path:
+        """Where paths in it begin: the folder of the file it is in."""
+        return Path(self._source.name).parent
+
+    def __contains__(self, key: str) -> bool:
+        return key in self._data
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._data)
+
+    def raw(self, key: str) -> object:
+        """The value as it stands, None when absent."""
+        return self._data.get(key)
+
+    def text(self, key: str) -> str | None:
+        """A text that is not empty and stays on its line."""
+        value = self._data.get(key)
+        if value is None:
+            return None
+        if not isinstance(value, str):
+            self._wrong(key, "a text in quotes")
+        if not value.strip():
+            self.fail(key, f"{key} is empty", "give it a value or leave it out")
+        if not value.isprintable():
+            self.fail(key, f"{key} = {value!r} holds a control character", "take it out")
+        return value
+
+    def flag(self, key: str, default: bool) -> bool:
+        """True or false."""
+        value = self._data.get(key, default)
+        if not isinstance(value, bool):
+            self._wrong(key, "true or false")
+        return value
+
+    def integer(self, key: str, low: float = -math.inf, high: float = math.inf, hint: str = "") -> int | None:
+        """An integer within limits (both included)."""
+        value = self._data.get(key)
+        if value is None:
+            return None
+        if isinstance(value, bool) or not isinstance(value, int):
+            self._wrong(key, "an integer")
+        if not low <= value <= high:
+            self.fail(key, f"{key} = {value} is outside {low}..{high}", hint or "correct it or leave it out")
+        return value
+
+    def number(self, key: str, low: float, high: float) -> float | None:
+        """An integer or a float within limits (both included)."""
+        value = self._data.get(key)
+        if value is None:
+            return None
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            self._wrong(key, "a number")
+        if not (math.isfinite(value) and low <= value <= high):
+            self.fail(key, f"{key} = {value:g} is outside {low:g}..{high:g}", "correct it or leave it out")
+        return float(value)
+
+    def integers(self, key: str, low: int, high: int) -> tuple[int, ...]:
+        """A list of integers within limits, each once."""
+        value = self._data.get(key, [])
+        if not isinstance(value, (list, tuple)) or any(isinstance(v, bool) or not isinstance(v, int) for v in value):
+            self._wrong(key, "a list of integers, for instance [1, 2]")
+        for member in value:
+            if not low <= member <= high:
+                self.fail(key, f"{key} holds {member}, outside {low}..{high}", "correct it or leave it out")
+        return tuple(sorted(set(value)))
+
+    def table(self, key: str, wanted: str = "a table, for instance { name = value }") -> Table | None:
+        """A table inside this one, inline or with a header of its own; ``wanted``: what it must be, for people."""
+        value = self._data.get(key)
+        if value is None:
+            return None
+        if not isinstance(value, Mapping):
+            self._wrong(key, wanted)
+        return Table(self._source, (*self._path, key), value, f"{self.title}: {key}")
+
+    def inner(self, key: str, number: int, value: object) -> Table:
+        """The table ``value`` that stands at place ``number``, from 1, of the list ``key``."""
+        return Table(self._source, (*self._path, key), value, f"{self.title}: {key} {number}")
+
+    def octets(self, key: str) -> bytes | None:
+        """Octets as a text of hex digits, or as a list of integers 0..255."""
+        value = self._data.get(key)
+        if value is None:
+            return None
+        if isinstance(value, (bytes, bytearray)):
+            return bytes(value)
+        if isinstance(value, list) and all(isinstance(v, int) and not isinstance(v, bool) for v in value):
+            return bytes(self.integers_as_octets(key, value))
+        if not isinstance(value, str):
+            self._wrong(key, 'octets in hex, for instance "20 10"')
+        try:
+            return parse_hex(value)
+        except ValueError as error:
+            raise self.error(key, f"{key} = {value!r} is no hex ({error})", 'write octets like "20 10"') from None
+
+    def integers_as_octets(self, key: str, value: list[int]) -> list[int]:
+        """Check a list of octets."""
+        for member in value:
+            if not 0 <= member <= 255:
+                self.fail(key, f"{key} holds {member}, which is no octet", "octets are 0..255")
+        return value
+
+    def _wrong(self, key: str, wanted: str) -> NoReturn:
+        value = self._data[key]
+        kind = _KINDS.get(type(value), type(value).__name__)
+        self.fail(key, f"{key} = {value!r} is {kind}", f"it must be {wanted}")
+
+
+_KINDS: Final[dict[type, str]] = {
+    bool: "true/false",
+    int: "an integer",
+    float: "a decimal number",
+    str: "a text",
+    list: "a list",
+    dict: "a table",
+}
+
+
+def parse_hex(text: str) -> bytes:
+    """Octets from hex digits; blanks, commas, colons and ``0x`` between them are allowed.
+
+    Raises ValueError that names what is wrong.
+    """
+    digits = "".join(part.removeprefix("0x").removeprefix("0X") for part in text.replace(",", " ").split())
+    digits = digits.replace(":", "").replace("_", "")
+    wrong = next((c for c in digits if c not in "0123456789abcdefABCDEF"), None)
+    if wrong is not None:
+        raise ValueError(f"{wrong!r} is no hex digit")
+    if len(digits) % 2:
+        raise ValueError("an odd number of digits")
+    return bytes.fromhex(digits)

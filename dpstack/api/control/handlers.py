@@ -1,0 +1,237 @@
+"""The control servers of the three kinds of programs: what each command does to them."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Callable
+from time import monotonic_ns
+from typing import Final
+
+from dpstack.api.bus.bus import Bus
+from dpstack.api.bus.events_json import Injected
+from dpstack.api.bus.parts import SEARCHING
+from dpstack.api.bus.statistics import diagnosis_dict, drive_dict, inputs_dict
+from dpstack.api.bus.streams import OnEvent, hand_to
+from dpstack.api.control import arguments
+from dpstack.api.control.commands import KINDS, SLAVES
+from dpstack.api.control.handlers_slaves import SlaveCommands, address_of
+from dpstack.api.control.remote_drive import drive_order
+from dpstack.api.control.remote_records import acyclic_order
+from dpstack.api.control.server import ControlServer, Handler
+from dpstack.api.server.simulation import Segment, Simulation
+from dpstack.api.server.virtual_bench import silence_text, station_status
+from dpstack.api.slave.slave import Slave
+from dpstack.dp.master.commands import Mode, SetMode
+from dpstack.dp.process_data import as_json
+from dpstack.errors import UsageError
+from dpstack.text import decimal, octets_text, shortened
+from dpstack.units import ns_to_s
+
+#: a pty that the program makes itself
+PTY: Final = "pty"
+
+
+def control_run(bus: Bus, port: str) -> ControlServer:
+    """Talks to a master on ``port``; on a pty of its own :meth:`ControlServer.move_to` the path once it is known."""
+    specs = KINDS["run"]
+    handlers: dict[str, Handler] = {
+        "status": lambda _: run_status(bus),
+        "outputs": lambda args: _outputs(bus, args),
+        "set": lambda args: _set(bus, args),
+        "operate": lambda _: bus.command(SetMode(Mode.OPERATE)),
+        "clear": lambda _: bus.command(SetMode(Mode.CLEAR)),
+        "drive": lambda args: drive_order(bus, args),
+        "acyclic": lambda args: acyclic_order(bus, args),
+        "class2": lambda args: acyclic_order(bus, args, class2=True),
+        "stats": lambda _: bus.stats.summary(),
+    }
+    if not bus.searching and bus.bench is not None:
+        specs = (*specs, *SLAVES)
+
+        def on_order(command: str, args: list[str], address: int, name: str) -> None:
+            now = bus.runtime.now()
+            bus.tell(Injected(t_ns=now, command=command, args=tuple(args), address=address, name=name))
+
+        handlers |= SlaveCommands(bus.bench, on_order).handlers()
+    if port == PTY:  # there may be several
+        return ControlServer("run", f"{PTY}:{os.getpid()}", specs, handlers, also=PTY, config=bus.config.file)
+    return ControlServer("run", port, specs, handlers, config=bus.config.file)
+
+
+def control_sim(simulation: Simulation, port: str) -> ControlServer:
+    """Talks to simulated slaves on ``port``; of a pty made here the path of it, too."""
+
+    def on_order(command: str, args: list[str], address: int, name: str) -> None:
+        now = simulation.runtime.now()
+        simulation.tell(Injected(t_ns=now, command=command, args=tuple(args), address=address, name=name))
+
+    handlers: dict[str, Handler] = {
+        "status": lambda _: simulation.status(),
+        **SlaveCommands(simulation, on_order).handlers(),
+    }
+    config = simulation.config.file
+    if port == PTY:
+        return ControlServer("sim", simulation.port_name, KINDS["sim"], handlers, also=PTY, config=config)
+    return ControlServer("sim", port, KINDS["sim"], handlers, config=config)
+
+
+def control_segment(segment: Segment, on_event: OnEvent | None = None) -> ControlServer:
+    """Talks to a segment, found by its directory. ``on_event`` is told what was done to it."""
+
+    def told(command: str, act: Callable[[list[str]], None]) -> Handler:
+        def carry_out(args: list[str]) -> None:
+            act(args)
+            hand_to(on_event, Injected(t_ns=monotonic_ns(), command=command, args=tuple(args)))
+
+        return carry_out
+
+    def noise(args: list[str]) -> None:
+        rate = arguments.number(args[0], 0, 1, "1e-4")
+        if rate == 1:
+            raise UsageError("a probability of 1 leaves nothing; write for instance 1e-4")
+        segment.error_rate = rate
+
+    def silence(args: list[str]) -> None:
+        segment.silence(_station(args[0]), arguments.time_ns(args[1]) if len(args) > 1 else None)
+
+    handlers: dict[str, Handler] = {
+        "status": lambda _: segment_status(segment),
+        "noise": told("noise", noise),
+        "silence": told("silence", silence),
+        "resume": told("resume", lambda args: segment.resume(_station(args[0]))),
+        "stats": lambda _: segment.stats(),
+    }
+    return ControlServer("segment", str(segment.directory), KINDS["segment"], handlers)
+
+
+def segment_status(segment: Segment) -> dict[str, object]:
+    """The segment at this moment: ``error_rate``, ``baud``, ``ports``; ``injected``: what was done to it from outside
+    and is not over.
+    """
+    status: dict[str, object] = {"error_rate": segment.error_rate, "baud": segment.baud, "ports": segment.paths}
+    injected = [f"noise {segment.error_rate:g}"] if segment.error_rate else []
+    for number, left_ns in segment.silenced().items():
+        injected.append(f"station {number}: {silence_text(left_ns)}")
+    return status | ({"injected": injected} if injected else {})
+
+
+def clear_since(bus: Bus) -> dict[str, object]:
+    """Of a master that went to Clear by itself: ``since`` (seconds since the start) and ``because``; else empty."""
+    event = bus.forced_clear
+    if event is None:
+        return {}
+    return {"since": round(ns_to_s(event.t_ns - bus.started_ns), 3), "because": event.why}
+
+
+def run_status(bus: Bus) -> dict[str, object]:
+    """The master at this moment: ``seconds``, ``mode``, ``baud``, ``in_ring``, ``masters``, and each slave; ``clear``
+    (:func:`clear_since`) while it is in Clear by itself.
+
+    While the baud rate is searched only that: ``baud`` None and a ``text``.
+    """
+    if bus.searching:
+        return {"baud": None, "text": SEARCHING}
+    slaves: dict[str, object] = {}
+    drives = {drive.slave.address: drive for drive in bus.drives}
+    for slave in bus.slaves:
+        entry: dict[str, object] = {
+            "name": slave.name,
+            "state": slave.state.value,
+            "inputs": slave.inputs.hex(),
+            **inputs_dict(slave.inputs_valid, slave.inputs_age),
+            **_outputs_of(slave),
+        }
+        if slave.fault is not None:
+            entry["fault"] = slave.fault.text
+        entry |= diagnosis_dict(slave)
+        if slave.alarm_counts is not None:
+            entry["alarms"] = dataclasses.asdict(slave.alarm_counts)
+        if slave.address in drives:
+            entry["drive"] = drive_dict(bus, drives[slave.address])
+        if bus.bench is not None:
+            entry |= station_status(bus.bench.device(slave.address))
+            injected = bus.bench.injected(slave.address)
+            if injected:
+                entry["injected"] = injected
+        slaves[str(slave.address)] = entry
+    return {
+        "seconds": round(bus.seconds, 3),
+        "address": bus.params.address,
+        "mode": bus.mode.name.lower(),
+        **({"clear": clear} if (clear := clear_since(bus)) else {}),
+        "baud": bus.params.baud,
+        "in_ring": bus.station.in_ring,
+        "masters": sorted(bus.station.las),
+        "slaves": slaves,
+    }
+
+
+def _outputs_of(slave: Slave) -> dict[str, object]:
+    """``outputs``: what the slave is sent now, "" for nothing; ``held``: what the application has set if it differs.
+
+    So with ``fields``, the named inputs and outputs, and ``held_fields``.
+    """
+    sent, held = slave.outputs_sent, slave.outputs_held
+    named = as_json(slave.output_values)
+    now = named
+    entry: dict[str, object] = {"outputs": sent.hex()}
+    if sent != held:
+        entry["held"] = held.hex()
+        there = len(sent) == len(held)
+        now = as_json(slave.config.output_fields.values(sent)) if there else dict.fromkeys(named)
+    fields = as_json(slave.input_values) | now
+    if fields:
+        entry["fields"] = fields
+    if now != named:
+        entry["held_fields"] = named
+    return entry
+
+
+async def _outputs(bus: Bus, args: list[str]) -> None:
+    """All or nothing: every argument is understood before the first one takes effect."""
+    names = {slave.address: slave.name for slave in bus.slaves}
+    wanted = {}
+    for text in args:
+        where, octets = arguments.octets(text)
+        wanted[address_of(where, names)] = octets
+    await _put_out(bus, wanted)
+
+
+async def _set(bus: Bus, args: list[str]) -> None:
+    """Named outputs; all or nothing as well, those of one slave in one image."""
+    names = {slave.address: slave.name for slave in bus.slaves}
+    wanted: dict[int, bytes] = {}
+    for text in args:
+        where, name, value = arguments.field_value(text)
+        address = address_of(where, names)
+        slave = bus.slave(address)
+        found = slave.output_field(name)
+        try:
+            wanted[address] = found.put(wanted.get(address, slave.outputs_held), found.read(value))
+        except ValueError as error:
+            raise UsageError(f"slave {address} ({slave.name}): {error}") from None
+    await _put_out(bus, wanted)
+
+
+async def _put_out(bus: Bus, wanted: dict[int, bytes]) -> None:
+    """Returns when the master has them. Raises OrderDropped where it does not take them in time."""
+    for address, octets in wanted.items():
+        slave = bus.slave(address)
+        if any(drive.slave is slave for drive in bus.drives):
+            raise UsageError(f"slave {address} ({slave.name}): its drive plugin makes the outputs")
+        length = len(slave.outputs_held)
+        if len(octets) != length:
+            raise UsageError(
+                f"slave {address} ({slave.name}) has {octets_text(length)} of outputs, {octets_text(len(octets))} given"
+            )
+    for address, octets in wanted.items():
+        bus.slave(address).outputs = octets
+    await bus.outputs_taken()
+
+
+def _station(text: str) -> int:
+    number = decimal(text)
+    if number is None:
+        raise UsageError(f"{shortened(text)!r} is no station of the segment; they are numbered from 0")
+    return number

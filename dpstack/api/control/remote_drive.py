@@ -1,0 +1,120 @@
+"""A drive of another program: the ``run`` that holds the port is asked over its control socket."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import AsyncIterator, Mapping, Sequence
+from typing import Any
+
+from dpstack.api.bus.bus import Bus
+from dpstack.api.bus.parts import SEARCHING
+from dpstack.api.config.config import Config
+from dpstack.api.control.alive import kept_alive
+from dpstack.api.control.answers import OF_DRIVE, DriveTold, ParametersTold, checked
+from dpstack.api.control.client import ControlClient, find_run
+from dpstack.api.control.drive_commands import PARAMETERS, READ_MANY, carry_out
+from dpstack.api.control.errors import failure
+from dpstack.api.lists.dump_compare import ParameterPlace, ParameterValue
+from dpstack.errors import BusError, ParameterError, PortError, UsageError
+from dpstack.profile import ListedParam
+from dpstack.text import number_or_name
+
+
+def drive_order(bus: Bus, args: list[str]) -> AsyncIterator[object]:
+    """``NAME ORDER [ARG]...`` at the drive of a run. A client that hangs up ends the order: nothing starts then."""
+    if bus.searching:
+        raise BusError(f"{SEARCHING}: the drives are known once it is found")
+    if bus.config.bus.read_only:
+        raise BusError("this run is read only: it gives no drive an order; end it and run without read_only")
+    name, word, *rest = args
+    drive = bus.drive(number_or_name(name))
+    return kept_alive(carry_out(drive, word, rest), lambda: {"status": drive.status.as_dict()})
+
+
+class RemoteDrive:
+    """A drive of the ``run`` on a port. Made by :func:`find_drive`."""
+
+    def __init__(self, client: ControlClient, name: str, pid: int) -> None:
+        self.name = name
+        #: of the run
+        self.pid = pid
+        self.kind = ""
+        self.address = 0
+        #: how many parameters one request to it carries, see :meth:`learn`
+        self.per_request = 1
+        self._client = client
+        self._parameters: tuple[ListedParam, ...] | None = None
+
+    @property
+    def parameters(self) -> tuple[ListedParam, ...]:
+        """As told by the run. Raises UsageError before :meth:`learn`."""
+        if self._parameters is None:
+            raise UsageError(f"drive {self.name}: ask the run for its parameters first")
+        return self._parameters
+
+    async def meet(self) -> None:
+        """Who it is. Raises UsageError where the run has no such drive, BusError where it cannot tell now."""
+        told = await self.order("status")
+        self.kind, self.address = told["type"], told["address"]
+
+    async def learn(self) -> None:
+        """Ask for its parameters."""
+        told = checked(await self.order(PARAMETERS), ParametersTold, self._client.port, PARAMETERS)
+        self._parameters = tuple(told["parameters"])
+        self.per_request = told["per_request"]
+
+    async def order(self, word: str, *args: str) -> dict[str, Any]:
+        """As :func:`~dpstack.api.control.drive_commands.carry_out`, over there. Cancelled, the connection is gone."""
+        try:
+            kind = OF_DRIVE.get(word, DriveTold)
+            answer = await asyncio.to_thread(self._client.call, "drive", self.name, word, *args, kind=kind)
+        except asyncio.CancelledError:
+            self.close()
+            raise
+        return dict(answer)
+
+    async def read_many(
+        self, parameters: Sequence[ParameterPlace], *, timeout: float = 5.0
+    ) -> list[ParameterValue | ParameterError]:
+        """Some parameters."""
+        places = json.dumps([one.as_dict() for one in parameters])
+        told = (await self.order(READ_MANY, places, f"timeout={timeout}"))["parameters"]
+        if len(told) != len(parameters):
+            raise PortError(
+                f"{self._client.port}: {len(parameters)} parameters were asked for and {len(told)} were told; is it "
+                f"another version of dpstack?"
+            )
+        return [self._entry(one) for one in told]
+
+    def _entry(self, told: Mapping[str, Any]) -> ParameterValue | ParameterError:
+        if "error" not in told:
+            return checked(told, ParameterValue, self._client.port, READ_MANY)
+        error = failure(told)
+        if not isinstance(error, ParameterError):
+            raise error
+        return error
+
+    def close(self) -> None:
+        """Hang up; an order that is under way ends."""
+        self._client.close()
+
+
+async def find_drive(config: Config, name: str) -> RemoteDrive | None:
+    """The drive called ``name`` of the run that has the port and the file of ``config``; None where no run answers for
+    the port.
+
+    Raises UsageError where the run there has another configuration file or no such drive, BusError, PortError where it
+    cannot be reached.
+    """
+    client = await find_run(config.port, config.file)
+    if client is None:
+        return None
+    try:
+        told = await asyncio.to_thread(client.help)
+        drive = RemoteDrive(client, name, told["pid"])
+        await drive.meet()
+    except BaseException:
+        client.close()
+        raise
+    return drive

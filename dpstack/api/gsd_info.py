@@ -1,0 +1,273 @@
+"""GSD files from disk, and what they say as plain data."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from importlib import resources
+from pathlib import Path
+from typing import Final
+
+from dpstack.api.files import FileToBe, read_file
+from dpstack.dpv1.pdu.dpv1_status import ALARM_KEYWORDS
+from dpstack.errors import ConfigError
+from dpstack.gsd.check import check
+from dpstack.gsd.configuration import first_slot
+from dpstack.gsd.identifiers import io_lengths
+from dpstack.gsd.model import Device, Diagnosis, Diagnostic, GsdFile, Module, PrmBlock
+from dpstack.gsd.parser import load_gsd, parse_gsd
+from dpstack.gsd.prm import Reading, UserPrm
+from dpstack.gsd.text import MAX_OCTETS
+from dpstack.profile import registry
+from dpstack.sim import io_station
+
+
+def bundled() -> dict[str, str]:
+    """Devices whose GSD file is here (written by its authors, not the vendor's): name -> ``package:file``.
+
+    Drives that bring one, and the simulated I/O station.
+    """
+    drives = {name: drive.gsd for name, drive in registry.known().items() if drive.gsd is not None}
+    return drives | {io_station.NAME: io_station.GSD}
+
+
+def read_octets(path: str | Path, folder: Path = Path()) -> bytes:
+    """The octets of a file in ``folder``, not many more than a GSD file can have; or of a drive's own by its name.
+
+    Raises ConfigError where it cannot be read.
+    """
+    file = folder / Path(path).expanduser()
+    try:
+        return read_file(file, MAX_OCTETS)
+    except FileNotFoundError as error:
+        if str(path) in bundled():
+            return _own(str(path))
+        near = difflib.get_close_matches(str(path), bundled(), n=1)
+        raise _unreadable(file, error, f"did you mean {near[0]}, or " if near else "") from None
+    except (OSError, ValueError) as error:
+        raise _unreadable(file, error) from None
+
+
+def _own(drive: str) -> bytes:
+    package, _, name = bundled()[drive].partition(":")
+    return (resources.files(package) / name).read_bytes()
+
+
+def _unreadable(file: Path, error: OSError | ValueError, guess: str = "") -> ConfigError:
+    why = error.strerror if isinstance(error, OSError) else None
+    todo = f"{guess}give the path of a GSD file" + ("?" if guess else "")
+    return ConfigError(f"{file}: {why or error}; {todo}")
+
+
+def read_gsd(path: str | Path, folder: Path = Path()) -> GsdFile:
+    """Read a GSD file as :func:`read_octets` does. Raises ConfigError, GsdError where it cannot be used at all."""
+    octets = read_octets(path, folder)
+    return load_gsd(octets, str(folder / Path(path).expanduser()))
+
+
+def copy_gsd(drive: str, target: str | Path) -> None:
+    """Write the GSD file that the package of ``drive`` brings to ``target``, a new file, whole or not at all.
+
+    Raises ConfigError, UsageError where it cannot be written.
+    """
+    if drive not in bundled():
+        raise ConfigError(f"no GSD file was written for {drive!r}; there is one for {', '.join(bundled()) or 'none'}")
+    with FileToBe(target) as file:
+        file.keep(_own(drive))
+
+
+def check_gsd(path: str | Path) -> tuple[Diagnostic, ...]:
+    """Everything that is to be said about a file. Raises ConfigError where it cannot be read."""
+    return check(parse_gsd(read_octets(path), str(path)))
+
+
+#: how GSD files of all languages end: .gsd, .gse, .gsg, .gsf, .gsi, .gsp, .gss
+_ENDINGS: Final = frozenset(f".gs{language}" for language in "degfips")
+
+
+def gsd_files(folder: Path) -> list[Path]:
+    """The GSD files in ``folder`` and the folders in it, by name. Raises ConfigError where there are none."""
+    found = sorted(path for path in folder.rglob("*") if path.suffix.lower() in _ENDINGS and path.is_file())
+    if not found:
+        raise ConfigError(f"{folder}: no GSD file (.gsd, .gse, .gsg ...) is in this directory; give another one")
+    return found
+
+
+def gsd_dict(file: GsdFile) -> dict[str, object]:
+    """The file as JSON shows it (interface of ``dpstack gsd show --json``)."""
+    device = file.device
+    prm = {reading: UserPrm(device, reading=reading).octets().hex() for reading in Reading}
+    return {
+        "ident": None if device.ident is None else f"0x{device.ident:04X}",
+        "vendor": device.vendor,
+        "model": device.model,
+        "revision": device.revision,
+        "gsd_revision": device.gsd_revision,
+        "hardware_release": device.hardware_release,
+        "software_release": device.software_release,
+        "modular": device.modular,
+        "max_module": device.max_module,
+        "max_input_len": device.max_input_len,
+        "max_output_len": device.max_output_len,
+        "max_data_len": device.max_data_len,
+        "max_diag_data_len": device.max_diag_data_len,
+        "max_user_prm_data_len": device.max_user_prm_data_len,
+        "min_slave_interval": device.min_slave_interval,
+        "max_tsdr": {str(speed.baud): speed.max_tsdr for speed in device.speeds},
+        "supports": list(supports(file)),
+        "requires": list(requires(file)),
+        "alarms": list(alarm_kinds(device.dpv1.alarms)),
+        "alarms_required": list(alarm_kinds(device.dpv1.required)),
+        "alarm_sequence": device.dpv1.alarm_sequence_mode_count,
+        "user_prm": prm[Reading.REFS],
+        "user_prm_const": prm[Reading.CONST],
+        "parameters": [_parameter(file, number) for number in device.parameters],
+        "device_parameters": parameter_places(device, device.prm),
+        "f_parameters": device.f_parameters,
+        "first_slot": first_slot(device),
+        "fix_preset_modules": device.fix_preset_modules,
+        "presets": [{"name": m.name, "reference": m.reference} for m in device.modules if m.preset],
+        "diagnosis": diagnosis_texts(device.diagnosis),
+        "diagnosis_types": [{"type": d.type, "diagnosis": diagnosis_texts(d)} for d in device.diag_types],
+        "unit_diag_bits": len(device.diagnosis.bits),
+        "slots": [
+            {"number": s.number, "name": s.name, "default": s.default, "allowed": [list(pair) for pair in s.allowed]}
+            for s in device.slots
+        ],
+        "modules": [module_dict(file, module) for module in device.modules],
+        "encoding": file.encoding,
+        "diagnostics": [diagnostic_dict(diagnostic) for diagnostic in check(file)],
+    }
+
+
+def diagnostic_dict(diagnostic: Diagnostic) -> dict[str, object]:
+    """One finding."""
+    return {
+        "line": diagnostic.line,
+        "column": diagnostic.column,
+        "severity": diagnostic.severity.value,
+        "message": diagnostic.message,
+    }
+
+
+def module_dict(file: GsdFile, module: Module) -> dict[str, object]:
+    """One module; ``inputs`` and ``outputs`` in octets, None where its identifier octets contradict themselves."""
+    inputs, outputs = module_lengths(module)
+    return {
+        "name": module.name,
+        "reference": module.reference,
+        "config": module.config.hex(),
+        "inputs": inputs,
+        "outputs": outputs,
+        "user_prm": module_prm(file, module).hex(),
+        "parameters": parameter_places(file.device, module.prm),
+        "preset": module.preset,
+        "f_parameters": module.f_parameters,
+        "info": module.info,
+        "diagnosis": diagnosis_texts(module.diagnosis),
+        "complete": module.complete,
+    }
+
+
+def parameter_places(device: Device, prm: PrmBlock) -> list[dict[str, object]]:
+    """The named parameters of the device or of a module: ``number`` and ``name``, ``offset`` in its octets."""
+    return [
+        {"number": ref.number, "name": device.parameters[ref.number].name, "offset": ref.offset}
+        for ref in prm.refs
+        if ref.number in device.parameters
+    ]
+
+
+def diagnosis_texts(diagnosis: Diagnosis) -> list[dict[str, object]]:
+    """The texts for a diagnosis. ``kind`` is "bit", "not_bit", "area" or "channel".
+
+    Of a bit or an area ``first`` and ``last`` are bits from the first octet behind the block's header on, ``value`` is
+    what they are; of a channel ``value`` is the type of error.
+    """
+    rows: list[tuple[str, int | None, int | None, int, str, str]] = []
+    for bit, text in sorted(diagnosis.bits.items()):
+        rows.append(("bit", bit, bit, 1, text, diagnosis.bit_helps.get(bit, "")))
+    for bit, text in sorted(diagnosis.not_bits.items()):
+        rows.append(("not_bit", bit, bit, 0, text, diagnosis.not_bit_helps.get(bit, "")))
+    for area in diagnosis.areas:
+        for value, text in sorted(area.values.items()):
+            rows.append(("area", area.first, area.last, value, text, area.helps.get(value, "")))
+    for error, text in sorted(diagnosis.channel.items()):
+        rows.append(("channel", None, None, error, text, diagnosis.channel_helps.get(error, "")))
+    return [dict(zip(("kind", "first", "last", "value", "text", "help"), row, strict=True)) for row in rows]
+
+
+def module_lengths(module: Module) -> tuple[int | None, int | None]:
+    """(input octets, output octets), None where the identifier octets contradict themselves."""
+    try:
+        return io_lengths(module.config)
+    except ConfigError:
+        return None, None
+
+
+def module_prm(file: GsdFile, module: Module) -> bytes:
+    """The module's part of the user parameters with its defaults, in no slot; empty where they fit no Set_Prm."""
+    try:
+        # without the device's own parameters, which every module would go through
+        return UserPrm(Device(parameters=file.device.parameters), (module,), first_slot=None).octets_of(1)
+    except ConfigError:
+        return b""
+
+
+def supports(file: GsdFile) -> tuple[str, ...]:
+    """What the device supports, in words."""
+    d = file.device
+    known = {
+        "sync": d.sync,
+        "freeze": d.freeze,
+        "auto-baud": d.auto_baud,
+        "set slave address": d.set_slave_add,
+        "fail-safe": d.fail_safe,
+        "DP-V1": d.dpv1.slave,
+        "acyclic class 1": d.dpv1.c1_read_write,
+        "acyclic class 2": d.dpv1.c2_read_write,
+        "watchdog base 1 ms": d.dpv1.wd_base_1ms,
+        "isochronous": d.isochronous.supported,
+        "publisher": d.isochronous.publisher,
+    }
+    return tuple(name for name, there in known.items() if there)
+
+
+def requires(file: GsdFile) -> tuple[str, ...]:
+    """What the device wants of its master, in words; alarms beside."""
+    d = file.device
+    known = {
+        "fail-safe": d.dpv1.fail_safe_required,
+        "structured parameters": d.dpv1.prm_block_structure_required,
+        "acyclic class 1": d.dpv1.c1_read_write_required,
+        "acyclic class 2": d.dpv1.c2_read_write_required,
+        "isochronous": d.isochronous.required,
+    }
+    return tuple(name for name, there in known.items() if there)
+
+
+def alarm_kinds(keywords: Iterable[str]) -> tuple[str, ...]:
+    """Kinds of alarms as ``alarms`` of a [[slave]] table names them, by their keywords."""
+    return tuple(kind for kind, keyword in ALARM_KEYWORDS.items() if keyword in keywords)
+
+
+def alarms_text(device: Device) -> str | None:
+    """The alarms that the device has, for people; None where it has none."""
+    kinds, required = alarm_kinds(device.dpv1.alarms), alarm_kinds(device.dpv1.required)
+    if not kinds:
+        return None
+    most = device.dpv1.alarm_sequence_mode_count
+    how = "; one of each at a time" + (f" or {most} in all" if most else "")
+    return ", ".join(kinds) + how + (f"; required: {', '.join(required)}" if required else "")
+
+
+def _parameter(file: GsdFile, number: int) -> dict[str, object]:
+    p = file.device.parameters[number]
+    return {
+        "number": p.number,
+        "name": p.name,
+        "type": p.type.text,
+        "default": p.default,
+        "allowed": [list(pair) for pair in p.allowed],
+        "texts": {str(value): text for value, text in p.texts.items()},
+    }

@@ -1,0 +1,1 @@
+"""Lists of parameters in files: written from a drive, compared, loaded."""

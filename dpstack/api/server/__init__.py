@@ -1,0 +1,1 @@
+"""Slaves served: user slaves, simulated ones, a whole virtual bench."""

@@ -1,0 +1,89 @@
+"""Records of a slave that async functions serve: each request is a task, whose end answers it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Coroutine
+from typing import TypeVar
+
+from dpstack.dp.slave.user_slave import OnRead, OnTransport, OnWrite
+from dpstack.dpv1.pdu.error_codes import Code
+from dpstack.dpv1.pdu.read_write import ReadReq
+from dpstack.dpv1.slave.record_requests import AnyTicket, Ticket, TransportTicket
+
+T = TypeVar("T")
+
+
+class AsyncRecords:
+    """The functions of a :class:`~dpstack.dp.slave.user_slave.DpSlave` for records; one that is not there refuses."""
+
+    def __init__(
+        self, on_read: OnRead | None, on_write: OnWrite | None, on_transport: OnTransport | None = None
+    ) -> None:
+        self._on_read = on_read
+        self._on_write = on_write
+        self._on_transport = on_transport
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    def ask(self, ticket: Ticket) -> None:
+        """Start the function; the master polls meanwhile. Where it gives up, the function is cancelled."""
+        self._start(ticket, self._serve(ticket))
+
+    def transport(self, ticket: TransportTicket) -> None:
+        """The same for Data_Transport."""
+        self._start(ticket, self._carry(ticket))
+
+    def end(self) -> None:
+        """The slave is served no more: what is under way is cancelled."""
+        for task in self._tasks:
+            task.cancel()
+
+    def _start(self, ticket: AnyTicket, work: Coroutine[None, None, None]) -> None:
+        task = asyncio.get_running_loop().create_task(work, name=ticket.title)
+        self._tasks.add(task)
+        ticket.abandoned = task.cancel
+        task.add_done_callback(lambda done: self._over(ticket, done))
+
+    def _over(self, ticket: AnyTicket, task: asyncio.Task[None]) -> None:
+        """What it awaited was cancelled, and not by us: that is a failure, too, or its master would wait in vain."""
+        self._tasks.discard(task)
+        if task.cancelled():
+            ticket.fail(asyncio.CancelledError("what it awaited was cancelled"))
+
+    async def _carry(self, ticket: TransportTicket) -> None:
+        request = ticket.request
+        try:
+            if self._on_transport is None:
+                ticket.refuse(Code.NOT_SUPPORTED)
+                return
+            data = await _awaited("on_transport", self._on_transport(request.slot, request.index, request.data))
+            if not isinstance(data, (bytes, bytearray)):
+                raise TypeError(f"on_transport returned {type(data).__name__}, what goes back is bytes")
+            ticket.answer(bytes(data))
+        except Exception as error:  # the user's, as below
+            ticket.fail(error)
+
+    async def _serve(self, ticket: Ticket) -> None:
+        request = ticket.request
+        try:
+            if isinstance(request, ReadReq):
+                if self._on_read is None:
+                    ticket.refuse(Code.ACCESS_DENIED)
+                    return
+                data = await _awaited("on_read", self._on_read(request.slot, request.index))
+                if not isinstance(data, (bytes, bytearray)):
+                    raise TypeError(f"on_read returned {type(data).__name__}, a record is bytes")
+                ticket.answer(bytes(data))
+            elif self._on_write is None:
+                ticket.refuse(Code.ACCESS_DENIED)
+            else:
+                await _awaited("on_write", self._on_write(request.slot, request.index, request.data))
+                ticket.answer()
+        except Exception as error:  # the user's: answered, told, and nothing else is disturbed
+            ticket.fail(error)
+
+
+def _awaited(name: str, result: Awaitable[T]) -> Awaitable[T]:
+    if not isinstance(result, Awaitable):
+        raise TypeError(f"{name} is an ordinary function, it has to be an async one: write async def")
+    return result

@@ -1,0 +1,366 @@
+"""Slaves of one's own on a bus: on a real port, or in a virtual world."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Mapping, Sequence
+from types import TracebackType
+
+from dpstack.api.bus.streams import OnEvent, Waiters, hand_to
+from dpstack.api.server.async_device import AsyncRecords
+from dpstack.api.server.served_alarms import ServedAlarms
+from dpstack.argcheck import Sealed, octets, whole
+from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.slave.application import SlaveApp, SlaveAppState, SlaveAppStats
+from dpstack.dp.slave.device import Device
+from dpstack.dp.slave.user_slave import DpSlave
+from dpstack.dpv1.pdu.alarms import Alarm, ModuleState, Specifier, Status
+from dpstack.dpv1.slave.resource_manager import ServedConnection
+from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime, patience_of
+from dpstack.drivers.runtime import Runtime
+from dpstack.drivers.virtual.runtime import VirtualRuntime
+from dpstack.errors import BusError, ConfigError, SlaveTimeout, UsageError
+from dpstack.fdl.commands import AtStation
+from dpstack.fdl.passive.multi_station import Multidrop
+from dpstack.fdl.passive.station import PassiveStation
+from dpstack.machine import LineDown
+from dpstack.params import UNADDRESSED, BusParams
+from dpstack.phy.patience import EXACT, Patience
+from dpstack.ports import open_port
+from dpstack.sim.world import World
+from dpstack.trace import Event
+from dpstack.units import baud_text
+
+
+class ServedSlave(Sealed):
+    """One slave as it is served. ``restart()`` and ``initial_reset()`` raise UsageError within its own functions."""
+
+    def __init__(self, device: Device, address: int, fixed: bool, params: BusParams, patience: Patience) -> None:
+        self.device = device
+        self._records: AsyncRecords | None = None
+        if isinstance(device, DpSlave) and (device.on_read or device.on_write or device.on_transport):
+            self._records = AsyncRecords(device.on_read, device.on_write, device.on_transport)
+            device.serve_records(self._records)
+            device.transport = self._records.transport
+        self._app = SlaveApp(device, address=address, address_fixed=fixed)
+        self.station = PassiveStation(address, self._app, params, patience=patience)
+        #: set by the server: what keeps the station running
+        self.runtime: Runtime | None = None
+        self._alarms = ServedAlarms(device.alarm_server, device.name)
+        self._waiters = Waiters()
+        self._over: BusError | None = None
+        self._seal(ServedSlave)
+
+    def _sealed_name(self) -> str:
+        return f"served slave {self.name}"
+
+    def _no_attribute(self, name: str, *, method: bool) -> str:
+        if not method and hasattr(self.device, name):
+            return f"{self._sealed_name()} has no attribute {name!r}: its device has: assign to device.{name}"
+        return super()._no_attribute(name, method=method)
+
+    @property
+    def name(self) -> str:
+        """As in events."""
+        return self.device.name
+
+    @property
+    def address(self) -> int:
+        """Its station address; Set_Slave_Add may change it."""
+        return self.station.address
+
+    @property
+    def address_fixed(self) -> bool:
+        """No_Add_Chg was set: the address may be changed after an initial reset only."""
+        return self._app.address_fixed
+
+    @property
+    def state(self) -> SlaveAppState:
+        """Wait_Prm, Wait_Cfg or Data_Exch."""
+        return self._app.state
+
+    @property
+    def master(self) -> int | None:
+        """The master that has locked it."""
+        return self._app.master
+
+    @property
+    def outputs(self) -> bytes:
+        """The outputs as they are valid now: in Clear the safe ones; empty while not in data exchange."""
+        return self._app.outputs
+
+    @property
+    def inputs(self) -> bytes:
+        """The inputs the master reads; empty while not in data exchange."""
+        return self._app.inputs
+
+    @property
+    def failure(self) -> str | None:
+        """What its functions raised, None while they work; :meth:`restart` forgets it."""
+        return self._app.failure
+
+    @property
+    def connections(self) -> tuple[ServedConnection, ...]:
+        """Its open connections of class 2."""
+        return self._app.connections
+
+    @property
+    def connections_free(self) -> int:
+        """How many more there can be."""
+        return self._app.connections_free
+
+    def abort_connection(self, sap: int, reason: int = 0) -> None:
+        """End its connection of class 2 at the server ``sap`` (of :attr:`connections`).
+
+        Its master reads an Abort of the user with ``reason`` 0..15. Raises UsageError.
+        """
+        self._app.abort(sap, reason, 0 if self.runtime is None else self.runtime.now())
+
+    @property
+    def stats(self) -> SlaveAppStats:
+        """Its counters."""
+        return self._app.stats
+
+    def diagnosis(self) -> Diagnosis:
+        """As the master would read it."""
+        return self._app.diagnosis(0 if self.runtime is None else self.runtime.now())
+
+    def restart(self) -> None:
+        """Off and on again: outputs safe, Wait_Prm, a failure forgotten, the address kept where the device keeps it."""
+        self._at_station(self._app.restart)
+
+    def initial_reset(self) -> None:
+        """As delivered: like :meth:`restart`, with address 126 and Set_Slave_Add open."""
+        self._at_station(self._app.initial_reset)
+
+    async def reached(self, state: SlaveAppState, timeout: float | None = None) -> None:
+        """Wait until it is in ``state``, for ``timeout`` seconds. Raises SlaveTimeout saying where it stands.
+
+        Raises BusError when it is served no more.
+        """
+        try:
+            await self._waiters.until(lambda: self._is_in(state), timeout)
+        except TimeoutError:
+            text = f"is still in {self.state.value} after {timeout} s, not in {state.value}"
+            raise SlaveTimeout(self.address, f"slave {self.address} ({self.name}) {text}: {self._hint()}") from None
+
+    async def alarm(
+        self,
+        type: int,
+        slot: int,
+        specifier: int = Specifier.NONE,
+        data: bytes = b"",
+        *,
+        add_ack: bool = False,
+        timeout: float | None = None,
+    ) -> None:
+        """Raise an alarm and wait, up to ``timeout`` seconds, until its master has acknowledged it.
+
+        ``type`` 1..6 (:class:`~dpstack.AlarmType`) or 32..126, ``slot`` 0..254, ``specifier`` 0..3
+        (:class:`~dpstack.Specifier`), ``data`` 0..59 octets; ``add_ack``: the master's user has to acknowledge it in
+        addition. It may be called at any time, any number of times at once; up to 32 alarms wait. Raises AlarmError
+        where it cannot go out or ends otherwise, SlaveTimeout, UsageError, PduError where it cannot be.
+        """
+        place = whole("type", type), whole("slot", slot), whole("specifier", specifier)
+        alarm = Alarm(*place, data=octets("data", data), add_ack=add_ack)
+        await self._alarms.alarm(alarm, self.address, timeout)
+
+    def status(self, type: int, slot: int = 0, specifier: int = Specifier.NONE, data: bytes = b"") -> None:
+        """Tell a status once, which nobody acknowledges: ``type`` 1..3, 30, 31 (:class:`~dpstack.StatusType`) or
+        32..126, the rest as of an alarm. Raises AlarmError where it cannot go out, UsageError, PduError."""
+        place = whole("type", type), whole("slot", slot), whole("specifier", specifier)
+        self._alarms.status(Status(*place, octets("data", data)))
+
+    def module_status(self, states: Sequence[ModuleState]) -> None:
+        """Tell the state of its modules, slot 1 first; otherwise as :meth:`status`."""
+        self._alarms.module_status(states)
+
+    def check(self) -> None:
+        """Something was told: let those who wait look."""
+        self._waiters.check()
+
+    def switch_off(self, why: BusError, now: int) -> None:
+        """The end of serving: outputs safe."""
+        self._over = why
+        if self._records is not None:
+            self._records.end()
+        self.station.command(LineDown("switched off"), now)
+        self._app.restart(now)
+        self._waiters.check()
+
+    def _is_in(self, state: SlaveAppState) -> bool:
+        if self._over is not None:
+            raise self._over
+        return self.state is state
+
+    def _hint(self) -> str:
+        if self.failure is not None:
+            return f"its function failed ({self.failure}); correct it and restart() the slave"
+        if self.stats.services + self.stats.exchanges + self.stats.refused == 0:
+            return "no master has spoken to it; check address, baud rate and cable"
+        return "its master stopped half-way; look at the slave's events for what was refused"
+
+    def _at_station(self, act: Callable[[int], None]) -> None:
+        def again(now: int) -> None:
+            self.station.command(LineDown("switched off"), now)
+            act(now)
+
+        if isinstance(self.device, DpSlave) and self.device.inside:
+            raise UsageError(
+                f"slave {self.name}: it cannot be restarted or reset within its own function; "
+                f"do it afterwards, for instance by loop.call_soon(server.slave.restart)"
+            )
+        if self.runtime is None:
+            again(0)
+        else:
+            self.runtime.command(AtStation(again))
+
+
+class SlaveServer(Sealed):
+    """Serves slaves as stations behind one port (or in ``world``); ``async with`` opens and closes it.
+
+    On leaving, for whatever reason, all outputs go to their safe values. Raises ConfigError; PortError on entering.
+    """
+
+    def __init__(
+        self,
+        slaves: Mapping[int, Device],
+        *,
+        port: str | None,
+        baud: int | None,
+        fixed: bool,
+        world: World | None,
+        on_event: OnEvent | None,
+    ) -> None:
+        if not slaves:
+            raise ConfigError("no slave to serve")
+        if port is None and world is None:
+            raise ConfigError('no port; give for instance port="/dev/ttyUSB0", or a world')
+        if baud is None and world is None:
+            raise ConfigError("no baud; give for instance baud=500000 (dpstack.find_baud finds it by listening)")
+        self.baud = baud or (world.baud if world is not None else 0)
+        for device in slaves.values():
+            _check_rate(device, self.baud)
+        params = BusParams.preset(self.baud)
+        #: called for every event, at once
+        self.on_event = on_event
+        #: what stopped the server, a defect in dpstack; None while it works
+        self.failure: BusError | None = None
+        self._waiters = Waiters()
+        opened = None if port is None or world is not None else open_port(port, self.baud)
+        patience = EXACT if opened is None else patience_of(opened)
+        self.slaves = tuple(ServedSlave(device, at, fixed, params, patience) for at, device in slaves.items())
+        self._runtimes: list[Runtime] = []
+        if opened is not None:
+            line = Multidrop([slave.station for slave in self.slaves], params, patience=patience)
+            runtime: Runtime = AsyncioRuntime(opened, line, self._on_events, on_failure=self._failed)
+            self._take(runtime, *self.slaves)
+        elif world is not None:
+            for slave in self.slaves:
+                self._take(VirtualRuntime(world, slave.station, self._on_events, on_failure=self._failed), slave)
+        self._seal(SlaveServer)
+
+    def _sealed_name(self) -> str:
+        return "slave server"
+
+    def _take(self, runtime: Runtime, *slaves: ServedSlave) -> None:
+        self._runtimes.append(runtime)
+        for slave in slaves:
+            slave.runtime = runtime
+
+    @property
+    def slave(self) -> ServedSlave:
+        """The slave, where there is one only; else the first."""
+        return self.slaves[0]
+
+    @property
+    def port_name(self) -> str:
+        """What the port is called; of a pty made here the path to open."""
+        return self._runtimes[0].port_name
+
+    async def serve_forever(self) -> None:
+        """Wait, while the slaves are served, until the task is cancelled. Raises BusError when that ends."""
+        await self._waiters.until(self._over, None)
+
+    async def __aenter__(self) -> SlaveServer:
+        for runtime in self._runtimes:
+            await runtime.open()
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._make_safe(BusError("the slaves are served no more"))
+        async with contextlib.AsyncExitStack() as all_of_them:  # a cancellation leaves none of them open
+            all_of_them.callback(self._tell_rest)
+            for runtime in reversed(self._runtimes):
+                all_of_them.push_async_callback(runtime.close)
+
+    def _tell_rest(self) -> None:
+        self._on_events([event for slave in self.slaves for event in slave.station.take_events()])
+
+    def _on_events(self, events: list[Event]) -> None:
+        for slave in self.slaves:
+            slave.check()
+        for event in events:
+            hand_to(self.on_event, event)
+
+    def _make_safe(self, why: BusError) -> None:
+        for slave in self.slaves:
+            if slave.runtime is not None:
+                slave.switch_off(why, slave.runtime.now())
+
+    def _failed(self, error: Exception) -> None:
+        self.failure = BusError(f"the slaves were stopped by a defect in dpstack ({type(error).__name__}: {error})")
+        self.failure.__cause__ = error
+        self._make_safe(self.failure)
+        self._waiters.check()
+
+    def _over(self) -> bool:
+        if self.failure is not None:
+            raise self.failure
+        return False
+
+
+def serve_slave(
+    device: Device,
+    *,
+    port: str | None = None,
+    baud: int | None = None,
+    address: int | None = None,
+    address_fixed: bool = False,
+    world: World | None = None,
+    on_event: OnEvent | None = None,
+) -> SlaveServer:
+    """Serve ``device`` as a slave: ``async with serve_slave(...) as server``, then ``server.slave``.
+
+    ``port`` and ``baud`` (bit/s) as everywhere, or ``world``, a simulated bus. ``address`` None: 126, for a slave that
+    is given an address by Set_Slave_Add; ``address_fixed``: that came with No_Add_Chg. ``on_event`` is called for every
+    event at once. Raises ConfigError; PortError on entering.
+    """
+    if address is None:
+        if not device.set_slave_add:
+            raise ConfigError(
+                f"slave {device.name}: no address, and Set_Slave_Add is not supported; give address=0..125"
+            )
+        address = UNADDRESSED
+    return SlaveServer({address: device}, port=port, baud=baud, fixed=address_fixed, world=world, on_event=on_event)
+
+
+def serve_slaves(
+    slaves: Mapping[int, Device],
+    *,
+    port: str | None = None,
+    baud: int | None = None,
+    world: World | None = None,
+    on_event: OnEvent | None = None,
+) -> SlaveServer:
+    """Serve several slaves, address -> device, behind one port; otherwise as :func:`serve_slave`."""
+    return SlaveServer(slaves, port=port, baud=baud, fixed=False, world=world, on_event=on_event)
+
+
+def _check_rate(device: Device, baud: int) -> None:
+    rates = device.description.rates if isinstance(device, DpSlave) else {}
+    if rates and baud not in rates:
+        known = ", ".join(baud_text(rate) for rate in sorted(rates))
+        raise ConfigError(f"slave {device.name}: it has no {baud_text(baud)}; it knows {known}")

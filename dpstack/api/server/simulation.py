@@ -1,0 +1,297 @@
+"""Simulated slaves behind a real port, and the segment that ports can be joined by."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Sequence
+from types import TracebackType
+from typing import Final, Literal
+
+from dpstack.api.bus.compose import ECHO, port_of
+from dpstack.api.bus.events_json import Injected
+from dpstack.api.bus.streams import OnEvent, hand_to
+from dpstack.api.config.config import AUTO, Config, rate_findings
+from dpstack.api.server.virtual_bench import Unit, injected_text, rates_of, set_rate, station_status
+from dpstack.dp.slave.application import SlaveAppState
+from dpstack.dp.slave.baud_control import BaudState
+from dpstack.dp.slave.device import Device
+from dpstack.dp.slave.searching_port import PortBaudChanged, SearchingPort
+from dpstack.dp.slave.slave_events import SlaveAppEvent, SlaveAppStateChanged
+from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime, patience_of
+from dpstack.drivers.line.rate import settle_ns_of
+from dpstack.drivers.segment.hub import Segment, default_directory
+from dpstack.errors import BusError, ConfigError
+from dpstack.fdl.passive.multi_station import Multidrop
+from dpstack.params import MAX_STATION, UNADDRESSED, BusParams
+from dpstack.phy.neighbours import t_sl_of_answers
+from dpstack.sim.io_station import NAME, IoStation
+from dpstack.trace import Event
+from dpstack.units import BAUD_RATES, NEVER, ns_to_s
+
+__all__ = [
+    "DEFAULT_BAUD",
+    "Segment",
+    "SimulatedSlave",
+    "Simulation",
+    "SlaveAppState",
+    "default_directory",
+    "sim_event_json",
+]
+
+#: where neither the arguments nor the configuration name a rate
+DEFAULT_BAUD: Final = 500_000
+
+
+class SimulatedSlave:
+    """One slave of a simulation: what it is and what it does."""
+
+    def __init__(self, unit: Unit) -> None:
+        self.unit = unit
+        self.name = unit.config.name
+        profile, description = unit.config.profile, unit.config.description
+        what = f"mirror, {description.name}" if description else "mirror"
+        self.kind = profile.name if profile else NAME if isinstance(unit.device, IoStation) else what
+
+    @property
+    def address(self) -> int:
+        """Its station address now: Set_Slave_Add may have changed that of the configuration."""
+        return self.unit.station.address
+
+    @property
+    def state(self) -> SlaveAppState:
+        """Wait_Prm, Wait_Cfg or Data_Exch."""
+        return self.unit.app.state
+
+    @property
+    def exchanges(self) -> int:
+        """Data exchanges since it was switched on."""
+        return self.unit.app.stats.exchanges
+
+    @property
+    def watchdogs(self) -> int:
+        """How often its watchdog ended data exchange since it was switched on."""
+        return self.unit.app.stats.watchdogs
+
+    @property
+    def too_late(self) -> int:
+        """Answers that it had, and kept: when they could be sent another telegram was there already."""
+        return self.unit.station.stats.dropped
+
+
+class Simulation:
+    """All slaves of ``config`` as stations behind one ``port``; ``async with`` opens and closes it.
+
+    ``port``: as everywhere, or "pty" for a new one, whose path is then ``port_name``. ``baud`` in bit/s, or "auto": the
+    slaves find the rate by themselves, and search it anew when the bus falls silent.
+    Raises ConfigError; PortError on entering.
+    """
+
+    def __init__(self, config: Config, port: str, baud: int | Literal["auto"]) -> None:
+        if not config.slaves:
+            raise ConfigError("no slave to simulate: add a [[slave]] table, or give --drive and --address")
+        if port == "virtual":
+            raise ConfigError('port "virtual" has no other end; take "pty" or a device')
+        self.config = config
+        #: called for every event, at once
+        self.on_event: OnEvent | None = None
+        if baud != AUTO and any(set_rate(slave) not in (None, baud) for slave in config.slaves):
+            # stations of one port share its receiver: this one could not be deaf by itself
+            raise ConfigError("; ".join(rate_findings(config, baud)))
+        rates = [DEFAULT_BAUD] if baud != AUTO else _common_rates(config)
+        # every adapter can do the slowest rate, so a port that does not open there is not there
+        start = baud if baud != AUTO else DEFAULT_BAUD if port == "pty" else min(rates)
+        opened = port_of(config, start, port)
+        patience = patience_of(opened)
+        self._params = params = BusParams.preset(start)
+        #: T_SL in bit times that a real master needs for these slaves behind this port, 0 where it needs none for it
+        self.t_sl = t_sl_of_answers(params, patience)
+        units = [Unit(slave, params, patience) for slave in config.slaves]
+        for unit in units:
+            if unit.config.address == UNADDRESSED and not unit.device.set_slave_add:
+                raise ConfigError(
+                    f"slave {unit.config.name} has no Set_Slave_Add: nobody could give it another address than "
+                    f"{UNADDRESSED} over the bus; give it one of 0..{MAX_STATION}"
+                )
+        self.slaves = tuple(SimulatedSlave(unit) for unit in units)
+        self._failure: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._line = Multidrop([unit.station for unit in units], params, patience=patience)
+        self._search: SearchingPort | None = None
+        self._was_found = False
+        if baud == AUTO:
+            self._search = SearchingPort(
+                self._line,
+                self._watched,
+                rates=rates,
+                slack_ns=patience.known_ns,
+                settle_ns=settle_ns_of(opened),
+                lost=self._rate_lost,
+            )
+        machine = self._search or self._line
+        self.runtime = AsyncioRuntime(
+            opened, machine, self._on_events, echo=ECHO[config.bus.echo], on_failure=self._failed
+        )
+        #: machine time of the start in ns
+        self.started_ns = 0
+
+    @property
+    def port_name(self) -> str:
+        """What the port is called; of a pty made here the path to open."""
+        return self.runtime.port_name
+
+    @property
+    def baud(self) -> int | None:
+        """The rate in bit/s; None while it is searched."""
+        searching = self._search is not None and self._search.state is BaudState.SEARCH
+        return None if searching else self._line.baud
+
+    @property
+    def never_found(self) -> str | None:
+        """Why the rate was not recognised up to now, for people; None when it was once, or was given."""
+        if self._search is None or self._was_found:
+            return None
+        result = self._search.in_vain(self.runtime.now())
+        return None if result is None else result.text
+
+    @property
+    def seconds(self) -> float:
+        """Since the start."""
+        return ns_to_s(self.runtime.now() - self.started_ns)
+
+    @property
+    def telegrams(self) -> int:
+        """Heard by its receiver, to whomever they were."""
+        return self._line.decoder_stats.telegrams
+
+    @property
+    def bad(self) -> dict[str, int]:
+        """Damaged telegrams and stray octets that its receiver heard, by cause, as in BusStats."""
+        damage = {f"uart_{cause}": count for cause, count in self.runtime.damage().items() if count}
+        return self._line.decoder_stats.by_cause() | damage
+
+    # --- treated from outside ---------------------------------------------------------------------------------------
+
+    def status(self) -> dict[str, object]:
+        """Each slave at this moment."""
+        slaves: dict[str, object] = {}
+        for slave in self.slaves:
+            entry: dict[str, object] = {
+                "name": slave.name,
+                "kind": slave.kind,
+                "state": slave.state.value if slave.unit.powered else "off",
+                "exchanges": slave.exchanges,
+                "watchdogs": slave.watchdogs,
+                "too_late": slave.too_late,
+                **station_status(slave.unit.device),
+            }
+            injected = self.injected(slave.address)
+            if injected:
+                entry["injected"] = injected
+            slaves[str(slave.address)] = entry
+        status: dict[str, object] = {"seconds": round(self.seconds, 3), "baud": self.baud}
+        status |= {"telegrams": self.telegrams, "bad": self.bad}
+        if self._search is not None:
+            status["search"] = self._search.state.value
+        return status | {"slaves": slaves}
+
+    def names(self) -> dict[int, str]:
+        """Address and name of every slave."""
+        return {slave.address: slave.name for slave in self.slaves}
+
+    def device(self, address: int) -> Device:
+        """What simulates the slave."""
+        return self._unit(address).device
+
+    def _unit(self, address: int) -> Unit:
+        return next(slave.unit for slave in self.slaves if slave.address == address)
+
+    def silence(self, address: int, for_ns: int | None) -> None:
+        """Make a slave deaf and mute for a time, None: until :meth:`resume`; one that is off stays off."""
+        unit = self._unit(address)
+        if unit.powered:
+            self._line.silence(unit.station.address, NEVER if for_ns is None else self.runtime.now() + for_ns)
+
+    def resume(self, address: int) -> None:
+        """End a silence."""
+        unit = self._unit(address)
+        if unit.powered:
+            self._line.resume(unit.station.address)
+
+    def power(self, address: int, on: bool) -> None:
+        """Switch a slave off at once, or on again; a drive keeps its EEPROM."""
+        unit = self._unit(address)
+        if on is unit.powered:
+            return
+        if on:
+            unit.renew(self._line.params)
+            self._line.add(unit.station)
+        else:
+            self._line.remove(unit.station.address)
+        unit.powered = on
+
+    def injected(self, address: int) -> list[str]:
+        """What was done to the slave from outside and is not over."""
+        unit = self._unit(address)
+        until = self._line.silent_until(unit.station.address) if unit.powered else None
+        return injected_text(unit.device, unit.powered, None if until is None else until - self.runtime.now())
+
+    def tell(self, event: Event) -> None:
+        """Hand an event to :attr:`on_event`."""
+        hand_to(self.on_event, event)
+
+    async def failed(self, seconds: float | None = None) -> None:
+        """Wait for ``seconds`` (None: for ever). Raises BusError when the simulation fails meanwhile."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(seconds):
+                await asyncio.shield(self._failure)
+
+    async def __aenter__(self) -> Simulation:
+        self.started_ns = self.runtime.now()
+        await self.runtime.open()
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        await self.runtime.close()
+
+    def _on_events(self, events: list[Event]) -> None:
+        self._was_found = self._was_found or any(isinstance(event, PortBaudChanged) for event in events)
+        for event in events:
+            hand_to(self.on_event, event)
+
+    def _watched(self) -> bool:
+        """Whether the watchdog of any slave runs."""
+        return any(slave.unit.app.watchdog.time_ns and slave.unit.powered for slave in self.slaves)
+
+    def _rate_lost(self, now: int) -> None:
+        for slave in self.slaves:
+            slave.unit.app.rate_lost(now)
+
+    def _failed(self, error: Exception) -> None:
+        failure = BusError(f"the simulation was stopped by a defect in dpstack ({type(error).__name__}: {error})")
+        failure.__cause__ = error
+        if not self._failure.done():
+            self._failure.set_exception(failure)
+
+
+def _common_rates(config: Config) -> Sequence[int]:
+    """The rates that all slaves know: they share one receiver. Raises ConfigError."""
+    rates = [rate for rate in BAUD_RATES if all(rate in rates_of(slave) for slave in config.slaves)]
+    if not rates:
+        raise ConfigError("the slaves have no baud rate in common: simulate them on ports of their own")
+    return rates
+
+
+def sim_event_json(event: Event, t: float) -> dict[str, object]:
+    """The JSON line of a simulation's ``event`` at ``t`` seconds."""
+    if isinstance(event, Injected):
+        return event.as_dict(t)
+    line: dict[str, object] = {"event": "notice", "t": round(t, 6)}
+    if isinstance(event, SlaveAppEvent):
+        line |= {"address": event.address, "name": event.name}
+    if isinstance(event, PortBaudChanged):
+        return line | {"event": "baud", "state": event.state.value, "baud": event.baud}
+    if isinstance(event, SlaveAppStateChanged):
+        return line | {"event": "slave", "state": event.state.value, "master": event.master, "why": event.why.value}
+    return line | {"text": event.text}

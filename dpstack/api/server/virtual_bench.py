@@ -1,0 +1,201 @@
+"""Simulated slaves that can be treated from outside: silenced, switched off and on. One class per kind of bus."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+from dpstack.api.config.slave import SlaveConfig
+from dpstack.dp.slave.application import SlaveApp
+from dpstack.dp.slave.auto_baud import SearchingSlave
+from dpstack.dp.slave.description import SlaveDescription
+from dpstack.dp.slave.device import Device
+from dpstack.dp.slave.loopback_device import MirrorDevice, mirror_of
+from dpstack.fdl.passive.station import PassiveStation
+from dpstack.fdl.station import BusStation
+from dpstack.machine import LineDown
+from dpstack.params import BusParams
+from dpstack.phy.patience import EXACT, Patience
+from dpstack.profile import DriveDevice
+from dpstack.sim.io_station import IDENT, IoStation
+from dpstack.sim.world import World
+from dpstack.units import BAUD_RATES, NEVER, ns_to_s
+
+
+def device_of(slave: SlaveConfig) -> Device:
+    """What simulates ``slave``: the drive's simulated device, the I/O station by its ident number, or a mirror of
+    outputs to inputs.
+
+    A mirror has the lengths, limits and services of the GSD file, where there is one.
+    """
+    if slave.profile is not None:
+        device = slave.profile.device(slave.telegram, {**slave.profile.shared(slave.options), **slave.simulated})
+        if slave.ident is not None:
+            device.ident = slave.ident
+        device.name = slave.name
+        return device
+    if slave.ident == IDENT:
+        described = None if slave.description is None else _own(slave, slave.description)
+        return IoStation(slave.config, described, name=slave.name)
+    if slave.description is not None:
+        return mirror_of(_own(slave, slave.description))
+    return MirrorDevice(slave.ident or 0, slave.config, slave.name, fail_safe=slave.fail_safe)
+
+
+def _own(slave: SlaveConfig, description: SlaveDescription) -> SlaveDescription:
+    """``description`` under the slave's own name, with the ident number that the table gives."""
+    return dataclasses.replace(
+        description, name=slave.name, ident=description.ident if slave.ident is None else slave.ident
+    )
+
+
+def station_status(device: Device) -> dict[str, object]:
+    """What ``status`` shows of a simulated slave beside the rest: ``slots`` of an I/O station."""
+    return {"slots": device.as_dict()} if isinstance(device, IoStation) else {}
+
+
+def injected_text(device: Device, powered: bool, silent_ns: int | None) -> list[str]:
+    """What was done to a simulated slave from outside and is not over. ``silent_ns``: a silence lasts for so long yet,
+    None: it is not silenced.
+    """
+    told = [] if powered else ["power-off"]
+    if powered and silent_ns is not None and silent_ns > 0:
+        told.append(silence_text(silent_ns))
+    return told + list(device.injected if isinstance(device, (DriveDevice, IoStation)) else ())
+
+
+def silence_text(left_ns: int) -> str:
+    """A silence that lasts for ``left_ns`` yet, NEVER: until it is ended by an order."""
+    return "silence until resume" if left_ns >= NEVER // 2 else f"silence for {ns_to_s(left_ns):.1f} s more"
+
+
+def rates_of(slave: SlaveConfig) -> Sequence[int]:
+    """The baud rates that the device hears, all where nothing is said of them."""
+    return sorted(slave.baud_rates) or BAUD_RATES
+
+
+def set_rate(slave: SlaveConfig) -> int | None:
+    """The rate that the device is set to; None where it finds it by itself."""
+    fixed = slave.profile is not None and slave.profile.rate_setting is not None
+    return rates_of(slave)[0] if fixed else None
+
+
+class Unit:
+    """One simulated slave as it stands: station, application and device, made anew by :meth:`renew`.
+
+    It keeps an address that Set_Slave_Add gave it. A drive keeps what it has stored in its EEPROM, and stands at the
+    address that this gives; an I/O station what is plugged into it.
+
+    ``searching``: it finds the baud rate by itself, among those that
+    the device knows. One that cannot stays at the rate it is set to, whatever the bus has.
+    """
+
+    def __init__(
+        self, config: SlaveConfig, params: BusParams, patience: Patience = EXACT, *, searching: bool = False
+    ) -> None:
+        self.config = config
+        self.powered = True
+        self._address = config.address
+        self._address_fixed = False
+        self._patience = patience
+        self._searching = searching
+        self.device: Device = device_of(config)
+        self._stand(params)
+
+    def renew(self, params: BusParams) -> None:
+        """Switched on again."""
+        before, self.device = self.device, device_of(self.config)
+        kept, self._address_fixed = self.app.kept_address
+        self._address = self._address if kept is None else kept
+        if isinstance(before, DriveDevice) and isinstance(self.device, DriveDevice):
+            self.device.inherit(before)
+            own = self.device.own_address
+            self._address = self._address if own is None else own
+        if isinstance(before, IoStation) and isinstance(self.device, IoStation):
+            self.device.inherit(before)
+        self._stand(params)
+
+    def _stand(self, params: BusParams) -> None:
+        own = set_rate(self.config)
+        if own is not None and own != params.baud:
+            params = BusParams.preset(own)
+        if isinstance(self.device, DriveDevice):
+            self.device.installed(self._address, None if self._searching else params.baud)
+        self.app = SlaveApp(self.device, address=self._address, address_fixed=self._address_fixed)
+        self.station = PassiveStation(self._address, self.app, params, patience=self._patience)
+        #: what is on a simulated bus: the station, or the search around it
+        self.on_bus: BusStation = self.station
+        if self._searching and own is None:
+            self.on_bus = SearchingSlave(self.station, self.app, rates=rates_of(self.config))
+
+
+class VirtualBench:
+    """The simulated slaves of a bus in virtual time, at the rate of ``params``; None: they find it by themselves."""
+
+    def __init__(self, world: World, params: BusParams | None) -> None:
+        self._world = world
+        self._params = params or BusParams.preset(BAUD_RATES[0])
+        self._searching = params is None
+        self._units: dict[int, Unit] = {}
+        self._silent: dict[int, int] = {}  # until when, in ns
+
+    def add(self, config: SlaveConfig) -> None:
+        """One more; one that stood at its address before goes."""
+        before = self._units.get(config.address)
+        if before is not None and before.powered:
+            self._unplug(config.address)
+        self._silent.pop(config.address, None)
+        unit = self._units[config.address] = Unit(config, self._params, searching=self._searching)
+        self._world.add(unit.on_bus, name=config.name)
+
+    def names(self) -> dict[int, str]:
+        """Address and name of every slave."""
+        return {address: unit.config.name for address, unit in self._units.items()}
+
+    def device(self, address: int) -> Device:
+        """What simulates the slave."""
+        return self._units[address].device
+
+    def silence(self, address: int, for_ns: int | None) -> None:
+        """Deaf and mute, None: until :meth:`resume`; a slave that is off stays off."""
+        if not self._units[address].powered:
+            return
+        self._unplug(address)
+        until = self._silent[address] = NEVER if for_ns is None else self._world.now + for_ns
+        if for_ns is not None:
+            self._world.call_at(until, lambda: self._end(address, until))
+
+    def resume(self, address: int) -> None:
+        """The end of a silence."""
+        self._end(address, self._silent.get(address))
+
+    def power(self, address: int, on: bool) -> None:
+        """Off at once, on again; a drive keeps its EEPROM."""
+        unit = self._units[address]
+        if on is unit.powered:
+            return
+        if on:
+            unit.renew(self._params)
+            self._world.add(unit.on_bus, name=unit.config.name)
+        else:
+            self._unplug(address)
+            self._silent.pop(address, None)
+        unit.powered = on
+
+    def _unplug(self, address: int) -> None:
+        if address not in self._silent:
+            station = self._units[address].on_bus
+            self._world.remove(station)
+            station.command(LineDown("off the line"), self._world.now)
+
+    def injected(self, address: int) -> list[str]:
+        """What was done to the slave from outside and is not over."""
+        unit, until = self._units[address], self._silent.get(address)
+        return injected_text(unit.device, unit.powered, None if until is None else until - self._world.now)
+
+    def _end(self, address: int, until: int | None) -> None:
+        """``until``: of the silence meant; another one may have taken its place."""
+        if until is not None and self._silent.get(address) == until:
+            del self._silent[address]
+            unit = self._units[address]
+            self._world.add(unit.on_bus, name=unit.config.name)

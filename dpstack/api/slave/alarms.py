@@ -1,0 +1,299 @@
+"""``slave.alarms()``: alarms as an application takes them, and what that has to do with their acknowledgement.
+
+While nobody listens the station acknowledges alarms itself, so that no slave waits for ever; they are events then, as
+they always are. While somebody listens an alarm is acknowledged when every listener has it: a slow one holds further
+alarms of the slave back at the slave, and nothing piles up here.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import weakref
+from collections import deque
+from collections.abc import AsyncIterator
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+from dpstack.api.bus.streams import Stream
+from dpstack.api.slave.service_errors import error_of
+from dpstack.dp.acyclic.job import Outcome, ServiceFailure
+from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dpv1.master.alarm_events import AcknowledgeAlarm, AlarmDone, AlarmRaised, HoldAlarms, StatusTold
+from dpstack.dpv1.pdu.alarms import Alarm, Specifier, Status
+from dpstack.dpv1.pdu.read_write import Function
+from dpstack.errors import DpError
+from dpstack.trace import Event
+
+if TYPE_CHECKING:
+    from dpstack.api.bus.bus import Bus
+
+#: statuses kept for a reader that does not read
+_STATUSES: Final = 64
+
+
+@dataclass(eq=False)
+class _Held:
+    """An alarm that the station holds for this application: who has not let go of it yet, and its end."""
+
+    raised: AlarmRaised
+    keepers: set[_Listener]
+    end: Outcome | None = None
+    ended: asyncio.Event = field(default_factory=asyncio.Event)
+
+    @property
+    def key(self) -> tuple[int, int]:
+        """By slave and number."""
+        return self.raised.address, self.raised.number
+
+
+class SlaveAlarm:
+    """One alarm of a slave, as ``slave.alarms()`` gives it.
+
+    ``type`` 1 diagnosis, 2 process, 3 pull, 4 plug, 5 status, 6 update, 32..126 the maker's own, ``title`` in words;
+    ``slot`` 0..254; ``sequence`` number 0..31; ``data`` up to 59 octets, whose meaning is in the device's manual.
+    ``user_ack``: it wants something else of the user beside its acknowledgement, for instance a Write (Add_Ack).
+    ``diagnosis`` is the one it came in, ``texts`` what else stands there. ``t_ns``: bus time.
+    """
+
+    def __init__(self, held: _Held, desk: AlarmDesk) -> None:
+        raised = held.raised
+        self.address = raised.address
+        self.name = raised.name
+        self.type = raised.alarm.type
+        self.title = raised.alarm.title
+        self.slot = raised.alarm.slot
+        self.sequence = raised.alarm.sequence
+        self.specifier = Specifier(raised.alarm.specifier)
+        self.data = raised.alarm.data
+        self.user_ack = raised.alarm.add_ack
+        self.diagnosis: Diagnosis = raised.diagnosis
+        self.texts = raised.texts
+        self.t_ns = raised.t_ns
+        #: all of it in one line, with the slave
+        self.text = raised.text
+        self._held = held
+        self._desk = desk
+
+    def __repr__(self) -> str:
+        return f"<SlaveAlarm {self.text}>"
+
+    @property
+    def alarm(self) -> Alarm:
+        """As it came."""
+        return self._held.raised.alarm
+
+    @property
+    def appears(self) -> bool:
+        """Something is wrong with the slot from now on."""
+        return self.specifier is Specifier.APPEARS
+
+    @property
+    def disappears(self) -> bool:
+        """Something is no longer wrong; :attr:`slot_good` says whether anything still is."""
+        return self.specifier in (Specifier.DISAPPEARS, Specifier.DISAPPEARS_OTHERS)
+
+    @property
+    def slot_good(self) -> bool | None:
+        """What it says of the slot; None: nothing."""
+        return None if self.specifier is Specifier.NONE else self.specifier is Specifier.DISAPPEARS
+
+    async def acknowledge(self) -> None:
+        """Acknowledge it (with ``alarms()`` that is done already), and wait until the slave took it. Another listener
+        that does not have it yet is no longer waited for.
+
+        May be repeated. Raises AcyclicError and ServiceRefused where the slave refuses, SlaveFault when it left data
+        exchange before (its alarms are void then), UsageError, BusError.
+        """
+        await self._desk.acknowledge(self._held)
+
+
+@dataclass(eq=False)
+class _Listener:
+    """What one ``alarms()`` has not taken yet."""
+
+    waiting: deque[SlaveAlarm] = field(default_factory=deque)
+    more: asyncio.Event = field(default_factory=asyncio.Event)
+    ended: bool = False
+
+    def end(self) -> None:
+        self.ended = True
+        self.more.set()
+
+
+class AlarmStream(AsyncIterator[SlaveAlarm]):
+    """An async iterator over the alarms of one slave. Ends with the bus, or when the slave is removed from it."""
+
+    def __init__(self, desk: AlarmDesk, address: int, acknowledge: bool) -> None:
+        self._desk = desk
+        self._address = address
+        self._acknowledge = acknowledge
+        self._listener = _Listener()
+        desk.listen(address, self._listener)
+        # who leaves an ``async for`` does not say so; the slave must not wait for him
+        self._leave = weakref.finalize(self, desk.leave_later, address, self._listener, asyncio.get_running_loop())
+        self._leave.atexit = False
+
+    def close(self) -> None:
+        """The reader has had enough: what it has not taken is acknowledged. May be repeated."""
+        self._leave.detach()
+        self._desk.leave(self._address, self._listener)
+
+    def __aiter__(self) -> AlarmStream:
+        return self
+
+    async def __anext__(self) -> SlaveAlarm:
+        listener = self._listener
+        while not listener.waiting:
+            if listener.ended:
+                raise StopAsyncIteration
+            listener.more.clear()
+            await listener.more.wait()
+        alarm = listener.waiting.popleft()
+        if self._acknowledge:
+            self._desk.taken(alarm, listener)
+        return alarm
+
+
+class StatusStream(Stream[Status]):
+    """Status messages of one slave, an async iterator. Ends as AlarmStream."""
+
+    def __init__(self) -> None:
+        super().__init__(_STATUSES)
+
+
+class AlarmDesk:
+    """All alarms of one bus that are listened for."""
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+        self._listeners: dict[int, list[_Listener]] = {}
+        self._statuses: dict[int, weakref.WeakSet[StatusStream]] = {}
+        self._held: dict[tuple[int, int], _Held] = {}
+        self._over: DpError | None = None
+
+    def alarms(self, address: int, *, acknowledge: bool) -> AlarmStream:
+        """See :meth:`dpstack.api.slave.slave.Slave.alarms`."""
+        return AlarmStream(self, address, acknowledge)
+
+    def statuses(self, address: int) -> StatusStream:
+        """See :meth:`dpstack.api.slave.slave.Slave.status_messages`."""
+        stream = StatusStream()
+        self._statuses.setdefault(address, weakref.WeakSet()).add(stream)
+        if self._over is not None:
+            stream.end()
+        return stream
+
+    # --- listeners ----------------------------------------------------------------------------------------------
+
+    def listen(self, address: int, listener: _Listener) -> None:
+        """From now on ``listener`` has the alarms of the slave at ``address``. Raises UsageError, BusError."""
+        self._bus.command(HoldAlarms(address, True))  # again for each: it says where there is nothing to listen for
+        self._listeners.setdefault(address, []).append(listener)
+
+    def leave(self, address: int, listener: _Listener) -> None:
+        """No longer; may be repeated."""
+        listeners = self._listeners.get(address, [])
+        if listener not in listeners:
+            return
+        listeners.remove(listener)
+        listener.end()
+        for held in tuple(self._held.values()):
+            self._let_go(held, listener)
+        if not listeners:
+            self._order(HoldAlarms(address, False))
+
+    def leave_later(self, address: int, listener: _Listener, loop: asyncio.AbstractEventLoop) -> None:
+        """From a finalizer, which may run anywhere."""
+        with contextlib.suppress(RuntimeError):  # the loop is over, and the bus with it
+            loop.call_soon_threadsafe(self.leave, address, listener)
+
+    def taken(self, alarm: SlaveAlarm, listener: _Listener) -> None:
+        """``listener`` handed it to the application."""
+        self._let_go(alarm._held, listener)
+
+    async def acknowledge(self, held: _Held) -> None:
+        """All listeners let go of it; returns when the slave took the acknowledgement."""
+        for listener in tuple(held.keepers):
+            self._let_go(held, listener)
+        await held.ended.wait()
+        assert held.end is not None
+        if held.end.failure is not None:
+            alarm = held.raised.alarm
+            where = (alarm.slot, alarm.type)
+            raise error_of(held.raised.address, Function.ALARM_ACK.title, held.end, where)
+
+    def _let_go(self, held: _Held, listener: _Listener) -> None:
+        if listener in held.keepers:
+            held.keepers.remove(listener)
+            if not held.keepers:
+                self._order(AcknowledgeAlarm(*held.key))
+                self._drop_over(held)
+
+    def _drop_over(self, held: _Held) -> None:
+        if held.end is not None and not held.keepers:
+            self._held.pop(held.key, None)
+
+    def _order(self, command: object) -> None:
+        with contextlib.suppress(DpError):  # the bus is over, or the slave removed: nothing is held any more
+            self._bus.command(command)
+
+    # --- from the machine ---------------------------------------------------------------------------------------
+
+    def take(self, event: Event) -> bool:
+        """True for what is told to nobody else."""
+        match event:
+            case AlarmRaised(held=True):
+                self._raised(event)
+            case StatusTold(address=address, status=status):
+                for stream in tuple(self._statuses.get(address, ())):
+                    stream.put(status)
+            case AlarmDone(address=address, number=number, outcome=outcome):
+                held = self._held.get((address, number))
+                if held is not None:
+                    self._done(held, outcome)
+                return True
+        return False
+
+    def _raised(self, event: AlarmRaised) -> None:
+        listeners = self._listeners.get(event.address, [])
+        if not listeners:
+            return  # the last one left just now, which has them all acknowledged
+        held = self._held[event.address, event.number] = _Held(event, set(listeners))
+        for listener in listeners:
+            listener.waiting.append(SlaveAlarm(held, self))
+            listener.more.set()
+
+    def _done(self, held: _Held, outcome: Outcome) -> None:
+        held.end = outcome
+        held.ended.set()
+        self._drop_over(held)
+
+    def forget(self, address: int) -> None:
+        """The slave was removed from the bus."""
+        for listener in self._listeners.pop(address, []):
+            listener.end()
+        for stream in self._statuses.pop(address, ()):
+            stream.end()
+        self._end_held("was removed from the bus", address)
+
+    def end(self, error: DpError) -> None:
+        """Nothing more will come; what is there can still be taken."""
+        self._over = error
+        for listeners in self._listeners.values():
+            for listener in listeners:
+                listener.end()
+        for streams in self._statuses.values():
+            for stream in streams:
+                stream.end()
+        self._end_held(str(error))
+
+    def _end_held(self, why: str, address: int | None = None) -> None:
+        for held in tuple(self._held.values()):
+            if address in (None, held.raised.address):
+                held.keepers.clear()  # its number may become that of another one
+                text = f"an alarm of slave {held.raised.address} was not acknowledged: {why}"
+                self._done(held, held.end or Outcome(failure=ServiceFailure.LINE, text=text))
+
+
+__all__ = ["AlarmDesk", "AlarmStream", "SlaveAlarm", "StatusStream"]

@@ -1,0 +1,233 @@
+"""The services of a class 2 master, to be awaited: ``bus.class2``.
+
+They work for the slaves of this bus and for those of others, and take no slave away from its master. Each is one
+request in time that is left in a token hold; it has one result or one error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import TYPE_CHECKING
+
+from dpstack.api.config.ms2_config import Ms2Limits
+from dpstack.api.config.slave import SlaveConfig
+from dpstack.api.slave.ms2_connection import Connecting
+from dpstack.api.slave.records import usual_timeout
+from dpstack.api.slave.services import time_of
+from dpstack.argcheck import Sealed, octets, whole
+from dpstack.dp.acyclic.class2_part import ChangeAddress, ReadService
+from dpstack.dp.acyclic.class2_services import Service, ServiceDone
+from dpstack.dp.pdu.diag_texts import block_texts
+from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.process_data import Value
+from dpstack.dpv1.master.ms2_commands import OpenConnection
+from dpstack.dpv1.timeouts import least_send_timeout
+from dpstack.errors import ConfigError, PduError, UsageError
+from dpstack.gsd.identifiers import Identifier, io_lengths, parse_identifiers
+
+if TYPE_CHECKING:
+    from dpstack.api.bus.bus import Bus
+    from dpstack.api.slave.slave import Slave
+
+
+@dataclass(frozen=True, slots=True)
+class ProcessData:
+    """Inputs or outputs of a slave as it has them: ``octets``, and ``values`` by name where this bus names them."""
+
+    octets: bytes
+    values: Mapping[str, Value] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Configuration:
+    """The identifier octets of a slave (Get_Cfg), and what they say.
+
+    ``finding``: why they cannot be read to the end; then there are no ``identifiers`` and no lengths.
+    """
+
+    octets: bytes
+    identifiers: tuple[Identifier, ...] = ()
+    input_len: int | None = None
+    output_len: int | None = None
+    finding: str | None = None
+
+    @classmethod
+    def of(cls, octets: bytes) -> Configuration:
+        """Read ``octets`` as a slave gave them."""
+        try:
+            return cls(octets, tuple(parse_identifiers(octets)), *io_lengths(octets))
+        except ConfigError as error:
+            return cls(octets, finding=str(error))
+
+
+@dataclass(frozen=True, slots=True)
+class ReadDiagnosis(Diagnosis):
+    """A diagnosis, and ``diagnosis_texts``: what it says, for people, as :attr:`dpstack.Slave.diagnosis_texts` has it.
+
+    The texts of its GSD file are among them where this bus has such a slave there.
+    """
+
+    diagnosis_texts: tuple[str, ...] = ()
+
+
+class Class2(Sealed):
+    """The class 2 services of one bus. A ``timeout`` in seconds counts from the call: others may be waiting before.
+
+    All raise UsageError for what cannot be (another address range, a closed bus, 32 services waiting), SlaveTimeout
+    when no answer came in time, ServiceRefused when the slave says no, SlaveFault for an answer that cannot be one,
+    BusError when the port vanished meanwhile.
+    """
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+        self._seal(Class2)
+
+    async def diagnosis(self, slave: Slave | str | int, *, timeout: float = 5.0) -> ReadDiagnosis:
+        """Slave_Diag. (Of a slave in data exchange with this very master, the master takes notice of it too.)"""
+        return self._told(await self._read(slave, Service.DIAGNOSIS, timeout))
+
+    async def config(self, slave: Slave | str | int, *, timeout: float = 5.0) -> Configuration:
+        """Get_Cfg: the real configuration."""
+        return Configuration.of((await self._read(slave, Service.CONFIG, timeout)).outcome.data)
+
+    async def inputs(self, slave: Slave | str | int, *, timeout: float = 5.0) -> ProcessData:
+        """RD_Inp: the inputs that the slave gives its master; open while it is in data exchange with anybody."""
+        done = await self._read(slave, Service.INPUTS, timeout)
+        known = self._known(done.address)
+        return ProcessData(done.outcome.data, known.config.input_fields.values(done.outcome.data) if known else {})
+
+    async def outputs(self, slave: Slave | str | int, *, timeout: float = 5.0) -> ProcessData:
+        """RD_Outp: the outputs that the slave has got from its master; open as RD_Inp is."""
+        done = await self._read(slave, Service.OUTPUTS, timeout)
+        known = self._known(done.address)
+        return ProcessData(done.outcome.data, known.config.output_fields.values(done.outcome.data) if known else {})
+
+    async def set_address(
+        self,
+        old: int,
+        new: int,
+        *,
+        ident: int | None = None,
+        no_change: bool = False,
+        rem_slave_data: bytes = b"",
+        force: bool = False,
+        timeout: float = 15.0,
+    ) -> ReadDiagnosis:
+        """Set_Slave_Add: give the slave at ``old`` (126: as delivered) the address ``new``, 0..125.
+
+        Before: ``ident`` is the slave's, nobody owns it, nobody answers at ``new``. Afterwards: the same device answers
+        at ``new``, nobody at ``old``; its diagnosis from there is returned. ``no_change``: it shall refuse any further
+        change (for good; only a reset at the device, if it has one, opens it again). ``rem_slave_data``: 0..240 octets
+        that mean something to the device only. A slave whose GSD file does not say Set_Slave_Add_supp = 1 (where this
+        bus has one with that ``ident``, at ``old`` or at ``new``) is asked with ``force`` only.
+
+        Raises as the others do. ServiceRefused with status "ignored": it was asked and kept its address. SlaveFault:
+        another device, owned by a master, ``new`` in use, or still somebody at ``old``.
+        """
+        if self._bus.config.bus.read_only:
+            raise UsageError("this bus is read-only: no slave gets another address; leave read_only out")
+        whole("old", old), whole("new", new)
+        if not force:
+            self._check_settable(old, new, ident)
+        token = self._bus.services.token()
+        command = ChangeAddress(token, old, new, ident, no_change, rem_slave_data, time_of(timeout))
+        return self._told(await self._bus.services.do(token, command, ServiceDone))
+
+    def connect(
+        self,
+        slave: Slave | SlaveConfig | str | int,
+        *,
+        send_timeout: float | None = None,
+        response_timeout: float | None = None,
+        profile_ident: int = 0,
+        profile_features: int = 0,
+        source: bytes = bytes(2),
+        destination: bytes = bytes(2),
+        timeout: float | None = None,
+    ) -> Connecting:
+        """Open a class 2 connection (MS2) to any slave: ``async with bus.class2.connect(7) as connection``.
+
+        It needs no parameterisation and takes the slave away from nobody. ``send_timeout`` in seconds: the longest
+        silence, to be agreed on (default by baud rate); ``response_timeout``: for one service (default: its
+        C2_Response_Timeout). ``source``, ``destination``: API and access level, and octets of network and MAC address
+        where the end is not on this bus. ``timeout`` as of its services. Raises ServiceRefused (no connection left, or
+        none at all), ConnectionEnded (the slave aborts), SlaveTimeout, SlaveFault, UsageError, BusError.
+        """
+        known = slave if isinstance(slave, SlaveConfig) else self._config(slave)
+        limits = Ms2Limits() if known is None else known.ms2
+        address = slave.address if isinstance(slave, SlaveConfig) else self._address(slave)
+        usual = least_send_timeout(self._bus.params.baud)
+        silence = usual if send_timeout is None else time_of(send_timeout, "send_timeout")
+        response = limits.response_ns if response_timeout is None else time_of(response_timeout, "response_timeout")
+        order = OpenConnection(
+            self._bus.services.token(),
+            address,
+            silence,
+            response,
+            profile_features=profile_features,
+            profile_ident=profile_ident,
+            source=octets("source", source),
+            destination=octets("destination", destination),
+            channels=limits.channels,
+            timeout_ns=time_of(usual_timeout(response) if timeout is None else timeout),
+        )
+        return Connecting(self._bus, order, f"slave{address}" if known is None else known.name, limits)
+
+    @property
+    def connections(self) -> int:
+        """Class 2 connections that are open or being opened."""
+        return len(self._bus.services.connections)
+
+    # --- one service --------------------------------------------------------------------------------------------
+
+    async def _read(self, slave: Slave | str | int, service: Service, timeout: float) -> ServiceDone:
+        address = self._address(slave)
+        known = self._known(address)
+        expected = None
+        if known is not None and service in (Service.INPUTS, Service.OUTPUTS):
+            expected = known.config.input_len if service is Service.INPUTS else known.config.output_len
+        token = self._bus.services.token()
+        command = ReadService(token, address, service, expected, time_of(timeout))
+        return await self._bus.services.do(token, command, ServiceDone)
+
+    def _address(self, slave: Slave | str | int) -> int:
+        """Addresses 0..126, whether this bus knows the slave or not; those it knows also by name."""
+        if isinstance(slave, int) and not isinstance(slave, bool):
+            return slave
+        if isinstance(slave, str):
+            return self._bus.slave(slave).address
+        address = getattr(slave, "address", None)
+        if not isinstance(address, int):
+            raise UsageError(f"{slave!r} is no slave: give its address, 0..126, its name, or bus.slave(...)")
+        return address
+
+    def _config(self, slave: Slave | str | int) -> SlaveConfig | None:
+        known = self._known(self._address(slave))
+        return None if known is None else known.config
+
+    def _known(self, address: int) -> Slave | None:
+        return next((slave for slave in self._bus.slaves if slave.address == address), None)
+
+    def _check_settable(self, old: int, new: int, ident: int | None) -> None:
+        """Raises UsageError where its GSD file says that it cannot be given an address."""
+        alike = [slave for slave in self._bus.slaves if ident is not None and slave.config.ident == ident]
+        known = self._known(old) or (alike[0] if alike else self._known(new) if ident is None else None)
+        device = None if known is None else known.config.device
+        if known is not None and device is not None and not device.set_slave_add:
+            raise UsageError(
+                f"slave {known.address} ({known.name}): its GSD file does not say Set_Slave_Add_supp = 1: its address "
+                f"is set at the device (switches, its keypad); force=True asks it all the same"
+            )
+
+    def _told(self, done: ServiceDone) -> ReadDiagnosis:
+        found = Diagnosis.parse(done.outcome.data)
+        if found is None:  # judged before it came here
+            raise PduError(f"slave {done.address}: {len(done.outcome.data)} octets are no diagnosis")
+        known = self._known(done.address)
+        if known is not None and known.setup.ident not in (found.ident, None):
+            known = None  # another device stands there
+        texts = None if known is None else known.setup.texts
+        said = block_texts(found, texts, dpv1=known is not None and known.setup.dpv1 is not None)
+        plain = {one.name: getattr(found, one.name) for one in fields(found)}
+        return ReadDiagnosis(**plain, diagnosis_texts=found.texts + said)

@@ -1,0 +1,429 @@
+"""One drive as an application sees it: orders as awaitable calls, errors by type, the latest status."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import itertools
+import math
+from collections import deque
+from collections.abc import AsyncIterator, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from dpstack.api.bus.streams import Latest
+from dpstack.api.lists.dump_compare import Comparison, OnParameter, ParameterPlace, ParameterValue, compare, dump
+from dpstack.api.lists.parameter_list import ParameterList
+from dpstack.api.slave.drive_view import DriveSeen
+from dpstack.api.slave.slave import Slave
+from dpstack.argcheck import Sealed
+from dpstack.dp.master.commands import DriveCommand, Mode
+from dpstack.drivers.views import ImageSeen
+from dpstack.errors import (
+    BusError,
+    DpError,
+    DriveError,
+    DriveFault,
+    DriveTimeout,
+    ParameterError,
+    UsageError,
+)
+from dpstack.profile import DriveStatus, ListedParam, per_request
+from dpstack.profile.model.jobs import LARGEST
+
+if TYPE_CHECKING:
+    from dpstack.api.bus.bus import Bus
+
+#: the plugin judges time-outs once a rotation; this much later nobody can have judged them
+_GRACE: Final = 0.25
+#: so many notices of a drive are kept
+_NOTICES: Final = 5
+_tokens = itertools.count(1)
+
+
+class DriveNotice(NamedTuple):
+    """One line of a drive plugin for the application; ``t_ns`` is the bus's time."""
+
+    t_ns: int
+    text: str
+
+
+class Drive(Sealed):
+    """A drive by its name in the configuration. Orders are awaitable and raise DriveFault or DriveTimeout."""
+
+    def __init__(self, bus: Bus, slave: Slave, core: DriveSeen, image: ImageSeen) -> None:
+        self._bus = bus
+        self._core = core
+        self._image = image
+        self._pending: dict[int, asyncio.Future[dict[str, object]]] = {}
+        self._readers: list[Latest[DriveStatus]] = []
+        self._seen = b""
+        self._over = False
+        self._notices: deque[DriveNotice] = deque(maxlen=_NOTICES)
+        #: the slave behind it
+        self.slave = slave
+        self._seal(Drive)
+
+    def _sealed_name(self) -> str:
+        return f"drive {self.name}"
+
+    def __repr__(self) -> str:
+        return f"<Drive {self.name!r} {self._core.drive} at {self.slave.address}>"
+
+    @property
+    def name(self) -> str:
+        """The name in the configuration."""
+        return self.slave.name
+
+    @property
+    def kind(self) -> str:
+        """The name of its plugin, for instance ``fuji-frenic``."""
+        return self._core.drive
+
+    @property
+    def address(self) -> int:
+        """The station address of its slave."""
+        return self.slave.address
+
+    @property
+    def status(self) -> DriveStatus:
+        """What the drive tells at this moment; offline while nobody keeps the bus running."""
+        status = self._core.status()
+        return status if self._bus.runtime.not_running is None else status.unknown()
+
+    @property
+    def notices(self) -> tuple[DriveNotice, ...]:
+        """The last notices of its plugin (why it left the running state, settings that differ), oldest first."""
+        return tuple(self._notices)
+
+    @property
+    def speed(self) -> float:
+        """The speed set point as a part of the reference (0.5 = 50 %); the actual value is ``status.speed``.
+
+        Assigning goes out in the next rotation. Raises UsageError outside the range.
+        """
+        return self._core.setpoint
+
+    @speed.setter
+    def speed(self, fraction: float) -> None:
+        self._set("speed", fraction, 1.0)
+
+    @property
+    def frequency(self) -> float:
+        """The speed set point in Hz, by the drive's reference."""
+        return self._core.setpoint * self._core.reference_hz
+
+    @frequency.setter
+    def frequency(self, hertz: float) -> None:
+        self._set("frequency", hertz, self._core.reference_hz)
+
+    def _set(self, op: str, value: float, reference: float) -> None:
+        if isinstance(value, (int, float)) and LARGEST < abs(value) < math.inf:
+            raise UsageError(f"drive {self.name}: {op} must be a number up to {LARGEST:g}")
+        try:
+            self._core.setpoint_word(value / reference)
+        except (ValueError, TypeError) as error:
+            raise UsageError(f"drive {self.name}: {error}") from None
+        self._bus.command(DriveCommand(self.slave.address, op, {"value": value}, next(_tokens)))
+
+    async def start(self, timeout: float = 5.0) -> None:
+        """Walk the state machine until the drive runs. Raises DriveFault or DriveTimeout, which say why not."""
+        await self._order("start", timeout)
+
+    async def stop(self, timeout: float = 60.0) -> None:
+        """Ramp down and switch off."""
+        await self._order("stop", timeout)
+
+    async def quick_stop(self, timeout: float = 60.0) -> None:
+        """Stop by the quick stop ramp."""
+        await self._order("quick_stop", timeout)
+
+    async def coast(self, timeout: float = 5.0) -> None:
+        """Take the power off; the motor runs out."""
+        await self._order("coast", timeout)
+
+    async def acknowledge(self, timeout: float = 20.0) -> None:
+        """Acknowledge a fault until it is gone (some drives lock it for 15 s). Raises DriveFault when it stays."""
+        await self._order("acknowledge", timeout)
+
+    async def reached(self, timeout: float = 60.0, *, tolerance: float | None = None) -> None:
+        """Wait until the drive reports its set point as reached.
+
+        With ``tolerance`` (part of the reference): until the actual speed is that close to it.
+        """
+        await self._order("reached", timeout, tolerance=tolerance)
+
+    async def settled(self, timeout: float = 5.0) -> None:
+        """Wait until :attr:`status` is about what the drive is given now, and a fault has its name.
+
+        Straight after data exchange began it may still be about the time before. Raises DriveError.
+        """
+        await self._order("settled", timeout)
+
+    async def read(
+        self, number: int | str, *, data_set: int | None = None, index: int | None = None, timeout: float = 5.0
+    ) -> float | int:
+        """A parameter by number or name, decoded and scaled. Raises ParameterError with the drive's reason."""
+        return (await self.parameter(number, data_set=data_set, index=index, timeout=timeout)).value
+
+    async def parameter(
+        self, number: int | str, *, data_set: int | None = None, index: int | None = None, timeout: float = 5.0
+    ) -> ParameterValue:
+        """As :meth:`read`, with name, unit and the integer on the wire."""
+        return _value(await self._order("read", timeout, number=number, data_set=data_set, index=index))
+
+    async def read_many(
+        self, parameters: Sequence[int | str | ParameterPlace], *, timeout: float = 5.0
+    ) -> list[ParameterValue | ParameterError]:
+        """Several parameters, each as :meth:`parameter`; in few requests where the way to the drive takes several.
+
+        One entry for each, in their order; what the drive refuses is the error in its place. Raises as :meth:`read`
+        for everything else.
+        """
+        if isinstance(parameters, str) or not isinstance(parameters, Iterable):
+            raise UsageError(f"parameters = {parameters!r} is no list: read_many([480, 'F26', ParameterPlace(...)])")
+        tables = [one.as_dict() if isinstance(one, ParameterPlace) else {"number": one} for one in parameters]
+        found = (await self._order("read_many", timeout, parameters=tables)).get("values")
+        if not isinstance(found, (list, tuple)):
+            raise TypeError(f"several parameters are {found!r}")
+        return [self._entry(one) for one in found]
+
+    async def read_array(
+        self, number: int | str, count: int, *, first: int = 0, timeout: float = 5.0
+    ) -> list[ParameterValue | ParameterError]:
+        """``count`` elements of an array from ``first`` on (indexes as :meth:`read` has them), as :meth:`read_many`."""
+        return await self.read_many(
+            [ParameterPlace(number, index=at) for at in range(first, first + count)], timeout=timeout
+        )
+
+    @property
+    def per_request(self) -> int:
+        """How many parameters one request to the drive carries: several over record 47, else 1."""
+        return per_request(self._core.access)
+
+    @property
+    def parameters(self) -> tuple[ListedParam, ...]:
+        """The parameters that the plugin declares, as :meth:`dump` reads them.
+
+        Raises UsageError where the telegram has no parameter channel.
+        """
+        if self._core.access is None:
+            raise UsageError(f"drive {self.name}: {self._core.telegram.name} of {self.kind} has no parameter channel")
+        return self._core.parameters()
+
+    async def dump(
+        self,
+        path: str | Path | None = None,
+        *,
+        data_set: int | None = None,
+        on_parameter: OnParameter | None = None,
+    ) -> ParameterList:
+        """All declared parameters, as many by a request as it carries; with ``path`` into a file, whole or not at all.
+
+        What cannot be read is in it with the reason. Cut short, what was read is kept in ``path`` + ``.part``.
+        Raises UsageError, DriveError.
+        """
+        return await dump(self, path, data_set=data_set, on_parameter=on_parameter)
+
+    async def compare(
+        self,
+        saved: ParameterList | str | Path,
+        *,
+        data_set: int | None = None,
+        read_only: bool = False,
+        on_parameter: OnParameter | None = None,
+    ) -> Comparison:
+        """Where the drive differs from a list or a file. Raises ConfigError for a file of another type of drive."""
+        return await compare(self, saved, data_set=data_set, read_only=read_only, on_parameter=on_parameter)
+
+    async def write(
+        self,
+        number: int | str,
+        value: float,
+        *,
+        data_set: int | None = None,
+        index: int | None = None,
+        ram: bool = False,
+        timeout: float = 5.0,
+    ) -> ParameterValue:
+        """Write a parameter in its own unit; ``ram`` does not store it (EEPROMs wear out). Raises ParameterError.
+
+        What the drive confirmed is returned.
+        """
+        return _value(
+            await self._order(
+                "write", timeout, number=number, value=value, data_set=data_set, index=index, ram=ram or None
+            )
+        )
+
+    async def read_map(self, timeout: float = 10.0) -> dict[str, object]:
+        """The process data map as the drive has it. Raises UsageError where a drive has none to be read."""
+        return _members(await self.order("read_map", timeout))
+
+    async def write_map(
+        self, *, inputs: str | None = None, outputs: str | None = None, timeout: float = 10.0
+    ) -> dict[str, object]:
+        """Give the drive a process data map, checked before anything is sent; how it is written is the drive's."""
+        return _members(await self.order("write_map", timeout, inputs=inputs, outputs=outputs))
+
+    async def order(self, op: str, timeout: float = 5.0, **args: object) -> object:
+        """An order of this drive's own, by name, with its arguments. Raises UsageError naming those it has."""
+        return (await self._order(op, timeout, **args)).get("value")
+
+    async def statuses(self) -> AsyncIterator[DriveStatus]:
+        """Each new status; the latest wins, a slow reader never meets a backlog. Ends with the bus."""
+        reader: Latest[DriveStatus] = Latest()
+        reader.put(self.status)
+        if self._over:
+            reader.end()
+        self._readers.append(reader)
+        self._bus.rounds.watch(self.on_round)
+        try:
+            while (status := await reader.get()) is not None:
+                yield status
+        finally:
+            self._readers.remove(reader)
+            if not self._readers:
+                self._bus.rounds.unwatch(self.on_round)
+
+    # --- from the bus -------------------------------------------------------------------------------------------
+
+    def on_round(self) -> None:
+        """A round is over: hand on the status when the inputs are new."""
+        inputs = self._image.inputs
+        if inputs is not self._seen and inputs != self._seen:
+            self._seen = inputs
+            self._hand_on()
+
+    def on_state(self) -> None:
+        """The slave reached another state."""
+        self._hand_on()
+
+    def on_payload(self, payload: Mapping[str, object], t_ns: int) -> None:
+        """What the plugin told at ``t_ns``."""
+        kind = payload.get("type")
+        if kind == "result":
+            token = payload.get("token")
+            future = self._pending.pop(token, None) if isinstance(token, int) else None
+            if future is not None and not future.done():
+                if payload.get("ok"):
+                    future.set_result(dict(payload))
+                else:
+                    future.set_exception(self._error(payload))
+        elif kind == "status":
+            self._hand_on()
+        elif kind == "notice":
+            text = str(payload.get("text"))
+            before = next((one for one in self._notices if one.text == text), None)
+            if before is not None:
+                self._notices.remove(before)
+            self._notices.append(DriveNotice(t_ns, text))
+        elif kind == "failed":
+            self._refuse(DriveError(self.name, f"drive {self.name}: its plugin failed: {payload.get('text')}"))
+
+    def end(self, error: DpError) -> None:
+        """The bus is over, or the drive was removed: nothing will be answered or told any more."""
+        self._over = True
+        self._refuse(error)
+        for reader in self._readers:
+            reader.end()
+
+    # --- inside -------------------------------------------------------------------------------------------------
+
+    def _refuse(self, error: DpError) -> None:
+        """What is pending will not be answered."""
+        pending, self._pending = self._pending, {}
+        for future in pending.values():
+            if not future.done():
+                future.set_exception(error)
+
+    def _hand_on(self) -> None:
+        if self._readers:
+            status = self.status
+            for reader in self._readers:
+                reader.put(status)
+
+    async def _order(self, op: str, timeout: float, **args: object) -> dict[str, object]:
+        if not 0 <= timeout <= LARGEST:
+            raise UsageError(f"drive {self.name}: {op}: timeout must be a number of seconds, not {timeout!r}")
+        token = next(_tokens)
+        given = {key: value for key, value in args.items() if value is not None}
+        future: asyncio.Future[dict[str, object]] = asyncio.get_running_loop().create_future()
+        self._pending[token] = future
+        try:
+            self._bus.command(DriveCommand(self.slave.address, op, {**given, "timeout_s": timeout}, token))
+            async with asyncio.timeout(timeout + _GRACE + self._bus.rotation_limit_s):
+                return await future
+        except TimeoutError as error:
+            if isinstance(error, DpError):
+                raise
+            raise DriveTimeout(self.name, f"drive {self.name}: {op}: {self._why_silent()}") from None
+        finally:
+            if self._pending.pop(token, None) is not None and not self._over:
+                # Cancelled, or out of patience: the plugin must not start the motor when nobody waits for it any more.
+                with contextlib.suppress(UsageError, BusError):
+                    self._bus.command(DriveCommand(self.slave.address, "cancel", {"order": token}, next(_tokens)))
+
+    def _why_silent(self) -> str:
+        slave = self.slave
+        forced = self._bus.forced_clear
+        if forced is not None:
+            return (
+                f"the bus went to Clear by itself ({forced.why}): look at the plant, then operate() "
+                f"(of a run: dpstack ctl {self._bus.config.bus.port} operate) and start() again"
+            )
+        if not slave.ready_now:
+            why = slave.fault.text if slave.fault else f"it is in {slave.state.value}"
+            return f"slave {slave.address} is not in data exchange: {why}"
+        if self._bus.mode is not Mode.OPERATE:
+            return (
+                f"the bus is in {self._bus.mode.name.capitalize()}, nothing reaches the drive: call operate() first "
+                f"(of a run: dpstack ctl {self._bus.config.bus.port} operate)"
+            )
+        return "no answer from the plugin"
+
+    def _entry(self, payload: Mapping[str, object]) -> ParameterValue | ParameterError:
+        if "error" not in payload:
+            return _value(payload)
+        error = self._error(payload)
+        if not isinstance(error, ParameterError):
+            raise error
+        return error
+
+    def _error(self, payload: Mapping[str, object]) -> DpError:
+        text = f"drive {self.name}: {payload.get('text')}"
+        number = payload.get("number")
+        match payload.get("error"):
+            case "fault":
+                return DriveFault(self.name, text)
+            case "timeout":
+                return DriveTimeout(self.name, text)
+            case "parameter":
+                return ParameterError(self.name, number if isinstance(number, int) else -1, text)
+            case "usage":
+                return UsageError(text)
+            case "lost" if not self._over and self._bus.forced_clear is not None:
+                return DriveError(self.name, f"drive {self.name}: ended: {self._why_silent()}")
+            case "lost" if not self._over and not self.slave.ready_now:
+                return DriveError(self.name, f"{text}: {self._why_silent()}")
+        return DriveError(self.name, text)
+
+
+def _members(value: object) -> dict[str, object]:
+    if isinstance(value, dict):
+        return value
+    raise TypeError(f"a process data map is {value!r}")
+
+
+def _value(result: Mapping[str, object]) -> ParameterValue:
+    value, raw, number, name, data_set = (result.get(key) for key in ("value", "raw", "number", "name", "data_set"))
+    if not (isinstance(value, (int, float)) and isinstance(raw, int) and isinstance(number, int)):
+        raise TypeError(f"a parameter is {result!r}")
+    return ParameterValue(
+        number,
+        None if name is None else str(name),
+        value,
+        raw,
+        str(result.get("unit", "")),
+        data_set if isinstance(data_set, int) else None,
+    )

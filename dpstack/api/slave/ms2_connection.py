@@ -1,0 +1,263 @@
+"""A class 2 connection (MS2) to a slave, to be awaited: ``bus.class2.connect(...)``."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import weakref
+from collections.abc import Generator
+from types import TracebackType
+from typing import TYPE_CHECKING, TypeVar
+
+from dpstack.api.config.ms2_config import Ms2Limits
+from dpstack.api.slave.record_parameters import RecordParameters, over_records
+from dpstack.api.slave.records import RecordAccess, usual_timeout
+from dpstack.api.slave.services import Ending
+from dpstack.argcheck import Sealed, octets, whole
+from dpstack.dpv1.master.ms1 import RecordDone
+from dpstack.dpv1.master.ms2 import NO_CONNECTION
+from dpstack.dpv1.master.ms2_commands import (
+    CloseConnection,
+    InitiateDone,
+    OpenConnection,
+    ReadOver,
+    TransportDone,
+    TransportOver,
+    WriteOver,
+)
+from dpstack.dpv1.pdu.ms2 import Address, InitiateReq
+from dpstack.dpv1.pdu.read_write import MAX_RECORD
+from dpstack.errors import ConnectionEnded, DpError, PduError, UsageError
+from dpstack.units import ns_to_s
+
+if TYPE_CHECKING:
+    from dpstack.api.bus.bus import Bus
+
+Done = TypeVar("Done", RecordDone, TransportDone)
+
+
+class Connection(Sealed, RecordAccess):
+    """An open connection. Its services queue, up to 32; it is kept alive until it is closed, or the bus is, or nothing
+    refers to it any more: slaves have few.
+
+    All raise ConnectionEnded once it is over (also those under way), otherwise as :meth:`Slave.read` does:
+    AcyclicError, SlaveTimeout, SlaveFault, UsageError, BusError. ``timeout`` in seconds from the call (None: 10, longer
+    where C2_Response_Timeout is); what takes the slave longer than that ends the connection.
+    """
+
+    def __init__(self, bus: Bus, done: InitiateDone, ending: Ending, name: str, longest: int, response_ns: int) -> None:
+        self._bus = bus
+        self._response_ns = response_ns
+        self._done = done
+        self._ending = ending
+        self._longest = min(longest, done.max_len)
+        self._im_call = asyncio.Lock()
+        #: the slave's name on this bus, or "slave" and its address
+        self.name = name
+        # who forgets it does not say so
+        left = weakref.finalize(self, _close_later, bus, done.token, ending, asyncio.get_running_loop())
+        left.atexit = False
+        self._seal(Connection)
+
+    def _sealed_name(self) -> str:
+        return f"connection to slave {self.address}"
+
+    @property
+    def address(self) -> int:
+        """Of the slave."""
+        return self._done.address
+
+    @property
+    def who(self) -> str:
+        """The slave for people."""
+        return f"slave {self.address} (server SAP {self.server_sap})"
+
+    @property
+    def im_call(self) -> asyncio.Lock:
+        """The slave keeps the calls of each connection apart."""
+        return self._im_call
+
+    @property
+    def server_sap(self) -> int:
+        """Where it ends in the slave, 0..48."""
+        return self._done.server_sap
+
+    @property
+    def send_timeout(self) -> float:
+        """The longest silence in seconds, as both ends agreed."""
+        return ns_to_s(self._done.send_timeout_ns)
+
+    @property
+    def max_data_len(self) -> int:
+        """Octets of data in one service, at most: what the slave said in Initiate, and its GSD file."""
+        return self.longest
+
+    @property
+    def usual_timeout(self) -> float:
+        """By C2_Response_Timeout."""
+        return usual_timeout(self._response_ns)
+
+    @property
+    def longest(self) -> int:
+        """As :attr:`max_data_len`."""
+        return self._longest
+
+    @property
+    def profile_ident(self) -> int:
+        """The slave's Profile_Ident_Number, 0 for none."""
+        return self._done.profile_ident
+
+    @property
+    def is_open(self) -> bool:
+        """Until either end has ended it."""
+        return not self._ending.told.is_set()
+
+    @property
+    def reason(self) -> str | None:
+        """Who ended it and why; None while it is open."""
+        ending = self._ending
+        return ending.over.reason if ending.over is not None else None if ending.lost is None else str(ending.lost)
+
+    async def read(self, slot: int, index: int, length: int | None = None, *, timeout: float | None = None) -> bytes:
+        """Read a record: up to ``length`` octets, as many as it can have where nothing is said."""
+        token = self._bus.services.token()
+        wanted = self._longest if length is None else whole("length", length)
+        order = ReadOver(token, self._done.token, *_place(slot, index), wanted, self._time(timeout))
+        return (await self._do(token, order, RecordDone)).outcome.data
+
+    async def write(self, slot: int, index: int, data: bytes, *, timeout: float | None = None) -> None:
+        """Write all of ``data`` into a record."""
+        data = self._checked(data)
+        token = self._bus.services.token()
+        order = WriteOver(token, self._done.token, *_place(slot, index), data, self._time(timeout))
+        await self._do(token, order, RecordDone)
+
+    async def transport(self, slot: int, index: int, data: bytes = b"", *, timeout: float | None = None) -> bytes:
+        """Data_Transport: ``data`` to the slave, what it sends back."""
+        data = self._checked(data)
+        token = self._bus.services.token()
+        order = TransportOver(token, self._done.token, *_place(slot, index), data, self._time(timeout))
+        return (await self._do(token, order, TransportDone)).outcome.data
+
+    def parameters(self, slot: int = 1, *, object: int = 1, timeout: float | None = None) -> RecordParameters:
+        """PROFIdrive's parameter access over this connection, otherwise as :meth:`Slave.parameters`."""
+        return RecordParameters(self.name, over_records(self, timeout), slot, object=object, longest=self.longest)
+
+    async def ident(self) -> int:
+        """The slave's ident number, by Slave_Diag."""
+        return (await self._bus.class2.diagnosis(self.address)).ident
+
+    async def ended(self) -> None:
+        """Wait until it is over, from whatever end; then :attr:`reason` says why."""
+        await self._ending.told.wait()
+
+    async def close(self) -> None:
+        """End it by Abort, and wait until the slave has it back or cannot be told. May be repeated."""
+        _close(self._bus, self._done.token, self._ending)
+        await self._ending.told.wait()
+
+    async def __aenter__(self) -> Connection:
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        await self.close()
+
+    async def _do(self, token: int, order: object, kind: type[Done]) -> Done:
+        self._check_open()
+        try:
+            return await self._bus.services.do(token, order, kind)
+        except UsageError as error:  # it ended meanwhile, which was not told yet
+            if not str(error).startswith(NO_CONNECTION):
+                raise
+            raise ConnectionEnded(self.address, f"slave {self.address}: {error}") from None
+
+    def _check_open(self) -> None:
+        ending = self._ending
+        if ending.lost is not None:
+            raise ending.lost
+        if ending.over is not None:
+            text = f"{ending.over.text}; open a new one"
+            raise ConnectionEnded(self.address, text, abort=ending.over.abort)
+
+    def _checked(self, given: bytes) -> bytes:
+        data = octets("data", given)
+        if self._longest < len(data) <= MAX_RECORD:
+            what = f"{len(data)} octets, it takes {self._longest} in one service"
+            raise UsageError(f"{self.who}: {what} (C2_Max_Data_Len, Max_Len_Data_Unit of Initiate): send less")
+        return data
+
+
+def _close(bus: Bus, token: int, ending: Ending) -> None:
+    if bus.is_open and not ending.told.is_set():
+        with contextlib.suppress(DpError):  # the bus may have ended meanwhile
+            bus.command(CloseConnection(token))
+
+
+def _close_later(bus: Bus, token: int, ending: Ending, loop: asyncio.AbstractEventLoop) -> None:
+    """From a finalizer, which may run anywhere."""
+    with contextlib.suppress(RuntimeError):  # the loop is over, and the bus with it
+        loop.call_soon_threadsafe(_close, bus, token, ending)
+
+
+class Connecting:
+    """A connection that is being opened: to be awaited, or entered with ``async with``, which closes it at the end.
+
+    Once: a second time raises UsageError.
+    """
+
+    def __init__(self, bus: Bus, order: OpenConnection, name: str, limits: Ms2Limits) -> None:
+        self._bus = bus
+        self._order = order
+        self._name = name
+        self._limits = limits
+        self._begun = False
+        self._opened: Connection | None = None
+
+    def __await__(self) -> Generator[object, None, Connection]:
+        return self._open().__await__()
+
+    async def __aenter__(self) -> Connection:
+        self._opened = await self._open()
+        return self._opened
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._opened is not None:
+            await self._opened.close()
+
+    async def _open(self) -> Connection:
+        if self._begun:
+            raise UsageError("this connection was opened before: call connect() again for another one")
+        self._begun = True
+        services, order, limits = self._bus.services, self._order, self._limits
+        who = f"slave {order.address} ({self._name})"
+        if not limits.supported:
+            raise UsageError(f"{who}: its GSD file says C2_Read_Write_supp = 0: it has no class 2 connections")
+        _check_initiate(who, order, limits)
+        ending = services.connections[order.token] = Ending()
+        try:
+            done = await services.do(order.token, order, InitiateDone, cancel=CloseConnection(order.token))
+        except BaseException:
+            services.connections.pop(order.token, None)
+            raise
+        return Connection(self._bus, done, ending, self._name, limits.max_data_len, order.response_ns)
+
+
+def _place(slot: int, index: int) -> tuple[int, int]:
+    return whole("slot", slot), whole("index", index)
+
+
+def _check_initiate(who: str, order: OpenConnection, limits: Ms2Limits) -> None:
+    try:
+        source, destination = (Address(a[0], a[1], a[2:]) for a in (order.source, order.destination))
+        pdu = InitiateReq(order.send_timeout_ns, source=source, destination=destination).build()
+    except (PduError, IndexError):
+        return  # refused by the machine, with its reason
+    if 0 < limits.max_initiate_len < len(pdu):
+        raise UsageError(
+            f"{who}: Initiate has {len(pdu)} octets with these addresses, its GSD file says "
+            f"Max_Initiate_PDU_Length = {limits.max_initiate_len}: leave network addresses out"
+        )

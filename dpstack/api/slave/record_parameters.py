@@ -1,0 +1,205 @@
+"""PROFIdrive's parameter access in an asyncio program: any number of parameters, whole lists, with progress."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Iterable, Sequence
+from typing import TypeVar
+
+from dpstack.api.slave.records import RecordAccess
+from dpstack.argcheck import whole
+from dpstack.dpv1.pdu.error_codes import Decode
+from dpstack.dpv1.pdu.read_write import MAX_RECORD
+from dpstack.errors import (
+    AcyclicError,
+    DriveError,
+    DriveTimeout,
+    ParameterError,
+    ServiceRefused,
+    SlaveTimeout,
+    UsageError,
+)
+from dpstack.profile import CommandError
+from dpstack.profile.record47 import (
+    PROGRAM,
+    Address,
+    Answer,
+    Counters,
+    Description,
+    Item,
+    Limits,
+    ParameterClient,
+    Pause,
+    Progress,
+    ReadParameter,
+    ReadReq,
+    Refused,
+    Result,
+    Silent,
+    Talk,
+    Values,
+    WriteReq,
+    defined,
+    describe,
+    read_limits,
+    read_out,
+    texts,
+)
+from dpstack.units import NEVER, NS_PER_S, s_to_ns
+
+T = TypeVar("T")
+#: Carries out one Read or Write of the slave: what was read, b"" after a Write, its negative answer, or none.
+CarryOut = Callable[[ReadReq | WriteReq], Awaitable[bytes | Refused | Silent]]
+
+
+class RecordParameters:
+    """The drive called ``name`` behind ``carry_out``, in ``slot``; requests of several tasks come one after the other.
+
+    ``timeout`` in seconds, None: as long as every single answer is in time. What the drive refuses is an ErrorValue in
+    its place; all methods raise DriveTimeout where it does not answer, ParameterError where it has no record 47.
+    ``longest``: octets that one Read or Write takes, where ``limits`` does not say it.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        carry_out: CarryOut,
+        slot: int,
+        *,
+        object: int = 1,
+        limits: Limits | None = None,
+        longest: int = MAX_RECORD,
+    ) -> None:
+        whole("slot", slot), whole("object", object)
+        self._name = name
+        self._carry_out = carry_out
+        known = Limits(octets=longest) if limits is None else limits
+        self._client = ParameterClient(slot, object=object, limits=known, references=PROGRAM)
+        self._limits_known = limits is not None
+        self._one_by_one = asyncio.Lock()
+
+    @property
+    def counters(self) -> Counters:
+        """Requests, services, octets, and what went wrong on the way."""
+        return self._client.counters
+
+    async def limits(self, timeout: float | None = None) -> Limits:
+        """What the drive's PNU 974 says; respected from now on."""
+        found = await self._run(lambda deadline: read_limits(self._client, deadline), timeout)
+        self._limits_known = True
+        return found
+
+    async def read(
+        self, items: Sequence[Address | Item | int], *, timeout: float | None = None, progress: Progress | None = None
+    ) -> list[Result]:
+        """A result for each, in as few requests as the drive takes; a number alone is a parameter that is no array."""
+        wanted = _wanted(items)
+        return await self._run(lambda deadline: self._client.read(wanted, deadline, progress), timeout)
+
+    async def change(
+        self, items: Sequence[tuple[Address, Values]], *, timeout: float | None = None, progress: Progress | None = None
+    ) -> list[Result]:
+        """Write; Values of format Zero where the drive took it. Raises ValueError for values that do not fit."""
+        if not all(isinstance(one, tuple) and [*map(type, one)] == [Address, Values] for one in items):
+            raise UsageError(f"{items!r}: give a list of (Address(pnu), Values(format, (value,)))")
+        return await self._run(lambda deadline: self._client.change(items, deadline, progress), timeout)
+
+    async def defined(self, timeout: float | None = None) -> list[int]:
+        """The numbers of the drive's own list (980 to 989)."""
+        return await self._run(lambda deadline: defined(self._client, deadline), timeout)
+
+    async def describe(self, pnus: Sequence[int], *, timeout: float | None = None) -> list[Description | None]:
+        """The descriptions, None where the drive has none."""
+        return await self._run(lambda deadline: describe(self._client, pnus, deadline), timeout)
+
+    async def texts(self, pnu: int, count: int, *, first: int = 0, timeout: float | None = None) -> list[str]:
+        """The texts of a parameter's values or elements, from ``first`` on."""
+        return await self._run(lambda deadline: texts(self._client, pnu, count, deadline, first=first), timeout)
+
+    async def read_out(
+        self,
+        *,
+        described: bool = True,
+        timeout: float | None = None,
+        progress: Progress | None = None,
+        describing: Progress | None = None,
+    ) -> list[ReadParameter]:
+        """Every parameter of the drive's list with its values; ``progress`` of these, ``describing`` what is before.
+
+        Its limits are asked for first where they are not known.
+        """
+
+        def begin(deadline: int) -> Talk[list[ReadParameter]]:
+            if not self._limits_known:
+                yield from read_limits(self._client, deadline)
+                self._limits_known = True
+            return (yield from read_out(self._client, deadline, progress, described=described, describing=describing))
+
+        return await self._run(begin, timeout)
+
+    async def _run(self, begin: Callable[[int], Talk[T]], timeout: float | None) -> T:
+        loop = asyncio.get_running_loop()
+        async with self._one_by_one:
+            talk = begin(NEVER if timeout is None else _now(loop) + s_to_ns(timeout))
+            try:
+                service = next(talk)
+                while True:
+                    data: bytes | Refused | Silent = b""
+                    if isinstance(service, Pause):  # nothing tells when the drive has done: it is asked again
+                        await asyncio.sleep(service.ns / NS_PER_S)
+                    else:
+                        data = await self._carry_out(service)
+                    service = talk.send(Answer(_now(loop), data))
+            except StopIteration as end:
+                result: T = end.value
+                return result
+            except CommandError as error:
+                raise self._told(error) from None
+            finally:
+                talk.close()
+
+    def _told(self, error: CommandError) -> DriveError:
+        text = f"drive {self._name}: {error.text}"
+        match error.kind:
+            case "timeout":
+                return DriveTimeout(self._name, text)
+            case "parameter":
+                return ParameterError(self._name, -1 if error.number is None else error.number, text)
+            case _:
+                return DriveError(self._name, text)
+
+
+def _wanted(items: Iterable[Address | Item | int]) -> list[Address | Item]:
+    """A list of addresses, whatever way they are named. Raises UsageError for what is none."""
+    if not isinstance(items, Iterable) or isinstance(items, (Address, Item, str)):
+        raise UsageError(f"{items!r} is no list of parameters: give for instance [930, Address(964, 0, 7)]")
+    found = list(items)
+    wrong = next((one for one in found if not isinstance(one, (Address, Item, int))), None)
+    if wrong is not None:
+        raise UsageError(f"{wrong!r} is no parameter: give its number, or Address(pnu, subindex, elements)")
+    return [Address(one) if isinstance(one, int) else one for one in found]
+
+
+def over_records(records: RecordAccess, timeout: float | None) -> CarryOut:
+    """What the slave refuses is an answer, and so is its silence; other failures are raised as by Read and Write."""
+
+    async def carry_out(request: ReadReq | WriteReq) -> bytes | Refused | Silent:
+        try:
+            if isinstance(request, ReadReq):
+                return await records.read(request.slot, request.index, request.length, timeout=timeout)
+            await records.write(request.slot, request.index, request.data, timeout=timeout)
+        except AcyclicError as error:
+            if error.error_decode != Decode.DPV1:
+                raise
+            return Refused(error.code_1)
+        except ServiceRefused as error:
+            return Refused(0, str(error))
+        except SlaveTimeout as error:
+            return Silent(str(error))
+        return b""
+
+    return carry_out
+
+
+def _now(loop: asyncio.AbstractEventLoop) -> int:
+    return s_to_ns(loop.time())

@@ -1,0 +1,116 @@
+"""Acyclic services to be awaited: who waits for which."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import itertools
+import math
+from collections import defaultdict
+from typing import TYPE_CHECKING, TypeVar
+
+from dpstack.api.slave.alarms import AlarmDesk
+from dpstack.api.slave.service_errors import error_of
+from dpstack.dp.acyclic.job import ServiceEnd, ServiceFailure
+from dpstack.dp.acyclic.queue import CancelService
+from dpstack.dpv1.master.ms1 import RecordDone
+from dpstack.dpv1.master.ms2_commands import ConnectionOver, ConnectionsClosed, TransportDone
+from dpstack.errors import BusError, DpError, UsageError
+from dpstack.trace import Event
+from dpstack.units import s_to_ns
+
+if TYPE_CHECKING:
+    from dpstack.api.bus.bus import Bus
+
+D = TypeVar("D", bound=ServiceEnd)
+
+
+def time_of(seconds: float, what: str = "timeout") -> int:
+    """A time that a user gives for a service, in ns. Raises UsageError for what is none."""
+    if isinstance(seconds, bool) or not isinstance(seconds, (int, float)) or not 0 <= seconds < math.inf:
+        raise UsageError(f"{what} = {seconds!r} is no time for a service: seconds are wanted, 0 or more")
+    return s_to_ns(seconds)
+
+
+class Ending:
+    """How a class 2 connection ends: ``over`` once it has. ``lost``: nothing will be told of it any more, and why."""
+
+    def __init__(self) -> None:
+        self.over: ConnectionOver | None = None
+        self.lost: DpError | None = None
+        self.told = asyncio.Event()
+
+
+class Services:
+    """The services under way on one bus, and the alarms that are listened for."""
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+        self._tokens = itertools.count(1)
+        self._waiting: dict[int, asyncio.Future[ServiceEnd]] = {}
+        #: class 2 connections by the token that opened them
+        self.connections: dict[int, Ending] = {}
+        self.alarms = AlarmDesk(bus)
+        self._im_calls: defaultdict[int, asyncio.Lock] = defaultdict(asyncio.Lock)
+
+    def im_call(self, address: int) -> asyncio.Lock:
+        """Of the slave, see :attr:`~dpstack.api.slave.records.RecordAccess.im_call`."""
+        return self._im_calls[address]
+
+    def token(self) -> int:
+        """For one more service."""
+        return next(self._tokens)
+
+    async def do(self, token: int, command: object, kind: type[D], cancel: object = None) -> D:
+        """Order it and wait for its end, a ``kind``; without a result it is raised
+        (:mod:`dpstack.api.slave.service_errors`).
+
+        ``cancel``: the order that gives it up where it is cancelled (default CancelService).
+        """
+        bus = self._bus
+        future: asyncio.Future[ServiceEnd] = asyncio.get_running_loop().create_future()
+        self._waiting[token] = future
+        try:
+            bus.command(command)
+            done = await future
+        except asyncio.CancelledError:
+            with contextlib.suppress(DpError):  # the bus may have ended meanwhile
+                bus.command(CancelService(token) if cancel is None else cancel)
+            raise
+        finally:
+            del self._waiting[token]
+        assert isinstance(done, kind)
+        if done.outcome.failure is not None:
+            record = (done.slot, done.index) if isinstance(done, (RecordDone, TransportDone)) else None
+            if done.outcome.failure is ServiceFailure.CLOSED and not bus.is_open:  # nothing is wrong with the slave
+                raise BusError(f"this bus was closed: {done.outcome.text}")
+            raise error_of(done.address, done.title, done.outcome, record)
+        return done
+
+    def take(self, event: Event) -> bool:
+        """From the machine: True for the end of a service. One that nobody waits for any more is dropped."""
+        if isinstance(event, ConnectionOver):
+            ending = self.connections.pop(event.connection, None)
+            if ending is not None:
+                ending.over = event
+                ending.told.set()
+            return False  # everybody may know
+        if isinstance(event, ConnectionsClosed):
+            return True
+        if not isinstance(event, ServiceEnd):
+            return self.alarms.take(event)
+        future = self._waiting.get(event.token)
+        if future is not None and not future.done():
+            future.set_result(event)
+        return True
+
+    def end(self, error: DpError) -> None:
+        """Nothing more will come: everybody who waits is told why."""
+        for future in self._waiting.values():
+            if not future.done():
+                future.set_exception(error)
+        for ending in self.connections.values():
+            ending.lost = error
+            ending.told.set()
+        self.connections.clear()
+        self.alarms.end(error)

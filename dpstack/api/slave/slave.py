@@ -1,0 +1,453 @@
+"""One slave as an application sees it."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Unpack
+
+from dpstack.api.config.slave import SlaveConfig
+from dpstack.api.slave.alarms import AlarmStream, StatusStream
+from dpstack.api.slave.record_parameters import RecordParameters, over_records
+from dpstack.api.slave.records import Records
+from dpstack.api.slave.reparameterise import Changes, changed
+from dpstack.argcheck import Sealed
+from dpstack.dp.master import fault_texts
+from dpstack.dp.master.commands import ActivateSlave, DeactivateSlave, Mode, ReparameteriseSlave
+from dpstack.dp.master.events import Fault, SlaveState
+from dpstack.dp.master.scanner import Found, SlaveView
+from dpstack.dp.pdu.diag_texts import block_texts, conspicuous_text
+from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.process_data import Field, Value
+from dpstack.dp.process_image import inputs_are_valid, inputs_limit_ns
+from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dpv1.master.alarm_events import AlarmCounts
+from dpstack.dpv1.pdu.im import Im
+from dpstack.drivers.views import HandlerSeen
+from dpstack.errors import SlaveFault, SlaveTimeout, UsageError
+from dpstack.text import octets_text
+from dpstack.units import ns_to_s
+
+if TYPE_CHECKING:
+    from dpstack.api.bus.bus import Bus
+
+
+class Slave(Sealed):
+    """One slave of a bus: inputs, outputs, state, diagnosis. Made by the bus, see ``Bus.slave``."""
+
+    def __init__(self, bus: Bus, config: SlaveConfig, handler: HandlerSeen) -> None:
+        self._bus = bus
+        self._handler = handler
+        self.config = config
+        self._seal(Slave)
+
+    def _sealed_name(self) -> str:
+        return f"slave {self.address} ({self.name})"
+
+    def _no_attribute(self, name: str, *, method: bool) -> str:
+        """Named outputs are items, not attributes."""
+        outputs = tuple(self.config.output_fields)
+        near = difflib.get_close_matches(name, outputs, n=1, cutoff=0.5)
+        if near and not method:
+            return f"{self._sealed_name()} has no attribute {name!r}: write slave[{near[0]!r}] = ..."
+        return super()._no_attribute(name, method=method)
+
+    def __repr__(self) -> str:
+        return f"<Slave {self.address} {self.name!r} {self.state.value}>"
+
+    @property
+    def address(self) -> int:
+        """The station address."""
+        return self._handler.setup.address
+
+    @property
+    def name(self) -> str:
+        """The name in the configuration."""
+        return self._handler.setup.name
+
+    @property
+    def setup(self) -> SlaveSetup:
+        """How the master parameterises it."""
+        return self._handler.setup
+
+    @property
+    def state(self) -> SlaveState:
+        """Where the master is with it; on a read-only bus what its diagnosis says of it and its own master.
+
+        OFFLINE while nobody keeps the bus running (its bus process was killed, or is stopped).
+        """
+        if self._bus.runtime.not_running is not None and not self.deactivated:
+            return SlaveState.OFFLINE
+        found = self.found
+        if found is None:
+            return self._handler.state
+        if self.setup.ident not in (None, found.ident) and found.ident is not None:
+            return SlaveState.FAULT
+        exchanging = found.state is SlaveView.DATA_EXCHANGE
+        return SlaveState.DATA_EXCHANGE if exchanging else SlaveState.DIAGNOSIS
+
+    @property
+    def found(self) -> Found | None:
+        """What a read-only bus has found at its address: type, ident, state, owner."""
+        watcher = self._bus.watcher
+        return None if watcher is None else watcher.found.get(self.address)
+
+    @property
+    def deactivated(self) -> bool:
+        """True while it is out of service by :meth:`deactivate`."""
+        return self._handler.state is SlaveState.DEACTIVATED
+
+    @property
+    def synced(self) -> bool:
+        """True while it is in SYNC by this master's order."""
+        return self.address in self._bus.master.controls.synced
+
+    @property
+    def frozen(self) -> bool:
+        """True while it is in FREEZE by this master's order."""
+        return self.address in self._bus.master.controls.frozen
+
+    @property
+    def ready_now(self) -> bool:
+        """True while it is in data exchange."""
+        return self.state is SlaveState.DATA_EXCHANGE
+
+    @property
+    def fault(self) -> Fault | None:
+        """Why it is not in data exchange; None when all is well or nothing is known yet."""
+        watcher = self._bus.watcher
+        if watcher is None:
+            return self._handler.fault
+        found = self.found
+        if found is None:
+            return fault_texts.absent(self.address, self._bus.params.baud) if watcher.done else None
+        if self.state is SlaveState.FAULT and found.ident is not None:
+            return fault_texts.wrong_ident(self.setup.ident, found.ident)
+        return None
+
+    @property
+    def diagnosis(self) -> Diagnosis | None:
+        """The last diagnosis read, with the bits that a master sets (Station_Non_Existent, Deactivated ...)."""
+        found = self.found
+        return self._handler.diagnosis if found is None else found.diagnosis
+
+    @property
+    def diagnosis_texts(self) -> tuple[str, ...]:
+        """What :attr:`diagnosis` says, one line each: its bits, then its blocks in the words of the GSD file."""
+        diagnosis = self.diagnosis
+        if diagnosis is None:
+            return ()
+        return diagnosis.texts + self.block_texts
+
+    @property
+    def conspicuous(self) -> str:
+        """What people are told of :attr:`diagnosis`, in one line: flags that are not of the ordinary course, and texts;
+        empty where there is nothing."""
+        diagnosis = self.diagnosis
+        return "" if diagnosis is None else self.conspicuous_text(diagnosis, exchanging=self.ready_now)
+
+    def conspicuous_text(self, diagnosis: Diagnosis, *, exchanging: bool) -> str:
+        """As :attr:`conspicuous`, of any diagnosis of this slave."""
+        setup = self.setup
+        return conspicuous_text(diagnosis, setup.texts, dpv1=setup.dpv1 is not None, exchanging=exchanging)
+
+    @property
+    def block_texts(self) -> tuple[str, ...]:
+        """What the blocks of :attr:`diagnosis` say, one line each, in the words of the GSD file."""
+        diagnosis = self.diagnosis
+        if diagnosis is None:
+            return ()
+        return block_texts(diagnosis, self.setup.texts, dpv1=self.setup.dpv1 is not None)
+
+    @property
+    def inputs(self) -> bytes:
+        """The last valid inputs, zeros before the first exchange; see :attr:`inputs_valid` and :attr:`inputs_age`."""
+        return self._handler.image.inputs
+
+    @property
+    def inputs_valid(self) -> bool:
+        """True while the inputs are those of a slave in data exchange, and no older than :attr:`inputs_limit`."""
+        exchanging = self._handler.image.valid and self.ready_now
+        return inputs_are_valid(exchanging=exchanging, age_ns=self._inputs_age_ns, limit_ns=self.inputs_limit_ns)
+
+    @property
+    def inputs_age(self) -> float | None:
+        """How long ago the inputs came, in seconds; None when there never were any."""
+        age_ns = self._inputs_age_ns
+        return None if age_ns is None else ns_to_s(age_ns)
+
+    @property
+    def inputs_limit(self) -> float:
+        """The greatest age of valid inputs in seconds: the slave's watchdog time (1 s where it is off), and never less
+        than two of its poll intervals as the plan counts them."""
+        return ns_to_s(self.inputs_limit_ns)
+
+    @property
+    def inputs_limit_ns(self) -> int:
+        """:attr:`inputs_limit` in ns."""
+        handler = self._handler
+        return inputs_limit_ns(handler.watchdog_effective_ns, self._bus.poll_interval_ns(handler.setup))
+
+    @property
+    def _inputs_age_ns(self) -> int | None:
+        at = self._handler.image.input_time
+        return max(0, self._bus.runtime.now() - at) if at else None
+
+    @property
+    def outputs(self) -> bytes:
+        """The outputs of the next Data_Exchange in Operate. Assigning is atomic and goes out in the next rotation.
+
+        Raises UsageError on a bus that is not open; assigning also where the length does not fit, a drive plugin makes
+        the outputs, or the bus is read-only.
+        """
+        self._bus.check_open()
+        return self.outputs_held
+
+    @outputs.setter
+    def outputs(self, octets: bytes) -> None:
+        self.check_outputs(octets)
+        self._handler.image.outputs = octets
+
+    @property
+    def outputs_held(self) -> bytes:
+        """The octets of :attr:`outputs`, also before the bus is open and after its end."""
+        return self._handler.image.outputs
+
+    @property
+    def outputs_sent(self) -> bytes:
+        """The outputs that it is sent at this moment: :attr:`outputs` in Operate, zeros in Clear (nothing where it is
+        Fail_Safe), nothing outside data exchange.
+        """
+        bus = self._bus
+        if bus.watcher is not None or not self.ready_now:
+            return b""
+        match bus.mode:
+            case Mode.OPERATE:
+                return self.outputs_held
+            case Mode.CLEAR:
+                return b"" if self.setup.fail_safe else bytes(len(self.outputs_held))
+        return b""
+
+    def check_outputs(self, octets: bytes) -> None:
+        """Raises UsageError where ``octets`` cannot become the outputs (see :attr:`outputs`)."""
+        self._bus.check_open()
+        image = self._handler.image
+        why = ""
+        if self._bus.master.read_only:
+            why = "this bus is read-only; leave read_only out"
+        elif image.unit is not None:
+            why = "its drive plugin makes the outputs; use bus.drive()"
+        elif len(octets) != image.output_len:
+            why = f"{octets_text(len(octets))} of outputs given, the slave's configuration has {image.output_len}"
+        if why:
+            raise UsageError(f"slave {self.address} ({self.name}): {why}")
+
+    # --- named fields -------------------------------------------------------------------------------------------
+
+    @property
+    def input_values(self) -> dict[str, Value]:
+        """The named inputs (``inputs = {...}`` in the configuration), all of one exchange."""
+        return self.config.input_fields.values(self.inputs)
+
+    @property
+    def output_values(self) -> dict[str, Value]:
+        """The named outputs of the next Data_Exchange in Operate."""
+        return self.config.output_fields.values(self.outputs_held)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.config.input_fields or name in self.config.output_fields
+
+    def __iter__(self) -> Iterator[str]:
+        return iter((*self.config.input_fields, *self.config.output_fields))
+
+    def __getitem__(self, name: str) -> Value:
+        """A named input or output. Raises UsageError naming those there are, and on a bus that is not open."""
+        self._bus.check_open()
+        found = self.config.input_fields.fields.get(name)
+        if found is not None:
+            return found.get(self.inputs)
+        found = self.config.output_fields.fields.get(name)
+        if found is not None:
+            return found.get(self.outputs)
+        raise self._unknown(name, "field", tuple(self))
+
+    def __setitem__(self, name: str, value: object) -> None:
+        """Change the bits of one named output, and no others. Raises UsageError as :meth:`update` does."""
+        self.update({name: value})
+
+    def update(self, values: Mapping[str, object]) -> None:
+        """Change several named outputs: they go out in the same rotation, all of them or none.
+
+        Raises UsageError for a name that is no output, a value that does not fit, and as :attr:`outputs` does.
+        """
+        octets = self.outputs
+        for name, value in values.items():
+            try:
+                octets = self.output_field(name).put(octets, value)
+            except ValueError as error:
+                raise UsageError(f"slave {self.address} ({self.name}): {error}") from None
+        self.outputs = octets
+
+    def output_field(self, name: str) -> Field:
+        """The declaration of a named output. Raises UsageError naming those there are."""
+        found = self.config.output_fields.fields.get(name)
+        if found is None:
+            raise self._unknown(name, "output", tuple(self.config.output_fields))
+        return found
+
+    def _unknown(self, name: object, what: str, known: tuple[str, ...]) -> UsageError:
+        who = f"slave {self.address} ({self.name})"
+        if name in self:
+            return UsageError(f"{who}: {name} is an input: only outputs can be set")
+        near = difflib.get_close_matches(str(name), known, n=1, cutoff=0.5)
+        hint = f"did you mean {near[0]}?" if near else f"there are: {', '.join(known) or 'none'}"
+        return UsageError(f"{who}: no {what} is called {name!r}; {hint}")
+
+    @property
+    def exchanges(self) -> int:
+        """Successful data exchanges since the start."""
+        return self._handler.exchanges
+
+    @property
+    def retries(self) -> int:
+        """Repeated requests since the start."""
+        return self._bus.station.stats.station(self.address).retries
+
+    @property
+    def timeouts(self) -> int:
+        """Requests given up since the start."""
+        return self._bus.station.stats.station(self.address).timeouts
+
+    @property
+    def watchdog_ms(self) -> int:
+        """The effective watchdog in ms, 0 when off."""
+        return self._handler.watchdog_effective_ns // 1_000_000
+
+    # --- DP-V1 --------------------------------------------------------------------------------------------------
+
+    async def read(self, slot: int, index: int, length: int | None = None, *, timeout: float | None = None) -> bytes:
+        """Read a record of DP-V1: ``slot`` 0..254, ``index`` 0..255; up to ``length`` octets (None: all there are).
+
+        Open in data exchange, where the slave is parameterised for it (``dpv1``). One service per slave is under way,
+        others wait; the cycle goes on. ``timeout`` in seconds from the call (None: 10, longer where C1_Response_Timeout
+        is); the slave has its C1_Response_Timeout.
+        Raises AcyclicError (the slave refuses: class, code, text), ServiceRefused (it has no Read and Write),
+        SlaveTimeout, SlaveFault (it left data exchange, or answers what cannot be), UsageError, BusError.
+        """
+        return await self._records.read(slot, index, length, timeout=timeout)
+
+    async def write(self, slot: int, index: int, data: bytes, *, timeout: float | None = None) -> None:
+        """Write a record of DP-V1, up to 240 octets; otherwise as :meth:`read`."""
+        await self._records.write(slot, index, data, timeout=timeout)
+
+    async def im(self, number: int = 0, *, slot: int = 0, timeout: float | None = None) -> Im:
+        """I&M ``number`` 0..4 of ``slot``. Raises as :meth:`read`; AcyclicError where the slave has it not."""
+        return await self._records.im(number, slot=slot, timeout=timeout)
+
+    async def write_im(self, record: Im, *, slot: int = 0, timeout: float | None = None) -> None:
+        """Write I&M1 to I&M4. Raises as :meth:`read`."""
+        await self._records.write_im(record, slot=slot, timeout=timeout)
+
+    def parameters(self, slot: int = 1, *, object: int = 1, timeout: float | None = None) -> RecordParameters:
+        """PROFIdrive's parameter access, record 47 of ``slot``: many parameters, arrays, the drive's own list.
+
+        ``object``: axis or drive object; ``timeout`` in seconds for each Read and Write. Make one and keep it.
+        """
+        records = self._records
+        return RecordParameters(self.name, over_records(records, timeout), slot, object=object, longest=records.longest)
+
+    def alarms(self, *, acknowledge: bool = True) -> AlarmStream:
+        """Alarms from now on: an async iterator of :class:`~dpstack.api.slave.alarms.SlaveAlarm`, each one once, in
+        order.
+
+        An alarm is acknowledged when it is handed over here (to everybody who listens), or with ``acknowledge=False``
+        by ``await alarm.acknowledge()``; until then the slave may raise no further one. It survives a slave that
+        leaves data exchange and comes back, and ends with the bus. While nobody listens alarms are acknowledged at
+        once. Which kinds there are is said by ``dpv1 = { alarms = [...] }``. Raises UsageError for a slave without
+        DP-V1 and a bus that is not open.
+        """
+        return self._bus.services.alarms.alarms(self.address, acknowledge=acknowledge)
+
+    def status_messages(self) -> StatusStream:
+        """Status messages, module status, PrmCmdAck ... from now on, as :class:`~dpstack.dpv1.pdu.alarms.Status`: an
+        async iterator; nobody acknowledges them, of a reader that does not read the oldest are dropped.
+
+        Raises UsageError for a slave without DP-V1 and a bus that is not open.
+        """
+        self._bus.check_open()
+        if self.setup.dpv1 is None:
+            raise UsageError(
+                f"slave {self.address} ({self.name}) is not parameterised for DP-V1: no status messages; "
+                f"if it has them put dpv1 = true into its [[slave]] table"
+            )
+        return self._bus.services.alarms.statuses(self.address)
+
+    @property
+    def alarm_counts(self) -> AlarmCounts | None:
+        """What came of its alarms since the start; None for a slave that is not parameterised for DP-V1."""
+        return self._handler.alarm_counts
+
+    @property
+    def _records(self) -> Records:
+        return Records(self._bus.services, self.setup)
+
+    async def deactivate(self) -> None:
+        """Take it out of service: safe outputs for 50 ms, Unlock, then nothing is sent to it until :meth:`activate`.
+
+        Returns when it has been ordered; the bus does not end before it is done. A drive's pending orders end with
+        DriveError.
+        """
+        self._bus.command(DeactivateSlave(self.address))
+
+    async def activate(self) -> None:
+        """Bring it up again; :meth:`ready` waits for that."""
+        self._bus.command(ActivateSlave(self.address))
+
+    async def reparameterise(self, *, timeout: float | None = 5.0, **changes: Unpack[Changes]) -> None:
+        """Other parameters while the bus runs: safe outputs for 50 ms, Unlock, a new bring-up, data exchange.
+
+        ``changes`` are those of :class:`Changes`. Raises ConfigError before anything is changed (also where a named
+        field would lie outside, or its GSD file does not have it), UsageError for other
+        lengths under a drive plugin, SlaveFault or SlaveTimeout as :meth:`ready`. A drive's pending orders end with
+        DriveError. ``timeout`` in seconds.
+        """
+        config = changed(self.config, changes)
+        self._bus.command(ReparameteriseSlave(self._bus.fitting(config)))
+        self.config = config
+        self._handler = self._bus.master.handlers[self.address]
+        if not self.deactivated:
+            await self.ready(timeout)
+
+    async def wait_state(self, *states: SlaveState, timeout: float | None = None) -> SlaveState:
+        """Wait until the slave is in one of ``states``. Raises SlaveTimeout that says where it is instead."""
+        try:
+            await self._bus.until(lambda: self.state in states, timeout)
+        except TimeoutError:
+            raise self._late(" or ".join(s.value for s in states), timeout) from None
+        return self.state
+
+    async def ready(self, timeout: float | None = 5.0) -> None:
+        """Wait until the slave is in data exchange.
+
+        Raises UsageError for a deactivated slave, SlaveFault as soon as it refuses (parameters, configuration, ident,
+        owned by another master), SlaveTimeout with the reason when it is not there in
+        ``timeout`` seconds (None: no limit).
+        """
+        try:
+            await self._bus.until(self._is_ready, timeout)
+        except TimeoutError:
+            raise self._late("data exchange", timeout) from None
+
+    def _is_ready(self) -> bool:
+        fault = self.fault
+        if self.deactivated:
+            raise UsageError(f"slave {self.address} ({self.name}) is out of service: activate() it first")
+        if self.state is SlaveState.FAULT and fault is not None:
+            raise SlaveFault(self.address, f"slave {self.address} ({self.name}): {fault.text}")
+        return self.ready_now
+
+    def _late(self, wanted: str, timeout: float | None) -> SlaveTimeout:
+        fault = self.fault
+        why = fault.text if fault else f"it is in {self.state.value}"
+        text = f"slave {self.address} ({self.name}): not in {wanted} after {timeout:g} s: {why}"
+        return SlaveTimeout(self.address, text)

@@ -1,0 +1,94 @@
+"""``dpstack ctl``: tells a running program what to do."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from typing import Any, Final
+
+from dpstack.api.control.answers import Help
+from dpstack.api.control.client import connect
+from dpstack.api.control.remote_records import ask
+from dpstack.cli import options
+from dpstack.cli.terminal import output
+
+#: what an entry may take to stand in one line
+_LINE: Final = 130
+
+
+def add_to(commands: options.Commands) -> None:
+    """The command and its options."""
+    parser = options.command(
+        commands,
+        "ctl",
+        "tells a running run, sim or segment what to do; without COMMAND: what it knows",
+        "dpstack ctl /tmp/bus/0 trip 3 F2100\n         dpstack ctl /tmp/bus noise 1e-4",
+    )
+    parser.add_argument(
+        "port",
+        metavar="PORT",
+        help="the port of run or sim, the directory of segment, or virtual (of several runs there: virtual:PID)",
+    )
+    parser.add_argument("order", metavar="COMMAND", nargs="?", default="help", help="what to do")
+    parser.add_argument("args", metavar="ARG", nargs="*", help="its arguments")
+    options.add_json(parser)
+    parser.set_defaults(execute=execute)
+
+
+def execute(args: argparse.Namespace) -> int:
+    """Ask and print the answer."""
+    with connect(args.port) as client:
+        result = ask(client, args.order, *args.args, kind=Help if args.order == "help" else None)
+    if args.json:
+        output.json_line({"result": result})
+    elif args.order == "help":
+        output.line(f"{result['kind']} on {result.get('name', result['port'])} (pid {result['pid']})", "bold")
+        if result.get("config"):
+            output.line(f"configuration: {result['config']}")
+        rows = [(f"{one['command']} {one['args']}".rstrip(), one["text"]) for one in result["commands"]]
+        output.table("", ("command", "does"), rows)
+    else:
+        _show(result)
+    return 0
+
+
+def _show(result: Any, indent: str = "") -> None:
+    """Nested data as indented lines; nothing to tell is ``ok``."""
+    if result is None:
+        output.line("ok")
+        return
+    if not isinstance(result, Mapping):
+        output.line(f"{indent}{result}")
+        return
+    for key, value in result.items():
+        if key == "masters" and isinstance(value, list):
+            own = result.get("address")
+            value = ", ".join(f"station {one}{' (this one)' if one == own else ''}" for one in value)
+        if isinstance(value, Mapping) and value:
+            line = _line(value)
+            if line is not None and len(indent) + len(str(key)) + len(line) <= _LINE:
+                output.line(f"{indent}{key}: {line}")
+                continue
+            output.line(f"{indent}{key}:")
+            _show(value, indent + "  ")
+        elif isinstance(value, list) and value and isinstance(value[0], Mapping):
+            for number, entry in enumerate(value):
+                output.line(f"{indent}{key} {number}:")
+                _show(entry, indent + "  ")
+        else:
+            output.line(f"{indent}{key}: {_text(value)}")
+
+
+def _line(entry: Mapping[str, Any]) -> str | None:
+    """An entry without entries of its own in one line, None where it has some."""
+    members = [one for value in entry.values() for one in (value if isinstance(value, list) else [value])]
+    if any(isinstance(one, (Mapping, list)) for one in members):
+        return None
+    return ", ".join(f"{key} {_text(value, ' ')}" for key, value in entry.items())
+
+
+def _text(value: Any, between: str = ", ") -> str:
+    if isinstance(value, list):
+        texts = list(map(str, value))
+        return ("; " if any(" " in text for text in texts) else between).join(texts) or "none"
+    return "none" if value is None or value == "" else str(value)

@@ -1,0 +1,207 @@
+"""``dpstack demo``: every known drive, simulated, under a master, in one process."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.text import Text
+
+from dpstack.api.bus.bus import Bus
+from dpstack.api.bus.compose import Case
+from dpstack.api.bus.open_bus import open_bus
+from dpstack.api.bus.virtual import run_virtual
+from dpstack.api.config.config import Config, make_config
+from dpstack.api.control.handlers_slaves import SlaveCommands
+from dpstack.api.slave.drive import Drive
+from dpstack.cli import options
+from dpstack.cli.commands.demo_stories import OTHERS, STORIES
+from dpstack.cli.terminal import output
+from dpstack.cli.terminal.lost_stdout import guarded, warn
+from dpstack.cli.terminal.report import Reporter, not_exchanging
+from dpstack.cli.terminal.signals import INTERRUPTED, StopSignal
+from dpstack.errors import ConfigError, DpError
+from dpstack.profile.profiles import known_drives
+from dpstack.text import printable
+
+_BAUD = 500_000
+_MASTER = 2
+#: bus time after which a story that is not at its end has failed, in s
+_PATIENCE_S = 120.0
+#: measured and planned rotation may differ by so much
+_TOLERANCE = 0.02
+_REFRESH_S = 0.1
+#: lines of the stories under the live table, at most
+_SHOWN = 15
+#: half of the speed bar, in characters
+_BAR = 6
+
+
+def add_to(commands: options.Commands) -> None:
+    """The command and its options."""
+    parser = options.command(
+        commands, "demo", "every known drive, simulated, each through a little story", "dpstack demo --seconds 20"
+    )
+    parser.add_argument("--seconds", metavar="S", type=options.seconds, help="go on for so long at least")
+    parser.add_argument("--baud", metavar="B", type=options.baud, default=_BAUD, help=f"the rate (default {_BAUD})")
+    parser.add_argument("--fast", action="store_true", help="as fast as this computer can, not in real time")
+    options.add_json(parser)
+    parser.set_defaults(execute=execute)
+
+
+def execute(args: argparse.Namespace) -> int:
+    """0 when every story came to its end and the rotation is the planned one."""
+    return run_virtual(_demo(plant(args.baud), args), paced=not args.fast)
+
+
+def plant(baud: int) -> Config:
+    """Every known drive at an address of its own. One master alone: the GAP is off, the rotation is the shortest."""
+    drives = known_drives()
+    names = sorted(drives)
+    if not names:
+        raise ConfigError("no drive is known; install dpstack with `pip install .` or `make demo`")
+    slaves: list[dict[str, object]] = []
+    for address, name in enumerate(names, _MASTER + 1):
+        table: dict[str, object] = {"name": name.partition("-")[0], "address": address, "drive": name}
+        telegram = STORIES.get(name, OTHERS).telegram
+        if telegram is not None:
+            table["telegram"] = telegram
+        setting = drives[name].rate_setting
+        if setting is not None:
+            value = next((value for value, rate in setting.rates.items() if rate == baud), None)
+            table["options"] = {} if value is None else {setting.option: value}
+        slaves.append(table)
+    return make_config("virtual", baud, _MASTER, slaves, where="demo", bus={"gap": 0})
+
+
+@dataclass(slots=True)
+class _Stage:
+    """The stories under way: their last lines, and how they ended."""
+
+    bus: Bus
+    json: bool
+    live: bool
+    lines: deque[str] = field(default_factory=lambda: deque(maxlen=_SHOWN))
+    ended: set[int] = field(default_factory=set)
+    failures: list[str] = field(default_factory=list)
+
+    async def play(self, drive: Drive) -> None:
+        """One drive's story to its end."""
+        address = drive.slave.address
+        kind = drive.slave.config.profile
+        story = STORIES.get(kind.name if kind else "", OTHERS)
+        try:
+            async with asyncio.timeout(_PATIENCE_S):
+                await drive.slave.ready(_PATIENCE_S)
+                self.tell(drive, "in data exchange")
+                await story.play(drive, lambda text: self.tell(drive, text), lambda code: self.trip(drive, code))
+        except (DpError, TimeoutError) as error:
+            text = str(error) or f"its story did not come to its end in {_PATIENCE_S:g} s"
+            self.failures.append(text)
+            self.tell(drive, text)
+            return
+        self.ended.add(address)
+        self.tell(drive, "the end")
+
+    def trip(self, drive: Drive, code: str) -> None:
+        """A fault of the simulated drive, by the command of ``dpstack ctl``."""
+        assert self.bus.bench is not None
+        SlaveCommands(self.bus.bench).handlers()["trip"]([str(drive.slave.address), code])
+
+    def tell(self, drive: Drive, text: str) -> None:
+        """One line of a story."""
+        address, t = drive.slave.address, self.bus.seconds
+        line = f"{t:9.3f} s  {drive.name}: {text}"
+        self.lines.append(line)
+        if self.json:
+            output.json_line({"event": "story", "t": round(t, 6), "address": address, "name": drive.name, "text": text})
+        elif not self.live:
+            output.line(line)
+
+    def picture(self) -> Group:
+        """What moves: a row for each drive, and the last lines of the stories as the terminal has room for them."""
+        bus = self.bus
+        p50 = bus.master.rotation.quantile_ns(0.5) / 1e6
+        title = f"dpstack demo  {bus.seconds:6.1f} s  rotation {p50:.3f} ms"
+        rows = []
+        for drive in bus.drives:
+            slave, status = drive.slave, drive.status
+            state = str(status.state) if slave.ready_now else slave.state.value
+            speed = "" if status.speed is None else f"{status.speed:7.1%} {_bar(status.speed)}"
+            rows.append((slave.address, drive.name, f"{state:<19}", f"{speed:<21}", slave.exchanges))
+        console = Console()
+        table = output.rich_table(title, ("address", "drive", "state", "speed", "exchanges"), rows, console.width)
+        room = min(_SHOWN, max(1, console.height - len(console.render_lines(table)) - 1))
+        told = [line for text in self.lines for line in Text(printable(text)).wrap(console, console.width)][-room:]
+        return Group(table, *told, *[""] * (room - len(told)))
+
+
+def _bar(speed: float) -> str:
+    """A bar from the middle: reverse to the left, forward to the right. Without spaces, so that it is not wrapped."""
+    length = min(_BAR, round(abs(speed) * _BAR))
+    back, forth = ("█" * length, "") if speed < 0 else ("", "█" * length)
+    return f"{back:·>{_BAR}}|{forth:·<{_BAR}}"
+
+
+async def _demo(config: Config, args: argparse.Namespace) -> int:
+    live = output.on_terminal() and not args.json
+    reporter = Reporter(json=args.json, quiet=live)
+    bus = open_bus(config, on_event=reporter.event)
+    reporter.bus = bus
+    stage = _Stage(bus, args.json, live)
+    with StopSignal() as stop:
+        try:
+            await stop.or_done(bus.open())
+            reporter.start()
+            if bus.is_open:
+                await bus.operate()
+                await stop.or_done(_play(stage, args.seconds))
+            stats, missing = bus.stats, not_exchanging(bus)
+        finally:
+            await bus.close()
+    if stop.hurried:
+        return INTERRUPTED
+    planned = bus.plan.rotation_ns(Case.SHORTEST)
+    measured = bus.master.rotation.quantile_ns(0.5)
+    off = measured / planned - 1
+    extra = {"planned_us": round(planned / 1000, 1), "stories": {"ended": len(stage.ended), "of": len(bus.drives)}}
+    reporter.summary(stats, **extra)
+    if not args.json:
+        output.line(f"planned {planned / 1e6:.3f} ms, measured {measured / 1e6:.3f} ms ({off:+.1%})", "bold")
+    problems = [*stage.failures, *missing]
+    if stop.received and len(stage.ended) < len(bus.drives):
+        problems.append("interrupted before the stories came to their end")
+    if not problems and abs(off) > _TOLERANCE:
+        problems.append(f"the rotation is {off:+.1%} off the plan")
+    for problem in problems:
+        warn(problem)
+    return 1 if problems else 0
+
+
+async def _play(stage: _Stage, seconds: float | None) -> None:
+    stories = [asyncio.ensure_future(stage.play(drive)) for drive in stage.bus.drives]
+    if seconds is not None:
+        stories.append(asyncio.ensure_future(asyncio.sleep(max(0.0, seconds - stage.bus.seconds))))
+    try:
+        if stage.live:
+            await _watched(stage, stories)
+        else:
+            await asyncio.gather(*stories)
+    finally:
+        for story in stories:
+            story.cancel()
+
+
+async def _watched(stage: _Stage, stories: Sequence[asyncio.Future[None]]) -> None:
+    """The live picture, redrawn a few times a second until all is over."""
+    with guarded(), Live(stage.picture(), auto_refresh=False) as live:
+        pending = set(stories)
+        while pending:
+            _, pending = await asyncio.wait(pending, timeout=_REFRESH_S)
+            live.update(stage.picture(), refresh=True)
+    await asyncio.gather(*stories)

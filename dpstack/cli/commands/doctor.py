@@ -1,0 +1,38 @@
+"""``dpstack doctor``: is this computer fit for a bus, and what to do about it."""
+
+from __future__ import annotations
+
+import argparse
+
+from dpstack.api.doctor import Level, examine
+from dpstack.cli import options
+from dpstack.cli.terminal import output
+
+_STYLES = {Level.OK: "", Level.NOTE: "yellow", Level.FINDING: "red"}
+
+
+def add_to(commands: options.Commands) -> None:
+    """The command and its options."""
+    parser = options.command(
+        commands,
+        "doctor",
+        "adapters, permissions, latency, rates and real-time rights: what was found, what to do",
+        "dpstack doctor --port /dev/ttyUSB0",
+    )
+    parser.add_argument("--port", metavar="P", help="only this port (default: every adapter)")
+    options.add_json(parser)
+    parser.set_defaults(execute=execute)
+
+
+def execute(args: argparse.Namespace) -> int:
+    """1 when something has to be done."""
+    checks = examine(args.port)
+    findings = sum(check.level is Level.FINDING for check in checks)
+    if args.json:
+        output.json_line({"findings": findings, "checks": [check.as_dict() for check in checks]})
+    else:
+        for check in checks:
+            output.line(f"{check.level.value:7}  {check.topic}: {check.text}", _STYLES[check.level])
+            if check.todo:
+                output.line(f"         {check.todo}")
+    return 1 if findings else 0

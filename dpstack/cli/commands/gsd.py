@@ -1,0 +1,293 @@
+"""``dpstack gsd``: what a GSD file says, what is wrong with it, and the way to a [[slave]] table."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Final
+
+from dpstack.api.gsd_info import (
+    alarms_text,
+    check_gsd,
+    copy_gsd,
+    diagnosis_texts,
+    diagnostic_dict,
+    gsd_dict,
+    gsd_files,
+    module_lengths,
+    module_prm,
+    read_gsd,
+    requires,
+    supports,
+)
+from dpstack.cli import options
+from dpstack.cli.commands import gsd_configure
+from dpstack.cli.terminal import output
+from dpstack.errors import ConfigError
+from dpstack.gsd.check import check
+from dpstack.gsd.configuration import first_slot
+from dpstack.gsd.model import Device, Diagnostic, GsdFile, Parameter, ranges_text
+from dpstack.trace import Severity
+from dpstack.units import baud_text
+
+_STYLES = {Severity.INFO: "dim", Severity.WARNING: "yellow", Severity.ERROR: "bold red"}
+
+
+def add_to(commands: options.Commands) -> None:
+    """The command with its own commands."""
+    parser = options.command(commands, "gsd", "GSD files: show, check, configure", "dpstack gsd show valves.gsd")
+    inner = parser.add_subparsers(dest="gsd_command", metavar="COMMAND", required=True)
+    shower = options.command(inner, "show", "what a GSD file says", "dpstack gsd show valves.gsd --json")
+    shower.add_argument("file", metavar="FILE", help="GSD file, or a drive that has one here (demag-dedrive, keb-f5)")
+    options.add_json(shower)
+    shower.set_defaults(execute=show)
+    checker = options.command(
+        inner,
+        "check",
+        "what is wrong or odd in GSD files, with a summary for a directory; exit code 1 where one is damaged",
+        "dpstack gsd check *.gsd",
+    )
+    checker.add_argument("files", metavar="FILE|DIR", nargs="+", help="GSD files, or directories of them")
+    options.add_json(checker)
+    checker.set_defaults(execute=check_files)
+    chooser = options.command(
+        inner,
+        "configure",
+        "ask the way from a GSD file to a [[slave]] table on stdout",
+        "dpstack gsd configure valves.gsd >> plant.toml",
+    )
+    chooser.add_argument("file", metavar="FILE", help="GSD file, as the configuration will name it")
+    chooser.add_argument(
+        "--config",
+        metavar="CONFIG",
+        help="configuration that the table is for: its names and addresses are taken, FILE is named as seen from it",
+    )
+    chooser.set_defaults(execute=configure)
+    copier = options.command(
+        inner,
+        "copy",
+        "write the GSD file that dpstack brings for a drive (from its manual, not the vendor's) or for io-station",
+        "dpstack gsd copy demag-dedrive hoist.gsd",
+    )
+    copier.add_argument("drive", metavar="DRIVE", help="name of the drive, or io-station")
+    copier.add_argument("file", metavar="FILE", help="where to; a new file")
+    copier.set_defaults(execute=copy)
+
+
+def show(args: argparse.Namespace) -> int:
+    """Print what a file says."""
+    file = read_gsd(args.file)
+    if args.json:
+        output.json_line(gsd_dict(file))
+    else:
+        _show(file)
+    return 0
+
+
+def configure(args: argparse.Namespace) -> int:
+    """Ask, then print a table."""
+    return gsd_configure.run(read_gsd(args.file), args.file, args.config)
+
+
+def copy(args: argparse.Namespace) -> int:
+    """Write a drive's own file."""
+    copy_gsd(args.drive, args.file)
+    return 0
+
+
+def check_files(args: argparse.Namespace) -> int:
+    """Print the findings of every file, and a summary where a directory is given; 1 when a finding is an error."""
+    worst: Counter[str] = Counter()
+    summary = False
+    for given in args.files:
+        folder = Path(given)
+        if os.path.isdir(folder):  # of a name that cannot be it says no, Path.is_dir raises
+            summary = True
+            for path in gsd_files(folder):
+                worst[_check_file(str(path), json=args.json, among_many=True)] += 1
+        else:
+            worst[_check_file(given, json=args.json, among_many=False)] += 1
+    if summary:
+        _summary(worst, json=args.json)
+    return int(bool(worst[_DAMAGED] or worst[_UNREADABLE]))
+
+
+_DAMAGED: Final = "damaged"
+_UNREADABLE: Final = "unreadable"
+#: what a file is by its worst finding, and how the summary calls it
+_JUDGEMENTS: Final = {
+    "sound": "with nothing to tell",
+    "info": "with remarks only",
+    "warning": "with warnings",
+    _DAMAGED: "damaged",
+    _UNREADABLE: "unreadable",
+}
+
+
+def _check_file(path: str, *, json: bool, among_many: bool) -> str:
+    """Print the findings of one file; what it is by the worst of them.
+
+    ``among_many``: a file that cannot be read is a finding too, and one without findings gets no line.
+    """
+    try:
+        found = check_gsd(path)
+    except ConfigError as error:
+        if not among_many:
+            raise
+        if json:
+            output.json_line({"file": path, "diagnostics": [], "error": str(error)})
+        else:
+            output.line(str(error), _STYLES[Severity.ERROR])
+        return _UNREADABLE
+    if json:
+        output.json_line({"file": path, "diagnostics": [diagnostic_dict(d) for d in found]})
+    else:
+        for diagnostic in found:
+            _tell(path, diagnostic)
+        if not found and not among_many:
+            output.line(f"{path}: nothing is wrong", "green")
+    severities = {diagnostic.severity for diagnostic in found}
+    if Severity.ERROR in severities:
+        return _DAMAGED
+    return "warning" if Severity.WARNING in severities else "info" if severities else "sound"
+
+
+def _summary(counts: Counter[str], *, json: bool) -> None:
+    if json:
+        kinds = {kind: counts[kind] for kind in _JUDGEMENTS}
+        output.json_line({"event": "summary", "files": counts.total(), **kinds})
+    else:
+        told = ", ".join(f"{counts[kind]} {words}" for kind, words in _JUDGEMENTS.items() if counts[kind])
+        output.line(f"{counts.total()} file{'s' * (counts.total() != 1)}: {told}")
+
+
+def _tell(path: str, diagnostic: Diagnostic) -> None:
+    output.line(f"{path}:{diagnostic.text}", _STYLES[diagnostic.severity])
+
+
+def _show(file: GsdFile) -> None:
+    data, device = gsd_dict(file), file.device
+    rows = [
+        (name, data[key])
+        for name, key in (
+            ("vendor", "vendor"),
+            ("model", "model"),
+            ("ident number", "ident"),
+            ("revision", "revision"),
+            ("GSD revision", "gsd_revision"),
+            ("modules at most", "max_module"),
+            ("inputs at most", "max_input_len"),
+            ("outputs at most", "max_output_len"),
+            ("both together", "max_data_len"),
+            ("diagnosis at most", "max_diag_data_len"),
+            ("user parameters", "user_prm"),
+        )
+        if data[key] not in (None, "")
+    ]
+    if data["user_prm"] != data["user_prm_const"]:
+        rows.append(("constants beneath", data["user_prm_const"]))
+    rows.append(("supports", ", ".join(supports(file)) or "nothing beyond the basics"))
+    if requires(file):
+        rows.append(("requires", ", ".join(requires(file))))
+    alarms = alarms_text(file.device)
+    if alarms is not None:
+        rows.append(("alarms", alarms))
+    if data["device_parameters"]:
+        rows.append(("parameters", _numbers(ref.number for ref in device.prm.refs)))
+    if any(m.preset for m in device.modules):
+        which = "fixed presets" if device.fix_preset_modules else "presets"
+        rows.append((which, ", ".join(m.name for m in device.modules if m.preset)))
+    output.table("Device", ("", "value"), rows)
+    output.table(
+        "Baud rates",
+        ("rate", "MaxTsdr in bit times"),
+        [(baud_text(s.baud), "not said" if s.max_tsdr is None else s.max_tsdr) for s in device.speeds],
+    )
+    if device.slots:
+        output.table(
+            f"Slots that SlotDefinition lists (the first slot is {first_slot(device)})",
+            ("slot", "slot name", "default module", "allowed modules"),
+            [
+                (s.number, s.name, "" if s.default is None else s.default, ranges_text(s.allowed) or "any")
+                for s in device.slots
+            ],
+        )
+    if device.modules:
+        output.table(
+            f"Modules ({len(device.modules)})",
+            ("reference", "module", "identifier", "in", "out", "user parameters", "parameters"),
+            [
+                (
+                    "" if m.reference is None else m.reference,
+                    m.name,
+                    m.config.hex(" "),
+                    *("?" if length is None else length for length in module_lengths(m)),
+                    module_prm(file, m).hex(" "),
+                    _numbers(ref.number for ref in m.prm.refs),
+                )
+                for m in device.modules
+            ],
+        )
+    if device.parameters:
+        users = _users(device)
+        output.table(
+            f"Parameters ({len(device.parameters)})",
+            ("number", "parameter", "type", "default", "allowed", "used by"),
+            [
+                (p.number, p.name, p.type.text, p.texts.get(p.default, p.default), _allowed(p), users[p.number])
+                for p in device.parameters.values()
+            ],
+        )
+    _show_diagnosis(device)
+    for diagnostic in check(file):
+        _tell(file.name, diagnostic)
+
+
+def _show_diagnosis(device: Device) -> None:
+    """All texts for a diagnosis, those of types and modules with where they count."""
+    sources = [("", device.diagnosis), *((f"UnitDiagType {d.type}", d) for d in device.diag_types)]
+    sources += [(m.name, m.diagnosis) for m in device.modules]
+    rows = [
+        (where, _where(row), row["text"], row["help"]) for where, texts in sources for row in diagnosis_texts(texts)
+    ]
+    if rows:
+        output.table(f"Texts of diagnoses ({len(rows)})", ("of", "where", "text", "help"), rows)
+
+
+def _where(row: Mapping[str, object]) -> str:
+    match row["kind"]:
+        case "bit":
+            return f"bit {row['first']}"
+        case "not_bit":
+            return f"bit {row['first']} is 0"
+        case "area":
+            return f"bits {row['first']}..{row['last']} = {row['value']}"
+        case _:
+            return f"channel error {row['value']}"
+
+
+def _numbers(numbers: Iterable[int]) -> str:
+    """``1..4, 7``: numbers of parameters in their order, each once."""
+    pairs: list[tuple[int, int]] = []
+    for number in sorted(set(numbers)):
+        if pairs and number == pairs[-1][1] + 1:
+            pairs[-1] = pairs[-1][0], number
+        else:
+            pairs.append((number, number))
+    return ranges_text(tuple(pairs))
+
+
+def _users(device: Device) -> dict[int, str]:
+    """Number of a parameter -> who has it: the device itself and modules, the first of them by name."""
+    found: dict[int, dict[str, None]] = {number: {} for number in device.parameters}
+    for title, prm in (("device", device.prm), *((m.name, m.prm) for m in device.modules)):
+        for ref in prm.refs:
+            found.get(ref.number, {})[title] = None
+    return {number: output.first_of(list(users)) for number, users in found.items()}
+
+
+def _allowed(parameter: Parameter) -> str:
+    return ", ".join(parameter.texts.values()) or ranges_text(parameter.allowed)

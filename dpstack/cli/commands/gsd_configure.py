@@ -1,0 +1,270 @@
+"""``dpstack gsd configure``: asks its way from a GSD file to a [[slave]] table.
+
+Questions go to stderr and the table to stdout, so that its output can be appended to a configuration; answers may come
+from a pipe. An answer that is not possible is refused with the reason and asked for again. From the end of input on
+every question gets its default; a question without one ends the command, and nothing is written.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final, TypeVar
+
+from dpstack.api.config.config import Config, load_config
+from dpstack.api.config.gsd_choice import Choice, as_toml, module_key
+from dpstack.cli import options
+from dpstack.cli.terminal import output
+from dpstack.cli.terminal.lost_stdout import guarded, warn
+from dpstack.errors import GsdError, UsageError
+from dpstack.gsd.configuration import default_modules, find_module, first_slot, fixed_modules, is_fixed, plug
+from dpstack.gsd.model import Device, GsdFile, Module, folded, ranges_text
+from dpstack.gsd.prm import Field, containing, is_slot_number, value_of
+from dpstack.text import printable
+
+_T = TypeVar("_T")
+#: more modules than this are not listed unasked
+_LISTED = 40
+#: ends the modules, or the parameters
+_DONE: Final = "done"
+
+
+def run(file: GsdFile, path: str, beside: str | None = None) -> int:
+    """Ask, then print the table. ``beside``: the configuration that the table is for; it may not be there yet."""
+    return _Dialogue(file, path, beside).run()
+
+
+def say(text: str) -> None:
+    """One line for the person at the keyboard."""
+    with guarded():
+        sys.stderr.write(printable(text) + "\n")
+        sys.stderr.flush()
+
+
+class _Dialogue:
+    """The questions of one run, in their order."""
+
+    def __init__(self, file: GsdFile, path: str, beside: str | None) -> None:
+        self._file = file
+        self._device = file.device
+        self._config = _existing(beside)
+        self._path = path if beside is None else _seen_from(path, beside)
+        self._ended = False
+
+    def run(self) -> int:
+        device = self._device
+        say(f"{device.vendor} {device.model}".strip() or self._path)
+        base = "-".join(re.findall(r"\w+", device.model.lower())) or "slave"
+        name = self._ask(f"name [{base}-ADDRESS]: ", self._name, "")
+        address = self._ask("address, 0..125: ", self._address)
+        if not name:
+            name = self._name(f"{base}-{address}")
+        choice = Choice(name, address, self._path, self._modules())
+        self._parameters(choice)
+        output.toml(as_toml(device, choice))
+        return 0
+
+    def _ask(
+        self,
+        prompt: str,
+        read: Callable[[str], _T],
+        default: str | None = None,
+        search: Callable[[str], None] | None = None,
+    ) -> _T:
+        """Ask until ``read`` accepts the answer (it raises GsdError otherwise); an empty answer is ``default``.
+
+        ``search`` gets the text of an answer ``/text`` or ``?text``, then the question comes again. Raises UsageError
+        where the input has ended and there is no default.
+        """
+        while True:
+            line = "" if self._ended else self._line(prompt)
+            if not line and default is None:
+                raise UsageError("gsd configure: the answers ended before the table was complete; nothing was written")
+            answer = line.strip() or (default or "")
+            if search is not None and answer[:1] in ("/", "?"):
+                search(answer[1:].strip())
+                continue
+            try:
+                return read(answer)
+            except GsdError as error:
+                if self._ended:
+                    raise UsageError(f"gsd configure: {error}; nothing was written") from None
+                warn(str(error))
+
+    def _line(self, prompt: str) -> str:
+        """One line of input with its end; empty at the end of input, which is remembered."""
+        with guarded():
+            sys.stderr.write(printable(prompt))
+            sys.stderr.flush()
+        line = sys.stdin.readline()
+        if not line:
+            self._ended = True
+            say("")
+        return line
+
+    # --- name and address -------------------------------------------------------------------------------------------
+
+    def _name(self, answer: str) -> str:
+        if not answer.isprintable():
+            raise GsdError("a name of printable characters is wanted; type one")
+        if answer and self._config is not None and any(slave.name == answer for slave in self._config.slaves):
+            raise GsdError(f"the configuration has a slave {answer!r} already; type another name")
+        return answer
+
+    def _address(self, answer: str) -> int:
+        try:
+            address = options.address(answer)
+        except argparse.ArgumentTypeError as error:
+            raise GsdError(str(error)) from None
+        if self._config is not None:
+            owners = {slave.address: slave.name for slave in self._config.slaves}
+            owners[self._config.bus.address] = "the master"
+            if address in owners:
+                raise GsdError(f"address {address} is taken in the configuration ({owners[address]}); type another one")
+        return address
+
+    # --- modules ----------------------------------------------------------------------------------------------------
+
+    def _modules(self) -> list[Module | None]:
+        """Fixed presets and whatever is taken of the file's defaults, then one module after the other."""
+        device = self._device
+        chosen: list[Module | None] = list(fixed_modules(device))
+        if chosen:
+            say("fixed presets, always plugged: " + _places(device, chosen))
+        else:
+            preset = default_modules(device)
+            if preset is not None:
+                say("preset: " + _places(device, preset))
+                if self._ask("take these modules, y or n [y]: ", _yes, "y"):
+                    chosen = list(preset)
+        if self._room(chosen):
+            if len(device.modules) <= _LISTED:
+                self._list_modules("")
+            say(
+                "a module is its name or number; /text lists those whose name contains text, ? lists all, "
+                "- is an empty slot, an empty line or done ends"
+            )
+        while self._room(chosen):
+            answer = self._ask(
+                self._slot_prompt(chosen), lambda text: self._slot(chosen, text), _DONE, self._list_modules
+            )
+            if answer == _DONE:
+                break
+            chosen.append(answer if isinstance(answer, Module) else None)
+        return chosen
+
+    def _room(self, chosen: list[Module | None]) -> bool:
+        """Something can be plugged behind ``chosen``."""
+        device = self._device
+        if all(is_fixed(device, module) for module in device.modules):
+            return False
+        limit = device.max_module if device.modular else 1
+        return not limit or len(chosen) < limit
+
+    def _slot_prompt(self, chosen: list[Module | None]) -> str:
+        number = first_slot(self._device) + len(chosen)
+        slot = next((slot for slot in self._device.slots if slot.number == number), None)
+        hint = f" {slot.name} ({ranges_text(slot.allowed) or 'any'})" if slot else ""
+        return f"slot {number}{hint}: "
+
+    def _slot(self, chosen: list[Module | None], answer: str) -> Module | str | None:
+        """A module, None for an empty slot, or ``done``."""
+        if answer == _DONE and not self._device.modules_named(answer):
+            if not any(chosen):
+                raise GsdError("no module is chosen yet; type a name or a number, ? lists them")
+            return _DONE
+        module = None if answer == "-" else find_module(self._device, answer)
+        module_key(self._device, module)
+        if module is not None:
+            plug(self._device, [*chosen, module])
+        return module
+
+    def _list_modules(self, part: str) -> None:
+        """The modules whose name, info text or number has ``part`` in it; all of them where it is empty."""
+        modules = [module for module in self._device.modules if not is_fixed(self._device, module)]
+        numbers = ["" if module.reference is None else str(module.reference) for module in modules]
+        texts = [f"{module.name} {module.info} {n}" for module, n in zip(modules, numbers, strict=True)]
+        found = set(containing(part, texts) if part else texts)
+        for module, number, text in zip(modules, numbers, texts, strict=True):
+            if text in found:
+                say(f"  {number:>6}  {module.name}  ({module.config.hex(' ').upper()})")
+        if not found:
+            say(f"  no module has {part!r} in its name")
+
+    # --- parameters -------------------------------------------------------------------------------------------------
+
+    def _parameters(self, choice: Choice) -> None:
+        """Every parameter that may be changed, with its default; what differs goes into the table."""
+        configuration = plug(self._device, choice.modules)
+        for note in configuration.notes:
+            say(f"note: {note}")
+        prm = configuration.user_prm()
+        fields = [
+            field
+            for field in prm.fields
+            if field.parameter.visible and field.parameter.changeable and not is_slot_number(field.parameter)
+        ]
+        if not fields or not self._ask(f"parameters: {len(fields)}; go through them, y or n [n]: ", _yes, "n"):
+            return
+        say("an empty line keeps the value, done keeps all that follow")
+        for field in fields:
+            prompt = f"{field.key} ({_allowed(field)}) [{field.text}]: "
+            value = self._ask(prompt, lambda text, field=field: _value(field, text), "")  # type: ignore[misc]
+            if value is None:
+                break
+            if value != field.value:
+                choice.parameters[prm.shortest_key(field)] = _written(field, value)
+
+
+def _existing(path: str | None) -> Config | None:
+    """The configuration at ``path``; None where there is none, or where it is empty. Raises ConfigError."""
+    if path is None:
+        return None
+    if not os.path.exists(path) or (os.path.isfile(path) and not os.path.getsize(path)):
+        return None
+    return load_config(path)
+
+
+def _seen_from(path: str, config: str) -> str:
+    """``path`` of a GSD file as the configuration at ``config`` names it; a bundled device's name stays as it is."""
+    file = Path(path)
+    if not os.path.exists(file) or file.is_absolute():
+        return path
+    return os.path.relpath(file.resolve(), Path(config).resolve().parent)
+
+
+def _places(device: Device, modules: list[Module | None] | tuple[Module, ...]) -> str:
+    first = first_slot(device)
+    return ", ".join(f"slot {n} {module.name}" for n, module in enumerate(modules, first) if module is not None)
+
+
+def _yes(answer: str) -> bool:
+    if answer.lower() not in ("y", "yes", "n", "no"):
+        raise GsdError("y or n")
+    return answer.lower().startswith("y")
+
+
+def _value(field: Field, answer: str) -> int | None:
+    """The number for ``answer``: an empty one keeps the value, ``done`` is None unless it is a text of the list."""
+    if not answer:
+        return field.value
+    if answer == _DONE and _DONE not in map(folded, field.parameter.texts.values()):
+        return None
+    return value_of(field.parameter, answer)
+
+
+def _written(field: Field, value: int) -> int | str:
+    """``value`` as the table has it: its text where no other value has that text too."""
+    text = field.parameter.texts.get(value)
+    if text is None or sum(folded(text) == folded(other) for other in field.parameter.texts.values()) > 1:
+        return value
+    return text
+
+
+def _allowed(field: Field) -> str:
+    parameter = field.parameter
+    return ", ".join(parameter.texts.values()) or ranges_text(parameter.allowed or (parameter.type.limits,))

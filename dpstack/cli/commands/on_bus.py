@@ -1,0 +1,86 @@
+"""What commands share that visit a bus for one errand: the rate, the bus, what is told meanwhile."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+
+from dpstack.api.bus.bus import Bus, BusFailed
+from dpstack.api.bus.events_json import AddressCollision, Event, MasterSeen, RingJoined, Severity, severity_of
+from dpstack.api.bus.find_baud import find_baud
+from dpstack.api.bus.temporary_master import MakeBus
+from dpstack.api.config.config import AUTO, make_config
+from dpstack.cli import options
+from dpstack.cli.terminal.lost_stdout import warn
+from dpstack.errors import BusError, UsageError
+from dpstack.units import baud_text
+
+
+def add_port(parser: argparse.ArgumentParser) -> None:
+    """``--port``, ``--baud`` and ``--address``."""
+    parser.add_argument("--port", metavar="P", required=True, help="the port")
+    parser.add_argument(
+        "--baud",
+        metavar="B|auto",
+        type=options.baud_or_auto,
+        default=AUTO,
+        help="the rate (default auto: found by listening, where a master is on the bus)",
+    )
+    parser.add_argument(
+        "--address", metavar="A", type=options.address, help="ask from this address (default: the lowest not heard)"
+    )
+
+
+def check_port(args: argparse.Namespace) -> None:
+    """Raises UsageError for a port where nobody can be."""
+    if args.port in ("virtual", "pty"):
+        raise UsageError(f'{args.command}: nobody is on port "{args.port}"; name the port of a bus')
+
+
+async def rate_of(args: argparse.Namespace) -> int:
+    """The rate given, or found by listening. Raises BusError."""
+    if args.baud != AUTO:
+        return int(args.baud)
+    report = await find_baud(args.port)
+    if report.baud is None:
+        raise BusError(
+            f"{args.port}: {report.text}; on a bus without a master give the rate, for instance --baud 500000"
+        )
+    if not args.json:
+        warn(report.text)
+    return report.baud
+
+
+def bus_maker(args: argparse.Namespace, baud: int, **bus: object) -> MakeBus:
+    """Makes buses without slaves on the port, whose findings are told; ``bus`` are further keys of [bus]."""
+
+    def make_bus(address: int) -> Bus:
+        config = make_config(args.port, baud, address, where=args.command, bus=bus)
+        return Bus(config, on_event=once(tell), watched=False)
+
+    def tell(event: Event) -> None:
+        if severity_of(event) is not Severity.INFO:
+            warn(event.text)
+        elif isinstance(event, MasterSeen) and event.present and not args.json:
+            warn(f"master {event.address} is on this bus: {args.command} waits until it is let into the ring")
+
+    return make_bus
+
+
+def once(tell: Callable[[Event], None]) -> Callable[[Event], None]:
+    """``tell`` for the events of one bus, but what is raised as an error as well: the command prints that one."""
+    in_ring = False
+
+    def told(event: Event) -> None:
+        nonlocal in_ring
+        in_ring = in_ring or isinstance(event, RingJoined)
+        collided = isinstance(event, AddressCollision) and not in_ring  # raised, or another address is tried
+        if not (collided or isinstance(event, BusFailed)):
+            tell(event)
+
+    return told
+
+
+def nobody_text(baud: int) -> str:
+    """What to do where nobody answers."""
+    return f"nobody answers at {baud_text(baud)}: check rate, power, A and B, and the termination"

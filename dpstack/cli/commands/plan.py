@@ -1,0 +1,210 @@
+"""``dpstack plan``: what a bus will do, before it is switched on."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from typing import Final
+
+from dpstack.api.bus.compose import Case, Plan, plan_bus
+from dpstack.api.bus.plan_checks import Verdict, cycle_rates
+from dpstack.api.config.config import Config, load_config
+from dpstack.cli import options
+from dpstack.cli.terminal import output
+from dpstack.errors import ConfigError
+from dpstack.units import BAUD_RATES, NS_PER_MS, baud_text, ms_text
+
+#: the slowest baud rate for each verdict on the cycle
+Needs = Mapping[Verdict, int | None]
+_HOW: Final = {
+    Verdict.POSSIBLE: "possible",
+    Verdict.TYPICAL: "typically kept",
+    Verdict.UNDISTURBED: "kept while nothing is repeated",
+    Verdict.ALWAYS: "always kept",
+}
+
+
+def add_to(commands: options.Commands) -> None:
+    """The command and its options."""
+    parser = options.command(
+        commands,
+        "plan",
+        "bus parameters, rotation times, watchdogs, and what does not fit together",
+        "dpstack plan plant.toml --baud all --cycle-ms 4",
+    )
+    parser.add_argument("config", metavar="CONFIG", help="configuration file")
+    parser.add_argument("--baud", metavar="B|all", type=_baud_or_all, help="another rate, or all of them")
+    parser.add_argument(
+        "--cycle-ms", metavar="X", type=options.milliseconds, help="judge this cycle, and tell which rate it needs"
+    )
+    parser.add_argument(
+        "--octets", action="store_true", help="the octets of Set_Prm and Chk_Cfg of each slave, as they will be sent"
+    )
+    options.add_json(parser)
+    parser.set_defaults(execute=execute)
+
+
+def _baud_or_all(text: str) -> int | str:
+    return text if text == "all" else options.baud(text)
+
+
+def execute(args: argparse.Namespace) -> int:
+    """Print one plan, or one for each rate; 1 when something is out of bounds at the bus's own rate."""
+    config = load_config(args.config).with_bus(cycle_ms=args.cycle_ms)
+    needs = cycle_rates(config, config.bus.cycle_ns) if config.bus.cycle_ns else {}
+    if args.baud == "all":
+        return _all_rates(config, needs, json=args.json, octets=args.octets)
+    plan = plan_bus(config, args.baud or config.baud)
+    if args.json:
+        output.json_line(_with_rates(plan.as_dict(), needs))
+    else:
+        _show(plan, needs)
+        if args.octets:
+            _show_octets(plan)
+    return 1 if plan.findings else 0
+
+
+def _all_rates(config: Config, needs: Needs, *, json: bool, octets: bool) -> int:
+    """One plan for each rate; why there is none where the parameters given are impossible at a rate."""
+    plans: list[Plan] = []
+    without: dict[int, ConfigError] = {}
+    for rate in BAUD_RATES:
+        try:
+            plans.append(plan_bus(config, rate))
+        except ConfigError as error:
+            without[rate] = error
+    own = config.bus.baud if plans else BAUD_RATES[0]
+    if isinstance(own, int) and own in without:
+        raise without[own]
+    if json:
+        dicts = {plan.params.baud: _with_rates(plan.as_dict(), needs) for plan in plans}
+        dicts |= {
+            rate: {"baud": rate, "rotation_us": None, "parameters": None, "slaves": [], "findings": [str(why)]}
+            for rate, why in without.items()
+        }
+        output.json_line([dicts[rate] for rate in BAUD_RATES])
+    else:
+        _show_rates(config, plans)
+        for rate, why in without.items():
+            output.line(f"{baud_text(rate)}: no plan: {why}")
+        _show_needs(needs)
+        for plan in plans if octets else ():
+            _show_octets(plan, f"{baud_text(plan.params.baud)}: ")
+    return 1 if any(plan.findings for plan in plans if plan.params.baud == config.bus.baud) else 0
+
+
+def us(plan: Plan, case: Case) -> str:
+    """A rotation for people."""
+    ns = plan.rotation_ns(case)
+    return f"{ns / 1_000_000:.3f} ms"
+
+
+def _with_rates(data: dict[str, object], needs: Needs) -> dict[str, object]:
+    """The plan with the slowest rate for each verdict on the cycle, null where there is none."""
+    cycle = data.get("cycle")
+    if isinstance(cycle, dict):
+        cycle["slowest_baud"] = {verdict.value: baud for verdict, baud in needs.items()}
+    return data
+
+
+def _show(plan: Plan, needs: Needs) -> None:
+    p = plan.params
+    parameters = [
+        ("T_SL", p.t_sl),
+        ("min T_SDR", p.min_tsdr),
+        ("max T_SDR", p.max_tsdr),
+        ("T_SET", p.t_set),
+        ("T_QUI", p.t_qui),
+        ("T_ID1", p.t_id1),
+        ("T_ID2", p.t_id2),
+        ("T_TR", p.t_tr),
+        ("T_TO", p.t_to),
+    ]
+    rows = [(name, bits, f"{p.ns(bits) / 1000:.1f}") for name, bits in parameters]
+    output.table(f"Bus parameters at {baud_text(p.baud)}, master {p.address}", ("parameter", "bit times", "us"), rows)
+    gap = f"every {p.gap} T_TR" if p.gap else "off"
+    retries = "1 retry" if p.max_retry == 1 else f"{p.max_retry} retries"
+    output.line(f"GAP {gap}, HSA {p.hsa}, {retries}, watchdog {plan.watchdog_ms} ms where none is given")
+    others = plan.figures.others.count
+    if others:
+        output.line(
+            f"{others} other master{'s' * (others > 1)}: a T_TR of {plan.figures.t_tr_needed} or more on all of them, "
+            f"then each sees this rotation"
+        )
+    cases = ((Case.SHORTEST, "shortest"), (Case.TYPICAL, "typical"), (Case.LONGEST, "longest"))
+    output.table(
+        "Bus rotation time",
+        ("case", "bit times", "time"),
+        [(name, plan.rotations[case].bits, us(plan, case)) for case, name in cases],
+    )
+    service = plan.figures.acyclic_bits
+    output.line(f"one acyclic service makes it longer by {service} bit times at the most, {ms_text(p.ns(service))}")
+    output.table(
+        "Slaves",
+        ("address", "name", "in/out octets", "bit times", "watchdog", "when the master stops"),
+        [
+            (
+                s.setup.address,
+                s.setup.name,
+                f"{s.setup.input_len}/{s.setup.output_len}",
+                s.shortest_bits,
+                f"{s.watchdog_ms} ms" if s.watchdog_ms else "off",
+                s.on_loss,
+            )
+            for s in plan.slaves
+        ],
+    )
+    if plan.cycle is not None:
+        output.line(
+            f"cycle of {plan.cycle.cycle_ns / NS_PER_MS:g} ms: {plan.cycle.verdict.text}; "
+            f"the typical rotation takes {plan.cycle.load:.0%} of it"
+        )
+        _show_needs(needs)
+    for note in (*plan.notes, *([plan.beside] if plan.beside else [])):
+        output.line(f"note: {note}", "dim")
+    for finding in plan.findings:
+        output.line(f"finding: {finding}", "bold red")
+    if not plan.findings:
+        output.line("nothing is out of bounds", "green")
+
+
+def _show_octets(plan: Plan, where: str = "") -> None:
+    """A line for each telegram: a table would cut what is long."""
+    for slave in plan.slaves:
+        for service, octets in (("Set_Prm", slave.set_prm), ("Chk_Cfg", slave.chk_cfg)):
+            spaced = " ".join(octets[at : at + 2] for at in range(0, len(octets), 2)).upper()
+            output.line(f"{where}{service} of slave {slave.setup.address} ({slave.setup.name}): {spaced}")
+    if any(slave.setup.ident is None for slave in plan.slaves):
+        output.line("..: an octet of the ident number, which the slave is asked for")
+
+
+def _show_rates(config: Config, plans: list[Plan]) -> None:
+    rows = [
+        (
+            baud_text(plan.params.baud),
+            us(plan, Case.SHORTEST),
+            us(plan, Case.TYPICAL),
+            us(plan, Case.LONGEST),
+            *([plan.cycle.verdict.value] if plan.cycle else []),
+            f"{plan.watchdog_ms} ms",
+            len(plan.findings) or "none",
+        )
+        for plan in plans
+    ]
+    title = f"Bus rotation time of {len(config.slaves)} slaves"
+    cycle = [f"cycle {config.bus.cycle_ms:g} ms"] if config.bus.cycle_ms else []
+    output.table(title, ("rate", "shortest", "typical", "longest", *cycle, "watchdog", "findings"), rows)
+    for plan in plans:
+        for finding in plan.findings:
+            output.line(f"{baud_text(plan.params.baud)}: {finding}")
+
+
+def _show_needs(needs: Needs) -> None:
+    """Which baud rate the cycle needs."""
+    if needs:
+        told = (f"{_HOW[verdict]} {_from(baud)}" for verdict, baud in needs.items())
+        output.line(f"this cycle is {', '.join(told)}")
+
+
+def _from(baud: int | None) -> str:
+    return "at no rate" if baud is None else f"from {baud_text(baud)} on"

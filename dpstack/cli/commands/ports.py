@@ -1,0 +1,31 @@
+"""``dpstack ports``: the serial adapters of this computer."""
+
+from __future__ import annotations
+
+import argparse
+
+from dpstack.api.doctor import list_adapters
+from dpstack.cli import options
+from dpstack.cli.terminal import output
+
+
+def add_to(commands: options.Commands) -> None:
+    """The command and its options."""
+    parser = options.command(
+        commands, "ports", "serial adapters with their lasting path, chip and holder", "dpstack ports --json"
+    )
+    options.add_json(parser)
+    parser.set_defaults(execute=execute)
+
+
+def execute(args: argparse.Namespace) -> int:
+    """Print them."""
+    adapters = list_adapters()
+    if args.json:
+        output.json_line({"ports": [adapter.as_dict() for adapter in adapters]})
+    elif adapters:
+        rows = [(a.path, a.chip, a.driver or "", a.holder or "", a.by_id or "") for a in adapters]
+        output.table("", ("port", "chip", "driver", "held by", "lasting path"), rows)
+    else:
+        output.line("no serial adapter is plugged in")
+    return 0

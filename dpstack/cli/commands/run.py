@@ -1,0 +1,141 @@
+"""``dpstack run``: the soft master."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+
+from dpstack.api.bus.bus import Bus
+from dpstack.api.bus.open_bus import open_bus
+from dpstack.api.config.config import Config, load_config
+from dpstack.api.control import arguments
+from dpstack.api.control.handlers import PTY, clear_since, control_run
+from dpstack.api.control.handlers_slaves import address_of
+from dpstack.api.control.server import ControlServer
+from dpstack.cli import options
+from dpstack.cli.commands.control import reachable
+from dpstack.cli.commands.foreground import refuse_application_watchdog
+from dpstack.cli.terminal import output
+from dpstack.cli.terminal.lost_stdout import warn
+from dpstack.cli.terminal.nonblocking_stdout import unhurried
+from dpstack.cli.terminal.report import Reporter, clear_text, not_exchanging
+from dpstack.cli.terminal.signals import INTERRUPTED, StopSignal
+from dpstack.errors import UsageError
+
+
+def add_to(commands: options.Commands) -> None:
+    """The command and its options."""
+    parser = options.command(
+        commands,
+        "run",
+        "the soft master, operating at once",
+        "dpstack run plant.toml --outputs valves=07 9=00FF --seconds 10\n"
+        "         dpstack run plant.toml --read-only --address 1",
+    )
+    # optional, because --outputs may stand before it
+    parser.add_argument("config", metavar="CONFIG", nargs="?", help="configuration file")
+    parser.add_argument("--port", metavar="P", help="another port")
+    parser.add_argument("--baud", metavar="B|auto", type=options.baud_or_auto, help='another rate; "auto": listens')
+    parser.add_argument("--seconds", metavar="S", type=options.seconds, help="end after so many seconds in the ring")
+    parser.add_argument("--rotations", metavar="N", type=options.count, help="end after so many rotations")
+    parser.add_argument("--driver", choices=("auto", "asyncio", "process"), help="what keeps the bus going")
+    parser.add_argument(
+        "--address", metavar="N", type=options.address, help="another station address of the master, 0..125"
+    )
+    parser.add_argument(
+        "--outputs",
+        metavar="SLAVE=HEX",
+        nargs="+",
+        action="extend",
+        default=[],
+        help="initial output octets of slaves by address or name; a drive that gets some is run without its plugin",
+    )
+    parser.add_argument("--clear", action="store_true", help="stay in Clear: read inputs, outputs are zero")
+    parser.add_argument(
+        "--read-only",
+        action="store_true",
+        help="join the token ring as one more master, show who is there and in what state, write nothing to any slave; "
+        "with --address beside the master that has the same file",
+    )
+    options.add_json(parser)
+    parser.set_defaults(execute=execute)
+
+
+def execute(args: argparse.Namespace) -> int:
+    """Run until a limit or a signal; 1 when a slave is not in data exchange at the end, after a stall, when the
+    master went to Clear by itself and still is there, and when safe values and Clear could not be sent at the end."""
+    name, given = _config_and_outputs(args)
+    config = load_config(name).with_bus(
+        port=args.port,
+        baud=args.baud,
+        address=args.address,
+        driver=args.driver,
+        read_only=args.read_only or None,
+    )
+    refuse_application_watchdog(config, "run")
+    if config.bus.read_only and given:
+        raise UsageError("--outputs on a read-only bus: nothing is written there; leave one of the two out")
+    names = {slave.address: slave.name for slave in config.slaves}
+    outputs = {address_of(slave, names): octets for slave, octets in map(arguments.octets, given)}
+    with unhurried(output.missing(args.json)):
+        return asyncio.run(_run(config.with_outputs(outputs), args))
+
+
+def _config_and_outputs(args: argparse.Namespace) -> tuple[str, list[str]]:
+    """CONFIG and all SLAVE=HEX. A file straight behind ``--outputs SLAVE=HEX`` is not one of them but CONFIG."""
+    given = list(args.outputs)
+    name: str | None = args.config
+    others = [text for text in given if "=" not in text]
+    if name is None and len(others) == 1 and len(given) > 1:
+        name = others[0]
+        given.remove(name)
+    if name is None:
+        raise UsageError("run: no CONFIG; give the configuration file, for instance dpstack run plant.toml")
+    return name, given
+
+
+async def _run(config: Config, args: argparse.Namespace) -> int:
+    with StopSignal() as stop:
+        reporter = Reporter(json=args.json)
+        bus = reporter.bus = open_bus(config, on_event=reporter.event)
+        if bus.searching:
+            reporter.searching()
+        # reachable while it searches or waits for its turn in the ring, too; of a port that is held one line is enough
+        control = control_run(bus, config.port)
+        async with reachable(control, quiet=True) as unreachable:
+            await stop.or_done(_open(bus, control))
+            if unreachable is not None:
+                warn(unreachable)
+            if not bus.is_open:
+                warn(f"ended before the {'baud rate was found' if bus.searching else 'token ring was joined'}")
+                return 1
+            try:
+                reporter.start()
+                if not (args.clear or config.bus.read_only):
+                    await bus.operate()
+                await stop.or_done(_limit(bus, args.seconds, args.rotations))
+                stats, missing, held = bus.stats, not_exchanging(bus), clear_since(bus)
+            finally:
+                await bus.close()
+    if stop.hurried:
+        return INTERRUPTED
+    reporter.summary(stats, **({"clear": held} if held else {}))
+    if held:
+        missing = [clear_text(held), *missing]
+    for text in missing:
+        warn(text)
+    return 1 if missing or reporter.stalled or bus.end_failed else 0
+
+
+async def _open(bus: Bus, control: ControlServer) -> None:
+    await bus.open()
+    if bus.config.port == PTY:
+        control.move_to(bus.runtime.port_name)
+
+
+async def _limit(bus: Bus, seconds: float | None, rotations: int | None) -> None:
+    """Until the first of the limits, counted from the first token on; without one for ever."""
+    try:
+        await bus.rotated(rotations, None if seconds is None else max(0.0, seconds - bus.seconds_in_ring))
+    except TimeoutError:
+        return

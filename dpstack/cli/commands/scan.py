@@ -1,0 +1,78 @@
+"""``dpstack scan``: who is on the bus, without changing anything there."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+
+from dpstack.api.bus.events_json import Found
+from dpstack.api.bus.scan import LiveListResult, scan_port
+from dpstack.api.config.from_scan import config_skeleton, drive_of
+from dpstack.cli import options
+from dpstack.cli.commands import on_bus
+from dpstack.cli.terminal import output
+from dpstack.cli.terminal.lost_stdout import warn
+from dpstack.cli.terminal.signals import StopSignal
+from dpstack.units import baud_text
+
+
+def add_to(commands: options.Commands) -> None:
+    """The command and its options."""
+    parser = options.command(
+        commands,
+        "scan",
+        "who is on the bus: stations 0-126 with type, ident number, state and owner; changes nothing",
+        "dpstack scan --port /dev/ttyUSB0 --baud 500000 --config > plant.toml",
+    )
+    on_bus.add_port(parser)
+    parser.add_argument("--config", action="store_true", help="print a configuration file of what was found")
+    options.add_json(parser)
+    parser.set_defaults(execute=execute)
+
+
+def execute(args: argparse.Namespace) -> int:
+    """1 when nobody answers."""
+    on_bus.check_port(args)
+    return asyncio.run(_run(args))
+
+
+async def _run(args: argparse.Namespace) -> int:
+    result: LiveListResult | None = None
+
+    async def scan() -> None:
+        nonlocal result
+        make_bus = on_bus.bus_maker(args, await on_bus.rate_of(args), read_only=True)
+        result = await scan_port(make_bus, address=args.address, configs=args.config)
+
+    with StopSignal() as stop:
+        await stop.or_done(scan())
+    if result is None:
+        warn("ended before the live list was complete")
+        return 1
+    _show(result, args)
+    if result.stations:
+        return 0
+    warn(on_bus.nobody_text(result.baud))
+    return 1
+
+
+def _show(result: LiveListResult, args: argparse.Namespace) -> None:
+    if args.json:
+        more: dict[str, object] = {"config": config_skeleton(result, args.port)} if args.config else {}
+        output.json_line({**result.as_dict(), **more})
+        return
+    if args.config:
+        output.toml(config_skeleton(result, args.port))
+    else:
+        title = f"{len(result.stations)} stations at {baud_text(result.baud)}, asked by {result.address}"
+        columns = ("address", "type", "ident", "state", "master", "device")
+        output.table(title, columns, [_row(found) for found in result.stations])
+    for note in result.notes:
+        warn(note)
+
+
+def _row(found: Found) -> tuple[object, ...]:
+    told = found.as_dict()
+    drive = drive_of(found)
+    cells = ["" if told[key] is None else told[key] for key in ("address", "type", "ident", "state", "master")]
+    return (*cells, "" if drive is None else drive.title)

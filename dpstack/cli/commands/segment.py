@@ -1,0 +1,105 @@
+"""``dpstack segment``: a virtual RS-485 segment of ptys."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+from time import monotonic_ns
+from typing import Any
+
+from dpstack.api.bus.events_json import Event, Injected
+from dpstack.api.control.handlers import control_segment
+from dpstack.api.server.simulation import DEFAULT_BAUD, Segment
+from dpstack.cli import options
+from dpstack.cli.commands.control import reachable
+from dpstack.cli.terminal import output
+from dpstack.cli.terminal.lost_stdout import warn
+from dpstack.cli.terminal.nonblocking_stdout import unhurried
+from dpstack.cli.terminal.signals import StopSignal
+from dpstack.units import ns_to_s
+
+_COLUMNS = ("path", "sent", "received", "dropped", "overrun", "telegrams", "damaged", "erased")
+
+
+def add_to(commands: options.Commands) -> None:
+    """The command and its options."""
+    parser = options.command(
+        commands,
+        "segment",
+        "a virtual RS-485 segment: ptys joined as one bus, that any program may open",
+        "dpstack segment --stations 2 --dir /tmp/bus",
+    )
+    parser.add_argument("--stations", metavar="N", type=options.count, default=2, help="how many ptys (default 2)")
+    parser.add_argument("--dir", metavar="DIR", help="where the links 0, 1 ... are made")
+    parser.add_argument(
+        "--baud",
+        metavar="B",
+        type=options.baud,
+        default=DEFAULT_BAUD,
+        help="the rate of a tty nobody set, and of --paced",
+    )
+    parser.add_argument("--paced", action="store_true", help="octets take their time on the wire")
+    parser.add_argument("--echo", action="store_true", help="a station hears itself")
+    parser.add_argument("--error-rate", metavar="P", type=_rate, default=0.0, help="probability that a bit is inverted")
+    parser.add_argument("--seed", metavar="N", type=int, default=0, help="of the noise")
+    parser.add_argument("--seconds", metavar="S", type=options.seconds, help="end after so many seconds")
+    options.add_json(parser)
+    parser.set_defaults(execute=execute)
+
+
+def _rate(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0 <= value < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is no probability, 0 up to 1")
+    return value
+
+
+def execute(args: argparse.Namespace) -> int:
+    """Join the ptys until a signal."""
+    with unhurried(output.missing(args.json)):
+        return asyncio.run(_run(args))
+
+
+async def _run(args: argparse.Namespace) -> int:
+    segment = Segment(
+        args.stations,
+        args.dir,
+        baud=args.baud,
+        paced=args.paced,
+        echo=args.echo,
+        error_rate=args.error_rate,
+        seed=args.seed,
+        on_notice=warn,
+    )
+    with StopSignal() as stop:
+        started_ns = monotonic_ns()
+
+        def show(event: Event) -> None:
+            t = ns_to_s(event.t_ns - started_ns)
+            if args.json and isinstance(event, Injected):
+                output.json_line(event.as_dict(t))
+            elif not args.json:
+                output.line(f"{t:9.3f} s  {event.text}")
+
+        async with segment, reachable(control_segment(segment, show)):
+            if args.json:
+                output.json_line({"event": "start", "ports": segment.paths, "baud": args.baud})
+            else:
+                output.line("one bus, each of these is a port of it (Ctrl-C ends):")
+                for path in segment.paths:
+                    output.line(path)
+            await stop.or_done(asyncio.sleep(args.seconds) if args.seconds else asyncio.Event().wait())
+            _summary(segment.stats(), args.json)
+    return 0
+
+
+def _summary(stats: dict[str, Any], json: bool) -> None:
+    if json:
+        output.json_line({"event": "summary", **stats})
+        return
+    rows = [[s[column] for column in _COLUMNS] for s in stats["stations"]]
+    output.table("Octets and telegrams", ("port", *_COLUMNS[1:]), rows)
+    output.line(f"{stats['damaged']} octets damaged: {stats['lost']} lost, {stats['changed']} changed")

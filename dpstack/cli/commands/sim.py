@@ -1,0 +1,146 @@
+"""``dpstack sim``: simulated slaves on a port."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal
+
+from dpstack.api.bus.events_json import Event
+from dpstack.api.config.config import AUTO, Config, load_config, make_config, slave_config
+from dpstack.api.control.handlers import control_sim
+from dpstack.api.server.simulation import DEFAULT_BAUD, Simulation, sim_event_json
+from dpstack.cli import options
+from dpstack.cli.commands.control import reachable
+from dpstack.cli.terminal import output
+from dpstack.cli.terminal.lost_stdout import warn
+from dpstack.cli.terminal.nonblocking_stdout import unhurried
+from dpstack.cli.terminal.signals import StopSignal
+from dpstack.errors import UsageError
+from dpstack.text import number_or_name
+from dpstack.units import baud_text, ns_to_s
+
+
+def add_to(commands: options.Commands) -> None:
+    """The command and its options."""
+    parser = options.command(
+        commands,
+        "sim",
+        "the slaves of a configuration, one simulated drive, or one device of a GSD file, on one port",
+        "dpstack sim plant.toml --port pty\n"
+        "         dpstack sim --drive fuji-frenic --address 4 --port pty\n"
+        '         dpstack sim --gsd io-station --modules "8 DI" "8 DO" --address 8 --port pty\n'
+        "         dpstack sim --drive demag-dedrive --address 126 --port pty",
+    )
+    parser.add_argument("config", metavar="CONFIG", nargs="?", help="configuration file")
+    parser.add_argument("--drive", metavar="NAME", help="one simulated drive instead of a configuration")
+    parser.add_argument("--gsd", metavar="FILE", help="one device of this GSD file; io-station is brought along")
+    parser.add_argument(
+        "--modules", metavar="M", nargs="+", help="what is plugged into it, by name or reference number"
+    )
+    parser.add_argument(
+        "--address",
+        metavar="A",
+        type=options.slave_address,
+        help="its address; 126: as delivered, until `dpstack address` gives it another one",
+    )
+    parser.add_argument("--telegram", metavar="T", help="its telegram")
+    parser.add_argument("--port", metavar="P", required=True, help='the port; "pty" makes one and prints its path')
+    parser.add_argument(
+        "--baud", metavar="B|auto", type=options.baud_or_auto, help="the rate, else the configuration's; auto: listens"
+    )
+    parser.add_argument("--seconds", metavar="S", type=options.seconds, help="end after so many seconds")
+    options.add_json(parser)
+    parser.set_defaults(execute=execute)
+
+
+def execute(args: argparse.Namespace) -> int:
+    """Simulate until a signal; 0 unless something failed."""
+    config = _config(args)
+    baud = args.baud or config.bus.baud or DEFAULT_BAUD
+    with unhurried(output.missing(args.json)):
+        return asyncio.run(_run(config, baud, args))
+
+
+def _config(args: argparse.Namespace) -> Config:
+    given = {key: getattr(args, key) for key in ("drive", "gsd", "modules", "telegram", "address")}
+    table: dict[str, object] = {key: value for key, value in given.items() if value is not None}
+    if args.config is not None:
+        if table:
+            option = "--gsd" if args.drive is None and args.gsd is not None else "--drive"
+            raise UsageError(f"sim: a CONFIG or {option} with --address, not both; leave one out")
+        return load_config(args.config)
+    device = args.drive or args.gsd
+    if device is None or args.address is None:
+        raise UsageError(
+            "sim: neither CONFIG nor --drive NAME with --address A; give one of them, or --gsd FILE with --address"
+        )
+    table["name"] = args.drive or Path(args.gsd).stem
+    if args.modules:
+        table["modules"] = [number_or_name(module) for module in args.modules]
+    master = 2 if args.address != 2 else 1
+    slave = slave_config(table, where="sim", unaddressed=True)
+    return make_config(args.port, DEFAULT_BAUD, master, [slave], where="sim")
+
+
+async def _run(config: Config, baud: int | Literal["auto"], args: argparse.Namespace) -> int:
+    with StopSignal() as stop:
+        simulation = Simulation(config, args.port, baud)
+        async with simulation, reachable(control_sim(simulation, args.port)):
+            if args.port == "pty":
+                output.json_line({"port": simulation.port_name})
+            if not args.json:
+                rate = f"at {baud_text(baud)}" if baud != AUTO else "(searching for the baud rate)"
+                output.line(f"simulating on {simulation.port_name} {rate}:")
+                for slave in simulation.slaves:
+                    output.line(f"  {slave.address:3}  {slave.name}  ({slave.kind})")
+            if simulation.t_sl:
+                warn(f"a master needs t_sl = {simulation.t_sl} or more for these slaves: the adapter answers late")
+            simulation.on_event = _printer(simulation, args.json)
+            await stop.or_done(simulation.failed(args.seconds))
+            if simulation.never_found is not None:
+                warn(f"{args.port}: the baud rate was not found: {simulation.never_found}; or give the rate")
+                return 0 if stop.received else 1
+            print_summary(simulation, args.json)
+    return 0
+
+
+def _printer(simulation: Simulation, json: bool) -> Callable[[Event], None]:
+    def show(event: Event) -> None:
+        t = ns_to_s(event.t_ns - simulation.started_ns)
+        if json:
+            output.json_line(sim_event_json(event, t))
+        else:
+            output.line(f"{t:9.3f} s  {event.text}")
+
+    return show
+
+
+def print_summary(simulation: Simulation, json: bool) -> None:
+    """What the slaves did, as a table or as a JSON line."""
+    if json:
+        slaves = {
+            str(s.address): {
+                "name": s.name,
+                "state": s.state.value,
+                "exchanges": s.exchanges,
+                "watchdogs": s.watchdogs,
+                "too_late": s.too_late,
+            }
+            for s in simulation.slaves
+        }
+        heard = {"telegrams": simulation.telegrams, "bad": simulation.bad}
+        output.json_line({"event": "summary", "t": round(simulation.seconds, 3), **heard, "slaves": slaves})
+        return
+    rows = [(s.address, s.name, s.state.value, s.exchanges, s.watchdogs, s.too_late) for s in simulation.slaves]
+    columns = ("address", "name", "state", "exchanges", "watchdog expired", "answers too late")
+    output.table("Slaves", columns, rows)
+    if any(s.too_late for s in simulation.slaves):
+        output.line(
+            "answers too late were not sent, because another telegram was there already: this computer was busy for "
+            "longer than the master waits, or another master talked at the same time"
+        )
+    bad = ", ".join(f"{count} {cause.replace('_', ' ')}" for cause, count in simulation.bad.items())
+    output.line(f"{simulation.telegrams} telegrams heard" + (f", bad: {bad}" if bad else ", none of them bad"))

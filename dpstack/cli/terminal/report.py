@@ -1,0 +1,298 @@
+"""What a running bus tells: JSON lines, or lines for people; the summary at the end."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Mapping
+from datetime import UTC, datetime
+from typing import Any, Final
+
+from dpstack.api.bus.bus import Bus
+from dpstack.api.bus.events_json import (
+    AlarmRaised,
+    DriveEvent,
+    Event,
+    MasterStopped,
+    Severity,
+    SlaveDiagnosis,
+    SlaveState,
+    SlaveStateChanged,
+    Stalled,
+    event_json,
+    severity_of,
+)
+from dpstack.api.bus.parts import SEARCHING
+from dpstack.api.bus.statistics import BusStats, SlaveStats
+from dpstack.api.bus.streams import Flapping
+from dpstack.cli.terminal import output
+from dpstack.units import baud_text, ms_text, ns_to_s
+
+#: a simulated bus that fell behind real time by more than this, in s and as a part of its time, is told of at the end
+_BEHIND_S: Final = 0.1
+_BEHIND: Final = 0.02
+#: the summary advises on repetitions where a slave had so many, as a part of its requests
+_REPETITIONS: Final = 10
+_REPEATED: Final = 0.05
+#: extra_idle_bits that help a slave which finds the end of a telegram by a pause (docs/foreign.md)
+_EXTRA_IDLE_BITS: Final = 60
+_STYLES = {Severity.INFO: "", Severity.WARNING: "yellow", Severity.ERROR: "red"}
+
+
+#: the way from a fault through another try, back to it
+_RETRIED: Final = frozenset(
+    {SlaveState.DIAGNOSIS, SlaveState.SET_PRM, SlaveState.CHK_CFG, SlaveState.WAIT_READY, SlaveState.FAULT}
+)
+
+
+class Reporter:
+    """Prints the start line, then every event of ``bus`` (set before it is opened). ``quiet``: no lines for people."""
+
+    def __init__(self, *, json: bool, quiet: bool = False) -> None:
+        self.bus: Bus | None = None
+        self._json = json
+        self._quiet = quiet
+        self._started = False
+        #: by address: what people were told last of diagnosis and drive
+        self._diagnoses: dict[int, str] = {}
+        self._drives: dict[int, tuple[str, ...]] = {}
+        self._flapping: dict[int, Flapping] = {}
+        #: slaves in a fault that people were told of: they are asked again and again
+        self._retried: set[int] = set()
+        #: slaves in data exchange, as the events have it
+        self._exchanging: set[int] = set()
+        #: the master stalled at least once
+        self.stalled = False
+
+    def searching(self) -> None:
+        """The baud rate has to be found first: people are told what is waited for."""
+        if self.bus is not None and not self._json and not self._quiet:
+            output.line(f"{SEARCHING} on {self.bus.config.port}")
+
+    def start(self) -> None:
+        """The start line, once."""
+        bus = self.bus
+        if self._started or bus is None:
+            return
+        self._started = True
+        name, rate = bus.runtime.port_name, bus.params.baud
+        if self._json:
+            now = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+            output.json_line({"event": "start", "time": now, "port": name, "baud": rate, "driver": bus.driver})
+        elif not self._quiet:
+            output.line(f"master {bus.params.address} on {name} at {baud_text(rate)}", "bold")
+
+    def event(self, event: Event) -> None:
+        """One event of the bus."""
+        bus = self.bus
+        if bus is None:
+            return
+        self.start()
+        self.stalled |= isinstance(event, Stalled)
+        t = ns_to_s(event.t_ns - bus.started_ns)
+        if self._json:
+            line = event_json(event, t)
+            if line is not None:
+                output.json_line(line)
+        elif not self._quiet:
+            self._for_people(bus, event)
+
+    def _for_people(self, bus: Bus, event: Event) -> None:
+        """A line, where there is something to tell: of diagnoses and drives what is new."""
+        match event:
+            case MasterStopped():
+                return
+            case SlaveDiagnosis(address=address, diagnosis=diagnosis):
+                exchanging = address in self._exchanging
+                slaves = [slave for slave in bus.slaves if slave.address == address]  # none: it was removed meanwhile
+                told = "".join(slave.conspicuous_text(diagnosis, exchanging=exchanging) for slave in slaves)
+                if told != self._diagnoses.get(address, ""):
+                    self._diagnoses[address] = told
+                    text = f"slave {address} ({event.name}): diagnosis {told or 'without findings'}"
+                    self._line(event, text, "yellow" if told else "")
+            case AlarmRaised(address=address, texts=texts):
+                known = self._diagnoses.get(address, "").split("; ")  # the line of the diagnosis that it came in
+                self._line(event, dataclasses.replace(event, texts=tuple(t for t in texts if t not in known)).text)
+            case DriveEvent(address=address, payload=payload):
+                self._drive(address, event, payload)
+            case SlaveStateChanged(address=address, state=state):
+                if state is SlaveState.DATA_EXCHANGE:
+                    self._exchanging.add(address)
+                else:
+                    self._exchanging.discard(address)
+                    self._diagnoses.pop(address, None)  # what it says next is new
+                if state in _RETRIED and address in self._retried:
+                    return  # it is asked again, with the same result as long as nothing else is told
+                if state is SlaveState.FAULT:
+                    self._retried.add(address)
+                else:
+                    self._retried.discard(address)
+                self._line(event)
+            case _:
+                self._line(event)
+
+    def _drive(self, address: int, event: DriveEvent, payload: Mapping[str, object]) -> None:
+        match payload.get("type"):
+            case "result":
+                return
+            case "status":
+                told = tuple(str(payload.get(key)) for key in ("state", "faults", "warnings"))
+                if told == self._drives.get(address):
+                    return
+                self._drives[address] = told
+                if payload.get("state") == "offline":
+                    return  # its slave's state tells that
+                if address not in self._flapping:
+                    self._flapping[address] = Flapping(self._line)
+                self._flapping[address].tell(event)
+            case _:
+                self._line(event)
+
+    def _line(self, event: Event, text: str = "", style: str | None = None) -> None:
+        if self.bus is not None:
+            t = ns_to_s(event.t_ns - self.bus.started_ns)
+            output.line(f"{t:9.3f} s  {text or event.text}", _style(event) if style is None else style)
+
+    def summary(self, stats: BusStats, **more: object) -> None:
+        """The summary line, or a table with what a person wants to know."""
+        if self._json:
+            output.json_line({"event": "summary", "t": round(stats.seconds, 3), **stats.summary(), **more})
+            return
+        for flapping in self._flapping.values():
+            flapping.report()
+        slaves = stats.slaves.values()
+        columns = ("address", "name", "state", "exchanges", "retries", "time-outs", "late", "bad")
+        output.table("Slaves", columns, [_slave_row(s) for s in slaves])
+        _diagnoses(slaves)
+        if self.bus is None or not self.bus.config.bus.read_only:  # else none was exchanged
+            _process_data(slaves)
+        output.line(f"{stats.rotations} rotations in {stats.seconds:.3f} s, {_traffic(stats)}")
+        for name, us in (("bus rotation time", stats.rotation_us), ("token rotation", stats.token_us)):
+            if us["max"]:
+                output.line(f"{name} in us: " + ", ".join(f"{key} {value}" for key, value in us.items()))
+        if self.bus is not None:
+            _repetitions(slaves, self.bus.config.bus.extra_idle_bits)
+        _cycles(stats)
+        if stats.host_us is not None:
+            late = stats.host_us
+            output.line(
+                f"port and computer cost {late['p50']} us an exchange (p99.9 {late['p999']} us); "
+                f"a missing answer is waited for {stats.host_slack_ms:g} ms longer"
+            )
+        if stats.behind > max(_BEHIND_S, _BEHIND * stats.seconds):
+            output.line(
+                f"simulated {stats.seconds:.1f} s of bus time in {stats.seconds + stats.behind:.1f} s: "
+                "the simulated bus did not keep up with real time",
+                "yellow",
+            )
+        if stats.stale:
+            output.line(f"the counters are {stats.age:.1f} s old: the bus process did not go on counting", "yellow")
+        if not stats.paced:
+            output.line("no wire gave the octets their time here: the times are this computer's, not a bus's")
+
+
+def _cycles(stats: BusStats) -> None:
+    book = stats.cycles
+    if book is None:
+        return
+    late = ", ".join(f"{key} {value}" for key, value in book.late.summary_us().items())
+    output.line(f"{book.begun} cycles of {ms_text(book.cycle_ns)}, late in us: {late}")
+    if book.missed:
+        why = ", ".join(f"{count} {reason.text}" for reason, count in book.reasons.items())
+        output.line(f"{book.missed} deadline misses ({book.left_out} cycles left out): {why}", "yellow")
+    else:
+        output.line("no deadline was missed")
+
+
+def _style(event: Event) -> str:
+    if isinstance(event, DriveEvent) and event.payload.get("type") != "failed":
+        return "red" if event.payload.get("faults") else "yellow" if event.payload.get("warnings") else ""
+    return _STYLES[severity_of(event)]
+
+
+def _diagnoses(slaves: Iterable[SlaveStats]) -> None:
+    """What slaves and drives have to tell at the end; nothing where all is well."""
+    rows: list[tuple[object, ...]] = []
+    for s in slaves:
+        told = [("diagnosis", s.conspicuous)] if s.conspicuous else []
+        for kind in ("fault", "warning"):
+            told += [(f"drive {kind}", str(one)) for one in _list(s.drive.get(f"{kind}s"))]
+        told += [(f"drive at {one['t']} s", str(one["text"])) for one in _list(s.drive.get("notices"))]
+        rows += [(s.address, s.name, what, text) for what, text in told]
+    if rows:
+        output.table("Diagnoses and drives", ("address", "name", "what", "text"), rows)
+
+
+def _repetitions(slaves: Iterable[SlaveStats], extra_idle_bits: int) -> None:
+    """Advice for each slave that needed many repetitions, by their cause: damaged answers, or none."""
+    for s in slaves:
+        link = s.link
+        if s.retries < max(_REPETITIONS, _REPEATED * link.requests):
+            continue
+        advice = "check cable, shielding and termination"
+        if sum(link.bad.values()) < s.retries // 2 and extra_idle_bits < _EXTRA_IDLE_BITS:
+            advice += (
+                "; a self-made slave that finds the end of a telegram by a pause misses requests that follow too soon: "
+                f"try extra_idle_bits = {_EXTRA_IDLE_BITS} in [bus]"
+            )
+        output.line(
+            f"slave {s.address} ({s.name}): {s.retries} repetitions of {link.requests} requests: {advice}", "yellow"
+        )
+
+
+def _list(found: object) -> list[Any]:
+    return list(found) if isinstance(found, (list, tuple)) else []
+
+
+def _process_data(slaves: Iterable[SlaveStats]) -> None:
+    octets = [(s.address, s.name, _inputs(s), s.outputs.hex()) for s in slaves]
+    output.table("Process data", ("address", "name", "inputs", "outputs"), octets)
+    named = [(s.address, s.name, key, value) for s in slaves for key, value in s.fields.items()]
+    if named:
+        output.table("Named inputs and outputs", ("address", "name", "field", "value"), named)
+
+
+def _inputs(s: SlaveStats) -> str:
+    """The last inputs, marked where they are not those of this moment."""
+    return f"{s.inputs.hex()} (not valid)" if s.inputs and not s.inputs_valid else s.inputs.hex()
+
+
+def _slave_row(s: SlaveStats) -> tuple[object, ...]:
+    state = s.state if s.master is None else f"{s.state} (master {s.master})"
+    link = s.link
+    counters = (s.exchanges, s.retries, s.timeouts, link.late + link.wrong, sum(link.bad.values()))
+    return (s.address, s.name, state, *counters)
+
+
+def _traffic(stats: BusStats) -> str:
+    """What went over the bus, and what of it went wrong, for people: zeros are left out."""
+    counters = {
+        "repeated": stats.retries,
+        "given up": stats.timeouts,
+        "late": stats.late,
+        "stray": stats.link.stray,
+        "tokens lost": stats.tokens_lost,
+        "tokens repeated": stats.link.token_retries,
+        **{f"bad: {cause.replace('_', ' ')}": count for cause, count in stats.bad.items()},
+    }
+    wrong = [f"{count} {name}" for name, count in counters.items() if count]
+    return f"{stats.telegrams} telegrams" + (f" ({', '.join(wrong)})" if wrong else ", none of them failed")
+
+
+def clear_text(held: Mapping[str, object]) -> str:
+    """One line about a master that went to Clear by itself (``held``: see clear_since)."""
+    return f"in Clear since {held['since']} s because of a {held['because']}; operate() lets outputs out again"
+
+
+def not_exchanging(bus: Bus) -> list[str]:
+    """One line for each slave that is not in data exchange though it should be."""
+    lines = []
+    for slave in bus.slaves:
+        if not (slave.ready_now or slave.deactivated):
+            if slave.fault:
+                why = slave.fault.text
+            elif not bus.stats.tokens:
+                why = "this master was not given the token in that time; another master is on the bus: run longer"
+            else:
+                why = f"it is in {slave.state.value}"
+            lines.append(f"slave {slave.address} ({slave.name}) is not in data exchange: {why}")
+    return lines

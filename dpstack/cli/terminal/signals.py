@@ -1,0 +1,141 @@
+"""SIGINT, SIGTERM and SIGHUP, and output that nobody takes: the ways in which a command is told to end.
+
+The first signal ends the command in order. Signals within a second of it are the same one: GNU ``timeout`` and other
+wrappers send SIGTERM to a program and to its process group, half a millisecond apart. A later one skips waiting,
+connections and summary, but never safe values and one Clear; it ends the command within a second. A third leaves at
+once.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import atexit
+import contextlib
+import os
+import signal
+from collections.abc import Callable, Coroutine
+from time import monotonic
+from types import FrameType
+from typing import Final
+
+from dpstack.api.bus.shutdown import hurry_all
+from dpstack.cli.terminal import lost_stdout
+
+#: exit code of a command that was hurried, or left at once
+INTERRUPTED: Final = 130
+#: signals within so many seconds of the first are the same one
+_SAME_S: Final = 1.0
+#: and so many of the second: who sends one twice sends that one twice, too
+_SAME_AGAIN_S: Final = 0.1
+#: a hurried end that takes longer than this (s) is left
+_HURRIED_S: Final = 1.0
+
+_LATE: Final = "the end was not over within a second after the second signal, so it was left"
+_LEFT: Final = "left at once, by a third signal"
+_WATCHDOGS: Final = "what was not sent to slaves is made safe by their watchdogs (off: not at all)"
+
+
+class StopSignal:
+    """What the signals set, and the loss of standard output. Works in every kind of loop; a context manager."""
+
+    def __init__(self, clock: Callable[[], float] = monotonic) -> None:
+        self._clock = clock
+        self._event = asyncio.Event()
+        self._loop = asyncio.get_running_loop()
+        self._old: dict[signal.Signals, object] = {}
+        self._within = False
+        self._at = 0.0  # of the first signal
+        self._again_at = 0.0  # of the second one
+        self.received = False
+        #: a second signal came: the command returns :data:`INTERRUPTED`, without a summary
+        self.hurried = False
+
+    def __enter__(self) -> StopSignal:
+        for number in (signal.SIGINT, signal.SIGTERM, *_hangup()):
+            self._old[number] = signal.signal(number, self._caught)
+        lost_stdout.lost.told = self._stop
+        self._within = True
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._within = False
+        lost_stdout.lost.told = None
+        if self.hurried:
+            _alarm(0.0, signal.SIG_DFL)
+        if not (self.received and self._clock() - self._at < _SAME_S):
+            self._restore()
+        else:  # its double may be on its way: until the interpreter ends, and takes the handlers of signals away
+            atexit.register(self._ignore)
+
+    def _ignore(self) -> None:
+        """What still holds on to the signals lets them pass until the process has ended."""
+        for number in self._old:
+            if signal.getsignal(number) == self._caught:
+                signal.signal(number, signal.SIG_IGN)
+
+    def _restore(self) -> None:
+        for number, old in self._old.items():
+            if callable(old) or isinstance(old, signal.Handlers):
+                signal.signal(number, old)
+
+    def _caught(self, number: int, frame: FrameType | None) -> None:
+        now = self._clock()
+        if not self.received:
+            self._stop()
+        elif now - self._at < _SAME_S:
+            return
+        elif not self._within:
+            self._restore()
+            signal.raise_signal(number)
+        elif not self.hurried:
+            self.hurried = True
+            self._again_at = now
+            _alarm(_HURRIED_S, lambda *_: _leave(_LATE))
+            self._loop.call_soon_threadsafe(hurry_all)
+        elif now - self._again_at >= _SAME_AGAIN_S:
+            _leave(_LEFT)
+
+    def _stop(self) -> None:
+        if not self.received:
+            self.received = True
+            self._at = self._clock()
+        self._loop.call_soon_threadsafe(self._event.set)
+
+    async def wait(self) -> None:
+        """Until the first signal."""
+        await self._event.wait()
+
+    async def or_done(self, work: Coroutine[object, object, object]) -> bool:
+        """Until ``work`` is done (True; what it raises is raised) or the first signal (False; it is cancelled)."""
+        task: asyncio.Task[object] = asyncio.ensure_future(work)
+        waiting = asyncio.ensure_future(self._event.wait())
+        try:
+            await asyncio.wait({task, waiting}, return_when=asyncio.FIRST_COMPLETED)
+            if task.done():
+                task.result()
+                return True
+            return False
+        finally:
+            for each in (task, waiting):
+                each.cancel()
+            await asyncio.gather(task, waiting, return_exceptions=True)
+
+
+def _leave(why: str) -> None:
+    """Without any end: what is in the way of an orderly one is in the way of every other."""
+    with contextlib.suppress(OSError):
+        os.write(2, f"dpstack: {why}; {_WATCHDOGS}\n".encode())
+    os._exit(INTERRUPTED)
+
+
+def _alarm(seconds: float, handler: Callable[[int, FrameType | None], object] | signal.Handlers) -> None:
+    """Call ``handler`` after ``seconds``, also where the event loop is held up; 0: not any more."""
+    if hasattr(signal, "setitimer"):
+        signal.signal(signal.SIGALRM, handler)
+        signal.setitimer(signal.ITIMER_REAL, seconds)
+
+
+def _hangup() -> list[signal.Signals]:
+    """SIGHUP, the terminal's end; not where it is ignored (nohup), nor on systems without it."""
+    number = getattr(signal, "SIGHUP", None)
+    return [] if number is None or signal.getsignal(number) is signal.SIG_IGN else [number]

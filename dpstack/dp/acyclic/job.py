@@ -1,0 +1,143 @@
+"""What everything acyclic is to the queue (:mod:`dpstack.dp.acyclic.queue`): a job with one end.
+
+A job is a generator of :class:`Step`: it gives the next request and is sent what became of it, and when
+(:class:`Heard`): that is all the time that a job knows, and it judges by it how long the slave has had. Its end is one
+:class:`Outcome`, told by one :class:`ServiceEnd` where a program waits for it. Jobs are in
+:mod:`dpstack.dp.acyclic.class2_services`, :mod:`dpstack.dpv1.master.ms1_job` and :mod:`dpstack.dpv1.master.ms2_jobs`.
+"""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Generator, Hashable
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final, NamedTuple, Protocol, TypeVar
+
+from dpstack.fdl.interface import Failure, Request
+from dpstack.fdl.telegram import Telegram
+from dpstack.trace import Event
+
+T = TypeVar("T")
+
+#: three first requests and the probe with FCV = 1 that finds slaves which know nothing else (A4)
+ATTEMPTS: Final = 4
+
+
+class ServiceFailure(Enum):
+    """Why a service has no result."""
+
+    SILENT = "silent"  # no answer
+    UNREADABLE = "unreadable"  # octets came, no telegram
+    WRONG = "wrong"  # an answer that cannot be one
+    LENGTH = "length"  # an answer of an impossible length
+    REFUSED = "refused"  # the slave says no
+    GUARDED = "guarded"  # this bus is read-only
+    LATE = "late"  # not in the time given
+    LINE = "line"  # the port vanished
+    CANCELLED = "cancelled"  # nobody wants it any more
+    CLOSED = "closed"  # the slave is not in data exchange (any more)
+    NEGATIVE = "negative"  # a negative response of DP-V1
+    ABORTED = "aborted"  # its class 2 connection is over
+    IDENT = "ident"  # another device
+    OWNED = "owned"  # in the hands of a class 1 master
+    TAKEN = "taken"  # the new address is in use
+    KEPT = "kept"  # the slave did not take the new address
+    GONE = "gone"  # it answers neither at the old nor at the new address
+    DOUBLE = "double"  # it has the new address, and the old one still answers
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """The one end of a service: ``data`` of the answer, or ``failure`` with ``text`` that says what to do.
+
+    ``status``: how a refusing slave answered. ``codes``: Error_Decode, Error_Code_1 and 2 of a negative response, or
+    subnet, instance and reason of the Abort that ended its class 2 connection.
+    """
+
+    data: bytes = b""
+    failure: ServiceFailure | None = None
+    text: str = ""
+    status: str = ""
+    codes: tuple[int, int, int] | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ServiceEnd(Event, abc.ABC):
+    """The one end of the service that was ordered with ``token``, whatever the service and the way to the slave."""
+
+    token: int
+    address: int
+    outcome: Outcome
+
+    @property
+    def owed(self) -> bool:
+        """To who ordered it."""
+        return True
+
+    @property
+    @abc.abstractmethod
+    def title(self) -> str:
+        """The service by the standard's name."""
+
+    @property
+    @abc.abstractmethod
+    def result(self) -> str:
+        """What came of it where it has not failed."""
+
+    @property
+    def text(self) -> str:
+        """What came of it."""
+        outcome = self.outcome
+        return f"slave {self.address}: {self.result}" if outcome.failure is None else outcome.text
+
+
+class Step(NamedTuple):
+    """The next request of a job, not earlier than ``pause_ns`` after the last one's end."""
+
+    request: Request
+    pause_ns: int = 0
+
+
+class Heard(NamedTuple):
+    """What became of a request: its first bit was on the wire at ``begun``, it was over at ``now``, both in ns.
+
+    One that was never sent began at its end.
+    """
+
+    answer: Telegram | Failure
+    begun: int
+    now: int
+
+
+#: What a job is while it runs: the end of each request goes in, the result comes out.
+Steps = Generator[Step, Heard, T]
+
+
+class Job(Protocol):
+    """One service from its beginning to its one end."""
+
+    @property
+    def address(self) -> int:
+        """The slave it is about."""
+
+    @property
+    def title(self) -> str:
+        """What is asked, by the standard's name."""
+
+    @property
+    def lane(self) -> Hashable | None:
+        """Jobs of the same lane run one after the other, in the order they came."""
+
+    @property
+    def aftermath(self) -> str:
+        """What has to be said of it when it is cut short now; empty when nothing has happened to the slave."""
+
+    def bar(self) -> str:
+        """Why it can never end any more; its title stands in front. Empty while it can. Asked in every token hold."""
+
+    def steps(self) -> Steps[Outcome]:
+        """Its requests, one after the other."""
+
+    def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:
+        """What is told of its one end, to whom ``token`` means something."""

@@ -1,0 +1,1 @@
+"""The DP master: its mode, its cycle, and one slave handler a slave."""

@@ -1,0 +1,287 @@
+"""One round over the slaves: which request comes next.
+
+First Global_Control that has to precede data (a slave put back into its group's mode, a cyclic FREEZE); Data_Exchange
+with every slave whose turn it is, from the process image; a cyclic SYNC; who is being given up; Global_Control when
+due. Free running services belong to the round (bring-up, diagnosis; :mod:`dpstack.dp.master.poll_order`): one while any
+slave is in data exchange, so that a bring-up never breaks the others' rhythm, else one for each slave. With a fixed
+cycle they come between the rounds, one a token hold, as far as they fit in (:mod:`dpstack.fdl.active.cycle_window`).
+The order is that of the Siemens S120 and Heidenhain manuals (protocol facts, B6).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+from dpstack.dp.master.commands import Mode
+from dpstack.dp.master.cycle_part import CycleData
+from dpstack.dp.master.events import SlaveState
+from dpstack.dp.master.farewell import Farewells, Leaving
+from dpstack.dp.master.fixed_cycle import Cadence
+from dpstack.dp.master.global_control import Controls
+from dpstack.dp.master.poll_order import Turns
+from dpstack.dp.master.slave_handler import SlaveHandler
+from dpstack.fdl.interface import Request
+from dpstack.fdl.telegram import SAP_CHK_CFG, SAP_GET_CFG, SAP_GLOBAL_CONTROL, SAP_SET_PRM
+
+# asked in every exchange: an enum's member costs ten times a name of the module
+_DATA_EXCHANGE: Final = SlaveState.DATA_EXCHANGE
+_OPERATE: Final = Mode.OPERATE
+#: octets of a diagnosis where Max_Diag_Data_Len is not known; a longer one is known after the first
+_DIAGNOSIS: Final = 32
+#: the answers of known length
+_ANSWERS: Final = {SAP_SET_PRM: 0, SAP_CHK_CFG: 0, SAP_GET_CFG: 244}
+
+
+@dataclass(slots=True)
+class Course:
+    """The mode a master is in, and the one it is on its way to."""
+
+    mode: Mode
+    target: Mode
+
+    @property
+    def descending(self) -> bool:
+        """Outputs become safe: nothing waits for a grid."""
+        return self.target < self.mode
+
+
+class Round:
+    """``open``: between its beginning, told by ``begins()`` before outputs are taken, and its end, told by
+    ``ended(now)`` in :meth:`next_request`.
+    """
+
+    def __init__(
+        self,
+        course: Course,
+        handlers: Mapping[int, SlaveHandler],
+        turns: Turns,
+        controls: Controls,
+        farewells: Farewells,
+        cadence: Cadence,
+        begins: Callable[[], None],
+        ended: Callable[[int], None],
+    ) -> None:
+        self.open = False
+        #: the next Data_Exchange is the first of the round
+        self.first_data = False
+        self._course = course
+        self._handlers = handlers
+        self._turns = turns
+        self._controls = controls
+        self._farewells = farewells
+        self._cadence = cadence
+        self._begins = begins
+        self._ended = ended
+        self._due: list[SlaveHandler] = []
+        self._cursor = 0
+        self._services = 0
+        self._operating = False  # it began in Operate
+        self._unsent = False  # no request of it went out yet
+        self._at_once = False  # the grid was left: the next round begins within this hold
+        self._published = 0
+        self._freeze = self._sync = False  # still to be sent in it
+        #: by address of slaves that have a Min_Slave_Interval: no exchange before this time
+        self._spaced: dict[int, int] = {}
+        self._paused = False  # for one of them
+        self._free_at = 0  # the last Global_Control and its idle time are over
+
+    # --- the link layer's questions -----------------------------------------------------------------------------
+
+    def token(self, now: int) -> None:
+        """A hold begins; free running so does a new round, when the last one is through and the next one may."""
+        if self._cadence.fixed:
+            self._services = 1
+        elif not self.open and self._cadence.due(now) and self._may_take_all(now):
+            self._begin(now)
+
+    def next_request(self, now: int) -> Request | None:
+        """The next request, in the round or between two fixed cycles."""
+        if not self.open:
+            fixed = self._cadence.fixed
+            if not (fixed or self._at_once):
+                return None
+            # Global_Control is told to be over when it begins, and nothing can begin before its end
+            if not self._cadence.due(max(now, self._free_at) if fixed else now):
+                return self._between(now) if fixed else None
+            if not (fixed or self._may_take_all(now)):
+                return None
+            self._begin(now)
+        if not self._cursor and (request := self._before_data(now)) is not None:
+            return request
+        request = self._data(now)
+        if request is not None or self._cursor < len(self._due):
+            return request
+        mode = self._course.mode
+        if self._sync:
+            self._sync = False
+            return self._controls.cyclic(self._controls.cycle_sync)
+        if self._farewells and (request := self._leave(now)) is not None:
+            return request
+        fixed = self._cadence.fixed
+        request = self._controls.after_data(mode, now, repeat=bool(self._turns.exchanging) and not fixed)
+        if request is not None:
+            return request
+        if not fixed and (request := self._service(now)) is not None:
+            return request
+        self._end(now)
+        return self._between(now, room=True) if fixed else None
+
+    # --- its course ---------------------------------------------------------------------------------------------
+
+    def _begin(self, now: int) -> None:
+        turns, course = self._turns, self._course
+        turns.begin_round(self._handlers)
+        exchanging = turns.exchanging
+        everybody = self._everybody
+        interval = turns.interval_all if everybody else turns.interval
+        self._cadence.begin(now, fixed=bool(exchanging) and not course.descending, interval=interval)
+        self._controls.begin_round()
+        self._due = exchanging if everybody else turns.due(self._cadence.number)
+        self._begins()
+        for handler in self._due:
+            handler.image.latch()
+        self.open = True
+        self._at_once = False
+        self._cursor = 0
+        self._unsent = True
+        self.first_data = bool(self._due)
+        # a mode reached in the middle of a round lets outputs out with the next one, everybody's at once
+        self._operating = course.mode is Mode.OPERATE
+        held = self._operating and course.target is Mode.OPERATE and bool(self._due)
+        self._freeze = held and bool(self._controls.cycle_freeze)
+        self._sync = held and bool(self._controls.cycle_sync)
+        self._farewells.begin_round()
+        if self._cadence.fixed:
+            self._services = 1
+        else:
+            self._services = 1 if exchanging else turns.waiting
+            if course.target is Mode.OFFLINE:
+                self._services = 0
+
+    @property
+    def _everybody(self) -> bool:
+        """Nobody is left out: on the way down, and where an order waits for everybody."""
+        return self._course.descending or self._controls.wants_all
+
+    def _may_take_all(self, now: int) -> bool:
+        return not self._everybody or self._cadence.due(now, self._turns.interval_all)
+
+    def _before_data(self, now: int) -> Request | None:
+        request = self._controls.before_data(self._course.mode, now)
+        if request is None and self._freeze:
+            self._freeze = False
+            request = self._controls.cyclic(self._controls.cycle_freeze)
+        return request
+
+    def _data(self, now: int) -> Request | None:
+        """The next Data_Exchange; None when there is no more, or not yet."""
+        due = self._due
+        if self._paused:
+            self._paused = False
+            self._cadence.resume()
+        while self._cursor < len(due):
+            handler = due[self._cursor]
+            if handler.state is _DATA_EXCHANGE:
+                until = self._spaced.get(handler.setup.address) if self._spaced else None
+                if until is not None and now < until:
+                    if not self._cadence.fixed or until - now <= self._cadence.book.cycle_ns // 2:
+                        self._paused = True
+                        self._cadence.pause(until)
+                        return None
+                    self._cursor += 1
+                    continue  # its turn comes in the next cycle
+                self._cursor += 1
+                if self._turns.rates.uneven:
+                    self._turns.rates.taken(handler.setup.address, self._cadence.number)
+                return handler.data_request(self._outputs(handler, now))
+            self._cursor += 1
+        return None
+
+    def _leave(self, now: int) -> Request | None:
+        request = self._farewells.request(now, self._spaced, clear=self._course.mode is Mode.CLEAR)
+        return None if request is None else request._replace(cyclic=True)
+
+    def _outputs(self, handler: SlaveHandler, now: int) -> bytes:
+        course = self._course
+        if self._operating and course.mode is _OPERATE:
+            return handler.unit.outputs(now) if course.target is _OPERATE else handler.unit.safe_outputs()
+        # Clear: a Fail_Safe slave gets an empty frame, the others zeros (section J, Siemens CP5613)
+        return b"" if handler.setup.fail_safe else bytes(handler.image.output_len)
+
+    def _service(self, now: int, *, room: bool = True) -> Request | None:
+        while self._services:
+            self._services -= 1
+            chosen = self._turns.next(now, self._farewells.awaits, room=room)
+            if chosen is not None:
+                return chosen.service_request(now, long=self._turns.waits_long(chosen, now))
+        return None
+
+    def _between(self, now: int, *, room: bool = False) -> Request | None:
+        """What waits for a time between two cycles; what a cycle brought up does not wait for the next one.
+
+        ``room``: the gap has just begun.
+        """
+        self._turns.sort(self._handlers)
+        request = self._controls.repetition(self._course.mode, now)
+        if request is None:
+            request = self._service(now, room=room)
+        if request is not None and isinstance(request.tag, SlaveHandler):
+            longest = request.tag.setup.max_diag_len
+            last = request.tag.diagnoses.last
+            if longest is None:
+                longest = _DIAGNOSIS if last is None else max(_DIAGNOSIS, 6 + len(last.ext))
+            request = request._replace(answer=_ANSWERS.get(request.dsap or 0, longest))
+        return request
+
+    def _end(self, now: int) -> None:
+        self.open = False
+        self._cadence.over(now)
+        self._ended(now)
+
+    def started(self, request: Request, at: int) -> None:
+        """The first bit of ``request`` is on the line at ``at``."""
+        if self._unsent and request.cyclic:
+            self._unsent = False
+            self._cadence.started(at)
+        if request.dsap == SAP_GLOBAL_CONTROL:
+            self._free_at = at + self._controls.takes_ns
+        elif request.dsap is None:
+            tag = request.tag
+            handler = tag.handler if isinstance(tag, Leaving) else tag
+            if isinstance(handler, SlaveHandler) and (interval := handler.setup.min_slave_interval_ns):
+                self._spaced[request.da] = at + interval
+
+    def held_back(self, request: Request) -> None:
+        """It does not fit before the next cycle."""
+        handler = request.tag
+        if isinstance(handler, SlaveHandler):
+            handler.restart |= request.restart
+            self._turns.held_back(handler)
+        else:
+            self._controls.held_back(self._cadence.budget.next_at)
+
+    def cut(self, now: int) -> None:
+        """Whatever is under way is over: a whole round follows, on no grid."""
+        self.open = False
+        self._at_once = self._cadence.fixed
+        self._paused = False
+        self._cadence.stop(now)
+
+    def publish(self) -> CycleData | None:
+        """What came of it; None where nothing was sent in it."""
+        if self._unsent or not self._due:
+            return None
+        self._published += 1
+        cadence = self._cadence
+        exchanging = self._turns.exchanging
+        return CycleData(
+            number=cadence.number,
+            published=self._published,
+            t_ns=cadence.started_at,
+            due_ns=cadence.due_at,
+            inputs={h.setup.address: h.image.inputs for h in exchanging},
+            fresh=frozenset(h.setup.address for h in exchanging if h.image.input_time >= cadence.started_at),
+            missed=cadence.book.missed,
+        )

@@ -1,0 +1,95 @@
+"""Parser of the diagnoses of one slave: an event when they change, remarks on deviations, alarms for their handler."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from dpstack.dp.master.events import SlaveDiagnosis
+from dpstack.dp.master.fault_report import Findings
+from dpstack.dp.master.verdicts import deviations
+from dpstack.dp.pdu.diag_texts import block_texts
+from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dpv1.master.alarm_book import AlarmBook
+from dpstack.dpv1.master.alarm_handler import AlarmHandler
+from dpstack.trace import Event
+
+
+class Diagnoses:
+    """``last`` is the diagnosis read last. ``ident``: the one the device must have, None until the first is taken.
+
+    ``alarms`` in them, of a slave that is parameterised for DP-V1, noted in ``book``; ``ask(now)`` has one read.
+    """
+
+    __slots__ = ("_emit", "_findings", "_own", "_setup", "alarms", "flagged", "ident", "last")
+
+    def __init__(
+        self,
+        setup: SlaveSetup,
+        own: int,
+        findings: Findings,
+        emit: Callable[[Event], None],
+        ask: Callable[[int], None],
+        book: AlarmBook,
+    ) -> None:
+        self.last: Diagnosis | None = None
+        self.ident = setup.ident
+        self._setup = setup
+        self._own = own
+        self._findings = findings
+        self._emit = emit
+        #: the slave wants to be read: number of the first exchange with DH since the last one, 0 without
+        self.flagged = 0
+        self.alarms = None if setup.dpv1 is None else AlarmHandler(setup, findings, emit, ask, book)
+
+    def read(self, octets: bytes, now: int) -> Diagnosis | None:
+        """The answer to Slave_Diag; None when it is none."""
+        diagnosis = Diagnosis.parse(octets)
+        if diagnosis is None:
+            text = f"answers Slave_Diag with {len(octets)} octets, at least 6 are required"
+            self._findings.remark(text, now)
+            return None
+        if diagnosis != self.last:
+            self.last = diagnosis
+            self._emit(
+                SlaveDiagnosis(
+                    t_ns=now,
+                    address=self._setup.address,
+                    name=self._setup.name,
+                    diagnosis=diagnosis,
+                    texts=self.texts,
+                )
+            )
+        if self.ident is None:
+            self.ident = diagnosis.ident
+            self._findings.remark(f"its ident number is 0x{diagnosis.ident:04X} (taken from its diagnosis)", now)
+        for deviation in deviations(diagnosis, self._own):
+            self._findings.remark(deviation, now)
+        return diagnosis
+
+    def opened(self, now: int) -> None:
+        """Data exchange begins."""
+        if self.alarms is not None:
+            self.alarms.opened(self.last, now)
+
+    def flag(self, exchange: int) -> None:
+        """The answer to that Data_Exchange had DH."""
+        self.flagged = self.flagged or exchange
+
+    def exchanging(self, diagnosis: Diagnosis, exchanges: int, now: int) -> None:
+        """``diagnosis`` was read in data exchange, after so many ``exchanges``, and is of our slave."""
+        if self.alarms is not None:
+            self.alarms.take(diagnosis, self.flagged, exchanges, now)
+        self.flagged = 0
+
+    def closed(self, now: int) -> None:
+        """Data exchange is over."""
+        if self.alarms is not None:
+            self.alarms.closed(now)
+
+    @property
+    def texts(self) -> tuple[str, ...]:
+        """What the last extended diagnosis says, one line each."""
+        if self.last is None:
+            return ()
+        return block_texts(self.last, self._setup.texts, dpv1=self._setup.dpv1 is not None)

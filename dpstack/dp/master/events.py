@@ -1,0 +1,329 @@
+"""What the DP master tells the application."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from dpstack.dp.master.commands import Mode
+from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.trace import Event
+from dpstack.units import ms_text
+
+
+class SlaveState(Enum):
+    """State of the master's handling of one slave; the values are those of the JSON lines."""
+
+    OFFLINE = "offline"
+    DIAGNOSIS = "diagnosis"
+    SET_PRM = "set_prm"
+    CHK_CFG = "chk_cfg"
+    WAIT_READY = "wait_ready"
+    DATA_EXCHANGE = "data_exchange"
+    FAULT = "fault"
+    DEACTIVATED = "deactivated"  # taken out of service by order
+
+
+class FaultKind(Enum):
+    """Why a slave is not in data exchange."""
+
+    ABSENT = "absent"  # no answer at all
+    LOST = "lost"  # was in data exchange, no longer answers
+    WRONG_IDENT = "wrong_ident"
+    PRM_FAULT = "prm_fault"
+    CFG_FAULT = "cfg_fault"
+    NOT_SUPPORTED = "not_supported"
+    LOCKED = "locked"  # owned by another master
+    NOT_READY = "not_ready"  # accepts everything, never gets ready
+    WRONG_LENGTH = "wrong_length"
+    REFUSED = "refused"  # answers RS, UE, RR again and again
+    LEFT = "left"  # fell out of data exchange by itself (its watchdog, another parameter set)
+    PLUGIN = "plugin"  # an exception in a drive plugin or a cyclic function
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """A typed fault: what, in one clear line (``message``), and what to do (``remedy``)."""
+
+    kind: FaultKind
+    message: str
+    remedy: str
+
+    @property
+    def text(self) -> str:
+        """Both in one line."""
+        return f"{self.message}; {self.remedy}" if self.remedy else self.message
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlaveEvent(Event):
+    """Something about one slave."""
+
+    address: int
+    name: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlaveStateChanged(SlaveEvent):
+    """The master's handling of the slave reached another state."""
+
+    state: SlaveState
+
+    @property
+    def text(self) -> str:
+        """Which."""
+        return f"slave {self.address} ({self.name}): {self.state.value}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlaveFaulted(SlaveEvent):
+    """The slave has a fault. Told when the fault is new or has changed, not at every retry."""
+
+    fault: Fault
+
+    @property
+    def text(self) -> str:
+        """The one clear line."""
+        return f"slave {self.address} ({self.name}): {self.fault.text}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlaveDiagnosis(SlaveEvent):
+    """A diagnosis that differs from the last one was read."""
+
+    diagnosis: Diagnosis
+    #: what the extended diagnosis says, one line each, in the words of the device's GSD file where it has some
+    texts: tuple[str, ...] = ()
+
+    @property
+    def text(self) -> str:
+        """Its flags and texts."""
+        says = "; ".join((", ".join(self.diagnosis.flags) or "without findings", *self.texts))
+        return f"slave {self.address} ({self.name}): diagnosis {says}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlaveRemark(SlaveEvent):
+    """A deviation from the standard that is worth one line, once."""
+
+    message: str
+
+    @property
+    def text(self) -> str:
+        """The remark with the slave."""
+        return f"slave {self.address} ({self.name}): {self.message}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModeChanged(Event):
+    """The master reached a mode."""
+
+    mode: Mode
+
+    @property
+    def text(self) -> str:
+        """Which."""
+        return f"master: {self.mode.name.lower()}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MasterStopped(Event):
+    """The master has ended. ``cleared``: safe values and Clear were sent; False where it had no token to send them."""
+
+    cleared: bool = True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OperateWaits(Event):
+    """Operate was ordered with auto-clear; the master stays in Clear until ``slaves`` are in data exchange."""
+
+    slaves: tuple[int, ...]
+    reasons: tuple[str, ...]
+
+    @property
+    def text(self) -> str:
+        """Which, and why they are not."""
+        return f"master: auto_clear: stays in Clear until all slaves are in data exchange: {'; '.join(self.reasons)}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ForcedClear(Event):
+    """The master goes to Clear by itself, and stays there until Operate is ordered."""
+
+    @property
+    def why(self) -> str:
+        """The reason, without what to do."""
+        raise NotImplementedError
+
+    @property
+    def owed(self) -> bool:
+        """Each one waits for an order of the application."""
+        return True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AutoCleared(ForcedClear):
+    """Auto-clear: ``slaves`` had no good data exchange for the Data_Control_Time, so the master goes to Clear."""
+
+    slaves: tuple[int, ...]
+    reasons: tuple[str, ...]
+
+    @property
+    def why(self) -> str:
+        """Which slaves, and why."""
+        return f"auto_clear: {'; '.join(self.reasons)}"
+
+    @property
+    def text(self) -> str:
+        """Which, why, and what brings it back."""
+        return f"master: auto_clear: outputs become safe: {'; '.join(self.reasons)}; operate() again when it is back"
+
+
+class Blocked(Enum):
+    """What kept a master from asking its slaves; the values are those of the JSON lines."""
+
+    PROGRAM = "program"  # nobody ran the master: stopped, without a processor, or its event loop was blocked
+    SUSPENDED = "suspended"  # the computer slept
+    PORT = "port"  # the port was lost
+    TOKEN = "token"  # another master, or noise: the token did not come
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stalled(ForcedClear):
+    """``slaves`` were not asked for longer than their watchdogs, so the master goes to Clear before it asks them again.
+
+    ``gap_ns``: the longest time in which one of them was not asked; None where no clock shows it. ``blocked``: what
+    kept the master from asking, None where that is not known; ``reason`` is both for people.
+    """
+
+    gap_ns: int | None
+    slaves: tuple[int, ...]
+    blocked: Blocked | None
+    reason: str
+
+    @property
+    def why(self) -> str:
+        """Which slave was not asked, for how long, and what blocked."""
+        return f"stall: {self.reason}"
+
+    @property
+    def text(self) -> str:
+        """The same, and what brings it back."""
+        return (
+            f"master: stall: outputs become safe: {self.reason}; look at the plant, then operate() "
+            f'(after_stall = "resume" sends the old outputs again unasked)'
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ApplicationSilent(ForcedClear):
+    """The application watchdog ran out: nobody called ``alive()`` for ``limit_ns``."""
+
+    limit_ns: int
+
+    @property
+    def why(self) -> str:
+        """For how long."""
+        return f"application watchdog: alive() was not called for {ms_text(self.limit_ns)}"
+
+    @property
+    def text(self) -> str:
+        """The same, and what brings it back."""
+        return f"master: outputs become safe: {self.why}; operate() when the application works again"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CyclesMissed(Event):
+    """``count`` fixed cycles did not begin when they were due; ``missed`` with those before. Once a second at most.
+
+    ``number``, ``late_ns`` and ``reason`` are those of the worst one (of one left out: how late it was then).
+    """
+
+    count: int
+    missed: int
+    number: int
+    late_ns: int
+    reason: str
+
+    @property
+    def text(self) -> str:
+        """How many, how late, why."""
+        late = f"{ms_text(self.late_ns)} late: {self.reason}"
+        if self.count == 1:
+            return f"deadline miss {self.missed}: cycle {self.number} was {late}"
+        return f"deadline misses {self.missed - self.count + 1} to {self.missed}: cycle {self.number} was {late}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ControlSent(Event):
+    """The Global_Control ordered with ``token`` left the line; ``t_ns`` is the end of its last octet.
+
+    ``missed``: slaves of its groups that were not in data exchange and did not take it.
+    """
+
+    token: int
+    missed: tuple[int, ...] = ()
+
+    @property
+    def owed(self) -> bool:
+        """To who ordered it."""
+        return True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PictureTaken(Event):
+    """The inputs of every slave of the groups by address, each from an exchange after the order ``token`` was sent."""
+
+    token: int
+    inputs: dict[int, bytes]
+
+    @property
+    def owed(self) -> bool:
+        """To who ordered it."""
+        return True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ControlFailed(Event):
+    """The order ``token`` ended without being carried out to its end; ``address`` is of the slave that was missing."""
+
+    token: int
+    reason: str
+    address: int | None = None
+
+    @property
+    def owed(self) -> bool:
+        """To who ordered it."""
+        return True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DriveEvent(SlaveEvent):
+    """A drive plugin's answer or message: ``payload`` is plain JSON data with a ``"type"`` key."""
+
+    payload: dict[str, object]
+
+    @property
+    def text(self) -> str:
+        """The drive, and a status in short or the plugin's text; where it has neither, what the message is."""
+        payload, kind = self.payload, self.payload.get("type")
+        said = kind if payload.get("text") is None else payload["text"]
+        if kind == "status":
+            state, faults = str(payload.get("state")), _texts(payload.get("faults"))
+            if state == "fault" and faults:
+                parts = [f"fault: {', '.join(faults)}"]
+            else:
+                parts = [state, *(f"fault {one}" for one in faults)]
+            said = ", ".join((*parts, *(f"warning {one}" for one in _texts(payload.get("warnings")))))
+        elif kind == "failed":
+            said = f"its plugin failed: {said}"
+        return f"drive {self.address} ({self.name}): {said}"
+
+    @property
+    def owed(self) -> bool:
+        """The result of an order."""
+        return self.payload.get("type") == "result"
+
+
+def _texts(told: object) -> tuple[str, ...]:
+    return tuple(map(str, told)) if isinstance(told, (list, tuple)) else ()

@@ -1,0 +1,261 @@
+"""The texts of every fault of a slave: one clear line that says what, and what to do.
+
+One function a fault kind, so that the wording of a finding stands in one place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from functools import partial
+from typing import Final
+
+from dpstack.dp.master.events import Fault, FaultKind
+from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.pdu.requests import SET_PRM_LEN
+from dpstack.dp.slave_params import SlaveSetup
+from dpstack.fdl.interface import Failure
+from dpstack.text import octets_text
+from dpstack.units import baud_text
+
+#: a fault whose text needs the identifier octets of Get_Cfg: None where the slave does not tell them
+FaultOfCfg = Callable[[bytes | None], Fault]
+
+#: a remark, once: Set_Prm switched the watchdog on, the diagnosis says it is off
+NOT_WATCHING = (
+    "does not watch its master although Set_Prm switched its watchdog on (WD_On is 0): when this master dies it keeps "
+    "its outputs; see its manual"
+)
+
+
+_UNREADABLE: Final = (
+    "this is noise, or two stations that talk at once, rather than a slave without power: check cable, shielding and "
+    "termination, and look for a second station with its address"
+)
+
+
+def absent(address: int, baud: int, why: Failure = Failure.NO_ANSWER) -> Fault:
+    """No answer to Slave_Diag, several rounds long; ``why``: how the last request ended."""
+    if why is not Failure.NO_ANSWER:
+        return Fault(
+            FaultKind.ABSENT,
+            f"address {address} answers at {baud_text(baud)}, but not readably",
+            f"{_UNREADABLE}; it is asked again at least every second",
+        )
+    return Fault(
+        FaultKind.ABSENT,
+        f"no answer from address {address} at {baud_text(baud)}",
+        "check power, address switch, cable, termination and the baud rate; it is asked again at least every second",
+    )
+
+
+def lost(during: str, why: Failure) -> Fault:
+    """Stopped answering after it had answered; ``why``: how the last request ended, with all its attempts."""
+    if why is not Failure.NO_ANSWER:
+        return Fault(
+            FaultKind.LOST,
+            f"its answers to {during} cannot be read any more",
+            f"{_UNREADABLE}; it is taken up again as soon as its answers can be read",
+        )
+    return Fault(
+        FaultKind.LOST,
+        f"stopped answering during {during}",
+        "check its power and the cable; it is taken up again as soon as it answers",
+    )
+
+
+def bus_gone(reason: str) -> Fault:
+    """The port vanished, or this station is out of the ring."""
+    return Fault(FaultKind.LOST, reason, "it is taken up again as soon as the bus is back")
+
+
+def wrong_ident(expected: int | None, found: int) -> Fault:
+    """Another device than the configuration says."""
+    return Fault(
+        FaultKind.WRONG_IDENT,
+        f"is another device: ident 0x{found:04X} instead of 0x{expected or 0:04X}",
+        'put the right device there, or correct drive, gsd or ident (ident = "ask" takes what is found)',
+    )
+
+
+def locked(diagnosis: Diagnosis, master: int, masters: Collection[int] | None) -> Fault:
+    """Parameterised by another class 1 ``master``; ``masters``: those in the token ring, None: not known."""
+    if masters is not None and master not in masters:
+        return Fault(FaultKind.LOCKED, *left_locked(diagnosis, master))
+    return Fault(
+        FaultKind.LOCKED,
+        f"is owned by master {master}",
+        f"it is never taken away: stop master {master}, or remove the slave from one of the two configurations",
+    )
+
+
+def left_locked(diagnosis: Diagnosis, master: int) -> tuple[str, str]:
+    """(what, what to do) about a slave of a ``master`` that is not on the bus (any more)."""
+    wait = (
+        "wait: its watchdog is on and gives it free; or switch it off and on"
+        if diagnosis.wd_on
+        else f"its watchdog is off: switch it off and on, or let master {master} take it up again and end in order"
+    )
+    return f"is still locked by master {master}, which is not in the token ring (any more)", wait
+
+
+def not_supported() -> Fault:
+    """Diagnosis bit Not_Supported after Set_Prm."""
+    return Fault(
+        FaultKind.NOT_SUPPORTED,
+        "does not support something that Set_Prm asked for (Not_Supported)",
+        "take sync, freeze or the group out of its configuration",
+    )
+
+
+def refusal(setup: SlaveSetup, diagnosis: Diagnosis, sent: bytes) -> Fault | FaultOfCfg:
+    """What a diagnosis refuses: Set_Prm, whose octets were ``sent``, or Chk_Cfg."""
+    if diagnosis.prm_fault:
+        return prm_fault(setup, diagnosis, sent)
+    return not_supported() if diagnosis.not_supported else partial(cfg_fault, setup)
+
+
+def prm_fault(setup: SlaveSetup, diagnosis: Diagnosis, sent: bytes) -> Fault:
+    """Set_Prm refused. ``sent`` are the octets of Set_Prm."""
+    said = f", it adds {diagnosis.ext.hex(' ')}" if diagnosis.ext else ""
+    user = sent[SET_PRM_LEN:].hex(" ") or "none"
+    doubt = f"; {setup.prm_note}" if setup.prm_note else ""
+    return Fault(
+        FaultKind.PRM_FAULT,
+        f"refuses the parameters (Prm_Fault{said}): Set_Prm was {sent.hex(' ')}",
+        f"octets 5-6 are the ident, from octet 8 the user parameters ({user}): compare them with its GSD file{doubt}",
+    )
+
+
+def cfg_fault(setup: SlaveSetup, actual: bytes | None) -> Fault:
+    """Chk_Cfg refused. ``actual`` is what Get_Cfg gave, None when it gave nothing."""
+    difference, correction = _compared(setup.config, actual)
+    if actual is None:
+        correction = "compare config or telegram with its GSD file (it does not tell its own by Get_Cfg)"
+    return Fault(
+        FaultKind.CFG_FAULT,
+        f"refuses the configuration (Cfg_Fault): {difference}",
+        correction or "check the parameters that choose its telegram",
+    )
+
+
+def _compared(sent: bytes, actual: bytes | None) -> tuple[str, str]:
+    """(what differs, what to do about it): Chk_Cfg as it was ``sent``, and the ``actual`` octets of Get_Cfg, if any.
+
+    The remedy is empty where nothing is known to differ.
+    """
+    said = f"Chk_Cfg was {sent.hex(' ')}"
+    if actual is None:
+        return said, ""
+    if actual == sent:
+        return f"{said}, although Get_Cfg names the same", ""
+    pairs = enumerate(zip(sent, actual, strict=False))
+    at = next((i for i, (a, b) in pairs if a != b), min(len(sent), len(actual)))
+    return (
+        f"{said}, it has {actual.hex(' ')}: octet {at + 1} differs",
+        f'configure config = "{actual.hex(" ").upper()}" (or its modules) or change the telegram set in the device',
+    )
+
+
+def not_ready(setup: SlaveSetup, seconds: float, actual: bytes | None) -> Fault:
+    """Accepts parameters and configuration, never gets ready. ``actual`` as in :func:`cfg_fault`."""
+    difference, correction = _compared(setup.config, actual)
+    look = "look at the device: it may wait for its own start-up or for modules"
+    return Fault(
+        FaultKind.NOT_READY,
+        f"accepted parameters and configuration but is not ready after {seconds:.0f} s (Station_Not_Ready): "
+        f"{difference}",
+        f"{correction}; or {look}" if correction else look,
+    )
+
+
+def not_taken(setup: SlaveSetup, actual: bytes | None) -> Fault:
+    """Prm_Req after everything was acknowledged, again and again. ``actual`` as in :func:`cfg_fault`."""
+    difference, correction = _compared(setup.config, actual)
+    return Fault(
+        FaultKind.NOT_READY,
+        f"acknowledges parameters and configuration, and then wants parameters again (Prm_Req): {difference}",
+        correction
+        or "check ident, config and user parameters with its GSD file; its watchdog may be too short for this bus",
+    )
+
+
+def statically_ill(seconds: float) -> Fault:
+    """Stat_Diag stays set."""
+    return Fault(
+        FaultKind.NOT_READY,
+        f"reports a static diagnosis for {seconds:g} s (Stat_Diag): its inputs are not valid",
+        "look at the device's own fault display",
+    )
+
+
+def wrong_length(setup: SlaveSetup, expected: int, got: int, actual: bytes | None) -> Fault:
+    """Data_Exchange answers with ``got`` octets instead of ``expected``. ``actual`` as in :func:`cfg_fault`."""
+    difference, correction = _compared(setup.config, actual)
+    return Fault(
+        FaultKind.WRONG_LENGTH,
+        f"answers Data_Exchange with {octets_text(got)} instead of {expected}: {difference}",
+        correction or "its real configuration differs from config or telegram here: compare both with its GSD file",
+    )
+
+
+#: what helps against a negative status of a service of MS0
+_REFUSED: Final = {
+    "RS": "the service access point is not active: another kind of device, or one that needs a restart",
+    "RR": "the device says that it has no resources left for it: it is busy or hangs, look at its fault display",
+    "UE": "the device's own application reports an error: look at its fault display",
+}
+#: the same for Data_Exchange, of a slave whose diagnosis wants no parameters
+_REFUSED_DATA: Final = _REFUSED | {
+    "RS": "it is not in data exchange, although its diagnosis wants no parameters (Prm_Req is 0); the master "
+    "parameterises it again; look at its fault display",
+}
+_NO_ANSWER_TO_IT: Final = "no standard has that answer: another kind of device, or two stations with this address"
+
+
+def refused(service: str, status: str) -> Fault:
+    """A negative ``status`` (RS, UE, RR ...) again and again."""
+    known = _REFUSED_DATA if service == "Data_Exchange" else _REFUSED
+    return Fault(FaultKind.REFUSED, f"refuses {service} ({status})", known.get(status, _NO_ANSWER_TO_IT))
+
+
+def prm_silent(sent: bytes) -> Fault:
+    """Alive, but never acknowledges Set_Prm, whose octets were ``sent``."""
+    return Fault(
+        FaultKind.REFUSED,
+        f"does not acknowledge Set_Prm although it answers Slave_Diag: Set_Prm was {sent.hex(' ')}",
+        _DROPPED,
+    )
+
+
+def cfg_silent(setup: SlaveSetup, actual: bytes | None) -> Fault:
+    """Alive, but never acknowledges Chk_Cfg. ``actual`` as in :func:`cfg_fault`."""
+    difference, correction = _compared(setup.config, actual)
+    return Fault(
+        FaultKind.REFUSED,
+        f"does not acknowledge Chk_Cfg although it answers Slave_Diag: {difference}",
+        correction or _DROPPED,
+    )
+
+
+_DROPPED: Final = "some devices drop what they cannot accept: check ident, length and content of what is sent"
+
+
+def left(diagnosis: Diagnosis, status: str) -> Fault:
+    """Fell out of data exchange by itself. ``status``: how it refused Data_Exchange, "" where it did not."""
+    if status and not diagnosis.prm_req:
+        return refused("Data_Exchange", status)
+    return Fault(
+        FaultKind.LEFT,
+        "left data exchange by itself and wants parameters again"
+        + (" (its watchdog was on)" if diagnosis.wd_on else ""),
+        "if this repeats, its watchdog is too short for this bus (see `dpstack plan`) or it restarts",
+    )
+
+
+def plugin(error: BaseException) -> Fault:
+    """An exception in a drive plugin or another cyclic unit."""
+    return Fault(
+        FaultKind.PLUGIN,
+        f"its plugin failed ({type(error).__name__}: {error}): outputs are at their safe values",
+        "this is a defect of the plugin; restart the bus to try again",
+    )

@@ -1,0 +1,207 @@
+"""When the rounds over the slaves begin: as fast as the bus allows, or on an equidistant grid (best effort).
+
+With a fixed cycle the grid begins with the first request of the first round with data exchange. A round begins with the
+first token held at or after its grid time; so long the token goes round. After a delay the grid stays: what is late by
+up to half a cycle begins late, what is later is left out, so that two rounds never begin less than half a cycle apart
+(but for a token and the idle time between the judgement and the first bit).
+While the master goes to a lower mode, and while nobody is in data exchange, rounds run free.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+from dpstack.dp.master.cycle_part import CycleBook, MissReason
+from dpstack.dp.master.events import CyclesMissed
+from dpstack.dp.slave_params import SlaveSetup
+from dpstack.errors import ConfigError
+from dpstack.fdl.active.cycle_window import Budget
+from dpstack.trace import Event
+from dpstack.units import NEVER, NS_PER_S, ms_text
+
+#: misses are told at once after a quiet time of this length, else summed up over it
+_TOLD_EVERY: Final = NS_PER_S
+#: the grid begins with the first bit of its first round
+_OPEN: Final = -1
+
+
+class Cadence:
+    """``cycle_ns`` 0: free running. ``budget`` is for the link layer, :attr:`book` for everybody.
+
+    ``number`` of the last round, ``started_at`` its first bit, ``due_at`` when that was due.
+    """
+
+    __slots__ = (
+        "_begun_at",
+        "_interval",
+        "_misses",
+        "_next",
+        "_over_at",
+        "book",
+        "budget",
+        "due_at",
+        "number",
+        "started_at",
+    )
+
+    def __init__(self, cycle_ns: int, emit: Callable[[Event], None]) -> None:
+        self.book = CycleBook(cycle_ns)
+        self.budget = Budget()
+        self.number = 0
+        self.started_at = 0
+        self.due_at = 0
+        self._next = NEVER  # the grid
+        self._begun_at = 0
+        self._interval = 0  # the shortest time to the next round, free running
+        self._over_at = 0
+        self._misses = _Misses(self.book, emit)
+
+    @property
+    def fixed(self) -> bool:
+        """Rounds are on the grid now."""
+        return self._next != NEVER
+
+    def due(self, now: int, interval: int = 0) -> bool:
+        """Whether a round may begin with the token held ``now``; free running ``interval`` after the last at least."""
+        if self._next == NEVER:
+            return now >= self._begun_at + max(interval, self._interval)
+        late = now - self._next
+        cycle_ns = self.book.cycle_ns
+        if late > cycle_ns // 2:
+            left_out = -((cycle_ns // 2 - late) // cycle_ns)
+            reason, why = self._reason()
+            self.book.miss(reason, left_out=left_out, late=False)
+            self._misses.add(left_out, late, why, self.number + 1, now)
+            self.number += left_out
+            self._next += left_out * cycle_ns
+            self.budget.next_at = self._next
+        return now >= self._next
+
+    def begin(self, now: int, *, fixed: bool, interval: int) -> None:
+        """A round begins; ``fixed``: on the grid, else the next one not earlier than ``interval`` after ``now``."""
+        cycle_ns = self.book.cycle_ns
+        self.number += 1
+        self._begun_at, self._interval = now, interval
+        if fixed and cycle_ns:
+            going = self._next != NEVER
+            self.due_at = self._next if going else _OPEN
+            self._misses.why = self._reason()
+            self._next = (self.due_at if going else now) + cycle_ns
+            self.budget.begin(self._next)
+        elif self._next != NEVER:
+            self.stop(now)
+
+    def started(self, at: int) -> None:
+        """The first bit of the round's first request is on the line at ``at``."""
+        self.started_at = at
+        if self._next == NEVER:
+            self.due_at = at
+            return
+        book = self.book
+        if self.due_at == _OPEN:
+            self.due_at = at
+            self.budget.next_at = self._next = at + book.cycle_ns
+        late = at - self.due_at
+        book.begun += 1
+        book.late.add(late)
+        if late > book.tolerance_ns:
+            reason, why = self._misses.why
+            book.miss(reason, left_out=0, late=True)
+            self._misses.add(1, late, why, self.number, at)
+        elif self._misses.pending:
+            self._misses.tell(at)
+
+    def over(self, now: int) -> None:
+        """The cyclic part of the round is over."""
+        self._over_at = now
+
+    def pause(self, until: int) -> None:
+        """The round goes on at ``until``: the token may go round so long."""
+        self.budget.next_at = min(until, self._next)
+
+    def resume(self) -> None:
+        """The round goes on."""
+        self.budget.next_at = self._next
+
+    def stop(self, now: int) -> None:
+        """No more rounds on this grid."""
+        self._next = NEVER
+        self.budget.end()
+        self._misses.end(now)
+
+    def forget(self) -> None:
+        """The slaves are lost: the next round may begin at once."""
+        self._begun_at = self._interval = 0
+
+    def check(self, setup: SlaveSetup) -> None:
+        """Raises ConfigError where the fixed cycle is too fast for a slave."""
+        turn_ns = self.book.cycle_ns * setup.every
+        interval_ns = setup.min_slave_interval_ns
+        if turn_ns and interval_ns > turn_ns:
+            raise ConfigError(
+                f"slave {setup.address} ({setup.name}): its Min_Slave_Interval of {ms_text(interval_ns)} is longer "
+                f"than {ms_text(turn_ns)}, the time between its turns; give it every = "
+                f"{-(-interval_ns // self.book.cycle_ns)}, or take a longer cycle"
+            )
+
+    def _reason(self) -> tuple[MissReason, str]:
+        """Why the cycle that is due could not begin."""
+        if self._over_at > self._next:
+            return MissReason.OVERRUN, f"the round before took {ms_text(self._over_at - self.started_at)}"
+        if self.budget.overdrawn:
+            return MissReason.NO_ROOM, f"{self.budget.overdrawn} fits between no two cycles and was sent before"
+        if self.budget.silent:
+            return MissReason.SILENCE, f"{self.budget.silent} was not answered"
+        if not self.budget.alone:
+            return MissReason.TOKEN, "the token came late from another master"
+        return MissReason.LATE, "this computer or its port was late"
+
+
+class _Misses:
+    """Tells of deadline misses in a bounded way: the first at once, what follows within a second in one line."""
+
+    __slots__ = ("_book", "_count", "_emit", "_number", "_told_at", "_why", "_worst", "why")
+
+    def __init__(self, book: CycleBook, emit: Callable[[Event], None]) -> None:
+        #: the reason for the round under way, should it turn out to be late
+        self.why: tuple[MissReason, str] = (MissReason.LATE, "")
+        self._book = book
+        self._emit = emit
+        self._count = 0
+        self._worst = 0
+        self._number = 0
+        self._why = ""
+        self._told_at = -_TOLD_EVERY
+
+    @property
+    def pending(self) -> bool:
+        """There is something that was not told yet."""
+        return self._count > 0
+
+    def add(self, count: int, late_ns: int, why: str, number: int, now: int) -> None:
+        if not self._count or late_ns > self._worst:
+            self._worst, self._number, self._why = late_ns, number, why
+        self._count += count
+        self.tell(now)
+
+    def tell(self, now: int) -> None:
+        """Unless something was told less than a second ago."""
+        if now - self._told_at >= _TOLD_EVERY:
+            self._told_at = now
+            self.end(now)
+
+    def end(self, now: int) -> None:
+        """What is left."""
+        if self._count:
+            self._emit(
+                CyclesMissed(
+                    t_ns=now,
+                    count=self._count,
+                    missed=self._book.missed,
+                    number=self._number,
+                    late_ns=self._worst,
+                    reason=self._why,
+                )
+            )
+            self._count = 0

@@ -1,0 +1,177 @@
+"""When outputs are too old to be sent: the stall rule (``after_stall``) and the application watchdog.
+
+A stall is a time in which a slave was not asked for longer than its watchdog: the slave has taken its outputs back, and
+must not be given the old ones again without an order. The master asks :meth:`OutputsWatch.judge` before it sends
+anything; the answer is the event that takes it to Clear.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final, NamedTuple
+
+from dpstack.dp.master.events import ApplicationSilent, Blocked, ForcedClear, SlaveState, Stalled
+from dpstack.dp.master.slave_handler import SlaveHandler
+from dpstack.machine import HeldUp
+from dpstack.units import NEVER, ms_text
+
+#: slaves that are in no state to have outputs, and do not count among those that want parameters at once
+_AWAY: Final = (SlaveState.OFFLINE, SlaveState.FAULT, SlaveState.DEACTIVATED)
+#: so many slaves at least are "all": one alone may have been switched off and on
+_ALL: Final = 2
+
+
+class Block(NamedTuple):
+    """What kept the master from asking, and that for people."""
+
+    kind: Blocked
+    text: str
+
+
+class OutputsWatch:
+    """Watches ``handlers`` while the master is in Operate, or on its way there.
+
+    ``stalls``: the stall rule is on. ``application_ns``: the time of the application watchdog, 0 is off.
+    ``look_at``: before this time (ns) :meth:`judge` has nothing to say.
+    """
+
+    __slots__ = (
+        "_application_ns", "_down", "_handlers", "_held", "_stalls", "_token_at", "_token_gap", "_watching",
+        "alive_until", "look_at",
+    )  # fmt: skip
+
+    def __init__(self, handlers: Mapping[int, SlaveHandler], *, stalls: bool, application_ns: int) -> None:
+        self.look_at = NEVER
+        #: when the application watchdog runs out in ns, NEVER while it is off
+        self.alive_until = NEVER
+        self._handlers = handlers
+        self._stalls = stalls
+        self._application_ns = application_ns
+        self._watching = False
+        self._held: HeldUp | None = None  # the longest the driver told of since the last judgement
+        #: slaves that lost data exchange with the line and have not been asked since
+        self._down: dict[SlaveHandler, Block] = {}
+        self._token_at = 0
+        self._token_gap = 0
+
+    # --- what happens -------------------------------------------------------------------------------------------
+
+    def begin(self, now: int) -> None:
+        """Operate was ordered: the times count from here."""
+        for handler in self._handlers.values():
+            handler.asked_at = max(handler.asked_at, now)
+        self._down.clear()
+        self._watching = True
+        self.alive_until = now + self._application_ns if self._application_ns else NEVER
+        self.look_soon()
+
+    def end(self) -> None:
+        """Another mode was ordered: there are no outputs to watch."""
+        self._watching = False
+        self.alive_until = self.look_at = NEVER
+        self._down.clear()
+
+    def alive(self, now: int) -> None:
+        """The application is alive. Changes nothing where the watchdog has run out, or is off."""
+        if now < self.alive_until != NEVER:
+            self.alive_until = now + self._application_ns
+
+    def look_soon(self) -> None:
+        """Something changed: judge before the next request."""
+        if self._watching:
+            self.look_at = 0
+
+    def asked(self, handler: SlaveHandler, at: int) -> None:
+        """A request to ``handler`` goes out at ``at``: its watchdog begins anew."""
+        handler.asked_at = at
+        if self._down:
+            self._down.pop(handler, None)
+
+    def token(self, now: int) -> None:
+        """A token hold begins."""
+        self._token_gap = now - self._token_at
+        self._token_at = now
+
+    def held_up(self, gap: HeldUp) -> None:
+        """The driver did not run the machine for a while."""
+        if gap.suspended:  # the clock does not show it
+            for handler in self._handlers.values():
+                handler.asked_at -= gap.for_ns
+            if self.alive_until != NEVER:
+                self.alive_until -= gap.for_ns
+        if self._held is None or gap.for_ns > self._held.for_ns:
+            self._held = gap
+        self.look_soon()
+
+    def line_lost(self, reason: str, *, port: bool) -> None:
+        """Nothing can be sent any more: the port (``port``) or the token is lost. To be called before the handlers
+        are told, because they leave data exchange by it."""
+        if self._watching:
+            block = Block(Blocked.PORT if port else Blocked.TOKEN, reason)
+            for handler in self._handlers.values():
+                if handler.state is SlaveState.DATA_EXCHANGE:
+                    self._down.setdefault(handler, block)
+            self.look_soon()
+
+    # --- judging ------------------------------------------------------------------------------------------------
+
+    def judge(self, now: int) -> ForcedClear | None:
+        """Why the outputs are too old to be sent, or None; moves :attr:`look_at`."""
+        self.look_at = self.alive_until
+        if not self._watching:
+            return None
+        found = self._stalled(now) if self._stalls else None
+        if found is not None or not self._down:
+            self._held = None
+        if found is None and now >= self.alive_until:
+            return ApplicationSilent(t_ns=now, limit_ns=self._application_ns)
+        return found
+
+    def _stalled(self, now: int) -> Stalled | None:
+        overdue = []
+        for handler in self._handlers.values():
+            watchdog = handler.watchdog_effective_ns
+            if watchdog and (handler.state is SlaveState.DATA_EXCHANGE or handler in self._down):
+                if now - handler.asked_at > watchdog:
+                    overdue.append(handler)
+                else:
+                    self.look_at = min(self.look_at, handler.asked_at + watchdog + 1)
+        if overdue:
+            worst = max(overdue, key=lambda handler: now - handler.asked_at)
+            gap = now - worst.asked_at
+            block = self._block(worst, gap)
+            slaves = tuple(sorted(handler.setup.address for handler in overdue))
+            why = (
+                f"slave {worst.setup.address} ({worst.setup.name}) was not asked for {ms_text(gap)}, "
+                f"longer than its watchdog of {ms_text(worst.watchdog_effective_ns)}"
+            )
+            if block is None:
+                return Stalled(t_ns=now, gap_ns=gap, slaves=slaves, blocked=None, reason=why)
+            return Stalled(t_ns=now, gap_ns=gap, slaves=slaves, blocked=block.kind, reason=f"{why}: {block.text}")
+        return self._all_want_parameters(now)
+
+    def _block(self, handler: SlaveHandler, gap: int) -> Block | None:
+        """What took most of the time ``gap`` in which ``handler`` was not asked."""
+        held = self._held
+        if held is not None and 2 * held.for_ns >= gap:
+            return Block(Blocked.SUSPENDED if held.suspended else Blocked.PROGRAM, held.what)
+        if handler in self._down:
+            return self._down[handler]
+        if 2 * self._token_gap >= gap:
+            return Block(Blocked.TOKEN, f"the token did not come for {ms_text(self._token_gap)}")
+        return None
+
+    def _all_want_parameters(self, now: int) -> Stalled | None:
+        """No gap was seen, but the watchdogs of all slaves ran out in the same moment: a clock that stood still.
+
+        One slave alone is its own restart.
+        """
+        present = [h for h in self._handlers.values() if h.watchdog_effective_ns and h.state not in _AWAY]
+        times = [handler.prm_req_at for handler in present]
+        if len(present) < _ALL or NEVER in times:
+            return None
+        if max(times) - min(times) > min(handler.watchdog_effective_ns for handler in present):
+            return None
+        slaves = tuple(sorted(handler.setup.address for handler in present))
+        why = "all slaves with a watchdog want parameters (Prm_Req) at once, as after a time in which nobody asked them"
+        return Stalled(t_ns=now, gap_ns=None, slaves=slaves, blocked=None, reason=why)

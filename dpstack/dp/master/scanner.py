@@ -1,0 +1,282 @@
+"""The scanner: the live list, filled up with ident number, state and owner of each slave.
+
+It asks FDL status, Slave_Diag and, where wanted, Get_Cfg: nothing that changes anything, so no slave is taken from its
+master (B5: both services are open to every master in every state; a request from another address leaves watchdog and
+frame count of the owner alone). One request a token hold, in time that is left, like the live list.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import deque
+from collections.abc import Collection
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final
+
+from dpstack.dp.master.verdicts import foreign_owner
+from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.services import positive
+from dpstack.fdl.events import StationFound
+from dpstack.fdl.interface import Failure, Request
+from dpstack.fdl.livelist import LiveList
+from dpstack.fdl.telegram import SAP_GET_CFG, SAP_SLAVE_DIAG, SSAP_MS0, Req, StationType, Telegram
+from dpstack.trace import Event
+from dpstack.units import NEVER
+
+#: three first requests and the probe with FCV = 1 that finds slaves which know nothing else (A4)
+_ATTEMPTS: Final = 4
+
+
+class SlaveView(Enum):
+    """What a slave is doing, as anybody can read it in its diagnosis; the values are those of ``scan --json``."""
+
+    WAIT_PRM = "wait_prm"
+    WAIT_CFG = "wait_cfg"
+    DATA_EXCHANGE = "data_exchange"
+    UNKNOWN = "unknown"
+
+
+def view_of(diagnosis: Diagnosis | None) -> SlaveView:
+    """The state behind a diagnosis (B1: Prm_Req; Station_Not_Ready; a master's address)."""
+    if diagnosis is None:
+        return SlaveView.UNKNOWN
+    if diagnosis.prm_req:
+        return SlaveView.WAIT_PRM
+    if diagnosis.not_ready:
+        return SlaveView.WAIT_CFG
+    return SlaveView.UNKNOWN if diagnosis.master is None else SlaveView.DATA_EXCHANGE
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Found:
+    """One station. ``ident``, ``state``, ``master`` (its owner) and ``diagnosis`` of a slave, as far as it told them.
+
+    ``config``: its identifier octets where they were asked for and given.
+    """
+
+    address: int
+    kind: StationType
+    state: SlaveView | None = None
+    ident: int | None = None
+    master: int | None = None
+    config: bytes | None = None
+    diagnosis: Diagnosis | None = None
+
+    @property
+    def text(self) -> str:
+        """One line for people."""
+        words = [f"station {self.address}: {self.kind.name.lower().replace('_', ' ')}"]
+        if self.ident is not None:
+            words.append(f"ident 0x{self.ident:04X}")
+        if self.state is not None:
+            words.append(self.state.value)
+        if self.master is not None:
+            words.append(f"master {self.master}")
+        return ", ".join(words)
+
+    def as_dict(self) -> dict[str, object]:
+        """As in the JSON of ``scan``: what does not apply or is not known is null."""
+        return {
+            "address": self.address,
+            "type": self.kind.name.lower(),
+            "ident": None if self.ident is None else f"0x{self.ident:04X}",
+            "state": None if self.state is None else self.state.value,
+            "master": self.master,
+        }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StationSeen(Event):
+    """A station was found, or is another one or in another state than before; ``present`` False: it fell silent."""
+
+    found: Found
+    present: bool = True
+
+    @property
+    def text(self) -> str:
+        """The one line."""
+        return self.found.text if self.present else f"station {self.found.address} no longer answers"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScanDone(Event):
+    """Everything was asked once."""
+
+    stations: int
+
+    @property
+    def text(self) -> str:
+        """How many answered."""
+        return f"live list complete: {self.stations} stations besides this one"
+
+
+@dataclass(slots=True)
+class _Question:
+    address: int
+    sap: int
+    tries: int = _ATTEMPTS
+
+
+class Scanner:
+    """A ``LinkUser`` on top of ``live``; ``own`` is the asking station's address.
+
+    ``configs``: ask for the identifier octets too. ``skip``: addresses whose slaves are not asked (those of the DP
+    master beside it know more). ``period_ns``: ask each slave again so often; then ``wanted`` addresses that
+    are silent are asked again as well. :attr:`found` is the result, complete when :attr:`done`.
+    """
+
+    def __init__(
+        self,
+        own: int,
+        live: LiveList,
+        *,
+        configs: bool = False,
+        skip: Collection[int] = (),
+        period_ns: int = 0,
+        wanted: Collection[int] = (),
+    ) -> None:
+        self.live = live
+        self.found: dict[int, Found] = {}
+        #: everything was asked, once at least
+        self.done = False
+        self._own = own
+        self._configs = configs
+        self._skip = frozenset(skip)
+        self._period_ns = period_ns
+        self._wanted = tuple(wanted)
+        self._next_at = 0
+        self._questions: deque[_Question] = deque()
+        self._asked: _Question | None = None
+        self._turn = False
+        self._told: dict[int, Found] = {}
+        self._events: list[Event] = []
+
+    # --- link user ----------------------------------------------------------------------------------------------
+    def token_received(self, now: int) -> None:
+        """One request a hold."""
+        self._turn = True
+        self.live.token_received(now)
+        if self._period_ns and now >= self._next_at and not self._questions:
+            self._next_at = now + self._period_ns
+            for address in self._wanted:
+                if address not in self.found:
+                    self.live.ask_soon(address)
+            for found in self.found.values():
+                if found.kind is StationType.SLAVE:
+                    self._ask(found.address, SAP_SLAVE_DIAG)
+
+    def next_request(self, now: int, high_only: bool) -> Request | None:
+        """The next question to a slave that was found, else the next address of the live list."""
+        if high_only or not self._turn:
+            return None
+        if not self._questions:
+            request = self.live.next_request(now, high_only)
+            self._turn = request is None
+            return request
+        self._turn = False
+        question = self._asked = self._questions.popleft()
+        # its priority is that of all DP services on the wire (A4: some slaves know no other); here it waits for time
+        return Request(question.address, Req.SRD_HIGH, b"", question.sap, SSAP_MS0, patient=True)
+
+    def started(self, request: Request, at: int) -> None:
+        """The live list counts its silent polls."""
+        if request.dsap is None:
+            self.live.started(request, at)
+
+    def result(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
+        """What a station answered."""
+        question, self._asked = self._asked, None
+        if question is None:
+            self.live.result(request, outcome, now)
+            self._take_live(now)
+        elif outcome in (Failure.ABANDONED, Failure.REFUSED, Failure.HELD_BACK):
+            self._questions.appendleft(question)
+        elif isinstance(outcome, Telegram) and positive(question.sap, outcome):
+            self._answered(question, outcome.data, now)
+        else:
+            self._not_answered(question, now, silent=outcome is Failure.NO_ANSWER)
+        if not self.done and self.live.done and not self._questions:
+            self.done = True
+            self._events.append(ScanDone(t_ns=now, stations=len(self.found)))
+
+    def command(self, command: object, now: int) -> bool:
+        """It takes no orders."""
+        return False
+
+    def wake_at(self) -> int:
+        """Everything here is tied to the token."""
+        return NEVER
+
+    def tick(self, now: int) -> None:
+        """Nothing to do."""
+
+    def take_events(self) -> list[Event]:
+        """Stations found, changed and lost."""
+        events, self._events = self._events, []
+        return events
+
+    # --- what was found -----------------------------------------------------------------------------------------
+    def _take_live(self, now: int) -> None:
+        for event in self.live.take_events():
+            if not isinstance(event, StationFound):
+                continue
+            if event.kind is None:
+                self._gone(event.address, now)
+                continue
+            slave = event.kind is StationType.SLAVE
+            self.found[event.address] = Found(
+                address=event.address, kind=event.kind, state=SlaveView.UNKNOWN if slave else None
+            )
+            if slave and event.address not in self._skip:
+                self._ask(event.address, SAP_SLAVE_DIAG)
+                if self._configs:
+                    self._ask(event.address, SAP_GET_CFG)
+            else:
+                self._tell(event.address, now)
+
+    def _ask(self, address: int, sap: int) -> None:
+        self._questions.append(_Question(address, sap))
+
+    def _answered(self, question: _Question, data: bytes, now: int) -> None:
+        found = self.found.get(question.address)
+        if found is None:
+            return
+        if question.sap == SAP_GET_CFG:
+            self.found[question.address] = dataclasses.replace(found, config=data)
+            return
+        diagnosis = Diagnosis.parse(data)
+        state = view_of(diagnosis)
+        owner = None
+        if diagnosis is not None:
+            # some slaves name whoever asks: nobody can be owned by a station that only asks
+            owner = foreign_owner(diagnosis, self._own)
+        ident = None if diagnosis is None else diagnosis.ident
+        self.found[question.address] = dataclasses.replace(
+            found, state=state, ident=ident, master=owner, diagnosis=diagnosis
+        )
+        self._tell(question.address, now)
+
+    def _not_answered(self, question: _Question, now: int, *, silent: bool) -> None:
+        """Asked again as often as its first requests may take; then it is what the FDL status said, or gone."""
+        question.tries -= 1
+        if question.tries:
+            self._questions.append(question)
+        elif question.sap == SAP_SLAVE_DIAG:
+            if silent and question.address in self._told:
+                self.live.forget(question.address, now)
+                self._take_live(now)
+            else:
+                self._tell(question.address, now)
+
+    def _tell(self, address: int, now: int) -> None:
+        found = self.found.get(address)
+        if found is not None and found != self._told.get(address):
+            self._told[address] = found
+            self._events.append(StationSeen(t_ns=now, found=found))
+
+    def _gone(self, address: int, now: int) -> None:
+        found = self.found.pop(address, None)
+        self._told.pop(address, None)
+        if found is not None:
+            self._events.append(StationSeen(t_ns=now, found=found, present=False))

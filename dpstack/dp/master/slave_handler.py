@@ -1,0 +1,440 @@
+"""The master's handling of one slave: what to ask it next, and what its answers mean.
+
+The table of states is :mod:`dpstack.dp.master.slave_states`, the texts of the faults
+:mod:`dpstack.dp.master.fault_texts`, the back-off :mod:`dpstack.dp.master.retry_timing`; here is the judging of answers
+(:meth:`SlaveHandler.service_result`, :meth:`SlaveHandler.data_result`) and the book-keeping.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from functools import partial
+from typing import Final
+
+from dpstack.dp.master import fault_texts
+from dpstack.dp.master.diag_reader import Diagnoses
+from dpstack.dp.master.events import Fault, SlaveState, SlaveStateChanged
+from dpstack.dp.master.fault_report import Findings
+from dpstack.dp.master.odd_answers import OddAnswers
+from dpstack.dp.master.plugin_host import UnitHost
+from dpstack.dp.master.readiness import Readiness
+from dpstack.dp.master.retry_timing import Pacing
+from dpstack.dp.master.slave_states import TABLE, Ev
+from dpstack.dp.master.verdicts import foreign_owner, masters_view, verdict_exchanging
+from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.process_image import SlaveImage, image_of
+from dpstack.dp.services import DATA_STATUS, EMPTY_STATUS, SERVICE_NAMES, positive, refusal_text, set_prm
+from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_requests import SlaveRequests
+from dpstack.dpv1.master.alarm_book import AlarmBook
+from dpstack.dpv1.master.alarm_events import AlarmCounts
+from dpstack.dpv1.master.alarm_handler import AlarmHandler
+from dpstack.fdl.interface import Failure, Request
+from dpstack.fdl.telegram import (
+    SAP_CHK_CFG,
+    SAP_GET_CFG,
+    SAP_SET_PRM,
+    SAP_SLAVE_DIAG,
+    Resp,
+    Telegram,
+)
+from dpstack.trace import Event
+from dpstack.units import NEVER
+
+_MAX_BUSY: Final = 5
+_TOLD_ABSENT_AFTER: Final = 3
+_DH: Final = int(Resp.DH)
+#: asked in every exchange: an enum's member costs ten times a name of the module
+_DATA_EXCHANGE: Final = SlaveState.DATA_EXCHANGE
+_BRINGING_UP: Final = (SlaveState.DIAGNOSIS, SlaveState.SET_PRM, SlaveState.CHK_CFG, SlaveState.WAIT_READY)
+
+
+class SlaveHandler:
+    """One slave as the master handles it. ``emit`` takes events, ``changed`` is called after a change of state.
+
+    ``masters`` gives the addresses of the masters in the token ring, None where they are not known.
+
+    ``before``: its handling under other parameters: counters go on, and the image as :func:`image_of` says. ``still``:
+    whether outputs may still be sent (see :class:`~dpstack.fdl.interface.Request`).
+    """
+
+    def __init__(
+        self,
+        setup: SlaveSetup,
+        *,
+        own: int,
+        baud: int,
+        watchdog_ms: int,
+        emit: Callable[[Event], None],
+        changed: Callable[[SlaveHandler, int], None],
+        masters: Callable[[], Collection[int] | None] = lambda: None,
+        before: SlaveHandler | None = None,
+        still: Callable[[int], bool] | None = None,
+    ) -> None:
+        self.setup = setup
+        self.own = own
+        self.baud = baud
+        self.watchdog = setup.watchdog(watchdog_ms)
+        self.image: SlaveImage = image_of(setup, None if before is None else before.image)
+        self.findings = Findings(setup.address, setup.name, emit)
+        self.alarm_book: AlarmBook = AlarmBook() if before is None else before.alarm_book
+        self.diagnoses = Diagnoses(setup, own, self.findings, emit, self._want_diagnosis, self.alarm_book)
+        #: of a slave that is parameterised for DP-V1
+        self.alarms: AlarmHandler | None = self.diagnoses.alarms
+        self.unit = UnitHost(self.image, setup.safe_outputs, setup.address, setup.name, emit, self.findings.tell)
+        self.state = SlaveState.OFFLINE
+        #: in this state, in ns
+        self.since = 0
+        self.exchanges: int = 0 if before is None else before.exchanges
+        #: Set_Prm was sent, and no answer since says that the slave is not (or no longer) this master's
+        self.owned = False
+        #: first bit of the last request to it, in ns
+        self.asked_at = 0
+        #: it left data exchange by itself and said Prm_Req at this time, in ns; NEVER while it did not
+        self.prm_req_at = NEVER
+        #: Slave_Diag is wanted while in data exchange (DH, Stat_Diag)
+        self.diag_due = False
+        self._emit = emit
+        self._changed = changed
+        self._masters = masters
+        self._pacing = Pacing()
+        self._silent = 0
+        self._busy = 0
+        self._odd = OddAnswers()
+        #: the next service takes it up afresh (FCB)
+        self.restart = True
+        self._ready = Readiness()
+        #: a fault that waits for the answer to Get_Cfg: its event, and its text from these octets (None: no answer)
+        self._inquiry: tuple[Ev, fault_texts.FaultOfCfg] | None = None
+        #: why it left data exchange, until the next diagnosis says more: the status that refused it, "" for Prm_Req
+        self._left: str | None = None
+        #: the octets of the last Set_Prm
+        self._prm_sent = b""
+        self._refused_data = False  # it left data exchange by itself, and no diagnosis was read since
+        self._requests = SlaveRequests(setup.address, self, still)
+        #: Data_Exchange with the outputs given; the same object as long as they stay the same
+        self.data_request: Callable[[bytes], Request] = self._requests.data
+        if before is not None:
+            self.unit.fault = before.unit.fault
+            self.state = before.state if before.state is SlaveState.DEACTIVATED else self.state
+
+    @property
+    def ident(self) -> int:
+        """The ident number in Set_Prm: as configured, or as taken from the first diagnosis (0 before)."""
+        return self.diagnoses.ident or 0
+
+    @property
+    def watchdog_effective_ns(self) -> int:
+        """The slave's watchdog time in ns, 0 when off."""
+        return self.watchdog.ns if self.watchdog else 0
+
+    @property
+    def diagnosis(self) -> Diagnosis | None:
+        """The last diagnosis with the bits that a master sets (Deactivated, Station_Non_Existent ...)."""
+        return masters_view(self.diagnoses.last, self.state, self.findings.fault)
+
+    @property
+    def fault(self) -> Fault | None:
+        """The last fault since the slave was in data exchange."""
+        return self.findings.fault
+
+    # --- cyclic path --------------------------------------------------------------------------------------------
+
+    def data_result(self, outcome: Telegram | Failure, now: int) -> None:
+        """The answer to Data_Exchange: data into the image, everything else on to the judging."""
+        if isinstance(outcome, Telegram):
+            status = outcome.fc & 0x0F
+            # SC (fc = -1) and an empty LE = 3 answer are legal where there are no inputs (B6, section I)
+            image = self.image
+            if status in DATA_STATUS if image.input_len else (outcome.fc < 0 or status in EMPTY_STATUS):
+                data = outcome.data
+                if len(data) == image.input_len and self.state is _DATA_EXCHANGE:
+                    image.inputs = data
+                    image.input_time = now
+                    if not image.valid:
+                        last = self.diagnoses.last
+                        image.valid = last is None or not last.stat_diag
+                    self.exchanges += 1
+                    if not self._odd.none:
+                        self._odd.clear()
+                    if status == _DH:
+                        self.diagnoses.flag(self.exchanges)
+                        self._want_diagnosis(now)
+                    return
+        self._odd_data(outcome, now)
+
+    def _odd_data(self, outcome: Telegram | Failure, now: int) -> None:
+        if outcome is Failure.ABANDONED or self.state is not SlaveState.DATA_EXCHANGE:
+            return
+        if not isinstance(outcome, Telegram):
+            self._step(Ev.SILENT, now, fault_texts.lost("Data_Exchange", outcome))
+            return
+        verdict = self._odd.judge(outcome)
+        if verdict is Ev.WRONG_LENGTH:
+            # safe outputs and Unlock at once; the fault is told with what Get_Cfg says
+            self._step(verdict, now)
+            self._inquire(
+                verdict, partial(fault_texts.wrong_length, self.setup, self.image.input_len, len(outcome.data))
+            )
+        elif verdict is not None:
+            self._left = refusal_text(outcome)
+            self._step(verdict, now)
+
+    # --- services -----------------------------------------------------------------------------------------------
+
+    def wants_service(self, now: int) -> bool:
+        """True when a request other than Data_Exchange is due."""
+        if self.state is SlaveState.DEACTIVATED:
+            return False
+        if self._inquiry is not None:
+            return True
+        return self._pacing.due <= now and (self.state is not _DATA_EXCHANGE or self.diag_due)
+
+    @property
+    def under_way(self) -> bool:
+        """Between the diagnosis that gave it free and the first one after Chk_Cfg: others wait, because its watchdog
+        runs, and because that diagnosis must not grow old.
+        """
+        match self.state:
+            case SlaveState.SET_PRM | SlaveState.CHK_CFG:
+                return True
+            case SlaveState.WAIT_READY:
+                return self._pacing.due <= self.since
+            case _:
+                return False
+
+    def long_due(self, *, spared: bool) -> bool:
+        """It is absent, and its next poll is one with patience; while others had theirs (``spared``) only its first."""
+        pacing = self._pacing
+        return self.state is SlaveState.OFFLINE and pacing.long_due and not (spared and pacing.searched)
+
+    def service_request(self, now: int, *, long: bool = False) -> Request:
+        """The next step of the bring-up, or the diagnosis in data exchange. ``long``: wait for an absent slave."""
+        if self._inquiry is not None:
+            return self._service(SAP_GET_CFG, b"")
+        state = self.state
+        if state is SlaveState.FAULT:
+            self.restart = True
+        if state is SlaveState.SET_PRM:
+            self.owned = True
+            self._prm_sent = set_prm(self.setup, self.ident, self.watchdog)
+            return self._service(SAP_SET_PRM, self._prm_sent)
+        if state is SlaveState.CHK_CFG:
+            self._ready.cfg_sent = True
+            return self._service(SAP_CHK_CFG, self.setup.config)
+        return self._service(SAP_SLAVE_DIAG, b"", long=long)
+
+    def _service(self, sap: int, data: bytes, *, long: bool = False) -> Request:
+        restart, self.restart = self.restart, False
+        patient = self.state is not SlaveState.OFFLINE
+        return self._requests.service(sap, data, patient=patient, restart=restart, long=long)
+
+    def service_result(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
+        """The end of a request that :meth:`service_request` made."""
+        if outcome is Failure.ABANDONED or self.state is SlaveState.DEACTIVATED:
+            return
+        good = outcome if isinstance(outcome, Telegram) and positive(request.dsap, outcome) else None
+        service = SERVICE_NAMES[request.dsap or 0]
+        if request.dsap == SAP_GET_CFG:
+            self._cfg_told(good.data if good else None, now)
+        elif not isinstance(outcome, Telegram):
+            self._on_silence(service, outcome, now, long=request.extra_ns > 0)
+        else:
+            self._silent = 0
+            if good is None:
+                self._on_refusal(outcome, service, now)
+                return
+            self._busy = 0
+            if request.dsap == SAP_SLAVE_DIAG:
+                self._on_diagnosis(good, now)
+            else:
+                self._step(Ev.ACK, now)
+
+    def _on_silence(self, service: str, why: Failure, now: int, *, long: bool) -> None:
+        if self.state is SlaveState.OFFLINE:
+            self._silent += 1
+            self._pacing.absent(now, long=long)
+            if self._silent >= _TOLD_ABSENT_AFTER and not self.findings.silence_told:
+                self.findings.tell(fault_texts.absent(self.setup.address, self.baud, why), now)
+            self._step(Ev.SILENT, now)
+            return
+        fault = None
+        if self.state in (SlaveState.SET_PRM, SlaveState.CHK_CFG):
+            self._ready.unacked = service
+        else:
+            fault = fault_texts.lost(service, why)
+        self._step(Ev.SILENT, now, fault)
+
+    def _on_refusal(self, outcome: Telegram, service: str, now: int) -> None:
+        self._busy += 1
+        self._pacing.busy(now)
+        if self._busy >= _MAX_BUSY:
+            self._busy = 0
+            self._step(Ev.REFUSED, now, fault_texts.refused(service, refusal_text(outcome)))
+
+    # --- diagnosis ----------------------------------------------------------------------------------------------
+
+    def _on_diagnosis(self, answer: Telegram, now: int) -> None:
+        diagnosis = self.diagnoses.read(answer.data, now)
+        if diagnosis is None:
+            self._on_refusal(answer, "Slave_Diag", now)
+            return
+        owner = foreign_owner(diagnosis, self.own)
+        if self._refused_data:
+            self._refused_data = False
+            if diagnosis.prm_req:
+                self.prm_req_at = now
+        if diagnosis.prm_req or owner is not None or diagnosis.ident != self.ident:
+            self.owned = False
+        if diagnosis.ident != self.ident:
+            self._step(Ev.DIAG_OTHER, now, fault_texts.wrong_ident(self.ident, diagnosis.ident))
+        elif owner is not None:
+            self._step(Ev.DIAG_LOCKED, now, fault_texts.locked(diagnosis, owner, self._masters()))
+        elif self.state is SlaveState.DATA_EXCHANGE:
+            self._judge_exchanging(diagnosis, now)
+        elif self.state is SlaveState.WAIT_READY:
+            self._judge_ready(diagnosis, now)
+        else:
+            if self._left is not None:
+                self.findings.tell(fault_texts.left(diagnosis, self._left), now)
+                self._left = None
+            if not self._pacing.pauses(now):
+                self._step(Ev.DIAG_FREE, now)
+
+    def _judge_ready(self, diagnosis: Diagnosis, now: int) -> None:
+        waited = now - self.since
+        verdict, fault = self._ready.judge(self.setup, diagnosis, self._prm_sent, waited)
+        if fault is not None and not isinstance(fault, Fault):
+            self._inquire(verdict, fault)
+            return
+        if verdict is Ev.DIAG_WAIT:
+            self._pacing.not_ready(now, waited)
+        elif verdict is Ev.DIAG_READY and self.watchdog and not diagnosis.wd_on:
+            self.findings.remark(fault_texts.NOT_WATCHING, now)
+        self._step(verdict, now, fault)
+
+    def _inquire(self, event: Ev, fault: fault_texts.FaultOfCfg) -> None:
+        """Ask Get_Cfg next: what the slave has instead belongs into the fault before it is told."""
+        self._inquiry = (event, fault)
+        if self.state is SlaveState.FAULT:
+            self.findings.fault = fault(None)
+
+    def _cfg_told(self, actual: bytes | None, now: int) -> None:
+        """The end of Get_Cfg."""
+        if self._inquiry is None:
+            return
+        (event, fault_of), self._inquiry = self._inquiry, None
+        if self.state is SlaveState.FAULT:
+            self.findings.tell(fault_of(actual), now)
+            self._changed(self, now)
+        else:
+            self._step(event, now, fault_of(actual))
+
+    def _judge_exchanging(self, diagnosis: Diagnosis, now: int) -> None:
+        verdict = verdict_exchanging(diagnosis)
+        self.diag_due = verdict is Ev.DIAG_WAIT
+        self._pacing.exchanging(now, static=self.diag_due)
+        self.image.valid = verdict is Ev.DIAG_READY
+        self._left = "" if verdict is Ev.DIAG_PRM_REQ else None
+        fault = None
+        if verdict is Ev.DIAG_REFUSED:
+            refusal = fault_texts.refusal(self.setup, diagnosis, self._prm_sent)
+            if not isinstance(refusal, Fault):
+                self._step(verdict, now)
+                self._inquire(verdict, refusal)
+                return
+            fault = refusal
+        self._step(verdict, now, fault)
+        if self.state is SlaveState.DATA_EXCHANGE:
+            self.diagnoses.exchanging(diagnosis, self.exchanges, now)
+        self._changed(self, now)
+
+    @property
+    def alarm_counts(self) -> AlarmCounts | None:
+        """What came of its alarms; None where it can have none."""
+        return None if self.alarms is None else self.alarm_book.counts
+
+    def _want_diagnosis(self, now: int) -> None:
+        if not self.diag_due:
+            self.diag_due = True
+            self._changed(self, now)
+
+    # --- states -------------------------------------------------------------------------------------------------
+
+    def _step(self, event: Ev, now: int, fault: Fault | None = None) -> None:
+        row = TABLE.get((self.state, event))
+        if row is None:
+            return
+        if fault is not None:
+            self.findings.tell(fault, now)
+        if row.next is not self.state:
+            self._enter(row.next, now)
+        elif row.next is SlaveState.FAULT:
+            self._busy = 0
+            self._pacing.refused(now)
+
+    def _enter(self, state: SlaveState, now: int) -> None:
+        was, self.state = self.state, state
+        if was is SlaveState.DATA_EXCHANGE:
+            self._leave_exchange(now, silent=state is SlaveState.OFFLINE)
+        self.since = now
+        self._busy = 0
+        self._refused_data = was is _DATA_EXCHANGE and state is SlaveState.DIAGNOSIS
+        if state not in _BRINGING_UP:
+            self.prm_req_at = NEVER
+        self._odd.clear()
+        self._ready.entered(state)
+        if state in (SlaveState.DATA_EXCHANGE, SlaveState.DEACTIVATED):
+            self.findings.clear()
+        if state is SlaveState.DATA_EXCHANGE:
+            self.unit.remind(now)
+            self.diagnoses.opened(now)
+        elif state is SlaveState.FAULT:
+            self._pacing.refused(now)
+        elif state in (SlaveState.OFFLINE, SlaveState.DEACTIVATED):
+            self.restart = True
+            self.owned = False
+            self._left = self._inquiry = None
+            self._silent = 0
+            self._pacing.absent(now)
+        name, address = self.setup.name, self.setup.address
+        self._emit(SlaveStateChanged(t_ns=now, address=address, name=name, state=state))
+        self._changed(self, now)
+
+    def _leave_exchange(self, now: int, *, silent: bool) -> None:
+        """Inputs are void, what the plugin had pending ends; the next bring-up starts afresh."""
+        self.image.valid = False
+        self.diag_due = False
+        self.restart = True
+        self._pacing.left(now, now - self.since, silent=silent)
+        self.unit.lost(now)
+        self.diagnoses.closed(now)
+
+    def deactivate(self, now: int) -> None:
+        """Take it out of service; nothing is asked of it until :meth:`activate`."""
+        self._step(Ev.DEACTIVATE, now)
+
+    def activate(self, now: int) -> None:
+        """Bring it up (again), from the beginning."""
+        if self.state is SlaveState.DEACTIVATED:
+            self._step(Ev.ACTIVATE, now)
+            self._pacing = Pacing()
+
+    def station_found(self, now: int) -> None:
+        """A GAP poll of its address was answered after silence: perhaps another device, so no back-off counts."""
+        if self.state in (SlaveState.FAULT, SlaveState.OFFLINE):
+            self._pacing.anew(now)
+
+    def diagnosis_seen(self, octets: bytes, now: int) -> None:
+        """Somebody else at this station has read its diagnosis: another ident is another device."""
+        diagnosis, last = Diagnosis.parse(octets), self.diagnoses.last
+        if diagnosis is not None and last is not None and diagnosis.ident != last.ident:
+            self.station_found(now)
+
+    def line_lost(self, reason: str, now: int) -> None:
+        """The bus is gone (port vanished, out of the ring): nobody is in data exchange any more."""
+        if self.state not in (SlaveState.OFFLINE, SlaveState.DEACTIVATED):
+            if self.state is SlaveState.DATA_EXCHANGE:
+                self.findings.tell(fault_texts.bus_gone(reason), now)
+            self._enter(SlaveState.OFFLINE, now)
+            self._pacing.due = now

@@ -1,0 +1,135 @@
+"""The slaves of a master come and go while the bus runs: added, removed, taken out of service, parameterised anew."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+
+from dpstack.dp.master.commands import ActivateSlave, AddSlave, DeactivateSlave, RemoveSlave, ReparameteriseSlave
+from dpstack.dp.master.events import SlaveState, SlaveStateChanged
+from dpstack.dp.master.farewell import Farewells
+from dpstack.dp.master.global_control import Controls
+from dpstack.dp.master.poll_order import Turns
+from dpstack.dp.master.slave_handler import SlaveHandler
+from dpstack.dp.slave_params import SlaveSetup
+from dpstack.errors import ConfigError, UsageError
+from dpstack.params import BusParams
+from dpstack.trace import Event
+
+Change = AddSlave | RemoveSlave | DeactivateSlave | ActivateSlave | ReparameteriseSlave
+
+
+class Roster:
+    """Who is handled, in ``handlers`` by address. ``sending``: whether anything may be sent to slaves now.
+
+    ``check`` raises ConfigError for a slave that does not go with the cycle. ``still``: whether outputs may still be
+    sent; ``look_soon()`` is called when a slave came into data exchange or left it.
+
+    Every change is checked as a whole before anything happens.
+    """
+
+    def __init__(
+        self,
+        params: BusParams,
+        handlers: dict[int, SlaveHandler],
+        *,
+        watchdog_ms: int,
+        turns: Turns,
+        farewells: Farewells,
+        controls: Controls,
+        sending: Callable[[], bool],
+        emit: Callable[[Event], None],
+        check: Callable[[SlaveSetup], None],
+        masters: Callable[[], Collection[int] | None],
+        still: Callable[[int], bool],
+        look_soon: Callable[[], None],
+    ) -> None:
+        self._params = params
+        self._handlers = handlers
+        self._watchdog_ms = watchdog_ms
+        self._turns = turns
+        self._farewells = farewells
+        self._controls = controls
+        self._sending = sending
+        self._emit = emit
+        self._check = check
+        self._masters = masters
+        self._still = still
+        self._look_soon = look_soon
+
+    def find(self, address: int) -> SlaveHandler:
+        """The handling of the slave at ``address``. Raises UsageError naming those there are."""
+        handler = self._handlers.get(address)
+        if handler is None:
+            known = ", ".join(map(str, sorted(self._handlers))) or "none"
+            raise UsageError(f"no slave with address {address} is configured (configured: {known})")
+        return handler
+
+    def command(self, command: Change, now: int) -> None:
+        """Carry out one change. Raises UsageError or ConfigError before anything is changed."""
+        match command:
+            case AddSlave(setup):
+                self.add(setup)
+            case RemoveSlave(address):
+                self._remove(self.find(address), now)
+            case DeactivateSlave(address):
+                handler = self.find(address)
+                self._bid_farewell(handler, now, exchanging=handler.state is SlaveState.DATA_EXCHANGE)
+                handler.deactivate(now)
+            case ActivateSlave(address):
+                self.find(address).activate(now)
+            case ReparameteriseSlave(setup):
+                before = self.find(setup.address)
+                handler = self._make(setup, before)
+                self._remove(before, now)
+                self._handlers[setup.address] = handler
+                self._emit(SlaveStateChanged(t_ns=now, address=setup.address, name=setup.name, state=handler.state))
+
+    def add(self, setup: SlaveSetup) -> None:
+        """Take up one more. Raises ConfigError."""
+        if setup.address in self._handlers:
+            other = self._handlers[setup.address].setup.name
+            raise ConfigError(f"slaves {other} and {setup.name} both have address {setup.address}")
+        if setup.address == self._params.address:
+            raise ConfigError(f"slave {setup.name} has the master's own address {setup.address}")
+        self._handlers[setup.address] = self._make(setup)
+        self._turns.changed()
+
+    def _make(self, setup: SlaveSetup, before: SlaveHandler | None = None) -> SlaveHandler:
+        self._check(setup)
+        return SlaveHandler(
+            setup,
+            own=self._params.address,
+            baud=self._params.baud,
+            watchdog_ms=self._watchdog_ms,
+            emit=self._emit,
+            changed=self._changed,
+            masters=self._masters,
+            before=before,
+            still=self._still,
+        )
+
+    def _remove(self, handler: SlaveHandler, now: int) -> None:
+        """Safe values as at the end, then Unlock, then it is forgotten."""
+        self._bid_farewell(handler, now, exchanging=handler.state is SlaveState.DATA_EXCHANGE)
+        del self._handlers[handler.setup.address]
+        self._turns.forget(handler)
+        handler.unit.lost(now)
+        handler.diagnoses.closed(now)
+        handler.image.valid = False
+        handler.state = SlaveState.OFFLINE  # nothing more for it in this round
+
+    def _bid_farewell(self, handler: SlaveHandler, now: int, *, exchanging: bool) -> None:
+        address = handler.setup.address
+        if self._sending():
+            self._farewells.add(handler, now, exchanging=exchanging, held=self._controls.holds(address))
+        self._controls.forget(address)
+
+    def _changed(self, handler: SlaveHandler, now: int) -> None:
+        """It reached another state: what comes into data exchange is told the mode, what ends there ill is given up."""
+        self._turns.changed()
+        self._look_soon()
+        was_exchanging = handler in self._turns.exchanging
+        if handler.state is SlaveState.DATA_EXCHANGE and not was_exchanging:
+            self._controls.entered(handler)
+        elif handler.state is SlaveState.FAULT and was_exchanging and handler.owned:
+            self._bid_farewell(handler, now, exchanging=True)  # or it keeps its last outputs until its watchdog

@@ -1,0 +1,1 @@
+"""The octets of DP-V0: requests, diagnosis, and what they mean."""

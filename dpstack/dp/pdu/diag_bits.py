@@ -1,0 +1,122 @@
+"""Every bit of the diagnosis in one table: who sets it, what the master does about it, what the user reads.
+
+The judging (:mod:`dpstack.dp.master.verdicts`) works from this table, and docs/dp-v0.md is written from it. Sources:
+protocol facts B1 (Siemens SINAMICS and Norgren manuals, EN 50170-2), B6, I.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import Final, NamedTuple
+
+
+class SetBy(Enum):
+    """Who sets a bit: the slave itself, or the master in the diagnosis that it keeps for its user."""
+
+    SLAVE = "slave"
+    MASTER = "master"
+
+
+class Does(Enum):
+    """What the master does when it reads the bit, the weightiest last; the values stand in the documents."""
+
+    TELLS = "tells it, goes on"
+    WAITS = "asks again until it is gone"
+    PARAMETERISES = "begins again with Set_Prm"
+    REFUSES = "ends with a fault, tries again after 1 to 10 s"
+
+
+#: of several bits the weightiest counts
+WEIGHT: Final = {does: at for at, does in enumerate(Does)}
+
+
+class Flag(NamedTuple):
+    """One bit. ``text`` says what it means, ``remedy`` what to do (empty: nothing is wrong).
+
+    ``bring_up`` and ``exchange``: what the master does after Set_Prm and Chk_Cfg, and in data exchange; of a bit that
+    it sets itself, None: whatever a slave puts there is ignored. ``note``: more about what the master does.
+    """
+
+    octet: int  # 1..3
+    mask: int
+    name: str
+    set_by: SetBy
+    bring_up: Does | None
+    exchange: Does | None
+    text: str
+    remedy: str = ""
+    note: str = ""
+
+
+_S, _M = SetBy.SLAVE, SetBy.MASTER
+_T, _W, _P, _R = Does
+
+#: Status 2 bit 2 is always 1; some slaves forget it, nobody needs it.
+ALWAYS_ONE: Final = 0x04
+
+#: Every bit of the three status octets that says something, in the order of the wire.
+FLAGS: Final = (
+    Flag(
+        1, 0x01, "station_non_existent", _M, None, None, "does not answer", "check power, address and cable",
+        "set while it does not answer; asked again after 0.1 to 1 s",
+    ),
+    Flag(
+        1, 0x02, "station_not_ready", _S, _W, _T, "is not ready for data exchange", "wait; then look at the device",
+        "after 10 s the fault not_ready, with the octet in which Get_Cfg differs",
+    ),
+    Flag(
+        1, 0x04, "cfg_fault", _S, _R, _R,
+        "refuses the configuration", "compare the identifier octets with its GSD file",
+        "reads the real identifiers by Get_Cfg and names the octet that differs",
+    ),
+    Flag(
+        1, 0x08, "ext_diag", _S, _T, _T, "has something to tell in its extended diagnosis", "look at the device",
+        "decodes the blocks; without this bit they are messages of state, no error",
+    ),
+    Flag(
+        1, 0x10, "not_supported", _S, _R, _T,
+        "does not know a function that was asked for", "leave out sync and freeze",
+    ),
+    Flag(
+        1, 0x20, "invalid_slave_response", _M, None, None,
+        "gave an impossible answer", "look for a second one at its address",
+        "set after answers of the wrong length; gives safe outputs and unlocks it",
+    ),
+    Flag(
+        1, 0x40, "prm_fault", _S, _R, _R,
+        "refuses the parameters", "compare ident number and parameters with its GSD file",
+        "tells the octets that were sent and what the slave adds",
+    ),
+    Flag(
+        1, 0x80, "master_lock", _M, None, None,
+        "is parameterised by another master", "stop that master, or leave the slave out",
+        "set by the master address in octet 4; never parameterised",
+    ),
+    Flag(2, 0x01, "prm_req", _S, _P, _P, "wants to be parameterised", "the master does it", "at most three times"),
+    Flag(
+        2, 0x02, "stat_diag", _S, _W, _W, "cannot give valid data", "look at the device's own fault display",
+        "in data exchange every 100 ms; outputs go on, inputs are not valid until then",
+    ),
+    Flag(2, 0x08, "wd_on", _S, _T, _T, "watches its master", note="a slave that should and does not is told"),
+    Flag(2, 0x10, "freeze_mode", _S, _T, _T, "its inputs are frozen"),
+    Flag(2, 0x20, "sync_mode", _S, _T, _T, "its outputs are held until the next SYNC"),
+    Flag(
+        2, 0x40, "not_present", _M, None, None, "is not there", "check power, address and cable",
+        "other masters set it; this one says station_non_existent",
+    ),
+    Flag(
+        2, 0x80, "deactivated", _M, None, None, "is taken out of service by its master", "",
+        "set after deactivate(): safe outputs, Unlock, then nothing is sent to it until activate()",
+    ),
+    Flag(
+        3, 0x80, "ext_diag_overflow", _S, _T, _T, "has more diagnosis than fits", "look at the device itself",
+        "what came is decoded",
+    ),
+)  # fmt: skip
+
+FLAG: Final = {flag.name: flag for flag in FLAGS}
+
+
+def weightiest(names: tuple[Does | None, ...]) -> Does:
+    """The weightiest of what the bits of one diagnosis ask for."""
+    return max((does for does in names if does is not None), key=WEIGHT.__getitem__, default=Does.TELLS)

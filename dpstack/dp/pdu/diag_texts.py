@@ -1,0 +1,100 @@
+"""The blocks of an extended diagnosis in words: the standard's, and those of the device's GSD file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Protocol
+
+from dpstack.dp.pdu.diag_blocks import FIRST_SLOT, Block, ChannelBlock, DeviceBlock, IdentifierBlock
+from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dpv1.pdu.alarms import parse_block
+from dpstack.errors import PduError
+
+
+class DiagTexts(Protocol):
+    """The texts of one kind of device (its GSD file has them). Neither raises, whatever a slave sends."""
+
+    @property
+    def first_slot(self) -> int:
+        """The number of the slot of the first module (Modul_Offset, else 1)."""
+
+    def unit_diag_texts(self, octets: bytes) -> tuple[str, ...]:
+        """What the device related block says: ``octets`` without its header, bit 0 of the first octet is bit 0."""
+
+    def unit_diag_helps(self, octets: bytes) -> tuple[str, ...]:
+        """What helps, for each of :meth:`unit_diag_texts`; empty where nothing is said."""
+
+    def channel_text(self, error_type: int, module: int | None = None) -> str | None:
+        """A maker's own channel error (16..31) of the ``module``, None where the file has no text for it."""
+
+    def channel_help(self, error_type: int, module: int | None = None) -> str | None:
+        """What helps against it."""
+
+    def module_name(self, module: int) -> str:
+        """The name of a module by its place in the configuration, from 0; empty where there is none."""
+
+
+def block_texts(diagnosis: Diagnosis, texts: DiagTexts | None = None, *, dpv1: bool = False) -> tuple[str, ...]:
+    """One line or more for people for each block with something to say; what nobody can explain stays in hex.
+
+    ``dpv1``: the slave is parameterised for DP-V1, its device related blocks are alarms and status.
+    """
+    lines = texts_of(diagnosis.blocks, texts, dpv1=dpv1)
+    return (*lines, f"not decoded: {diagnosis.ext_rest.hex(' ')}") if diagnosis.ext_rest else lines
+
+
+def texts_of(blocks: Iterable[Block], texts: DiagTexts | None, *, dpv1: bool, messages: bool = True) -> tuple[str, ...]:
+    """Of some blocks of a diagnosis. ``messages`` False: without alarms and status messages."""
+    return tuple(line for block in blocks for line in _lines(block, texts, dpv1, messages))
+
+
+def conspicuous_text(
+    diagnosis: Diagnosis, texts: DiagTexts | None = None, *, dpv1: bool = False, exchanging: bool
+) -> str:
+    """What people are told of ``diagnosis``, in one line: its conspicuous flags, then its blocks as :func:`block_texts`
+    has them, without alarms and status messages (they have lines of their own). Empty where there is nothing."""
+    said = texts_of(diagnosis.blocks, texts, dpv1=dpv1, messages=False)
+    flags = (
+        flag.name if said and flag.name == "ext_diag" else f"{flag.name} ({flag.text})"
+        for flag in diagnosis.conspicuous(exchanging=exchanging)
+    )
+    return "; ".join(filter(None, (", ".join(flags), *said)))
+
+
+def _device_lines(block: DeviceBlock, texts: DiagTexts | None, dpv1: bool, messages: bool) -> Iterator[str]:
+    known = () if texts is None else texts.unit_diag_texts(block.data)
+    said = ""
+    if dpv1:
+        try:
+            said = parse_block(block.octets).told
+        except PduError:  # told by who handles its alarms
+            said = ""
+    if said and messages:
+        yield said
+    if texts is not None and known:
+        yield from map(_explained, known, texts.unit_diag_helps(block.data))
+    elif not said and any(block.data):
+        yield f"device: {block.data.hex(' ')}"
+
+
+def _lines(block: Block, texts: DiagTexts | None, dpv1: bool, messages: bool) -> Iterator[str]:
+    first = FIRST_SLOT if texts is None else texts.first_slot
+    match block:
+        case DeviceBlock():
+            yield from _device_lines(block, texts, dpv1, messages)
+        case IdentifierBlock():
+            if block.modules:
+                slots = (_explained(str(first + number), _name(texts, number)) for number in block.modules)
+                yield "slots with a diagnosis: " + ", ".join(slots)
+        case ChannelBlock(identifier=module, error=error):
+            own = None if texts is None else texts.channel_text(error, module)
+            remedy = None if texts is None or own is None else texts.channel_help(error, module)
+            yield f"{block.place(_name(texts, module), first)}: {_explained(own or block.cause, remedy)}"
+
+
+def _explained(text: str, more: str | None) -> str:
+    return f"{text} ({more})" if more else text
+
+
+def _name(texts: DiagTexts | None, module: int) -> str:
+    return "" if texts is None else texts.module_name(module)

@@ -1,0 +1,191 @@
+"""The request PDUs of DP-V0: Set_Prm, Global_Control and Set_Slave_Add. (Chk_Cfg is :mod:`dpstack.gsd.identifiers`.)
+
+Sources: protocol facts B2, B4, B8, J; EN 50170-2 (Set_Prm, Global_Control), Festo CP FB13 manual (lock and unlock),
+profichip VPC3+ manual (Set_Slave_Add).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final
+
+from dpstack.dp.pdu.layouts import (
+    GLOBAL_CONTROL,
+    SET_PRM,
+    SET_SLAVE_ADD,
+    GlobalControlOctets,
+    SetPrmOctets,
+    SetSlaveAddOctets,
+)
+from dpstack.errors import PduError
+from dpstack.params import MAX_STATION
+
+__all__ = ["MAX_REM_SLAVE_DATA", "MAX_USER_PRM", "SET_PRM_LEN", "GlobalControl", "PduError", "SetPrm", "SetSlaveAdd"]
+
+#: The fixed octets of Set_Prm.
+SET_PRM_LEN: Final = 7
+#: Octets of user parameters that fit after the seven fixed ones.
+MAX_USER_PRM: Final = 237
+
+#: Octets for the device itself that fit after the four fixed ones of Set_Slave_Add.
+MAX_REM_SLAVE_DATA: Final = 240
+#: No_Add_Chg is a Boolean of one octet: 0 is false, anything else true; this value is true to every reader.
+_TRUE: Final = 0xFF
+
+#: as many Global_Controls are kept, read and built
+_KEPT_CONTROLS: Final = 64
+#: What is sent as watchdog factors when the watchdog is off: the smallest legal ones, some slaves look at them anyway.
+_NO_WATCHDOG: Final = (1, 1)
+
+
+@dataclass(frozen=True, slots=True)
+class SetPrm:
+    """Set_Prm (DSAP 61).
+
+    ``lock``/``unlock``: 10 locks the slave to the sender, 01 and 11 release it, 00 may only change min T_SDR and the
+    slave's own parameters. ``watchdog``: the two factors of T_WD = 10 ms x f1 x f2, None = off. ``min_tsdr`` in bit
+    times, 0 keeps what the slave has. ``group_mask``: bit n-1 for group n, taken with ``lock`` only.
+    ``user_prm``: 0..237 octets, from octet 8 on.
+    """
+
+    ident: int
+    user_prm: bytes = b""
+    lock: bool = True
+    unlock: bool = False
+    sync: bool = False
+    freeze: bool = False
+    watchdog: tuple[int, int] | None = None
+    min_tsdr: int = 11
+    group_mask: int = 0
+
+    def build(self) -> bytes:
+        """The octets. Raises PduError where a value does not fit."""
+        if len(self.user_prm) > MAX_USER_PRM:
+            raise PduError(f"Set_Prm: {len(self.user_prm)} octets of user parameters, {MAX_USER_PRM} are possible")
+        if self.watchdog is not None and not all(1 <= factor <= 255 for factor in self.watchdog):
+            raise PduError(f"Set_Prm: watchdog factors {self.watchdog} are outside 1..255 (None switches it off)")
+        first, second = self.watchdog or _NO_WATCHDOG
+        return SET_PRM.build(
+            SetPrmOctets(
+                lock=self.lock,
+                unlock=self.unlock,
+                sync=self.sync,
+                freeze=self.freeze,
+                wd_on=self.watchdog is not None,
+                reserved=0,
+                wd_fact_1=first,
+                wd_fact_2=second,
+                min_tsdr=self.min_tsdr,
+                ident=self.ident,
+                group_ident=self.group_mask,
+                user_prm=self.user_prm,
+            )
+        )
+
+    @classmethod
+    def parse(cls, octets: bytes) -> SetPrm:
+        """Read ``octets``; reserved bits are ignored, factors of 0 are kept as they came. Raises PduError."""
+        raw = SET_PRM.parse(octets)
+        if len(raw.user_prm) > MAX_USER_PRM:
+            last = SET_PRM_LEN + MAX_USER_PRM
+            raise PduError(f"Set_Prm has {len(octets)} octets, octet {last} is the last possible one")
+        return cls(
+            ident=raw.ident,
+            user_prm=raw.user_prm,
+            lock=raw.lock,
+            unlock=raw.unlock,
+            sync=raw.sync,
+            freeze=raw.freeze,
+            watchdog=(raw.wd_fact_1, raw.wd_fact_2) if raw.wd_on else None,
+            min_tsdr=raw.min_tsdr,
+            group_mask=raw.group_ident,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class GlobalControl:
+    """Global_Control (DSAP 58, SDN, usually to 127).
+
+    All False is Operate. ``group_mask`` 0 concerns all slaves of the sender. Unfreeze and unsync win over freeze and
+    sync.
+    """
+
+    clear: bool = False
+    unfreeze: bool = False
+    freeze: bool = False
+    unsync: bool = False
+    sync: bool = False
+    group_mask: int = 0
+
+    def build(self) -> bytes:
+        """The two octets. Raises PduError where the mask does not fit."""
+        return _control_octets(self)
+
+    @classmethod
+    def parse(cls, octets: bytes) -> GlobalControl:
+        """Read ``octets``; reserved bits are ignored. Raises PduError unless there are two."""
+        return _control(octets)
+
+
+# Every slave of a bus reads the same Global_Control again and again; construct takes its time.
+@lru_cache(_KEPT_CONTROLS)
+def _control_octets(control: GlobalControl) -> bytes:
+    return GLOBAL_CONTROL.build(
+        GlobalControlOctets(
+            reserved_high=0,
+            sync=control.sync,
+            unsync=control.unsync,
+            freeze=control.freeze,
+            unfreeze=control.unfreeze,
+            clear_data=control.clear,
+            reserved_low=0,
+            group_select=control.group_mask,
+        )
+    )
+
+
+@lru_cache(_KEPT_CONTROLS)
+def _control(octets: bytes) -> GlobalControl:
+    raw = GLOBAL_CONTROL.parse(octets)
+    if len(octets) != 2:
+        raise PduError(f"Global_Control has {len(octets)} octets, octet 2 is the last one")
+    return GlobalControl(
+        clear=raw.clear_data,
+        unfreeze=raw.unfreeze,
+        freeze=raw.freeze,
+        unsync=raw.unsync,
+        sync=raw.sync,
+        group_mask=raw.group_select,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class SetSlaveAdd:
+    """Set_Slave_Add (DSAP 55): the station address of a slave in Wait_Prm.
+
+    ``address``: the new one, 0..125. ``ident``: the slave's own, else it does nothing. ``no_add_chg``: the slave shall
+    refuse any further change of its address. ``rem_slave_data``: 0..240 octets that mean something to the device only.
+    """
+
+    address: int
+    ident: int
+    no_add_chg: bool = False
+    rem_slave_data: bytes = b""
+
+    def build(self) -> bytes:
+        """The octets. Raises PduError where a value does not fit."""
+        if not 0 <= self.address <= MAX_STATION:
+            raise PduError(f"Set_Slave_Add: {self.address} is no address for a slave, {MAX_STATION} is the highest")
+        if len(self.rem_slave_data) > MAX_REM_SLAVE_DATA:
+            raise PduError(
+                f"Set_Slave_Add: {len(self.rem_slave_data)} octets for the device, {MAX_REM_SLAVE_DATA} are possible"
+            )
+        no_add_chg = _TRUE if self.no_add_chg else 0
+        return SET_SLAVE_ADD.build(SetSlaveAddOctets(self.address, self.ident, no_add_chg, self.rem_slave_data))
+
+    @classmethod
+    def parse(cls, octets: bytes) -> SetSlaveAdd:
+        """Read ``octets``; what address they hold is for the slave to judge. Raises PduError when they are too few."""
+        raw = SET_SLAVE_ADD.parse(octets)
+        return cls(raw.new_address, raw.ident, raw.no_add_chg != 0, raw.rem_slave_data)

@@ -1,0 +1,1 @@
+"""The plan of a bus: rotation time, cycle, T_TR, before anything is sent."""

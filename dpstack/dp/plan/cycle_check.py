@@ -1,0 +1,248 @@
+"""A fixed cycle held against the plan: what is refused, what will miss its time and how often, which rate it needs.
+
+A cycle is possible where the shortest rotation fits. What is not data (diagnosis, services, GAP) waits for a cycle with
+time to spare; what never fits costs whole cycles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final, NamedTuple
+
+from dpstack.dp.master.cycle_part import tolerance_ns
+from dpstack.dp.plan.rotation_time import Case, Figures, longest_diagnosis
+from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.telegram_times import gap_poll_bits, global_control_bits, request_octets, vain_bits
+from dpstack.units import NS_PER_MS, NS_PER_US, baud_text, ms_text
+
+
+class Verdict(Enum):
+    """What becomes of a cycle, worst first."""
+
+    IMPOSSIBLE = "impossible"  # shorter than the shortest rotation: refused
+    POSSIBLE = "possible"  # shorter than the typical one: missed unless the slaves are fast
+    TYPICAL = "typical"  # missed now and then on an undisturbed bus
+    UNDISTURBED = "undisturbed"  # missed after repetitions only
+    ALWAYS = "always"  # kept in the longest rotation too
+
+    @property
+    def text(self) -> str:
+        """For people."""
+        return _TEXTS[self]
+
+
+_TEXTS: Final = {
+    Verdict.IMPOSSIBLE: "impossible, the shortest rotation does not fit",
+    Verdict.POSSIBLE: "missed, the typical rotation does not fit",
+    Verdict.TYPICAL: "tight, missed now and then",
+    Verdict.UNDISTURBED: "kept while nothing is repeated",
+    Verdict.ALWAYS: "kept, the longest rotation fits",
+}
+
+
+class Refusal(NamedTuple):
+    """Why a bus cannot run like this, and what to do. ``slave``: whose table it is about, None for the bus."""
+
+    what: str
+    todo: str
+    slave: int | None = None
+
+    @property
+    def text(self) -> str:
+        """One line."""
+        return f"{self.what}; {self.todo}"
+
+
+@dataclass(frozen=True, slots=True)
+class CyclePlan:
+    """The judgement of one cycle. ``load``: the part of it that the typical rotation takes. One line each:
+    ``findings`` (beside ``refusals``) and ``notes``.
+    """
+
+    cycle_ns: int
+    verdict: Verdict
+    load: float
+    refusals: tuple[Refusal, ...]
+    findings: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    def as_dict(self) -> dict[str, object]:
+        """Plain JSON data."""
+        return {
+            "cycle_ms": self.cycle_ns / NS_PER_MS,
+            "verdict": self.verdict.value,
+            "load_percent": round(100 * self.load, 1),
+        }
+
+
+def least_ns(figures: Figures) -> dict[Verdict, int]:
+    """The shortest cycle for each verdict in ns, best first.
+
+    Undisturbed: all slaves need their max T_SDR and the longest of what comes beside the data fits into the rest.
+    """
+    params, normal = figures.params, figures.rotations[Case.NORMAL]
+    beside = max(
+        longest_diagnosis(params, figures.setups),
+        figures.acyclic_bits,
+        global_control_bits(params),
+        gap_poll_bits(params),
+    )
+    return {
+        Verdict.ALWAYS: figures.work_ns(Case.LONGEST),
+        Verdict.UNDISTURBED: params.ns(normal.work - normal.beside + beside),
+        Verdict.TYPICAL: figures.work_ns(Case.TYPICAL),
+        Verdict.POSSIBLE: figures.work_ns(Case.SHORTEST),
+    }
+
+
+def slowest_rates(at_rates: Iterable[Figures], cycle_ns: int) -> dict[Verdict, int | None]:
+    """The slowest baud rate at which ``cycle_ns`` is judged so or better, None where there is none.
+
+    ``at_rates``: the bus at each rate that all its slaves know, from slow to fast.
+    """
+    found: dict[Verdict, int | None] = dict.fromkeys(list(Verdict)[1:])
+    for figures in at_rates:
+        for verdict, least in least_ns(figures).items():
+            if found[verdict] is None and least <= cycle_ns:
+                found[verdict] = figures.params.baud
+    return found
+
+
+def judge_cycle(figures: Figures) -> CyclePlan:
+    """Judge the cycle of ``figures``, which has one."""
+    cycle = figures.cycle_ns
+    fits = (verdict for verdict, least in least_ns(figures).items() if least <= cycle)
+    verdict = next(fits, Verdict.IMPOSSIBLE)
+    return CyclePlan(
+        cycle_ns=cycle,
+        verdict=verdict,
+        load=figures.work_ns(Case.TYPICAL) / cycle,
+        refusals=tuple(_refusals(figures)),
+        findings=(_missed(figures, verdict),) if verdict in (Verdict.POSSIBLE, Verdict.TYPICAL) else (),
+        notes=tuple(_notes(figures, verdict)),
+    )
+
+
+def token_wait_ns(figures: Figures) -> int:
+    """How long after its time a cycle may begin while the other masters have the token, each for its longest normal
+    round; 0 alone on the bus.
+    """
+    normal = figures.rotations[Case.NORMAL]
+    return figures.params.ns(normal.others + normal.token) if figures.others.count else 0
+
+
+def _notes(figures: Figures, verdict: Verdict) -> Iterable[str]:
+    if verdict is Verdict.UNDISTURBED:
+        yield _missed(figures, verdict)
+    wait = token_wait_ns(figures)
+    if wait and verdict is not Verdict.IMPOSSIBLE:
+        cycle, others = figures.cycle_ns, figures.others.count
+        whom = "the other master has its normal round" if others == 1 else f"{others} other masters have their rounds"
+        missed = "; more than a tenth of it counts as missed, by token" if wait > tolerance_ns(cycle) else ""
+        yield (
+            f"cycle_ms = {cycle / NS_PER_MS:g}: a cycle begins when the token is there, up to {ms_text(wait)} late "
+            f"while {whom}{missed}"
+        )
+
+
+def _refusals(figures: Figures) -> Iterable[Refusal]:
+    cycle, shortest = figures.cycle_ns, figures.rotations[Case.SHORTEST]
+    least = figures.work_ns(Case.SHORTEST)
+    if least > cycle:
+        yield _too_short(figures, least, [s for s in figures.setups if s.address in shortest.together])
+    for setup in figures.setups:
+        turn = cycle * setup.every
+        who = f"slave {setup.address} ({setup.name})"
+        if setup.min_slave_interval_ns > turn:
+            interval = setup.min_slave_interval_ns
+            yield Refusal(
+                f"{who}: its Min_Slave_Interval of {ms_text(interval)} is longer than {_turn(cycle, setup)}",
+                f"give it every = {-(-interval // cycle)}, or take cycle_ms = {_least(-(-interval // setup.every))}",
+                setup.address,
+            )
+        watchdog = setup.watchdog(0)
+        if watchdog is not None and watchdog.ns < turn:
+            yield Refusal(
+                f"{who}: its watchdog of {watchdog.ms} ms is shorter than {_turn(cycle, setup)}: it would always trip",
+                f"take watchdog_ms = {-(-3 * turn // (10 * NS_PER_MS)) * 10} or more",
+                setup.address,
+            )
+
+
+def _too_short(figures: Figures, least: int, together: Sequence[SlaveSetup]) -> Refusal:
+    at, cycle, others = baud_text(figures.params.baud), figures.cycle_ns / NS_PER_MS, figures.others.count
+    beside = f" and {others} other master{'s' * (others > 1)}" if others else ""
+    slaves = f"{len(together)} slave{'s' * (len(together) != 1)}"
+    if len(together) < len(figures.setups):
+        names = ", ".join(str(s.address) for s in together)
+        what = (
+            f"the rate groups do not fit into cycle_ms = {cycle:g}: the fullest cycle has {slaves} ({names}){beside} "
+            f"and takes {_least(least)} ms at least at {at}"
+        )
+    else:
+        what = (
+            f"cycle_ms = {cycle:g} is shorter than possible: the shortest rotation with {slaves}{beside} takes "
+            f"{_least(least)} ms at {at}"
+        )
+    every = ", a larger every for slaves that need not be in each cycle" if len(together) > 1 else ""
+    return Refusal(what, f"take cycle_ms = {_least(least)} or more{every}, or a faster rate")
+
+
+def _missed(figures: Figures, verdict: Verdict) -> str:
+    """How often a cycle that is possible will be missed, and why."""
+    cycle, at, least = figures.cycle_ns, baud_text(figures.params.baud), least_ns(figures)
+    head = f"cycle_ms = {cycle / NS_PER_MS:g} is"
+    if verdict is Verdict.POSSIBLE:
+        typical = least[Verdict.TYPICAL]
+        return (
+            f"{head} shorter than the typical rotation ({ms_text(typical)} at {at}): with slaves that answer after "
+            f"60 bit times {_overrun(figures)}; take {_least(typical)} or more, or a faster rate"
+        )
+    if verdict is Verdict.TYPICAL:
+        enough = least[Verdict.UNDISTURBED]
+        return (
+            f"{head} enough for the typical rotation ({ms_text(least[Verdict.TYPICAL])} at {at}) only: misses are to "
+            f"be expected for {', '.join(_costs(figures))}; take {_least(enough)} or more, or a faster rate"
+        )
+    costs = _costs(figures) or ["several repeated requests in one cycle"]
+    return f"{head} kept at {at} while nothing is repeated: misses are to be expected for {', '.join(costs)}"
+
+
+def _overrun(figures: Figures) -> str:
+    """What happens where the typical rotation takes longer than the cycle: with or without its GAP poll."""
+    data, cycle = figures.data_ns(Case.TYPICAL), figures.cycle_ns
+    if data <= cycle:
+        return f"no GAP poll fits beside the data ({ms_text(data)}), and each makes a cycle late"
+    return f"the data alone take {ms_text(data)}: cycles begin late and {1 - cycle / data:.0%} are left out"
+
+
+def _costs(figures: Figures) -> list[str]:
+    """What does not fit into a cycle, and how many cycles each costs."""
+    params, cycle = figures.params, figures.cycle_ns
+    slow, usual = figures.data_ns(Case.NORMAL), figures.data_ns(Case.TYPICAL)
+    spare = cycle - (usual if slow > cycle else slow)
+    vain = max((vain_bits(params, request_octets(s)) for s in figures.setups), default=0)
+    pieces = (
+        ("repeated request", params.ns(vain) + figures.host_slack_ns),
+        ("diagnosis", params.ns(longest_diagnosis(params, figures.setups))),
+        ("acyclic service", params.ns(figures.acyclic_bits)),
+        ("GAP poll", params.ns(gap_poll_bits(params))),
+    )
+    told = [f"rounds in which all slaves need their max T_SDR ({ms_text(slow)})"] if slow > cycle else []
+    for name, takes in pieces:
+        if takes > spare:
+            cycles = -(-(takes - spare) // cycle)
+            told.append(f"each {name} that takes long (up to {ms_text(takes)}: {cycles} cycle{'s' * (cycles > 1)})")
+    return told
+
+
+def _turn(cycle: int, setup: SlaveSetup) -> str:
+    turn = f"cycle_ms = {cycle / NS_PER_MS:g}"
+    return turn if setup.every == 1 else f"{turn} x every = {setup.every} ({ms_text(cycle * setup.every)})"
+
+
+def _least(ns: int) -> str:
+    """Milliseconds for the configuration, up to the next microsecond."""
+    return f"{-(-ns // NS_PER_US) / 1000:g}"

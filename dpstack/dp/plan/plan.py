@@ -1,0 +1,214 @@
+"""What a bus will do before it is switched on: rotation times, watchdogs, T_TR, and what does not fit together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Final
+
+from dpstack.dp.plan.cycle_check import CyclePlan, Refusal, judge_cycle
+from dpstack.dp.plan.findings import findings as find
+from dpstack.dp.plan.findings import notes as note
+from dpstack.dp.plan.rotation_time import (
+    ALONE,
+    Case,
+    Figures,
+    OtherMasters,
+    Rotation,
+    figures,
+    rate_offsets,
+    rotation,
+    t_tr_needed,
+    t_tr_preset,
+    watchdog_ms,
+)
+from dpstack.dp.services import planned_prm
+from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.telegram_times import answer_octets, request_octets
+from dpstack.params import BusParams
+
+_CASES: Final = (Case.SHORTEST, Case.TYPICAL, Case.LONGEST)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlavePlan:
+    """One slave: octets each way, what it takes of the shortest rotation, its watchdog and what then happens.
+
+    With ``every`` n it has its turn in the rounds whose number leaves ``offset`` when divided by n. ``set_prm`` and
+    ``chk_cfg`` are the octets that the master will send, in hex; ``....`` for an ident number that the slave is asked
+    for.
+    """
+
+    setup: SlaveSetup
+    request_octets: int
+    answer_octets: int
+    shortest_bits: int
+    offset: int
+    watchdog_ms: int
+    on_loss: str
+    set_prm: str
+    chk_cfg: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plan:
+    """The plan of one bus at one rate. Rotations in bit times.
+
+    ``findings``: one line each, what is out of bounds, why, and what to do; empty when everything fits. ``notes``:
+    what is as it is, but worth knowing. ``beside``: what other masters on the bus would need, empty when it is nothing.
+    ``cycle``: the judgement of a fixed cycle, None when the bus runs free.
+    """
+
+    figures: Figures
+    slaves: tuple[SlavePlan, ...]
+    watchdog_ms: int
+    findings: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+    beside: str = ""
+    cycle: CyclePlan | None = None
+
+    @property
+    def params(self) -> BusParams:
+        """The bus parameters."""
+        return self.figures.params
+
+    @property
+    def rotations(self) -> dict[Case, Rotation]:
+        """The rotations."""
+        return self.figures.rotations
+
+    @property
+    def refusals(self) -> tuple[Refusal, ...]:
+        """What keeps the bus from being opened at all."""
+        return self.cycle.refusals if self.cycle else ()
+
+    def rotation_ns(self, case: Case) -> int:
+        """A rotation in nanoseconds."""
+        return self.figures.ns(case)
+
+    def as_dict(self) -> dict[str, object]:
+        """Plain JSON data in the shape of ``dpstack plan --json``."""
+        p = self.params
+        names = ("t_sl", "min_tsdr", "max_tsdr", "t_set", "t_qui", "t_tr", "gap", "hsa", "max_retry", "extra_idle")
+        parameters: dict[str, int] = {name: getattr(p, name) for name in names}
+        parameters |= {"t_id1": p.t_id1, "t_id2": p.t_id2, "t_to": p.t_to, "watchdog_ms": self.watchdog_ms}
+        found: dict[str, object] = {
+            "baud": p.baud,
+            "address": p.address,
+            "rotation_us": {case.value: round(self.rotation_ns(case) / 1000, 1) for case in _CASES},
+            "acyclic_us": round(p.ns(self.figures.acyclic_bits) / 1000, 1),
+            "rotation_bits": {case.value: self.rotations[case].bits for case in _CASES},
+            "parameters": parameters,
+            "masters": {"others": self.figures.others.count, "t_tr_needed": self.figures.t_tr_needed},
+            "slaves": [_slave_dict(s) for s in self.slaves],
+            "findings": list(self.findings),
+            "notes": [*self.notes, *([self.beside] if self.beside else [])],
+        }
+        if self.cycle is not None:
+            found["cycle"] = self.cycle.as_dict()
+        return found
+
+
+def _slave_dict(slave: SlavePlan) -> dict[str, object]:
+    return {
+        "address": slave.setup.address,
+        "name": slave.setup.name,
+        "inputs": slave.setup.input_len,
+        "outputs": slave.setup.output_len,
+        "bits": slave.shortest_bits,
+        "every": slave.setup.every,
+        "offset": slave.offset,
+        "watchdog_ms": slave.watchdog_ms,
+        "on_loss": slave.on_loss,
+        "set_prm": slave.set_prm,
+        "chk_cfg": slave.chk_cfg,
+    }
+
+
+def make_plan(
+    params: BusParams,
+    setups: Iterable[SlaveSetup],
+    *,
+    others: OtherMasters = ALONE,
+    cycle_ns: int = 0,
+    pty: bool = False,
+    host_slack_ns: int = 0,
+    data_control_ns: int = 0,
+    findings: Iterable[str] = (),
+    notes: Iterable[str] = (),
+    beside: str = "",
+    watchdog_ms: int | None = None,
+) -> Plan:
+    """The whole plan of a bus with ``setups`` at ``params``; ``pty`` where another process stands at the other end.
+
+    ``others`` are the other masters of the bus. ``cycle_ns`` is the fixed cycle, 0 for none.
+    ``host_slack_ns`` is how much later than the wire's deadline a known station's answer may come (see Patience).
+    ``data_control_ns`` is the Data_Control_Time of a bus with auto-clear, else 0.
+    ``findings``, ``notes`` and ``beside`` are what the caller knows beyond that; they come first.
+    ``watchdog_ms`` is the default watchdog that a running bus uses; None: the recommended one.
+    """
+    counted = figures(params, setups, others=others, cycle_ns=cycle_ns, host_slack_ns=host_slack_ns)
+    recommended = counted.watchdog_ms(pty=pty) if watchdog_ms is None else watchdog_ms
+    slaves = _slave_plans(counted, recommended)
+    watchdogs = {s.setup.address: s.watchdog_ms for s in slaves}
+    cycle = judge_cycle(counted) if cycle_ns else None
+    return Plan(
+        figures=counted,
+        slaves=slaves,
+        watchdog_ms=recommended,
+        findings=(
+            *findings,
+            *([refusal.text for refusal in cycle.refusals] if cycle else []),
+            *(cycle.findings if cycle else ()),
+            *find(counted, watchdogs, data_control_ns),
+        ),
+        notes=(*notes, *(cycle.notes if cycle else ()), *note(counted, watchdogs)),
+        beside=beside,
+        cycle=cycle,
+    )
+
+
+def _slave_plans(counted: Figures, recommended: int) -> tuple[SlavePlan, ...]:
+    offsets = rate_offsets(counted.params, counted.setups)
+    shortest = counted.rotations[Case.SHORTEST].slaves
+    plans = []
+    for setup in counted.setups:
+        watchdog = setup.watchdog(recommended)
+        effective = watchdog.ms if watchdog else 0
+        plans.append(
+            SlavePlan(
+                setup=setup,
+                request_octets=request_octets(setup),
+                answer_octets=answer_octets(setup),
+                shortest_bits=shortest[setup.address],
+                offset=offsets[setup.address],
+                watchdog_ms=effective,
+                on_loss=_on_loss(setup, effective),
+                set_prm=planned_prm(setup, watchdog),
+                chk_cfg=setup.config.hex(),
+            )
+        )
+    return tuple(plans)
+
+
+def _on_loss(setup: SlaveSetup, effective: int) -> str:
+    if not effective:
+        return "goes on with its last outputs: its watchdog is off"
+    return f"after {effective} ms: {setup.on_loss or 'as its manual says (usually outputs off)'}"
+
+
+__all__ = [
+    "ALONE",
+    "Case",
+    "CyclePlan",
+    "OtherMasters",
+    "Plan",
+    "Refusal",
+    "Rotation",
+    "SlavePlan",
+    "make_plan",
+    "rotation",
+    "t_tr_needed",
+    "t_tr_preset",
+    "watchdog_ms",
+]

@@ -1,0 +1,237 @@
+"""The bus rotation time from the telegrams as they are really sent, and what follows: T_TR and the watchdog.
+
+All slaves are in data exchange: for each of them Data_Exchange, T_SDR, the answer, T_ID1; then the token and T_ID1.
+With rate groups it is the fullest round that counts. Other masters take their turn before the token is back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final
+
+from dpstack.dp.rate_groups import Share, fullest, offsets, round_interval_ns
+from dpstack.dp.slave_params import MAX_WATCHDOG_MS, SlaveSetup
+from dpstack.dp.telegram_times import (
+    acyclic_bits,
+    data_bits,
+    diagnosis_bits,
+    gap_poll_bits,
+    global_control_bits,
+    longest_tsdr,
+    share,
+    shortest_tsdr,
+    token_bits,
+)
+from dpstack.params import BusParams
+from dpstack.units import NS_PER_MS
+
+#: T_SDR of a usual slave ASIC, for the typical rotation
+TYPICAL_TSDR: Final = 60
+MIN_WATCHDOG_MS: Final = 200
+MIN_WATCHDOG_PTY_MS: Final = 1000
+MAX_T_TR: Final = 16_777_960
+
+
+class Case(Enum):
+    """Which rotation is meant."""
+
+    SHORTEST = "min"  # every T_SDR at its minimum, nothing but data exchange and token
+    TYPICAL = "typical"  # T_SDR 60 bit times, one silent GAP poll when the GAP is on
+    NORMAL = "normal"  # the longest without a repetition: T_SDR at its maximum, one diagnosis, Global_Control, GAP
+    LONGEST = "max"  # that with every retry, and one acyclic service
+
+
+@dataclass(frozen=True, slots=True)
+class OtherMasters:
+    """The masters beside this one: ``alike`` that need as long as it does; ``rounds``: what each further one needs in
+    bit times, its bus rotation time when it is alone on the bus.
+    """
+
+    alike: int = 0
+    rounds: tuple[int, ...] = ()
+
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        return self.alike + len(self.rounds)
+
+
+ALONE: Final = OtherMasters()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rotation:
+    """A rotation in bit times. ``slaves``: what each takes of a round it is in, T_ID1 after its answer included;
+    ``together``: those in the fullest round, which is the one that is meant.
+
+    ``data`` of those together, ``beside`` it services, Global_Control and GAP poll, ``token`` until the next station
+    has it, ``others`` what other masters take, ``waiting`` for Min_Slave_Interval while the token goes round.
+    """
+
+    slaves: dict[int, int]
+    together: frozenset[int]
+    data: int
+    beside: int
+    token: int
+    others: int
+    waiting: int
+
+    @property
+    def bits(self) -> int:
+        """From the first Data_Exchange of the round to that of the next."""
+        return self.work + self.waiting
+
+    @property
+    def work(self) -> int:
+        """The same without waiting: how soon the token can be back."""
+        return self.data + self.beside + self.token + self.others
+
+    @property
+    def hold(self) -> int:
+        """How long this master holds the token in it."""
+        return self.data + self.beside
+
+
+def rotation(params: BusParams, setups: Sequence[SlaveSetup], case: Case, others: OtherMasters = ALONE) -> Rotation:
+    """The bus rotation time with every slave of ``setups`` in data exchange, other masters doing what ``case`` says."""
+    retries = params.max_retry if case is Case.LONGEST else 0
+    slaves = {s.address: data_bits(params, s, _tsdr(params, s, case), retries) for s in setups}
+    groups = (Share(s.address, s.every, slaves[s.address]) for s in setups)
+    together = fullest(groups, rate_offsets(params, setups))
+    data = sum(slaves[address] for address in together)
+    beside, token = _beside(params, setups, case), token_bits(params)
+    theirs = others.alike * (data + beside + token) + sum(others.rounds)
+    needs = data + beside + token + theirs
+    missing = round_interval_ns((s.every, s.min_slave_interval_ns) for s in setups) - params.ns(needs)
+    # a round begins with the first token after the interval; until then the token goes round
+    turn = token * (1 + others.count)
+    waiting = -(-missing // params.ns(turn)) * turn if missing > 0 else 0
+    return Rotation(
+        slaves=slaves, together=together, data=data, beside=beside, token=token, others=theirs, waiting=waiting
+    )
+
+
+def rate_offsets(params: BusParams, setups: Sequence[SlaveSetup]) -> dict[int, int]:
+    """In which rounds the slaves of ``setups`` have their turn, see :mod:`dpstack.dp.rate_groups`."""
+    return offsets(share(params, s) for s in setups)
+
+
+def _beside(params: BusParams, setups: Sequence[SlaveSetup], case: Case) -> int:
+    if case is Case.SHORTEST:
+        return 0
+    bits = gap_poll_bits(params)
+    if case is not Case.TYPICAL:
+        retries = params.max_retry if case is Case.LONGEST else 0
+        bits += longest_diagnosis(params, setups, retries) + global_control_bits(params)
+        bits += acyclic_bits(params, setups, retries) if case is Case.LONGEST else 0
+    return bits
+
+
+def longest_diagnosis(params: BusParams, setups: Sequence[SlaveSetup], retries: int = 0) -> int:
+    """The longest Slave_Diag of all in bit times; 0 without slaves."""
+    return max((diagnosis_bits(params, s, retries) for s in setups), default=0)
+
+
+def _tsdr(params: BusParams, setup: SlaveSetup, case: Case) -> int:
+    shortest, longest = shortest_tsdr(params, setup), longest_tsdr(params, setup)
+    if case is Case.SHORTEST:
+        return shortest
+    return max(shortest, min(TYPICAL_TSDR, longest)) if case is Case.TYPICAL else longest
+
+
+def t_tr_needed(params: BusParams, setups: Sequence[SlaveSetup], others: OtherMasters = ALONE) -> int:
+    """T_TR in bit times with which every master can end its longest normal round in each hold.
+
+    T_TH is T_TR - T_RR: after a full token rotation there must be time left for the longest hold of all.
+    """
+    normal = rotation(params, setups, Case.NORMAL, others)
+    longest = max(normal.hold, *(bits - normal.token for bits in others.rounds), 0)
+    return min(normal.work + longest, MAX_T_TR)
+
+
+def t_tr_preset(params: BusParams, setups: Sequence[SlaveSetup], others: OtherMasters = ALONE) -> int:
+    """T_TR in bit times for this configuration: the table's, or what the masters need if that is more."""
+    return max(params.t_tr, t_tr_needed(params, setups, others))
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """What was counted of one bus at one rate. ``setups`` by address; ``cycle_ns`` 0: free running;
+    ``host_slack_ns``: how much later than the wire's deadline a known station's answer may come.
+    """
+
+    params: BusParams
+    setups: tuple[SlaveSetup, ...]
+    rotations: dict[Case, Rotation]
+    others: OtherMasters = ALONE
+    cycle_ns: int = 0
+    host_slack_ns: int = 0
+
+    def ns(self, case: Case) -> int:
+        """A rotation in nanoseconds."""
+        return self.params.ns(self.rotations[case].bits)
+
+    def work_ns(self, case: Case) -> int:
+        """The same without waiting for Min_Slave_Interval."""
+        return self.params.ns(self.rotations[case].work)
+
+    def data_ns(self, case: Case) -> int:
+        """The same without what comes beside the data."""
+        return self.params.ns(self.rotations[case].work - self.rotations[case].beside)
+
+    @property
+    def acyclic_bits(self) -> int:
+        """By how much one acyclic service makes a rotation longer at the most, nothing repeated."""
+        return acyclic_bits(self.params, self.setups)
+
+    @property
+    def spacing_ns(self) -> int:
+        """The longest time from round to round."""
+        return self.round_ns(Case.LONGEST)
+
+    def round_ns(self, case: Case) -> int:
+        """The time from round to round: with a fixed cycle whole cycles."""
+        takes = self.ns(case)
+        return -(-takes // self.cycle_ns) * self.cycle_ns if self.cycle_ns else takes
+
+    @property
+    def dying_ns(self) -> int:
+        """How long all wait while one slave dies, beyond the longest rotation: only where the host is patient."""
+        slack = self.host_slack_ns
+        return (self.params.max_retry + 1) * (self.params.ns(self.params.t_sl) + slack) if slack else 0
+
+    @property
+    def t_tr_needed(self) -> int:
+        """See :func:`t_tr_needed`."""
+        return t_tr_needed(self.params, self.setups, self.others)
+
+    def watchdog_ms(self, *, pty: bool = False) -> int:
+        """The recommended watchdog: three times what can pass until a slave has its turn again, at least 200 ms
+        (1000 ms on ptys), in 10 ms steps.
+
+        While one slave dies the others wait for its slot time and the host's slack, with every retry: part of it.
+        """
+        every = max((s.every for s in self.setups if s.watchdog_ms is None), default=1)
+        steps = -(-3 * (self.spacing_ns * every + self.dying_ns) // (10 * NS_PER_MS))
+        return min(max(MIN_WATCHDOG_PTY_MS if pty else MIN_WATCHDOG_MS, steps * 10), MAX_WATCHDOG_MS)
+
+
+def figures(
+    params: BusParams,
+    setups: Iterable[SlaveSetup],
+    *,
+    others: OtherMasters = ALONE,
+    cycle_ns: int = 0,
+    host_slack_ns: int = 0,
+) -> Figures:
+    """Count everything of a bus with ``setups`` at ``params``."""
+    slaves = tuple(sorted(setups, key=lambda s: s.address))
+    rotations = {case: rotation(params, slaves, case, others) for case in Case}
+    return Figures(params, slaves, rotations, others, cycle_ns, host_slack_ns)
+
+
+def watchdog_ms(params: BusParams, setups: Iterable[SlaveSetup], *, pty: bool = False, host_slack_ns: int = 0) -> int:
+    """The recommended watchdog of a free running master alone on its bus, see :meth:`Figures.watchdog_ms`."""
+    return figures(params, setups, host_slack_ns=host_slack_ns).watchdog_ms(pty=pty)

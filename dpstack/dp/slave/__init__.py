@@ -1,0 +1,1 @@
+"""The DP slave: its states, its services, and what an author of a device writes."""

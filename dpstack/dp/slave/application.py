@@ -1,0 +1,277 @@
+"""The DP slave: the application of a passive station, around a device that somebody wrote.
+
+It answers Data_Exchange and heeds Global_Control and time; the other services are in
+:mod:`dpstack.dp.slave.services`, what state and lock make of them in :mod:`dpstack.dp.slave.state`, the tables in
+:mod:`dpstack.dp.slave.state_table`. Cyclic data are in :mod:`dpstack.dp.slave.cyclic_data`, the judging of parameters
+in :mod:`dpstack.dp.slave.prm_cfg_check`, fault bits in :mod:`dpstack.dp.slave.diagnosis`; what is done with the data is
+the device's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.pdu.requests import GlobalControl
+from dpstack.dp.slave.cyclic_data import wrong_inputs
+from dpstack.dp.slave.device import Device, Leave
+from dpstack.dp.slave.events import SlaveAppStats
+from dpstack.dp.slave.prm_cfg_check import Watchdog, check_device
+from dpstack.dp.slave.services import Services
+from dpstack.dp.slave.slave_clock import DeviceClock
+from dpstack.dp.slave.state import SlaveCore
+from dpstack.dp.slave.state_table import ACCESS, CONNECTION, AppEv, SlaveAppState
+from dpstack.dpv1.pdu.ms2 import SERVER_SAPS
+from dpstack.dpv1.slave.resource_manager import Ms2Server, ServedConnection
+from dpstack.errors import PduError
+from dpstack.fdl.interface import RS_REPLY, SC_REPLY, Reply, StationControl
+from dpstack.fdl.passive.station import PassiveStation
+from dpstack.fdl.telegram import SAP_GLOBAL_CONTROL, Resp, Telegram
+from dpstack.params import BusParams
+from dpstack.phy.patience import EXACT, Patience
+from dpstack.trace import Event
+
+__all__ = ["SlaveApp", "SlaveAppState", "SlaveAppStats", "make_slave"]
+
+_DL: Final = Resp.DL
+_DH: Final = Resp.DH
+#: SRD low and high differ in bit 0 of the function; bit 6 is that of a request.
+_SRD_MASK: Final = 0x4E
+_SRD: Final = 0x4C
+
+
+class SlaveApp:
+    """A ``Responder`` around ``device``; ``address`` is for messages, until a station is built around it.
+
+    ``address_fixed``: an earlier Set_Slave_Add came with No_Add_Chg, so that the address may not be changed any more.
+    Raises ConfigError where ident number or configurations of the device cannot be.
+    """
+
+    __slots__ = ("_clock", "_core", "_ms2", "_services", "device", "stats", "take_events", "watchdog")
+
+    def __init__(self, device: Device, *, address: int | None = None, address_fixed: bool = False) -> None:
+        check_device(device)
+        self.device = device
+        self._core = core = SlaveCore(device, address, address_fixed)
+        self._services = Services(core).by_sap
+        self._ms2: Ms2Server = core.ms2
+        self._clock = DeviceClock(device)
+        self.stats: SlaveAppStats = core.report.stats
+        #: what there is to tell, oldest first; asked in every step of the station
+        self.take_events: Callable[[], list[Event]] = core.report.take
+        self.watchdog: Watchdog = core.watchdog
+
+    def __repr__(self) -> str:
+        return f"<SlaveApp {self.device.name} at {self.address}: {self.state.value}>"
+
+    # --- what it is ---------------------------------------------------------------------------------------------
+
+    @property
+    def state(self) -> SlaveAppState:
+        """Wait_Prm, Wait_Cfg or Data_Exch."""
+        return self._core.state
+
+    @property
+    def master(self) -> int | None:
+        """The master that has locked the slave."""
+        return self._core.master
+
+    @property
+    def failure(self) -> str | None:
+        """What failed in the device, None while it works."""
+        return self._core.failure
+
+    @property
+    def address(self) -> int | None:
+        """The address of its station."""
+        return self._core.report.address
+
+    @property
+    def address_fixed(self) -> bool:
+        """No_Add_Chg was set: Set_Slave_Add is closed until :meth:`initial_reset`."""
+        return self._core.address.fixed
+
+    @property
+    def kept_address(self) -> tuple[int | None, bool]:
+        """The address that it has from the next power-on, and whether that is fixed then."""
+        return self._core.address.kept
+
+    @property
+    def outputs(self) -> bytes:
+        """The outputs the device has; empty while not in data exchange."""
+        data = self._core.data
+        return b"" if data is None else data.outputs
+
+    @property
+    def inputs(self) -> bytes:
+        """The inputs the master reads; empty while not in data exchange."""
+        data = self._core.data
+        return b"" if data is None else data.inputs
+
+    @property
+    def clear(self) -> bool:
+        """True while the outputs are not valid: not in data exchange, or in Clear."""
+        data = self._core.data
+        return data is None or data.void
+
+    @property
+    def connections(self) -> tuple[ServedConnection, ...]:
+        """The connections of class 2 that are open."""
+        return self._ms2.connections
+
+    @property
+    def connections_free(self) -> int:
+        """How many more there can be."""
+        return self._ms2.free
+
+    def abort(self, sap: int, reason: int, now: int) -> None:
+        """End the connection of class 2 at the server ``sap``. Raises UsageError."""
+        self._ms2.abort(sap, reason, now)
+
+    def diagnosis(self, now: int) -> Diagnosis:
+        """The diagnosis as a Slave_Diag at ``now`` would read it."""
+        user = self._core.user_diag(now)
+        return self._core.diagnosis(user)
+
+    # --- at the device itself -------------------------------------------------------------------------------------
+
+    def restart(self, now: int) -> None:
+        """Off and on again: Wait_Prm, nothing kept but the address where the device keeps it, a failure forgotten."""
+        self._core.restart(now)
+
+    def initial_reset(self, now: int) -> None:
+        """As delivered: address 126, open for Set_Slave_Add; then as after :meth:`restart`."""
+        core = self._core
+        core.step(AppEv.POWER_ON, now, Leave.POWER_OFF)
+        try:
+            core.address.initial_reset(now)
+        except Exception as error:
+            core.fail("an initial reset", error, now)
+            return
+        core.restart(now)
+
+    def rate_lost(self, now: int) -> None:
+        """The baud rate is searched again: nobody can use a connection of class 2 any more."""
+        self._ms2.end_all("the baud rate was lost", now)
+
+    # --- Responder ----------------------------------------------------------------------------------------------
+
+    def attached(self, station: StationControl) -> None:
+        """A station was built around this application."""
+        self._core.report.station = station
+        self._core.address.attached()
+
+    def serve(self, request: Telegram, now: int) -> Reply | None:
+        """Answer a request; Data_Exchange first, it comes in every rotation."""
+        if request.dsap is not None:
+            return self._service(request, now)
+        core = self._core
+        data = core.data
+        if data is None or request.sa != core.master or request.fc & _SRD_MASK != _SRD:
+            return self._service(request, now)  # not open
+        self.watchdog.heard = now
+        octets = request.data
+        try:
+            if data.plain and len(octets) == data.output_len:
+                data.outputs = octets
+                inputs = data.run(octets, now)
+                if type(inputs) is not bytes or len(inputs) != data.input_len:
+                    raise wrong_inputs(inputs, data.input_len)
+                data.inputs = inputs
+            elif data.accepts(octets):
+                inputs = data.exchange(octets, now)
+            else:
+                return self._wrong_length(request.sa, len(octets), data.output_len, now)
+            waiting = not core.diag.silent and core.diag.waiting(request.fc)
+        except Exception as error:
+            core.fail("Data_Exchange", error, now)
+            return RS_REPLY
+        self.stats.exchanges += 1
+        if waiting:  # B6: DH until the diagnosis is fetched; SC could not say so
+            return Reply(_DH, inputs)
+        return Reply(_DL, inputs) if inputs else SC_REPLY
+
+    def indicate(self, telegram: Telegram, now: int) -> None:
+        """Global_Control of the owner; everything else is dropped."""
+        core = self._core
+        data = core.data
+        if telegram.dsap != SAP_GLOBAL_CONTROL or data is None:
+            return
+        if telegram.sa != core.master:
+            self.stats.foreign += 1
+            return
+        try:
+            command = GlobalControl.parse(telegram.data)
+        except PduError as error:
+            core.report.refused("Global_Control", telegram.sa, str(error), now)
+            return
+        if command.group_mask and not command.group_mask & core.group:
+            return
+        self.stats.services += 1
+        try:
+            data.control(command, now)
+        except Exception as error:
+            core.fail("Global_Control", error, now)
+
+    def wake_at(self) -> int:
+        """The watchdog, the connections of class 2, or what the device wants."""
+        at = self.watchdog.at
+        if self._ms2.at < at:
+            at = self._ms2.at
+        if self._clock.idle or self._core.failure is not None:
+            return at
+        due = self._clock.wake_at()
+        return due if due < at else at
+
+    def tick(self, now: int) -> None:
+        """Judge the watchdog and the connections, let the device have its time."""
+        core = self._core
+        if self._ms2.at <= now:
+            self._ms2.tick(now)
+        if self.watchdog.expired(now):
+            core.report.watchdog(core.master, self.watchdog.time_ns, now)
+            core.step(AppEv.WATCHDOG, now, Leave.WATCHDOG)
+        if core.failure is None:
+            try:
+                restart_at = self._clock.tick(now)
+            except Exception as error:
+                core.fail("its own time", error, now)
+                return
+            if restart_at is not None:
+                core.restart_at(restart_at, now)
+
+    # --- inside -------------------------------------------------------------------------------------------------
+
+    def _service(self, request: Telegram, now: int) -> Reply:
+        core = self._core
+        dsap = request.dsap
+        access = CONNECTION if dsap in SERVER_SAPS else ACCESS.get(dsap)
+        handler = self._services.get(dsap)
+        if access is None or handler is None or core.state not in access.states or request.fc & _SRD_MASK != _SRD:
+            self.stats.refused += 1
+            self.stats.foreign += core.master is not None and request.sa != core.master
+            return RS_REPLY
+        self.stats.services += 1
+        if request.sa == core.master:
+            self.watchdog.heard = now
+            core.diag.heard(request.fc)
+        return handler(request, now)
+
+    def _wrong_length(self, sa: int, got: int, expected: int, now: int) -> Reply:
+        core = self._core
+        core.diag.cfg_fault = True
+        core.report.refused("Data_Exchange", sa, f"{got} output octets, the configuration has {expected}", now)
+        core.step(AppEv.LENGTH, now, Leave.WRONG_LENGTH)
+        return RS_REPLY
+
+
+def make_slave(
+    address: int, device: Device, params: BusParams, *, t_sdr: int | None = None, patience: Patience = EXACT
+) -> PassiveStation:
+    """A whole slave: a passive station at ``address`` with a :class:`SlaveApp` around ``device`` as its responder.
+
+    ``params`` give baud rate, min T_SDR and slot time; ``t_sdr`` is the station's own response time in bit times.
+    Raises ConfigError.
+    """
+    return PassiveStation(address, SlaveApp(device, address=address), params, t_sdr=t_sdr, patience=patience)

@@ -1,0 +1,144 @@
+"""The cyclic data of a slave in data exchange: double buffers for SYNC and FREEZE, Clear and Operate.
+
+Exists only while the slave is in data exchange; leaving drops it, and with it outputs and modes (section J).
+Exceptions of the device come out of here and are caught by the slave application.
+"""
+
+from __future__ import annotations
+
+from dpstack.dp.pdu.requests import GlobalControl
+from dpstack.dp.slave.device import Device
+
+
+class CyclicData:
+    """Outputs and inputs of one stay in data exchange.
+
+    ``outputs`` are what the device has, ``inputs`` what the master reads; before the first exchange the device's safe
+    outputs and zeros. Raises ValueError where the safe outputs have another length than the configuration's.
+    Outputs are valid from the first Data_Exchange on (masters that never send Operate exist, B4). A Global_Control
+    Clear holds until one without Clear_Data, an empty frame until a full one. ``plain``: none of Clear, SYNC, FREEZE.
+    """
+
+    __slots__ = (
+        "_clear",
+        "_device",
+        "_received",
+        "_safe",
+        "_started",
+        "_void",
+        "config",
+        "frozen",
+        "input_len",
+        "inputs",
+        "output_len",
+        "outputs",
+        "plain",
+        "run",
+        "synced",
+    )
+
+    def __init__(self, device: Device, config: bytes, input_len: int, output_len: int) -> None:
+        self._device = device
+        self.run = device.exchange
+        self.config = config
+        self.input_len = input_len
+        self.output_len = output_len
+        self.inputs = bytes(input_len)
+        self._safe = device.safe or bytes(output_len)
+        if len(self._safe) != output_len:
+            raise ValueError(f"{len(self._safe)} safe octets, the configuration has {output_len} output octets")
+        self.outputs = self._safe
+        self.synced = False
+        self.frozen = False
+        self.plain = False
+        self._received = self.outputs  # what the next SYNC passes on
+        self._clear = False  # Global_Control said Clear
+        self._void = False  # Clear, or an empty output frame
+        self._started = False  # the device was told Operate once
+
+    @property
+    def void(self) -> bool:
+        """True while outputs are not valid (Clear)."""
+        return self._void
+
+    def accepts(self, octets: bytes) -> bool:
+        """Whether ``octets`` can be the outputs: the right length, or an empty fail-safe frame."""
+        return len(octets) == self.output_len or (not octets and self._device.fail_safe)
+
+    def exchange(self, octets: bytes, now: int) -> bytes:
+        """A Data_Exchange that was accepted; returns the inputs for the answer."""
+        if len(octets) != self.output_len:  # J: a Fail_Safe slave is sent empty frames in Clear
+            self._make_void(now)
+        elif not self._clear:
+            self._make_valid(now)
+        self._received = self._safe if self._void else octets
+        if self._void or not self.synced:
+            self.outputs = self._received
+        fresh = self._sample(now)
+        if not self.frozen:
+            self.inputs = fresh
+        self._judge()
+        return self.inputs
+
+    def control(self, command: GlobalControl, now: int) -> None:
+        """A Global_Control that concerns this slave (B4: each further SYNC or FREEZE acts; the Un- ones win)."""
+        if self.plain:  # the slave application's short way leaves it to us to note what came last
+            self._received = self.outputs
+        self._clear = command.clear
+        if command.clear:
+            self._make_void(now)
+            self._received = self.outputs = self._safe
+        else:
+            self._make_valid(now)
+        passes = self._switch_sync(command)
+        samples = self._switch_freeze(command)
+        if passes or samples:
+            fresh = self._sample(now)
+            if samples or not self.frozen:
+                self.inputs = fresh
+        self._judge()
+
+    def _switch_sync(self, command: GlobalControl) -> bool:
+        """Enter or leave the mode; True when the outputs received last go to the device now."""
+        passes = self.synced if command.unsync else command.sync and self._device.sync_supported
+        if passes:
+            self.synced = not command.unsync
+            self.outputs = self._received
+        return passes
+
+    def _switch_freeze(self, command: GlobalControl) -> bool:
+        """Enter or leave the mode; True when the inputs of this moment are to be held."""
+        if command.unfreeze:
+            self.frozen = False
+            return False
+        samples = command.freeze and self._device.freeze_supported
+        if samples:
+            self.frozen = True
+        return samples
+
+    def _make_void(self, now: int) -> None:
+        if not self._void:
+            self._void = True
+            self._device.clear(now)
+
+    def _make_valid(self, now: int) -> None:
+        if self._void or not self._started:
+            self._void = False
+            self._started = True
+            self._device.operate(now)
+
+    def _sample(self, now: int) -> bytes:
+        inputs = self.run(self.outputs, now)
+        if type(inputs) is not bytes or len(inputs) != self.input_len:
+            raise wrong_inputs(inputs, self.input_len)
+        return inputs
+
+    def _judge(self) -> None:
+        self.plain = self._started and not (self._void or self.synced or self.frozen)
+
+
+def wrong_inputs(inputs: object, expected: int) -> Exception:
+    """What to raise for a device that returns no inputs, or of the wrong length: it would go out on the wire."""
+    if not isinstance(inputs, bytes):
+        return TypeError(f"it returned {type(inputs).__name__}, inputs are bytes")
+    return ValueError(f"it returned {len(inputs)} input octets, its configuration has {expected}")

@@ -1,0 +1,116 @@
+"""From what a GSD file says to the description that a slave is made of."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN
+from dpstack.dp.pdu.requests import MAX_USER_PRM
+from dpstack.dp.slave.description import SlaveDescription, SlaveModule
+from dpstack.dp.slave_params import INTERVAL_UNIT
+from dpstack.dpv1.pdu.alarms import HEAD, SEQUENCES
+from dpstack.dpv1.pdu.dpv1_status import ALARM_KEYWORDS, ALARM_LIMITS, DPV1_STATUS_LEN
+from dpstack.dpv1.pdu.ms2 import LEAST_INITIATE
+from dpstack.dpv1.pdu.read_write import MAX_RECORD
+from dpstack.dpv1.slave.resource_manager import MAX_CONNECTIONS
+from dpstack.errors import ConfigError
+from dpstack.fdl.telegram import MAX_DATA
+from dpstack.gsd.configuration import Configuration, fixed_modules, is_fixed, plug
+from dpstack.gsd.identifiers import io_lengths
+from dpstack.gsd.model import Device
+
+#: what stands for an empty slot of a modular station
+_EMPTY_SLOT: Final = b"\0"
+
+
+def slave_description(
+    device: Device, chosen: Configuration | None = None, *, name: str = "", ident: int | None = None
+) -> SlaveDescription:
+    """The slave of the type ``device``.
+
+    ``chosen``: what is plugged into it, and nothing else is accepted then, nor user parameters of another length than
+    these modules have (blocks may follow where the file has them). None: a compact station accepts any one of its
+    modules, a modular one any row of them and of empty slots within its limits, behind its fixed presets, both up to
+    Max_User_Prm_Data_Len octets of user parameters; modules that the file breaks off in, or whose identifier octets
+    contradict themselves, are left out. ``ident`` where the file has none. Raises ConfigError.
+    """
+    number = device.ident if ident is None else ident
+    if number is None:
+        raise ConfigError(f"{device.model or 'the GSD file'} has no Ident_Number; give ident")
+    compact = not device.modular
+    most = device.user_prm_data_len if device.max_user_prm_data_len is None else device.max_user_prm_data_len
+    prm = 0 if chosen is None else len(chosen.user_prm().octets())
+    longest = _within(most, MAX_USER_PRM)
+    dpv1 = device.dpv1.slave and (prm or longest) >= DPV1_STATUS_LEN
+    presets = fixed_modules(device) if chosen is None else ()
+    if presets and len(presets) == len(device.modules):
+        chosen, presets = plug(device, presets), ()
+    structured = device.dpv1.prm_block_structure or device.dpv1.prm_block_structure_required
+    return SlaveDescription(
+        ident=number,
+        name=name or device.model or "slave",
+        configs=() if chosen is None else (chosen.config,),
+        modules=_modules(device) if chosen is None else (),
+        presets=tuple(SlaveModule(m.name, m.config) for m in presets if m.config),
+        max_modules=1 if compact else device.max_module or MAX_DATA,
+        # a compact station has no need of these keywords: they count for a modular one
+        max_input_len=_within(None if compact else device.max_input_len, MAX_DATA),
+        max_output_len=_within(None if compact else device.max_output_len, MAX_DATA),
+        max_data_len=_within(None if compact else device.max_data_len, 2 * MAX_DATA),
+        # blocks may follow those of the modules
+        user_prm_len=(prm, max(prm, longest) if dpv1 and structured else prm) if prm else (0, longest),
+        sync=device.sync,
+        freeze=device.freeze,
+        fail_safe=device.fail_safe,
+        fail_safe_required=device.dpv1.fail_safe_required,
+        set_slave_add=device.set_slave_add,
+        wd_base_1ms=device.dpv1.wd_base_1ms,
+        prm_blocks=device.dpv1.prm_block_structure,
+        prm_blocks_required=device.dpv1.prm_block_structure_required,
+        ms2=_within(device.dpv1.c2_max_count_channels or 1, MAX_CONNECTIONS) if device.dpv1.c2_read_write else 0,
+        ms2_max_len=_within(device.dpv1.c2_max_data_len or None, MAX_RECORD),
+        ms2_max_initiate=max(LEAST_INITIATE, _within(device.dpv1.max_initiate_pdu_length or None, MAX_DATA)),
+        dpv1=dpv1,
+        **(_alarms(device) if dpv1 else {}),
+        max_diag_len=max(FIXED_LEN, _within(device.max_diag_data_len, MAX_LEN)),
+        rates={speed.baud: speed.max_tsdr or 0 for speed in device.speeds},
+        min_slave_interval_ns=(device.min_slave_interval or 0) * INTERVAL_UNIT,
+    )
+
+
+def _alarms(device: Device) -> dict[str, Any]:
+    """What it raises; a count of alarms at a time that cannot be is no sequence mode, or the most there is.
+
+    Nothing where the file leaves its diagnosis no room for one.
+    """
+    if _within(device.max_diag_data_len, MAX_LEN) < FIXED_LEN + HEAD:
+        return {}
+    count = device.dpv1.alarm_sequence_mode_count
+    return {
+        "alarms": tuple(kind for kind, keyword in ALARM_KEYWORDS.items() if keyword in device.dpv1.alarms),
+        "alarm_sequence": min(count, SEQUENCES) if count >= ALARM_LIMITS[1] else 0,
+        "extra_alarm_sap": device.dpv1.extra_alarm_sap,
+    }
+
+
+def _modules(device: Device) -> tuple[SlaveModule, ...]:
+    usable = tuple(
+        SlaveModule(m.name, m.config)
+        for m in device.modules
+        if m.complete and _possible(m.config) and not is_fixed(device, m)
+    )
+    if not usable:
+        raise ConfigError(f"{device.model or 'the GSD file'} has no module with identifier octets")
+    return (*usable, SlaveModule("empty slot", _EMPTY_SLOT)) if device.modular else usable
+
+
+def _possible(config: bytes) -> bool:
+    try:
+        io_lengths(config)
+    except ConfigError:
+        return False
+    return bool(config)
+
+
+def _within(value: int | None, most: int) -> int:
+    return most if value is None else min(value, most)

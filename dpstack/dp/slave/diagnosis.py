@@ -1,0 +1,121 @@
+"""The diagnosis as a slave application keeps it: its fault bits, and whether the master has seen the rest.
+
+Blocks stand in this order: alarm, status message, then what the device itself says, which is cut where there is no room
+(Max_Diag_Data_Len).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from dpstack.dp.pdu.diagnosis import ALWAYS_ONE, FIXED_LEN, Diagnosis
+from dpstack.dp.pdu.user_diag import NO_DIAG, UserDiag
+from dpstack.dp.slave.cyclic_data import CyclicData
+from dpstack.dp.slave.device import Device
+from dpstack.dp.slave.state_table import SlaveAppState
+from dpstack.dpv1.slave.alarms import Shown
+from dpstack.fdl.telegram import FC_FCB, FC_FCV
+
+
+class DiagState:
+    """Fault bits of one slave application, and what its owner has read of the application's own diagnosis.
+
+    ``user`` asks the device, None where the device never has anything to say; ``alarms`` are the device's, None where
+    it has none. ``silent``: neither of them, there is never anything to fetch.
+    """
+
+    __slots__ = (
+        "_ident",
+        "_offered",
+        "_room",
+        "_told",
+        "alarms",
+        "cfg_fault",
+        "not_supported",
+        "prm_fault",
+        "silent",
+        "user",
+    )
+
+    def __init__(self, device: Device) -> None:
+        self._ident = device.ident
+        self._room = device.max_diag_len - FIXED_LEN
+        self._told = NO_DIAG
+        self._offered: tuple[UserDiag, Shown | None] | None = None  # in an answer that the owner may not have received
+        self.prm_fault = self.cfg_fault = self.not_supported = False
+        self.user: Callable[[], UserDiag] | None = device.user_diag
+        # a device that leaves both as they are need not be asked in every exchange
+        if all(
+            getattr(getattr(device, name), "__func__", None) is getattr(Device, name)
+            for name in ("user_diag", "ext_diag")
+        ):
+            self.user = None
+        self.alarms = device.alarm_server
+        self.silent = self.user is None and self.alarms is None
+
+    def clear_faults(self) -> None:
+        """Good parameters, release or restart."""
+        self.prm_fault = self.cfg_fault = self.not_supported = False
+
+    def new_owner(self) -> None:
+        """Another master has read nothing yet."""
+        self._told = NO_DIAG
+        self._offered = None
+
+    def agree(self, status_2: int, status_3: int) -> None:
+        """DPV1_Status_2 and 3 of good parameters."""
+        if self.alarms is not None:
+            self.alarms.agree(status_2, status_3)
+
+    def entered(self, dpv1: bool) -> None:
+        """Data exchange begins, with DPV1_Enable or without."""
+        if self.alarms is not None and dpv1:
+            self.alarms.open()
+
+    def left(self) -> None:
+        """Data exchange is over: alarms end with it."""
+        if self.alarms is not None:
+            self.alarms.close()
+
+    def offer(self, user: UserDiag) -> None:
+        """An answer with ``user`` in it goes to the owner; :meth:`heard` tells whether it arrived."""
+        shown = None
+        if self.alarms is not None:
+            shown = self.alarms.shown()
+            self.alarms.offered(shown)
+        self._offered = user, shown
+
+    def heard(self, fc: int) -> None:
+        """The owner's next new request: it has the answer before, unless it had to take the station up afresh.
+
+        A request again with the same FCB never gets here: the link layer repeats the answer (A4).
+        """
+        if self._offered is not None:
+            if fc & (FC_FCV | FC_FCB) != FC_FCB:
+                self._told, shown = self._offered
+                if shown is not None and self.alarms is not None:
+                    self.alarms.fetched(shown)
+            self._offered = None
+
+    def waiting(self, fc: int) -> bool:
+        """True when the owner, whose request has ``fc``, must fetch the diagnosis (DH)."""
+        if self.silent:
+            return False
+        self.heard(fc)
+        # both are asked: with the first Data_Exchange alarms may be shown
+        news = self.alarms is not None and self.alarms.news()
+        return news or (self.user is not None and self.user() != self._told)
+
+    def build(
+        self, state: SlaveAppState, master: int | None, data: CyclicData | None, user: UserDiag, *, wd: bool, ill: bool
+    ) -> Diagnosis:
+        """The diagnosis of this moment (B1); ``wd``: the watchdog is on, ``ill``: the device is broken."""
+        blocks = b"" if self.alarms is None else self.alarms.shown().octets
+        user = user.limited(self._room - len(blocks))
+        status1 = (
+            (data is None) << 1 | self.cfg_fault << 2 | user.fault << 3 | self.not_supported << 4 | self.prm_fault << 6
+        )
+        status2 = ALWAYS_ONE | (state is SlaveAppState.WAIT_PRM) | (ill or user.stat) << 1 | wd << 3
+        if data is not None:
+            status2 |= data.frozen << 4 | data.synced << 5
+        return Diagnosis(status1, status2, user.overflow << 7, master, self._ident, blocks + user.ext)

@@ -1,0 +1,138 @@
+"""What a slave makes of Set_Prm and Chk_Cfg: the judgement, and the watchdog that comes out of it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN
+from dpstack.dp.pdu.requests import SetPrm
+from dpstack.dp.slave.device import Device
+from dpstack.dp.slave_params import watchdog_ns
+from dpstack.dpv1.pdu.dpv1_status import DPV1_ENABLE, DPV1_STATUS_LEN, FAIL_SAFE, WD_BASE_1MS
+from dpstack.dpv1.pdu.ms2 import LEAST_INITIATE
+from dpstack.dpv1.pdu.read_write import MAX_RECORD
+from dpstack.dpv1.slave.resource_manager import MAX_CONNECTIONS
+from dpstack.errors import ConfigError
+from dpstack.fdl.telegram import MAX_DATA
+from dpstack.gsd.identifiers import agree, io_lengths
+from dpstack.units import NEVER
+
+
+class Refusal(NamedTuple):
+    """Why a service is refused, with the octet, and whether it is for something the slave does not support."""
+
+    reason: str
+    not_supported: bool = False
+
+
+def judge_prm(device: Device, prm: SetPrm, *, ask_device: bool) -> Refusal | None:
+    """Judge ``prm`` for ``device``; None when it is accepted. Exceptions of ``device.check_prm`` pass through."""
+    if not prm.lock and not prm.unlock:
+        return None  # p734: only min T_SDR is taken, whatever the ident number
+    if prm.ident != device.ident:
+        return Refusal(f"octets 5-6: ident number 0x{prm.ident:04X}, this device is 0x{device.ident:04X}")
+    if prm.unlock:
+        return None
+    if prm.watchdog is not None and 0 in prm.watchdog:
+        return Refusal(f"octet {2 + prm.watchdog.index(0)}: watchdog factor 0 with WD_On")
+    if prm.sync and not device.sync_supported:
+        return Refusal("octet 1: SYNC is not supported", True)
+    if prm.freeze and not device.freeze_supported:
+        return Refusal("octet 1: FREEZE is not supported", True)
+    if device.fail_safe_required and not _dpv1_status(prm) & FAIL_SAFE:
+        return Refusal(
+            "octet 8 bit 6: Fail_Safe is not set, this device needs a master that sends empty frames in Clear"
+        )
+    reason = device.check_prm(prm.user_prm) if ask_device else None
+    return None if reason is None else Refusal(f"octet 8 on: {reason}")
+
+
+def watchdog_time(device: Device, prm: SetPrm) -> int:
+    """The watchdog time that ``prm`` asks for in ns, 0 when it is off: base 10 ms, or 1 ms with WD_Base_1ms (C1)."""
+    if prm.watchdog is None:
+        return 0
+    fine = device.wd_base_1ms and _dpv1_status(prm) & WD_BASE_1MS
+    return watchdog_ns(prm.watchdog, 1) if fine else watchdog_ns(prm.watchdog)
+
+
+def dpv1_enabled(prm: SetPrm) -> bool:
+    """Whether ``prm`` opens the services of DP-V1."""
+    return bool(_dpv1_status(prm) & DPV1_ENABLE)
+
+
+def alarm_octets(prm: SetPrm) -> tuple[int, int]:
+    """DPV1_Status_2 and 3: what alarms the master takes, and how many at a time (C1); zeros without DPV1_Enable."""
+    octets = prm.user_prm[:DPV1_STATUS_LEN].ljust(DPV1_STATUS_LEN, b"\0")
+    return (octets[1], octets[2]) if dpv1_enabled(prm) else (0, 0)
+
+
+def _dpv1_status(prm: SetPrm) -> int:
+    return prm.user_prm[0] if prm.user_prm else 0
+
+
+def real_cfg(device: Device, config: bytes) -> bytes:
+    """The device's own configuration where ``config`` differs only by wanting no comparison (J), else ``config``."""
+    if config in device.configs:
+        return config
+    return next((real for real in device.configs if agree(real, config)), config)
+
+
+def judge_cfg(device: Device, config: bytes) -> tuple[int, int] | Refusal:
+    """(input octets, output octets) of ``config``, or the refusal. Exceptions of ``device.check_cfg`` pass through."""
+    try:
+        lengths = io_lengths(config)
+    except ConfigError as error:
+        return Refusal(str(error))
+    if max(lengths) > MAX_DATA:
+        return Refusal(f"{lengths[0]} input and {lengths[1]} output octets, {MAX_DATA} each are possible")
+    reason = device.check_cfg(config)
+    return lengths if reason is None else Refusal(reason)
+
+
+def check_device(device: Device) -> None:
+    """Raise ConfigError where ``device`` could never be on a bus."""
+    if not 0 <= device.ident <= 0xFFFF:
+        raise ConfigError(f"device {device.name}: ident {device.ident:#x} does not fit two octets")
+    if not device.configs or any(len(config) > MAX_DATA for config in device.configs):
+        raise ConfigError(f"device {device.name}: configs must hold identifier octets (up to {MAX_DATA} each)")
+    if not 0 <= device.ms2 <= MAX_CONNECTIONS:
+        raise ConfigError(f"device {device.name}: ms2 = {device.ms2} connections; 0 to {MAX_CONNECTIONS} are possible")
+    if not 0 < device.ms2_max_len <= MAX_RECORD:
+        raise ConfigError(f"device {device.name}: ms2_max_len {device.ms2_max_len} is outside 1..{MAX_RECORD}")
+    if not LEAST_INITIATE <= device.ms2_max_initiate <= MAX_DATA:
+        what = f"ms2_max_initiate {device.ms2_max_initiate} is outside {LEAST_INITIATE}..{MAX_DATA}"
+        raise ConfigError(f"device {device.name}: {what}")
+    if not FIXED_LEN <= device.max_diag_len <= MAX_LEN:
+        raise ConfigError(f"device {device.name}: max_diag_len {device.max_diag_len} is outside {FIXED_LEN}..{MAX_LEN}")
+
+
+class Watchdog:
+    """Response monitoring of the owner. ``heard`` is the time of its last request, ``at`` when to judge (or NEVER).
+
+    The deadline is moved only when it has come: an exchange just notes its time.
+    """
+
+    __slots__ = ("at", "heard", "time_ns")
+
+    def __init__(self) -> None:
+        self.at = NEVER
+        self.heard = 0
+        self.time_ns = 0
+
+    def arm(self, time_ns: int, now: int) -> None:
+        """Watch for ``time_ns`` from now on, 0 = off."""
+        self.heard = now
+        self.time_ns = time_ns
+        self.at = now + time_ns if time_ns else NEVER
+
+    def disarm(self) -> None:
+        """Nobody to watch."""
+        self.time_ns = 0
+        self.at = NEVER
+
+    def expired(self, now: int) -> bool:
+        """Whether the time is over; otherwise the deadline moves on."""
+        if self.at > now:
+            return False
+        self.at = self.heard + self.time_ns
+        return self.at <= now

@@ -1,0 +1,250 @@
+"""The services of a slave that are not cyclic: reading, Set_Prm, Chk_Cfg, Set_Slave_Add.
+
+Who may use which when is in :mod:`dpstack.dp.slave.state_table`; here is what each does once it is let in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Final
+
+from dpstack.dp.pdu.requests import SetPrm, SetSlaveAdd
+from dpstack.dp.slave.cyclic_data import CyclicData
+from dpstack.dp.slave.device import Leave
+from dpstack.dp.slave.prm_cfg_check import (
+    Refusal,
+    alarm_octets,
+    dpv1_enabled,
+    judge_cfg,
+    judge_prm,
+    real_cfg,
+    watchdog_time,
+)
+from dpstack.dp.slave.state import SlaveCore
+from dpstack.dp.slave.state_table import AppEv
+from dpstack.dpv1.pdu.ms2 import SERVER_SAPS
+from dpstack.errors import PduError
+from dpstack.fdl.interface import RS_REPLY, SC_REPLY, Reply
+from dpstack.fdl.telegram import (
+    SAP_CHK_CFG,
+    SAP_GET_CFG,
+    SAP_MS1,
+    SAP_MS1_ALARM,
+    SAP_MS2_RM,
+    SAP_RD_INP,
+    SAP_RD_OUTP,
+    SAP_SET_PRM,
+    SAP_SET_SLAVE_ADD,
+    SAP_SLAVE_DIAG,
+    Resp,
+    Telegram,
+)
+
+_DL: Final = Resp.DL
+
+Handler = Callable[[Telegram, int], Reply]
+
+
+class Services:
+    """The services of one slave application by DSAP, in ``by_sap``."""
+
+    __slots__ = ("_core", "by_sap")
+
+    def __init__(self, core: SlaveCore) -> None:
+        self._core = core
+        self.by_sap: Mapping[int | None, Handler] = {
+            **dict.fromkeys(SERVER_SAPS, self._connection),
+            SAP_MS2_RM: self._resource_manager,
+            SAP_SLAVE_DIAG: self._slave_diag,
+            SAP_SET_PRM: self._set_prm,
+            SAP_CHK_CFG: self._chk_cfg,
+            SAP_GET_CFG: self._get_cfg,
+            SAP_RD_INP: self._rd_inp,
+            SAP_RD_OUTP: self._rd_outp,
+            SAP_SET_SLAVE_ADD: self._set_slave_add,
+            SAP_MS1: self._ms1,
+            SAP_MS1_ALARM: self._ms1_alarm,
+        }
+
+    # --- reading ------------------------------------------------------------------------------------------------
+
+    def _slave_diag(self, request: Telegram, now: int) -> Reply:
+        core = self._core
+        user = core.user_diag(now)
+        octets = core.diagnosis(user).build()
+        if request.sa == core.master:
+            core.diag.offer(user)
+        return Reply(_DL, octets)
+
+    def _get_cfg(self, request: Telegram, now: int) -> Reply:
+        data = self._core.data
+        return _data_reply(self._core.device.configs[0] if data is None else data.config)
+
+    def _rd_inp(self, request: Telegram, now: int) -> Reply:
+        data = self._core.data
+        return _data_reply(b"" if data is None else data.inputs)
+
+    def _rd_outp(self, request: Telegram, now: int) -> Reply:
+        data = self._core.data
+        return _data_reply(b"" if data is None else data.outputs)
+
+    # --- Set_Prm ------------------------------------------------------------------------------------------------
+
+    def _set_prm(self, request: Telegram, now: int) -> Reply:
+        core = self._core
+        sa = request.sa
+        if core.master is not None and sa != core.master:
+            core.foreign("Set_Prm", sa, AppEv.PRM_FOREIGN, now)
+            return SC_REPLY
+        try:
+            prm = SetPrm.parse(request.data)
+            refusal = judge_prm(core.device, prm, ask_device=core.failure is None)
+        except PduError as error:
+            self._prm_bad(sa, Refusal(str(error)), now)
+            return SC_REPLY
+        except Exception as error:
+            core.fail("Set_Prm", error, now)
+            return SC_REPLY
+        if refusal is not None:
+            self._prm_bad(sa, refusal, now)
+        elif prm.unlock:
+            core.diag.clear_faults()
+            core.step(AppEv.UNLOCK, now, Leave.UNLOCK)
+        elif prm.lock:
+            self._prm_good(sa, prm, now)
+        else:
+            core.take_min_tsdr(prm.min_tsdr)
+            core.step(AppEv.PRM_KEEP, now)
+        return SC_REPLY
+
+    def _prm_bad(self, sa: int, refusal: Refusal, now: int) -> None:
+        # B1: Not_Supported says it more exactly than Prm_Fault
+        core = self._core
+        core.diag.clear_faults()
+        core.diag.not_supported = refusal.not_supported
+        core.diag.prm_fault = not refusal.not_supported
+        core.report.refused("Set_Prm", sa, refusal.reason, now)
+        core.step(AppEv.PRM_BAD, now, Leave.NEW_PARAMETERS)
+
+    def _prm_good(self, sa: int, prm: SetPrm, now: int) -> None:
+        core = self._core
+        core.diag.clear_faults()
+        core.diag.new_owner()
+        core.take_min_tsdr(prm.min_tsdr)
+        core.master = sa
+        core.group = prm.group_mask
+        core.watchdog.arm(watchdog_time(core.device, prm), now)
+        core.ms1.enabled = dpv1_enabled(prm)
+        core.diag.agree(*alarm_octets(prm))
+        core.step(AppEv.PRM_GOOD, now, Leave.NEW_PARAMETERS)
+
+    # --- Chk_Cfg ------------------------------------------------------------------------------------------------
+
+    def _chk_cfg(self, request: Telegram, now: int) -> Reply:
+        core = self._core
+        config = real_cfg(core.device, request.data)
+        if request.sa != core.master:
+            core.foreign("Chk_Cfg", request.sa, AppEv.CFG_FOREIGN, now)
+        elif core.failure is not None:
+            core.step(AppEv.CFG_HELD, now)
+        elif core.data is not None and config == core.data.config:
+            core.step(AppEv.CFG_GOOD, now)
+        else:
+            self._judge_cfg(request.sa, config, now)
+        return SC_REPLY
+
+    def _judge_cfg(self, sa: int, config: bytes, now: int) -> None:
+        core = self._core
+        try:
+            verdict = judge_cfg(core.device, config)
+        except Exception as error:
+            core.fail("Chk_Cfg", error, now)
+            return
+        if isinstance(verdict, Refusal):
+            core.diag.cfg_fault = True
+            core.report.refused("Chk_Cfg", sa, verdict.reason, now)
+            core.step(AppEv.CFG_BAD, now, Leave.NEW_CONFIGURATION)
+        else:
+            self._cfg_good(config, *verdict, now)
+
+    def _cfg_good(self, config: bytes, inputs: int, outputs: int, now: int) -> None:
+        core = self._core
+        if not core.leave(Leave.NEW_CONFIGURATION, now):
+            return
+        try:
+            data = CyclicData(core.device, config, inputs, outputs)
+            core.device.enter(config, now)
+        except Exception as error:
+            core.fail("Chk_Cfg", error, now)
+            return
+        core.diag.cfg_fault = False
+        core.data = data
+        core.diag.entered(core.ms1.enabled)
+        core.report.forget()
+        core.step(AppEv.CFG_GOOD, now)
+
+    # --- DP-V1 --------------------------------------------------------------------------------------------------
+
+    def _ms1(self, request: Telegram, now: int) -> Reply:
+        core = self._core
+        if self._closed(request.sa, core.ms1.open):
+            return RS_REPLY
+        return core.ms1.serve(request.data, request.sa, now)
+
+    def _resource_manager(self, request: Telegram, now: int) -> Reply:
+        core = self._core
+        reply = core.ms2.manage(request.data, request.sa, request.ssap, now)
+        return self._refused() if reply is None else reply
+
+    def _connection(self, request: Telegram, now: int) -> Reply:
+        core = self._core
+        sap = request.dsap or 0
+        reply = core.ms2.serve(sap, request.data, request.sa, request.ssap, now)
+        return self._refused() if reply is None else reply
+
+    def _refused(self) -> Reply:
+        self._core.report.stats.refused += 1
+        return RS_REPLY
+
+    def _ms1_alarm(self, request: Telegram, now: int) -> Reply:
+        core = self._core
+        if self._closed(request.sa, core.ms1.extra_sap):
+            return RS_REPLY
+        return core.ms1.serve_alarm(request.data, request.sa, now)
+
+    def _closed(self, sa: int, is_open: bool) -> bool:
+        """To all but the owner, and as the parameters say."""
+        core = self._core
+        if sa == core.master and is_open:
+            return False
+        core.report.stats.refused += 1
+        core.report.stats.foreign += sa != core.master
+        return True
+
+    # --- Set_Slave_Add ------------------------------------------------------------------------------------------
+
+    def _set_slave_add(self, request: Telegram, now: int) -> Reply:
+        core = self._core
+        if not core.address.open:
+            core.report.stats.refused += 1
+            return RS_REPLY
+        try:
+            wanted = SetSlaveAdd.parse(request.data)
+            reason = core.address.judge(wanted)
+            if reason is None:
+                core.address.take(wanted, request.sa, now)
+                core.ms2.end_all("the slave has another address", now)
+                core.step(AppEv.ADDRESS, now)
+        except PduError as error:
+            reason = str(error)
+        except Exception as error:
+            core.fail("Set_Slave_Add", error, now)
+            return SC_REPLY
+        if reason is not None:
+            core.report.refused("Set_Slave_Add", request.sa, reason, now)
+        return SC_REPLY
+
+
+def _data_reply(octets: bytes) -> Reply:
+    """Data, or NR where there are none (A3)."""
+    return Reply(_DL, octets) if octets else Reply(Resp.NR)

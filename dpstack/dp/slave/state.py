@@ -1,0 +1,148 @@
+"""What a slave application is at one moment, and its steps through the table of states.
+
+State and lock, the stay in data exchange, the watchdog, what is told. Whatever leaves data exchange, and whatever the
+device raises, goes through here, so that outputs and lock are given up in one place.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.pdu.user_diag import NO_DIAG, UserDiag
+from dpstack.dp.slave.address import SlaveAddress
+from dpstack.dp.slave.cyclic_data import CyclicData
+from dpstack.dp.slave.device import Device, Leave
+from dpstack.dp.slave.diagnosis import DiagState
+from dpstack.dp.slave.events import Report
+from dpstack.dp.slave.prm_cfg_check import Watchdog
+from dpstack.dp.slave.state_table import TABLE, AppEv, SlaveAppState
+from dpstack.dpv1.slave.ms1 import Ms1Server
+from dpstack.dpv1.slave.resource_manager import Ms2Server
+from dpstack.dpv1.timeouts import least_send_timeout
+from dpstack.fdl.passive.station import LOWEST_TSDR
+
+#: of an application that is on no station
+_UNKNOWN_RATE: Final = 1_500_000
+
+
+class SlaveCore:
+    """One slave application, as :class:`~dpstack.dp.slave.application.SlaveApp` and its services share it.
+
+    ``master``: who has locked the slave. ``failure``: what failed in the device, None while it works. ``data``: only in
+    data exchange. ``group``: Group_Ident. ``ms1``: Read and Write of DP-V1, ``ms2``: the connections of class 2.
+    """
+
+    __slots__ = (
+        "address",
+        "data",
+        "device",
+        "diag",
+        "failure",
+        "group",
+        "master",
+        "ms1",
+        "ms2",
+        "report",
+        "state",
+        "watchdog",
+    )
+
+    def __init__(self, device: Device, address: int | None, address_fixed: bool) -> None:
+        self.device = device
+        self.state = SlaveAppState.WAIT_PRM
+        self.master: int | None = None
+        self.failure: str | None = None
+        self.report = Report(device, address)
+        self.diag = DiagState(device)
+        self.ms1 = Ms1Server(device.records, self.report, device.alarm_server)
+        self.ms2 = Ms2Server(device, device.ms2, self.report, self._send_timeout, device.ms2_at_once)
+        self.address = SlaveAddress(device, self.report, address_fixed)
+        self.watchdog = Watchdog()
+        self.data: CyclicData | None = None
+        self.group = 0
+
+    def diagnosis(self, user: UserDiag) -> Diagnosis:
+        """The diagnosis of this moment, with ``user`` from the device."""
+        wd, ill = self.watchdog.time_ns > 0, self.failure is not None
+        return self.diag.build(self.state, self.master, self.data, user, wd=wd, ill=ill)
+
+    def user_diag(self, now: int) -> UserDiag:
+        """What the device says in the diagnosis; nothing from a broken one."""
+        ask = self.diag.user
+        if ask is not None and self.failure is None:
+            try:
+                user = ask()
+                if not isinstance(user, UserDiag):
+                    raise TypeError(f"user_diag() returned {type(user).__name__}, a UserDiag is wanted")
+                return user
+            except Exception as error:
+                self.fail("Slave_Diag", error, now)
+        return NO_DIAG
+
+    def take_min_tsdr(self, bits: int) -> None:
+        """Hand min T_SDR of Set_Prm to the station."""
+        if self.report.station is not None:
+            self.report.station.set_min_tsdr(bits)
+
+    def restart(self, now: int) -> None:
+        """Off and on again: nothing kept but the address, a failure forgotten."""
+        self.step(AppEv.POWER_ON, now, Leave.POWER_OFF)
+        self.ms2.end_all("the slave was switched off", now)
+        self.failure = None
+        self.diag.clear_faults()
+        self.take_min_tsdr(LOWEST_TSDR)
+        self.address.restart()
+        self.report.forget()
+
+    def restart_at(self, address: int, now: int) -> None:
+        """The device restarts by itself, at an address that was set at it."""
+        self.address.set_at_device(address)
+        before = self.report.address
+        self.restart(now)
+        if before != address:
+            self.report.address_changed(before, None, self.address.fixed, True, now)
+
+    def step(self, event: AppEv, now: int, leave: Leave | None = None) -> None:
+        """Take the row of ``event``; ``leave``: why data exchange ends, unless the row leads back into it."""
+        was = self.state
+        state = self.state = TABLE[was, event].next
+        if state is SlaveAppState.WAIT_PRM:
+            self.master = None
+            self.group = 0
+            self.watchdog.disarm()
+        if state is not was:
+            self.report.state(state, event, self.master, now)
+        if leave is not None and state is not SlaveAppState.DATA_EXCH:
+            self.leave(leave, now)
+
+    def leave(self, reason: Leave, now: int) -> bool:
+        """Give up the cyclic data, and the outputs with them; False when the device failed at that."""
+        if self.data is None:
+            return True
+        self.data = None
+        self.ms1.close()
+        self.diag.left()
+        try:
+            self.device.leave(reason, now)
+        except Exception as error:
+            self.fail(f"leaving ({reason.value})", error, now)
+            return False
+        return True
+
+    def fail(self, during: str, error: Exception, now: int) -> None:
+        """The device raised: out of data exchange, told."""
+        self.failure = f"{type(error).__name__}: {error}"
+        self.report.failed(during, error, now)
+        self.step(AppEv.FAILED, now, Leave.FAILURE)
+
+    def _send_timeout(self) -> int:
+        station = self.report.station
+        return least_send_timeout(_UNKNOWN_RATE if station is None else station.baud)
+
+    def foreign(self, service: str, sa: int, event: AppEv, now: int) -> None:
+        """A service of a master that does not own the slave: counted, told, without effect."""
+        self.report.stats.foreign += 1
+        owner = "nobody has parameterised the slave" if self.master is None else f"it is locked by master {self.master}"
+        self.report.refused(service, sa, owner, now)
+        self.step(event, now)

@@ -1,0 +1,280 @@
+"""The slave that a user builds: a description and one function from outputs and elapsed time to inputs."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Awaitable, Callable, Iterator
+from typing import Protocol
+
+from dpstack.argcheck import Sealed, functions, octets, whole
+from dpstack.dp.pdu.diagnosis import FIXED_LEN
+from dpstack.dp.pdu.user_diag import NO_DIAG, UserDiag
+from dpstack.dp.slave.description import SlaveDescription
+from dpstack.dp.slave.device import FunctionDevice, Leave, OnCycle
+from dpstack.dpv1.pdu.im import Im
+from dpstack.dpv1.pdu.ms2 import InitiateReq
+from dpstack.dpv1.pdu.prm_blocks import PrmBlock
+from dpstack.dpv1.pdu.read_write import PARAMETER_INDEX
+from dpstack.dpv1.slave.alarms import AlarmServer
+from dpstack.dpv1.slave.record_requests import Records
+from dpstack.dpv1.slave.record_table import ByIndex, ImOf, ImRecords
+from dpstack.dpv1.slave.resource_manager import MAX_CONNECTIONS
+from dpstack.errors import ConfigError
+from dpstack.gsd.identifiers import io_lengths
+
+
+class OnAddress(Protocol):
+    """Keeps what Set_Slave_Add brought where it survives a restart."""
+
+    def __call__(self, address: int, fixed: bool, rem_slave_data: bytes) -> None:
+        """As :meth:`~dpstack.dp.slave.device.Device.address_set`: all of it is kept."""
+
+
+class OnIm(Protocol):
+    """Keeps what a master wrote of I&M1 to I&M4 where it survives a restart."""
+
+    def __call__(self, slot: int, record: Im) -> None:
+        """``record`` as it is to stand from now on, at the slot that was addressed."""
+
+
+#: a record's octets from slot and index; from slot, index and octets to nothing. Both may take their time, and raise
+#: :class:`~dpstack.errors.RecordRefused`.
+OnRead = Callable[[int, int], Awaitable[bytes]]
+OnWrite = Callable[[int, int, bytes], Awaitable[None]]
+#: what Data_Transport brings, from slot, index and octets to octets, up to 240 each way
+OnTransport = Callable[[int, int, bytes], Awaitable[bytes]]
+#: judges an Initiate of a master of class 2; it raises :class:`~dpstack.errors.RecordRefused` to refuse it
+OnInitiate = Callable[[int, InitiateReq], None]
+
+
+class DpSlave(Sealed, FunctionDevice):
+    """A slave of the type ``description`` that does what ``on_cycle(outputs, elapsed)`` does.
+
+    ``on_cycle`` takes the outputs in the length of the configuration in use, ``elapsed`` in ns since data exchange
+    began, and returns the inputs in their length. It is called in every Data_Exchange, at SYNC and FREEZE, and
+    **with the safe outputs** as soon as the real ones end for whatever reason: Clear, an empty frame, watchdog, any way
+    out of data exchange. ``safe``: these octets, default zeros; only where all configurations have that length.
+    ``config``: what Get_Cfg says until a master has configured the slave: the modules that are plugged in.
+
+    ``on_prm(user_prm)`` judges user parameters: a reason to refuse them, or None; ``on_blocks(blocks)`` does so with
+    the structured ones of a DP-V1 slave (empty where there are none; lengths that lie are refused before).
+    ``on_address`` keeps the address that Set_Slave_Add gives; without it the slave has its old one after a restart.
+    ``on_leave(reason)`` is told why data exchange ended. What any of them raises takes this slave out of data exchange,
+    with safe outputs and Stat_Diag, until it is restarted; nothing else is disturbed.
+
+    ``on_read`` and ``on_write`` serve the records of DP-V1, ``on_transport`` the Data_Transport of class 2
+    (:func:`dpstack.serve_slave` runs them), one at a time for each who asks: what they raise is answered and told,
+    nothing else ends; they are cancelled when the master gives up. ``on_initiate(master, wanted)`` may refuse a
+    connection of class 2 by RecordRefused (a negative response). ``ms2``: so many connections of class 2, default the
+    description's. ``im`` is its I&M: I&M0, and those of I&M1 to 4 that a master may write, for every slot alike or as a
+    table slot -> I&M. ``on_im(slot, record)`` keeps what a master writes of it where it survives a restart; what it
+    raises is answered (RecordRefused: as it says), and nothing is changed. ``parameters`` serves record 47, the
+    parameter channel of PROFIdrive (:class:`dpstack.profile.record47.TimedRecords`), instead of these functions.
+    ``alarm_server`` is where a slave with DP-V1 raises alarms and tells status messages
+    (:class:`~dpstack.dpv1.slave.alarms.AlarmServer`); served, it has them as async calls.
+
+    Set :attr:`diag`, as a whole and whenever something changes, to what the slave shall say in its diagnosis.
+    Raises ConfigError.
+    """
+
+    def __init__(
+        self,
+        description: SlaveDescription,
+        on_cycle: OnCycle,
+        *,
+        config: bytes | None = None,
+        safe: bytes | None = None,
+        on_prm: Callable[[bytes], str | None] | None = None,
+        on_blocks: Callable[[tuple[PrmBlock, ...]], str | None] | None = None,
+        on_address: OnAddress | None = None,
+        on_leave: Callable[[Leave], None] | None = None,
+        on_read: OnRead | None = None,
+        on_write: OnWrite | None = None,
+        on_transport: OnTransport | None = None,
+        on_initiate: OnInitiate | None = None,
+        im: ImOf = (),
+        on_im: OnIm | None = None,
+        parameters: Records | None = None,
+        ms2: int | None = None,
+    ) -> None:
+        _check_description(description)
+        functions(
+            f"slave {description.name}",
+            ConfigError,
+            on_cycle=on_cycle,
+            on_prm=on_prm,
+            on_blocks=on_blocks,
+            on_address=on_address,
+            on_leave=on_leave,
+            on_read=on_read,
+            on_write=on_write,
+            on_transport=on_transport,
+            on_initiate=on_initiate,
+            on_im=on_im,
+        )
+        first = description.default_config
+        real = first if config is None else octets(f"slave {description.name}: config", config, ConfigError)
+        reason = description.check_cfg(real)
+        if reason is not None:
+            raise ConfigError(f"slave {description.name}: {reason}")
+        super().__init__(description.ident, real, on_cycle, description.name)
+        self.description = description
+        self.configs = tuple(dict.fromkeys((real, *description.configs)))
+        safe = None if safe is None else octets(f"slave {self.name}: safe", safe, ConfigError)
+        if safe is not None and description.modules:
+            raise ConfigError(f"slave {self.name}: a modular slave has zeros as safe outputs; leave safe out")
+        if safe is not None and {len(safe)} != {io_lengths(known)[1] for known in self.configs}:
+            raise ConfigError(f"slave {self.name}: {len(safe)} safe octets are not the outputs of every configuration")
+        self.sync_supported = description.sync
+        self.freeze_supported = description.freeze
+        self.fail_safe = description.fail_safe or description.fail_safe_required
+        self.fail_safe_required = description.fail_safe_required
+        self.set_slave_add = description.set_slave_add
+        self.wd_base_1ms = description.wd_base_1ms
+        self.max_diag_len = description.max_diag_len
+        if description.dpv1:
+            self.alarm_server = AlarmServer(description.alarm_support, self.max_diag_len - FIXED_LEN, self.name)
+        self._diag = NO_DIAG
+        self.safe = safe or b""
+        self._safe = b""  # in the length of the configuration in use
+        self._on_prm = on_prm
+        self._on_blocks = on_blocks
+        self._on_address = on_address
+        self._on_leave = on_leave
+        self.on_read = on_read
+        self.on_write = on_write
+        self.on_transport = on_transport
+        self.ms2 = description.ms2 if ms2 is None else whole(f"slave {self.name}: ms2", ms2, ConfigError)
+        if not 0 <= self.ms2 <= MAX_CONNECTIONS:
+            raise ConfigError(
+                f"slave {self.name}: ms2 = {ms2}: 0 to {MAX_CONNECTIONS} class 2 connections are possible"
+            )
+        self.ms2_max_len = description.ms2_max_len
+        self.ms2_max_initiate = description.ms2_max_initiate
+        self._on_initiate = on_initiate
+        self._on_im = on_im
+        given = tuple(im) if isinstance(im, Iterator) else im
+        if parameters is not None and not hasattr(parameters, "ask"):
+            raise ConfigError(
+                f"slave {self.name}: parameters = {parameters!r}: give dpstack.profile.record47.TimedRecords"
+            )
+        self._parameters = parameters
+        self._im = ImRecords(given, changed=self._im_written) if given else None
+        self.serve_records(None)
+        #: one of the user's functions runs at this moment
+        self.inside = False
+        self._seal(DpSlave)
+
+    def _sealed_name(self) -> str:
+        return f"slave {self.name}"
+
+    # --- what a user may say at any time ------------------------------------------------------------------------
+
+    @property
+    def diag(self) -> UserDiag:
+        """What the slave says in its diagnosis; the master fetches a new one at once. TypeError for anything else."""
+        return self._diag
+
+    @diag.setter
+    def diag(self, diag: UserDiag) -> None:
+        if not isinstance(diag, UserDiag):
+            raise TypeError(f"slave {self.name}: diag is a UserDiag, for instance UserDiag.of(device_block(b'...'))")
+        self._diag = diag
+
+    def user_diag(self) -> UserDiag:
+        """The diagnosis as it was set."""
+        return self._diag
+
+    @property
+    def im(self) -> tuple[Im, ...]:
+        """Its I&M, that of slot 0, as it stands now, by number; a master may have written some of it."""
+        return self.im_of(0)
+
+    def im_of(self, slot: int) -> tuple[Im, ...]:
+        """I&M of ``slot`` as it stands now, by number; empty where it has none."""
+        return () if self._im is None else self._im.of(slot)
+
+    def serve_records(self, others: Records | None) -> None:
+        """What serves the records beside I&M and parameters."""
+        if self._parameters is not None:
+            others = ByIndex({PARAMETER_INDEX: self._parameters}, others)
+        if self._im is not None:
+            self._im.others = others
+        self.records = others if self._im is None else self._im
+
+    # --- Device -------------------------------------------------------------------------------------------------
+
+    def check_prm(self, user_prm: bytes) -> str | None:
+        """Lengths by the description, the rest by the user's own checks."""
+        reason = self.description.check_prm(user_prm)
+        with self._called():
+            if reason is None and self._on_prm is not None:
+                reason = self._on_prm(user_prm)
+            if reason is None and self._on_blocks is not None:
+                reason = self._on_blocks(self.description.blocks(user_prm))
+        return reason
+
+    def check_cfg(self, config: bytes) -> str | None:
+        """By the description."""
+        return self.description.check_cfg(config)
+
+    def enter(self, config: bytes, now: int) -> None:
+        """Data exchange begins."""
+        super().enter(config, now)
+        self._safe = self.safe or bytes(io_lengths(config)[1])
+
+    def exchange(self, outputs: bytes, now: int) -> bytes:
+        """The user's function."""
+        self.inside = True
+        try:
+            return super().exchange(outputs, now)
+        finally:
+            self.inside = False
+
+    def clear(self, now: int) -> None:
+        """Safe outputs at once."""
+        self.exchange(self._safe, now)
+
+    def leave(self, reason: Leave, now: int) -> None:
+        """Safe outputs at once, also to a function that has just failed: whatever it still does must be safe."""
+        told = contextlib.suppress(Exception) if reason is Leave.FAILURE else contextlib.nullcontext()
+        with told:
+            self.exchange(self._safe, now)
+        if self._on_leave is not None:
+            with self._called():
+                self._on_leave(reason)
+
+    def address_set(self, address: int, fixed: bool, rem_slave_data: bytes) -> bool:
+        """Kept where the user keeps it."""
+        if self._on_address is None:
+            return False
+        with self._called():
+            self._on_address(address, fixed, rem_slave_data)
+        return True
+
+    def initiate(self, master: int, wanted: InitiateReq) -> None:
+        """As the user says."""
+        if self._on_initiate is not None:
+            with self._called():
+                self._on_initiate(master, wanted)
+
+    def _im_written(self, slot: int, record: Im) -> None:
+        if self._on_im is not None:
+            with self._called():
+                self._on_im(slot, record)
+
+    @contextlib.contextmanager
+    def _called(self) -> Iterator[None]:
+        self.inside = True
+        try:
+            yield
+        finally:
+            self.inside = False
+
+
+def _check_description(given: object) -> None:
+    if not isinstance(given, SlaveDescription):
+        raise ConfigError(
+            f"a DpSlave is made of a SlaveDescription, not of {given!r}: SlaveDescription.simple(0x1234, inputs=2, "
+            f"outputs=1) for instance; slave_from_gsd(...) makes one of a GSD file"
+        )

@@ -1,0 +1,191 @@
+"""What a master must know of a slave before it can bring it up, checked at construction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple
+
+from dpstack.dp.pdu.diag_texts import DiagTexts
+from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN
+from dpstack.dp.pdu.requests import MAX_USER_PRM
+from dpstack.dpv1.pdu.dpv1_status import DPV1_STATUS_LEN, FAIL_SAFE, WD_BASE_1MS, Dpv1, set_bit
+from dpstack.errors import ConfigError
+from dpstack.fdl.telegram import MAX_DATA
+from dpstack.gsd.identifiers import io_lengths
+from dpstack.params import MAX_STATION, UNADDRESSED
+from dpstack.text import octets_text
+from dpstack.units import NS_PER_MS, NS_PER_US
+
+#: Min_Slave_Interval counts in 100 us, as GSD files do
+INTERVAL_UNIT: Final = 100 * NS_PER_US
+MAX_WATCHDOG_MS: Final = 650_250
+#: the longest watchdog with the 1 ms base
+_MAX_FINE_MS: Final = 255 * 255
+
+
+class WatchdogTime(NamedTuple):
+    """A watchdog as Set_Prm says it: two factors 1..255 of a base of 10 ms, or of 1 ms where the slave has that."""
+
+    factors: tuple[int, int]
+    base_ms: int = 10
+
+    @property
+    def ns(self) -> int:
+        """The effective time in ns."""
+        return watchdog_ns(self.factors, self.base_ms)
+
+    @property
+    def ms(self) -> int:
+        """The effective time in ms."""
+        return self.ns // NS_PER_MS
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlaveSetup:
+    """One slave as the master parameterises it.
+
+    ``ident`` None takes the ident number from the slave's diagnosis. ``config`` are the identifier octets of Chk_Cfg
+    (1..244), ``user_prm`` the octets after the seven fixed ones of Set_Prm (0..237). ``watchdog_ms`` 0 is off,
+    None lets the master choose from the plan. ``safe`` are the output octets for every way out (default zeros),
+    ``initial`` the first ones (default ``safe``). ``groups`` are group numbers 1..8. ``every``: every n-th round.
+    ``wd_base_1ms``: a DP-V1 slave with a watchdog base of 1 ms; its user parameters begin with DPV1_Status_1..3.
+    ``dpv1``: DPV1_Enable and what goes with it, for a slave whose user parameters begin so; None: nothing of it.
+    ``fail_safe``: it gets empty frames in Clear; ``fail_safe_told``: DPV1_Status_1 says whether, also without ``dpv1``.
+    ``max_diag_len``: octets of its longest diagnosis, 6..244, None: not known.
+    ``ignore_auto_clear``: the master stays in Operate without it. ``texts``: what its GSD file says to a diagnosis.
+
+    Raises :class:`~dpstack.errors.ConfigError`.
+    """
+
+    address: int
+    name: str
+    ident: int | None
+    config: bytes
+    user_prm: bytes = b""
+    watchdog_ms: int | None = None
+    min_tsdr: int = 11
+    groups: tuple[int, ...] = ()
+    sync: bool = False
+    freeze: bool = False
+    safe: bytes = b""
+    initial: bytes | None = None
+    fail_safe: bool = False
+    fail_safe_told: bool = False
+    every: int = 1
+    min_slave_interval_ns: int = 0
+    max_tsdr: int | None = None
+    max_diag_len: int | None = None
+    wd_base_1ms: bool = False
+    ignore_auto_clear: bool = False
+    dpv1: Dpv1 | None = None
+    texts: DiagTexts | None = field(default=None, compare=False, repr=False)
+    #: what the drive or device does when its master stops, for people ("coasts after 200 ms")
+    on_loss: str = ""
+    #: for people, where the slave refuses ``user_prm``: how its GSD file can be read otherwise, and how to ask for that
+    prm_note: str = field(default="", compare=False)
+
+    def __post_init__(self) -> None:
+        where = f"slave {self.address} ({self.name})"
+        if not 0 <= self.address <= UNADDRESSED:
+            raise ConfigError(f"{where}: the address must be 0..{MAX_STATION} (126 only for a slave as delivered)")
+        if self.ident is not None and not 0 <= self.ident <= 0xFFFF:
+            raise ConfigError(f"{where}: ident {self.ident:#x} does not fit two octets")
+        if not 1 <= len(self.config) <= MAX_DATA:
+            raise ConfigError(f"{where}: {len(self.config)} identifier octets; 1..{MAX_DATA} are possible")
+        if len(self.user_prm) > MAX_USER_PRM:
+            raise ConfigError(f"{where}: {len(self.user_prm)} octets of user parameters; {MAX_USER_PRM} are possible")
+        if self.watchdog_ms is not None and not 0 <= self.watchdog_ms <= MAX_WATCHDOG_MS:
+            raise ConfigError(f"{where}: watchdog_ms {self.watchdog_ms} is outside 0 (off)..650250")
+        for key in ("wd_base_1ms", "fail_safe_told", "dpv1"):
+            if getattr(self, key) and len(self.user_prm) < DPV1_STATUS_LEN:
+                raise ConfigError(
+                    f"{where}: {key} needs user_prm that begin with the three DPV1_Status octets, "
+                    f"{octets_text(len(self.user_prm))} given"
+                )
+        sent = len(self.user_octets(None))
+        if sent > MAX_USER_PRM:
+            raise ConfigError(f"{where}: {sent} octets of user parameters with its blocks; {MAX_USER_PRM} are possible")
+        if any(not 1 <= g <= 8 for g in self.groups):
+            raise ConfigError(f"{where}: groups are numbered 1..8")
+        if self.every < 1:
+            raise ConfigError(f"{where}: every must be 1 or more")
+        if self.max_diag_len is not None and not FIXED_LEN <= self.max_diag_len <= MAX_LEN:
+            raise ConfigError(f"{where}: max_diag_len {self.max_diag_len} is outside {FIXED_LEN}..{MAX_LEN}")
+        inputs, outputs = io_lengths(self.config)
+        if inputs > MAX_DATA or outputs > MAX_DATA:
+            raise ConfigError(f"{where}: {inputs} input and {outputs} output octets; {MAX_DATA} each are possible")
+        for name in ("safe", "initial"):
+            given = getattr(self, name)
+            if given and len(given) != outputs:
+                raise ConfigError(f"{where}: {name} has {len(given)} octets, the configuration has {outputs} outputs")
+
+    @property
+    def input_len(self) -> int:
+        """Octets of input data in a Data_Exchange answer, from the identifier octets."""
+        return io_lengths(self.config)[0]
+
+    @property
+    def output_len(self) -> int:
+        """Octets of output data in a Data_Exchange request, from the identifier octets."""
+        return io_lengths(self.config)[1]
+
+    @property
+    def safe_outputs(self) -> bytes:
+        """The outputs for every way out."""
+        return self.safe or bytes(self.output_len)
+
+    @property
+    def group_mask(self) -> int:
+        """Group_Ident: bit n-1 for group n."""
+        return group_mask(self.groups)
+
+    def watchdog(self, default_ms: int) -> WatchdogTime | None:
+        """The watchdog it gets where ``default_ms`` is the master's recommendation; None is off.
+
+        The 1 ms base is taken where the slave has it and it comes closer.
+        """
+        wanted = default_ms if self.watchdog_ms is None else self.watchdog_ms
+        if not wanted:
+            return None
+        coarse = WatchdogTime(watchdog_factors(wanted))
+        if self.wd_base_1ms and wanted <= _MAX_FINE_MS:
+            fine = WatchdogTime(watchdog_factors(wanted, 1), 1)
+            return fine if fine.ns < coarse.ns else coarse
+        return coarse
+
+    def user_octets(self, watchdog: WatchdogTime | None) -> bytes:
+        """The user parameters as they are sent: WD_Base_1ms is the base of ``watchdog``, Fail_Safe what Clear is."""
+        octets = bytearray(self.user_prm)
+        if self.wd_base_1ms:
+            set_bit(octets, 0, WD_BASE_1MS, watchdog is not None and watchdog.base_ms == 1)
+        if self.fail_safe_told or self.dpv1 is not None:
+            set_bit(octets, 0, FAIL_SAFE, self.fail_safe)
+        if self.dpv1 is not None:
+            self.dpv1.apply(octets)
+        return bytes(octets)
+
+
+def group_mask(groups: tuple[int, ...]) -> int:
+    """Bit n-1 for group n, as in Group_Ident and Group_Select."""
+    return sum(1 << (g - 1) for g in set(groups))
+
+
+def watchdog_factors(watchdog_ms: int, base_ms: int = 10) -> tuple[int, int]:
+    """WD_Fact_1 and WD_Fact_2 whose product x ``base_ms`` is the shortest time not under ``watchdog_ms``
+    (1..650250 with 10 ms, 1..65025 with 1 ms).
+
+    Always rounded up (a shorter watchdog than asked for trips by itself); the smallest effective time that two
+    factors 1..255 can give.
+    """
+    ticks = -(-watchdog_ms // base_ms)
+    best = (255, 255)
+    for first in range(1, 256):
+        second = -(-ticks // first)
+        if second <= 255 and first * second < best[0] * best[1]:
+            best = (first, second)
+    return best
+
+
+def watchdog_ns(factors: tuple[int, int], base_ms: int = 10) -> int:
+    """The time two factors give, in ns."""
+    return factors[0] * factors[1] * base_ms * NS_PER_MS

@@ -1,0 +1,106 @@
+"""What is told and ordered about the alarms of a slave, at its master. Plain data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from dpstack.dp.acyclic.job import Outcome
+from dpstack.dp.master.events import SlaveEvent
+from dpstack.dp.pdu.diag_texts import DiagTexts, texts_of
+from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dpv1.pdu.alarms import Alarm, Status
+
+
+@dataclass(frozen=True, slots=True)
+class HoldAlarms:
+    """From now on alarms of the slave at ``address`` are acknowledged by AcknowledgeAlarm only; ``on`` False: by the
+    station itself again, those that wait included."""
+
+    address: int
+    on: bool
+
+
+@dataclass(frozen=True, slots=True)
+class AcknowledgeAlarm:
+    """Acknowledge the alarm ``number`` (of AlarmRaised) of the slave at ``address``; its end is AlarmDone."""
+
+    address: int
+    number: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AlarmRaised(SlaveEvent):
+    """The slave raised ``alarm``; ``number`` counts those of this slave. ``diagnosis`` is the one it came in.
+
+    ``held``: it waits for AcknowledgeAlarm. ``texts``: what else stands in that diagnosis (channels, modules), and what
+    the GSD file says to the alarm, one line each.
+    """
+
+    number: int
+    alarm: Alarm
+    diagnosis: Diagnosis
+    held: bool = False
+    texts: tuple[str, ...] = ()
+
+    @property
+    def owed(self) -> bool:
+        """The slave waits for its acknowledgement."""
+        return self.held
+
+    @property
+    def text(self) -> str:
+        """One line: the alarm, its data, and what came with it."""
+        return "; ".join((f"slave {self.address} ({self.name}): {self.alarm.told}", *self.texts))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AlarmDone(SlaveEvent):
+    """The one end of the alarm ``number``: the slave took its acknowledgement, or why there is none."""
+
+    number: int
+    outcome: Outcome
+
+    @property
+    def owed(self) -> bool:
+        """To who holds the alarm."""
+        return True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StatusTold(SlaveEvent):
+    """The slave's diagnosis holds a ``status`` that was not there before. Nobody acknowledges it."""
+
+    status: Status
+
+    @property
+    def text(self) -> str:
+        """One line."""
+        return f"slave {self.address} ({self.name}): {self.status.told}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AlarmCounts:
+    """What came of the alarms of one slave. ``raised``: delivered; ``acknowledged``: the slave took it.
+
+    ``repeated``: acknowledgements sent again; ``refused``: that the slave did not take. ``too_many``: more at a time
+    than agreed, ``dropped``: those of them that nobody could keep. ``not_enabled``: kinds that Set_Prm did not enable,
+    ``malformed``: blocks that are neither alarm nor status; neither is delivered. ``statuses``: told.
+    """
+
+    raised: int = 0
+    acknowledged: int = 0
+    repeated: int = 0
+    refused: int = 0
+    too_many: int = 0
+    dropped: int = 0
+    not_enabled: int = 0
+    malformed: int = 0
+    statuses: int = 0
+
+
+def texts_beside(diagnosis: Diagnosis, alarm: Alarm, texts: DiagTexts | None) -> tuple[str, ...]:
+    """What ``diagnosis`` says beside ``alarm``, and the texts of the GSD file to the alarm itself."""
+    block = alarm.build()
+    own = () if texts is None else texts.unit_diag_texts(block[1:])
+    others = tuple(other for other in diagnosis.blocks if other.octets != block)
+    return own + texts_of(others, texts, dpv1=True)

@@ -1,0 +1,384 @@
+"""Alarms of one slave at its master: recognised in its diagnoses, delivered once, acknowledged (protocol facts C4, J).
+
+An alarm is open from the diagnosis it comes in until the slave takes its acknowledgement; the sequence of requests is
+:mod:`dpstack.dpv1.master.alarm_ack`'s. Facts: one block per diagnosis; a slave keeps at most one alarm of each type
+open (Alarm_Mode 0) or so many in all; Alarm_Ack repeats slot, type and specifier (VPC3+ header; Felser; ProSoft PDPMV1
+p127: an alarm that cannot be read is indicated and not acknowledged). A Siemens DPC31 stack answers nothing to an
+Alarm_Ack that fits no open alarm, and closes the SAP: so one is never repeated while its response may still be fetched.
+
+Decisions where the sources are silent:
+
+- Type, slot and sequence number are one alarm while it is open.
+- A block that was not in the last diagnosis, or is in one that the slave asks to be read (DH) though it is as before,
+  is one raised just now. With the numbers of an alarm whose acknowledgement has no answer yet it is the next one, and
+  says that the slave has had the acknowledgement; otherwise the diagnosis is read again after the response.
+- After a request without an answer the frame count bit begins anew, and a slave cannot know whether its diagnosis was
+  read: it may offer it again. So one data exchange comes between a diagnosis and an acknowledgement, and what was
+  offered again after silence right behind a diagnosis, in the first data exchange, is nothing new.
+- With the same octets after the response it may be the old one still: :mod:`dpstack.dpv1.master.alarm_repeats`.
+- An acknowledgement without an answer is sent again as long as the slave is in data exchange. When another alarm has
+  taken its place under the same number, or in mode 0 one of the same type, the slave has had it.
+- A refused one is over, and told. A second one that is refused shows that the first had arrived.
+- Where SAP 50 is closed (RS), though GSD file or configuration say Extra_Alarm_SAP, it goes to SAP 51 from then on,
+  which takes it in every case (VPC3+: SAP 50 only where the slave was built for it). Where SAP 50 took one before, and
+  a second acknowledgement finds it closed, the first had arrived: see DPC31 above.
+- More at a time than agreed are delivered all the same, up to :data:`MAX_OPEN`; what is beyond is dropped without
+  acknowledgement, and the diagnosis is read again when there is room.
+- A kind that Set_Prm did not enable is neither delivered nor acknowledged: it may be no alarm at all, but a device
+  related diagnosis in the old form.
+- Leaving data exchange ends all of them; those delivered stay delivered.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final
+
+from dpstack.dp.acyclic.job import Outcome, ServiceFailure
+from dpstack.dp.master.fault_report import Findings
+from dpstack.dp.pdu.diag_blocks import DeviceBlock
+from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dpv1.master.alarm_book import AlarmBook
+from dpstack.dpv1.master.alarm_events import AlarmDone, AlarmRaised, StatusTold, texts_beside
+from dpstack.dpv1.master.alarm_repeats import Key, Settling
+from dpstack.dpv1.pdu.alarms import Alarm, Status, alarm_name, kind_of, parse_block
+from dpstack.dpv1.pdu.dpv1_status import ALARM_LIMITS, ALARM_MODE, ALARMS
+from dpstack.dpv1.pdu.error_codes import AGAIN
+from dpstack.errors import PduError
+from dpstack.trace import Event
+from dpstack.units import NEVER, NS_PER_MS
+
+#: alarms of one slave that are open, or not taken by the application; those of a slave that keeps the rules are 32
+MAX_OPEN: Final = 64
+#: before an acknowledgement is sent again for the first time, the second ...
+_AGAIN: Final = (100 * NS_PER_MS, 200 * NS_PER_MS, 500 * NS_PER_MS, 1000 * NS_PER_MS)
+_NO: Final = (ServiceFailure.NEGATIVE, ServiceFailure.REFUSED, ServiceFailure.LENGTH, ServiceFailure.GUARDED)
+
+
+class Stage(Enum):
+    """Where an open alarm is."""
+
+    HELD = "held"  # the application has it, or will
+    WAITING = "waiting"  # to be acknowledged
+    ASKED = "asked"  # its acknowledgement is under way
+
+
+@dataclass(slots=True, eq=False)
+class OpenAlarm:
+    """One that is not acknowledged yet; ``octets`` are its block."""
+
+    number: int
+    alarm: Alarm
+    octets: bytes
+    stage: Stage
+    #: nothing but that it stands in the diagnosis tells it from the one before
+    doubtful: bool = False
+    #: acknowledgements begun
+    attempts: int = 0
+    #: one of them had no answer
+    unanswered: bool = False
+    not_before: int = 0
+    #: the diagnosis may hold the next one with its numbers: read again when it is over
+    shown: bool = False
+    #: the response came after its acknowledgement was over
+    answered: bool = False
+
+    @property
+    def maybe_taken(self) -> bool:
+        """The slave may have had its acknowledgement."""
+        return self.unanswered or self.stage is Stage.ASKED
+
+
+class AlarmHandler:
+    """The alarms of one slave under one set of parameters, ``book`` is what outlasts it; ``ask(now)`` has its diagnosis
+    read."""
+
+    def __init__(
+        self,
+        setup: SlaveSetup,
+        findings: Findings,
+        emit: Callable[[Event], None],
+        ask: Callable[[int], None],
+        book: AlarmBook,
+    ) -> None:
+        sent = setup.user_octets(None)
+        self._enabled = sent[1]
+        #: in all; 0: one of each type
+        self._limit = ALARM_LIMITS[sent[2] & ALARM_MODE]
+        self._setup = setup
+        #: they are acknowledged at SAP 50
+        self.extra_sap = self._has_extra_sap
+        self._extra_sap_took = False
+        self._findings = findings
+        self._emit = emit
+        self._ask = ask
+        self._book = book
+        self._open: dict[Key, OpenAlarm] = {}
+        self._asked: OpenAlarm | None = None
+        self._settling = Settling(in_order=self._limit > 0)
+        self._dropped = False
+        self._silence_told = False
+        self._last: Diagnosis | None = None
+        #: blocks that say nothing new
+        self._before: set[bytes] = set()
+        #: exchanges at the last reading; what was not answered since leaves the slave in doubt whether it was read
+        self._read_after = 0
+        self._unsure = False
+        self._statuses: dict[tuple[int, int], bytes] = {}
+
+    # --- from the diagnosis -------------------------------------------------------------------------------------
+
+    def opened(self, last: Diagnosis | None, now: int) -> None:
+        """Data exchange begins: what stands in the last diagnosis before it counts from now on."""
+        for message, octets in self._messages(last, now):
+            if isinstance(message, Status):
+                self._on_status(message, octets, now)
+            else:
+                self._ask(now)
+
+    def take(self, diagnosis: Diagnosis, flagged_at: int, exchanges: int, now: int) -> None:
+        """A diagnosis of the slave in data exchange, after so many ``exchanges``; ``flagged_at``: the first of them in
+        which it asked for it (DH), 0: it did not."""
+        last, self._last = self._last, diagnosis
+        flagged = flagged_at > 0
+        renewed = flagged and diagnosis == last
+        if self._unsure and renewed and flagged_at == self._read_after + 1:  # offered again
+            flagged = renewed = False
+        before = () if last is None or renewed else last.blocks
+        self._read_after, self._unsure = exchanges, False
+        self._before = {block.octets for block in before}
+        messages = self._messages(diagnosis, now)
+        statuses = {}
+        standing = {Key.of(message) for message, _ in messages if isinstance(message, Alarm)}
+        for displaced in self._settling.displaced(standing):
+            self._new(*displaced, doubtful=False, now=now)
+        for message, octets in messages:
+            if isinstance(message, Alarm):
+                self._on_alarm(message, octets, diagnosis, flagged, now)
+            else:
+                self._on_status(message, octets, now)
+                statuses[message.type, message.slot] = octets
+        self._statuses = statuses
+
+    def _messages(self, diagnosis: Diagnosis | None, now: int) -> list[tuple[Alarm | Status, bytes]]:
+        found: list[tuple[Alarm | Status, bytes]] = []
+        for block in () if diagnosis is None else diagnosis.blocks:
+            if isinstance(block, DeviceBlock):
+                try:
+                    found.append((parse_block(block.octets), block.octets))
+                except PduError as error:
+                    if not self._book.counts.malformed:
+                        self._findings.remark(_MALFORMED.format(why=error, octets=block.octets.hex(" ")), now)
+                    self._book.count("malformed")
+        return found
+
+    def _on_status(self, status: Status, octets: bytes, now: int) -> None:
+        if self._statuses.get((status.type, status.slot)) != octets:
+            self._statuses[status.type, status.slot] = octets
+            self._book.count("statuses")
+            address, name = self._setup.address, self._setup.name
+            self._emit(StatusTold(t_ns=now, address=address, name=name, status=status))
+
+    def _on_alarm(self, alarm: Alarm, octets: bytes, diagnosis: Diagnosis, flagged: bool, now: int) -> None:
+        kind = kind_of(alarm.type)
+        if not self._enabled & ALARMS[kind]:
+            self._book.count("not_enabled")
+            self._findings.remark(_NOT_ENABLED.format(what=alarm_name(alarm.type), kind=kind), now)
+            return
+        key = Key.of(alarm)
+        self._conclude(alarm, octets, now)
+        known = self._open.get(key)
+        fresh = octets not in self._before
+        if known is not None:
+            if not (fresh and known.maybe_taken):
+                if fresh and known.octets != octets:  # over the one that nobody has acknowledged
+                    self._too_many(now)
+                known.shown = known.shown or known.maybe_taken or known.octets != octets
+                return
+            self._over(known, Outcome(), now)
+        if fresh or not self._settling.still(alarm, octets, diagnosis, flagged, now):
+            doubtful = not fresh and self._settling.doubtful(key, octets)
+            self._new(alarm, octets, diagnosis, doubtful=doubtful, now=now)
+
+    def _conclude(self, alarm: Alarm, octets: bytes, now: int) -> None:
+        """What ``alarm`` says of others whose acknowledgement had no answer."""
+        for known in tuple(self._open.values()):
+            alike = not self._limit and known.alarm.type == alarm.type
+            instead = known.octets != octets and (alike or Key.of(known.alarm) == Key.of(alarm))
+            if instead and known.unanswered and known.stage is Stage.WAITING:
+                self._over(known, Outcome(), now)
+
+    def _new(self, alarm: Alarm, octets: bytes, diagnosis: Diagnosis, *, doubtful: bool, now: int) -> None:
+        setup = self._setup
+        standing = [known.alarm.type for known in self._open.values() if not known.maybe_taken]
+        if len(standing) >= self._limit if self._limit else alarm.type in standing:
+            self._too_many(now)
+        if len(self._open) + len(self._book.untaken) >= MAX_OPEN:
+            self._book.count("dropped")
+            self._dropped = True
+            self._findings.remark(f"raises alarms while {MAX_OPEN} wait to be taken: dropped, not acknowledged", now)
+            return
+        self._book.number += 1
+        stage = Stage.HELD if self._book.hold else Stage.WAITING
+        self._open[Key.of(alarm)] = OpenAlarm(self._book.number, alarm, octets, stage, doubtful)
+        self._settling.raised(alarm)
+        self._book.count("raised")
+        self._emit(
+            AlarmRaised(
+                t_ns=now,
+                address=setup.address,
+                name=setup.name,
+                number=self._book.number,
+                alarm=alarm,
+                diagnosis=diagnosis,
+                held=self._book.hold,
+                texts=texts_beside(diagnosis, alarm, setup.texts),
+            )
+        )
+
+    def _too_many(self, now: int) -> None:
+        self._book.count("too_many")
+        agreed = f"{self._limit} at a time (alarm_mode)" if self._limit else "one of each type at a time"
+        self._findings.remark(f"raises more alarms than agreed, which is {agreed}; see its counters", now)
+
+    # --- from the application -----------------------------------------------------------------------------------
+
+    def release(self, now: int) -> None:
+        """They are the station's to acknowledge again, those that wait included."""
+        for known in self._open.values():
+            if known.stage is Stage.HELD:
+                known.stage = Stage.WAITING
+        self._room(now)
+
+    def acknowledge(self, number: int, now: int) -> None:
+        """See :class:`~dpstack.dpv1.master.alarm_events.AcknowledgeAlarm`; one that is over is no error."""
+        for known in self._open.values():
+            if known.number == number and known.stage is Stage.HELD:
+                known.stage = Stage.WAITING
+        self._room(now)
+
+    # --- the acknowledgement ------------------------------------------------------------------------------------
+
+    def missed(self, exchanges: int) -> None:
+        """The slave gave no answer to a request of any service, after so many ``exchanges``."""
+        self._unsure = self._unsure or exchanges == self._read_after
+
+    @property
+    def busy(self) -> bool:
+        """There is something to be looked at by :meth:`next_ack`, now or later."""
+        return bool(self._open) or self._settling.look_at != NEVER
+
+    def next_ack(self, exchanges: int, now: int) -> OpenAlarm | None:
+        """The alarm to be acknowledged now: one at a time, in the order they came. For every token hold while
+        :attr:`busy`."""
+        if self._settling.look_at <= now:
+            self._settling.look_at = NEVER
+            self._ask(now)
+        if self._asked is not None or not self._open or exchanges == self._read_after:
+            return None
+        for known in tuple(self._open.values()):
+            if known.answered:
+                self._over(known, Outcome(), now)
+            elif known.stage is Stage.WAITING and known.not_before <= now:
+                return known
+        return None
+
+    def asked(self, known: OpenAlarm) -> None:
+        """Its acknowledgement begins."""
+        self._asked = known
+        known.stage = Stage.ASKED
+        if known.attempts:
+            self._book.count("repeated")
+        known.attempts += 1
+
+    def ended(self, known: OpenAlarm, outcome: Outcome, now: int) -> None:
+        """What came of it."""
+        if self._asked is known:
+            self._asked = None
+        if self._open.get(Key.of(known.alarm)) is not known:
+            return  # the slave left data exchange meanwhile
+        refused = outcome.failure in _NO and not _busy(outcome)
+        self._extra_sap_took |= self.extra_sap and outcome.failure is None
+        taken = known.unanswered and self._extra_sap_took
+        if outcome.failure is ServiceFailure.REFUSED and self.extra_sap and not taken:
+            self.extra_sap = False
+            known.stage = Stage.WAITING
+            self._findings.remark(_NO_EXTRA_SAP, now)
+        elif outcome.failure is None or (refused and known.unanswered):
+            self._over(known, Outcome(), now)
+        elif refused:
+            self._book.count("refused")
+            if self._book.counts.refused == 1:
+                self._findings.remark(_REFUSED.format(why=self._said(outcome)), now)
+            self._over(known, outcome, now)
+        else:
+            known.stage = Stage.WAITING
+            known.not_before = now + _AGAIN[min(known.attempts, len(_AGAIN)) - 1]
+            if outcome.failure not in (ServiceFailure.CLOSED, ServiceFailure.NEGATIVE):
+                known.unanswered = True
+                if not self._silence_told:
+                    self._silence_told = True
+                    self._findings.remark(f"{self._said(outcome)}; it is acknowledged again until it answers", now)
+
+    def _said(self, outcome: Outcome) -> str:
+        """Without the slave, which stands in front of every remark."""
+        return outcome.text.removeprefix(f"slave {self._setup.address} ")
+
+    def _over(self, known: OpenAlarm, outcome: Outcome, now: int) -> None:
+        key = Key.of(known.alarm)
+        del self._open[key]
+        self._settling.over(key, known.octets, known.doubtful, now)
+        if outcome.failure is None:
+            self._book.count("acknowledged")
+        self._done(known, outcome, now)
+        if known.shown:
+            self._ask(now)
+        self._room(now)
+
+    def _done(self, known: OpenAlarm, outcome: Outcome, now: int) -> None:
+        address, name = self._setup.address, self._setup.name
+        self._emit(AlarmDone(t_ns=now, address=address, name=name, number=known.number, outcome=outcome))
+
+    def _room(self, now: int) -> None:
+        """What was dropped may still stand in its diagnosis."""
+        if self._dropped and len(self._open) + len(self._book.untaken) < MAX_OPEN:
+            self._dropped = False
+            self._ask(now)
+
+    # --- the end ------------------------------------------------------------------------------------------------
+
+    @property
+    def _has_extra_sap(self) -> bool:
+        return self._setup.dpv1 is not None and self._setup.dpv1.extra_alarm_sap
+
+    def closed(self, now: int) -> None:
+        """Data exchange is over, and with it all that is open."""
+        self.extra_sap = self._has_extra_sap
+        text = f"slave {self._setup.address} ({self._setup.name}) left data exchange: its alarms are void"
+        for known in self._open.values():
+            if known.stage is Stage.HELD:
+                self._book.untaken.add(known.number)
+            self._done(known, Outcome(failure=ServiceFailure.CLOSED, text=text), now)
+        self._open.clear()
+        self._settling.clear()
+        self._statuses.clear()
+        self._last = self._asked = None
+        self._dropped = False
+
+
+def _busy(outcome: Outcome) -> bool:
+    return outcome.codes is not None and outcome.codes[1] in AGAIN
+
+
+_MALFORMED: Final = "its diagnosis holds a device block that is neither alarm nor status ({why}): {octets}"
+_NOT_ENABLED: Final = (
+    "its diagnosis holds a {what}, a kind that Set_Prm did not enable: neither delivered nor acknowledged; where it "
+    'raises them put "{kind}" into dpv1 = {{ alarms = [...] }}'
+)
+_NO_EXTRA_SAP: Final = (
+    "SAP 50 is closed, though it says Extra_Alarm_SAP: its alarms are acknowledged at SAP 51 (extra_alarm_sap = false)"
+)
+_REFUSED: Final = "{why}; the alarm was delivered, but the slave may wait for ever"

@@ -1,0 +1,256 @@
+"""Class 2 connections (MS2) of a master: opened through the resource manager of a slave (DSAP 49), used at the server
+SAP that it gives out, ended by Abort (protocol facts C2, C3, J; Felser, Balluff BTL7 p27 and 28).
+
+They take nothing away from the slave's own master, and need none. Every connection of a master asks from SSAP 50
+(Felser: its only SAP for MS2); the slave's server SAP tells several of them apart. What is to be asked when is
+:mod:`dpstack.dp.acyclic.queue`'s, the telegrams are :mod:`dpstack.dpv1.master.ms2_jobs`.
+
+Decisions where the sources are silent:
+
+- Idle goes out when a connection was quiet for a third of its send time-out. A slave chip waits twice that time-out for
+  a request (VPC3+), so two may be lost. One that had no answer of the link layer is sent again when the slave is heard.
+- A connection over which nothing was heard for the send time-out is over, and so is one whose slave does not answer a
+  service in its time, or answers what cannot be read. The slave is told by Abort.
+- What ends a service from outside (cancelled, its time is over) leaves the connection: the answer is fetched first.
+- A slave that may have taken an Initiate nobody wants any more is asked for the server SAP, to abort it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, field
+from typing import Final
+
+from dpstack.dp.acyclic.job import Job
+from dpstack.dp.master.master import Master
+from dpstack.dpv1.master.ms2_commands import (
+    CloseConnection,
+    CloseConnections,
+    ConnectionOver,
+    ConnectionsClosed,
+    OpenConnection,
+    ReadOver,
+    TransportOver,
+    WriteOver,
+)
+from dpstack.dpv1.master.ms2_connection import NOT_WANTED, TIMED_OUT, Connection, Phase
+from dpstack.dpv1.master.ms2_initiate import InitiateJob
+from dpstack.dpv1.master.ms2_jobs import GiveBackJob, IdleJob, ServiceJob
+from dpstack.dpv1.master.response_check import Service
+from dpstack.dpv1.pdu.ms2 import Abort, Address, DataTransport, InitiateReq
+from dpstack.dpv1.pdu.read_write import ReadReq, WriteReq
+from dpstack.dpv1.timeouts import QUIET_SHARE
+from dpstack.errors import PduError, UsageError
+from dpstack.fdl.interface import Failure, Request
+from dpstack.fdl.telegram import Telegram
+from dpstack.params import UNADDRESSED
+from dpstack.trace import Event
+from dpstack.units import NEVER, ns_to_s
+
+#: how the refusal of a service over a connection that is over begins
+NO_CONNECTION: Final = "there is no open class 2 connection"
+#: connections at a time, to all slaves
+CAPACITY: Final = 64
+_ADDRESS: Final = 2
+
+
+@dataclass(slots=True)
+class Ms2:
+    """The connections of the station ``own``, by the token they were opened with. ``master``: of the same station."""
+
+    own: int
+    master: Master | None
+    connections: dict[int, Connection] = field(default_factory=dict)
+    #: jobs that nobody ordered, for the queue, with their time-outs
+    wanted: list[tuple[Job, int]] = field(default_factory=list)
+    #: events for the application
+    told: list[Event] = field(default_factory=list)
+    _closing: bool = False
+
+    # --- orders ---------------------------------------------------------------------------------------------------
+
+    def command(self, order: object, now: int) -> bool:
+        """CloseConnection and CloseConnections."""
+        match order:
+            case CloseConnection(ref):
+                connection = self.connections.get(ref)
+                if connection is not None:
+                    self._close(connection, "it was closed here", now)
+            case CloseConnections():
+                self._closing = True
+                for connection in tuple(self.connections.values()):
+                    self._close(connection, "the bus was closed here", now)
+                self._closed_all(now)
+            case _:
+                return False
+        return True
+
+    def job_of(self, order: object) -> tuple[int, Job, int] | None:
+        """Token, job and time-out in ns of ``order``; None when it is none for MS2. Raises UsageError."""
+        match order:
+            case OpenConnection(token=token, timeout_ns=timeout_ns):
+                return token, self._opening(order), timeout_ns
+            case ReadOver(token, ref, slot, index, length, timeout_ns):
+                return token, self._service(ref, ReadReq(slot, index, length), length), timeout_ns
+            case WriteOver(token, ref, slot, index, data, timeout_ns):
+                return token, self._service(ref, WriteReq(slot, index, data), len(data)), timeout_ns
+            case TransportOver(token, ref, slot, index, data, timeout_ns):
+                return token, self._service(ref, DataTransport(slot, index, data), len(data)), timeout_ns
+        return None
+
+    def _opening(self, order: OpenConnection) -> Job:
+        address = order.address
+        if not 0 <= address <= UNADDRESSED:
+            raise UsageError(f"{address} is no address of a slave: 0..{UNADDRESSED} ({UNADDRESSED}: as delivered)")
+        if address == self.own:
+            raise UsageError(f"{address} is the address of this master itself")
+        if self.master is not None and self.master.read_only:
+            raise UsageError("this bus is read-only: no connection is opened; leave read_only out")
+        if self._closing:
+            raise UsageError("the bus is being closed: no connection is opened any more")
+        if len(self.connections) >= CAPACITY:
+            raise UsageError(f"{CAPACITY} class 2 connections are open already: close one first")
+        if order.send_timeout_ns <= 0:
+            raise UsageError("a send time-out of 0 s or less ends a connection at once: 0.01 s is the least")
+        if order.response_ns < 0:
+            raise UsageError(f"{ns_to_s(order.response_ns):g} s is no time for an answer: 0 for as long as is usual")
+        request = InitiateReq(
+            order.send_timeout_ns,
+            features=order.features,
+            profile_features=order.profile_features,
+            profile_ident=order.profile_ident,
+            source=_address_of(order.source),
+            destination=_address_of(order.destination),
+        )
+        connection = Connection(order.token, address, order.send_timeout_ns, order.response_ns)
+        try:
+            job = InitiateJob(connection, self, request, order.channels)
+        except PduError as error:
+            raise UsageError(str(error)) from None
+        self.connections[order.token] = connection
+        return job
+
+    def _service(self, ref: int, service: Service, length: int) -> Job:
+        connection = self.connections.get(ref)
+        if connection is None or connection.phase is not Phase.OPEN:
+            why = f": {connection.reason}" if connection is not None and connection.reason else ""
+            raise UsageError(f"{NO_CONNECTION} {ref}{why}; open a new one")
+        try:
+            octets = service.build()
+        except PduError as error:
+            raise UsageError(str(error)) from None
+        if length > connection.max_len:
+            raise UsageError(
+                f"slave {connection.address} takes up to {connection.max_len} octets of data in one service "
+                f"(Max_Len_Data_Unit of its Initiate), not {length}"
+            )
+        return ServiceJob(connection, self, service, octets)
+
+    def _close(self, connection: Connection, reason: str, now: int) -> None:
+        connection.ordered |= connection.phase is Phase.OPEN
+        self.end(connection, reason, NOT_WANTED, now)
+
+    # --- one connection -------------------------------------------------------------------------------------------
+
+    def end(self, connection: Connection, reason: str, abort: Abort | None, now: int) -> None:
+        """It is over, from either end; the slave is told by ``abort`` where it may hold anything. More than once is
+        no error, the first reason stands."""
+        if connection.phase is Phase.ENDING:
+            return
+        connection.phase = Phase.ENDING
+        connection.reason = reason
+        if abort is not None and connection.taken:
+            connection.abort = abort
+            self.wanted.append((GiveBackJob(connection, self, abort), connection.send_timeout_ns))
+        else:
+            self.forget(connection, now)
+
+    def forget(self, connection: Connection, now: int) -> None:
+        """The slave holds nothing any more, or cannot be told."""
+        if self.connections.get(connection.ref) is not connection:
+            return
+        del self.connections[connection.ref]
+        if connection.opened:
+            told = connection.abort
+            self.told.append(
+                ConnectionOver(
+                    t_ns=now,
+                    connection=connection.ref,
+                    address=connection.address,
+                    server_sap=connection.server_sap or 0,
+                    reason=connection.reason,
+                    ordered=connection.ordered,
+                    abort=None if told is None else (told.subnet, told.instance, told.reason),
+                )
+            )
+        self._closed_all(now)
+
+    def _closed_all(self, now: int) -> None:
+        if self._closing and not self.connections:
+            self._closing = False
+            self.told.append(ConnectionsClosed(t_ns=now))
+
+    def uses(self, address: int, server_sap: int) -> bool:
+        """Whether a connection to the slave has this server SAP."""
+        return any(c.address == address and c.server_sap == server_sap for c in self.connections.values())
+
+    def count(self, address: int) -> int:
+        """Connections to the slave, those that are opened or given back included."""
+        return sum(c.address == address for c in self.connections.values())
+
+    # --- from the queue -------------------------------------------------------------------------------------------
+
+    def quiet(self, busy: Collection[object], now: int) -> Iterator[IdleJob]:
+        """What connections want over which nothing goes: Idle, or the answer to a service that was given up.
+
+        ``busy``: lanes with services.
+        """
+        for connection in self.connections.values():
+            if connection.phase is Phase.OPEN and connection.lane not in busy:
+                quiet_ns = now - connection.heard_at
+                if connection.outstanding or quiet_ns >= connection.send_timeout_ns // QUIET_SHARE:
+                    yield IdleJob(connection, self)
+
+    def started(self, request: Request) -> None:
+        """A request is on the wire."""
+        if isinstance(request.tag, Connection):
+            request.tag.started(request)
+
+    def heard(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
+        """The end of a request to any station."""
+        if isinstance(request.tag, Connection) and isinstance(outcome, Telegram):
+            request.tag.heard(request, outcome, now)
+
+    def may_be_taken(self, request: Request) -> bool:
+        """Whether a request that was given up may have reached the slave: it is not to be sent again."""
+        return isinstance(request.tag, Connection) and request.tag.outstanding
+
+    def line_down(self, reason: str, now: int) -> None:
+        """The port vanished. Slaves are told when it is back before they give the connections up themselves."""
+        for connection in tuple(self.connections.values()):
+            self.end(connection, f"the port vanished ({reason})", NOT_WANTED, now)
+
+    def wake_at(self) -> int:
+        """When a connection was silent for too long."""
+        return min(
+            (c.heard_at + c.send_timeout_ns for c in self.connections.values() if c.phase is Phase.OPEN), default=NEVER
+        )
+
+    def tick(self, now: int) -> bool:
+        """End the connections that were; whether there were any."""
+        open_ones = [c for c in self.connections.values() if c.phase is Phase.OPEN]
+        silent = [c for c in open_ones if now >= c.heard_at + c.send_timeout_ns]
+        for connection in silent:
+            self.end(connection, connection.silent_text, TIMED_OUT, now)
+        return bool(silent)
+
+    def take_events(self) -> list[Event]:
+        """Ends of connections."""
+        events, self.told = self.told, []
+        return events
+
+
+def _address_of(octets: bytes) -> Address:
+    if len(octets) < _ADDRESS:
+        raise UsageError(f"an address in Initiate has API and access level, {len(octets)} octets are given")
+    return Address(octets[0], octets[1], octets[_ADDRESS:])

@@ -1,0 +1,60 @@
+"""Read and Write of a cyclic unit (a drive plugin) to its own slave: it puts orders into a queue, the station carries
+them out by MS1 between the services of the application, one at a time for a slave.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+from dpstack.dp.acyclic.job import Outcome, ServiceFailure
+from dpstack.dpv1.pdu.read_write import ReadReq, RecordReq, WriteReq
+
+__all__ = ["Outcome", "PendingRecord", "ReadReq", "RecordQueue", "RecordReq", "ServiceFailure", "WriteReq", "queue_at"]
+
+
+class PendingRecord:
+    """A Read or Write under way; ``outcome`` is None until it is over."""
+
+    __slots__ = ("outcome", "request")
+
+    def __init__(self, request: RecordReq) -> None:
+        self.request = request
+        self.outcome: Outcome | None = None
+
+
+class RecordQueue:
+    """What a unit asks its slave, oldest first. It stands in the unit's attribute ``records``."""
+
+    __slots__ = ("_waiting",)
+
+    def __init__(self) -> None:
+        self._waiting: deque[PendingRecord] = deque()
+
+    def submit(self, request: RecordReq) -> PendingRecord:
+        """Queue a service; poll its ``outcome``."""
+        pending = PendingRecord(request)
+        self._waiting.append(pending)
+        return pending
+
+    def cancel(self, pending: PendingRecord) -> None:
+        """Give one up; one that was taken goes on, and nobody looks at what comes of it."""
+        if pending in self._waiting:
+            self._waiting.remove(pending)
+
+    def take(self) -> PendingRecord | None:
+        """The next one, for whoever carries it out."""
+        return self._waiting.popleft() if self._waiting else None
+
+    def clear(self) -> None:
+        """The slave left data exchange."""
+        self._waiting.clear()
+
+    def __bool__(self) -> bool:
+        """Something waits."""
+        return bool(self._waiting)
+
+
+def queue_at(unit: object) -> RecordQueue | None:
+    """The queue of a cyclic ``unit`` that wants something now."""
+    queue = getattr(unit, "records", None)
+    return queue if isinstance(queue, RecordQueue) and queue else None

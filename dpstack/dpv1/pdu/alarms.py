@@ -1,0 +1,311 @@
+"""The PDUs of alarms: alarm and status blocks of the diagnosis, Alarm_Ack (protocol facts C2, C4; Felser; FPBA-01 p85).
+
+A block is device related (its octets with the header, 4 to 63). Octets are counted within the block, from 1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Final
+
+from dpstack.dpv1.pdu.layouts import ALARM_ACK, MESSAGE, AlarmAckOctets, MessageOctets
+from dpstack.dpv1.pdu.read_write import MAX_SLOT, Function
+from dpstack.dpv1.pdu.redundancy import Redundancy
+from dpstack.errors import PduError
+
+#: octets of a block before its data
+HEAD: Final = 4
+#: octets of data in a block
+MAX_DATA: Final = 59
+#: sequence numbers
+SEQUENCES: Final = 32
+#: types of alarm and status that are the maker's own
+VENDOR: Final = range(32, 127)
+
+
+class AlarmType(IntEnum):
+    """Alarm_Type; 32..126 are the maker's own."""
+
+    DIAGNOSIS = 1
+    PROCESS = 2
+    PULL = 3
+    PLUG = 4
+    STATUS = 5
+    UPDATE = 6
+
+
+#: keys of DPV1_Status_2's bits; vendor types have one in common
+_ENABLED_BY: Final = {
+    AlarmType.DIAGNOSIS: "diagnostic",
+    AlarmType.PROCESS: "process",
+    AlarmType.PULL: "pull_plug",
+    AlarmType.PLUG: "pull_plug",
+    AlarmType.STATUS: "status",
+    AlarmType.UPDATE: "update",
+}
+
+
+class StatusType(IntEnum):
+    """Status_Type, without bit 7; 32..126 are the maker's own."""
+
+    MESSAGE = 1
+    MODULES = 2
+    DXB_LINK = 3
+    PRM_CMD_ACK = 30
+    RED_STATE = 31
+
+
+class Specifier(IntEnum):
+    """Alarm_Specifier, bits 1..0."""
+
+    NONE = 0
+    APPEARS = 1
+    DISAPPEARS = 2
+    DISAPPEARS_OTHERS = 3
+
+    @property
+    def text(self) -> str:
+        """What it says, for people."""
+        return _SPECIFIERS[self]
+
+
+_SPECIFIERS: Final = {
+    Specifier.NONE: "",
+    Specifier.APPEARS: "appears, slot disturbed",
+    Specifier.DISAPPEARS: "disappears, slot is good",
+    Specifier.DISAPPEARS_OTHERS: "disappears, slot still disturbed",
+}
+_ALARMS: Final = {
+    AlarmType.DIAGNOSIS: "diagnosis alarm",
+    AlarmType.PROCESS: "process alarm",
+    AlarmType.PULL: "pull alarm",
+    AlarmType.PLUG: "plug alarm",
+    AlarmType.STATUS: "status alarm",
+    AlarmType.UPDATE: "update alarm",
+}
+_STATUSES: Final = {
+    StatusType.MESSAGE: "status message",
+    StatusType.MODULES: "module status",
+    StatusType.DXB_LINK: "DXB link status",
+    StatusType.PRM_CMD_ACK: "PrmCmdAck",
+    StatusType.RED_STATE: "Red_State",
+}
+
+
+class ModuleState(IntEnum):
+    """One module in a module status, two bits."""
+
+    OK = 0
+    INVALID = 1
+    WRONG = 2
+    MISSING = 3
+
+    @property
+    def text(self) -> str:
+        """What it says, for people."""
+        return ("ok", "data invalid", "wrong module", "no module")[self]
+
+
+@dataclass(frozen=True, slots=True)
+class Alarm:
+    """An alarm: ``type`` 1..6 or 32..126, ``slot`` 0..254, ``sequence`` 0..31, ``specifier`` 0..3, ``data`` 0..59
+    octets; ``add_ack``: the user has to acknowledge it in addition."""
+
+    type: int
+    slot: int
+    specifier: int = Specifier.NONE
+    sequence: int = 0
+    data: bytes = b""
+    add_ack: bool = False
+
+    @property
+    def title(self) -> str:
+        """Its type in words."""
+        return alarm_name(self.type)
+
+    @property
+    def text(self) -> str:
+        """One line without its data."""
+        how = Specifier(self.specifier).text
+        return f"{self.title}, slot {self.slot}" + (f", {how}" if how else "")
+
+    @property
+    def told(self) -> str:
+        """:attr:`text` with its data, and what the user is asked for."""
+        told = self.text + _hex(self.data)
+        return f"{told}, wants to be acknowledged by the user too" if self.add_ack else told
+
+    @property
+    def ack(self) -> AlarmAck:
+        """What acknowledges it."""
+        return AlarmAck(self.slot, self.type, self.specifier, self.sequence, self.add_ack)
+
+    def build(self) -> bytes:
+        """The block with its header. Raises PduError where a value does not fit."""
+        _check(self.slot, self.data)
+        if not 0 <= self.type < 127:
+            raise PduError(f"{self.type} is no type of an alarm: 1..6, 32..126")
+        raw = MessageOctets(
+            header=HEAD + len(self.data),
+            is_status=False,
+            kind=self.type,
+            slot=self.slot,
+            sequence=self.sequence,
+            add_ack=self.add_ack,
+            specifier=self.specifier,
+            data=self.data,
+        )
+        return MESSAGE.build(raw)
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """A status, which nobody acknowledges: ``type`` (bit 7 taken off) 1..3, 30, 31 or 32..126; the rest as of Alarm.
+
+    ``reserved``: bits 7..2 of the specifier; PrmCmdAck and Red_State have a sequence number there.
+    """
+
+    type: int
+    slot: int
+    specifier: int = Specifier.NONE
+    data: bytes = b""
+    reserved: int = 0
+
+    @property
+    def title(self) -> str:
+        """Its type in words."""
+        return status_name(self.type)
+
+    @property
+    def text(self) -> str:
+        """One line; of a module status every module that is not ok, of PrmCmdAck and Red_State what they say."""
+        if self.type == StatusType.MODULES:
+            bad = [f"slot {n} {state.text}" for n, state in enumerate(self.modules, 1) if state]
+            return f"{self.title}: {', '.join(bad) or 'all modules ok'}"
+        redundancy = self.redundancy
+        how = Specifier(self.specifier).text if redundancy is None else redundancy.text
+        return f"{self.title}, slot {self.slot}" + (f", {how}" if how else "")
+
+    @property
+    def told(self) -> str:
+        """:attr:`text` with its data, where they are not in it."""
+        decoded = self.type == StatusType.MODULES or self.redundancy is not None
+        return self.text if decoded else self.text + _hex(self.data)
+
+    @property
+    def redundancy(self) -> Redundancy | None:
+        """What a PrmCmdAck or Red_State says; None for all others, and where the data are too short."""
+        if self.type not in (StatusType.PRM_CMD_ACK, StatusType.RED_STATE):
+            return None
+        return Redundancy.of(self.reserved << 2 | self.specifier, self.data)
+
+    @property
+    def modules(self) -> tuple[ModuleState, ...]:
+        """The modules of a module status, slot 1 first; the last octet may have more of them than there are."""
+        if self.type != StatusType.MODULES:
+            return ()
+        return tuple(ModuleState(octet >> shift & 3) for octet in self.data for shift in (0, 2, 4, 6))
+
+    def build(self) -> bytes:
+        """The block with its header. Raises PduError where a value does not fit."""
+        _check(self.slot, self.data)
+        raw = MessageOctets(
+            header=HEAD + len(self.data),
+            is_status=True,
+            kind=self.type,
+            slot=self.slot,
+            sequence=self.reserved >> 1,
+            add_ack=bool(self.reserved & 1),
+            specifier=self.specifier,
+            data=self.data,
+        )
+        return MESSAGE.build(raw)
+
+
+def module_status(states: tuple[ModuleState, ...]) -> Status:
+    """A module status of ``states``, slot 1 first; modules that fill up the last octet are ok."""
+    octets = bytearray(-(-len(states) // 4))
+    for place, state in enumerate(states):
+        octets[place // 4] |= state << place % 4 * 2
+    return Status(StatusType.MODULES, 0, data=bytes(octets))
+
+
+def parse_block(octets: bytes) -> Alarm | Status:
+    """An alarm or status from a device related block, header included. Raises PduError naming the octet."""
+    if octets and octets[0] != len(octets):
+        raise PduError(f"alarm or status: octet 1 says {octets[0]} octets, there are {len(octets)}")
+    raw = MESSAGE.parse(octets)
+    if raw.slot > MAX_SLOT:
+        raise PduError(f"alarm or status: octet 3: there is no slot {raw.slot}")
+    known: set[int] = set(StatusType) if raw.is_status else set(AlarmType)
+    if raw.kind not in known and raw.kind not in VENDOR:
+        what = "status" if raw.is_status else "alarm"
+        raise PduError(f"alarm or status: octet 2: {raw.kind} is no type of {what}")
+    if raw.is_status:
+        return Status(raw.kind, raw.slot, raw.specifier, raw.data, raw.sequence << 1 | raw.add_ack)
+    return Alarm(raw.kind, raw.slot, raw.specifier, raw.sequence, raw.data, raw.add_ack)
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmAck:
+    """Alarm_Ack, request and positive response: slot, type and specifier of the alarm."""
+
+    slot: int
+    type: int
+    specifier: int = Specifier.NONE
+    sequence: int = 0
+    add_ack: bool = False
+
+    def build(self) -> bytes:
+        """The octets. Raises PduError where a value does not fit."""
+        specifier = self.sequence << 3 | self.add_ack << 2 | self.specifier
+        return ALARM_ACK.build(AlarmAckOctets(Function.ALARM_ACK, self.slot, self.type, specifier, b""))
+
+    @classmethod
+    def parse(cls, octets: bytes) -> AlarmAck:
+        """Raises PduError naming the octet."""
+        raw = ALARM_ACK.parse(octets)
+        if raw.function != Function.ALARM_ACK:
+            raise PduError(f"octet 1 is 0x{raw.function:02X}, Alarm_Ack is 0x{Function.ALARM_ACK:02X}")
+        if raw.rest:
+            raise PduError(f"Alarm_Ack has {len(octets)} octets, octet {HEAD} is the last one")
+        return cls(raw.slot, raw.kind, raw.specifier & 3, raw.specifier >> 3, bool(raw.specifier & 4))
+
+
+def kind_of(alarm_type: int) -> str:
+    """The key of :data:`~dpstack.dpv1.pdu.dpv1_status.ALARMS` that enables it: pull and plug share one, so do vendor
+    types.
+
+    Raises PduError for types that do not exist.
+    """
+    if alarm_type in VENDOR:
+        return "manufacturer"
+    if alarm_type not in _ENABLED_BY:
+        raise PduError(f"there is no alarm of type {alarm_type}: 1..6, {VENDOR.start}..{VENDOR.stop - 1}")
+    return _ENABLED_BY[AlarmType(alarm_type)]
+
+
+def alarm_name(number: int) -> str:
+    """The type of an alarm in words."""
+    if number in AlarmType.__members__.values():
+        return _ALARMS[AlarmType(number)]
+    return f"vendor alarm {number}" if number in VENDOR else f"alarm of reserved type {number}"
+
+
+def status_name(number: int) -> str:
+    """The type of a status in words."""
+    if number in StatusType.__members__.values():
+        return _STATUSES[StatusType(number)]
+    return f"vendor status {number}" if number in VENDOR else f"status of reserved type {number}"
+
+
+def _hex(data: bytes) -> str:
+    return f", data {data.hex(' ')}" if data else ""
+
+
+def _check(slot: int, data: bytes) -> None:
+    if not 0 <= slot <= MAX_SLOT:
+        raise PduError(f"slot {slot} does not exist: 0..{MAX_SLOT}")
+    if len(data) > MAX_DATA:
+        raise PduError(f"{len(data)} octets of data, {MAX_DATA} are possible in one block")

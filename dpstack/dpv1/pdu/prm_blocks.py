@@ -1,0 +1,244 @@
+"""Structured parameters of Set_Prm (Prm_Structure in DPV1_Status_3): blocks, each with a head of four octets.
+
+Layouts: protocol facts C1 (VPC3+; ABB FPBA-01 manual p79); isochronous mode, VPC3+S manual p76; all others, numbers of
+types included, Hilscher's header of the DP slave stack (PBDPS_STRUCTURED_PARAMETER_...); PrmCmd also AUMA AC 01.2
+manual p45 and p46 (table 33).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any, Final, NamedTuple
+
+from dpstack.dp.pdu.layouts import DOUBLE_WORD, OCTET, WORD, Layout
+from dpstack.errors import ConfigError, PduError
+
+#: length, type, slot, specifier
+BLOCK_HEAD: Final = 4
+_MAX_BLOCK: Final = 234
+_MAX_SLOT: Final = 254
+
+
+class BlockType(IntEnum):
+    """Types with a meaning of their own; 32 to 128 are the maker's."""
+
+    PRM_CMD = 2
+    DXB_LINKS = 3
+    ISOCHRONOUS = 4
+    F_PARAMETERS = 5
+    DXB_SUBSCRIBERS = 7
+    TIME_AR = 8
+    USER_PRM = 0x81
+
+
+#: as configurations have them
+NAMES: Final = {int(one): one.name.lower() for one in BlockType}
+
+
+class PrmCmd(NamedTuple):
+    """A command to a redundant slave; its sequence number is in the specifier of the block's head, bits 7..3.
+
+    ``function``: :class:`~dpstack.dpv1.pdu.redundancy.PrmFunction`. ``properties``: bit 0 Primary Request for MS0 and
+    MS1 is used, 1 start and stop of MS1 are used, 2 the address changes, 3 by 64. ``output_hold_time`` in 10 ms.
+    """
+
+    function: int = 0
+    properties: int = 0
+    output_hold_time: int = 0
+
+
+class Isochronous(NamedTuple):
+    """Isochronous mode. Bases of time in 1/12 us (375 to 12000), ``t_dp`` in the first, ``t_i``, ``t_o`` in the second.
+
+    ``t_mapc`` in DP cycles 1..14; ``t_dx``, ``t_pll_w``, ``t_pll_d`` in 1/12 us.
+    """
+
+    version: int = 1
+    t_base_dp: int = 1500
+    t_dp: int = 1
+    t_mapc: int = 1
+    t_base_io: int = 1500
+    t_i: int = 0
+    t_o: int = 0
+    t_dx: int = 0
+    t_pll_w: int = 12
+    t_pll_d: int = 0
+
+
+class TimeAr(NamedTuple):
+    """Clock synchronisation: how often, and the delay in s and 2^-32 s."""
+
+    clock_sync_interval: int = 0
+    cs_delay_seconds: int = 0
+    cs_delay_fraction: int = 0
+
+
+class DxbLink(NamedTuple):
+    """What a subscriber listens to: ``sample_length`` octets from ``sample_offset`` on of ``publisher``'s inputs."""
+
+    publisher: int
+    publisher_length: int
+    sample_offset: int
+    sample_length: int
+
+
+class DxbSubscription(NamedTuple):
+    """The same, and where it goes."""
+
+    publisher: int
+    publisher_length: int
+    sample_offset: int
+    dest_slot: int
+    offset_data_area: int
+    sample_length: int
+
+
+class DxbTable(NamedTuple):
+    """A table of links or of subscriptions."""
+
+    version: int
+    entries: tuple[DxbLink, ...] | tuple[DxbSubscription, ...]
+
+
+Content = PrmCmd | Isochronous | TimeAr | DxbTable
+
+#: types that are one record
+RECORDS: Final[Mapping[int, Layout[Any]]] = {
+    BlockType.PRM_CMD: Layout("PrmCmd", PrmCmd, "function" / OCTET, "properties" / OCTET, "output_hold_time" / WORD),
+    BlockType.ISOCHRONOUS: Layout(
+        "IsoM parameters",
+        Isochronous,
+        "version" / OCTET,
+        "t_base_dp" / DOUBLE_WORD,
+        "t_dp" / WORD,
+        "t_mapc" / OCTET,
+        "t_base_io" / DOUBLE_WORD,
+        "t_i" / WORD,
+        "t_o" / WORD,
+        "t_dx" / DOUBLE_WORD,
+        "t_pll_w" / WORD,
+        "t_pll_d" / WORD,
+    ),
+    BlockType.TIME_AR: Layout(
+        "Time AR",
+        TimeAr,
+        "clock_sync_interval" / WORD,
+        "cs_delay_seconds" / DOUBLE_WORD,
+        "cs_delay_fraction" / DOUBLE_WORD,
+    ),
+}
+#: types that are an octet of version and entries
+TABLES: Final[Mapping[int, Layout[Any]]] = {
+    BlockType.DXB_LINKS: Layout("DXB link", DxbLink, *(name / OCTET for name in DxbLink._fields)),
+    BlockType.DXB_SUBSCRIBERS: Layout(
+        "DXB subscription", DxbSubscription, *(name / OCTET for name in DxbSubscription._fields)
+    ),
+}
+_SIZES: Final[Mapping[int, int]] = {BlockType.PRM_CMD: 4, BlockType.ISOCHRONOUS: 24, BlockType.TIME_AR: 10}
+_ENTRY_SIZES: Final[Mapping[int, int]] = {BlockType.DXB_LINKS: 4, BlockType.DXB_SUBSCRIBERS: 6}
+
+
+@dataclass(frozen=True, slots=True)
+class PrmBlock:
+    """A block of structured parameters: ``type`` 0..255 (:class:`BlockType`), ``slot`` 0..254, ``data``.
+
+    ``specifier``: the last octet of the head, 0 but in PrmCmd (sequence number). Raises ConfigError.
+    """
+
+    type: int
+    slot: int
+    data: bytes
+    specifier: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.type <= 255 or not 0 <= self.slot <= _MAX_SLOT or not 0 <= self.specifier <= 255:
+            raise ConfigError(
+                f"parameter block of type {self.type} for slot {self.slot}: type and specifier 0..255, slot 0..254"
+            )
+        if len(self.data) > _MAX_BLOCK - BLOCK_HEAD:
+            raise ConfigError(
+                f"parameter block of type {self.type}: {len(self.data)} octets, {_MAX_BLOCK - BLOCK_HEAD} are possible"
+            )
+
+    @classmethod
+    def of(cls, content: Content, slot: int = 0, *, kind: int | None = None, specifier: int = 0) -> PrmBlock:
+        """A block of ``content``; ``kind``: of a table without entries. Raises PduError where a value does not fit."""
+        number = type_of(content) if kind is None else kind
+        if isinstance(content, DxbTable):
+            layout = TABLES[number]
+            data = bytes((content.version & 0xFF,)) + b"".join(layout.build(one) for one in content.entries)
+        else:
+            data = RECORDS[number].build(content)
+        return cls(number, slot, data, specifier)
+
+    @property
+    def octets(self) -> bytes:
+        """Its head, whose length counts itself, and the data."""
+        return bytes((BLOCK_HEAD + len(self.data), self.type, self.slot, self.specifier)) + self.data
+
+    @property
+    def title(self) -> str:
+        """Its type for people: ``type 2 (prm_cmd)``."""
+        name = NAMES.get(self.type)
+        return f"type {self.type}" + (f" ({name})" if name else "")
+
+    @property
+    def content(self) -> Content | None:
+        """What it says, None for types that are octets only. Raises PduError for a length that cannot be."""
+        size, entry = _SIZES.get(self.type), _ENTRY_SIZES.get(self.type)
+        count = len(self.data)
+        if size is not None:
+            if count != size:
+                raise PduError(f"{self.title} has {size} octets of data, there are {count}")
+            record: Content = RECORDS[self.type].parse(self.data)
+            return record
+        if entry is None:
+            return None
+        if count % entry != 1:
+            raise PduError(f"{self.title} has a version and entries of {entry} octets each, there are {count} octets")
+        layout = TABLES[self.type]
+        entries = tuple(layout.parse(self.data[at : at + entry]) for at in range(1, count, entry))
+        return DxbTable(self.data[0], entries)
+
+
+def type_of(content: Content) -> int:
+    """The number of its type. Raises PduError for a table without entries: it may be either."""
+    match content:
+        case PrmCmd():
+            return BlockType.PRM_CMD
+        case Isochronous():
+            return BlockType.ISOCHRONOUS
+        case TimeAr():
+            return BlockType.TIME_AR
+        case DxbTable(_, (DxbLink(), *_)):
+            return BlockType.DXB_LINKS
+        case DxbTable(_, (DxbSubscription(), *_)):
+            return BlockType.DXB_SUBSCRIBERS
+    raise PduError("a table without entries: say kind=BlockType.DXB_LINKS or BlockType.DXB_SUBSCRIBERS")
+
+
+def parse_blocks(octets: bytes, first: int = 1) -> tuple[PrmBlock, ...]:
+    """The blocks that ``octets`` are; ``first``: the number of their first octet, for what is told.
+
+    Raises PduError naming block and octet where a length cannot be.
+    """
+    found: list[PrmBlock] = []
+    at = 0
+    while at < len(octets):
+        where = f"octet {first + at}: parameter block {len(found) + 1}"
+        left = len(octets) - at
+        if left < BLOCK_HEAD:
+            raise PduError(f"{where} has a head of {BLOCK_HEAD} octets, there are {left}")
+        length, kind, slot, specifier = octets[at : at + BLOCK_HEAD]
+        if not BLOCK_HEAD <= length <= left:
+            raise PduError(f"{where} says it has {length} octets, {BLOCK_HEAD}..{left} are possible")
+        try:
+            block = PrmBlock(kind, slot, octets[at + BLOCK_HEAD : at + length], specifier)
+            _ = block.content
+        except (ConfigError, PduError) as error:
+            raise PduError(f"{where}: {error}") from None
+        found.append(block)
+        at += length
+    return tuple(found)

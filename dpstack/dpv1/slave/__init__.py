@@ -1,0 +1,1 @@
+"""The slave's end of DP-V1: records, alarms, connections."""

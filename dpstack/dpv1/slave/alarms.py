@@ -1,0 +1,315 @@
+"""Alarms and status messages of a slave: raised by its application, shown in the diagnosis, alarms acknowledged.
+
+One alarm stands in the diagnosis at a time, and one status message beside it (protocol facts C4). A new one stays
+until the slave's own master has fetched it; then the next takes its place. An alarm is over when it is acknowledged.
+
+Sources: facts C1, C2, C4 and J; the state machines MSAL1S and MSCY1S as two slave stacks have them (profichip's VPC3+
+DP-V1 stack, TMG's DPC1): a type that is not enabled and a closed connection refuse the alarm at once; up to 32 alarms
+wait; in type mode one alarm of each type is on its way, all vendor types count as one, and a type that waits does not
+hold up another; in sequence mode the lesser limit of both ends counts; slot, type and sequence number identify an
+alarm in Alarm_Ack. Decisions where they are silent or differ:
+
+- Sequence numbers count 0..31 in both modes (those stacks leave them to their user): so a late or repeated Alarm_Ack
+  can never be taken for that of the next alarm of the same type.
+- An Alarm_Ack for what is not on its way is answered negatively: 0xB8, invalid parameter (0xB5 would say: again).
+  Those stacks leave data exchange or go silent: a doubled acknowledgement would cost the cycle.
+- Of the last 31 alarms that were acknowledged every further Alarm_Ack is answered positively, without effect: the
+  master repeats one whose answer was lost.
+- Nothing is shown before the first Data_Exchange: masters read diagnoses of the bring-up for their fault bits only.
+- The alarm fetched last stays in the diagnosis until it is acknowledged or another one is shown; that it goes is no
+  news, and the master is not told.
+- A status message is shown once, and between two that are the same there is a diagnosis without. Where one has no
+  room beside the alarm, a new alarm goes first, a fetched one last.
+- Whatever ends data exchange ends what is on its way or waits; who raised it is told.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import Final, NamedTuple
+
+from dpstack.dpv1.pdu.alarms import SEQUENCES, VENDOR, Alarm, AlarmAck, Status, StatusType, kind_of
+from dpstack.dpv1.pdu.dpv1_status import ALARM_LIMITS, ALARMS
+from dpstack.dpv1.pdu.error_codes import Code
+from dpstack.dpv1.pdu.read_write import Function, Negative
+from dpstack.errors import AlarmError, ConfigError, PduError, UsageError
+
+#: alarms, and status messages, that wait to be shown
+MAX_WAITING: Final = 32
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmSupport:
+    """What a slave can raise: ``kinds``, keys of :data:`~dpstack.dpv1.pdu.dpv1_status.ALARMS` [Diagnostic_Alarm_supp
+    ...].
+
+    ``sequence``: in sequence mode so many at a time, 2..32, or 0 where it has type mode only
+    [Alarm_Sequence_Mode_Count]; ``extra_sap``: Alarm_Ack comes over SAP 50 too [Extra_Alarm_SAP_supp].
+    Raises ConfigError.
+    """
+
+    kinds: frozenset[str] = frozenset()
+    sequence: int = 0
+    extra_sap: bool = False
+
+    def __post_init__(self) -> None:
+        unknown = sorted(self.kinds - set(ALARMS))
+        if unknown:
+            raise ConfigError(f"there is no {unknown[0]!r} alarm; there are: {', '.join(ALARMS)}")
+        if self.sequence != 0 and not 2 <= self.sequence <= SEQUENCES:
+            raise ConfigError(f"{self.sequence} alarms at a time: 2..{SEQUENCES}, or 0 without sequence mode")
+
+
+class AlarmEnd(Enum):
+    """How an alarm ended."""
+
+    ACKNOWLEDGED = "acknowledged"
+    LEFT = "data exchange ended before it was acknowledged"
+    WITHDRAWN = "withdrawn before it was shown"
+
+
+class Raised:
+    """An alarm that was raised. ``end`` is None until it is over; ``ended`` is called then, and must not raise."""
+
+    __slots__ = ("alarm", "end", "ended", "offered")
+
+    def __init__(self, alarm: Alarm) -> None:
+        #: with its sequence number, from when it is shown
+        self.alarm = alarm
+        self.end: AlarmEnd | None = None
+        self.ended: Callable[[], object] | None = None
+        #: an answer to the master held it
+        self.offered = False
+
+    def finish(self, end: AlarmEnd) -> None:
+        """Once."""
+        self.end = end
+        if self.ended is not None:
+            self.ended()
+
+
+class Shown(NamedTuple):
+    """What stands in one diagnosis."""
+
+    alarm: Raised | None
+    status: Status | None
+    octets: bytes
+
+
+class Acknowledged(NamedTuple):
+    """What came of an Alarm_Ack: its answer, the alarm that is over with it, why the answer is a negative one."""
+
+    answer: AlarmAck | Negative
+    alarm: Alarm | None = None
+    reason: str | None = None
+
+
+_NOTHING: Final = Shown(None, None, b"")
+_Key = tuple[int, int, int]
+
+
+class AlarmServer:
+    """The alarms of one slave. ``room``: octets of the diagnosis after the fixed ones, at least 4."""
+
+    def __init__(self, support: AlarmSupport, room: int, name: str = "slave") -> None:
+        self.support = support
+        self._room = room
+        self._name = name
+        self._enabled = frozenset[str]()
+        #: so many at a time in sequence mode, 0: type mode
+        self.limit = 0
+        self._is_open = False
+        self._started = False
+        self._waiting: deque[Raised] = deque()
+        self._statuses: deque[Status] = deque()
+        self._told: Status | None = None  # fetched with the last diagnosis
+        self._current: Raised | None = None  # stands in the diagnosis
+        self._fetched = True  # the master has it
+        self._on_its_way: dict[_Key, Raised] = {}
+        self._acknowledged: deque[_Key] = deque(maxlen=SEQUENCES - 1)
+        self._sequence = 0
+
+    # --- the application ----------------------------------------------------------------------------------------
+
+    def alarm(self, alarm: Alarm) -> Raised:
+        """Raise ``alarm``; its sequence number is given here. Raises AlarmError where it cannot go out now, PduError
+        where it cannot be."""
+        self._check_room(alarm.build())
+        kind = kind_of(alarm.type)
+        what = f"slave {self._name}: {alarm.text}"
+        if kind not in self.support.kinds:
+            raise AlarmError(f"{what}: this slave has no {kind} alarms; name them in its description", "not supported")
+        self._check_open(what)
+        if kind not in self._enabled:
+            todo = f'add "{kind}" to alarms of [slave.dpv1] there'
+            raise AlarmError(f"{what}: its master did not enable {kind} alarms in Set_Prm; {todo}", "not enabled")
+        if len(self._waiting) >= MAX_WAITING:
+            raise AlarmError(
+                f"{what}: {MAX_WAITING} alarms wait already; its master does not acknowledge them", "queue full"
+            )
+        raised = Raised(alarm)
+        self._waiting.append(raised)
+        self._advance()
+        return raised
+
+    def withdraw(self, raised: Raised) -> None:
+        """Nobody waits for it any more: it goes, unless it was shown already."""
+        if raised in self._waiting:
+            self._waiting.remove(raised)
+            raised.finish(AlarmEnd.WITHDRAWN)
+        elif raised is self._current and not raised.offered:
+            self._current, self._fetched = None, True
+            del self._on_its_way[_key(raised.alarm)]
+            raised.finish(AlarmEnd.WITHDRAWN)
+            self._advance()
+
+    def status(self, status: Status) -> None:
+        """Tell a status once. Raises AlarmError where it cannot go out now, PduError where it cannot be."""
+        if status.type not in VENDOR and status.type not in StatusType.__members__.values():
+            raise PduError(f"there is no status of type {status.type}: 1..3, 30, 31, 32..126")
+        self._check_room(status.build())
+        what = f"slave {self._name}: {status.text}"
+        self._check_open(what)
+        if len(self._statuses) >= MAX_WAITING:
+            raise AlarmError(f"{what}: {MAX_WAITING} wait already; its master does not fetch them", "queue full")
+        self._statuses.append(status)
+
+    @property
+    def pending(self) -> tuple[Raised, ...]:
+        """What is not over: on its way, then waiting."""
+        return (*self._on_its_way.values(), *self._waiting)
+
+    # --- the slave application ----------------------------------------------------------------------------------
+
+    def agree(self, status_2: int, status_3: int) -> None:
+        """DPV1_Status_2 and 3 of Set_Prm: what is enabled, and how many at a time (C1)."""
+        self._enabled = frozenset(kind for kind, bit in ALARMS.items() if status_2 & bit)
+        self.limit = min(ALARM_LIMITS[status_3 & 7], self.support.sequence)
+
+    def open(self) -> None:
+        """Data exchange begins, with DPV1_Enable."""
+        self.close()
+        self._is_open = True
+
+    def close(self) -> None:
+        """Data exchange is over."""
+        over = self.pending
+        self._is_open = self._started = False
+        self._waiting.clear()
+        self._statuses.clear()
+        self._on_its_way.clear()
+        self._acknowledged.clear()
+        self._told = None
+        self._current, self._fetched = None, True
+        self._sequence = 0
+        for raised in over:
+            raised.finish(AlarmEnd.LEFT)
+
+    def news(self) -> bool:
+        """A Data_Exchange is answered: whether the master must fetch a diagnosis."""
+        if not self._is_open:
+            return False
+        self._started = True
+        return not self._fetched or bool(self._statuses)
+
+    def shown(self) -> Shown:
+        """What stands in the diagnosis."""
+        if not self._started:
+            return _NOTHING
+        alarm = self._current
+        status = self._statuses[0] if self._statuses and self._statuses[0] != self._told else None
+        alarm_octets = b"" if alarm is None else alarm.alarm.build()
+        status_octets = b"" if status is None else status.build()
+        if len(alarm_octets) + len(status_octets) > self._room:
+            if self._fetched:
+                return Shown(None, status, status_octets)
+            return Shown(alarm, None, alarm_octets)
+        return Shown(alarm, status, alarm_octets + status_octets)
+
+    def offered(self, shown: Shown) -> None:
+        """An answer to the master holds it; whether it arrived is not known yet."""
+        if shown.alarm is not None:
+            shown.alarm.offered = True
+
+    def fetched(self, shown: Shown) -> None:
+        """The master has it."""
+        if shown.alarm is not None and shown.alarm is self._current:
+            self._fetched = True
+        if shown.status is not None and self._statuses and self._statuses[0] is shown.status:
+            self._statuses.popleft()
+        self._told = shown.status
+        self._advance()
+
+    def acknowledge(self, octets: bytes) -> Acknowledged:
+        """Alarm_Ack."""
+        try:
+            ack = AlarmAck.parse(octets)
+        except PduError as error:
+            return Acknowledged(Negative(Function.ALARM_ACK, Code.INVALID_PARAMETER), reason=str(error))
+        key = (ack.slot, ack.type, ack.sequence)
+        raised = self._on_its_way.get(key)
+        if raised is None or not raised.offered:
+            if key in self._acknowledged:
+                return Acknowledged(ack)
+            what = f"type {ack.type}, slot {ack.slot}, sequence number {ack.sequence}"
+            reason = f"no alarm of {what} is on its way"
+            return Acknowledged(Negative(Function.ALARM_ACK, Code.INVALID_PARAMETER), reason=reason)
+        del self._on_its_way[key]
+        self._acknowledged.append(key)
+        if raised is self._current:
+            self._current, self._fetched = None, True
+        raised.finish(AlarmEnd.ACKNOWLEDGED)
+        self._advance()
+        return Acknowledged(ack, raised.alarm)
+
+    # --- inside -------------------------------------------------------------------------------------------------
+
+    def _advance(self) -> None:
+        """Show the next alarm, when the one before was fetched and the mode lets it."""
+        if not self._fetched or not self._waiting:
+            return
+        raised = self._next()
+        if raised is None:
+            return
+        self._waiting.remove(raised)
+        used = {sequence for _, _, sequence in self._on_its_way}
+        while self._sequence in used:
+            self._sequence = (self._sequence + 1) % SEQUENCES
+        raised.alarm = replace(raised.alarm, sequence=self._sequence)
+        self._sequence = (self._sequence + 1) % SEQUENCES
+        self._on_its_way[_key(raised.alarm)] = raised
+        self._current, self._fetched = raised, False
+
+    def _next(self) -> Raised | None:
+        if self.limit:
+            return self._waiting[0] if len(self._on_its_way) < self.limit else None
+        busy = set(self._classes())
+        return next((raised for raised in self._waiting if _class(raised.alarm.type) not in busy), None)
+
+    def _classes(self) -> Iterator[int]:
+        return (_class(raised.alarm.type) for raised in self._on_its_way.values())
+
+    def _check_open(self, what: str) -> None:
+        if not self._is_open:
+            raise AlarmError(
+                f"{what}: it is not in data exchange with a master that set DPV1_Enable", "not in data exchange"
+            )
+
+    def _check_room(self, octets: bytes) -> None:
+        if len(octets) > self._room:
+            raise UsageError(
+                f"slave {self._name}: a block of {len(octets)} octets, its diagnosis has room for {self._room} "
+                f"(Max_Diag_Data_Len); give fewer octets of data"
+            )
+
+
+def _key(alarm: Alarm) -> _Key:
+    return alarm.slot, alarm.type, alarm.sequence
+
+
+def _class(alarm_type: int) -> int:
+    """Of what type mode has one at a time: each type of the standard, and all vendor types together."""
+    return VENDOR.start if alarm_type in VENDOR else alarm_type

@@ -1,0 +1,288 @@
+"""One class 2 connection at the slave, from Initiate to whatever ends it. The table is in ms2_server_states."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from dpstack.dp.error_origin import failure_text
+from dpstack.dpv1.pdu.error_codes import Code
+from dpstack.dpv1.pdu.ms2 import IDLE, Abort, AbortReason, DataTransport, InitiateReq, InitiateRes, Instance
+from dpstack.dpv1.pdu.read_write import MAX_SLOT, Function, Negative, ReadReq, UnacceptableError, parse_request
+from dpstack.dpv1.slave.ms2_states import TABLE, Act, Ev, State
+from dpstack.dpv1.slave.record_requests import (
+    AnyTicket,
+    Asker,
+    Records,
+    Ticket,
+    Told,
+    Transport,
+    TransportTicket,
+    put,
+    put_transport,
+)
+from dpstack.dpv1.timeouts import PATIENCE, WORKING_SHARE
+from dpstack.errors import PduError, RecordRefused
+from dpstack.units import NS_PER_MS
+
+
+class Served(Protocol):
+    """What a connection reaches in its device."""
+
+    @property
+    def records(self) -> Records | None:
+        """Read and Write."""
+
+    @property
+    def transport(self) -> Transport | None:
+        """Data_Transport."""
+
+    @property
+    def ms2_max_len(self) -> int:
+        """Octets of data in one service, at most."""
+
+    @property
+    def ms2_max_initiate(self) -> int:
+        """Octets of an Initiate, at most."""
+
+    def initiate(self, master: int, wanted: InitiateReq) -> None:
+        """Raises RecordRefused where it does not want the connection."""
+
+
+class ServerReport(Told, Protocol):
+    """Where the class 2 server tells."""
+
+    def connection_opened(self, asker: Asker, send_timeout_ns: int, now: int) -> None:
+        """Initiate was accepted."""
+
+    def connection_closed(self, asker: Asker, services: int, reason: str, now: int) -> None:
+        """It is over, for whatever reason."""
+
+
+class Connection:
+    """One connection. ``ssap``: its master's SAP, 50 as a rule; ``send_timeout_ns``: as agreed.
+
+    ``heard``: the last sign of life of its master; ``services``: how many it has asked for.
+    """
+
+    __slots__ = (
+        "_answer",
+        "_device",
+        "_lived",
+        "_report",
+        "_ticket",
+        "asker",
+        "heard",
+        "send_timeout_ns",
+        "services",
+        "ssap",
+        "state",
+    )
+
+    def __init__(
+        self, asker: Asker, ssap: int | None, send_timeout_ns: int, device: Served, report: ServerReport, now: int
+    ) -> None:
+        self.asker = asker
+        self.ssap = ssap
+        self.send_timeout_ns = send_timeout_ns
+        self.state = State.ANSWERED
+        self.heard = now
+        self.services = 0
+        #: it told its master that it lives
+        self._lived = now
+        self._answer: bytes | None = None
+        self._ticket: AnyTicket | None = None
+        self._device = device
+        self._report = report
+
+    @property
+    def deadline(self) -> int:
+        """When silence ends it, in ns: the send time-out, twice that while nothing is asked (VPC3+)."""
+        patience = PATIENCE if self.state is State.OPEN else 1
+        return self.heard + patience * self.send_timeout_ns
+
+    def is_of(self, sa: int, ssap: int | None) -> bool:
+        """Whether that is its master: the SAP is open for nobody else."""
+        return sa == self.asker.master and ssap == self.ssap
+
+    # --- its beginning --------------------------------------------------------------------------------------------
+
+    def initiate(self, octets: bytes, now: int) -> None:
+        """What came to the resource manager: the connection is open, or over at once with an Abort as its answer."""
+        try:
+            longest = self._device.ms2_max_initiate
+            if len(octets) > longest:
+                raise PduError(f"Initiate of {len(octets)} octets, {longest} are possible (Max_Initiate_PDU_Length)")
+            wanted = InitiateReq.parse(octets)
+        except PduError as error:
+            self._refuse(str(error), Abort(AbortReason.REQUEST_PDU).build(), now)
+            return
+        if wanted.destination.net:
+            reason = "D_Addr is an address in another network, and this slave is the end of the way"
+            self._refuse(reason, Abort(AbortReason.ADDRESS).build(), now)
+            return
+        try:
+            self._device.initiate(self.asker.master, wanted)
+        except Exception as error:
+            self._unwanted(error, now)
+            return
+        # the shorter time-out is not refused, the longer of both counts (VPC3+)
+        self.send_timeout_ns = max(self.send_timeout_ns, wanted.send_timeout_ns)
+        longest = self._device.ms2_max_len
+        self._answer = InitiateRes(longest, source=wanted.destination, destination=wanted.source).build()
+        self._report.connection_opened(self.asker, self.send_timeout_ns, now)
+
+    def _unwanted(self, error: Exception, now: int) -> None:
+        """Refused by the device: the negative response is its answer, and all that is left of it."""
+        if isinstance(error, RecordRefused):
+            negative = Negative(Function.INITIATE, error.code_1 & 0xFF, error.code_2 & 0xFF)
+            reason = f"its function: {negative.text}"
+        else:
+            negative = Negative(Function.INITIATE, Code.UNAVAILABLE)
+            reason = failure_text(error)
+        self._refuse(reason, negative.build(), now)
+
+    def _refuse(self, why: str, answer: bytes, now: int) -> None:
+        """It was never open."""
+        self._report.refused("Initiate", self.asker.master, why, now)
+        self.asker.open = False
+        self.state = State.OVER
+        self._answer = answer
+
+    # --- what is heard --------------------------------------------------------------------------------------------
+
+    def take(self, octets: bytes, now: int) -> None:
+        """A request of its master."""
+        self.heard = now
+        event, why = self._judge(octets)
+        match TABLE[self.state, event].act:
+            case Act.SERVE:
+                self.services += 1
+                self._serve(octets, now)
+            case Act.ANSWER_IDLE:
+                self._answer = IDLE
+                self.state = State.ANSWERED
+            case Act.FREE:
+                self.end(f"its master aborted it: {why}", now)
+            case Act.SEQUENCE:
+                self.end(f"{why} in the state '{self.state.value}'", now, Abort(AbortReason.SEQUENCE))
+            case Act.REQUEST_PDU:
+                self.end(why, now, Abort(AbortReason.REQUEST_PDU))
+            case _:
+                pass
+
+    def poll(self, now: int) -> bytes | None:
+        """What its master fetches, None for SC; an Abort that was fetched frees the connection."""
+        self.heard = now
+        if self.state is State.WORKING:
+            self._look(now)
+        match TABLE[self.state, Ev.POLL].act:
+            case Act.GIVE:
+                self.state = State.OPEN
+                answer, self._answer = self._answer, None
+                return answer
+            case Act.LOOK:
+                if now - self._lived >= self.send_timeout_ns // WORKING_SHARE:
+                    self._lived = now
+                    return IDLE
+            case Act.FREE:
+                answer, self._answer = self._answer, None
+                return answer
+            case _:
+                pass
+        return None
+
+    def silence(self, now: int) -> None:
+        """The time is over."""
+        if TABLE[self.state, Ev.SILENCE].act is Act.FREE:
+            self._answer = None
+            return
+        waited = (now - self.heard) // NS_PER_MS
+        self.heard = now
+        self.end(f"nothing was heard of its master for {waited} ms", now, Abort(AbortReason.TIMEOUT))
+
+    @property
+    def free(self) -> bool:
+        """Nothing is left of it."""
+        return self.state is State.OVER and self._answer is None
+
+    def abort(self, reason: int, now: int) -> None:
+        """Its slave does not want it any more; ``reason`` 0..15 means something to both users."""
+        self.end(f"it was aborted here (reason {reason})", now, Abort(reason, Instance.USER))
+        self.heard = now
+
+    def end(self, why: str, now: int, abort: Abort | None = None) -> None:
+        """It is over; its master may fetch ``abort``, without one nobody is told on the bus."""
+        if self.state is not State.OVER:
+            self.state = State.OVER
+            self.asker.open = False
+            ticket, self._ticket = self._ticket, None
+            if ticket is not None:
+                ticket.drop()
+            self._report.connection_closed(self.asker, self.services, why, now)
+        self._answer = None if abort is None else abort.build()
+
+    # --- inside ---------------------------------------------------------------------------------------------------
+
+    def _judge(self, octets: bytes) -> tuple[Ev, str]:
+        function = octets[0]
+        if function not in Function.__members__.values():
+            return Ev.UNREADABLE, f"octet 1: no service 0x{function:02X}"
+        match function:
+            case Function.ABORT:
+                try:
+                    return Ev.ABORT, Abort.parse(octets).text
+                except PduError as error:
+                    return Ev.ABORT, f"an Abort that cannot be read: {error}"
+            case Function.IDLE:
+                return Ev.IDLE, "Idle"
+            case Function.READ | Function.WRITE | Function.DATA_TRANSPORT:
+                return Ev.SERVICE, f"{Function(function).title} came"
+            case _:
+                return Ev.OUT_OF_PLACE, f"{Function(function).title} came"
+
+    def _serve(self, octets: bytes, now: int) -> None:
+        """A service: what its application can be asked, else a negative response like that of MS1."""
+        self._lived = now
+        self.state = State.WORKING
+        try:
+            request = parse_transport(octets) if octets[0] == Function.DATA_TRANSPORT else parse_request(octets)
+            longest = self._device.ms2_max_len
+            if isinstance(request, ReadReq):
+                request = ReadReq(request.slot, request.index, min(request.length, longest))
+            elif len(request.data) > longest:
+                reason = f"{len(request.data)} octets of data, {longest} are possible"
+                raise UnacceptableError(reason, Negative(octets[0], Code.WRITE_LENGTH))
+        except UnacceptableError as error:
+            self._negative(error.negative, str(error), now)
+            return
+        if isinstance(request, DataTransport):
+            self._ticket = transport = TransportTicket(request, self.asker, now)
+            put_transport(transport, self._device.transport)
+        else:
+            self._ticket = ticket = Ticket(request, self.asker, now)
+            put(ticket, self._device.records)
+
+    def _negative(self, negative: Negative, why: str, now: int) -> None:
+        self._report.refused("MS2", self.asker.master, why, now)
+        self._answer = negative.build()
+        self.state = State.ANSWERED
+
+    def _look(self, now: int) -> None:
+        answer = None if self._ticket is None else self._ticket.take(self._report, now)
+        if answer is not None:
+            self._ticket = None
+            self._answer = answer
+            self.state = State.ANSWERED
+
+
+def parse_transport(octets: bytes) -> DataTransport:
+    """Read a Data_Transport request as a slave does. Raises UnacceptableError with what to answer."""
+    try:
+        request = DataTransport.parse(octets)
+    except PduError as error:
+        negative = Negative(Function.DATA_TRANSPORT, Code.INVALID_PARAMETER)
+        raise UnacceptableError(str(error), negative) from None
+    if request.slot > MAX_SLOT:
+        negative = Negative(Function.DATA_TRANSPORT, Code.INVALID_SLOT)
+        raise UnacceptableError(f"octet 2: there is no slot {request.slot}", negative)
+    return request

@@ -1,0 +1,154 @@
+"""Records that a slave has without a function of its own: a table of octets, and I&M at index 255.
+
+Both answer tickets (:class:`~dpstack.dpv1.slave.record_requests.Records`), whoever asks: MS1 or a class 2 connection.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterable, Mapping
+from weakref import WeakKeyDictionary
+
+from dpstack.argcheck import whole
+from dpstack.dpv1.pdu.error_codes import Code
+from dpstack.dpv1.pdu.im import IM_FI, IM_INDEX, IM_LEN, RECORDS, Im, Im0, build_call, number_of, parse_call
+from dpstack.dpv1.pdu.read_write import MAX_SLOT, ReadReq, WriteReq
+from dpstack.dpv1.slave.record_requests import Asker, Records, Ticket, put
+from dpstack.errors import PduError
+
+
+class RecordTable:
+    """Records that just stand there: (slot, index) -> octets; ``writable`` may be written, in their length."""
+
+    def __init__(self, records: Mapping[tuple[int, int], bytes], writable: Iterable[tuple[int, int]] = ()) -> None:
+        self.records = dict(records)
+        self._writable = frozenset(writable)
+
+    def ask(self, ticket: Ticket) -> None:
+        """At once."""
+        request = ticket.request
+        where = (request.slot, request.index)
+        if where not in self.records:
+            slots = {slot for slot, _ in self.records}
+            ticket.refuse(Code.INVALID_INDEX if request.slot in slots else Code.INVALID_SLOT)
+        elif isinstance(request, ReadReq):
+            ticket.answer(self.records[where])
+        elif where not in self._writable:
+            ticket.refuse(Code.ACCESS_DENIED)
+        elif len(request.data) != len(self.records[where]):
+            ticket.refuse(Code.WRITE_LENGTH)
+        else:
+            self.records[where] = request.data
+            ticket.answer()
+
+
+class ByIndex:
+    """Records of some indexes by servers of their own, everything else handed on to ``others``."""
+
+    def __init__(self, served: Mapping[int, Records], others: Records | None) -> None:
+        self._served = dict(served)
+        self._others = others
+
+    def ask(self, ticket: Ticket) -> None:
+        """By whoever has the index."""
+        put(ticket, self._served.get(ticket.request.index, self._others))
+
+
+#: I&M of every slot alike, or slot -> those of this one
+ImOf = Iterable[Im] | Mapping[int, Iterable[Im]]
+
+
+class ImRecords:
+    """I&M at index 255, everything else handed on to ``others``.
+
+    ``records``: I&M0 and whichever else there are, for every slot alike or by slot (0..254; others are refused). I&M1
+    to 4 can be written: ``changed`` is told slot and record first, and refuses by raising. The bits of
+    ``Im0.supported`` follow from what there is. Raises PduError for what does not fit.
+    """
+
+    def __init__(
+        self, records: ImOf, others: Records | None = None, changed: Callable[[int, Im], None] | None = None
+    ) -> None:
+        #: None: of all slots
+        self._slots: dict[int | None, dict[int, Im]] = {}
+        if isinstance(records, Mapping):
+            for slot, found in records.items():
+                if not 0 <= whole("slot of I&M", slot, PduError) <= MAX_SLOT:
+                    raise PduError(f"I&M of slot {slot}: slots are 0..{MAX_SLOT}")
+                self._slots[slot] = _of_one_slot(found)
+        else:
+            self._slots[None] = _of_one_slot(records)
+        self.others = others
+        self._changed = changed
+        self._called: WeakKeyDictionary[Asker, dict[int, int]] = WeakKeyDictionary()
+
+    def of(self, slot: int = 0) -> tuple[Im, ...]:
+        """Those of ``slot`` as they stand now, by number; none where it has none."""
+        found = self._found(slot)
+        return tuple(found[number] for number in sorted(found))
+
+    def _found(self, slot: int) -> dict[int, Im]:
+        return self._slots.get(None) or self._slots.get(slot) or {}
+
+    def ask(self, ticket: Ticket) -> None:
+        """I&M at once; what is no call goes on."""
+        request = ticket.request
+        called = self._called.setdefault(ticket.asker, {})  # each who asks has calls of its own
+        if request.index != IM_INDEX:
+            self._hand_on(ticket)
+        elif isinstance(request, WriteReq):
+            self._call(ticket, request, called)
+        elif request.slot in called:
+            number = called[request.slot]
+            ticket.answer(build_call(number, self._found(request.slot)[number]))
+        else:
+            self._hand_on(ticket)
+
+    def _call(self, ticket: Ticket, request: WriteReq, called: dict[int, int]) -> None:
+        try:
+            fi_index, data = parse_call(request.data)
+        except PduError:
+            called.pop(request.slot, None)
+            self._hand_on(ticket)
+            return
+        number = fi_index - IM_FI.start
+        found = self._found(request.slot)
+        if number not in found:
+            ticket.refuse(Code.INVALID_RANGE if found else Code.INVALID_SLOT)
+            return
+        if data:
+            if not number:
+                ticket.refuse(Code.ACCESS_DENIED)
+                return
+            if len(data) != IM_LEN:
+                ticket.refuse(Code.WRITE_LENGTH)
+                return
+            record = RECORDS[number].parse(data)
+            if self._changed is not None:
+                self._changed(request.slot, record)
+            found[number] = record
+        called[request.slot] = number
+        ticket.answer()
+
+    def _hand_on(self, ticket: Ticket) -> None:
+        if self.others is None:
+            ticket.refuse(Code.STATE_CONFLICT if ticket.request.index == IM_INDEX else Code.INVALID_INDEX)
+        else:
+            self.others.ask(ticket)
+
+
+def _of_one_slot(records: Iterable[Im]) -> dict[int, Im]:
+    if isinstance(records, (*RECORDS, str)) or not isinstance(records, Iterable):
+        raise PduError(f"I&M = {records!r} is no list: write [Im0(order_id=...), Im1()]")
+    given = tuple(records)
+    for record in given:
+        if not isinstance(record, RECORDS):
+            raise PduError(f"{record!r} is no I&M record: give Im0(order_id=...), Im1(), Im2(), Im3() or Im4()")
+    found = {number_of(record): record for record in given}
+    bits = sum(1 << number for number in found if number)
+    known = found.get(0, Im0())
+    assert isinstance(known, Im0)
+    found[0] = dataclasses.replace(known, supported=known.supported | bits)
+    for record in found.values():
+        record.build()  # raises PduError here, not when it is read
+    return found

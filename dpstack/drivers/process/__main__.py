@@ -1,0 +1,97 @@
+"""The bus process: ``python -m dpstack.drivers.process SOCKET MEMORY PARENT``; started by
+:mod:`dpstack.drivers.process.client`.
+
+SOCKET and MEMORY are numbers of file descriptors, PARENT the process id of who started it. The first message is the
+:class:`~dpstack.drivers.process.messages.SetUp`. It listens on nothing, and ends in order when its parent is gone.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import signal
+import socket
+import sys
+from typing import Final
+
+from dpstack.drivers.line.select_loop import PlainLoop
+from dpstack.drivers.process.messages import (
+    FROM_TERMINALS,
+    Answer,
+    Frames,
+    Message,
+    SetUp,
+    error_pair,
+    framed,
+    order_of,
+)
+from dpstack.drivers.process.server import Host
+from dpstack.drivers.process.shared_image import SharedImage
+from dpstack.drivers.realtime.gc_control import Collector
+from dpstack.drivers.realtime.rights import become_real_time
+from dpstack.errors import BusError
+from dpstack.ports.tty import is_pty_path
+
+_PR_SET_PDEATHSIG: Final = 1
+_CHUNK: Final = 65_536
+
+
+def main(arguments: list[str]) -> int:
+    """Run one bus until its end; 0 when it was an ordered one."""
+    # a terminal sends these to everybody in front of it: the application's way out is this process's too
+    for sig in FROM_TERMINALS:
+        signal.signal(sig, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, FROM_TERMINALS)  # they waited for that since before its start
+    sock_fd, memory_fd, parent = map(int, arguments)
+    loop = PlainLoop()
+    hosts: list[Host] = []
+    loop.add_signal_handler(signal.SIGTERM, lambda: _terminated(loop, hosts))
+    # the second way to know of the parent's death; the first is the end of the socket
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+    if os.getppid() != parent:
+        return 1
+    sock = socket.socket(fileno=sock_fd)
+    image = SharedImage(memory_fd)
+    os.close(memory_fd)
+    try:
+        setup = _set_up(sock)
+        if setup is None:
+            return 1
+        host = Host(loop, sock, image, setup)
+        host.open(become_real_time(pty=is_pty_path(setup.port)))
+    except Exception as error:
+        with contextlib.suppress(OSError):
+            sock.sendall(framed(Message(answer=Answer(0, error=error_pair(error)))))
+        return 1
+    hosts.append(host)
+    collector = Collector()
+    collector.begin()
+    loop.on_idle = collector.idle
+    loop.run()
+    loop.close()
+    return 0
+
+
+def _terminated(loop: PlainLoop, hosts: list[Host]) -> None:
+    if hosts:
+        hosts[0].terminated("it was told to end (SIGTERM)")
+    else:
+        loop.stop()
+
+
+def _set_up(sock: socket.socket) -> SetUp | None:
+    """The first message; None when the parent is gone."""
+    frames = Frames()
+    while octets := sock.recv(_CHUNK):
+        for message in frames.feed(octets):
+            if message.question is not None:
+                setup = order_of(message.question.order)
+                if isinstance(setup, SetUp):
+                    return setup
+                raise BusError("the first message is no set-up")
+    return None
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

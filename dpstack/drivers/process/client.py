@@ -1,0 +1,544 @@
+"""The process driver: the bus runs in a process of its own, and the application's is told.
+
+An order waits for its answer (:mod:`dpstack.drivers.process.channel`): misuse raises at once in the caller, and what an
+order changes is seen when it returns, as with every other driver. It takes the bus process a turn of its loop. Nothing
+else waits: process image, outputs and counters stand in shared memory, states come with the events.
+
+The bus process writes a heartbeat into the shared memory. One older than
+:data:`dpstack.drivers.process.channel.LIMIT_NS` is silence: all slaves count as offline until the bus process has
+answered that it lives, with everything of its state (``News.silence``). Outputs that it does not take within the same
+time are dropped: by itself, or by the application where that notices first. An event tells the application.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import dataclasses
+import itertools
+import os
+from collections.abc import Callable, Iterable, Mapping
+from time import monotonic_ns
+from typing import Final
+
+from dpstack.dp.master.commands import AddSlave, Alive, DriveCommand, RemoveSlave, ReparameteriseSlave
+from dpstack.dp.master.events import Fault, FaultKind, SlaveState, SlaveStateChanged
+from dpstack.dp.master.survey import SurveyOrder, SurveyResult
+from dpstack.drivers.line.asyncio_runtime import outlast
+from dpstack.drivers.line.port_latency import Lateness
+from dpstack.drivers.process import channel
+from dpstack.drivers.process.client_errors import how_it_ended, killed_at_the_end
+from dpstack.drivers.process.messages import (
+    AskUnit,
+    AttachPlugin,
+    CloseBus,
+    Counters,
+    EndSurvey,
+    News,
+    SetUp,
+    StartSurvey,
+    TakeOutputs,
+    WatchRounds,
+    decoded,
+    event_of,
+    typed,
+)
+from dpstack.drivers.process.mirror import (
+    MasterMirror,
+    Mirror,
+    SlaveMirror,
+    StationMirror,
+    WatcherMirror,
+    checked_arguments,
+)
+from dpstack.drivers.process.plugins import PluginRef
+from dpstack.drivers.process.shared_image import (
+    Outputs,
+    Picture,
+    SharedImage,
+    make_memory,
+    no_limit,
+    output_octets,
+    read_picture,
+)
+from dpstack.drivers.runtime import IN_PARENT, BusProcessBack, BusProcessSilent, OnEvents, OnFailure, OutputsDropped
+from dpstack.drivers.shutdown import at_slaves
+from dpstack.errors import DpError, OrderDropped, UsageError
+from dpstack.stats import Histogram
+from dpstack.trace import Event, Notice, Severity
+from dpstack.units import NS_PER_MS, s_to_ns
+
+#: counters read so shortly before are not read again: those of one picture belong together
+_FRESH_NS: Final = NS_PER_MS
+#: so often the application looks whether the bus process lives and takes the outputs
+_WATCH_S: Final = 0.1
+_EMPTY: Final = Picture(0, 0, {})
+_numbers = itertools.count(1)
+
+
+class ProcessRuntime:
+    """Implements :class:`dpstack.drivers.runtime.Runtime`; ``mirror`` is what is known of the machines over there.
+
+    ``on_failure`` is told when the bus process ends without having been told to.
+    """
+
+    def __init__(self, setup: SetUp, on_events: OnEvents, on_failure: OnFailure) -> None:
+        spec = setup.stack
+        self.mirror = Mirror(
+            MasterMirror(spec.slaves, self, read_only=spec.read_only),
+            StationMirror(spec.params, spec.patience, self),
+            WatcherMirror() if spec.read_only and spec.watched else None,
+        )
+        self.port_name = setup.port
+        self.paced = False
+        self._setup = setup
+        self._on_events = on_events
+        self._on_failure = on_failure
+        self._link = channel.Link(self._on_news, self._why_gone, self._on_gone)
+        self._image: SharedImage | None = None
+        self._picture = _EMPTY
+        self._outputs: dict[int, Outputs] = {}
+        self._changed: set[int] = set()  # outputs that are not published yet
+        self._awaited: dict[int, int] = {}  # the picture that outputs were published in and are to be taken from
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._publishing: asyncio.Handle | None = None
+        self._counters = Counters()
+        self._counted_ns = -_FRESH_NS
+        self._is_final = False  # the counters are those of the end
+        self._not_running: str | None = None
+        self._silent_since = 0  # the last heartbeat before the silence; 0: it lives
+        self._silences = 0
+        self._watchdogs_then: dict[str, int] = {}
+        self._untold: list[Event] = []  # of the silence
+        self._watch: asyncio.TimerHandle | None = None
+        self._surveys: dict[int, SurveyResult] = {}
+
+    # --- Runtime ----------------------------------------------------------------------------------------------------
+
+    @property
+    def pid(self) -> int | None:
+        """The process id of the bus process while there is one."""
+        return self._link.pid
+
+    @property
+    def lateness(self) -> Lateness:
+        """How late answers arrive, up to now."""
+        made = Lateness()
+        made.histogram = Histogram.of(self.counters().lateness)
+        return made
+
+    @property
+    def not_running(self) -> str | None:
+        """Why the bus process does not run: it is gone, or silent."""
+        self._look_for_silence()
+        return self._not_running
+
+    @property
+    def behind_ns(self) -> int:
+        """A real bus is where it is."""
+        return 0
+
+    @property
+    def counters_age_ns(self) -> int:
+        """How old the counters are."""
+        counted = self.counters().t_ns
+        return 0 if self._is_final or not counted else monotonic_ns() - counted
+
+    def damage(self) -> dict[str, int]:
+        """Octets that arrived damaged, by cause."""
+        return dict(self.counters().damage)
+
+    def now(self) -> int:
+        """CLOCK_MONOTONIC in ns, which both processes share."""
+        return monotonic_ns()
+
+    async def open(self) -> None:
+        """Start the bus process, which opens the port. Raises PortError and ConfigError as it does, and BusError."""
+        if self._link.pid is not None:
+            raise UsageError("the driver is open already")
+        self._loop = asyncio.get_running_loop()
+        memory = make_memory()
+        try:
+            self._image = SharedImage(memory)
+            self._publish()
+            hello = await self._link.start(self._setup, memory, self._image)
+        finally:
+            os.close(memory)
+            if not self._link.is_open:
+                self._close_image()
+        self.port_name, self.paced = hello.port_name, hello.paced
+        self._look()
+
+    async def close(self) -> None:
+        """Have the port released and the bus process end; the bus was left in order before. May be called again."""
+        line = self._link
+        try:
+            if line.is_open:
+                with contextlib.suppress(DpError):
+                    self._counters = typed(self._ask(CloseBus()), Counters)
+                    self._is_final = True
+                line.hang_up(UsageError("the bus is closed"))
+                await outlast(asyncio.ensure_future(line.ended()))
+        finally:
+            if line.release(kill=False):
+                text = killed_at_the_end(self._watchdogs())
+                self._on_events(
+                    [Notice(t_ns=monotonic_ns(), source="bus process", message=text, severity=Severity.ERROR)]
+                )
+            self._close_image()
+
+    @property
+    def close_limit_ns(self) -> int:
+        """Orders that a hanging bus process does not answer, and its end."""
+        return s_to_ns(channel.CLOSE_LIMIT_S)
+
+    def end_without_loop(self) -> str:
+        """Hang up: the bus process makes the ordered end by itself. Waits for it, and never kills it."""
+        ended = self._link.hang_up_and_wait(UsageError("the bus is closed"))
+        self._close_image()
+        return "" if ended else f"the bus process (pid {self.pid}) has not ended yet"
+
+    def forsake(self) -> None:
+        """The bus process is the parent's: the child closes its copies of what leads there."""
+        self._not_running = IN_PARENT
+        self.mirror.lost(Fault(FaultKind.LOST, IN_PARENT, ""))
+        self._link.forsake()
+        if self._image is not None:
+            self._image.close()
+            self._image = None
+
+    def _close_image(self) -> None:
+        if self._watch is not None:
+            self._watch.cancel()
+            self._watch = None
+        if self._image is not None:
+            self.picture()
+            if not self._is_final:
+                self._counted_ns = -_FRESH_NS
+                self.counters()
+            self._image.close()
+            self._image = None
+
+    def command(self, command: object) -> None:
+        """Hand an order to the machines and wait until they have taken it. What they raise is raised here."""
+        handlers = self.mirror.master.handlers
+        match command:
+            case AddSlave(setup) if setup.address not in handlers:
+                handlers[setup.address] = SlaveMirror(setup, self)
+                try:
+                    self._ask(command)
+                except BaseException:
+                    del handlers[setup.address]
+                    raise
+            case ReparameteriseSlave(setup) if setup.address in handlers:
+                before = handlers[setup.address]
+                after = handlers[setup.address] = SlaveMirror(setup, self, before)
+                try:
+                    self._ask(command)
+                except BaseException:
+                    handlers[setup.address] = before
+                    raise
+                if after.image is not before.image:
+                    self.put_outputs(setup.address, None)
+            case RemoveSlave(address):
+                self._ask(command)
+                self.put_outputs(address, None)
+                handlers.pop(address, None)
+            case EndSurvey(number):
+                self._surveys.pop(number, None)
+                self._ask(command)
+            case Alive():
+                self._link.tell(command)
+            case DriveCommand(args=args):
+                self._ask(dataclasses.replace(command, args=checked_arguments(args)))
+            case _:
+                self._ask(command)
+
+    # --- what else the bus process does -------------------------------------------------------------------------------
+
+    def attach_plugin(self, address: int, plugin: PluginRef) -> None:
+        """Put a drive plugin onto a process image over there. Raises ConfigError when it cannot be imported.
+
+        The plugins that the bus process is started with stand there already.
+        """
+        if self._link.is_open:
+            self._ask(AttachPlugin(address, plugin))
+        self.mirror.master.handlers[address].image.unit = plugin
+
+    def unit_status(self, address: int) -> object | None:
+        """What the cyclic unit of a slave tells, as plain data; None when nobody answers."""
+        if not self._link.is_open or self.not_running is not None:
+            return None
+        try:
+            return self._ask(AskUnit(address))
+        except OrderDropped:
+            return None
+
+    def survey_result(self, number: int) -> SurveyResult | None:
+        """What came of the live list with ``number``; None until it is complete."""
+        return self._surveys.get(number)
+
+    # --- the source of the mirror -------------------------------------------------------------------------------------
+
+    def picture(self) -> Picture:
+        """The newest whole process image."""
+        octets = None if self._image is None else self._image.inputs.read()
+        if octets is not None:
+            self._picture = read_picture(octets)
+        return self._picture
+
+    def counters(self) -> Counters:
+        """What was counted, as the bus process published it last; it is never asked."""
+        now = monotonic_ns()
+        if self._image is not None and now - self._counted_ns >= _FRESH_NS:
+            self._counted_ns = now
+            octets = self._image.counters.read()
+            if octets is not None:
+                self._counters = decoded(octets, Counters)
+        return self._counters
+
+    def put_outputs(self, address: int, octets: bytes | None) -> None:
+        """Publish the application's outputs of one slave, with those of all others."""
+        self._awaited.pop(address, None)
+        if octets is None:
+            self._outputs.pop(address, None)
+        else:
+            self._outputs[address] = Outputs(0, octets)
+            self._changed.add(address)
+        if self._publishing is None and self._loop is not None and not self._loop.is_closed():
+            self._publishing = self._loop.call_soon(self._publish_soon)
+
+    def _publish_soon(self) -> None:
+        if self._publishing is not None:
+            self._publishing.cancel()
+            self._publishing = None
+            self._publish()
+
+    def _publish(self) -> None:
+        """What was set in one go, or before an order, goes out in one: a round never has the half of it.
+
+        Before the bus process runs there is no time limit: it takes the outputs when it has started.
+        """
+        if self._image is None:
+            return
+        changed = self._changed & self._outputs.keys()
+        self._changed.clear()
+        for address in changed:
+            until = monotonic_ns() + channel.LIMIT_NS if self._watch is not None else no_limit()
+            self._outputs[address] = Outputs(until, self._outputs[address].octets)
+        self._image.outputs.write(output_octets(self._outputs))
+        self._awaited |= dict.fromkeys(changed, self._image.outputs.newest)
+
+    def _ask(self, order: object) -> object:
+        self._publish_soon()
+        return self._link.ask(order)
+
+    def hand_over_outputs(self) -> None:
+        """The bus process has the outputs that were set up to now when this returns.
+
+        Raises OrderDropped when it did not take them in time: they are taken back, and will not go out.
+        """
+        self._publish_soon()
+        given = {address: self._outputs[address].until_ns for address in self._awaited}
+        if not given:
+            return
+        try:
+            self._link.ask(TakeOutputs())
+        except OrderDropped as error:
+            dropped = self._withdraw(given)
+            if dropped:
+                raise OrderDropped(f"{error}; the outputs of {_names(dropped)} will not go out") from None
+        gone = [
+            handler
+            for address, until in given.items()
+            if (handler := self.mirror.master.handlers.get(address)) is not None
+            and (address not in self._outputs or self._outputs[address].until_ns != until)
+        ]
+        if gone:
+            raise OrderDropped(f"the bus process did not take the outputs of {_names(gone)} in time: they were dropped")
+
+    def _withdraw(self, addresses: Iterable[int]) -> list[SlaveMirror]:
+        """Take back published outputs that the bus process has not taken; whose they were. Those go out never more.
+
+        It sets the number of a picture before it reads it: what is not taken after this picture was written, never is.
+        """
+        image = self._image
+        if image is None:
+            return []
+        taken_back = {address: self._outputs.pop(address) for address in addresses if address in self._outputs}
+        self._publish()
+        dropped = []
+        for address, outputs in taken_back.items():
+            if image.outputs_taken.value >= self._awaited.pop(address, 0):
+                self._outputs[address] = outputs
+            elif (handler := self.mirror.master.handlers.get(address)) is not None:
+                dropped.append(handler)
+        self._tell_dropped(dropped)
+        return dropped
+
+    def _tell_dropped(self, slaves: list[SlaveMirror]) -> None:
+        now = monotonic_ns()
+        self._on_events(
+            [
+                OutputsDropped(
+                    t_ns=now,
+                    address=slave.setup.address,
+                    name=slave.setup.name,
+                    outputs=slave.image.outputs_dropped(),
+                )
+                for slave in slaves
+            ]
+        )
+
+    def _outputs_too_late(self, told: Mapping[int, int]) -> None:
+        """The bus process dropped outputs, by address and time limit."""
+        slaves = []
+        for address, until in told.items():
+            outputs, handler = self._outputs.get(address), self.mirror.master.handlers.get(address)
+            if outputs is not None and outputs.until_ns == until and handler is not None:
+                del self._outputs[address]
+                self._awaited.pop(address, None)
+                slaves.append(handler)
+        self._tell_dropped(slaves)
+
+    # --- whether it lives -------------------------------------------------------------------------------------------
+
+    def _look(self) -> None:
+        """Again and again: whether the bus process lives, and takes the outputs in time."""
+        loop = self._loop
+        if loop is None or self._image is None:
+            return
+        self._watch = loop.call_later(_WATCH_S, self._look)
+        self._look_for_silence()
+        self._tell_silence()
+        taken, now = self._image.outputs_taken.value, monotonic_ns()
+        self._awaited = {address: number for address, number in self._awaited.items() if number > taken}
+        late = [address for address in self._awaited if self._outputs[address].until_ns < now]
+        if late:
+            self._withdraw(late)
+
+    def _look_for_silence(self) -> None:
+        silent = 0 if self._silent_since or self._not_running is not None else self._link.silent_ns()
+        image, pid = self._image, self.pid
+        if not silent or image is None or pid is None:
+            return
+        self._silences += 1
+        image.silences.value = self._silences
+        now = monotonic_ns()
+        self._watchdogs_then = self._watchdogs()
+        self._silent_since = now - silent
+        told = BusProcessSilent(t_ns=now, pid=pid, silent_ns=silent, at_slaves=at_slaves(self._watchdogs_then))
+        self._not_running = f"the bus process (pid {pid}) shows no sign of life: it is stopped, or hangs"
+        lost = self.mirror.lost(Fault(FaultKind.LOST, self._not_running, "its slaves are not asked until it goes on"))
+        self._untold = [told, *_states(lost, now)]
+        if self._loop is not None and not self._loop.is_closed():
+            self._loop.call_soon(self._tell_silence)
+
+    def _tell_silence(self) -> None:
+        events, self._untold = self._untold, []
+        if events:
+            self._on_events(events)
+
+    def _goes_on(self, told: Iterable[Event]) -> list[Event]:
+        """It has answered, with everything of its state: the events of that, before those that it ``told``."""
+        self._tell_silence()
+        now = monotonic_ns()
+        back = BusProcessBack(t_ns=now, pid=self.pid or 0, silent_ns=now - self._silent_since)
+        self._silent_since, self._not_running = 0, None
+        asyncio.get_running_loop().call_soon(self._watch_rounds_again)
+        known = {event.address for event in told if isinstance(event, SlaveStateChanged)}
+        slaves = (
+            slave
+            for slave in self.mirror.master.handlers.values()
+            if slave.state not in (SlaveState.OFFLINE, SlaveState.DEACTIVATED) and slave.setup.address not in known
+        )
+        return [back, *_states(slaves, now)]
+
+    def watch_rounds(self, on: bool) -> None:
+        """Have the ends of rounds told, or no longer. A silent bus process is told when it goes on."""
+        if self._link.is_open:
+            with contextlib.suppress(OrderDropped if on else DpError):
+                self._ask(WatchRounds(on))
+
+    def _watch_rounds_again(self) -> None:
+        with contextlib.suppress(DpError):
+            self.watch_rounds(self.mirror.master.on_round is not None)
+
+    # --- from the bus process ---------------------------------------------------------------------------------------
+
+    def _on_news(self, news: News) -> None:
+        self.mirror.take(news)
+        self._surveys |= news.surveys
+        try:
+            if news.round_over:
+                on_round = self.mirror.master.on_round
+                if on_round is not None:
+                    on_round(monotonic_ns())
+                return
+            events = [self.mirror.worded(event_of(event)) for event in news.events]
+            if self._silent_since:
+                if news.silence == self._silences:
+                    events = [*self._goes_on(events), *events]
+                else:  # it is from before the silence
+                    self.mirror.lost(Fault(FaultKind.LOST, self._not_running or "", ""))
+            self._on_events(events)
+            if news.dropped:
+                self._outputs_too_late(news.dropped)
+        except Exception as error:  # the application's: the bus goes on
+            asyncio.get_running_loop().call_exception_handler(
+                {"message": "the handler of bus events raised", "exception": error}
+            )
+
+    def _why_gone(self, code: int | None, last: News | None) -> DpError:
+        return how_it_ended(code, last, self._watchdogs())
+
+    def _watchdogs(self) -> dict[str, int]:
+        """Of the slaves that are in data exchange as far as is known (before a silence), in ns."""
+        if self._silent_since:
+            return self._watchdogs_then
+        return {
+            slave.setup.name: slave.watchdog_effective_ns
+            for slave in self.mirror.master.handlers.values()
+            if slave.state is SlaveState.DATA_EXCHANGE
+        }
+
+    def _on_gone(self, error: DpError) -> None:
+        self._tell_silence()
+        self._not_running = str(error)
+        lost = self.mirror.lost(Fault(FaultKind.LOST, self._not_running, ""))
+        if self._watch is not None:
+            self._watch.cancel()
+            self._watch = None
+        self._on_events(_states(lost, monotonic_ns()))
+        self._on_failure(error)
+
+
+def _states(slaves: Iterable[SlaveMirror], now: int) -> list[Event]:
+    """The state of each of ``slaves`` as an event."""
+    return [
+        SlaveStateChanged(t_ns=now, address=slave.setup.address, name=slave.setup.name, state=slave.state)
+        for slave in slaves
+    ]
+
+
+def _names(slaves: Iterable[SlaveMirror]) -> str:
+    return ", ".join(f"slave {slave.setup.address} ({slave.setup.name})" for slave in slaves)
+
+
+class ProcessSurvey:
+    """One live list made by ``runtime``'s bus process; ``command`` takes its orders. A :class:`Survey`."""
+
+    def __init__(self, runtime: ProcessRuntime, command: Callable[[object], None], order: SurveyOrder) -> None:
+        self._runtime = runtime
+        self._command = command
+        self._number = next(_numbers)
+        command(StartSurvey(self._number, order))
+
+    @property
+    def result(self) -> SurveyResult | None:
+        """None until everything was asked."""
+        return self._runtime.survey_result(self._number)
+
+    def end(self) -> None:
+        """Nobody wants it any more."""
+        self._command(EndSurvey(self._number))

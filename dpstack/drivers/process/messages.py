@@ -1,0 +1,416 @@
+"""What a bus process and its parent say to each other: JSON with a length in front, never pickle.
+
+Orders, events and everything inside them are dataclasses; msgspec writes them and reads them back by their type hints.
+A message is one JSON object, see :class:`Answer`, :class:`News` and :class:`Question`; what can be of several classes
+stands as a pair of the class's name and its fields.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import inspect
+import signal
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Final, TypeVar
+
+import msgspec
+
+from dpstack import errors
+from dpstack.dp.master.commands import DriveCommand, Mode
+from dpstack.dp.master.cycle_part import CycleBook, CycleData, MissReason
+from dpstack.dp.master.events import Fault, SlaveState
+from dpstack.dp.master.scanner import Found
+from dpstack.dp.master.survey import SurveyOrder, SurveyResult
+from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dpv1.master.alarm_events import AlarmCounts
+from dpstack.drivers.line.echo import Echo
+from dpstack.drivers.process.order_types import ENDING_ORDERS, MACHINE_ORDERS
+from dpstack.drivers.process.plugins import PluginRef
+from dpstack.drivers.stack import StackSpec
+from dpstack.errors import BusError, DpError
+from dpstack.fdl.decoder import DecoderStats
+from dpstack.fdl.interface import LinkStats
+from dpstack.gsd.diag_texts import DiagTexts
+from dpstack.phy.patience import Patience
+from dpstack.stats import Histogram, HistogramData
+from dpstack.trace import Event
+from dpstack.units import NEVER
+
+T = TypeVar("T")
+
+#: a longer message is none of ours; the longest is a set-up of 125 slaves
+MAX_MESSAGE: Final = 4 * 1024 * 1024
+_LENGTH: Final = 4
+#: signals that a terminal sends to all in front of it: the application's, whose way out is the bus process's, too
+FROM_TERMINALS: Final = (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT)
+
+#: a class by name, and the fields of one of its objects
+Named = tuple[str, object]
+
+
+# --- orders of the parent that no machine knows ----------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SetUp:
+    """The first message: everything that the bus process is handed.
+
+    ``plugins`` by slave address; ``preload``: places of plugins that may be attached later (importing takes time that
+    a running bus does not have). ``echo``, ``tune``: as :class:`dpstack.drivers.line.asyncio_runtime.AsyncioRuntime`
+    has them.
+    """
+
+    port: str
+    event_char: bool
+    rs485: bool
+    echo: Echo
+    tune: bool
+    stack: StackSpec
+    plugins: dict[int, PluginRef] = field(default_factory=dict)
+    preload: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class AttachPlugin:
+    """Put a drive plugin onto the process image of the slave at ``address``."""
+
+    address: int
+    plugin: PluginRef
+
+
+@dataclass(frozen=True, slots=True)
+class WatchRounds:
+    """Tell the end of every round, or no longer."""
+
+    on: bool
+
+
+@dataclass(frozen=True, slots=True)
+class TakeOutputs:
+    """Take the outputs that the application has published; answered when that is done."""
+
+
+@dataclass(frozen=True, slots=True)
+class AskUnit:
+    """Answered with what the cyclic unit of the slave at ``address`` tells in ``status()``."""
+
+    address: int
+
+
+@dataclass(frozen=True, slots=True)
+class StartSurvey:
+    """One live list; its result comes with the :class:`News` under ``number``."""
+
+    number: int
+    order: SurveyOrder
+
+
+@dataclass(frozen=True, slots=True)
+class EndSurvey:
+    """Nobody waits for it any more, or it is complete."""
+
+    number: int
+
+
+@dataclass(frozen=True, slots=True)
+class CloseBus:
+    """Release the port and end; the bus was left before. Answered with the last :class:`Counters`."""
+
+
+def is_ending(order: object) -> bool:
+    """Whether ``order`` ends something: the bus process carries it out however late it comes. All others it drops after
+    their time limit."""
+    match order:
+        case EndSurvey() | CloseBus() | WatchRounds(on=False) | DriveCommand(op="cancel"):
+            return True
+    return isinstance(order, ENDING_ORDERS)
+
+
+#: what machines and driver know as orders
+ORDERS: Final[dict[str, type]] = {
+    kind.__name__: kind
+    for kind in (
+        *MACHINE_ORDERS, SetUp, AttachPlugin, WatchRounds, TakeOutputs, AskUnit, StartSurvey, EndSurvey, CloseBus,
+    )
+}  # fmt: skip
+
+
+# --- what the bus process tells --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class SlaveNow:
+    """The handling of one slave at this moment (what is not in the shared process image)."""
+
+    state: SlaveState
+    fault: Fault | None
+    diagnosis: Diagnosis | None
+    watchdog_ns: int
+    alarms: AlarmCounts | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class BusNow:
+    """Master and station at this moment."""
+
+    mode: Mode
+    synced: frozenset[int]
+    frozen: frozenset[int]
+    in_ring: bool
+    claimed: bool
+    las: frozenset[int]
+    patience: Patience
+
+
+@dataclass(frozen=True, slots=True)
+class WatcherNow:
+    """Of a read-only bus: what was found up to this moment."""
+
+    found: tuple[Found, ...]
+    done: bool
+
+
+@dataclass(frozen=True, slots=True)
+class CyclesNow:
+    """The books over fixed cycles (:class:`dpstack.dp.master.cycle_part.CycleBook`), and what did not fit between
+    them."""
+
+    cycle_ns: int = 0
+    begun: int = 0
+    begun_late: int = 0
+    left_out: int = 0
+    late: HistogramData = field(default_factory=HistogramData)
+    reasons: dict[MissReason, int] = field(default_factory=dict)
+    held_back: int = 0
+    forced: int = 0
+
+    @classmethod
+    def of(cls, book: CycleBook, held_back: int, forced: int) -> CyclesNow:
+        """The books as plain data."""
+        return cls(
+            book.cycle_ns,
+            book.begun,
+            book.begun_late,
+            book.left_out,
+            book.late.data(),
+            dict(book.reasons),
+            held_back,
+            forced,
+        )
+
+    def book(self) -> CycleBook:
+        """The books again."""
+        return CycleBook(
+            self.cycle_ns, self.begun, self.begun_late, self.left_out, Histogram.of(self.late), dict(self.reasons)
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Counters:
+    """Everything that is counted, as one picture of the time ``t_ns``."""
+
+    t_ns: int = 0
+    rotation: HistogramData = field(default_factory=HistogramData)
+    token_rotation: HistogramData = field(default_factory=HistogramData)
+    lateness: HistogramData = field(default_factory=HistogramData)
+    link: LinkStats = field(default_factory=LinkStats)
+    decoder: DecoderStats = field(default_factory=DecoderStats)
+    cycles: CyclesNow = field(default_factory=CyclesNow)
+    damage: dict[str, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Hello:
+    """The port is open."""
+
+    port_name: str
+    paced: bool
+
+
+@dataclass(slots=True)
+class News:
+    """State and events in order: the state is that after the events. What did not change is left out.
+
+    ``round_over``: a round ended, ``cycle`` is what it brought (told while somebody watches). ``over``: nothing more
+    will come, for this reason; ``defect``: one of ours. ``silence``: the bus process answers that it lives to an
+    application that found it silent for the so-many-th time; everything of the state is in this message.
+    ``dropped``: outputs that came too late, by address with their ``until_ns``.
+    """
+
+    bus: BusNow | None = None
+    slaves: dict[int, SlaveNow] = field(default_factory=dict)
+    watcher: WatcherNow | None = None
+    surveys: dict[int, SurveyResult] = field(default_factory=dict)
+    events: list[Named] = field(default_factory=list)
+    round_over: bool = False
+    cycle: CycleData | None = None
+    over: str | None = None
+    defect: bool = False
+    silence: int = 0
+    dropped: dict[int, int] = field(default_factory=dict)
+
+
+@dataclass(slots=True)
+class Answer:
+    """The answer to the question ``number``: an error (class, text), or a value."""
+
+    number: int
+    error: tuple[str, str] | None = None
+    value: object = None
+
+
+@dataclass(slots=True)
+class Question:
+    """An order with a number that its answer carries. The bus process drops it where it does not take it before
+    ``until_ns`` (CLOCK_MONOTONIC)."""
+
+    number: int
+    order: Named
+    until_ns: int = NEVER
+
+
+@dataclass(slots=True)
+class Message:
+    """One message, either way: one of these."""
+
+    news: News | None = None
+    answer: Answer | None = None
+    question: Question | None = None
+
+
+# --- the codec -------------------------------------------------------------------------------------------------------
+
+
+def _plain(value: object) -> object:
+    """What msgspec does not know. The texts of a GSD file stay where they were read (see ``mirror``)."""
+    if isinstance(value, DiagTexts):
+        return None
+    raise TypeError(f"{type(value).__name__} does not go to another process")
+
+
+def _strange(kind: type, value: object) -> object:
+    if kind is object:  # plain JSON data
+        return value
+    raise TypeError(f"{kind} does not come from another process")
+
+
+_encoder: Final = msgspec.json.Encoder(enc_hook=_plain)
+
+
+def encoded(thing: object) -> bytes:
+    """The octets of one object, see :func:`decoded`. Raises TypeError for what is not plain data."""
+    return _encoder.encode(thing)
+
+
+@contextlib.contextmanager
+def _readable(what: str) -> Iterator[None]:
+    """Raises BusError for what msgspec cannot read: also text that is no UTF-8, and brackets too deep in each other."""
+    try:
+        yield
+    except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
+        raise BusError(f"{what} cannot be read: {error}") from None
+
+
+def decoded(octets: bytes, kind: type[T]) -> T:
+    """The object of ``kind`` that :func:`encoded` was given. Raises BusError."""
+    with _readable(kind.__name__):
+        return msgspec.json.decode(octets, type=kind, dec_hook=_strange)
+
+
+def framed(message: Message) -> bytes:
+    """The octets of one message. Raises TypeError for what is not plain data."""
+    octets = encoded(message)
+    return len(octets).to_bytes(_LENGTH, "big") + octets
+
+
+@functools.cache
+def _decoder() -> msgspec.json.Decoder[Message]:
+    return msgspec.json.Decoder(Message, dec_hook=_strange)
+
+
+class Frames:
+    """Cuts what a socket delivers into messages."""
+
+    def __init__(self) -> None:
+        self._rest = bytearray()
+
+    def feed(self, octets: bytes) -> Iterator[Message]:
+        """The messages that are complete now. Raises BusError for what is none."""
+        rest = self._rest
+        rest += octets
+        while len(rest) >= _LENGTH:
+            length = int.from_bytes(rest[:_LENGTH], "big")
+            if length > MAX_MESSAGE:
+                raise BusError(f"a message of {length} octets between bus process and application")
+            if len(rest) < _LENGTH + length:
+                return
+            octets = bytes(rest[_LENGTH : _LENGTH + length])
+            del rest[: _LENGTH + length]
+            with _readable("a message between bus process and application"):
+                message = _decoder().decode(octets)
+            yield message
+
+
+def typed(value: object, kind: type[T]) -> T:
+    """``value`` as it came out of a message as an object of ``kind``. Raises BusError."""
+    with _readable(kind.__name__):
+        return msgspec.convert(value, kind, str_keys=True, dec_hook=_strange)
+
+
+def named(thing: object) -> Named:
+    """``thing`` with the name of its class."""
+    return type(thing).__name__, thing
+
+
+def order_of(named_order: Named) -> object:
+    """The order that :func:`named` was given. Raises BusError."""
+    return _made(named_order, ORDERS)
+
+
+def event_of(named_event: Named) -> Event:
+    """The event that :func:`named` was given. Raises BusError."""
+    event = _made(named_event, event_classes())
+    assert isinstance(event, Event)
+    return event
+
+
+def _made(named_thing: Named, table: Mapping[str, type]) -> object:
+    name, fields = named_thing
+    kind = table.get(name)
+    if kind is None:
+        raise BusError(f"{name!r} is nothing that bus process and application tell each other")
+    return typed(fields, kind)
+
+
+@functools.cache
+def event_classes() -> dict[str, type[Event]]:
+    """Every class of events by name."""
+    return {kind.__name__: kind for kind in _below(Event)}
+
+
+def _below(kind: type[Event]) -> Iterator[type[Event]]:
+    for sub in kind.__subclasses__():
+        if not inspect.isabstract(sub):
+            yield sub
+        yield from _below(sub)
+
+
+def error_pair(error: Exception) -> tuple[str, str]:
+    """An exception as it goes in an :class:`Answer`; what is no DpError is a defect of ours."""
+    if isinstance(error, DpError):
+        return type(error).__name__, str(error)
+    return BusError.__name__, f"a defect in dpstack, please report it: {type(error).__name__}: {error}"
+
+
+def error_of(pair: tuple[str, str]) -> DpError:
+    """The exception again: orders raise only those that carry a text and nothing else."""
+    name, text = pair
+    kind = getattr(errors, name, None)
+    if not (isinstance(kind, type) and issubclass(kind, DpError)):
+        return BusError(text)
+    try:
+        return kind(text)
+    except (TypeError, DpError):  # it carries more, or something else
+        return BusError(text)

@@ -1,0 +1,66 @@
+"""Cyclic units by name, for a process that is handed no objects: a drive plugin is found as ``package.module:name``."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from dpstack.dp.process_image import CyclicUnit
+from dpstack.dpv1.master.plugin_queue import RecordQueue
+from dpstack.errors import ConfigError
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PluginRef:
+    """The plugin at ``place`` ("package.module:name") for the slave called ``name``; ``options`` are plain data.
+
+    ``records``: the slave has DP-V1, and the plugin may ask it by Read and Write.
+    """
+
+    place: str
+    name: str
+    telegram: str | None = None
+    options: Mapping[str, object] = field(default_factory=dict)
+    records: bool = False
+
+
+class UnitMaker(Protocol):
+    """What stands at a plugin's place: a drive profile, or anything that makes a cyclic unit in the same way."""
+
+    def core(
+        self,
+        name: str,
+        telegram: str | None = None,
+        options: Mapping[str, object] | None = None,
+        *,
+        records: RecordQueue | None = None,
+    ) -> CyclicUnit:
+        """The cyclic unit of the slave called ``name``; ``records``: takes what it asks it. Raises ConfigError."""
+
+
+def found_at(place: str) -> UnitMaker:
+    """What stands at ``place``. Raises ConfigError that names it, and why it cannot be imported."""
+    module, colon, path = place.partition(":")
+    if not (module and colon and path):
+        raise ConfigError(f"plugin {place!r}: write its place as package.module:name")
+    try:
+        found = importlib.import_module(module)
+        for name in path.split("."):
+            found = getattr(found, name)
+    except Exception as error:  # whatever a plugin's module does when it is imported
+        raise ConfigError(
+            f"plugin {place} cannot be imported in the bus process ({type(error).__name__}: {error}); "
+            'install it as a package, or take driver = "asyncio"'
+        ) from None
+    if not callable(getattr(found, "core", None)):
+        raise ConfigError(f"plugin {place} makes no cyclic unit: it has no method core()")
+    maker: UnitMaker = found
+    return maker
+
+
+def load(ref: PluginRef) -> CyclicUnit:
+    """The cyclic unit that ``ref`` means. Raises ConfigError."""
+    records = RecordQueue() if ref.records else None
+    return found_at(ref.place).core(ref.name, ref.telegram, ref.options, records=records)

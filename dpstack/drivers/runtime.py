@@ -1,0 +1,187 @@
+"""What every driver offers to the API: one machine kept running on one line inside an asyncio loop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, Protocol
+
+from dpstack.dp.master.events import SlaveEvent
+from dpstack.drivers.line.port_latency import Lateness
+from dpstack.params import BusParams
+from dpstack.trace import Event
+from dpstack.units import BITS_PER_CHAR, NS_PER_S, ms_text, ns_to_s
+
+#: the ordered end takes a few rotations; nobody waits longer than this for each of its steps (plus ten rotations)
+END_LIMIT: Final = 2 * NS_PER_S
+#: Global_Control, the longest telegram of the end
+_LAST_OCTETS: Final = 13
+
+#: Why nobody keeps a machine running in the child of a fork, for people.
+IN_PARENT: Final = "the bus runs in the process from which this one was forked"
+
+#: Takes what a machine told, in order; called from the loop, never from another thread.
+OnEvents = Callable[[list[Event]], None]
+#: Told when the machine raised: a defect of ours, the driver has stopped.
+OnFailure = Callable[[Exception], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PortLost(Event):
+    """The port vanished; the driver tries to open it again with back-off."""
+
+    port: str
+    reason: str
+
+    @property
+    def text(self) -> str:
+        """What happens next."""
+        return f"port {self.port} vanished ({self.reason}): trying to open it again"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PortBack(Event):
+    """The port could be opened again."""
+
+    port: str
+
+    @property
+    def text(self) -> str:
+        """Which."""
+        return f"port {self.port} is back"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BusProcessSilent(Event):
+    """The bus process shows no sign of life. Its slaves count as offline, their inputs as not valid."""
+
+    pid: int
+    silent_ns: int
+    at_slaves: str
+
+    @property
+    def text(self) -> str:
+        """For how long, and what follows."""
+        return (
+            f"the bus process (pid {self.pid}) has shown no sign of life for {ms_text(self.silent_ns)}: it is stopped, "
+            f"or hangs. Orders and outputs are dropped until it goes on. {self.at_slaves}"
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BusProcessBack(Event):
+    """The bus process goes on."""
+
+    pid: int
+    silent_ns: int
+
+    @property
+    def text(self) -> str:
+        """After how long."""
+        return f"the bus process (pid {self.pid}) goes on after {ms_text(self.silent_ns)}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OutputsDropped(SlaveEvent):
+    """The bus process did not take ``outputs`` of the application in time. They will not go out."""
+
+    outputs: bytes
+
+    @property
+    def text(self) -> str:
+        """Which, and what counts instead."""
+        return (
+            f"slave {self.address} ({self.name}): outputs {self.outputs.hex()} were dropped: the bus process did not "
+            "take them in time; its outputs are those from before"
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BehindRealTime(Event):
+    """The time of a simulated bus falls behind real time, how fast it goes has changed much, or it keeps up again.
+
+    ``bus_ns`` of bus time went by in the last ``real_ns``; ``behind_ns`` is how far it is behind in all.
+    """
+
+    bus_ns: int
+    real_ns: int
+    behind_ns: int
+    keeps_up: bool
+
+    @property
+    def text(self) -> str:
+        """How fast, and what helps."""
+        if self.keeps_up:
+            return f"the simulated bus keeps up with real time again, {ns_to_s(self.behind_ns):.1f} s behind in all"
+        return (
+            f"the simulated bus falls behind real time: {ns_to_s(self.bus_ns):.2f} s of bus time in the last "
+            f"{ns_to_s(self.real_ns):.2f} s; the computer is too slow for it, or the program blocks its event loop: "
+            f"take a lower baud rate, or fewer slaves"
+        )
+
+
+def last_bits_ns(params: BusParams) -> int:
+    """How long to wait after the event that ends the ordered end, before the port is closed: events tell of
+    transmissions whose last bit lies ahead."""
+    return params.ns(_LAST_OCTETS * BITS_PER_CHAR + params.t_id2)
+
+
+class Runtime(Protocol):
+    """A running driver. Constructed with its machine, its line and an :data:`OnEvents`."""
+
+    @property
+    def lateness(self) -> Lateness:
+        """How late answers arrive."""
+
+    @property
+    def port_name(self) -> str:
+        """What the port is called in messages and JSON."""
+
+    @property
+    def paced(self) -> bool:
+        """True where octets take their time on a wire (or the virtual one), False on plain ptys and sockets."""
+
+    @property
+    def not_running(self) -> str | None:
+        """Why nobody keeps the machine running at this moment; None while somebody does, before the opening, and after
+        an end in order."""
+
+    @property
+    def counters_age_ns(self) -> int:
+        """How old the counters are that can be read now."""
+
+    @property
+    def behind_ns(self) -> int:
+        """How far the time of a simulated bus has fallen behind real time since the opening (ns), else 0."""
+
+    def damage(self) -> dict[str, int]:
+        """Octets that arrived damaged, by cause, as far as the port can tell."""
+
+    async def open(self) -> None:
+        """Open the line and begin. Raises PortError."""
+
+    async def close(self) -> None:
+        """Stop and release the line. The machine has been taken off the bus in order before.
+
+        It goes through any number of cancellations, and re-raises the cancellation.
+        """
+
+    @property
+    def close_limit_ns(self) -> int:
+        """What :meth:`close`, and orders that nobody answers, may add to the time of an ordered end (ns)."""
+
+    def end_without_loop(self) -> str:
+        """Make the end of a bus whose event loop can run no more; why safe values and Clear could not be sent, empty
+        where they were. The line is released."""
+
+    def forsake(self) -> None:
+        """In the child of a fork: let go of everything that the parent uses too, and change nothing at it."""
+
+    def command(self, command: object) -> None:
+        """Hand an order to the machine and let it act at once."""
+
+    def hand_over_outputs(self) -> None:
+        """The machine has the outputs that were set up to now when this returns. Raises OrderDropped, BusError."""
+
+    def now(self) -> int:
+        """The machine's time in ns."""

@@ -1,0 +1,1 @@
+"""A segment made of ptys: stations of other programs on one simulated line."""

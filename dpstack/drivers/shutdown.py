@@ -1,0 +1,241 @@
+"""The ordered end of a bus: safe values, Clear twice, class 2 connections given back, out of the ring, the last bit out
+of the port.
+
+:class:`EndSteps` is the rule, for every driver. An application carries it out in its event loop
+(:mod:`dpstack.api.bus.shutdown`). :class:`Ending` carries it out in a :class:`PlainLoop`: in a bus process without its
+application, and in :func:`end_on_port`, where the application's event loop can run no more.
+"""
+
+from __future__ import annotations
+
+import select
+from collections.abc import Callable, Mapping
+from time import monotonic_ns
+from typing import Final
+
+from dpstack.dp.master.commands import Shutdown
+from dpstack.dp.master.events import MasterStopped
+from dpstack.dpv1.master.ms2_commands import CloseConnections, ConnectionsClosed
+from dpstack.drivers.line.echo import Echo
+from dpstack.drivers.line.select_loop import Alarm, PlainLoop
+from dpstack.drivers.line.select_runtime import PlainRuntime
+from dpstack.drivers.runtime import END_LIMIT, last_bits_ns
+from dpstack.drivers.views import StationSeen
+from dpstack.errors import DpError
+from dpstack.fdl.active.station import ActiveStation
+from dpstack.fdl.commands import GoOffline
+from dpstack.fdl.decoder import Decoder
+from dpstack.fdl.events import RingLeft
+from dpstack.fdl.telegram import Kind
+from dpstack.params import BusParams
+from dpstack.ports import Port
+from dpstack.trace import Event
+from dpstack.units import NS_PER_MS, NS_PER_S
+
+EndOrder = Shutdown | CloseConnections | GoOffline
+
+#: A hurried end takes no longer than this: who asks for it promises to be gone within a second.
+HURRY_NS: Final = 800 * NS_PER_MS
+_STEPS: Final = 3
+_ROTATIONS: Final = 10
+#: So often a line on which something was heard is listened to again.
+_LISTENS: Final = 3
+
+
+def end_limit_ns(params: BusParams, rotation_ns: int) -> int:
+    """The longest time the end of a bus takes in ns, whatever the port and other masters do: END_LIMIT and ten
+    rotations of ``rotation_ns`` for each of its three steps, and the last telegram's time."""
+    return _STEPS * step_limit_ns(rotation_ns) + last_bits_ns(params)
+
+
+def step_limit_ns(rotation_ns: int) -> int:
+    """How long one step of the end is waited for in ns."""
+    return END_LIMIT + _ROTATIONS * rotation_ns
+
+
+class EndSteps:
+    """The orders of the end of ``station``'s bus, one by one, and whether the last one given was carried out.
+
+    Who gives them waits for each no longer than :func:`step_limit_ns`: a bus that can no longer do a step is taken to
+    the next. After :meth:`hurry` connections are not given back, and all the rest is over after :data:`HURRY_NS`.
+    """
+
+    def __init__(self, station: StationSeen) -> None:
+        self._station = station
+        self._orders: list[EndOrder] = [GoOffline(), CloseConnections(), Shutdown()]
+        self._order: EndOrder | None = None
+        self._at_ns = 0
+        self._hurried_at: int | None = None
+        #: the last order was carried out
+        self.done = False
+        #: safe values and Clear were sent; None while the master has not said so
+        self.cleared: bool | None = None
+
+    def hurry(self, now: int) -> None:
+        """Skip what is not needed to make outputs safe. Further calls change nothing."""
+        if self._hurried_at is None:
+            self._hurried_at = now
+            self._orders = [order for order in self._orders if not isinstance(order, CloseConnections)]
+            self.done |= isinstance(self._order, CloseConnections)
+
+    def next_order(self) -> EndOrder | None:
+        """The next order; None when there is only :meth:`over_at` to be waited for."""
+        if not self._orders:
+            return None
+        order = self._order = self._orders.pop()
+        # who has no token has nothing to hand on; it may have left and come back before
+        self.done = isinstance(order, GoOffline) and not self._station.in_ring
+        return order
+
+    def wait_until(self, begun: int, rotation_ns: int) -> int:
+        """How long the order given at ``begun`` is waited for (ns)."""
+        limit = begun + step_limit_ns(rotation_ns)
+        return limit if self._hurried_at is None else min(limit, self._hurried_at + HURRY_NS)
+
+    def on_event(self, event: Event) -> None:
+        """The master has stopped, the connections are given back, the ring was left."""
+        if isinstance(event, MasterStopped):
+            self.cleared = event.cleared
+        match event, self._order:
+            case (MasterStopped(), Shutdown()) | (ConnectionsClosed(), CloseConnections()) | (RingLeft(), GoOffline()):
+                self.done = True
+                self._at_ns = event.t_ns
+
+    def over_at(self, now: int) -> int:
+        """When the last bit of the last telegram is out and the port may be closed (ns)."""
+        return max(self._at_ns, now) + last_bits_ns(self._station.params)
+
+
+class Ending:
+    """Carries out the end in ``loop``; ``give`` takes each order and raises DpError where the driver is down.
+
+    Begun once; ``finished`` is called with the reason when it is through, or took too long.
+    """
+
+    def __init__(
+        self,
+        loop: PlainLoop,
+        give: Callable[[EndOrder], None],
+        station: StationSeen,
+        longest_rotation: Callable[[], int],
+        finished: Callable[[str], None],
+    ) -> None:
+        self._loop = loop
+        self._give = give
+        self._longest_rotation = longest_rotation
+        self.steps = EndSteps(station)
+        self._finished = finished
+        self._why: str | None = None
+        self._limit: Alarm | None = None
+
+    def begin(self, why: str) -> None:
+        """Begin, because of ``why``. Further calls change nothing."""
+        if self._why is None:
+            self._why = why
+            self._advance()
+
+    def on_event(self, event: Event) -> None:
+        """How far it is."""
+        if self._why is not None:
+            self.steps.on_event(event)
+            self._go_on()
+
+    def _go_on(self) -> None:
+        """Once a step: not from within the machine that told of it."""
+        if self.steps.done and self._limit is not None:
+            self._limit.close()
+            self._limit = None
+            self._loop.call_soon(self._advance)
+
+    def _advance(self) -> None:
+        steps = self.steps
+        order = steps.next_order()
+        now = monotonic_ns()
+        if order is None:
+            self._limit = None
+            self._loop.call_at(steps.over_at(now), self._finish)
+            return
+        self._limit = self._loop.call_at(steps.wait_until(now, self._longest_rotation()), self._advance)
+        try:
+            self._give(order)
+        except DpError:  # the driver is down: nothing can be sent any more
+            steps.done = True
+        self._go_on()
+
+    def _finish(self) -> None:
+        assert self._why is not None
+        self._finished(self._why)
+
+
+def at_slaves(watchdogs: Mapping[str, int]) -> str:
+    """What slaves do that get nothing any more, for people. ``watchdogs``: by name in ns, 0 is off."""
+    if not watchdogs:
+        return "No slave was in data exchange"
+    off = sorted(name for name, ns in watchdogs.items() if not ns)
+    longest = max(watchdogs.values()) // NS_PER_MS
+    words = [f"The slaves' watchdogs make their outputs safe within {longest} ms"] if longest else []
+    if off:
+        words.append(f"{', '.join(off)} without watchdog keep{'s' if len(off) == 1 else ''} the last outputs")
+    return "; ".join(words)
+
+
+def end_on_port(port: Port, station: ActiveStation, echo: Echo) -> str:
+    """The hurried end of ``station`` on the open ``port`` by this thread alone, where the event loop that kept it going
+    can run no more. Returns why safe values and Clear could not be sent, empty where they were.
+
+    ``port`` is detached. It sends only where this station holds the token or is alone in the ring: on a bus with
+    another master, or with octets of anybody else within T_TO, it sends nothing.
+    """
+    others = sorted(station.las - {station.address})
+    if not station.in_ring:
+        return "this master is not in the token ring"
+    if others:
+        masters = f"master{'s' if len(others) > 1 else ''} {', '.join(map(str, others))}"
+        return f"{masters} may hold the token by now, and without the token nothing may be sent"
+    if port.fd is None:
+        return "a port of this kind needs the event loop"
+    if not _nobody_else_sends(port, station):
+        return "somebody else sends on the bus, and without the token nothing may be sent"
+    loop = PlainLoop()
+
+    def on_events(events: list[Event]) -> None:
+        for event in events:
+            ending.on_event(event)
+
+    runtime = PlainRuntime(loop, port, station, on_events, echo=echo)
+
+    def give(order: EndOrder) -> None:
+        if isinstance(order, Shutdown):  # before the first step, which might find that the token was lost long ago
+            runtime.take_over(order)
+        else:
+            runtime.command(order)
+
+    ending = Ending(loop, give, station, lambda: NS_PER_S, lambda _why: loop.stop())
+    ending.steps.hurry(monotonic_ns())
+    try:
+        ending.begin("")
+        loop.run()
+    finally:
+        runtime.close()
+        loop.close()
+    return "" if ending.steps.cleared else "the bus did not take them in time"
+
+
+def _nobody_else_sends(port: Port, station: ActiveStation) -> bool:
+    """Listen for T_TO: only answers to this station are heard, or what itself has sent."""
+    assert port.fd is not None
+    decoder = Decoder(stall_ns=NS_PER_S)
+    patience_ns = station.params.ns(station.params.t_to)
+    for _ in range(_LISTENS):
+        end = monotonic_ns() + patience_ns
+        heard = b""
+        while (left := end - monotonic_ns()) > 0 and not heard:
+            select.select([port.fd], [], [], left / NS_PER_S)
+            heard = port.read_now()
+        if not heard:
+            return True
+        for telegram in decoder.feed(heard, monotonic_ns()):
+            own = telegram.sa == station.address
+            if not own and (telegram.kind == Kind.SD4 or telegram.is_request):
+                return False
+    return False

@@ -1,0 +1,1 @@
+"""The active station: token, exchange, ring."""

@@ -1,0 +1,234 @@
+"""What the link layer asks of its users, and what a passive station asks of its application.
+
+The link layer asks for the next request when it holds the token; DP master, live list and scanner are users side by
+side. It owns FC, FCB, retries, slot times and the token; a user owns what is said to whom and judges the answers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Final, NamedTuple, Protocol
+
+from dpstack.fdl.telegram import MAX_DATA, Req, Resp, Telegram
+from dpstack.trace import Event
+from dpstack.units import NS_PER_S
+
+#: ``extra_ns`` of a request to nobody known that is waited for as if somebody were there, as far as there is room
+LONG_NS: Final = NS_PER_S
+
+
+class Expect(Enum):
+    """What answers a request."""
+
+    NOTHING = "nothing"  # SDN, broadcast: T_ID2 follows
+    ANSWER = "answer"  # SC or a response telegram
+    STATUS = "status"  # FDL status: no FCB, no FCV
+
+
+class Request(NamedTuple):
+    """One request a link user wants to have sent. ``data`` is the data unit without SAP octets (0..244 octets).
+
+    ``function`` says the priority too (SRD_HIGH, SRD_LOW ...). ``patient`` asks for the slack of a station whose
+    silence has consequences; where nobody is known ``extra_ns`` is waited in addition, up to that slack and as long as
+    a fixed cycle and other masters have room. ``retry`` False makes it one attempt; ``restart`` takes the station up
+    afresh (FCV 0, FCB 1) whatever was known of it. ``tag`` is the user's own.
+    ``answer``: so many octets of data its answer has at most, as far as is known. ``cyclic``: it is part of a fixed
+    cycle itself and never held back. ``still``: asked with the time before a repetition, and before a telegram goes out
+    for which the driver came late; where it is False the data are too old, and the request ends as ABANDONED.
+    """
+
+    da: int
+    function: Req
+    data: bytes = b""
+    dsap: int | None = None
+    ssap: int | None = None
+    patient: bool = False
+    retry: bool = True
+    restart: bool = False
+    tag: object = None
+    extra_ns: int = 0
+    answer: int = MAX_DATA
+    cyclic: bool = False
+    still: Callable[[int], bool] | None = None
+
+    @property
+    def expect(self) -> Expect:
+        """What answers it, from its function."""
+        return _EXPECT[self.function]
+
+
+_EXPECT = {
+    Req.TIME_EVENT: Expect.NOTHING,
+    Req.CLOCK_VALUE: Expect.NOTHING,
+    Req.SDN_LOW: Expect.NOTHING,
+    Req.SDN_HIGH: Expect.NOTHING,
+    Req.SDA_LOW: Expect.ANSWER,
+    Req.SDA_HIGH: Expect.ANSWER,
+    Req.MSRD: Expect.ANSWER,
+    Req.SRD_LOW: Expect.ANSWER,
+    Req.SRD_HIGH: Expect.ANSWER,
+    Req.IDENT: Expect.ANSWER,
+    Req.LSAP_STATUS: Expect.ANSWER,
+    Req.FDL_STATUS: Expect.STATUS,
+}
+
+
+class Failure(Enum):
+    """Why a request has no answer."""
+
+    NO_ANSWER = "no answer"  # slot time over, retries used up
+    GARBLED = "garbled answer"  # octets came, no telegram
+    WRONG = "wrong answer"  # a telegram that does not answer this request: other SAPs, another station
+    ABANDONED = "abandoned"  # the station left the ring or went offline meanwhile, or Request.still said no
+    REFUSED = "refused by this station's guard"  # never sent: this station may not (dpstack.fdl.active.request_filter)
+    HELD_BACK = (
+        "held back"  # not sent now: it might run into the next cycle (dpstack.fdl.active.cycle_window); ask again
+    )
+
+
+class LinkUser(Protocol):
+    """A user of an active station's link layer. All calls come from within the station's pump."""
+
+    def token_received(self, now: int) -> None:
+        """A token hold begins, or the next cycle in one that was kept for it
+        (:mod:`dpstack.fdl.active.cycle_window`)."""
+
+    def next_request(self, now: int, high_only: bool) -> Request | None:
+        """The next request of this token hold, or None when there is nothing more in this hold.
+
+        ``high_only``: T_TH is used up or about to be: only high-priority service. Asked again after each result until
+        all users return None; then comes the GAP, then the token goes on.
+        """
+
+    def started(self, request: Request, at: int) -> None:
+        """The first bit of ``request`` (of its first attempt) is on the wire at ``at``."""
+
+    def result(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
+        """The end of a request: the answer (SC included), or why there is none.
+
+        For SDN: :data:`~dpstack.fdl.telegram.SHORT_ACK` once it has been sent.
+        """
+
+    def command(self, command: object, now: int) -> bool:
+        """An order of the application; False when it is none of this user's."""
+
+    def wake_at(self) -> int:
+        """When this user wants :meth:`tick`, in ns, or NEVER. (Deadlines that are not tied to the token.)
+
+        Asked after a token receipt, a tick, a command and an abandoned request: only these may move it.
+        """
+
+    def tick(self, now: int) -> None:
+        """The time asked for has come."""
+
+    def take_events(self) -> list[Event]:
+        """What this user has to tell, oldest first; the station hands it on in its own take_events()."""
+
+
+class Reply(NamedTuple):
+    """A passive station's answer to a request: status and data; SAPs are answered crosswise by the station.
+
+    ``short`` sends SC instead (allowed for OK without data).
+    """
+
+    status: Resp
+    data: bytes = b""
+    short: bool = False
+
+
+SC_REPLY = Reply(Resp.OK, b"", True)
+RS_REPLY = Reply(Resp.RS)
+
+
+class StationControl(Protocol):
+    """What a passive station lets its application change."""
+
+    #: the station address; an answer under way still goes out under the old one
+    address: int
+
+    @property
+    def baud(self) -> int:
+        """The rate it listens at, in bit/s."""
+
+    def set_min_tsdr(self, bits: int) -> None:
+        """Set_Prm's min T_SDR in bit times: no answer earlier than this; 0 keeps, 1..10 count as 11."""
+
+
+class Responder(Protocol):
+    """The application of a passive station.
+
+    NOTE for implementers: ``attached`` and ``take_events`` belong to the contract (the station calls both).
+    """
+
+    def attached(self, station: StationControl) -> None:
+        """Told once, when a station is built around this application: keep ``station`` for min T_SDR and address."""
+
+    def take_events(self) -> list[Event]:
+        """What the application has to tell since the last call, oldest first; asked after every step: be quick."""
+
+    def serve(self, request: Telegram, now: int) -> Reply | None:
+        """A new request to this station (SDA, SRD, ident); a repetition never gets here. None = stay silent."""
+
+    def indicate(self, telegram: Telegram, now: int) -> None:
+        """An SDN to this station or to all."""
+
+    def wake_at(self) -> int:
+        """When the application wants :meth:`tick` (its watchdog, its physics), or NEVER."""
+
+    def tick(self, now: int) -> None:
+        """The time asked for has come."""
+
+
+@dataclass(slots=True)
+class StationStats:
+    """Counters of one remote station, always on."""
+
+    requests: int = 0
+    answers: int = 0
+    retries: int = 0
+    timeouts: int = 0  # requests given up
+    late: int = 0  # answers that came after their time-out
+    wrong: int = 0
+    #: damaged telegrams and stray octets while its answer was awaited, by cause (names of DecoderStats)
+    bad: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def telegrams(self) -> int:
+        """Telegrams to it and from it: requests, their repetitions, answers taken, late and wrong ones."""
+        return self.requests + self.retries + self.answers + self.late + self.wrong
+
+
+@dataclass(slots=True)
+class LinkStats:
+    """Counters of one active station's link, always on."""
+
+    sent: int = 0  # telegrams of this station, tokens included
+    heard: int = 0  # readable telegrams of all others
+    tokens: int = 0
+    tokens_lost: int = 0
+    token_retries: int = 0  # token frames repeated because the next station was silent
+    withdrawn: int = 0  # token holds ended because another station sent as a token holder does
+    gap_polls: int = 0
+    stray: int = 0  # telegrams nobody waited for
+    late: int = 0
+    garbled: int = 0  # answers of which only unreadable octets came
+    refused: int = 0  # requests of users that the guard did not let through
+    ignored: int = 0  # inputs without a row in the state table
+    #: stations that sent requests, and stations that passed a token, while this one listened before it joined the ring
+    requesters: frozenset[int] = frozenset()
+    token_senders: frozenset[int] = frozenset()
+    stations: dict[int, StationStats] = field(default_factory=dict)
+
+    @property
+    def without_token(self) -> list[int]:
+        """Addresses of the masters that were heard to send requests and never to pass a token, in ascending order."""
+        return sorted(self.requesters - self.token_senders)
+
+    def station(self, address: int) -> StationStats:
+        """The counters of ``address``, made when first asked for."""
+        stats = self.stations.get(address)
+        if stats is None:
+            stats = self.stations[address] = StationStats()
+        return stats

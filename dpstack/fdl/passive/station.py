@@ -1,0 +1,332 @@
+"""The passive station: the responder's side of the link layer.
+
+It answers no earlier than T_SDR after the last bit of the request, tells its FDL status by itself, repeats the kept
+answer when a request is repeated, and hands everything else to its application (a ``Responder``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from dpstack.errors import ConfigError, UsageError
+from dpstack.fdl.codec import SC_OCTETS, encode_sd1, request_octets
+from dpstack.fdl.commands import AtStation
+from dpstack.fdl.decoder import Decoder, DecoderStats
+from dpstack.fdl.events import le3_notice
+from dpstack.fdl.interface import RS_REPLY, Reply, Responder
+from dpstack.fdl.telegram import FC_FCB, FC_FCV, FC_FUNCTION, FC_REQUEST, Req, Resp, Telegram
+from dpstack.machine import LineDown, LineUp
+from dpstack.params import BROADCAST, UNADDRESSED, BusParams
+from dpstack.phy.line import Line
+from dpstack.phy.patience import EXACT, Patience
+from dpstack.trace import Event
+from dpstack.units import NEVER
+
+#: T_SDR of a station is never less than this (IEC 61158; Felser, "Zeitverhaeltnisse").
+LOWEST_TSDR: Final = 11
+
+#: requests that carry a frame count
+_CONFIRMED: Final = frozenset((Req.SDA_LOW, Req.SDA_HIGH, Req.SRD_LOW, Req.SRD_HIGH, Req.MSRD))
+_DL: Final = Resp.DL
+_DH: Final = Resp.DH
+_SERVED: Final = frozenset((Req.SDA_LOW, Req.SDA_HIGH, Req.SRD_LOW, Req.SRD_HIGH, Req.IDENT))
+_REFUSED: Final = frozenset((Req.MSRD, Req.LSAP_STATUS))
+_UNCONFIRMED: Final = frozenset((Req.SDN_LOW, Req.SDN_HIGH))
+
+
+@dataclass(slots=True)
+class PassiveStats:
+    """Counters of one passive station, always on."""
+
+    requests: int = 0  # handed to the application
+    repeats: int = 0  # answered with the kept answer
+    status: int = 0  # FDL status requests
+    indications: int = 0  # SDN and broadcasts
+    refused: int = 0  # RS and other negative acknowledgements
+    dropped: int = 0  # answers not sent because the line was taken before
+
+
+class PassiveStation:
+    """One passive station. A ``BusStation`` and the ``StationControl`` of its application.
+
+    ``address`` 0..126. ``params`` give the baud rate, min T_SDR and the slot time; ``t_sdr`` is the station's own
+    response time in bit times (>= 11, default min T_SDR); the answer starts the larger of the two after the request.
+    """
+
+    __slots__ = (
+        "_address",
+        "_events",
+        "_kept",
+        "_kept_fcb",
+        "_kept_sa",
+        "_min_tsdr",
+        "_params",
+        "_patience",
+        "_responder",
+        "_t_sdr",
+        "_t_sdr_ns",
+        "_told_le3",
+        "_tx",
+        "_tx_until",
+        "baud",
+        "decoder",
+        "line",
+        "stats",
+    )
+
+    def __init__(
+        self,
+        address: int,
+        responder: Responder,
+        params: BusParams,
+        *,
+        t_sdr: int | None = None,
+        patience: Patience = EXACT,
+    ) -> None:
+        if t_sdr is not None and t_sdr < LOWEST_TSDR:
+            raise ConfigError(f"station {address}: t_sdr = {t_sdr} bit times; {LOWEST_TSDR} is the least")
+        self._address = _checked(address)
+        self._responder = responder
+        self._patience = patience
+        self._t_sdr = LOWEST_TSDR if t_sdr is None else t_sdr
+        self._tx: bytes | None = None
+        self._tx_until = 0  # an answer held up by noise is not sent after this
+        self._kept: bytes | None = None  # the last answer; None = silence was the answer
+        self._kept_sa = -1  # whom it was for; -1 = nothing is kept
+        self._kept_fcb = 0
+        self._events: list[Event] = []
+        self._told_le3: set[int] = set()
+        self.stats = PassiveStats()
+        self.line = Line(params)
+        self.decoder = Decoder(stall_ns=0)
+        self._min_tsdr = 0  # as Set_Prm gave it; 0: it gave none
+        self.set_params(params)
+        responder.attached(self)
+
+    def __repr__(self) -> str:
+        return f"<PassiveStation {self._address}>"
+
+    # --- what the station is ---
+    @property
+    def address(self) -> int:
+        """The station address, 0..126; a change leaves an answer under way alone."""
+        return self._address
+
+    @address.setter
+    def address(self, address: int) -> None:
+        self._address = _checked(address)
+        self._kept_sa = -1
+
+    @property
+    def params(self) -> BusParams:
+        """Rate and times."""
+        return self._params
+
+    @property
+    def decoder_stats(self) -> DecoderStats:
+        """The counters of its receiver."""
+        return self.decoder.stats
+
+    @property
+    def hears_all(self) -> bool:
+        """A passive station is interested in what is sent to it and to all."""
+        return False
+
+    @property
+    def responder(self) -> Responder:
+        """Its application."""
+        return self._responder
+
+    def set_min_tsdr(self, bits: int) -> None:
+        """Min T_SDR in bit times as Set_Prm gives it: 0 keeps the present one, 1..10 count as 11."""
+        if bits:
+            self._min_tsdr = max(bits, LOWEST_TSDR)
+        self._t_sdr_ns = self._params.ns(max(self._t_sdr, self._min_tsdr or self._params.min_tsdr))
+
+    def set_params(self, params: BusParams) -> None:
+        """Take baud rate and times from ``params`` (a new rate, too); what was pending is forgotten.
+
+        What Set_Prm said of min T_SDR still holds: a slave without a watchdog stays in Data_Exchange while it searches.
+        """
+        self._params = params
+        #: the rate it listens at
+        self.baud = params.baud
+        self.line.set_params(params)
+        self.decoder.stall_ns = self.line.t_stall_ns + self._patience.stall_ns
+        self.set_min_tsdr(0)
+        self._forget()
+
+    # --- what it hears ---
+    def receive(self, chunk: bytes, now: int) -> None:
+        """Octets from the line; the last bit of the last one came no later than ``now``."""
+        self.line.cut(now)  # receiving while sending implies sent
+        self.line.heard(now)
+        for telegram in self.decoder.feed(chunk, now):
+            self.take(telegram, now)
+
+    def activity(self, now: int) -> None:
+        """Somebody else begins to send: an answer not yet begun would collide, whoever waits has given up."""
+        self.line.heard(now)
+        self.drop()
+
+    def telegram(self, telegram: Telegram, now: int) -> None:
+        """A whole telegram, decoded by the medium; it ended at ``now``."""
+        self.line.cut(now)
+        self.line.heard(now)
+        if self.decoder.pending:
+            # octets of something else came before and their rest will not follow
+            for late in self.decoder.stalled(now):
+                self.take(late, now)
+        self.take(telegram, now)
+
+    def drop(self) -> None:
+        """The answer under way is not sent any more."""
+        if self._tx is not None:
+            self._tx = None
+            self.stats.dropped += 1
+
+    # --- what it does ---
+    def sent(self, at: int) -> None:
+        """The answer leaves the line at ``at``."""
+        self.line.sending_until(at)
+
+    def wake(self, now: int) -> None:
+        """Judge a stalled telegram, and let the application have its time."""
+        if self.decoder.pending and self.decoder.stall_at() <= now:
+            for telegram in self.decoder.stalled(now):
+                self.take(telegram, now)
+            self.drop_if_late(now)
+        if self._responder.wake_at() <= now:
+            self._responder.tick(now)
+
+    def drop_if_late(self, now: int) -> None:
+        """Noise behind the request held the answer up: after the slot time nobody waits for it."""
+        if self._tx is not None and now > self._tx_until:
+            self.drop()
+
+    def answer_at(self) -> int:
+        """When the answer under way may start, in ns; NEVER when there is none."""
+        return NEVER if self._tx is None else self.line.idle_since + self._t_sdr_ns
+
+    def take_tx(self, now: int) -> bytes | None:
+        """The answer, once T_SDR is over and nobody else seems to be sending."""
+        octets = self._tx
+        # the line must have been silent for T_SDR: octets of an unfinished telegram hold the answer
+        if octets is None or now < self.line.idle_since + self._t_sdr_ns or self.decoder.pending:
+            return None
+        self._tx = None
+        return octets
+
+    def wake_at(self) -> int:
+        """The next of: the answer's start, the stall of what is pending, what the application wants."""
+        at = self._responder.wake_at()
+        if self.decoder.pending:
+            own = self.decoder.stall_at()
+        elif self._tx is not None:
+            own = self.line.idle_since + self._t_sdr_ns
+        else:
+            return at
+        return own if own < at else at
+
+    def take_events(self) -> list[Event]:
+        """The station's own events and its application's."""
+        events = self._responder.take_events()
+        if self._events:
+            events = self._events + events
+            self._events = []
+        return events
+
+    def command(self, command: object, now: int) -> None:
+        """:class:`LineDown` and :class:`LineUp` from the driver, :class:`AtStation`. UsageError on anything else."""
+        match command:
+            case AtStation(act):
+                act(now)
+            case LineDown() | LineUp():
+                self._forget()
+                self.line.sending_until(now)
+            case _:
+                raise UsageError(f"a passive station knows no {type(command).__name__}: tell its application directly")
+
+    # --- the rules ---
+    def take(self, telegram: Telegram, now: int) -> None:
+        """A telegram from whoever holds the receiver; ``line`` has been told when the line fell silent."""
+        # whoever sends now does not wait for the answer any more
+        if self._tx is not None:
+            self.drop()
+        fc = telegram.fc
+        if fc < 0 or not fc & FC_REQUEST:
+            return
+        da = telegram.da
+        if da == self._address:
+            if telegram.sa != da and telegram.dseg is telegram.sseg is None:
+                self._request(telegram, fc, now)
+        elif da == BROADCAST and fc & FC_FUNCTION in _UNCONFIRMED:
+            self.stats.indications += 1
+            self._responder.indicate(telegram, now)
+
+    def _request(self, telegram: Telegram, fc: int, now: int) -> None:
+        function = fc & FC_FUNCTION
+        sa = telegram.sa
+        if telegram.empty_le3:
+            self._tell_le3(sa, now)
+        if fc & FC_FCV and sa == self._kept_sa and fc & FC_FCB == self._kept_fcb and function in _CONFIRMED:
+            # EN 50170-2 p. 131: same initiator, same FCB: the answer was lost, so it is repeated and nothing done twice
+            self.stats.repeats += 1
+            self._answer(self._kept, now)
+            return
+        self._kept_sa = -1  # kept until the next frame addressed to this station
+        if function in _SERVED:
+            self.stats.requests += 1
+            reply = self._responder.serve(telegram, now)
+        elif function in _REFUSED:
+            reply = RS_REPLY
+        elif function == Req.FDL_STATUS:
+            self.stats.status += 1
+            self._answer(encode_sd1(sa, telegram.da, Resp.OK), now)
+            return
+        else:
+            if function in _UNCONFIRMED:
+                self.stats.indications += 1
+                self._responder.indicate(telegram, now)
+            return
+        octets = None if reply is None else self._octets(telegram, reply)
+        if fc & (FC_FCV | FC_FCB) and self._address == telegram.da:
+            # FCV = 0 with FCB = 1 starts the count; a request from another SA is not checked, but remembered
+            self._kept = octets
+            self._kept_sa = sa
+            self._kept_fcb = fc & FC_FCB
+        self._answer(octets, now)
+
+    def _octets(self, request: Telegram, reply: Reply) -> bytes:
+        """The answer in octets: SC or SD1 when there is nothing to carry, else SD2 with the SAPs crosswise."""
+        status, data, short = reply
+        if short:
+            return SC_OCTETS
+        da = request.sa
+        sa = request.da
+        if data or status is _DL or status is _DH:
+            return request_octets(da, sa, status, data, request.ssap, request.dsap)
+        if status is not Resp.OK:
+            self.stats.refused += 1
+        return encode_sd1(da, sa, status)
+
+    def _answer(self, octets: bytes | None, now: int) -> None:
+        self._tx = octets
+        self._tx_until = now + max(self.line.t_sl_ns, self._t_sdr_ns)
+
+    def _forget(self) -> None:
+        self._tx = None
+        self._kept_sa = -1
+        self.decoder.reset()
+
+    def _tell_le3(self, sa: int, now: int) -> None:
+        if sa not in self._told_le3:
+            self._told_le3.add(sa)
+            self._events.append(le3_notice(f"station {self._address}", sa, now))
+
+
+def _checked(address: int) -> int:
+    if not 0 <= address <= UNADDRESSED:
+        raise ConfigError(f"station address {address}: must be 0..{UNADDRESSED}")
+    return address

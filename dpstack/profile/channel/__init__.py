@@ -1,0 +1,1 @@
+"""The parameter channel in a drive's cyclic data."""

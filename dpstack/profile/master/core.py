@@ -1,0 +1,408 @@
+"""The master's end of one drive: runs once a rotation, walks the drive's state machine, answers the application.
+
+A plugin subclasses :class:`DriveCore`, hands it its tables and overrides the few hooks at the end of the class. Time
+comes in as ``now`` in ns; nothing here blocks or reads a clock.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Mapping, Sequence
+from typing import Final
+
+from dpstack.dpv1.master.plugin_queue import RecordQueue
+from dpstack.profile.channel.base import CHANNEL_LEN, ParameterChannel
+from dpstack.profile.master import fault_lookup, motion, param_orders
+from dpstack.profile.master.settings import Setting, SettingsCheck
+from dpstack.profile.model.drive_profile import TelegramSpec
+from dpstack.profile.model.jobs import Args, CommandError, Job, Steps
+from dpstack.profile.model.orders import Orders
+from dpstack.profile.model.param_listing import ListedParam
+from dpstack.profile.model.states import FAULTED, ControlTable, Goal, State
+from dpstack.profile.model.status import DriveStatus
+from dpstack.profile.model.words import SPEED, Scale
+from dpstack.units import NS_PER_MS, NS_PER_S
+
+#: The orders every drive knows, with the ones that move it first.
+OPS: Final = (*motion.OPS, "speed", "frequency", "reached", "settled", *param_orders.OPS)
+
+_LEAST_NS: Final = 20 * NS_PER_MS
+_LOST: Final = "the drive left data exchange"
+
+
+class DriveCore:
+    """Implements :class:`dpstack.dp.process_image.CyclicUnit` for one drive called ``name``.
+
+    ``scan_ns``: how long the drive may take to notice outputs and show it in its inputs. ``reference_hz``: the
+    frequency that 100 % speed means. ``safe_outputs``: the octets for every way out.
+    """
+
+    scale: Scale = SPEED
+    #: why an acknowledgement may not be taken, for people
+    lock_hint: str = ""
+    #: what to look at when it does not start and nothing tells why, for people
+    start_hint: str = ""
+    #: orders beyond those of every drive, see :meth:`order`
+    own_ops: tuple[str, ...] = ()
+
+    def __init__(
+        self,
+        name: str,
+        drive: str,
+        telegram: TelegramSpec,
+        table: ControlTable,
+        *,
+        scan_ns: int,
+        reference_hz: float,
+        safe_outputs: bytes,
+    ) -> None:
+        self.name = name
+        self.drive = drive
+        self.telegram = telegram
+        self.table = table
+        self.reference_hz = reference_hz
+        self.safe_outputs = safe_outputs
+        self._scans_ns = 3 * scan_ns
+        self._rotation_ns = 0  # from one call of cyclic() to the next
+        self._called_at: int | None = None
+        self.access: ParameterChannel | None = None
+        self.records: RecordQueue | None = None  # what it asks its slave by Read and Write
+        #: what is asked over ``access`` while it stands in the status word
+        self.lookups: fault_lookup.Lookups = ()
+        self.now = 0
+        #: inputs are of a drive in data exchange
+        self.online = False
+        #: the process data received, 16 bits each
+        self.words: tuple[int, ...] = (0,) * (telegram.inputs // 2)
+        self.status_word = 0
+        self.state = State.OFFLINE
+        self.goal = Goal.IDLE
+        self.setpoint = 0.0
+        self.setpoint_at = 0
+        self._setpoint_word = 0
+        self._control = table.word(Goal.IDLE, State.OFFLINE)
+        self._achieved = False
+        self._dirty = True
+        self._inputs = b""
+        self._offset = CHANNEL_LEN if telegram.channel else 0
+        self._unpack = struct.Struct(f">{telegram.inputs // 2}H").unpack_from
+        self._pack: Callable[..., bytes] = struct.Struct(f">{telegram.outputs // 2}H").pack
+        self._rest = (0,) * (telegram.outputs // 2 - 2)
+        self._orders = Orders()
+        #: the settings of the drive, compared with those that the plugin relies on
+        self.settings_check = SettingsCheck(self)
+        self._told: tuple[object, ...] = ()
+        self._tell_mask = table.status.mask(*(n for n in ("reached", "remote", "warning") if n in table.status.bits))
+        self._outputs = safe_outputs
+
+    # -- CyclicUnit -----------------------------------------------------------------------------------------------
+
+    def cyclic(self, inputs: bytes, now: int) -> bytes:
+        """Called just before each Data_Exchange in Operate: the last inputs, the time in ns -> the outputs.
+
+        ``inputs`` are empty while there are no valid ones of this stay in data exchange.
+        """
+        self.now = now
+        if self._called_at is not None:
+            self._rotation_ns = now - self._called_at
+        self._called_at = now
+        if inputs != self._inputs and len(inputs) == self.telegram.input_octets:
+            self._inputs = inputs
+            self.words = self._unpack(inputs, self._offset)
+            self.status_word = self.status_of(inputs[self._offset :])
+            begins = not self.online
+            self.online = True
+            self.received()
+            if begins:
+                self.settings_check.begin()
+            fault_lookup.watch(self)
+            self.update()
+        access = self.access
+        if access is not None and access.busy and self.online:
+            access.step(self._inputs, now)
+            self._dirty = True
+        self._orders.step()
+        if self._dirty:
+            self._build()
+        return self._outputs
+
+    def lost(self, now: int) -> None:
+        """The slave left data exchange, or outputs went to their safe values: what is pending ends with a reason."""
+        self.now = now
+        self.online = False
+        self._called_at = None
+        self._orders.end("lost", _LOST)
+        if self.access is not None:
+            self.access.reset()
+        fault_lookup.reset(self)
+        self.settings_check.reset()
+        self._inputs = b""
+        self.set_goal(Goal.IDLE)
+        self.state = State.OFFLINE
+        self._tell()
+        self._build()
+
+    def command(self, op: str, args: Mapping[str, object], token: int, now: int) -> None:
+        """An order of the application in plain JSON data; its result is an event that carries ``token``.
+
+        A drive that is not yet in data exchange keeps the order until it is, or until the order's time is over.
+        """
+        self.now = now
+        try:
+            job = self._job(op, Args(op, args), token)
+        except CommandError as error:
+            self._orders.refused(token, error)
+            return
+        self._orders.begin(job)
+
+    def take_events(self) -> list[dict[str, object]]:
+        """Plain JSON data for the application, oldest first."""
+        return self._orders.take_events()
+
+    # -- for the application in the same process ------------------------------------------------------------------
+
+    def status(self) -> DriveStatus:
+        """Decoded from the last inputs and the last command."""
+        online = self.online
+        speed, current, torque = self.measured() if online else (None, None, None)
+        word = self.status_word if online else 0
+        bits = self.table.status
+        return DriveStatus(
+            state=self.state,
+            running=self.state is State.RUNNING,
+            reached=bits.told(word, "reached") if "reached" in bits.bits else motion.near(self, speed),
+            remote="remote" not in bits.bits or bits.told(word, "remote"),
+            setpoint=self.setpoint,
+            speed=speed,
+            frequency_hz=None if speed is None else speed * self.reference_hz,
+            current=current,
+            torque=torque,
+            warnings=self.warnings() if online else (),
+            faults=self.faults() if online else (),
+            words=self.words if online else (),
+            bits=bits.names(word),
+            settings=self.settings_check.state,
+            settings_texts=self.settings_check.texts,
+        )
+
+    # -- for jobs and plugins -------------------------------------------------------------------------------------
+
+    @property
+    def settle_ns(self) -> int:
+        """After this time the inputs belong to the outputs given now, in ns: three scans of the drive, and three
+        rotations (outputs leave, inputs come, their turn here), 20 ms at least.
+        """
+        return self._scans_ns + max(3 * self._rotation_ns, _LEAST_NS)
+
+    def answers_until(self, deadline: int) -> int:
+        """Until when a start may wait for answers of the parameter channel: the rest is for the way to RUNNING."""
+        left = deadline - self.now
+        return deadline - min(max(NS_PER_S, 4 * self.settle_ns), 3 * left // 4)
+
+    @property
+    def raw_state(self) -> State:
+        """What the status word alone tells."""
+        return self.table.states.decode(self.status_word) if self.online else State.OFFLINE
+
+    def set_goal(self, goal: Goal) -> None:
+        """Work towards ``goal`` from now on."""
+        if goal is not self.goal:
+            self.goal = goal
+            self._achieved = False
+        self.update()
+
+    def achieved(self) -> None:
+        """RUN was reached: from now on leaving it is the drive's doing and is not undone by itself."""
+        self._achieved = True
+
+    def update(self) -> None:
+        """Derive state and control word from the status word and the goal; tell what changed."""
+        if self.online:
+            status = self.status_word
+            raw = self.table.states.decode(status)
+            if (
+                self._achieved
+                and self.goal is Goal.RUN
+                and self.table.state(status, self._control) is not State.RUNNING
+            ):
+                self._achieved = False
+                self.goal = Goal.IDLE
+                self.spawn("left", motion.left(self))
+            control = self.table.word(self.goal, raw)
+            self.state = self.table.state(status, control)
+        else:
+            control = self.table.word(self.goal, State.OFFLINE)
+        control |= self.control_bits()
+        if control != self._control:
+            self._control = control
+            self._dirty = True
+        if self.online:
+            self._tell()
+
+    def notice(self, text: str) -> None:
+        """One line for the application."""
+        self._orders.tell({"type": "notice", "text": text})
+
+    def spawn(self, op: str, steps: Steps[dict[str, object]]) -> None:
+        """Run something of our own; its failure is silent, what it learns it stores itself."""
+        self._orders.spawn(Job(op, None, steps, motion=False))
+
+    def set_speed(self, fraction: float) -> None:
+        """The set point of the next rotation. Raises CommandError with the range."""
+        try:
+            word = self.setpoint_word(fraction)
+        except ValueError as error:
+            raise CommandError("usage", str(error)) from None
+        if fraction != self.setpoint:
+            self.setpoint = fraction
+            self.setpoint_at = self.now
+        self._setpoint_word = word
+        self._dirty = True
+        self.update()
+
+    # -- hooks: what a plugin overrides ---------------------------------------------------------------------------
+
+    def cannot(self, op: str) -> str | None:
+        """Why an order that moves the drive can never be carried out as things are configured; None where it can."""
+        return None
+
+    def order(self, op: str, args: Args) -> Steps[dict[str, object]] | None:
+        """An order of this drive's own (named in ``own_ops``), not begun yet. Raises CommandError."""
+        return None
+
+    def safe(self, configured: bytes) -> bytes:
+        """See :class:`CyclicUnit`."""
+        return configured
+
+    def status_of(self, process: bytes) -> int:
+        """The status word in the process data received."""
+        return self.words[0]
+
+    def encode(self, control: int, setpoint: int) -> bytes:
+        """The process data to send, as many octets as the telegram has."""
+        return self._pack(control, setpoint, *self._rest)
+
+    def received(self) -> None:
+        """``words`` are new: take from them what the table does not know."""
+
+    def control_bits(self) -> int:
+        """Bits of the control word besides those that the goal asks for (selectors, direction)."""
+        return 0
+
+    def setpoint_word(self, fraction: float) -> int:
+        """The set point of ``fraction`` of the reference as its word. Raises ValueError with the range."""
+        return self.scale.encode(fraction)
+
+    def measured(self) -> tuple[float | None, float | None, float | None]:
+        """Speed of the reference, current and torque of the rated ones, as far as the telegram tells."""
+        return self.scale.decode(self.words[1]), None, None
+
+    def faults(self) -> tuple[str, ...]:
+        """The present faults by name."""
+        return ("fault",) if self.raw_state in FAULTED else ()
+
+    def fault_named(self) -> bool:
+        """True when :meth:`faults` tells all that it ever will."""
+        return True
+
+    def warnings(self) -> tuple[str, ...]:
+        """The present warnings by name."""
+        return ()
+
+    def parameters(self) -> tuple[ListedParam, ...]:
+        """The drive's parameters in the order of its table: what a dump reads (see ``listing``)."""
+        return ()
+
+    def obstacle(self) -> str | None:
+        """What, by the status word, keeps the drive from running, with what to do about it; or None."""
+        return None
+
+    def why_left(self) -> Steps[str | None]:
+        """Why the drive left RUNNING by itself without a fault; or None."""
+        yield from ()
+        return self.obstacle()
+
+    def prepare(self, deadline: int) -> Steps[None]:
+        """Before a start: find out what would make it fail, and raise CommandError with the remedy."""
+        yield from ()
+
+    def before_acknowledge(self, deadline: int) -> Steps[None]:
+        """Before an acknowledgement: raise CommandError where the drive would take its bit for something else."""
+        yield from ()
+
+    def halted(self, deadline: int) -> Steps[None]:
+        """An order that stops the drive was carried out: which word stands from now on."""
+        yield from ()
+
+    def wanted_speed(self) -> float:
+        """The speed, of the reference, at which the set point is reached."""
+        return self.setpoint
+
+    def settings(self) -> Sequence[Setting]:
+        """The settings of the drive that the plugin relies on, with its present options and maps."""
+        return ()
+
+    def before_settings(self, deadline: int) -> Steps[None]:
+        """Before they are read: learn where they are (the active data set). Raises CommandError."""
+        yield from ()
+
+    # -- inside ---------------------------------------------------------------------------------------------------
+
+    def _build(self) -> None:
+        self._dirty = False
+        data = self.encode(self._control, self._setpoint_word)
+        access = self.access
+        if access is not None:
+            data = access.octets + data
+        elif self._offset:
+            data = bytes(self._offset) + data
+        self._outputs = data
+
+    def _tell(self) -> None:
+        """A status event when state, remote, reached, warnings or faults changed."""
+        word = self.status_word & self._tell_mask if self.online else 0
+        check = self.settings_check
+        key: tuple[object, ...] = (self.state,)
+        if self.online:
+            key = (self.state, word, self.faults(), self.warnings(), check.state, check.texts)
+        if key != self._told:
+            self._told = key
+            self._orders.tell({"type": "status", **self.status().as_dict()})
+
+    def _job(self, op: str, args: Args, token: int) -> Job:
+        if op in motion.OPS:
+            if (why := self.cannot(op)) is not None:
+                raise CommandError("usage", why)
+            return motion.job(self, op, args, token)
+        match op:
+            case "speed":
+                steps = self._speed(args.number("value"))
+            case "frequency":
+                steps = self._speed(args.number("value") / self.reference_hz)
+            case "reached":
+                steps = motion.reached(self, self.now + args.timeout_ns(60.0), args.optional("tolerance"))
+            case "settled":
+                steps = motion.told(self, self.now + args.timeout_ns(5.0))
+            case "read" | "write" | "read_many":
+                steps = param_orders.steps(self, op, args)
+            case "cancel":
+                steps = self._cancel(args.integer("order"))
+            case _:
+                own = self.order(op, args)
+                if own is None:
+                    known = ", ".join((*OPS, *self.own_ops))
+                    raise CommandError("usage", f"{self.drive} has no order {op!r}; it has {known}")
+                steps = own
+        args.timeout_ns(0)  # every order may come with one
+        args.done()
+        return Job(op, token, steps, motion=False)
+
+    def _cancel(self, token: int | None) -> Steps[dict[str, object]]:
+        """Nobody waits any more for the order with ``token``: it ends now, and a start() never comes true later."""
+        yield from ()
+        return {"value": self._orders.cancel(token)}
+
+    def _speed(self, fraction: float) -> Steps[dict[str, object]]:
+        yield from ()
+        self.set_speed(fraction)
+        return {"value": fraction, "frequency_hz": fraction * self.reference_hz}

@@ -1,0 +1,1 @@
+"""What a drive plugin declares: words, states, parameters, telegrams."""

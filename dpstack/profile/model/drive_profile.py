@@ -1,0 +1,260 @@
+"""One drive as a frozen object: what the bus, the configuration and the simulation must know of it."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from dpstack.errors import ConfigError
+from dpstack.profile.channel.base import CHANNEL_LEN
+from dpstack.profile.master.settings import OPTION as CHECK_SETTINGS
+from dpstack.profile.model.jobs import LARGEST
+from dpstack.profile.record47.choice import ChosenAccess
+
+if TYPE_CHECKING:
+    from dpstack.dpv1.master.plugin_queue import RecordQueue
+    from dpstack.profile.master.core import DriveCore
+    from dpstack.profile.record47.drive_access import AcyclicAccess
+    from dpstack.profile.simulator.device import DriveDevice
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TelegramSpec:
+    """One telegram of a drive: identifier octets, octets each way, whether a parameter channel leads.
+
+    ``outputs``, ``inputs``: octets of process data behind the parameter channel. ``made_up``: the identifiers are in
+    no manual.
+    """
+
+    name: str
+    config: bytes
+    outputs: int
+    inputs: int
+    channel: bool = False
+    made_up: bool = False
+
+    @property
+    def output_octets(self) -> int:
+        """All octets of the outputs."""
+        return self.outputs + (CHANNEL_LEN if self.channel else 0)
+
+    @property
+    def input_octets(self) -> int:
+        """All octets of the inputs."""
+        return self.inputs + (CHANNEL_LEN if self.channel else 0)
+
+
+class TelegramFamily(NamedTuple):
+    """Telegrams too many to list, made when they are asked for.
+
+    ``named``: from a name, raises ConfigError. ``of_config``: from identifier octets, None where they are none.
+    """
+
+    named: Callable[[str], TelegramSpec]
+    of_config: Callable[[bytes], TelegramSpec | None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OptionSpec:
+    """One option: ``default`` fixes the type (bool, float, str); ``low``/``high`` or ``choices`` limit it."""
+
+    default: bool | float | str
+    text: str
+    low: float | None = None
+    high: float | None = None
+    choices: tuple[str, ...] = ()
+
+
+#: options of every drive's plugin beside its own
+_OPTIONS: Final = {
+    CHECK_SETTINGS: OptionSpec(
+        default=True, text="read the settings that the plugin relies on and compare them with its options"
+    )
+}
+
+
+class RateSetting(NamedTuple):
+    """A drive that cannot find the baud rate: its ``option`` says how it is set, ``rates`` what each value means."""
+
+    option: str
+    rates: Mapping[int, int]
+
+
+CoreFactory = Callable[["DriveProfile", str, TelegramSpec, Mapping[str, "bool | float | str"]], "DriveCore"]
+#: From a core made by the factory and the queue of its slave's services to parameters over record 47.
+RecordAccessFactory = Callable[["DriveCore", "RecordQueue"], "AcyclicAccess"]
+DeviceFactory = Callable[
+    ["DriveProfile", TelegramSpec, Mapping[str, "bool | float | str"], Mapping[str, object]], "DriveDevice"
+]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DriveProfile:
+    """A drive: found by the entry point group ``dpstack.drives`` under ``name``.
+
+    ``max_tsdr``: bit times by baud rate, empty where the manual gives none. ``reference_hz``: what 100 % speed is
+    at the factory. ``on_loss``: what the drive does when its master stops. ``notes``: what a user should know.
+    ``simulated_options``: options of the core that no manual gives, as the simulated drive has them. ``gsd``: a GSD
+    file of ours made from the manual's facts (not the vendor's), as ``package:file name``. ``rate_setting``: it hears
+    only the rate that it is set to. ``record_access``: how it is reached over record 47; None where it has none.
+    """
+
+    name: str
+    title: str
+    ident: int
+    telegrams: Mapping[str, TelegramSpec]
+    default_telegram: str
+    reference_hz: float
+    on_loss: str
+    core_factory: CoreFactory
+    device_factory: DeviceFactory
+    ident_made_up: bool = False
+    user_prm: bytes = b""
+    baud_rates: tuple[int, ...] = ()
+    max_tsdr: Mapping[int, int] = field(default_factory=dict)
+    min_slave_interval_ns: int = 0
+    fail_safe: bool = False
+    core_options: Mapping[str, OptionSpec] = field(default_factory=dict)
+    device_options: Mapping[str, OptionSpec] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    family: TelegramFamily | None = None
+    simulated_options: Mapping[str, object] = field(default_factory=dict)
+    gsd: str | None = None
+    rate_setting: RateSetting | None = None
+    record_access: RecordAccessFactory | None = None
+
+    def rates(self, options: Mapping[str, object]) -> tuple[int, ...]:
+        """The baud rates that it hears with these options (checked before) in bit/s; empty: nothing is said of them."""
+        setting = self.rate_setting
+        if setting is None:
+            return self.baud_rates
+        value = options.get(setting.option, self.core_options[setting.option].default)
+        assert isinstance(value, (int, float))
+        return (setting.rates[int(value)],)
+
+    def telegram(self, name: str | None = None) -> TelegramSpec:
+        """A telegram by name (any case), the default one for None. Raises ConfigError naming those there are."""
+        wanted = self.default_telegram if name is None else name.strip().upper()
+        for spec in self.telegrams.values():
+            if spec.name.upper() == wanted.upper():
+                return spec
+        if self.family is not None:
+            return self.family.named(wanted)
+        raise ConfigError(f"{self.name} has no telegram {name!r}; it has {', '.join(self.telegrams)}")
+
+    def telegrams_of(self, config: bytes) -> tuple[TelegramSpec, ...]:
+        """The telegrams with these identifier octets; none where the drive does not know them."""
+        found = tuple(spec for spec in self.telegrams.values() if spec.config == config)
+        if not found and self.family is not None and (made := self.family.of_config(config)) is not None:
+            return (made,)
+        return found
+
+    def described(
+        self,
+        telegram: TelegramSpec,
+        *,
+        config: bytes,
+        ident: int | None,
+        user_prm: bytes,
+        baud_rates: tuple[int, ...],
+        max_tsdr: Mapping[int, int],
+        min_slave_interval_ns: int,
+        fail_safe: bool,
+    ) -> DriveProfile:
+        """The drive with ``telegram`` by default, as a GSD file describes it; what that says is not made up.
+
+        ``ident`` None: the file has none.
+        """
+        others = {name: spec for name, spec in self.telegrams.items() if name != telegram.name}
+        return replace(
+            self,
+            ident=self.ident if ident is None else ident,
+            ident_made_up=self.ident_made_up and ident is None,
+            telegrams={telegram.name: replace(telegram, config=config, made_up=False)} | others,
+            default_telegram=telegram.name,
+            user_prm=user_prm,
+            baud_rates=baud_rates,
+            max_tsdr=max_tsdr,
+            min_slave_interval_ns=min_slave_interval_ns,
+            fail_safe=fail_safe,
+        )
+
+    def core(
+        self,
+        name: str,
+        telegram: str | None = None,
+        options: Mapping[str, object] | None = None,
+        *,
+        simulated: bool = False,
+        records: RecordQueue | None = None,
+    ) -> DriveCore:
+        """The master's end for the drive called ``name`` in the configuration. Raises ConfigError.
+
+        ``simulated``: the other end is the simulated drive, so what is made up for it counts where nothing is given.
+        ``records``: the master carries out Read and Write of this slave, so parameters go over record 47 where the
+        drive has it, and over the parameter channel of its telegram where not.
+        """
+        given = {**(self.simulated_options if simulated else {}), **(options or {})}
+        specs = {**self.core_options, **_OPTIONS}
+        checked, extra = self._options(specs, given, f"drive {name} ({self.name})")
+        if extra:
+            self._refuse(next(iter(extra)), specs, f"drive {name} ({self.name})")
+        core = self.core_factory(self, name, self.telegram(telegram), checked)
+        core.settings_check.enabled = bool(checked[CHECK_SETTINGS])
+        if records is not None and self.record_access is not None:
+            core.records = records
+            core.access = ChosenAccess(self.record_access(core, records), core.access)
+        return core
+
+    def device(self, telegram: str | None = None, options: Mapping[str, object] | None = None) -> DriveDevice:
+        """A simulated drive. Options: those declared, and parameters by number or name with their value.
+
+        Raises ConfigError.
+        """
+        checked, extra = self._options(self.device_options, options or {}, f"simulated {self.name}")
+        return self.device_factory(self, self.telegram(telegram), checked, extra)
+
+    def shared(self, options: Mapping[str, object]) -> dict[str, object]:
+        """Of the core's options those that its simulated drive has, too."""
+        return {name: value for name, value in options.items() if name in self.device_options}
+
+    def _options(
+        self, specs: Mapping[str, OptionSpec], given: Mapping[str, object], where: str
+    ) -> tuple[dict[str, bool | float | str], dict[str, object]]:
+        checked = {name: spec.default for name, spec in specs.items()}
+        extra: dict[str, object] = {}
+        for name, value in given.items():
+            spec = specs.get(name)
+            if spec is None:
+                extra[name] = value
+            else:
+                checked[name] = _check(spec, name, value, where)
+        return checked, extra
+
+    def _refuse(self, name: str, specs: Mapping[str, OptionSpec], where: str) -> None:
+        near = difflib.get_close_matches(name, specs, n=1)
+        hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(specs) or 'none'}"
+        raise ConfigError(f"{where}: there is no option {name!r}; {hint}")
+
+
+def _check(spec: OptionSpec, name: str, value: object, where: str) -> bool | float | str:
+    """``value`` in the type of the option's default. Raises ConfigError."""
+    default = spec.default
+    if isinstance(default, bool):
+        if isinstance(value, bool):
+            return value
+        raise ConfigError(f"{where}: {name} must be true or false, not {value!r}")
+    if isinstance(default, str):
+        if isinstance(value, str) and (not spec.choices or value in spec.choices):
+            return value
+        raise ConfigError(f"{where}: {name} must be {' or '.join(map(repr, spec.choices)) or 'text'}, not {value!r}")
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise ConfigError(f"{where}: {name} must be a number, not {value!r}")
+    if abs(value) > LARGEST:
+        raise ConfigError(f"{where}: {name} must be a number up to {LARGEST:g}")
+    if (spec.low is not None and not value >= spec.low) or (spec.high is not None and not value <= spec.high):
+        low, high = ("" if limit is None else f"{limit:g}" for limit in (spec.low, spec.high))
+        raise ConfigError(f"{where}: {name} = {value:g} is outside {low}..{high}")
+    return float(value)

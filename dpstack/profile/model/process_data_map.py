@@ -1,0 +1,115 @@
+"""What stands in a drive's process data beside control word and set point: fields in their order, one map each way.
+
+How a map is written, which fields there are and where the drive keeps it differ; that a value is checked before it is
+sent and that a wrong map is refused by name does not: :class:`~dpstack.profile.master.mapped_core.MappedCore`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Protocol
+
+
+class Field(Protocol):
+    """One value of one word or two."""
+
+    @property
+    def key(self) -> int:
+        """What the drive calls it."""
+
+    @property
+    def name(self) -> str:
+        """What people call it."""
+
+    @property
+    def octets(self) -> int:
+        """2 or 4."""
+
+    @property
+    def neutral(self) -> bool:
+        """Of an output: 0 moves and changes nothing, so it may be sent before anybody gave a value.
+
+        A parameter that the drive keeps (a ramp time, a limit) is not neutral: 0 would be written to it.
+        """
+
+    def encode(self, value: float) -> int:
+        """The integer on the wire. Raises ValueError with the range."""
+
+    def decode(self, raw: int) -> int | float:
+        """The value of an unsigned integer on the wire, in its unit."""
+
+
+class DataMap(Protocol):
+    """Fields in their order; as text the way users write them, empty where there are none."""
+
+    @property
+    def fields(self) -> Sequence[Field | None]:
+        """None for a word that carries nothing."""
+
+
+def places(fields: Sequence[Field | None]) -> Iterator[tuple[int, Field]]:
+    """Every field with the word at which it begins."""
+    at = 0
+    for field in fields:
+        if field is None:
+            at += 1
+            continue
+        yield at, field
+        at += field.octets // 2
+
+
+def split(text: str) -> tuple[str, tuple[str | None, ...]]:
+    """``dr-04=2.5 dr-03``: the map alone, and what stands behind the ``=`` of each word of it."""
+    words = [word.partition("=") for word in text.replace(",", " ").split()]
+    return " ".join(name for name, _, _ in words), tuple(value if given else None for _, given, value in words)
+
+
+def given(values: Sequence[str | None], fields: Sequence[Field | None]) -> dict[int, int]:
+    """The integers by key of what :func:`split` found behind the words of these fields. Raises ValueError."""
+    found: dict[int, int] = {}
+    for field, text in zip(fields, values, strict=False):
+        if text is None:
+            continue
+        if field is None:
+            raise ValueError(f"={text}: an empty word has no value")
+        try:
+            value = float(text)
+        except ValueError:
+            raise ValueError(f"{field.name}={text}: {text!r} is no number") from None
+        found[field.key] = field.encode(value)
+    return found
+
+
+def find(fields: Sequence[Field | None], name: str | int) -> Field | None:
+    """A field by its name (any case) or its key."""
+    for field in fields:
+        if field is not None and (field.key == name or field.name.lower() == str(name).strip().lower()):
+            return field
+    return None
+
+
+def pack(fields: Sequence[Field | None], values: Mapping[int, int], words: int) -> list[int]:
+    """So many words of the integers by key; 0 where there is none, and what does not fit is left out."""
+    found = [0] * words
+    for at, field in places(fields):
+        raw = values.get(field.key, 0)
+        halves = (raw >> 16 & 0xFFFF, raw & 0xFFFF) if field.octets == 4 else (raw & 0xFFFF,)
+        if at + len(halves) <= words:
+            found[at : at + len(halves)] = halves
+    return found
+
+
+def raws(fields: Sequence[Field | None], words: Sequence[int]) -> dict[int, int]:
+    """The unsigned integers by key, as far as there are words."""
+    found: dict[int, int] = {}
+    for at, field in places(fields):
+        size = field.octets // 2
+        if at + size <= len(words):
+            found[field.key] = words[at] if size == 1 else words[at] << 16 | words[at + 1]
+    return found
+
+
+def decoded(fields: Sequence[Field | None], words: Sequence[int]) -> dict[str, int | float]:
+    """The values by name, in their units."""
+    known = raws(fields, words)
+    return {field.name: field.decode(known[field.key]) for _, field in places(fields) if field.key in known}

@@ -1,0 +1,84 @@
+"""What a drive tells, decoded."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+from dpstack.profile.master.settings import SettingsState
+from dpstack.profile.model.states import State
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DriveStatus:
+    """One drive at one moment, from its last inputs and the master's own last command.
+
+    ``speed``, ``setpoint``: of the reference (1.0 = 100 %); ``current`` and ``torque``: of the rated current. What
+    the telegram does not carry is None. ``reached``: as the drive tells it; where it has no bit for it, running within
+    1 % of the reference around the set point. ``remote`` is True for a drive that does not tell it. ``words``: the
+    process data as received. ``bits``: names of the status bits set. ``settings``: how the drive's settings compare
+    with those that its plugin relies on; ``settings_texts``: what differs or was not checked.
+    """
+
+    state: State
+    running: bool
+    reached: bool
+    remote: bool
+    setpoint: float
+    speed: float | None
+    frequency_hz: float | None
+    current: float | None = None
+    torque: float | None = None
+    warnings: tuple[str, ...] = ()
+    faults: tuple[str, ...] = ()
+    words: tuple[int, ...] = ()
+    bits: tuple[str, ...] = ()
+    settings: SettingsState = SettingsState.NONE
+    settings_texts: tuple[str, ...] = ()
+
+    @property
+    def fault(self) -> str | None:
+        """The fault by name, or None."""
+        return ", ".join(self.faults) or None
+
+    @property
+    def warning(self) -> str | None:
+        """The warnings by name, or None."""
+        return ", ".join(self.warnings) or None
+
+    def unknown(self) -> DriveStatus:
+        """The same drive when nothing is known of it: offline, without what it told."""
+        return dataclasses.replace(
+            self,
+            state=State.OFFLINE,
+            running=False,
+            reached=False,
+            speed=None,
+            frequency_hz=None,
+            current=None,
+            torque=None,
+            warnings=(),
+            faults=(),
+            words=(),
+            bits=(),
+        )
+
+    def as_dict(self) -> dict[str, object]:
+        """Plain JSON data; words as four hex digits."""
+        return {
+            "state": str(self.state),
+            "running": self.running,
+            "reached": self.reached,
+            "remote": self.remote,
+            "setpoint": self.setpoint,
+            "speed": self.speed,
+            "frequency_hz": self.frequency_hz,
+            "current": self.current,
+            "torque": self.torque,
+            "warnings": list(self.warnings),
+            "faults": list(self.faults),
+            "words": [f"{word:04X}" for word in self.words],
+            "bits": list(self.bits),
+            "settings": str(self.settings),
+            "settings_texts": list(self.settings_texts),
+        }

@@ -1,0 +1,93 @@
+"""PROFIdrive's parameter channel over DP-V1, record 47: both ends as pure machines.
+
+``record47``: the octets; ``formats``: of values; ``client``: asks, splits, waits; ``lists``: what a drive
+tells of itself; ``access``, ``choice``: for drive plugins; ``server``, ``model``: the drive's end; ``services``: what
+carries them.
+"""
+
+from dpstack.dpv1.master.plugin_queue import ReadReq, RecordQueue, WriteReq
+from dpstack.dpv1.pdu.im import Im0
+from dpstack.dpv1.slave.record_table import ImRecords
+from dpstack.profile.record47.choice import ChosenAccess
+from dpstack.profile.record47.client import PLUGIN, PROGRAM, Counters, NoRecordError, ParameterClient, Progress
+from dpstack.profile.record47.drive_access import AcyclicAccess, Place, Placed, plain_places
+from dpstack.profile.record47.formats import FORMATS, UNSIGNED16, UNSIGNED32, WORD, Format, format_of
+from dpstack.profile.record47.param_lists import (
+    Description,
+    ReadParameter,
+    defined,
+    describe,
+    read_limits,
+    read_out,
+    texts,
+)
+from dpstack.profile.record47.pdu import (
+    INDEX,
+    Address,
+    Attribute,
+    ErrorValue,
+    Request,
+    RequestId,
+    Response,
+    Result,
+    Values,
+)
+from dpstack.profile.record47.server import ParameterModel, ParameterServer, RecordServer, Rules, TimedRecords
+from dpstack.profile.record47.server_model import StoreParameters
+from dpstack.profile.record47.split import Item, Limits
+from dpstack.profile.record47.transport import Answer, Pause, Refused, Service, Silent, Talk
+
+__all__ = [
+    "FORMATS",
+    "INDEX",
+    "PLUGIN",
+    "PROGRAM",
+    "UNSIGNED16",
+    "UNSIGNED32",
+    "WORD",
+    "AcyclicAccess",
+    "Address",
+    "Answer",
+    "Attribute",
+    "ChosenAccess",
+    "Counters",
+    "Description",
+    "ErrorValue",
+    "Format",
+    "Im0",
+    "ImRecords",
+    "Item",
+    "Limits",
+    "NoRecordError",
+    "ParameterClient",
+    "ParameterModel",
+    "ParameterServer",
+    "Pause",
+    "Place",
+    "Placed",
+    "Progress",
+    "ReadParameter",
+    "ReadReq",
+    "RecordQueue",
+    "RecordServer",
+    "Refused",
+    "Request",
+    "RequestId",
+    "Response",
+    "Result",
+    "Rules",
+    "Service",
+    "Silent",
+    "StoreParameters",
+    "Talk",
+    "TimedRecords",
+    "Values",
+    "WriteReq",
+    "defined",
+    "describe",
+    "format_of",
+    "plain_places",
+    "read_limits",
+    "read_out",
+    "texts",
+]

@@ -1,0 +1,306 @@
+"""The master's end of record 47: a Write, then Reads until the drive has its response ready; requests one by one.
+
+Source: PROFIdrive base mode as SINAMICS, ABB and LS print it; "not ready" is the negative answer 0xB5 (LS 6.2.2). A
+drive of profile 4.2 answers request ids that it does not have with 0x80 (Siemens' sample of such a drive).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from dpstack.dpv1.pdu.error_codes import AGAIN, Code
+from dpstack.dpv1.pdu.read_write import ReadReq, WriteReq
+from dpstack.errors import PduError
+from dpstack.profile.model.jobs import CommandError
+from dpstack.profile.model.param_errors import NO_SERVICE, ONE_ONLY, TOO_LONG, TOO_MANY
+from dpstack.profile.record47.formats import ZERO
+from dpstack.profile.record47.pdu import (
+    INDEX,
+    UNSUPPORTED,
+    Address,
+    ErrorValue,
+    Request,
+    RequestId,
+    Response,
+    Result,
+    Values,
+)
+from dpstack.profile.record47.split import Item, Limits, Piece, batch, halves, joined, pieces
+from dpstack.profile.record47.transport import ABSENT, Pause, Refused, Silent, Talk
+from dpstack.units import NEVER, NS_PER_MS, NS_PER_S
+
+#: between two questions whether the response is there: short first, then twice as long each time
+_FIRST_PAUSE: Final = 2 * NS_PER_MS
+_LONGEST_PAUSE: Final = 50 * NS_PER_MS
+#: how long a drive may take for one request where it does not say (PNU 974)
+PATIENCE_NS: Final = 2 * NS_PER_S
+
+#: of a Write without any answer: to ask twice does nothing to a drive, to change twice may
+_ATTEMPTS: Final = 3
+
+#: a request with less in it may do
+_ASK_LESS: Final = frozenset({TOO_LONG, TOO_MANY, ONE_ONLY})
+
+#: references of the plugin's requests and of a program's: each end recognises the other one's
+PLUGIN: Final = range(1, 128)
+PROGRAM: Final = range(128, 256)
+
+#: told after each request: items that are done, items in all
+Progress = Callable[[int, int], None]
+
+
+class NoRecordError(CommandError):
+    """The drive has no record 47, or not in this slot."""
+
+
+@dataclass(slots=True)
+class Counters:
+    """``requests`` of record 47; ``services`` (Read and Write) and ``octets`` of their data, both ways.
+
+    ``busy``: negative answers that were asked again; ``strays``: responses to another request; ``garbage``: records
+    that are no response; ``split``: requests that were made smaller because the drive wanted it;
+    ``repeated``: services that had no answer.
+    """
+
+    requests: int = 0
+    services: int = 0
+    octets: int = 0
+    busy: int = 0
+    strays: int = 0
+    garbage: int = 0
+    split: int = 0
+    repeated: int = 0
+
+
+class ParameterClient:
+    """Asks the drive in ``slot`` (object ``object``) for parameters, one request at a time: run one talk to its end.
+
+    ``limits`` may be narrowed at any time, see :func:`~dpstack.profile.record47.param_lists.read_limits`.
+    ``references`` are ours: a response to one that is not ours means that somebody else asks this drive, too.
+    """
+
+    __slots__ = ("_reference", "_references", "counters", "limits", "object", "slot")
+
+    def __init__(
+        self, slot: int, *, object: int = 1, limits: Limits | None = None, references: range = range(1, 256)
+    ) -> None:
+        self.slot = slot
+        self.object = object
+        self.limits = Limits() if limits is None else limits
+        self.counters = Counters()
+        self._references = references
+        self._reference = references.start
+
+    # -- any number of parameters -----------------------------------------------------------------------------------
+
+    def read(
+        self, items: Sequence[Address | Item], deadline: int = NEVER, progress: Progress | None = None
+    ) -> Talk[list[Result]]:
+        """A result for each of ``items``, in their order. ``deadline`` in ns. Raises CommandError.
+
+        What the drive refuses is an :class:`ErrorValue` in its place.
+        """
+        wanted = [one if isinstance(one, Item) else Item(one) for one in items]
+        return (yield from self._all(RequestId.READ, wanted, deadline, progress))
+
+    def change(
+        self, items: Sequence[tuple[Address, Values]], deadline: int = NEVER, progress: Progress | None = None
+    ) -> Talk[list[Result]]:
+        """Write; a result for each, Values of format Zero where the drive took it. Raises CommandError, ValueError."""
+        for address, values in items:
+            if address.elements and len(values.raws) != address.elements:
+                raise ValueError(f"{address}: {len(values.raws)} values for {address.elements} elements")
+        wanted = [Item(address, values) for address, values in items]
+        return (yield from self._all(RequestId.CHANGE, wanted, deadline, progress))
+
+    def _all(self, ident: RequestId, items: list[Item], deadline: int, progress: Progress | None) -> Talk[list[Result]]:
+        waiting = list(pieces(items, self.limits))
+        most = self.limits.parameters
+        done: list[tuple[Piece, Result]] = []
+        while waiting:
+            count = min(batch(waiting, self.limits), most)
+            now, waiting = waiting[:count], waiting[count:]
+            results = yield from self._batch(ident, now, deadline)
+            if results is None:  # too long to be written
+                most = max(count // 2, 1)
+                waiting = now + waiting
+                continue
+            again: list[Piece] = []
+            for piece, result in zip(now, results, strict=True):
+                parts = self._smaller(piece, result, alone=count == 1)
+                if parts:
+                    again.extend(parts)
+                    most = 1 if isinstance(result, ErrorValue) and result.number == ONE_ONLY else max(count // 2, 1)
+                else:
+                    done.append((piece, result))
+            waiting = again + waiting
+            if progress is not None:
+                progress(waiting[0].of if waiting else len(items), len(items))
+        try:
+            return joined(len(items), sorted(done, key=_order))
+        except PduError as error:
+            raise CommandError("parameter", str(error)) from None
+
+    def _smaller(self, piece: Piece, result: Result, *, alone: bool) -> tuple[Piece, ...]:
+        """What to ask instead where the response would be too long (0x15), or the request has too many parameters.
+
+        By itself, then in two where it is too long.
+        """
+        if (
+            not isinstance(result, ErrorValue)
+            or result.number not in _ASK_LESS
+            or (alone and result.number != TOO_LONG)
+        ):
+            return ()
+        self.counters.split += 1
+        return (halves(piece) or ()) if alone else (piece,)
+
+    def _batch(self, ident: RequestId, now: list[Piece], deadline: int) -> Talk[list[Result] | None]:
+        """The results of one request; None where the drive does not take so long a one."""
+        values = tuple(one.values for one in now if one.values is not None)
+        request = Request(self._next(), ident, self.object, tuple(one.address for one in now), values)
+        octets = request.build()
+        response = yield from self.exchange(request, octets, deadline)
+        if response is None:
+            if len(now) > 1:
+                self.counters.split += 1
+                return None
+            raise CommandError("parameter", f"the drive does not take a request of {len(octets)} octets")
+        return self._results(request, response)
+
+    def _next(self) -> int:
+        """Each request has another one, so that a late response is recognised."""
+        reference, ours = self._reference, self._references
+        self._reference = reference + 1 if reference + 1 in ours else ours.start
+        return reference
+
+    @staticmethod
+    def _results(request: Request, response: Response) -> list[Result]:
+        """One for each address. Raises CommandError where the drive answers something else."""
+        count = len(request.addresses)
+        results = response.results
+        if response.id == UNSUPPORTED:
+            error = next((one for one in results if isinstance(one, ErrorValue)), ErrorValue(NO_SERVICE))
+            return [error] * count
+        if not response.negative and request.id == RequestId.CHANGE:
+            return [Values(ZERO)] * count
+        if response.negative and len(results) == 1 and isinstance(results[0], ErrorValue):
+            return [results[0]] * count  # one error for the request as a whole
+        if len(results) != count:
+            raise CommandError("parameter", f"the drive answered {len(results)} of {count} parameters")
+        return list(results)
+
+    # -- one request --------------------------------------------------------------------------------------------------
+
+    def exchange(self, request: Request, octets: bytes, deadline: int = NEVER) -> Talk[Response | None]:
+        """The response to ``request``, whose octets these are; None where it is too long for the drive.
+
+        Raises CommandError: ``timeout`` after ``deadline`` (ns) or the drive's patience, ``parameter`` for a refusal.
+        """
+        self.counters.requests += 1
+        reads = request.id == RequestId.READ
+        attempts = _ATTEMPTS if reads else 1
+        now = yield from self._written(octets, deadline, attempts, several=len(request.addresses) > 1)
+        if now is None:
+            return None
+        patience = self._patience
+        until = min(deadline, now + patience)
+        # a response whose telegram was lost is gone: the drive says "not ready" for ever
+        lost_at = now + patience // 2 if reads else NEVER
+        told = f"the drive did not answer within {patience // NS_PER_MS} ms"
+        told += "" if reads else "; it may have been carried out: read it back"
+        pause = _FIRST_PAUSE
+        while True:
+            now, data = yield from self._service(ReadReq(self.slot, INDEX, self.limits.octets))
+            if isinstance(data, Refused):
+                self._again(data, "the response")
+                if now >= lost_at:
+                    lost_at = NEVER
+                    now, data = yield from self._service(WriteReq(self.slot, INDEX, octets), attempts)
+                    if not isinstance(data, Refused):  # else it still works at it
+                        self.counters.repeated += 1
+                        until, pause = min(deadline, now + patience), _FIRST_PAUSE
+            else:
+                response, why = self._fitting(request, data)
+                if response is not None:
+                    return response
+                told = why
+                if request.id == RequestId.READ and data and data[0] not in self._references:
+                    yield from self._written(octets, deadline, attempts)  # that one took the place of ours
+            if now >= until:
+                raise CommandError("timeout", f"{self._place}: {told}")
+            yield Pause(min(pause, until - now))
+            pause = min(2 * pause, _LONGEST_PAUSE)
+
+    @property
+    def _patience(self) -> int:
+        return max(2 * self.limits.latency_ns, PATIENCE_NS)
+
+    def _written(self, octets: bytes, deadline: int, attempts: int, *, several: bool = False) -> Talk[int | None]:
+        """When the request was taken; None where it is too long, or has too many parameters (``several``)."""
+        until: int | None = None
+        pause = _FIRST_PAUSE
+        while True:
+            now, data = yield from self._service(WriteReq(self.slot, INDEX, octets), attempts)
+            if not isinstance(data, Refused):
+                return now
+            if data.code == Code.WRITE_LENGTH or (several and data.code == Code.INVALID_RANGE):
+                return None
+            self._again(data, "the request")
+            until = min(deadline, now + self._patience) if until is None else until
+            if now >= until:
+                raise CommandError("timeout", f"{self._place}: the drive is still busy ({data})", data.code)
+            yield Pause(min(pause, until - now))
+            pause = min(2 * pause, _LONGEST_PAUSE)
+
+    def _service(self, service: WriteReq | ReadReq, attempts: int = 1) -> Talk[tuple[int, bytes | Refused]]:
+        """Time and answer; after ``attempts`` without one CommandError."""
+        while True:
+            now, data = yield service
+            attempts -= 1
+            self.counters.services += 1
+            self.counters.octets += len(service.data) if isinstance(service, WriteReq) else 0
+            if not isinstance(data, Silent):
+                break
+            if not attempts:
+                raise CommandError("timeout", data.why)
+            self.counters.repeated += 1
+        self.counters.octets += 0 if isinstance(data, Refused) else len(data)
+        return now, data
+
+    def _again(self, refused: Refused, what: str) -> None:
+        """A refusal that passes is counted, any other one ends the order."""
+        if refused.code not in AGAIN:
+            text = f"{self._place}: the drive refuses {what}: {refused}"
+            if refused.code in ABSENT:
+                if refused.code:  # where there is none the text says itself what to do
+                    text += (
+                        "; it has no PROFIdrive parameters there; its manual says whether it has some, in which slot"
+                    )
+                raise NoRecordError("parameter", text, refused.code)
+            raise CommandError("parameter", text, refused.code)
+        self.counters.busy += 1
+
+    @property
+    def _place(self) -> str:
+        return f"record {INDEX} of slot {self.slot}"
+
+    def _fitting(self, request: Request, octets: bytes) -> tuple[Response | None, str]:
+        """The response, or why these octets are none to ``request``. The object is not judged: some drives say 1."""
+        try:
+            response = Response.parse(octets)
+        except PduError as error:
+            if octets[:1] == bytes((request.reference,)):
+                raise CommandError("parameter", f"{self._place}: {error}") from None
+            self.counters.garbage += 1
+            return None, str(error)
+        if response.reference != request.reference or response.id not in (request.id, UNSUPPORTED):
+            self.counters.strays += 1
+            return None, f"the drive answers request {response.reference} (id {response.id}) instead of ours"
+        return response, ""
+
+
+def _order(answer: tuple[Piece, Result]) -> tuple[int, int]:
+    return answer[0].of, answer[0].address.subindex

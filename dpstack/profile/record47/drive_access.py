@@ -1,0 +1,297 @@
+"""Parameters over record 47 as orders of a drive plugin: named, scaled, checked before anything is sent."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from typing import Final, NamedTuple, TypeVar
+
+from dpstack.dpv1.master.plugin_queue import Outcome, ReadReq, RecordQueue, ServiceFailure, WriteReq
+from dpstack.dpv1.pdu.error_codes import Decode
+from dpstack.profile.channel.base import ParamKey
+from dpstack.profile.channel.read_many import Found, refused
+from dpstack.profile.model.jobs import CommandError, Steps
+from dpstack.profile.model.param_errors import error_text
+from dpstack.profile.model.params import ParamSpec, ParamTable
+from dpstack.profile.record47.client import ParameterClient
+from dpstack.profile.record47.formats import BIT_STRING, FORMATS, OCTET_STRING, Raw, Value
+from dpstack.profile.record47.pdu import Address, ErrorValue, Result, Values
+from dpstack.profile.record47.transport import Answer, Pause, Refused, Silent, Talk
+
+T = TypeVar("T")
+#: octets that are a number all the same: PNU 965 is an OctetString of 2, an Unsigned16 (TR LMP-30 manual p141)
+_NUMBERS: Final = frozenset({OCTET_STRING, BIT_STRING})
+_LONGEST_NUMBER: Final = 4
+_NO_ANSWER: Final = "the drive did not answer over record 47 in time"
+#: the bus or the slave went away
+_LOST: Final = frozenset({ServiceFailure.LINE, ServiceFailure.CLOSED, ServiceFailure.CANCELLED})
+
+
+class Place(NamedTuple):
+    """A parameter as it stands in record 47, and what is known of it. ``format`` None: the drive tells it.
+
+    ``number`` is what to tell the user, ``data_set``, too, None where the drive has none or the parameter exists once.
+    """
+
+    address: Address
+    spec: ParamSpec | None
+    label: str
+    number: int
+    data_set: int | None = None
+    format: int | None = None
+
+
+class _Run(NamedTuple):
+    """Places that one address covers."""
+
+    address: Address
+    places: tuple[Place, ...]
+
+
+def _runs(places: Sequence[Place]) -> list[_Run]:
+    runs: list[_Run] = []
+    for place in places:
+        address, last = place.address, runs[-1].address if runs else None
+        if (
+            last is not None
+            and last.elements
+            and address == last._replace(subindex=last.subindex + last.elements, elements=1)
+        ):
+            runs[-1] = _Run(last._replace(elements=last.elements + 1), (*runs[-1].places, place))
+        else:
+            runs.append(_Run(address, (place,)))
+    return runs
+
+
+#: Finds what a user named. Raises CommandError.
+Placed = Callable[[ParamKey], Place]
+
+
+def plain_places(table: ParamTable, drive: str) -> Placed:
+    """Parameters of ``table`` by name or number, elements of arrays by index; other numbers go without a scale."""
+
+    def placed(key: ParamKey) -> Place:
+        spec = key.spec_in(table)
+        number = spec.number if spec is not None else int(key.name)
+        label = f"parameter {number if spec is None else spec.label}"
+        if not 1 <= number <= 0xFFFF:
+            raise CommandError("usage", f"{label}: parameter numbers are 1..65535")
+        if key.data_set is not None or key.ram:
+            what = "writes to RAM only" if key.ram else "data sets"
+            raise CommandError("usage", f"{label}: {drive} has no {what}")
+        subindex = spec.index if spec is not None and key.index is None else key.index or 0
+        if subindex > 0xFFFF:
+            raise CommandError("usage", f"{label}: indexes are 0..65535")
+        elements = 0 if key.index is None and not subindex else 1
+        return Place(Address(number, subindex, elements), spec, label, number)
+
+    return placed
+
+
+class AcyclicAccess:
+    """A :class:`~dpstack.profile.channel.base.ParameterChannel` over record 47; orders queue.
+
+    ``records``: where its services go. ``clock`` tells the time of the current cycle in ns. ``written`` is told after a
+    write; ``makers``: texts of the drive's own error numbers.
+    """
+
+    __slots__ = ("_clock", "_formats", "_makers", "_placed", "_records", "_turns", "_written", "client")
+
+    octets = b""
+    busy = False
+
+    def __init__(
+        self,
+        client: ParameterClient,
+        records: RecordQueue,
+        placed: Placed,
+        clock: Callable[[], int],
+        *,
+        written: Callable[[Place], None] = lambda place: None,
+        makers: Mapping[int, str] | None = None,
+    ) -> None:
+        self.client = client
+        self._records = records
+        self._placed = placed
+        self._clock = clock
+        self._written = written
+        self._makers = {} if makers is None else makers
+        self._turns: deque[object] = deque()
+        self._formats: dict[Address, int] = {}
+
+    @property
+    def per_request(self) -> int:
+        """Parameters of one request."""
+        return self.client.limits.parameters
+
+    def step(self, inputs: bytes, now: int) -> None:
+        """Nothing of it is in the process data."""
+
+    def reset(self) -> None:
+        """The slave left data exchange."""
+        self._records.clear()
+        self._formats.clear()  # it may be another drive now
+
+    def read(self, key: ParamKey, deadline: int) -> Steps[dict[str, object]]:
+        """Read one parameter."""
+        place = self._placed(key)
+        return _outcome(place, (yield from self._values(place, deadline)))
+
+    def read_many(self, keys: Sequence[ParamKey], deadline: int) -> Steps[Found]:
+        """In as few requests as the drive takes; elements of an array that follow each other as one."""
+        places = [self._placed(key) for key in keys]
+        runs = _runs(places)
+        talk = self.client.read([run.address for run in runs], deadline)
+        results = yield from self.run(talk, deadline, places[0].label if len(places) == 1 else "read_many")
+        found: Found = []
+        for run, result in zip(runs, results, strict=True):
+            if isinstance(result, Values) and len(result.raws) == len(run.places):
+                for place, raw in zip(run.places, result.raws, strict=True):
+                    self._formats[place.address] = result.format
+                    found.append(_outcome(place, Values(result.format, (raw,))))
+                continue
+            for place in run.places:  # one of them is the reason: each by itself
+                try:
+                    values = yield from self._values(place, deadline, result if len(run.places) == 1 else None)
+                    found.append(_outcome(place, values))
+                except CommandError as error:
+                    found.append(refused(error))
+        return found
+
+    def write(self, key: ParamKey, value: float, deadline: int) -> Steps[dict[str, object]]:
+        """Write one parameter, in the format that the drive gave or gives it."""
+        place = self._placed(key)
+        spec = place.spec
+        if spec is not None:
+            if spec.read_only:
+                raise CommandError("usage", f"{place.label} is read only")
+            try:
+                spec.to_raw(value)
+            except ValueError as error:
+                raise CommandError("usage", str(error)) from None
+        number = self._formats.get(place.address, place.format)
+        if number is None:
+            number = (yield from self._values(place, deadline)).format
+        try:
+            values = Values(number, (_raw(spec, number, value),))
+            talk = self.client.change([(place.address, values)], deadline)
+            (result,) = yield from self.run(talk, deadline, place.label)
+        except ValueError as error:
+            raise CommandError("usage", f"{place.label}: {error}") from None
+        self._refused(place, result)
+        self._written(place)
+        return _outcome(place, values)
+
+    def run(self, talk: Talk[T], deadline: int, label: str) -> Steps[T]:
+        """Have a talk with the drive once those before it are over. Raises CommandError."""
+        turn = object()
+        self._turns.append(turn)
+        try:
+            while self._turns[0] is not turn:
+                self._in_time(deadline, f"{label}: {_NO_ANSWER}")
+                yield
+            silence = _NO_ANSWER
+            service = next(talk)
+            while True:
+                if isinstance(service, Pause):
+                    until = self._clock() + service.ns
+                    while self._clock() < until:
+                        yield
+                    data: bytes | Refused | Silent = b""
+                else:
+                    data = yield from self._carried_out(service, deadline, f"{label}: {silence}")
+                    silence = data.why if isinstance(data, Silent) else _NO_ANSWER
+                service = talk.send(Answer(self._clock(), data))
+        except StopIteration as end:
+            result: T = end.value
+            return result
+        except CommandError as error:
+            text = error.text if error.text.startswith(label) else f"{label}: {error.text}"
+            raise type(error)(error.kind, text, error.number) from None
+        finally:
+            talk.close()
+            self._turns.remove(turn)
+
+    def _carried_out(self, service: WriteReq | ReadReq, deadline: int, late: str) -> Steps[bytes | Refused | Silent]:
+        pending = self._records.submit(service)
+        try:
+            while pending.outcome is None:
+                self._in_time(deadline, late)
+                yield
+        finally:
+            self._records.cancel(pending)
+        return answer_of(pending.outcome)
+
+    def _in_time(self, deadline: int, late: str) -> None:
+        if self._clock() >= deadline:
+            raise CommandError("timeout", late)
+
+    def _values(self, place: Place, deadline: int, result: Result | None = None) -> Steps[Values]:
+        if result is None:
+            talk = self.client.read([place.address], deadline)
+            (result,) = yield from self.run(talk, deadline, place.label)
+        self._refused(place, result)
+        if not isinstance(result, Values) or not result.raws:
+            raise CommandError("parameter", f"{place.label}: the drive answered without a value")
+        self._formats[place.address] = result.format
+        return result
+
+    def _refused(self, place: Place, result: object) -> None:
+        if isinstance(result, ErrorValue):
+            text = error_text(result.number, result.info, self._makers)
+            raise CommandError("parameter", f"{place.label}: {text}", result.number)
+
+
+def answer_of(outcome: Outcome) -> bytes | Refused | Silent:
+    """What came of a service, for a talk. Raises CommandError where the bus or the slave went away."""
+    if outcome.failure is None:
+        return outcome.data
+    if outcome.codes is not None and outcome.codes[0] == Decode.DPV1:
+        return Refused(outcome.codes[1])
+    if outcome.failure in (ServiceFailure.REFUSED, ServiceFailure.NEGATIVE):
+        return Refused(0, outcome.text)
+    if outcome.failure in _LOST:
+        raise CommandError("lost", outcome.text)
+    return Silent(outcome.text)
+
+
+def _raw(spec: ParamSpec | None, number: int, value: float) -> Raw:
+    """``value`` as it stands in format ``number``. Raises ValueError."""
+    form = FORMATS[number]
+    if spec is None or form.code in ("f", "d"):
+        raw = form.raw(value)
+        if isinstance(raw, float) and form.code not in ("f", "d") and raw != int(raw):
+            raise ValueError(f"its scale is unknown here, give the integer of format {form.name} on the wire")
+        return raw
+    integer = spec.to_raw(value)
+    if spec.low >= 0 or form.low < 0:
+        return integer
+    half = form.high + 1 >> 1  # two's complement in a format without a sign
+    if not -half <= integer < half:
+        raise ValueError(f"{value:g} {spec.unit}".rstrip() + f" is more than the drive's format {form.name} can hold")
+    return integer & form.high
+
+
+def _outcome(place: Place, values: Values) -> dict[str, object]:
+    spec = place.spec
+    form = FORMATS[values.format]
+    first = values.raws[0]
+    octets = form.octets
+    if isinstance(first, bytes) and form.number in _NUMBERS and 0 < len(first) <= _LONGEST_NUMBER:
+        octets = len(first)
+        first = int.from_bytes(first, "big")
+    value: Value = first if form.number in _NUMBERS else form.value(first)
+    if isinstance(value, (str, bytes)):
+        raise CommandError("parameter", f"{place.label} is no number but {form.name}: {value!r}")
+    raw = first if isinstance(first, int) else int.from_bytes(form.pack((first,)), "big")
+    if spec is not None and isinstance(first, int):
+        raw = spec.from_wire(first, 8 * octets)
+        value = spec.to_value(raw)
+    return {
+        "value": value,
+        "raw": raw,
+        "number": place.number,
+        "name": spec.name if spec else None,
+        "unit": spec.unit if spec else "",
+        "data_set": place.data_set,
+    }

@@ -1,0 +1,57 @@
+"""The services that record 47 travels by, as a talk: who wants them says which, who has a bus carries them out.
+
+A :data:`Talk` is a generator that yields services and is sent an :class:`Answer` for each; it owns no clock and no bus.
+``AcyclicAccess`` runs one in the cycle of a drive plugin, :mod:`dpstack.api.slave.record_parameters` in an asyncio
+program.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import dataclass
+from typing import Final, NamedTuple, TypeVar
+
+from dpstack.dpv1.pdu.error_codes import Code, code_text
+from dpstack.dpv1.pdu.read_write import ReadReq, WriteReq
+
+T = TypeVar("T")
+
+#: there is no such record; 0: the slave does not take the service at all
+ABSENT: Final = frozenset({0, Code.INVALID_INDEX, Code.INVALID_SLOT})
+
+
+@dataclass(frozen=True, slots=True)
+class Pause:
+    """Nothing for so many ns."""
+
+    ns: int
+
+
+Service = WriteReq | ReadReq | Pause
+
+
+class Refused(NamedTuple):
+    """A negative answer: Error_Code_1 of DP-V1, or 0 and why the slave does not take the service at all."""
+
+    code: int
+    why: str = ""
+
+    def __str__(self) -> str:
+        return self.why or f"error {self.code >> 4:X}/{self.code & 15:X}, {code_text(self.code)}"
+
+
+class Silent(NamedTuple):
+    """No answer, and nothing is known to have become of the service: it may have been carried out."""
+
+    why: str
+
+
+class Answer(NamedTuple):
+    """What came of a service, and when (ns): what was read, b"" after a write or a pause, or why there is nothing."""
+
+    now: int
+    data: bytes | Refused | Silent = b""
+
+
+#: Yields services until it returns its result or raises CommandError.
+Talk = Generator[Service, Answer, T]

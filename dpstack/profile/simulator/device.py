@@ -1,0 +1,329 @@
+"""The common part of a simulated drive: a DP device with an internal scan, a motor and a parameter channel.
+
+The drive looks at its outputs and refreshes its inputs once in ``scan_ns`` of the bus's clock, on a grid that begins
+when it is switched on (first seen). What happens between two exchanges is caught up at the next one, so results do
+not depend on how often it is asked.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import struct
+from collections.abc import Mapping
+from functools import cache
+from typing import Final
+
+from dpstack.dp.pdu.diagnosis import FIXED_LEN
+from dpstack.dp.slave.device import Device, Leave
+from dpstack.dpv1.pdu.alarms import Alarm, AlarmType, Specifier
+from dpstack.dpv1.slave.alarms import AlarmServer, AlarmSupport
+from dpstack.errors import AlarmError
+from dpstack.profile.channel.base import CHANNEL_LEN, ChannelServer
+from dpstack.profile.channel.pkw import READS, Pkw, Reply
+from dpstack.profile.model.drive_profile import DriveProfile, TelegramSpec
+from dpstack.profile.record47.server import ParameterServer
+from dpstack.profile.simulator.motor import Motor
+from dpstack.profile.simulator.param_store import ParamStore
+from dpstack.units import NEVER, NS_PER_MS
+
+#: from a setting that restarts the station to the restart: the answer to it is fetched meanwhile (made up)
+RESTART_NS: Final = 100 * NS_PER_MS
+#: scans that are caught up one by one; of a longer silence the first part is skipped
+_MOST_SCANS = 20_000
+
+
+class DriveDevice(Device):
+    """Subclass it: :meth:`scan` (or :meth:`refresh`) and :meth:`master_lost`.
+
+    ``telegram`` is the one in use, at first the drive's own.
+
+    Faults and conditions from outside: :meth:`trip`, :meth:`warn`, :meth:`set_load`, :meth:`release`, :meth:`refuse`;
+    they take effect at the next scan. ``address_parameter``: the one in ``store`` that holds the station address.
+    ``parameter_errors``: the errors that an access to a parameter can end with, by number; ``read_errors``,
+    ``write_errors``: those of them that only a read, only a write can have.
+    """
+
+    address_parameter: str = ""
+    parameter_errors: Mapping[int, str] = {}
+    read_errors: frozenset[int] = frozenset()
+    write_errors: frozenset[int] = frozenset()
+    store: ParamStore
+
+    def __init__(self, profile: DriveProfile, telegram: TelegramSpec, motor: Motor) -> None:
+        self.profile = profile
+        self.ident = profile.ident
+        self.name = profile.name
+        self.fail_safe = profile.fail_safe
+        configs = [telegram.config, *(spec.config for spec in profile.telegrams.values())]
+        self.configs = tuple(dict.fromkeys(configs))
+        self.telegram = telegram
+        self.motor = motor
+        self.channel: ChannelServer | None = None
+        #: record 47, for whoever makes it one of ``records``
+        self.record47: ParameterServer | None = None
+        self.warning_mask = 0
+        self.released = True
+        self._outputs: bytes | None = None
+        self._inputs = b""
+        self._next: int | None = None
+        self._trip: int | None = None
+        self._tripped: str | None = None  # by trip(), until the drive has no fault any more
+        self._own_load: float | None = None  # before set_load()
+        self._jog = 0
+        #: the inverter has no power under its bus option: no answers in the parameter channel
+        self.unpowered = False
+        self._refusal: tuple[int, int, str] | None = None  # by refuse(): number, how often yet, as it was given
+        self._restart_at = NEVER
+        #: where it stands, None before it was installed
+        self.station_address: int | None = None
+
+    # -- what happens to it from outside --------------------------------------------------------------------------
+
+    def trip(self, code: str) -> None:
+        """A fault by its code or name. Raises ValueError naming what the drive knows."""
+        self._trip = self.fault_code(code)
+        self._tripped = code
+
+    def warn(self, mask: int) -> None:
+        """Set the warning word; 0 clears it."""
+        self.warning_mask = mask & 0xFFFF
+
+    def set_load(self, load: float) -> None:
+        """Load torque of the rated torque, against the motion."""
+        if self._own_load is None:
+            self._own_load = self.motor.load
+        self.motor.load = load
+
+    def release(self, on: bool) -> None:
+        """The hardware release inputs."""
+        self.released = on
+
+    def jog(self, direction: int) -> None:
+        """Jog terminals: 1 forward, -1 reverse, 0 off. Raises ValueError where the drive has none."""
+        raise ValueError(f"{self.profile.name} has no jog terminals here")
+
+    def link(self, on: bool) -> None:
+        """The link between the bus option and the inverter. Raises ValueError where there is none to break."""
+        raise ValueError(f"{self.profile.name} has no link here that can break")
+
+    def mains(self, on: bool) -> None:
+        """The inverter's power under an option that stays on the bus. Raises ValueError where they have the same."""
+        raise ValueError(f"{self.profile.name} has one supply for all of it: power-off and power-on")
+
+    def refuse(self, error: str, times: int = 1) -> None:
+        """The next accesses to parameters end with an error, given by its number or a word of its text.
+
+        Raises ValueError naming the errors that the drive knows.
+        """
+        wanted = error.strip().lower()
+        found = [number for number in self.parameter_errors if wanted == str(number)] or [
+            number for number, text in self.parameter_errors.items() if wanted in text.lower().split()
+        ]
+        if len(found) == 1:
+            self._refusal = (found[0], times, wanted)
+            return
+        known = ", ".join(f"{number} ({text})" for number, text in self.parameter_errors.items()) or "none"
+        raise ValueError(f"{error!r} is not one error of parameters of {self.profile.name}; known: {known}")
+
+    def refusal(self, *, write: bool) -> int | None:
+        """An access to a parameter begins: the number of the error that it ends with by :meth:`refuse`, or None."""
+        if self._refusal is None:
+            return None
+        number, times, given = self._refusal
+        if number in (self.read_errors if write else self.write_errors):
+            return None
+        self._refusal = (number, times - 1, given) if times > 1 else None
+        return number
+
+    def refuse_order(self, order: Pkw) -> tuple[int, int] | None:
+        """:meth:`refusal` as the parameter channel answers it."""
+        number = self.refusal(write=order.id not in READS)
+        return None if number is None else (Reply.ERROR, number)
+
+    def has_alarms(self, *kinds: str) -> None:
+        """It raises alarms of these ``kinds``, one of each at a time, where its master enables them."""
+        self.alarm_server = AlarmServer(AlarmSupport(frozenset(kinds)), self.max_diag_len - FIXED_LEN, self.name)
+
+    def diagnosis_alarm(self, slot: int, appears: bool, data: bytes = b"") -> None:
+        """A fault of ``slot`` appears, or the last one is gone. Left out where its master takes no alarm now."""
+        if self.alarm_server is not None:
+            how = Specifier.APPEARS if appears else Specifier.DISAPPEARS
+            with contextlib.suppress(AlarmError):
+                self.alarm_server.alarm(Alarm(AlarmType.DIAGNOSIS, slot, how, data=data))
+
+    @property
+    def faulted(self) -> bool:
+        """Whether a fault stands, until it is acknowledged."""
+        return False
+
+    @property
+    def injected(self) -> tuple[str, ...]:
+        """What was done to it from outside and is not over, written as the orders of ``dpstack ctl``."""
+        told = []
+        if self._tripped is not None:
+            told.append(f"trip {self._tripped}")
+        if self.warning_mask:
+            told.append(f"warn {self.warning_mask:04X}")
+        if self._own_load not in (None, self.motor.load):
+            told.append(f"load {self.motor.load:g}")
+        if not self.released:
+            told.append("release off")
+        if self._jog:
+            told.append("jog forward" if self._jog > 0 else "jog reverse")
+        if self._refusal is not None:
+            _, times, given = self._refusal
+            told.append(f"parameter-error {given} {times}")
+        return tuple(told)
+
+    def inherit(self, before: DriveDevice) -> None:
+        """Switched on again: ``before`` is the drive as it was; take what it kept in its EEPROM."""
+
+    def installed(self, address: int, baud: int | None) -> None:
+        """Where it stands: its address and the baud rate in bit/s, None while it is not known."""
+        self.station_address = address
+        if self.address_parameter:
+            self.store.install(self.address_parameter, address)
+
+    def restart_soon(self) -> None:
+        """It restarts by itself :data:`RESTART_NS` after the last scan, at the address that it has by its setting."""
+        self._restart_at = (self.seen_until or 0) + RESTART_NS
+
+    def wake_at(self) -> int:
+        """The restart."""
+        return self._restart_at
+
+    def tick(self, now: int) -> int | None:
+        """The address at which it restarts."""
+        self._restart_at = NEVER
+        self.advance(now)
+        if self.own_address is not None:
+            self.station_address = self.own_address
+        return self.station_address
+
+    @property
+    def own_address(self) -> int | None:
+        """The station address that it has by its own setting from the next power-on; None: the one it has."""
+        return int(self.store.value(self.address_parameter)) if self.address_parameter else None
+
+    def address_set(self, address: int, fixed: bool, rem_slave_data: bytes) -> bool:
+        """Set_Slave_Add, of a drive that has the service: kept as its address parameter."""
+        if self.address_parameter:
+            self.store.install(self.address_parameter, address)
+        return bool(self.address_parameter)
+
+    # -- Device ---------------------------------------------------------------------------------------------------
+
+    def check_cfg(self, config: bytes) -> str | None:
+        """A telegram of the drive."""
+        return None if self.profile.telegrams_of(config) else super().check_cfg(config)
+
+    def check_prm(self, user_prm: bytes) -> str | None:
+        """Any octets of the length the drive's GSD gives, and zeros behind them."""
+        length = len(self.profile.user_prm)
+        if len(user_prm) < length:
+            return f"{len(user_prm)} octets of user parameters, {length} are needed"
+        if any(user_prm[length:]):
+            return f"user parameters after octet {length} must be 0"
+        return None
+
+    def enter(self, config: bytes, now: int) -> None:
+        """Data exchange begins; the telegram follows from the identifier octets."""
+        self.advance(now)
+        self.telegram = self.profile.telegrams_of(config)[0]
+        self._outputs = None
+        if self.channel is not None:
+            self.channel.reset()
+        if self.record47 is not None:
+            self.record47.reset()
+        self._next = now + self.scan_ns
+        self.motor.advance(now)
+        self._refresh(now)
+
+    def exchange(self, outputs: bytes, now: int) -> bytes:
+        """Take ``outputs`` for the next scan, return the inputs of the last one."""
+        self.advance(now)
+        self._outputs = outputs if len(outputs) == self.telegram.output_octets else None
+        return self._inputs
+
+    def clear(self, now: int) -> None:
+        """Outputs are void until they come again."""
+        self.advance(now)
+        self._outputs = None
+
+    def leave(self, reason: Leave, now: int) -> None:
+        """Data exchange ended."""
+        self.advance(now)
+        self._outputs = None
+        self.master_lost(reason, now)
+
+    @property
+    def seen_until(self) -> int | None:
+        """Up to when it has caught up with the bus's clock; None before it was ever looked at."""
+        return None if self._next is None else self._next - self.scan_ns
+
+    def advance(self, now: int) -> None:
+        """Catch up with the bus's clock: every scan up to ``now``. For whoever looks at the drive between exchanges."""
+        at = self._next
+        if at is not None and now < at:
+            return
+        scan_ns = self.scan_ns
+        if at is None:  # switched on
+            self._next = now + scan_ns
+            self.motor.advance(now)
+            return
+        behind = (now - at) // scan_ns - _MOST_SCANS
+        if behind > 0:
+            at += behind * scan_ns
+        while at <= now:
+            self.motor.advance(at)
+            self._refresh(at)
+            at += scan_ns
+        self._next = at
+
+    # -- what a drive adds ----------------------------------------------------------------------------------------
+
+    @property
+    def scan_ns(self) -> int:
+        """The internal scan time with the telegram in use."""
+        return 4_000_000
+
+    def fault_code(self, code: str) -> int:
+        """The number of a fault from its code or name. Raises ValueError."""
+        raise ValueError(f"{self.name} knows no fault {code!r}")
+
+    def refresh(self, process: bytes | None, now: int) -> bytes:
+        """One internal scan over octets, which hands words to :meth:`scan`; ``process`` None: void."""
+        telegram = self.telegram
+        words = None if process is None else _layout(telegram.outputs).unpack(process)
+        return _layout(telegram.inputs).pack(*self.scan(words, now))
+
+    def scan(self, words: tuple[int, ...] | None, now: int) -> tuple[int, ...]:
+        """One internal scan: process data from the master (None: void) -> process data to it."""
+        raise NotImplementedError
+
+    def master_lost(self, reason: Leave, now: int) -> None:
+        """React to the end of data exchange."""
+
+    def take_trip(self) -> int | None:
+        """The trip that came since the last scan."""
+        trip, self._trip = self._trip, None
+        return trip
+
+    # -- inside ---------------------------------------------------------------------------------------------------
+
+    def _refresh(self, now: int) -> None:
+        outputs = self._outputs
+        lead = CHANNEL_LEN if self.telegram.channel else 0
+        reply = b""
+        if lead:
+            order = bytes(lead) if outputs is None else outputs[:lead]
+            reply = bytes(lead) if self.channel is None or self.unpowered else self.channel.step(order)
+        self._inputs = reply + self.refresh(None if outputs is None else outputs[lead:], now)
+        if self._tripped is not None and self._trip is None and not self.faulted:
+            self._tripped = None
+
+
+@cache
+def _layout(octets: int) -> struct.Struct:
+    """Process data of so many octets as words."""
+    return struct.Struct(f">{octets // 2}H")
