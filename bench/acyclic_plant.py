@@ -9,8 +9,8 @@ from typing import Final, NamedTuple
 
 from dpstack.dp.acyclic.queue import Acyclic, CancelService
 from dpstack.dp.master.commands import Mode, SetMode
-from dpstack.dp.master.cycle_part import MissReason
 from dpstack.dp.master.events import SlaveState
+from dpstack.dp.master.fixed_cycle import MissReason
 from dpstack.dp.master.master import Master
 from dpstack.dp.slave.application import SlaveApp
 from dpstack.dp.slave.loopback_device import MirrorDevice

@@ -34,10 +34,10 @@ if TYPE_CHECKING:
     from dpstack.api.slave.drive import Drive
     from dpstack.api.slave.ms2_connection import Connection
     from dpstack.api.slave.slave import Slave
-    from dpstack.dp.pdu.user_diag import UserDiag, channel_block, device_block, identifier_block, revision_block
+    from dpstack.dp.pdu.diag_blocks import UserDiag, channel_block, device_block, identifier_block, revision_block
     from dpstack.dp.slave.application import SlaveApp, SlaveAppState
     from dpstack.dp.slave.description import SlaveDescription, SlaveModule
-    from dpstack.dp.slave.slave_events import DeviceFailed, RequestRefused
+    from dpstack.dp.slave.events import DeviceFailed, RequestRefused
     from dpstack.dp.slave.user_slave import DpSlave
     from dpstack.dpv1.pdu.alarms import AlarmType, ModuleState, Specifier, StatusType
     from dpstack.dpv1.pdu.im import Im0, Im1, Im2, Im3, Im4
@@ -174,13 +174,13 @@ _WHERE: Final = {
     "SlaveAppState": "dp.slave.application",
     "SlaveDescription": "dp.slave.description",
     "SlaveModule": "dp.slave.description",
-    "DeviceFailed": "dp.slave.slave_events",
-    "RequestRefused": "dp.slave.slave_events",
-    "UserDiag": "dp.pdu.user_diag",
-    "channel_block": "dp.pdu.user_diag",
-    "device_block": "dp.pdu.user_diag",
-    "identifier_block": "dp.pdu.user_diag",
-    "revision_block": "dp.pdu.user_diag",
+    "DeviceFailed": "dp.slave.events",
+    "RequestRefused": "dp.slave.events",
+    "UserDiag": "dp.pdu.diag_blocks",
+    "channel_block": "dp.pdu.diag_blocks",
+    "device_block": "dp.pdu.diag_blocks",
+    "identifier_block": "dp.pdu.diag_blocks",
+    "revision_block": "dp.pdu.diag_blocks",
     "ParameterPlace": "api.lists.dump_compare",
     "PrmBlock": "dpv1.pdu.prm_blocks",
     "AlarmType": "dpv1.pdu.alarms",

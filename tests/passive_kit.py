@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from dpstack.fdl.codec import decode
-from dpstack.fdl.interface import Reply, StationControl
+from dpstack.fdl.interface import BusStation, Reply, StationControl
 from dpstack.fdl.passive.station import PassiveStation
-from dpstack.fdl.station import BusStation
 from dpstack.fdl.telegram import Resp, Telegram
 from dpstack.machine import pump
 from dpstack.params import BusParams

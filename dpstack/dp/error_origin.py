@@ -10,7 +10,6 @@ _OURS: Final = (
     "dpstack/dp/slave/state.py",
     "dpstack/dp/slave/services.py",
     "dpstack/dp/slave/cyclic_data.py",
-    "dpstack/dp/slave/slave_clock.py",
     "dpstack/dpv1/slave/record_requests.py",
     "dpstack/api/server/async_device.py",
 )

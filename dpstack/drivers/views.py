@@ -6,10 +6,9 @@ from collections.abc import Callable, Collection, Mapping
 from typing import Protocol
 
 from dpstack.dp.master.commands import Mode
-from dpstack.dp.master.cycle_part import CycleBook, CycleData
 from dpstack.dp.master.events import Fault, SlaveState
-from dpstack.dp.master.scanner import Found
-from dpstack.dp.master.survey import SurveyResult
+from dpstack.dp.master.fixed_cycle import CycleBook, CycleData
+from dpstack.dp.master.scanner import Found, SurveyResult
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.slave_params import SlaveSetup
 from dpstack.dpv1.master.alarm_events import AlarmCounts

@@ -1,4 +1,4 @@
-"""What the link layer asks of its users, and what a passive station asks of its application.
+"""What the link layer asks of its users, of a passive station's application, and the medium of a station.
 
 The link layer asks for the next request when it holds the token; DP master, live list and scanner are users side by
 side. It owns FC, FCB, retries, slot times and the token; a user owns what is said to whom and judges the answers.
@@ -12,6 +12,7 @@ from enum import Enum
 from typing import Final, NamedTuple, Protocol
 
 from dpstack.fdl.telegram import MAX_DATA, Req, Resp, Telegram
+from dpstack.machine import Machine
 from dpstack.trace import Event
 from dpstack.units import NS_PER_S
 
@@ -232,3 +233,24 @@ class LinkStats:
         if stats is None:
             stats = self.stations[address] = StationStats()
         return stats
+
+
+class BusStation(Machine, Protocol):
+    """A station that can be on a simulated medium: it can be handed whole telegrams instead of octets."""
+
+    @property
+    def address(self) -> int:
+        """The station address, 0..126."""
+
+    @property
+    def hears_all(self) -> bool:
+        """True for ring members, referees and listeners: every telegram concerns them, not only their own."""
+
+    def activity(self, now: int) -> None:
+        """A start edge on a silent line. What follows is a telegram, octets, or nothing that can be read.
+
+        Only told to stations that hear all, and to the addressee. Ports that cannot see edges never call it.
+        """
+
+    def telegram(self, telegram: Telegram, now: int) -> None:
+        """A whole, intact telegram whose last bit was on the wire at ``now``, decoded once for all receivers."""

@@ -8,7 +8,7 @@ from dpstack.profile.channel.base import CHANNEL_LEN, ChannelServer, ParameterCh
 from dpstack.profile.channel.pkw import Order, Pkw, PkwClient, PkwDialect, PkwServer, Reply
 from dpstack.profile.channel.pkw_access import RETRY_NS, ParamRef, PkwAccess, PkwChannel
 from dpstack.profile.channel.read_many import per_request
-from dpstack.profile.declared import Declaration, DeclaredCore
+from dpstack.profile.declared import PLAIN_PKW, Declaration, DeclaredCore, plain_resolver, plain_server
 from dpstack.profile.master.core import OPS, DriveCore
 from dpstack.profile.master.fault_lookup import Lookup
 from dpstack.profile.master.mapped_core import MAP_OPS, MappedCore
@@ -23,7 +23,6 @@ from dpstack.profile.model.params import ParamSpec, ParamTable, count_of
 from dpstack.profile.model.states import FAULTED, MOVING, ControlTable, Goal, State, StateRow, StateTable
 from dpstack.profile.model.status import DriveStatus
 from dpstack.profile.model.words import N4, SPEED, Scale, Word, signed16
-from dpstack.profile.plain import PLAIN_PKW, plain_resolver, plain_server
 from dpstack.profile.registry import broken, find, known, refresh
 from dpstack.profile.simulator.device import DriveDevice
 from dpstack.profile.simulator.motor import AT_ONCE, NEAR, Motor, ramp

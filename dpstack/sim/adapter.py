@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Final, Protocol
 
 from dpstack.errors import ConfigError
-from dpstack.fdl.station import BusStation
+from dpstack.fdl.interface import BusStation
 from dpstack.fdl.telegram import Telegram
 from dpstack.machine import pump
 from dpstack.params import BusParams

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from dpstack.fdl.station import BusStation
+from dpstack.fdl.interface import BusStation
 from dpstack.machine import Transmit
 from dpstack.trace import Event
 from dpstack.units import NEVER

@@ -12,7 +12,7 @@ from heapq import heappop, heappush
 from typing import Any
 
 from dpstack.errors import UsageError
-from dpstack.fdl.station import BusStation
+from dpstack.fdl.interface import BusStation
 from dpstack.machine import pump
 from dpstack.params import BusParams
 from dpstack.sim.faults import Faults

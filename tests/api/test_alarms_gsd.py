@@ -14,7 +14,7 @@ from dpstack.api.config.config import parse_config
 from dpstack.dp.master.fault_report import Findings
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.slave_params import SlaveSetup
-from dpstack.dpv1.master.alarm_book import AlarmBook
+from dpstack.dpv1.master.alarm_events import AlarmBook
 from dpstack.dpv1.master.alarm_handler import AlarmHandler
 from dpstack.dpv1.pdu.dpv1_status import Dpv1
 from dpstack.drivers.process.mirror import MasterMirror, Mirror, Source, StationMirror

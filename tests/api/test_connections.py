@@ -17,7 +17,7 @@ import dpstack
 from dpstack import AcyclicError, Connection, ConnectionEnded, Im0, ServiceRefused, SlaveFault, SlaveTimeout, UsageError
 from dpstack.api.bus.events_json import Severity, event_json, severity_of
 from dpstack.api.config.config import make_config
-from dpstack.api.config.ms2_config import Ms2Limits
+from dpstack.api.config.dpv1 import Ms2Limits
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.dp.acyclic.queue import Acyclic
 from dpstack.dpv1.master.ms2_commands import ConnectionOver

@@ -10,7 +10,7 @@ from api_kit import RAW, bus_of, slave_in, virtual
 import dpstack
 from dpstack import UsageError
 from dpstack.api.config.config import parse_config
-from dpstack.dp.pdu.user_diag import UserDiag, channel_block, device_block
+from dpstack.dp.pdu.diag_blocks import UserDiag, channel_block, device_block
 from dpstack.dp.slave.loopback_device import MirrorDevice
 from dpstack.errors import ConfigError
 

@@ -16,7 +16,7 @@ from support import WorldFactory
 import dpstack
 from dpstack import DpSlave, SlaveAppState, SlaveDescription
 from dpstack.dp.slave.device import Leave
-from dpstack.dp.slave.slave_events import AddressChanged, DeviceFailed
+from dpstack.dp.slave.events import AddressChanged, DeviceFailed
 from dpstack.drivers.segment.hub import Segment
 from dpstack.errors import BusError, ConfigError, SlaveTimeout
 from dpstack.sim.world import World

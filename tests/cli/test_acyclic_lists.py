@@ -271,7 +271,7 @@ async def test_through_a_run_it_comes_in_pieces_with_progress(
     plant: Path, capsys: Out, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("dpstack.api.control.remote_records._IN_A_LINE", 3)
-    monkeypatch.setattr("dpstack.api.control.alive._SIGN_OF_LIFE_S", 0.01)
+    monkeypatch.setattr("dpstack.api.control.server._SIGN_OF_LIFE_S", 0.01)
     device = Device()
     told: list[tuple[object, ...]] = []
     async with open_bus(device, dpstack.load_config(plant)) as bus, control_run(bus, "virtual"):

@@ -17,7 +17,7 @@ from programs import PLANT, Program, Starter
 
 import dpstack
 from dpstack.api.bus.bus import Bus
-from dpstack.api.control import alive
+from dpstack.api.control import server
 from dpstack.api.control.client import connect
 from dpstack.api.control.handlers import control_run
 from dpstack.api.control.own_master import OneDrive
@@ -383,7 +383,7 @@ async def test_a_run_carries_the_orders_out(plant: Path) -> None:
 
 async def test_who_hangs_up_ends_the_order(plant: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A start that waits for the bus to operate must not come true when nobody waits for it any more."""
-    monkeypatch.setattr(alive, "_SIGN_OF_LIFE_S", 0.02)
+    monkeypatch.setattr(server, "_SIGN_OF_LIFE_S", 0.02)
     async with dpstack.open_bus(plant) as bus, control_run(bus, "virtual"):
         await bus.ready()  # in Clear
         found = await find_drive(dpstack.load_config(plant), "fan")

@@ -16,7 +16,7 @@ from ms2_kit import DL, MS, SC, Ms2Bus, sd1, sd2
 from octet_slave import NR, RR, UE
 from ring_bus import RingBus
 
-from dpstack.dp.acyclic.class2_part import ReadService
+from dpstack.dp.acyclic.class2 import ReadService
 from dpstack.dp.acyclic.class2_services import Service
 from dpstack.dp.acyclic.job import Outcome, ServiceFailure
 from dpstack.dpv1.master.ms1 import RecordDone

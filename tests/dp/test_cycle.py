@@ -9,7 +9,7 @@ from cycle_kit import P500, CycleBus, running, slave, steps
 from support import MS, US, S, WorldFactory
 
 from dpstack.dp.master.commands import AddSlave, Mode, SetMode
-from dpstack.dp.master.cycle_part import CycleData, MissReason
+from dpstack.dp.master.fixed_cycle import CycleData, MissReason
 from dpstack.errors import ConfigError
 from dpstack.params import BusParams
 

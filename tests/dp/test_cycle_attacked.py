@@ -15,7 +15,7 @@ from bus_kit import mirror
 from cycle_kit import CycleBus, slave
 from support import MS, WorldFactory
 
-from dpstack.dp.acyclic.class2_part import ReadService
+from dpstack.dp.acyclic.class2 import ReadService
 from dpstack.dp.acyclic.class2_services import Service
 from dpstack.dp.acyclic.queue import Acyclic
 from dpstack.dp.master.commands import (
@@ -27,8 +27,7 @@ from dpstack.dp.master.commands import (
     ReparameteriseSlave,
     SetMode,
 )
-from dpstack.dp.master.cycle_part import CycleData
-from dpstack.dp.master.fixed_cycle import Cadence
+from dpstack.dp.master.fixed_cycle import Cadence, CycleData
 from dpstack.dp.plan.rotation_time import Case, figures, t_tr_preset
 from dpstack.dp.slave_params import SlaveSetup
 from dpstack.errors import BusError, UsageError

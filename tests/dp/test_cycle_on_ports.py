@@ -13,12 +13,12 @@ from bus_kit import mirror
 from cycle_kit import CycleBus, slave
 from support import MS, US, S, WorldFactory
 
-from dpstack.dp.acyclic.class2_part import ReadService
+from dpstack.dp.acyclic.class2 import ReadService
 from dpstack.dp.acyclic.class2_services import Service, ServiceDone
 from dpstack.dp.acyclic.queue import Acyclic
 from dpstack.dp.master.commands import Mode, SetMode, Shutdown
-from dpstack.dp.master.cycle_part import MissReason
 from dpstack.dp.master.events import CyclesMissed, SlaveState
+from dpstack.dp.master.fixed_cycle import MissReason
 from dpstack.dp.master.master import Master
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline

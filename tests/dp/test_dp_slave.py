@@ -11,7 +11,7 @@ from slave_kit import CFG, CLEAR, FREEZE, MS, OPERATE, PRM, PRM_NO_WD, SYNC, UNL
 from dpstack.dp.slave.application import SlaveAppState
 from dpstack.dp.slave.description import SlaveDescription, SlaveModule
 from dpstack.dp.slave.device import FunctionDevice, Leave, OnCycle
-from dpstack.dp.slave.slave_events import DeviceFailed
+from dpstack.dp.slave.events import DeviceFailed
 from dpstack.dp.slave.user_slave import DpSlave
 from dpstack.errors import ConfigError
 from dpstack.fdl.interface import RS_REPLY

@@ -22,7 +22,7 @@ from dpstack.dp.slave.application import make_slave
 from dpstack.dp.slave.loopback_device import MirrorDevice
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
-from dpstack.fdl.station import BusStation
+from dpstack.fdl.interface import BusStation
 from dpstack.params import BusParams
 from dpstack.phy.patience import HOST, Patience, measured
 from dpstack.sim.adapter import Adapter

@@ -13,7 +13,7 @@ from property_kit import examples
 from slave_kit import Recorder
 
 from dpstack.dp.slave.application import SlaveApp, make_slave
-from dpstack.dp.slave.slave_events import ConnectionClosed, ConnectionOpened
+from dpstack.dp.slave.events import ConnectionClosed, ConnectionOpened
 from dpstack.dpv1.slave.record_requests import Ticket, TransportTicket
 from dpstack.params import BusParams
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from cycle_kit import slave
 
-from dpstack.dp.master.rate_turns import RateTurns
+from dpstack.dp.master.poll_order import RateTurns
 from dpstack.params import BusParams
 
 P500 = BusParams.preset(500_000, address=2)

@@ -6,9 +6,9 @@ import pytest
 from support import MS, S
 
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState
+from dpstack.dp.slave.auto_baud import PortBaudChanged, SearchingPort
 from dpstack.dp.slave.baud_control import BaudState
 from dpstack.dp.slave.loopback_device import MirrorDevice
-from dpstack.dp.slave.searching_port import PortBaudChanged, SearchingPort
 from dpstack.errors import ConfigError, UsageError
 from dpstack.fdl.baud_search import Missing
 from dpstack.fdl.passive.multi_station import Multidrop

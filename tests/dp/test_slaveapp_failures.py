@@ -6,7 +6,7 @@ import pytest
 from slave_kit import CFG, CLEAR, MASTER, MS, OPERATE, SYNC, Bench, Recorder
 
 from dpstack.dp.slave.application import SlaveAppState
-from dpstack.dp.slave.slave_events import DeviceFailed
+from dpstack.dp.slave.events import DeviceFailed
 from dpstack.fdl.interface import RS_REPLY
 from dpstack.units import NEVER
 

@@ -8,7 +8,7 @@ from support import MS
 
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import Stalled
-from dpstack.dp.slave.slave_events import WatchdogExpired
+from dpstack.dp.slave.events import WatchdogExpired
 from dpstack.params import BusParams
 from dpstack.sim.world import World
 from dpstack.trace import Event, WireEntry

@@ -11,8 +11,16 @@ from hypothesis import strategies as st
 from octet_wire import PARAMS, Wire, framed
 from slave_kit import CFG, MASTER, PRM, SLAVE, Bench
 
-from dpstack.dp.pdu.diag_blocks import Block, split_blocks
-from dpstack.dp.pdu.user_diag import NO_DIAG, UserDiag, channel_block, device_block, identifier_block, revision_block
+from dpstack.dp.pdu.diag_blocks import (
+    NO_DIAG,
+    Block,
+    UserDiag,
+    channel_block,
+    device_block,
+    identifier_block,
+    revision_block,
+    split_blocks,
+)
 from dpstack.dp.slave.application import SlaveApp, make_slave
 from dpstack.dp.slave.description import SlaveDescription
 from dpstack.dp.slave.user_slave import DpSlave

@@ -15,7 +15,7 @@ from slave_kit import MS, Bench
 from dpstack import DpSlave, Im0, IoStation, SlaveDescription
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState
 from dpstack.dp.slave.device import Device
-from dpstack.dp.slave.slave_events import ConnectionClosed, ConnectionOpened, DeviceFailed, RequestRefused
+from dpstack.dp.slave.events import ConnectionClosed, ConnectionOpened, DeviceFailed, RequestRefused
 from dpstack.fdl.interface import Reply
 from dpstack.fdl.telegram import Kind, Telegram
 from dpstack.gsd.identifiers import io_lengths

@@ -19,7 +19,7 @@ from slave_alarm_kit import OctetMaster
 from slave_kit import SLAVE, Bench
 
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState
-from dpstack.dp.slave.slave_events import AddressChanged
+from dpstack.dp.slave.events import AddressChanged
 from dpstack.dpv1.slave.record_requests import Ticket
 from dpstack.profile import DriveDevice, Leave
 from dpstack.units import NEVER

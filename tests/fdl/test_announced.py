@@ -7,7 +7,7 @@ from random import Random
 import pytest
 from support import MS
 
-from dpstack.fdl.active.announced import Announced
+from dpstack.fdl.active.las_gap import Announced
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.decoder import DecoderStats

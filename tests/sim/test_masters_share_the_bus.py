@@ -9,8 +9,8 @@ from planned_bus import IDENT, identifiers
 from support import S, WorldFactory
 
 from dpstack.dp.master.commands import Mode, SetMode
-from dpstack.dp.master.cycle_part import MissReason
 from dpstack.dp.master.events import SlaveState
+from dpstack.dp.master.fixed_cycle import MissReason
 from dpstack.dp.master.master import Master
 from dpstack.dp.plan.cycle_check import token_wait_ns
 from dpstack.dp.plan.plan import Case, OtherMasters, rotation, t_tr_needed

@@ -17,7 +17,7 @@ from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.server.virtual_bench import VirtualBench
 from dpstack.api.slave.drive_view import DriveSeen
 from dpstack.dp.master.master import Master
-from dpstack.dp.master.survey import SurveyOrder, SurveyResult
+from dpstack.dp.master.scanner import SurveyOrder, SurveyResult
 from dpstack.dp.plan.plan import Case, Plan, make_plan
 from dpstack.drivers import views
 from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime, OnFailure, patience_of

@@ -7,7 +7,7 @@ from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from dpstack.dp.master.cycle_part import CycleData
+from dpstack.dp.master.fixed_cycle import CycleData
 from dpstack.dp.process_data import FieldMap, Value
 from dpstack.dp.process_image import inputs_are_valid
 from dpstack.errors import NoInputs, UsageError

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 
 from dpstack.api.bus.temporary_master import MakeBus, joined
 from dpstack.dp.master.events import SlaveState
-from dpstack.dp.master.scanner import Found, SlaveView, view_of
-from dpstack.dp.master.survey import SurveyOrder
+from dpstack.dp.master.scanner import Found, SlaveView, SurveyOrder, view_of
 from dpstack.errors import BusError, DpError
 from dpstack.fdl.telegram import StationType
 from dpstack.params import MAX_STATION

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
-from dpstack.dp.master.cycle_part import CycleBook
+from dpstack.dp.master.fixed_cycle import CycleBook
 from dpstack.dp.process_data import as_json
 from dpstack.dpv1.master.alarm_events import AlarmCounts
 from dpstack.fdl.interface import LinkStats, StationStats

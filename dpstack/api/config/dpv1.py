@@ -1,13 +1,15 @@
-"""The key ``dpv1`` of a [[slave]] table: DP-V1 on or off, and what else DPV1_Status says."""
+"""The key ``dpv1`` of a [[slave]] table: DP-V1 on or off, what else DPV1_Status says, class 2 connections."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any, Final
 
 from dpstack.api.config.table import Table
 from dpstack.dpv1.pdu.dpv1_status import ALARM_KEYWORDS, ALARM_LIMITS, ALARMS, DPV1_ENABLE, DPV1_STATUS_LEN, Dpv1
+from dpstack.dpv1.pdu.ms2 import LEAST_INITIATE
 from dpstack.dpv1.pdu.prm_blocks import NAMES, RECORDS, TABLES, Content, DxbTable, PrmBlock
 from dpstack.dpv1.pdu.read_write import MAX_RECORD
 from dpstack.errors import ConfigError, PduError
@@ -205,3 +207,30 @@ def _entries(table: Table, kind: int) -> Iterator[Any]:
             if key not in entry:
                 entry.fail(None, f"no {key}", f"write {{ {example} }}")
         yield layout.record(**{key: entry.integer(key, 0, 255) for key in layout.fields})
+
+
+@dataclass(frozen=True, slots=True)
+class Ms2Limits:
+    """``supported``: C2_Read_Write_supp. ``response_ns`` (C2_Response_Timeout), ``channels`` (C2_Max_Count_Channels)
+    and ``max_initiate_len`` (Max_Initiate_PDU_Length, octets) are 0 where they are not known; ``max_data_len``:
+    C2_Max_Data_Len, 1..240."""
+
+    supported: bool = True
+    response_ns: int = 0
+    max_data_len: int = MAX_RECORD
+    channels: int = 0
+    max_initiate_len: int = 0
+
+    @classmethod
+    def of(cls, device: Device | None) -> Ms2Limits:
+        """Of the device's GSD file; without one nothing is known, and it may have them."""
+        if device is None:
+            return cls()
+        dpv1, longest = device.dpv1, device.dpv1.max_initiate_pdu_length
+        return cls(
+            supported=dpv1.c2_read_write,
+            response_ns=dpv1.c2_response_ns,
+            max_data_len=min(dpv1.c2_max_data_len or MAX_RECORD, MAX_RECORD),
+            channels=dpv1.c2_max_count_channels,
+            max_initiate_len=max(LEAST_INITIATE, longest) if longest else 0,
+        )

@@ -5,21 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from dpstack.api.bus.scan import LiveListResult
-from dpstack.api.config.toml_text import quoted
+from dpstack.api.config.toml import quoted
 from dpstack.dp.master.scanner import Found, SlaveView
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA, StationType
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.params import MAX_STATION
-from dpstack.profile import DriveProfile
-from dpstack.profile.profiles import known_drives
+from dpstack.profile import DriveProfile, registry
 
 _FIRST_MASTER = 2
 
 
 def drive_of(found: Found) -> DriveProfile | None:
     """The known drive with the ident number of ``found``, if there is one."""
-    return next((p for p in known_drives().values() if p.ident == found.ident), None)
+    return next((p for p in registry.known().values() if p.ident == found.ident), None)
 
 
 def config_skeleton(result: LiveListResult, port: str) -> str:

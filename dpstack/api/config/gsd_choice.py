@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from dpstack.api.config.toml_text import quoted
+from dpstack.api.config.toml import quoted
 from dpstack.errors import GsdError
 from dpstack.gsd.configuration import Configuration, find_module, plug
 from dpstack.gsd.model import Device, Module

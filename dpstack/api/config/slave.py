@@ -1,4 +1,7 @@
-"""One [[slave]] table: a known drive by name, a GSD file, or a raw slave by ident and identifier octets."""
+"""One [[slave]] table: a known drive by name, a GSD file, or a raw slave by ident and identifier octets.
+
+Its keys ``inputs`` and ``outputs`` name its process data.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +10,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
-from dpstack.api.config.dpv1 import read_dpv1
-from dpstack.api.config.field_config import read_fields
-from dpstack.api.config.gsd_remarks import remarks
-from dpstack.api.config.ms2_config import Ms2Limits
+from dpstack.api.config.dpv1 import Ms2Limits, read_dpv1
+from dpstack.api.config.gsd_slave import remarks
 from dpstack.api.config.slave_source import Basis, basis_of
 from dpstack.api.config.table import Table
 from dpstack.dp.pdu.diag_texts import DiagTexts
 from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN
-from dpstack.dp.process_data import FieldMap
+from dpstack.dp.process_data import Field, FieldMap, field_of, overlap
 from dpstack.dp.slave.description import SlaveDescription
 from dpstack.dp.slave_params import INTERVAL_UNIT, MAX_WATCHDOG_MS, SlaveSetup
 from dpstack.dpv1.pdu.dpv1_status import DPV1_STATUS_LEN, Dpv1
@@ -25,6 +26,43 @@ from dpstack.gsd.model import Device
 from dpstack.params import MAX_STATION, UNADDRESSED
 from dpstack.profile import DriveProfile
 from dpstack.units import ms_text
+
+
+def read_fields(table: Table, input_len: int, output_len: int) -> tuple[FieldMap, FieldMap]:
+    """The fields of a slave with so many octets of inputs and outputs. Raises ConfigError.
+
+    Inputs may be read in several ways, so their fields may overlap; outputs may not: who writes one field must not
+    change another. A name stands for one field of a slave.
+    """
+    inputs = _fields(table, "inputs", input_len)
+    outputs = _fields(table, "outputs", output_len)
+    both = next((name for name in outputs if name in inputs), None)
+    if both is not None:
+        table.fail("outputs", f"{both!r} is an input and an output", "give one of them another name")
+    shared = overlap(outputs)
+    if shared is not None:
+        later, first = shared
+        table.fail(
+            "outputs",
+            f"{later.name} ({later.spec}) and {first.name} ({first.spec}) share bits",
+            "move one of them, or name the bits that are left",
+        )
+    return FieldMap(inputs, input_len), FieldMap(outputs, output_len)
+
+
+def _fields(table: Table, key: str, length: int) -> dict[str, Field]:
+    inside = table.table(key)
+    return {} if inside is None else {name: _field(inside, name, length, key) for name in inside}
+
+
+def _field(inside: Table, name: str, length: int, key: str) -> Field:
+    text = inside.text(name) or ""
+    try:
+        return field_of(name, text, length, key)
+    except ConfigError as error:
+        what, _, todo = str(error).rpartition("; ")
+        raise inside.error(name, what, todo) from None
+
 
 _KEYS: Final = (
     "name",

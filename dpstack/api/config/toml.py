@@ -1,7 +1,8 @@
-"""Reading TOML behind limits: values by tomllib, and the line of every key, which tomllib does not tell.
+"""TOML: read behind limits, values by tomllib with the line of every key, which it does not tell; and written.
 
 tomllib takes quadratic time for a key of many parts, recurses with every bracket and lets Python's refusal of very long
-numbers through. One pass over the tokens refuses such texts before tomllib sees them.
+numbers through. One pass over the tokens refuses such texts before tomllib sees them. Writing is the little that
+skeletons and tables need.
 """
 
 from __future__ import annotations
@@ -10,6 +11,9 @@ import json
 import re
 import tomllib
 from typing import Any, Final
+
+from dpstack.errors import ConfigError
+from dpstack.text import is_plain, long_escape
 
 #: ("bus", "port") or ("slave", 0, "address"); a table itself is ("bus",) or ("slave", 0)
 Path = tuple[str | int, ...]
@@ -160,3 +164,11 @@ def _located(error: tomllib.TOMLDecodeError, text: str) -> TomlError:
     if match[2]:
         return TomlError(int(match[2]), match[1], int(match[3]))
     return TomlError(text.count("\n", 0, len(text.rstrip("\n"))) + 1, match[1])
+
+
+def quoted(text: str) -> str:
+    """A TOML string; what is not plain stands as its escape. Raises ConfigError for what TOML cannot hold."""
+    if any("\ud800" <= letter <= "\udfff" for letter in text):
+        raise ConfigError(f"{text!r} is no Unicode text, as a TOML file must be; rename it")
+    written = json.dumps(text, ensure_ascii=False)
+    return "".join(letter if is_plain(letter) else long_escape(letter) for letter in written)

@@ -10,11 +10,11 @@ from typing import Any
 from dpstack.api.bus.bus import Bus
 from dpstack.api.bus.parts import SEARCHING
 from dpstack.api.config.config import Config
-from dpstack.api.control.alive import kept_alive
 from dpstack.api.control.answers import OF_DRIVE, DriveTold, ParametersTold, checked
 from dpstack.api.control.client import ControlClient, find_run
 from dpstack.api.control.drive_commands import PARAMETERS, READ_MANY, carry_out
 from dpstack.api.control.errors import failure
+from dpstack.api.control.server import kept_alive
 from dpstack.api.lists.dump_compare import ParameterPlace, ParameterValue
 from dpstack.errors import BusError, ParameterError, PortError, UsageError
 from dpstack.profile import ListedParam

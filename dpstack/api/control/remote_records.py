@@ -10,11 +10,10 @@ from typing import Any, Final
 from dpstack.api.bus.bus import Bus
 from dpstack.api.bus.parts import SEARCHING
 from dpstack.api.config.config import Config
-from dpstack.api.control.alive import kept_alive
 from dpstack.api.control.answers import OF_SLAVE, Item, checked
 from dpstack.api.control.client import ControlClient, find_run
 from dpstack.api.control.record_commands import COMPARE, DUMP, PARAMETERS, OnProgress, carry_out, check
-from dpstack.api.control.server import Result
+from dpstack.api.control.server import Result, kept_alive
 from dpstack.errors import BusError, UsageError
 from dpstack.text import number_or_name
 

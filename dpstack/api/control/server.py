@@ -1,4 +1,7 @@
-"""The server's end of the control socket: requests in, answers out, and nothing of it disturbs the bus."""
+"""The server's end of the control socket: requests in, answers out, and nothing of it disturbs the bus.
+
+The client of an order that takes its time is told that it goes on, and one that hangs up ends its order.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +12,11 @@ import itertools
 import json
 import os
 import socket
-from collections.abc import AsyncGenerator, Callable, Iterable, Mapping
+from collections.abc import AsyncGenerator, Callable, Coroutine, Iterable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from time import monotonic_ns
-from typing import Final, NamedTuple, Never
+from typing import Any, Final, NamedTuple, Never
 
 from dpstack.api.config.bus import VIRTUAL
 from dpstack.api.control.commands import Spec, find
@@ -433,3 +436,20 @@ def _line(answer: Mapping[str, object]) -> bytes:
 
 def _error(text: str) -> dict[str, object]:
     return {"ok": False, "error": " ".join(text.split())}
+
+
+#: how often the client of an order is told that it goes on, in s: without its answer it would take us for dead
+_SIGN_OF_LIFE_S: Final = 0.5
+
+
+async def kept_alive(work: Coroutine[Any, Any, object], sign: Callable[[], object]) -> AsyncGenerator[object, None]:
+    """``sign()`` as items until ``work`` is done, then its result."""
+    order = asyncio.ensure_future(work)
+    try:
+        while not (await asyncio.wait({order}, timeout=_SIGN_OF_LIFE_S))[0]:
+            yield sign()
+        yield Result(order.result())
+    finally:
+        order.cancel()
+        with contextlib.suppress(asyncio.CancelledError, Exception):
+            await order

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, NoReturn, Protocol
 
-from dpstack.api.config.toml import MAX_OCTETS, TomlError, read_toml
-from dpstack.api.config.toml_text import quoted
+from dpstack.api.config.toml import MAX_OCTETS, TomlError, quoted, read_toml
 from dpstack.api.files import FileToBe, read_file
 from dpstack.errors import ConfigError
 

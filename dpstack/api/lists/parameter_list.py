@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from dpstack.api.config.toml_text import quoted
+from dpstack.api.config.toml import quoted
 from dpstack.api.files import FileToBe
 from dpstack.api.lists.list_file import ListFile, keep
 from dpstack.errors import ConfigError

@@ -7,8 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
 
 from dpstack.api.bus.streams import OnEvent, Waiters, hand_to
-from dpstack.api.server.async_device import AsyncRecords
-from dpstack.api.server.served_alarms import ServedAlarms
+from dpstack.api.server.async_device import AsyncRecords, ServedAlarms
 from dpstack.argcheck import Sealed, octets, whole
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState, SlaveAppStats

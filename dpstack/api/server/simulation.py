@@ -14,10 +14,10 @@ from dpstack.api.bus.streams import OnEvent, hand_to
 from dpstack.api.config.config import AUTO, Config, rate_findings
 from dpstack.api.server.virtual_bench import Unit, injected_text, rates_of, set_rate, station_status
 from dpstack.dp.slave.application import SlaveAppState
+from dpstack.dp.slave.auto_baud import PortBaudChanged, SearchingPort
 from dpstack.dp.slave.baud_control import BaudState
 from dpstack.dp.slave.device import Device
-from dpstack.dp.slave.searching_port import PortBaudChanged, SearchingPort
-from dpstack.dp.slave.slave_events import SlaveAppEvent, SlaveAppStateChanged
+from dpstack.dp.slave.events import SlaveAppEvent, SlaveAppStateChanged
 from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime, patience_of
 from dpstack.drivers.line.rate import settle_ns_of
 from dpstack.drivers.segment.hub import Segment, default_directory

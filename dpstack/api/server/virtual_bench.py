@@ -11,8 +11,8 @@ from dpstack.dp.slave.auto_baud import SearchingSlave
 from dpstack.dp.slave.description import SlaveDescription
 from dpstack.dp.slave.device import Device
 from dpstack.dp.slave.loopback_device import MirrorDevice, mirror_of
+from dpstack.fdl.interface import BusStation
 from dpstack.fdl.passive.station import PassiveStation
-from dpstack.fdl.station import BusStation
 from dpstack.machine import LineDown
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT, Patience

@@ -10,13 +10,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING
 
-from dpstack.api.config.ms2_config import Ms2Limits
+from dpstack.api.config.dpv1 import Ms2Limits
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.slave.ms2_connection import Connecting
 from dpstack.api.slave.records import usual_timeout
 from dpstack.api.slave.services import time_of
 from dpstack.argcheck import Sealed, octets, whole
-from dpstack.dp.acyclic.class2_part import ChangeAddress, ReadService
+from dpstack.dp.acyclic.class2 import ChangeAddress, ReadService
 from dpstack.dp.acyclic.class2_services import Service, ServiceDone
 from dpstack.dp.pdu.diag_texts import block_texts
 from dpstack.dp.pdu.diagnosis import Diagnosis

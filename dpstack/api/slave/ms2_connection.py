@@ -9,7 +9,7 @@ from collections.abc import Generator
 from types import TracebackType
 from typing import TYPE_CHECKING, TypeVar
 
-from dpstack.api.config.ms2_config import Ms2Limits
+from dpstack.api.config.dpv1 import Ms2Limits
 from dpstack.api.slave.record_parameters import RecordParameters, over_records
 from dpstack.api.slave.records import RecordAccess, usual_timeout
 from dpstack.api.slave.services import Ending

@@ -20,15 +20,14 @@ from dpstack.api.control.own_master import READY_S
 from dpstack.api.control.record_commands import COMPARE, PARAMETERS, TRANSPORT, WORDS, OnProgress, carry_out, check
 from dpstack.api.control.remote_records import through_run
 from dpstack.api.lists.list_file import keep
-from dpstack.api.lists.record_dump import list_of
-from dpstack.api.lists.record_list import RecordList, file_for
+from dpstack.api.lists.record_list import RecordList, file_for, list_of
 from dpstack.cli import options
 from dpstack.cli.commands import on_bus
 from dpstack.cli.commands.acyclic_lists import FILES, show_comparison, show_dump, show_list
-from dpstack.cli.commands.foreground import tell_simulated
+from dpstack.cli.commands.on_bus import tell_simulated
 from dpstack.cli.terminal import output
 from dpstack.cli.terminal.lost_stdout import warn
-from dpstack.cli.terminal.progress import progress_bar
+from dpstack.cli.terminal.output import progress_bar
 from dpstack.cli.terminal.signals import StopSignal
 from dpstack.errors import BusError, SlaveFault, UsageError
 from dpstack.text import octets_text

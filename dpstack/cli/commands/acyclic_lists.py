@@ -7,8 +7,7 @@ from typing import Any, Final
 
 from dpstack.api.control.commands import Spec
 from dpstack.api.control.record_commands import COMPARE, DUMP
-from dpstack.api.lists.record_dump import RecordComparison, compared, list_of
-from dpstack.api.lists.record_list import RecordList
+from dpstack.api.lists.record_list import RecordComparison, RecordList, compared, list_of
 from dpstack.cli.terminal import output
 
 FILES: Final = (

@@ -26,7 +26,7 @@ from dpstack.cli.terminal.lost_stdout import guarded, warn
 from dpstack.cli.terminal.report import Reporter, not_exchanging
 from dpstack.cli.terminal.signals import INTERRUPTED, StopSignal
 from dpstack.errors import ConfigError, DpError
-from dpstack.profile.profiles import known_drives
+from dpstack.profile import registry
 from dpstack.text import printable
 
 _BAUD = 500_000
@@ -61,7 +61,7 @@ def execute(args: argparse.Namespace) -> int:
 
 def plant(baud: int) -> Config:
     """Every known drive at an address of its own. One master alone: the GAP is off, the rotation is the shortest."""
-    drives = known_drives()
+    drives = registry.known()
     names = sorted(drives)
     if not names:
         raise ConfigError("no drive is known; install dpstack with `pip install .` or `make demo`")

@@ -27,7 +27,7 @@ from dpstack.api.control.remote_drive import RemoteDrive, find_drive
 from dpstack.api.drive_check import DriveCheck
 from dpstack.cli import options
 from dpstack.cli.commands.drive_run import DUMP_AND_COMPARE, Order, Orders, check_orders, status_text
-from dpstack.cli.commands.foreground import refuse_application_watchdog, tell_simulated
+from dpstack.cli.commands.on_bus import refuse_application_watchdog, tell_simulated
 from dpstack.cli.terminal import output
 from dpstack.cli.terminal.lost_stdout import warn
 from dpstack.cli.terminal.nonblocking_stdout import unhurried

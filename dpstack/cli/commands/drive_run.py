@@ -13,7 +13,7 @@ from dpstack.api.lists.dump_compare import OnParameter, Readable, check_compare,
 from dpstack.api.lists.parameter_list import SavedParam, label, value_text
 from dpstack.cli.terminal import output
 from dpstack.cli.terminal.lost_stdout import warn
-from dpstack.cli.terminal.progress import progress_bar
+from dpstack.cli.terminal.output import progress_bar
 
 DUMP_AND_COMPARE: Final = (
     Spec("dump", "FILE", "all declared parameters into a file", "hoist.toml"),

@@ -1,18 +1,24 @@
-"""What commands share that visit a bus for one errand: the rate, the bus, what is told meanwhile."""
+"""What commands share that are on a bus: one errand on it, or a master's run, and the control socket beside it.
+
+An errand: the rate, the bus, what is told meanwhile. A master's run: `run`; `drive` and `acyclic` where no run holds
+the port. The control socket is nice to have, never a reason not to run.
+"""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
+from contextlib import AsyncExitStack, asynccontextmanager
 
 from dpstack.api.bus.bus import Bus, BusFailed
 from dpstack.api.bus.events_json import AddressCollision, Event, MasterSeen, RingJoined, Severity, severity_of
 from dpstack.api.bus.find_baud import find_baud
 from dpstack.api.bus.temporary_master import MakeBus
-from dpstack.api.config.config import AUTO, make_config
+from dpstack.api.config.config import AUTO, Config, make_config
+from dpstack.api.control.server import ControlServer
 from dpstack.cli import options
 from dpstack.cli.terminal.lost_stdout import warn
-from dpstack.errors import BusError, UsageError
+from dpstack.errors import BusError, PortError, UsageError
 from dpstack.units import baud_text
 
 
@@ -84,3 +90,38 @@ def once(tell: Callable[[Event], None]) -> Callable[[Event], None]:
 def nobody_text(baud: int) -> str:
     """What to do where nobody answers."""
     return f"nobody answers at {baud_text(baud)}: check rate, power, A and B, and the termination"
+
+
+def tell_simulated(config: Config) -> None:
+    """On the port "virtual" nobody else is: say that the slaves are simulated for this one command."""
+    if config.virtual:
+        warn(
+            'no run holds the port "virtual": its slaves are simulated for this command only; '
+            "`dpstack run` with this configuration keeps them, and is asked then"
+        )
+
+
+def refuse_application_watchdog(config: Config, command: str) -> None:
+    """Raises ConfigError where ``config`` has an application watchdog: ``command`` never calls ``alive()``."""
+    if config.bus.application_watchdog_ms:
+        raise config.source.error(
+            ("bus", "application_watchdog_ms"),
+            "[bus]: application_watchdog_ms is for a program that calls bus.alive(), "
+            f"which `dpstack {command}` does not",
+            "leave it out of this file, or set it to 0",
+        )
+
+
+@asynccontextmanager
+async def reachable(server: ControlServer, *, quiet: bool = False) -> AsyncIterator[str | None]:
+    """``dpstack ctl`` works within; where it cannot, the line that says why is given, and printed unless ``quiet``."""
+    why = None
+    async with AsyncExitStack() as stack:
+        try:
+            await stack.enter_async_context(server)
+            why = server.remark
+        except PortError as error:
+            why = str(error)
+        if why is not None and not quiet:
+            warn(why)
+        yield why

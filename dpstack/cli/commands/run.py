@@ -13,8 +13,7 @@ from dpstack.api.control.handlers import PTY, clear_since, control_run
 from dpstack.api.control.handlers_slaves import address_of
 from dpstack.api.control.server import ControlServer
 from dpstack.cli import options
-from dpstack.cli.commands.control import reachable
-from dpstack.cli.commands.foreground import refuse_application_watchdog
+from dpstack.cli.commands.on_bus import reachable, refuse_application_watchdog
 from dpstack.cli.terminal import output
 from dpstack.cli.terminal.lost_stdout import warn
 from dpstack.cli.terminal.nonblocking_stdout import unhurried

@@ -11,7 +11,7 @@ from dpstack.api.bus.events_json import Event, Injected
 from dpstack.api.control.handlers import control_segment
 from dpstack.api.server.simulation import DEFAULT_BAUD, Segment
 from dpstack.cli import options
-from dpstack.cli.commands.control import reachable
+from dpstack.cli.commands.on_bus import reachable
 from dpstack.cli.terminal import output
 from dpstack.cli.terminal.lost_stdout import warn
 from dpstack.cli.terminal.nonblocking_stdout import unhurried

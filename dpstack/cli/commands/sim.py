@@ -13,7 +13,7 @@ from dpstack.api.config.config import AUTO, Config, load_config, make_config, sl
 from dpstack.api.control.handlers import control_sim
 from dpstack.api.server.simulation import DEFAULT_BAUD, Simulation, sim_event_json
 from dpstack.cli import options
-from dpstack.cli.commands.control import reachable
+from dpstack.cli.commands.on_bus import reachable
 from dpstack.cli.terminal import output
 from dpstack.cli.terminal.lost_stdout import warn
 from dpstack.cli.terminal.nonblocking_stdout import unhurried

@@ -1,4 +1,4 @@
-"""Words, tables and JSON lines on standard output: colours on a terminal, plain lines elsewhere."""
+"""Words, tables, JSON lines and bars of progress: colours and bars on a terminal, plain lines elsewhere."""
 
 from __future__ import annotations
 
@@ -6,10 +6,13 @@ import math
 import sys
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Final
 
 from rich.cells import cell_len
 from rich.console import Console, Group
+from rich.markup import escape
+from rich.progress import Progress
 from rich.table import Column, Table
 from rich.text import Text
 
@@ -143,3 +146,25 @@ def _write(text: str) -> None:
     with guarded():
         sys.stdout.write(text + "\n")
         sys.stdout.flush()
+
+
+#: what is being done, how much of it is, of how much
+Shown = Callable[[str, int, int], None]
+
+
+@contextmanager
+def progress_bar(title: str) -> Iterator[Shown]:
+    """On stderr, gone at the end; any thread may tell it."""
+    shown = Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty())
+    task = shown.add_task(_label(title), total=None)
+
+    def tell(what: str, done: int, of: int) -> None:
+        shown.update(task, description=_label(what), total=of, completed=done)
+
+    with shown:
+        yield tell
+
+
+def _label(text: str) -> str:
+    """Rich reads it as markup."""
+    return escape(printable(text))

@@ -3,8 +3,14 @@
 A user of the link layer with a low claim: one request a token hold, in time that is left, whatever service it belongs
 to; who waited longest for a turn comes first. The queue is bounded, and every service that was taken has exactly one
 end, an event, whatever happens: the slave's answer, its silence, its refusal, a lost token, a lost port. (What the
-services are is in :mod:`dpstack.dp.acyclic.class2_part`, :mod:`dpstack.dpv1.master.ms1` and
+services are is in :mod:`dpstack.dp.acyclic.class2`, :mod:`dpstack.dpv1.master.ms1` and
 :mod:`dpstack.dpv1.master.ms2`.)
+
+A slave that exchanges data and left a service unanswered is asked for no other before its next exchange: to the link
+layer silence is silence, the next request to that station is a first one (FCV 0, FCB 1), and after three of these FCV
+is probed (protocol facts A4). A probe that carries the FCB of the request before is taken for its repetition. That must
+never be a Data_Exchange, which several services in vain between two cycles would bring about: the slave would be given
+up although it exchanges data.
 """
 
 from __future__ import annotations
@@ -14,9 +20,9 @@ from collections.abc import Hashable
 from dataclasses import dataclass, field
 from typing import Final
 
-from dpstack.dp.acyclic import class2_part
+from dpstack.dp.acyclic import class2
 from dpstack.dp.acyclic.job import Heard, Job, Outcome, ServiceFailure, Step, Steps
-from dpstack.dp.acyclic.unheard import Unheard
+from dpstack.dp.master.commands import Mode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
 from dpstack.dp.master.slave_handler import SlaveHandler
@@ -31,6 +37,38 @@ from dpstack.fdl.telegram import SAP_SLAVE_DIAG, Telegram
 from dpstack.machine import LineDown
 from dpstack.trace import Event
 from dpstack.units import NEVER, ns_to_s
+
+#: ends of a request that the link layer takes for silence
+_IN_VAIN = frozenset((Failure.NO_ANSWER, Failure.GARBLED, Failure.WRONG))
+
+
+class Unheard:
+    """``master``: whose slaves they are; None: nobody's, and everybody may be asked."""
+
+    __slots__ = ("_exchanges", "_master")
+
+    def __init__(self, master: Master | None) -> None:
+        self._master = master
+        #: by address: the exchanges there were when it left a service unanswered
+        self._exchanges: dict[int, int] = {}
+
+    def ended(self, address: int, outcome: Telegram | Failure) -> None:
+        """A service to ``address`` is over."""
+        handler = None if self._master is None else self._master.handlers.get(address)
+        if handler is not None and outcome in _IN_VAIN:
+            self._exchanges[address] = handler.exchanges
+        elif self._exchanges:
+            self._exchanges.pop(address, None)
+
+    def bars(self, address: int) -> bool:
+        """Whether ``address`` is not to be asked now. In Stop nobody has an exchange to wait for."""
+        if not self._exchanges or self._master is None or self._master.mode <= Mode.STOP:
+            return False
+        handler = self._master.handlers.get(address)
+        if handler is None or handler.state is not SlaveState.DATA_EXCHANGE:
+            return False
+        return handler.exchanges == self._exchanges.get(address)
+
 
 #: services that may wait at a time: of class 2 in all, of class 1 for each slave, for each connection
 CAPACITY: Final = 32
@@ -105,7 +143,7 @@ class Acyclic:
 
     # --- orders -------------------------------------------------------------------------------------------------
     def command(self, command: object, now: int) -> bool:
-        """Take the orders of :mod:`dpstack.dp.acyclic.class2_part`, :mod:`dpstack.dpv1.master.ms1`,
+        """Take the orders of :mod:`dpstack.dp.acyclic.class2`, :mod:`dpstack.dpv1.master.ms1`,
         :mod:`dpstack.dpv1.master.alarm_events`, :mod:`dpstack.dpv1.master.ms2_commands`, and CancelService.
 
         Raises UsageError for what cannot be, or too much.
@@ -133,7 +171,7 @@ class Acyclic:
 
     def _job_of(self, command: object) -> tuple[int, Job, int] | None:
         """Token, job and time-out of a service, whichever way it goes."""
-        order = class2_part.job_of(command, self.own, self.master)
+        order = class2.job_of(command, self.own, self.master)
         return order or self._ms1.job_of(command) or self._ms2.job_of(command)
 
     def _take(self, token: int, job: Job, timeout_ns: int, now: int) -> None:

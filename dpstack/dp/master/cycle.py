@@ -15,13 +15,12 @@ from dataclasses import dataclass
 from typing import Final
 
 from dpstack.dp.master.commands import Mode
-from dpstack.dp.master.cycle_part import CycleData
 from dpstack.dp.master.events import SlaveState
-from dpstack.dp.master.farewell import Farewells, Leaving
-from dpstack.dp.master.fixed_cycle import Cadence
+from dpstack.dp.master.fixed_cycle import Cadence, CycleData
 from dpstack.dp.master.global_control import Controls
 from dpstack.dp.master.poll_order import Turns
 from dpstack.dp.master.slave_handler import SlaveHandler
+from dpstack.dp.master.slave_list import Farewells, Leaving
 from dpstack.fdl.interface import Request
 from dpstack.fdl.telegram import SAP_CHK_CFG, SAP_GET_CFG, SAP_GLOBAL_CONTROL, SAP_SET_PRM
 

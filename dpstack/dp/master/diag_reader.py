@@ -10,7 +10,7 @@ from dpstack.dp.master.verdicts import deviations
 from dpstack.dp.pdu.diag_texts import block_texts
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.slave_params import SlaveSetup
-from dpstack.dpv1.master.alarm_book import AlarmBook
+from dpstack.dpv1.master.alarm_events import AlarmBook
 from dpstack.dpv1.master.alarm_handler import AlarmHandler
 from dpstack.trace import Event
 

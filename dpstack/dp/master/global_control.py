@@ -12,10 +12,9 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Final
 
 from dpstack.dp.master.commands import Mode, SendControl
-from dpstack.dp.master.cyclic_control import CyclicControl
 from dpstack.dp.master.events import ControlFailed, ControlSent, PictureTaken, SlaveRemark, SlaveState
 from dpstack.dp.master.slave_handler import SlaveHandler
-from dpstack.dp.master.sync_freeze import Order, check_order
+from dpstack.dp.master.sync_freeze import CyclicControl, Order, check_order
 from dpstack.dp.pdu.requests import GlobalControl
 from dpstack.fdl.interface import Request
 from dpstack.fdl.telegram import SAP_GLOBAL_CONTROL, SSAP_MS0, Req

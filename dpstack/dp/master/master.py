@@ -24,15 +24,13 @@ from dpstack.dp.master.commands import (
     Shutdown,
 )
 from dpstack.dp.master.cycle import Course, Round
-from dpstack.dp.master.cycle_part import CycleBook, CycleData
 from dpstack.dp.master.events import AutoCleared, ForcedClear, MasterStopped, ModeChanged, OperateWaits, SlaveState
-from dpstack.dp.master.farewell import SAFE_HOLD, Farewells
-from dpstack.dp.master.fixed_cycle import Cadence
+from dpstack.dp.master.fixed_cycle import Cadence, CycleBook, CycleData
 from dpstack.dp.master.global_control import Controls
 from dpstack.dp.master.outputs_watch import OutputsWatch
 from dpstack.dp.master.poll_order import Turns
 from dpstack.dp.master.slave_handler import SlaveHandler
-from dpstack.dp.master.slave_list import Roster
+from dpstack.dp.master.slave_list import SAFE_HOLD, Farewells, Roster
 from dpstack.dp.master.token_watch import TokenAge
 from dpstack.dp.process_image import SlaveImage
 from dpstack.dp.slave_params import SlaveSetup

@@ -2,7 +2,8 @@
 
 It asks FDL status, Slave_Diag and, where wanted, Get_Cfg: nothing that changes anything, so no slave is taken from its
 master (B5: both services are open to every master in every state; a request from another address leaves watchdog and
-frame count of the owner alone). One request a token hold, in time that is left, like the live list.
+frame count of the owner alone). One request a token hold, in time that is left, like the live list. A live list made
+once while the bus runs is an order of plain data.
 """
 
 from __future__ import annotations
@@ -19,8 +20,10 @@ from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.services import positive
 from dpstack.fdl.events import StationFound
 from dpstack.fdl.interface import Failure, Request
-from dpstack.fdl.livelist import LiveList
+from dpstack.fdl.livelist import LiveList, live_allowance, long_look
 from dpstack.fdl.telegram import SAP_GET_CFG, SAP_SLAVE_DIAG, SSAP_MS0, Req, StationType, Telegram
+from dpstack.params import BusParams
+from dpstack.phy.patience import Patience
 from dpstack.trace import Event
 from dpstack.units import NEVER
 
@@ -280,3 +283,39 @@ class Scanner:
         self._told.pop(address, None)
         if found is not None:
             self._events.append(StationSeen(t_ns=now, found=found, present=False))
+
+
+@dataclass(frozen=True, slots=True)
+class SurveyOrder:
+    """Ask ``addresses``; ``skip``: their slaves are not asked further. ``configs``: ask for identifier octets too.
+
+    ``quick``: silent addresses without regard to the port's share for them.
+    """
+
+    addresses: tuple[int, ...]
+    skip: tuple[int, ...]
+    configs: bool
+    quick: bool
+
+    def scanner(self, params: BusParams, patience: Patience, now: int) -> Scanner:
+        """The link user that does it at the station of ``params``."""
+        allowance = None if self.quick else live_allowance(params, patience, now)
+        look = long_look(params, patience) if self.quick else None
+        live = LiveList(params.address, addresses=self.addresses, allowance=allowance, long_look=look)
+        return Scanner(params.address, live, configs=self.configs, skip=self.skip)
+
+
+@dataclass(frozen=True, slots=True)
+class SurveyResult:
+    """What came of it, once everything was asked. ``unreadable``: addresses whose answers could not be read."""
+
+    found: tuple[Found, ...]
+    unreadable: tuple[int, ...]
+
+    @classmethod
+    def of(cls, scanner: Scanner) -> SurveyResult | None:
+        """The result of ``scanner``; None while it is not complete."""
+        if not scanner.done:
+            return None
+        found = tuple(found for _, found in sorted(scanner.found.items()))
+        return cls(found, tuple(sorted(scanner.live.unreadable)))

@@ -15,19 +15,15 @@ from dpstack.dp.master import fault_texts
 from dpstack.dp.master.diag_reader import Diagnoses
 from dpstack.dp.master.events import Fault, SlaveState, SlaveStateChanged
 from dpstack.dp.master.fault_report import Findings
-from dpstack.dp.master.odd_answers import OddAnswers
 from dpstack.dp.master.plugin_host import UnitHost
-from dpstack.dp.master.readiness import Readiness
 from dpstack.dp.master.retry_timing import Pacing
 from dpstack.dp.master.slave_states import TABLE, Ev
-from dpstack.dp.master.verdicts import foreign_owner, masters_view, verdict_exchanging
+from dpstack.dp.master.verdicts import OddAnswers, Readiness, foreign_owner, masters_view, verdict_exchanging
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.process_image import SlaveImage, image_of
-from dpstack.dp.services import DATA_STATUS, EMPTY_STATUS, SERVICE_NAMES, positive, refusal_text, set_prm
+from dpstack.dp.services import DATA_STATUS, EMPTY_STATUS, SERVICE_NAMES, SlaveRequests, positive, refusal_text, set_prm
 from dpstack.dp.slave_params import SlaveSetup
-from dpstack.dp.slave_requests import SlaveRequests
-from dpstack.dpv1.master.alarm_book import AlarmBook
-from dpstack.dpv1.master.alarm_events import AlarmCounts
+from dpstack.dpv1.master.alarm_events import AlarmBook, AlarmCounts
 from dpstack.dpv1.master.alarm_handler import AlarmHandler
 from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.telegram import (

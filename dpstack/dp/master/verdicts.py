@@ -1,18 +1,62 @@
-"""What a diagnosis means to a master that did not write the slave: owner, deviations, verdicts by the table of bits."""
+"""What answers mean to a master that did not write the slave: diagnoses and odd answers to Data_Exchange.
+
+A diagnosis: owner, deviations, verdicts by the table of bits; and between Set_Prm and data exchange what the slave is
+asked next (protocol facts B6). Answers to Data_Exchange that are no good data: when they are too many, and what they
+then mean (B6, A3).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import reduce
+from functools import partial, reduce
 from operator import or_
 from typing import Final
 
+from dpstack.dp.master import fault_texts
 from dpstack.dp.master.events import Fault, FaultKind, SlaveState
 from dpstack.dp.master.slave_states import Ev
 from dpstack.dp.pdu.diag_bits import FLAG, FLAGS, Does, SetBy, weightiest
 from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.services import SERVICE_NAMES
+from dpstack.dp.slave_params import SlaveSetup
+from dpstack.fdl.telegram import SAP_SET_PRM, Kind, Resp, Telegram
 from dpstack.params import MAX_STATION
+from dpstack.units import NS_PER_S
+
+_MAX_WRONG: Final = 3
+_MAX_BUSY: Final = 5
+_DATA: Final = (int(Resp.DL), int(Resp.DH))
+
+
+class OddAnswers:
+    """Counts them; one good exchange forgives all (:attr:`none` is False while there is something to forgive)."""
+
+    __slots__ = ("_busy", "_wrong", "none")
+
+    def __init__(self) -> None:
+        self.none = True
+        self._wrong = self._busy = 0
+
+    def clear(self) -> None:
+        """A good exchange, or a new state."""
+        self.none = True
+        self._wrong = self._busy = 0
+
+    def judge(self, answer: Telegram) -> Ev | None:
+        """What ``answer`` to Data_Exchange means: WRONG_LENGTH, NOT_EXCHANGING (RS) or REFUSED; None: ask again in
+        the next round.
+        """
+        self.none = False
+        status = answer.fc & 0x0F
+        if answer.kind is Kind.SC or status in _DATA:
+            self._wrong += 1
+            return None if self._wrong < _MAX_WRONG else Ev.WRONG_LENGTH
+        if status == Resp.RS:
+            return Ev.NOT_EXCHANGING
+        self._busy += 1  # UE, RR, NR, RDL, RDH
+        return None if self._busy < _MAX_BUSY else Ev.REFUSED
+
 
 #: what the master does -> what the state table calls it
 _EVENT: Final = {
@@ -88,3 +132,60 @@ def masters_view(read: Diagnosis | None, state: SlaveState, fault: Fault | None)
         flag = FLAG[name]
         status[flag.octet] |= flag.mask
     return replace(basis, status1=status[1], status2=status[2])
+
+
+_READY_LIMIT: Final = 10 * NS_PER_S
+_UNACKED_LIMIT: Final = NS_PER_S
+_MAX_PRM_ROUNDS: Final = 3
+_SET_PRM: Final = SERVICE_NAMES[SAP_SET_PRM]
+
+
+class Readiness:
+    """Of one slave. ``cfg_sent``: Chk_Cfg went out; ``unacked``: the service that it did not acknowledge."""
+
+    __slots__ = ("_prm_rounds", "cfg_sent", "unacked")
+
+    def __init__(self) -> None:
+        self.cfg_sent = False
+        self.unacked = ""
+        self._prm_rounds = 0
+
+    def entered(self, state: SlaveState) -> None:
+        """The master's handling reached ``state``."""
+        if state in (SlaveState.DATA_EXCHANGE, SlaveState.FAULT):
+            self._prm_rounds = 0
+        if state in (SlaveState.DATA_EXCHANGE, SlaveState.SET_PRM):
+            self.unacked = ""
+        if state is SlaveState.SET_PRM:
+            self.cfg_sent = False
+
+    def judge(
+        self, setup: SlaveSetup, diagnosis: Diagnosis, prm_sent: bytes, waited_ns: int
+    ) -> tuple[Ev, Fault | fault_texts.FaultOfCfg | None]:
+        """What ``diagnosis`` means ``waited_ns`` after the last step, and what is wrong.
+
+        ``setup``: of its slave; ``prm_sent``: the octets of its last Set_Prm.
+
+        A :data:`~dpstack.dp.master.fault_texts.FaultOfCfg` needs the answer to Get_Cfg first.
+        """
+        verdict = verdict_ready(diagnosis, cfg_sent=self.cfg_sent)
+        if verdict is Ev.DIAG_WAIT:
+            if self.unacked and waited_ns > _UNACKED_LIMIT:
+                return Ev.TOO_LONG, self._silent(setup, prm_sent)
+            if waited_ns > _READY_LIMIT:
+                seconds = _READY_LIMIT / NS_PER_S
+                if diagnosis.stat_diag:
+                    return Ev.TOO_LONG, fault_texts.statically_ill(seconds)
+                return Ev.TOO_LONG, partial(fault_texts.not_ready, setup, seconds)
+        elif verdict is Ev.DIAG_PRM_REQ:
+            if self._prm_rounds >= _MAX_PRM_ROUNDS:
+                if self.unacked:
+                    return Ev.REFUSED, self._silent(setup, prm_sent)
+                return Ev.REFUSED, partial(fault_texts.not_taken, setup)
+            self._prm_rounds += 1
+        elif verdict is Ev.DIAG_REFUSED:
+            return verdict, fault_texts.refusal(setup, diagnosis, prm_sent)
+        return verdict, None
+
+    def _silent(self, setup: SlaveSetup, prm_sent: bytes) -> Fault | fault_texts.FaultOfCfg:
+        return fault_texts.prm_silent(prm_sent) if self.unacked == _SET_PRM else partial(fault_texts.cfg_silent, setup)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final, NamedTuple
 
-from dpstack.dp.master.cycle_part import tolerance_ns
+from dpstack.dp.master.fixed_cycle import tolerance_ns
 from dpstack.dp.plan.rotation_time import Case, Figures, longest_diagnosis
 from dpstack.dp.slave_params import SlaveSetup
 from dpstack.dp.telegram_times import gap_poll_bits, global_control_bits, request_octets, vain_bits

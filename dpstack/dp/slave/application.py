@@ -19,8 +19,7 @@ from dpstack.dp.slave.device import Device, Leave
 from dpstack.dp.slave.events import SlaveAppStats
 from dpstack.dp.slave.prm_cfg_check import Watchdog, check_device
 from dpstack.dp.slave.services import Services
-from dpstack.dp.slave.slave_clock import DeviceClock
-from dpstack.dp.slave.state import SlaveCore
+from dpstack.dp.slave.state import DeviceClock, SlaveCore
 from dpstack.dp.slave.state_table import ACCESS, CONNECTION, AppEv, SlaveAppState
 from dpstack.dpv1.pdu.ms2 import SERVER_SAPS
 from dpstack.dpv1.slave.resource_manager import Ms2Server, ServedConnection

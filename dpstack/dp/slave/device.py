@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from enum import Enum
 
-from dpstack.dp.pdu.user_diag import NO_DIAG, UserDiag
+from dpstack.dp.pdu.diag_blocks import NO_DIAG, UserDiag
 from dpstack.dpv1.pdu.ms2 import InitiateReq
 from dpstack.dpv1.slave.alarms import AlarmServer
 from dpstack.dpv1.slave.record_requests import Records, Transport

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from dpstack.dp.pdu.diag_blocks import NO_DIAG, UserDiag
 from dpstack.dp.pdu.diagnosis import ALWAYS_ONE, FIXED_LEN, Diagnosis
-from dpstack.dp.pdu.user_diag import NO_DIAG, UserDiag
 from dpstack.dp.slave.cyclic_data import CyclicData
 from dpstack.dp.slave.device import Device
 from dpstack.dp.slave.state_table import SlaveAppState

@@ -1,15 +1,16 @@
 """What a slave application is at one moment, and its steps through the table of states.
 
 State and lock, the stay in data exchange, the watchdog, what is told. Whatever leaves data exchange, and whatever the
-device raises, goes through here, so that outputs and lock are given up in one place.
+device raises, goes through here, so that outputs and lock are given up in one place. The time a device asks for, its
+``wake_at`` and ``tick``, is kept from hanging or breaking the bus.
 """
 
 from __future__ import annotations
 
 from typing import Final
 
+from dpstack.dp.pdu.diag_blocks import NO_DIAG, UserDiag
 from dpstack.dp.pdu.diagnosis import Diagnosis
-from dpstack.dp.pdu.user_diag import NO_DIAG, UserDiag
 from dpstack.dp.slave.address import SlaveAddress
 from dpstack.dp.slave.cyclic_data import CyclicData
 from dpstack.dp.slave.device import Device, Leave
@@ -21,6 +22,7 @@ from dpstack.dpv1.slave.ms1 import Ms1Server
 from dpstack.dpv1.slave.resource_manager import Ms2Server
 from dpstack.dpv1.timeouts import least_send_timeout
 from dpstack.fdl.passive.station import LOWEST_TSDR
+from dpstack.units import NEVER, NOW
 
 #: of an application that is on no station
 _UNKNOWN_RATE: Final = 1_500_000
@@ -146,3 +148,48 @@ class SlaveCore:
         owner = "nobody has parameterised the slave" if self.master is None else f"it is locked by master {self.master}"
         self.report.refused(service, sa, owner, now)
         self.step(event, now)
+
+
+class DeviceClock:
+    """Asks ``device`` when it wants its time, and gives it. Exceptions come out of :meth:`tick` only."""
+
+    __slots__ = ("_device", "_due", "_error", "idle")
+
+    def __init__(self, device: Device) -> None:
+        self._device = device
+        self._error: Exception | None = None
+        # a device that leaves wake_at as it is need not be asked in every step
+        plain = getattr(device.wake_at, "__func__", None) is Device.wake_at
+        self._due = None if plain else device.wake_at
+        #: it never wants its time
+        self.idle = plain
+
+    def wake_at(self) -> int:
+        """When :meth:`tick` is wanted, in ns; NOW when asking failed: the time of that is known in tick only."""
+        if self._due is None:
+            return NEVER
+        try:
+            return self._due()
+        except Exception as error:
+            self._error = error
+            return NOW
+
+    def tick(self, now: int) -> int | None:
+        """Let the device catch up with ``now``; the address at which it restarts by itself, None where it does not.
+
+        Raises what the device raises, and RuntimeError when it never catches up.
+        """
+        if self._due is None:
+            return None
+        if self._error is not None:
+            error, self._error = self._error, None
+            raise error
+        due = self._due()
+        restart: int | None = None
+        while due <= now:
+            told = self._device.tick(now)
+            restart = restart if told is None else told
+            before, due = due, self._due()
+            if due <= before:
+                raise RuntimeError(f"wake_at() stays at {due} after tick({now})")
+        return restart

@@ -7,8 +7,8 @@ from collections.abc import Awaitable, Callable, Iterator
 from typing import Protocol
 
 from dpstack.argcheck import Sealed, functions, octets, whole
+from dpstack.dp.pdu.diag_blocks import NO_DIAG, UserDiag
 from dpstack.dp.pdu.diagnosis import FIXED_LEN
-from dpstack.dp.pdu.user_diag import NO_DIAG, UserDiag
 from dpstack.dp.slave.description import SlaveDescription
 from dpstack.dp.slave.device import FunctionDevice, Leave, OnCycle
 from dpstack.dpv1.pdu.im import Im

@@ -1,8 +1,12 @@
-"""What is told and ordered about the alarms of a slave, at its master. Plain data."""
+"""What is told, ordered and known about the alarms of a slave, at its master. Plain data.
+
+What is known stays whatever the slave's parameters are, also while DP-V1 is off.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import dataclasses
+from dataclasses import dataclass, field
 
 from dpstack.dp.acyclic.job import Outcome
 from dpstack.dp.master.events import SlaveEvent
@@ -104,3 +108,18 @@ def texts_beside(diagnosis: Diagnosis, alarm: Alarm, texts: DiagTexts | None) ->
     own = () if texts is None else texts.unit_diag_texts(block[1:])
     others = tuple(other for other in diagnosis.blocks if other.octets != block)
     return own + texts_of(others, texts, dpv1=True)
+
+
+@dataclass(slots=True)
+class AlarmBook:
+    """``hold``: the application acknowledges (:class:`~dpstack.dpv1.master.alarm_events.HoldAlarms`); ``number`` of the
+    last alarm; ``untaken``: numbers of those that are void, but not taken by the application yet."""
+
+    counts: AlarmCounts = field(default_factory=AlarmCounts)
+    number: int = 0
+    hold: bool = False
+    untaken: set[int] = field(default_factory=set)
+
+    def count(self, name: str) -> None:
+        """One more."""
+        self.counts = dataclasses.replace(self.counts, **{name: getattr(self.counts, name) + 1})

@@ -41,8 +41,7 @@ from dpstack.dp.master.fault_report import Findings
 from dpstack.dp.pdu.diag_blocks import DeviceBlock
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.slave_params import SlaveSetup
-from dpstack.dpv1.master.alarm_book import AlarmBook
-from dpstack.dpv1.master.alarm_events import AlarmDone, AlarmRaised, StatusTold, texts_beside
+from dpstack.dpv1.master.alarm_events import AlarmBook, AlarmDone, AlarmRaised, StatusTold, texts_beside
 from dpstack.dpv1.master.alarm_repeats import Key, Settling
 from dpstack.dpv1.pdu.alarms import Alarm, Status, alarm_name, kind_of, parse_block
 from dpstack.dpv1.pdu.dpv1_status import ALARM_LIMITS, ALARM_MODE, ALARMS

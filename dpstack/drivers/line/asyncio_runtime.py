@@ -8,7 +8,7 @@ from typing import Any
 
 from dpstack.drivers.line.line_runtime import SPIN_NS, Stepping
 from dpstack.drivers.line.port_latency import patience_of
-from dpstack.drivers.line.reopening import Attempts
+from dpstack.drivers.line.rate import Attempts
 from dpstack.drivers.line.timers import make_timer
 from dpstack.drivers.runtime import IN_PARENT, OnFailure
 from dpstack.drivers.shutdown import end_on_port

@@ -16,8 +16,7 @@ from typing import Final
 from dpstack.drivers.line.answer_timing import Answers
 from dpstack.drivers.line.echo import Echo, EchoFilter
 from dpstack.drivers.line.port_latency import Lateness, Tune
-from dpstack.drivers.line.rate import NoRateError, follow, wire_times
-from dpstack.drivers.line.reopening import BACKOFF_NS, Attempts
+from dpstack.drivers.line.rate import BACKOFF_NS, Attempts, NoRateError, follow, wire_times
 from dpstack.drivers.line.timers import Timer, boottime_ns, suspended_ns
 from dpstack.drivers.runtime import OnEvents, OnFailure, PortBack, PortLost
 from dpstack.errors import BusError, DpError, PortError, UsageError

@@ -1,4 +1,7 @@
-"""The rate of a port: it follows what its machine wants, and what depends on it."""
+"""The state of a port: its rate follows what its machine wants, and a lost one is opened again.
+
+For that: the pauses between the attempts, and which refusal is worth telling.
+"""
 
 from __future__ import annotations
 
@@ -41,3 +44,28 @@ def settle_ns_of(port: Port) -> int:
 def wire_times(port: Port) -> list[int]:
     """What a telegram of so many octets takes to leave, in ns; nothing where no wire gives octets their time."""
     return [chars_to_ns(n, port.baud) if port.paced else 0 for n in range(_LONGEST)]
+
+
+#: Pauses between the attempts to open a lost port in ns: the first, and the longest after doubling.
+BACKOFF_NS: Final = (100 * NS_PER_MS, 2_000 * NS_PER_MS)
+
+
+class Attempts:
+    """The attempts that follow one loss."""
+
+    __slots__ = ("_longest", "_pause", "_told")
+
+    def __init__(self, backoff_ns: tuple[int, int] = BACKOFF_NS) -> None:
+        self._pause, self._longest = backoff_ns
+        self._told = ""
+
+    def pause_ns(self) -> int:
+        """How long to wait before the next attempt."""
+        pause = self._pause
+        self._pause = min(2 * pause, self._longest)
+        return pause
+
+    def is_news(self, refusal: str) -> bool:
+        """Whether the attempt before failed for another reason."""
+        news, self._told = refusal != self._told, refusal
+        return news

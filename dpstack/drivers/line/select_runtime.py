@@ -14,7 +14,7 @@ from typing import Final
 from dpstack.drivers.line.echo import Echo
 from dpstack.drivers.line.line_runtime import OnHeldUp, Stepping
 from dpstack.drivers.line.port_latency import Tune
-from dpstack.drivers.line.reopening import BACKOFF_NS, Attempts
+from dpstack.drivers.line.rate import BACKOFF_NS, Attempts
 from dpstack.drivers.line.select_loop import Alarm, PlainLoop
 from dpstack.drivers.runtime import OnEvents, OnFailure
 from dpstack.errors import PortError

@@ -23,7 +23,7 @@ from typing import Final
 
 from dpstack.dp.master.commands import AddSlave, Alive, DriveCommand, RemoveSlave, ReparameteriseSlave
 from dpstack.dp.master.events import Fault, FaultKind, SlaveState, SlaveStateChanged
-from dpstack.dp.master.survey import SurveyOrder, SurveyResult
+from dpstack.dp.master.scanner import SurveyOrder, SurveyResult
 from dpstack.drivers.line.asyncio_runtime import outlast
 from dpstack.drivers.line.port_latency import Lateness
 from dpstack.drivers.process import channel

@@ -19,10 +19,9 @@ import msgspec
 
 from dpstack import errors
 from dpstack.dp.master.commands import DriveCommand, Mode
-from dpstack.dp.master.cycle_part import CycleBook, CycleData, MissReason
 from dpstack.dp.master.events import Fault, SlaveState
-from dpstack.dp.master.scanner import Found
-from dpstack.dp.master.survey import SurveyOrder, SurveyResult
+from dpstack.dp.master.fixed_cycle import CycleBook, CycleData, MissReason
+from dpstack.dp.master.scanner import Found, SurveyOrder, SurveyResult
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dpv1.master.alarm_events import AlarmCounts
 from dpstack.drivers.line.echo import Echo
@@ -174,7 +173,7 @@ class WatcherNow:
 
 @dataclass(frozen=True, slots=True)
 class CyclesNow:
-    """The books over fixed cycles (:class:`dpstack.dp.master.cycle_part.CycleBook`), and what did not fit between
+    """The books over fixed cycles (:class:`dpstack.dp.master.fixed_cycle.CycleBook`), and what did not fit between
     them."""
 
     cycle_ns: int = 0

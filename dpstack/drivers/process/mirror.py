@@ -13,8 +13,8 @@ from collections.abc import Callable, Mapping
 from typing import Protocol
 
 from dpstack.dp.master.commands import Mode
-from dpstack.dp.master.cycle_part import CycleBook, CycleData
 from dpstack.dp.master.events import Fault, SlaveDiagnosis, SlaveState
+from dpstack.dp.master.fixed_cycle import CycleBook, CycleData
 from dpstack.dp.master.scanner import Found
 from dpstack.dp.pdu.diag_texts import block_texts
 from dpstack.dp.pdu.diagnosis import Diagnosis

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from dpstack.dp.acyclic.class2_part import ChangeAddress, ReadService
+from dpstack.dp.acyclic.class2 import ChangeAddress, ReadService
 from dpstack.dp.acyclic.queue import CancelService
 from dpstack.dp.master.commands import (
     ActivateSlave,

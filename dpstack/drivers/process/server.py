@@ -10,9 +10,8 @@ from time import monotonic_ns
 from typing import Final
 
 from dpstack.dp.master.commands import AddSlave, Mode, SendControl, Shutdown
-from dpstack.dp.master.cycle_part import CycleData
-from dpstack.dp.master.scanner import Scanner
-from dpstack.dp.master.survey import SurveyResult
+from dpstack.dp.master.fixed_cycle import CycleData
+from dpstack.dp.master.scanner import Scanner, SurveyResult
 from dpstack.dp.process_image import SlaveImage
 from dpstack.drivers.line.select_loop import PlainLoop
 from dpstack.drivers.line.select_runtime import PlainRuntime

@@ -16,7 +16,7 @@ from dpstack.drivers.line.port_latency import Lateness
 from dpstack.drivers.runtime import IN_PARENT, BehindRealTime, OnEvents
 from dpstack.drivers.virtual.loop import Timeline, VirtualLoop
 from dpstack.errors import BusError, UsageError
-from dpstack.fdl.station import BusStation
+from dpstack.fdl.interface import BusStation
 from dpstack.trace import Event
 from dpstack.units import NEVER, NS_PER_MS, NS_PER_S, ns_to_s
 

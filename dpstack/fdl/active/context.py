@@ -10,10 +10,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from dpstack.fdl.active.announced import Announced, News
 from dpstack.fdl.active.cycle_window import Budget
 from dpstack.fdl.active.fcb import FrameCount
-from dpstack.fdl.active.las_gap import Gap, Ring
+from dpstack.fdl.active.las_gap import Announced, Gap, News, Ring
 from dpstack.fdl.active.states import Input, State
 from dpstack.fdl.codec import encode_token
 from dpstack.fdl.events import MasterSeen, RingLeft

@@ -15,8 +15,7 @@ from dpstack.profile.channel.base import CHANNEL_LEN, ParameterChannel
 from dpstack.profile.master import fault_lookup, motion, param_orders
 from dpstack.profile.master.settings import Setting, SettingsCheck
 from dpstack.profile.model.drive_profile import TelegramSpec
-from dpstack.profile.model.jobs import Args, CommandError, Job, Steps
-from dpstack.profile.model.orders import Orders
+from dpstack.profile.model.jobs import Args, CommandError, Job, Orders, Steps
 from dpstack.profile.model.param_listing import ListedParam
 from dpstack.profile.model.states import FAULTED, ControlTable, Goal, State
 from dpstack.profile.model.status import DriveStatus

@@ -11,7 +11,7 @@ from dpstack.errors import ConfigError
 from dpstack.profile.channel.base import CHANNEL_LEN
 from dpstack.profile.master.settings import OPTION as CHECK_SETTINGS
 from dpstack.profile.model.jobs import LARGEST
-from dpstack.profile.record47.choice import ChosenAccess
+from dpstack.profile.record47.drive_access import ChosenAccess
 
 if TYPE_CHECKING:
     from dpstack.dpv1.master.plugin_queue import RecordQueue

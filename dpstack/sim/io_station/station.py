@@ -23,7 +23,7 @@ from collections.abc import Iterable, Sequence
 from typing import Final
 
 from dpstack.argcheck import octets, whole
-from dpstack.dp.pdu.user_diag import UserDiag, channel_block, identifier_block
+from dpstack.dp.pdu.diag_blocks import UserDiag, channel_block, identifier_block
 from dpstack.dp.slave.description import SlaveDescription
 from dpstack.dp.slave.user_slave import DpSlave
 from dpstack.dpv1.pdu.alarms import Alarm, AlarmType, ModuleState, Specifier, module_status
