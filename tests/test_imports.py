@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -41,6 +42,92 @@ MAY: dict[str, set[str]] = {
     "api": DP | {"drivers", "ports", "sim", "profile"},
     "cli": {"api", "gsd", "profile", "trace"} | PURE_BASE,
     "__init__": {"api", "errors", "profile", "dp", "dpv1", "trace"},
+}
+#: Rooms from the ground up: each imports from lower floors only; rooms of one floor not from one another.
+FLOORS: tuple[tuple[str, ...], ...] = (
+    ("phy",),
+    ("gsd",),
+    ("fdl",),
+    ("fdl/active", "fdl/passive"),
+    ("dp/pdu",),
+    ("dpv1/pdu",),
+    ("dp", "dpv1"),
+    ("dp/plan",),
+    ("dpv1/slave",),
+    ("dp/slave",),
+    ("dp/acyclic",),
+    ("dp/master",),
+    ("dpv1/master",),
+    ("profile/model",),
+    ("profile/channel",),
+    ("profile/simulator",),
+    ("profile/record47",),
+    ("profile/master",),
+    ("profile",),
+    ("sim",),
+    ("sim/io_station",),
+    ("ports",),
+    ("drivers",),
+    ("drivers/realtime",),
+    ("drivers/virtual",),
+    ("drivers/line",),
+    ("drivers/segment",),
+    ("drivers/process",),
+    ("api",),
+    ("api/config",),
+    ("api/lists",),
+    ("api/server",),
+    ("api/slave",),
+    ("api/bus",),
+    ("api/control",),
+    ("cli",),
+    ("cli/terminal",),
+    ("cli/commands",),
+)
+#: What still goes upwards, module by module; to be cut, nothing may be added.
+UPWARDS: dict[str, set[str]] = {
+    "api.config.from_scan": {"api.bus.scan"},
+    "api.drive_check": {"api.bus.remote_plugins", "api.config.slave", "api.control.drive_commands"},
+    "api.server.server": {"api.bus.streams"},
+    "api.server.simulation": {"api.bus.compose", "api.bus.events_json", "api.bus.streams"},
+    "api.slave.alarms": {"api.bus.bus", "api.bus.streams"},
+    "api.slave.class2": {"api.bus.bus"},
+    "api.slave.drive": {"api.bus.bus", "api.bus.streams"},
+    "api.slave.ms2_connection": {"api.bus.bus"},
+    "api.slave.services": {"api.bus.bus"},
+    "api.slave.slave": {"api.bus.bus"},
+    "cli.main": {"cli.terminal.lost_stdout"},
+    "dp.acyclic.class2": {"dp.master.fault_texts", "dp.master.master", "dp.master.verdicts"},
+    "dp.acyclic.queue": {
+        "dp.master.commands",
+        "dp.master.events",
+        "dp.master.master",
+        "dp.master.slave_handler",
+        "dpv1.master.alarm_ack",
+        "dpv1.master.ms1",
+        "dpv1.master.ms2",
+        "dpv1.master.plugin_jobs",
+    },
+    "dp.master.diag_reader": {"dpv1.master.alarm_events", "dpv1.master.alarm_handler"},
+    "dp.master.slave_handler": {"dpv1.master.alarm_events", "dpv1.master.alarm_handler"},
+    "dp.pdu.diag_texts": {"dpv1.pdu.alarms"},
+    "dp.plan.cycle_check": {"dp.master.fixed_cycle"},
+    "dpv1.pdu.describe": {"dpv1.master.response_check"},
+    "drivers.runtime": {"drivers.line.port_latency"},
+    "drivers.shutdown": {"drivers.line.echo", "drivers.line.select_loop", "drivers.line.select_runtime"},
+    "drivers.virtual.runtime": {"drivers.line.port_latency"},
+    "fdl.events": {"fdl.active.cycle_window"},
+    "fdl.livelist": {"fdl.active.las_gap"},
+    "profile.model.drive_profile": {
+        "profile.channel.base",
+        "profile.master.core",
+        "profile.master.settings",
+        "profile.record47.drive_access",
+        "profile.simulator.device",
+    },
+    "profile.model.standard_telegrams": {"profile.channel.base"},
+    "profile.model.status": {"profile.master.settings"},
+    "profile.simulator.device": {"profile.record47.server"},
 }
 #: profile sees only these modules of dp: its public slave application and image types, and records.
 PROFILE_MAY_OF_DP = {
@@ -136,6 +223,45 @@ def test_direction(path: Path) -> None:
         if own == "profile" and target == "dp" and name.removeprefix("dpstack.") not in PROFILE_MAY_OF_DP:
             wrong.append(f"{path}:{line}: profile may not import {name}")
     assert not wrong, "\n".join(wrong)
+
+
+def room_of(dotted: str) -> str:
+    """The folder of a module; a package is in its own."""
+    path = ROOT.joinpath(*dotted.split("."))
+    return (path if path.is_dir() else path.parent).relative_to(ROOT / "dpstack").as_posix()
+
+
+def modules_named(path: Path) -> Iterator[str]:
+    """What ``path`` imports of ours, ``from package import module`` as that module."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names if alias.name.startswith("dpstack."))
+        elif isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("dpstack"):
+            for alias in node.names:
+                dotted = f"{node.module}.{alias.name}"
+                yield dotted if exists(dotted) else node.module
+
+
+def test_rooms_import_downwards() -> None:
+    floor = {room: number for number, rooms in enumerate(FLOORS) for room in rooms}
+    upwards: dict[str, set[str]] = {}
+    for path in modules(ROOT / "dpstack"):
+        own = path.parent.relative_to(ROOT / "dpstack").as_posix()
+        for name in modules_named(path):
+            room = room_of(name)
+            if "." not in (own, room) and own != room and floor[room] >= floor[own]:
+                dotted = ".".join(path.relative_to(ROOT / "dpstack").with_suffix("").parts)
+                upwards.setdefault(dotted, set()).add(name.removeprefix("dpstack."))
+    assert upwards == UPWARDS
+
+
+@pytest.mark.parametrize("room", [room for rooms in FLOORS for room in rooms])
+def test_each_room_has_a_map(room: str) -> None:
+    folder = ROOT / "dpstack" / room
+    text = ast.get_docstring(ast.parse((folder / "__init__.py").read_text(encoding="utf-8"))) or ""
+    listed = re.findall(r"^- ``([\w/]+)``: ", text, re.MULTILINE)
+    rooms = sorted(f"{path.parent.name}/" for path in folder.glob("*/__init__.py"))
+    assert listed == rooms + sorted(path.stem for path in folder.glob("*.py") if path.stem != "__init__")
 
 
 @pytest.mark.parametrize(

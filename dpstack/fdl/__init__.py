@@ -1,1 +1,15 @@
-"""FDL: telegrams, codec, token ring, active and passive stations."""
+"""FDL: telegrams, codec, token ring, active and passive stations.
+
+- ``active/``: The active station: token, exchange, ring
+- ``passive/``: Passive stations
+- ``baud_evidence``: What a baud rate is recognised by: the confidence rule
+- ``baud_search``: Finding the baud rate by listening only
+- ``codec``: Telegrams to octets and back: SD1, SD2, SD3, SD4 and SC, the FC octet, address extension octets, FCS
+- ``commands``: Orders to a station: to an active one's link layer, and what is done at a passive one itself
+- ``decoder``: Octets as they arrive to telegrams: incremental, driven by length, resynchronising octet by octet
+- ``describe``: Telegrams and wire logs in words, for people
+- ``events``: What the link layer tells
+- ``interface``: What the link layer asks of its users, of a slave's application, and the medium of a station
+- ``livelist``: The live list: which stations 0..126 are on the bus, of what type and how ready, asked by FDL status
+- ``telegram``: FDL telegrams as values: kinds, function codes, service access points
+"""

@@ -6,6 +6,27 @@
 ``rfc2217://host:port``     the same with the rate set over the network (pyserial)
 ``pty``                     a pty made here; its other end is a serial port for any other program
 ==========================  =====================================================================================
+
+- ``adapters``: Which serial adapters there are, and what one of them can do
+- ``base``: What every port offers: octets in and out of one line. No protocol and no clock; waiting is the driver's
+- ``fdport``: Ports that are a file descriptor: the lean path of Linux ttys, ptys and sockets
+- ``holders``: Who holds a port: by the lock dpstack and pyserial set, and by who has it open
+- ``marks``: Takes the marks of damaged characters out of what a tty delivers (PARMRK), in front of the decoder
+- ``memory``: Two ports joined in memory, in one event loop: for tests and for programs that are both ends themselves
+- ``pacing``: Octets that take their time: delivered in slices, each when its last bit would be on the wire
+- ``posix``: Modules that only POSIX systems have (``fcntl``, ``termios``, ``grp``), imported where they are
+- ``pty``: ``--port pty``: a pty made here, whose other end any program may open as its serial port
+- ``ptymaster``: The master end of a pty: who is at the other end, and what that end is set to
+- ``pyserial``: Serial ports through pyserial-asyncio: Windows, macOS, the BSDs
+- ``rfc2217``: ``rfc2217://host:port``: a serial port of another machine, its rate and parity set over the network
+- ``runtime_dir``: The user's runtime directory: where sockets and links of running programs live, for this user alone
+- ``sysfs``: What sysfs knows and sets of a serial adapter: driver, USB identity
+- ``tcp``: ``socket://host:port``: a serial line behind a TCP server (ser2net, an Ethernet-to-serial converter)
+- ``termios2``: Linux ``termios2``: raw 8E1 at any rate in one call, and what a tty is really set to
+- ``timerfd``: A Linux timerfd: a deadline in nanoseconds that an event loop waits for like for a port
+- ``tty``: A serial port on Linux: 8E1 raw at any rate, read back, exclusive
+- ``tuning``: Makes an open serial port quick and fit for RS-485, and leaves it as it was found
+- ``uart``: What a Linux serial driver can do beyond termios, by ioctl: low latency, RS-485, error counters
 """
 
 from __future__ import annotations

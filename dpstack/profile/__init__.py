@@ -1,4 +1,13 @@
-"""What a drive plugin is written against: declared words, states and parameters, the two ends, the registry."""
+"""What a drive plugin is written against: declared words, states and parameters, the two ends, the registry.
+
+- ``channel/``: The parameter channel in a drive's cyclic data
+- ``master/``: The master's end of a drive
+- ``model/``: What a drive plugin declares: words, states, parameters, telegrams
+- ``record47/``: PROFIdrive's parameter channel over DP-V1, record 47: both ends as pure machines
+- ``simulator/``: The simulated drive
+- ``declared``: A plugin as a declaration: words, scales, states, safe outputs, texts and parameters
+- ``registry``: Drives by name, found by the entry point group ``dpstack.drives``; any installed package can add one
+"""
 
 from dpstack.dp.process_image import CyclicUnit
 from dpstack.dp.slave.device import Device, Leave

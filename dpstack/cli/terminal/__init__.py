@@ -1,1 +1,8 @@
-"""What commands share of the terminal: output, reports, signals."""
+"""What commands share of the terminal: output, reports, signals.
+
+- ``lost_stdout``: Standard output and standard error as they really are: closed from the start, lost in the middle
+- ``nonblocking_stdout``: Standard streams that never hold the program up
+- ``output``: Words, tables, JSON lines and bars of progress: colours and bars on a terminal, plain lines elsewhere
+- ``report``: What a running bus tells: JSON lines, or lines for people; the summary at the end
+- ``signals``: SIGINT, SIGTERM and SIGHUP, and output that nobody takes: the ways in which a command is told to end
+"""

@@ -1,1 +1,9 @@
-"""The octets of DP-V0: requests, diagnosis, and what they mean."""
+"""The octets of DP-V0: requests, diagnosis, and what they mean.
+
+- ``diag_bits``: Every bit of the diagnosis in one table: who sets it, what the master does about it
+- ``diag_blocks``: The blocks of the extended diagnosis, read and made: device, identifier, channel related, revision
+- ``diag_texts``: The blocks of an extended diagnosis in words: the standard's, and those of the device's GSD file
+- ``diagnosis``: The diagnosis of a slave: the six fixed octets, and the blocks that may follow
+- ``layouts``: The octets of the DP services, declared once with construct behind a typed wrapper
+- ``requests``: The request PDUs of DP-V0: Set_Prm, Global_Control and Set_Slave_Add
+"""

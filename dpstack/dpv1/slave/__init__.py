@@ -1,1 +1,10 @@
-"""The slave's end of DP-V1: records, alarms, connections."""
+"""The slave's end of DP-V1: records, alarms, connections.
+
+- ``alarms``: Alarms and status messages of a slave: raised by its application, shown in the diagnosis
+- ``ms1``: MS1 of a slave: requests come in, records answer now or later, the master polls for the answer
+- ``ms2_connection``: One class 2 connection at the slave, from Initiate to whatever ends it
+- ``ms2_states``: The states of one class 2 connection at the slave as a table: what is heard, what is done
+- ``record_requests``: One request for a record and the way its answer goes: the same for MS1 and MS2, whoever asks
+- ``record_table``: Records that a slave has without a function of its own: a table of octets, and I&M at index 255
+- ``resource_manager``: MS2 of a slave: the resource manager at SAP 49, the connections that it gives out
+"""

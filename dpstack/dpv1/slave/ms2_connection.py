@@ -1,4 +1,4 @@
-"""One class 2 connection at the slave, from Initiate to whatever ends it. The table is in ms2_server_states."""
+"""One class 2 connection at the slave, from Initiate to whatever ends it. The table is in ms2_states."""
 
 from __future__ import annotations
 

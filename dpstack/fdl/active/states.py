@@ -184,6 +184,14 @@ def _rows() -> list[Row]:
 
 TABLE: Final[tuple[Row, ...]] = tuple(_rows())
 
+#: where the handlers of a short name stand
+_MODULES: Final = {
+    "idle": "listen_idle_claim",
+    "hold": "use_token",
+    "exchange": "exchange",
+    "passing": "pass_token",
+}
+
 H = TypeVar("H", bound=Callable[..., None])
 
 
@@ -223,9 +231,10 @@ def render() -> str:
         lines.append(f"    {_title(state.name)} --> {_title(target.name)}: {', '.join(names)}")
     lines += ["```", "", "| state | input | what is done | next | handler | source |", "|---|---|---|---|---|---|"]
     for row in TABLE:
+        module, handler = row.handler.split(".")
         targets = ", ".join(_title(s.name) for s in row.next)
         lines.append(
             f"| {_title(row.state.name)} | {row.input.name.lower()} | {row.does} | {targets} "
-            f"| `active_{row.handler}` | {row.source} |"
+            f"| `{_MODULES[module]}.{handler}` | {row.source} |"
         )
     return "\n".join(lines) + "\n"

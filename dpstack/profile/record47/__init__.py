@@ -1,8 +1,14 @@
 """PROFIdrive's parameter channel over DP-V1, record 47: both ends as pure machines.
 
-``record47``: the octets; ``formats``: of values; ``client``: asks, splits, waits; ``lists``: what a drive
-tells of itself; ``access``, ``choice``: for drive plugins; ``server``, ``model``: the drive's end; ``services``: what
-carries them.
+- ``client``: The master's end of record 47: a Write, then Reads until the drive has its response ready
+- ``drive_access``: Parameters over record 47 as orders of a drive plugin: named, scaled
+- ``formats``: The formats of values in record 47: number, octets of one value, and what its octets mean
+- ``param_lists``: What a drive tells of itself over record 47: its limits (974), the list of its parameters
+- ``pdu``: The octets of record 47, the parameter access of PROFIdrive's base mode: requests and responses, both ends
+- ``server``: The drive's end of record 47: takes a request by Write, carries it out, gives the response by Read
+- ``server_model``: A drive's parameters over its ParamStore, as record 47 shows them
+- ``split``: Any number of parameters as requests that the drive takes, and their answers put together again
+- ``transport``: The services that record 47 travels by, as a talk: who wants them says which
 """
 
 from dpstack.dpv1.master.plugin_queue import ReadReq, RecordQueue, WriteReq
