@@ -95,8 +95,9 @@ def read_gsd_slave(table: Table, path: str, preset: Callable[[Device], Configura
     notes = list(configuration.notes)
     differing = [contradiction for contradiction in prm.contradictions() if contradiction.matters]
     if differing and octets is None and reading is Reading.REFS and "defaults" not in table:
+        count = f"{len(differing)} parameters" if len(differing) > 1 else "one parameter"
         notes.append(
-            f"in its GSD file the defaults of {len(differing)} parameters contradict the constant octets (the first: "
+            f"in its GSD file the defaults of {count} contradict the constant octets (the first: "
             f'{differing[0].text}); the defaults are used, defaults = "const" takes the constants'
         )
     note = _other_reading(table, configuration, reading, prm) if octets is None else ""
