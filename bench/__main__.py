@@ -1,4 +1,4 @@
-"""``python -m bench [NAME] [--json]``, ``python -m bench compare NAME [FILE] [FILE]``."""
+"""``python -m bench [NAME] [--json]``, ``python -m bench compare NAME [FILE] [FILE] [--commit OLD]``."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Final
 from bench.compare import compare, load_reference, load_report, reference_of, save
 from bench.plot import PlotError, plot
 from bench.report import Report
+from bench.rounds import compare_with_commit
 
 #: name -> (module with ``run(argv) -> Report``, what it measures)
 BENCHMARKS = {
@@ -24,7 +25,7 @@ BENCHMARKS = {
     "scale": ("bench.scale", "what one exchange costs the master, from 1 to 100 slaves"),
     "startup": ("bench.startup", "time until 32 slaves are in data exchange"),
     "usb": ("bench.usb", "the rotation behind a USB adapter's habits: wire, adapter and stack apart"),
-    "virtual": ("bench.virtual", "simulated seconds of the bus per second of CPU time"),
+    "virtual": ("bench.virtual", "the CPU time of an exchange and of a second of the simulated bus"),
 }
 
 _EPILOG: Final = """\
@@ -33,6 +34,7 @@ python -m bench rotation --save                becomes the stored reference, ben
 python -m bench compare rotation               runs it and compares it with the stored reference
 python -m bench compare rotation now.json      compares a file with the stored reference
 python -m bench compare rotation a.json b.json compares two files, the older first
+python -m bench compare virtual --commit OLD   measures a commit and the tree as it stands in turn
 """
 
 
@@ -93,11 +95,21 @@ def _compare(argv: list[str], *, as_json: bool) -> int:
     parser = argparse.ArgumentParser(prog="python -m bench compare", epilog="1: something became worse beyond noise")
     parser.add_argument("name")
     parser.add_argument("file", nargs="*", type=Path, help="none: run it now; one: that one; two: older and newer")
+    parser.add_argument("--commit", metavar="OLD", help="measure this commit and the tree as it stands in turn")
+    parser.add_argument("--rounds", type=int, help="with --commit, 10 at least")
     args = parser.parse_args(argv)
     if len(args.file) > 2:
         raise ValueError("compare takes at most two files")
     if args.name not in BENCHMARKS:
         raise ValueError(f"no benchmark {args.name!r}; there are: {', '.join(BENCHMARKS)}")
+    if args.commit is not None:
+        if args.file:
+            raise ValueError("compare takes files or --commit, not both")
+        result = compare_with_commit(args.name, args.commit, args.rounds)
+        print(result.as_json() if as_json else result.as_text())
+        return 1 if result.slower else 0
+    if args.rounds is not None:
+        raise ValueError("--rounds belongs to --commit")
     old = load_report(args.file[0]) if len(args.file) == 2 else load_reference(args.name)
     new = load_report(args.file[-1]) if args.file else run(args.name, [])
     return _told(old, new, as_json=as_json)

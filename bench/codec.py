@@ -2,7 +2,7 @@
 
 Encoding is from fields to octets, decoding from octets to fields with everything checked; data and FCB are other ones
 in every call, as on a bus. Every program first has to make the same octets, and to find the same data in them. Times
-are CPU time; dpstack keeps the heads of telegrams it has made before, as in a running master.
+are CPU time, in Python loops; dpstack keeps the heads of telegrams it has made before, as in a running master.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from typing import Any, Final, NamedTuple, cast
 
 import construct as c
 
+from bench.calibration import Beside
 from bench.report import Report
 from dpstack.fdl.codec import decode, encode, encode_token, request_octets
 from dpstack.fdl.telegram import SHORT_ACK, Kind
-from dpstack.units import NS_PER_US
 
 Call = Callable[[], object]
 #: encoding (None: that is never sent) and decoding of one telegram
@@ -176,24 +176,27 @@ def run(argv: Sequence[str]) -> Report:
     args = parser.parse_args(argv)
     found, notes = subjects()
     report = Report("codec", notes=notes)
-    rounds = [[_time(subject.calls, args.loops) for subject in found] for _ in range(args.rounds)]
+    beside = Beside()
+    rounds = [[beside(partial(_time, subject.calls, args.loops)) for subject in found] for _ in range(args.rounds)]
+    report.calibrated("Python", beside.loops)
     times = dict(zip(found, zip(*rounds, strict=True), strict=True))
     own = {(s.title, s.does): each for s, each in times.items() if s.who == "dpstack"}
     for subject, each in times.items():
         name = f"{subject.title}: {subject.does}, {subject.who}"
-        report.measured(name, each, "us")
+        report.in_loops(name, each)
         mine = own.get((subject.title, subject.does))
         if subject.who != "dpstack" and mine is not None:
-            report.measured(f"{name} to dpstack", [a / b for a, b in zip(each, mine, strict=True)], "")
+            ratios = [(a / loop) / (b / own_loop) for (a, loop), (b, own_loop) in zip(each, mine, strict=True)]
+            report.measured(f"{name} to dpstack", ratios, "", more=True)
     report.notes.append("dpstack never sends SD3; pyprofibus and construct do not judge addresses and FC")
     return report
 
 
 def _time(calls: Sequence[Call], loops: int) -> float:
-    """CPU time of one call in us."""
+    """CPU time of one call in ns."""
     turns = max(1, loops // len(calls))
     begin = time.process_time_ns()
     for _ in range(turns):
         for call in calls:
             call()
-    return max(1, time.process_time_ns() - begin) / NS_PER_US / (turns * len(calls))
+    return max(1, time.process_time_ns() - begin) / (turns * len(calls))

@@ -22,7 +22,7 @@ class Verdict(Enum):
     SAME = "same"  # within the noise of the rounds
     BETTER = "BETTER"
     WORSE = "WORSE"
-    UNKNOWN = "?"  # no rounds: nothing is known of the noise
+    UNKNOWN = "?"  # no rounds: nothing is known of the noise; or the units differ
     GONE = "gone"
     NEW = "new"
 
@@ -100,7 +100,7 @@ def _change(name: str, old: Figure | None, new: Figure | None) -> Change:
         assert known is not None
         verdict = Verdict.NEW if old is None else Verdict.GONE
         return Change(name, known.unit, old.value if old else None, new.value if new else None, None, None, verdict)
-    ratio = new.value / old.value if old.value else None
+    ratio = new.value / old.value if old.value and old.unit == new.unit else None
     spreads = (old.spread, new.spread)
     noise = None if None in spreads else max(_LEAST, sum(s for s in spreads if s is not None))
     return Change(name, new.unit, old.value, new.value, ratio, noise, _verdict(ratio, noise, new.more))

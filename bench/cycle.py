@@ -4,7 +4,7 @@ Turn-around is from the return of the read with an answer's last octet to the re
 with every rule of the standard in force, T_ID1 among them; it is taken inside the master's process. Once a round the
 token to itself lies between, with a T_ID1 of its own: those turn-arounds are reported apart (with one slave there are
 no others). Whole exchanges are counted by the other end, a table of octets in a process of its own, beside a bare loop
-and pyprofibus there. Durations are multiples of the calibration loop of the same round.
+and pyprofibus there. Turn-arounds are given in pipe loops, CPU times in Python loops of the same round.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ import argparse
 from collections.abc import Sequence
 from typing import Final
 
-from bench.calibration import calibrate
+from bench.calibration import PIPE, Speeds, speeds
 from bench.masters import DRIVERS, KINDS
 from bench.report import Report, quantile
 from bench.rig import Processors, Taken, available, bench, note_disturbance, one_round, pinned
 from dpstack.params import BusParams
 
 _BAUD: Final = 12_000_000
-#: turn-around in calibration loops
+#: turn-around in pipe loops
 _GOALS: Final = {"asyncio": 30.0, "process": 18.0}
 #: with so many slaves whole exchanges shall be faster than pyprofibus's
 _GOAL_SLAVES: Final = 16
@@ -38,12 +38,13 @@ def run(argv: list[str]) -> Report:
     with pinned() as where:
         report.notes.append(where.text)
         kinds = available(args.kinds, report.notes)
-        loops: list[float] = []
+        loops: list[Speeds] = []
         taken: dict[tuple[str, int], list[Taken]] = {(kind, n): [] for n in args.slaves for kind in kinds}
         for _ in range(args.rounds):
-            loops.append(calibrate(rounds=5))
+            loops.append(speeds())
             one_round(taken, lambda kind, n: _measure(kind, n, args.seconds, where), report.notes)
-        report.measured("calibration loop", [loop / 1000 for loop in loops], "us")
+        report.calibrated("Python", [loop.python for loop in loops])
+        report.calibrated("pipe", [loop.pipe for loop in loops])
         for (kind, n), rounds in taken.items():
             _add(report, kind, n, rounds, loops)
         for n in args.slaves:
@@ -59,19 +60,22 @@ def _measure(kind: str, slaves: int, seconds: float, where: Processors) -> Taken
         return running.measure(seconds)
 
 
-def _add(report: Report, kind: str, slaves: int, rounds: Sequence[Taken], loops: Sequence[float]) -> None:
+def _add(report: Report, kind: str, slaves: int, rounds: Sequence[Taken], loops: Sequence[Speeds]) -> None:
     title = f"{kind}, {slaves} slave{'s' if slaves > 1 else ''}"
     pairs = list(zip(rounds, loops, strict=True))
     # with one slave only those before a Global_Control are left: too few, and another thing
-    plain = [(t.turns, loop) for t, loop in pairs if len(t.turns) > len(t.token_turns) // 2]
+    plain = [(t.turns, loop.pipe) for t, loop in pairs if len(t.turns) > len(t.token_turns) // 2]
+    token = [(t.token_turns, loop.pipe) for t, loop in pairs if t.token_turns]
     if kind in DRIVERS:
-        for q, goal in ((0.5, _GOALS[kind]), (0.99, None)):
-            values = [quantile(turns, q) / loop for turns, loop in plain]
-            report.measured(f"{title}: turn-around p{q * 100:.0f}", values, "loops", goal)
-        values = [quantile(t.token_turns, 0.5) / loop for t, loop in pairs if t.token_turns]
-        report.measured(f"{title}: with the token to itself between p50", values, "loops")
-    values = [t.cpu / max(t.exchanges, 1) / loop for t, loop in pairs]
-    report.measured(f"{title}: CPU time per exchange", values, "loops")
+        for name, q, taken, goal in (
+            ("turn-around p50", 0.5, plain, _GOALS[kind]),
+            ("turn-around p99", 0.99, plain, None),
+            ("with the token to itself between p50", 0.5, token, None),
+        ):
+            times = [(float(quantile(turns, q)), loop) for turns, loop in taken]
+            report.in_loops(f"{title}: {name}", times, goal, unit=PIPE)
+    cpu = [(t.cpu / max(t.exchanges, 1), loop.python) for t, loop in pairs]
+    report.in_loops(f"{title}: CPU time per exchange", cpu)
     report.measured(f"{title}: exchanges per second", [t.exchanges / t.seconds for t in rounds], "1/s", more=True)
 
 

@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from statistics import median
 from typing import cast
 
+from bench.calibration import PYTHON
 from bench.machine import load, machine
 
 
@@ -17,7 +18,7 @@ class Figure:
     """One figure; ``goal`` is a bound where the project has set one: an upper, where ``more`` is better a lower one.
 
     ``rounds`` are the values of the single rounds that ``value`` sums up, empty where there was one only. ``exact``: it
-    is the same on every machine, however busy.
+    is the same on every machine, however busy. ``raw_us``: of a figure in calibration loops, its rounds in us.
     """
 
     name: str
@@ -27,6 +28,7 @@ class Figure:
     more: bool = False
     rounds: tuple[float, ...] = ()
     exact: bool = False
+    raw_us: tuple[float, ...] = ()
 
     @property
     def met(self) -> bool | None:
@@ -83,6 +85,24 @@ class Report:
         if rounds:
             self.add(name, median(rounds), unit, goal, more=more, rounds=rounds)
 
+    def in_loops(
+        self,
+        name: str,
+        times_ns: Sequence[tuple[float, float]],
+        goal: float | None = None,
+        *,
+        unit: str = PYTHON,
+    ) -> None:
+        """One more figure: ``times_ns`` are durations, each with the calibration loop of its round."""
+        if times_ns:
+            rounds = [ns / loop for ns, loop in times_ns]
+            raw_us = tuple(ns / 1000 for ns, _ in times_ns)
+            self.figures.append(Figure(name, median(rounds), unit, goal, rounds=tuple(rounds), raw_us=raw_us))
+
+    def calibrated(self, name: str, loops_ns: Sequence[float]) -> None:
+        """The calibration loop ``name`` itself, in microseconds."""
+        self.measured(f"{name} calibration", [ns / 1000 for ns in loops_ns], "us")
+
     def exact(self, name: str, value: float, unit: str, goal: float | None = None, *, more: bool = False) -> None:
         """One more figure of virtual time."""
         self.figures.append(Figure(name, value, unit, goal, more, exact=True))
@@ -108,6 +128,7 @@ class Report:
                     "rounds": [_rounded(v) for v in f.rounds],
                 }
                 | ({"exact": True} if f.exact else {})
+                | ({"raw_us": [_rounded(v) for v in f.raw_us]} if f.raw_us else {})
                 for f in self.figures
             },
             "busy": self.busy,
@@ -135,7 +156,7 @@ class Report:
             spread = "" if f.spread is None or f.exact else f"  +-{f.spread / 2:.0%}"
             bound = "" if f.goal is None else f"   goal {'at least' if f.more else 'at most'} {f.goal:g}: "
             verdict = "" if f.goal is None else "not judged" if not self._judged(f) else "met" if f.met else "MISSED"
-            lines.append(f"  {f.name:<{width}}  {f.value:>10.2f} {f.unit}{spread}{bound}{verdict}")
+            lines.append(f"  {f.name:<{width}}  {f.value:>10.2f} {f.unit}{spread}{_raw(f)}{bound}{verdict}")
         return "\n".join(lines + [f"  {note}" for note in self.notes])
 
 
@@ -161,11 +182,21 @@ def report_of(data: Mapping[str, object]) -> Report:
                     bool(each["more"]),
                     tuple(cast(list[float], each["rounds"])),
                     bool(each.get("exact", False)),
+                    tuple(cast(list[float], each.get("raw_us", []))),
                 )
             )
     except (KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"no report of a benchmark: {error!r}") from None
     return report
+
+
+def _raw(figure: Figure) -> str:
+    return f"  ({duration_text(median(figure.raw_us))})" if figure.raw_us else ""
+
+
+def duration_text(us: float) -> str:
+    """Microseconds in the unit that people would use."""
+    return f"{us:.2f} us" if us < 1e4 else f"{us / 1e3:.1f} ms" if us < 1e7 else f"{us / 1e6:.1f} s"
 
 
 def _rounded(value: float) -> float:

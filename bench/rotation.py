@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from statistics import median
 from typing import Final
 
+from bench.calibration import calibrate_python
 from bench.masters import DRIVERS, KINDS
 from bench.records import middle, pty_share, rotations
 from bench.report import Report, quantile
@@ -61,8 +62,11 @@ def _at(report: Report, baud: int, args: argparse.Namespace, kinds: Sequence[str
         with bench(kind, slaves, baud, where, gap=0) as running:
             return running.measure(seconds)
 
+    loops: list[float] = []
     for _ in range(args.rounds):
+        loops.append(calibrate_python())
         one_round(cases, measure, report.notes)
+    report.calibrated(f"{baud_text(baud)}: Python", loops)
     taken = {kind: runs for (kind, _), runs in cases.items()}
     at = baud_text(baud)
     report.add(f"{at}: rotation by the rules", params.ns(ruled) / 1000, "us")
@@ -75,7 +79,8 @@ def _at(report: Report, baud: int, args: argparse.Namespace, kinds: Sequence[str
         title = f"{at}, {kind}"
         if kind != "pyprofibus":
             _efficiency(report, title, kind, baud, args.slaves, runs, share)
-        report.measured(f"{title}: CPU time per exchange", [t.cpu / max(t.exchanges, 1) / 1000 for t in runs], "us")
+        cpu = [(t.cpu / max(t.exchanges, 1), loop) for t, loop in zip(runs, loops, strict=True)]
+        report.in_loops(f"{title}: CPU time per exchange", cpu)
     for kind in DRIVERS:
         if kind in taken and "pyprofibus" in taken:
             ratios = [

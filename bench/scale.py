@@ -15,11 +15,11 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
-from statistics import median
 from typing import Final
 
-from bench.calibration import calibrate
+from bench.calibration import Beside
 from bench.null_medium import NullBus
 from bench.report import Report
 from dpstack.dp.master.commands import Mode, SetMode
@@ -33,7 +33,6 @@ from dpstack.fdl.commands import GoOnline
 from dpstack.params import BusParams
 from dpstack.ports.pty import PtyPort
 from dpstack.trace import Event
-from dpstack.units import NS_PER_US
 
 _RESPONDER: Final = Path(__file__).resolve().parent.parent / "tests" / "support_responder.py"
 _PTY_BAUD: Final = 12_000_000
@@ -88,6 +87,10 @@ async def over_pty(slaves: int, seconds: float) -> float:
     return cpu / done
 
 
+def _over_pty(slaves: int, seconds: float) -> float:
+    return asyncio.run(over_pty(slaves, seconds))
+
+
 def run(argv: Sequence[str]) -> Report:
     """The benchmark with its own options."""
     parser = argparse.ArgumentParser(prog="python -m bench scale")
@@ -99,31 +102,30 @@ def run(argv: Sequence[str]) -> Report:
     args = parser.parse_args(argv)
     counts = sorted({1, *args.slaves})
     report = Report("scale")
-    loops: list[float] = []
     buses = {n: NullBus(n) for n in counts}
     for bus in buses.values():
         bus.bring_up()
-    null: dict[int, list[float]] = {n: [] for n in counts}
-    pty: dict[int, list[float]] = {n: [] for n in counts}
+    null: dict[int, list[tuple[float, float]]] = {n: [] for n in counts}
+    pty: dict[int, list[tuple[float, float]]] = {n: [] for n in counts}
+    beside = Beside()
     for _ in range(args.rounds):
-        loops.append(calibrate(3))
         for n, bus in buses.items():
-            null[n].append(bus.measure(args.exchanges))
+            null[n].append(beside(partial(bus.measure, args.exchanges)))
     if args.seconds and hasattr(os, "openpty"):
         for _ in range(args.pty_rounds):
             for n in counts:
-                pty[n].append(asyncio.run(over_pty(n, args.seconds)))
+                pty[n].append(beside(partial(_over_pty, n, args.seconds)))
     else:
         report.notes.append("without a pty")
-    loop = median(loops)
-    report.measured("calibration loop", [ns / NS_PER_US for ns in loops], "us")
+    report.calibrated("Python", beside.loops)
     for medium, times in (("no medium", null), ("pty", pty)):
         for n, each in times.items():
             name = f"{medium}, {n} slave{'s' if n > 1 else ''}: CPU time"
-            report.measured(f"{name} per exchange", [ns / loop for ns in each], "loops")
+            report.in_loops(f"{name} per exchange", each)
             if n > 1:
                 pairs = list(zip(each, times[1], strict=True))
-                report.measured(f"{name} per exchange to one slave's", [ns / one for ns, one in pairs], "", _GOAL)
-                more = [(n * ns - one) / (n - 1) / loop for ns, one in pairs]
-                report.measured(f"{name} of one slave more", more, "loops")
+                ratios = [(ns / loop) / (one / one_loop) for (ns, loop), (one, one_loop) in pairs]
+                report.measured(f"{name} per exchange to one slave's", ratios, "", _GOAL)
+                more = [((n * ns - one * loop / one_loop) / (n - 1), loop) for (ns, loop), (one, one_loop) in pairs]
+                report.in_loops(f"{name} of one slave more", more)
     return report

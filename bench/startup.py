@@ -2,19 +2,27 @@
 
 *Program* is the interpreter and its imports; *opening* from there until the port is open: the configuration, and the
 start of the bus process where there is one; *listening* until the first telegram; *claim* from there until the token
-is this master's; *bring-up* until the last slave is in data exchange, by the times of the events.
+is this master's; *bring-up* until the last slave is in data exchange, by the times of the events. Listening and claim
+last as long as the bus's timers and are in ms, the rest is in Python loops. Commands that only start are measured
+besides: their CPU time, and how many modules they import.
 """
 
 from __future__ import annotations
 
 import argparse
+from functools import partial
 from typing import Final, cast
 
+from bench.calibration import Beside
+from bench.commit_probe import COMMANDS, command_ns, modules
 from bench.masters import DRIVERS
 from bench.report import Report
 from bench.rig import Bench, Processors, available, bench, pinned
+from dpstack.units import NS_PER_MS
 
 _PARTS: Final = ("program", "opening", "listening", "claim", "bring-up", "all")
+#: these last as long as the bus's timers
+_BUS_TIME: Final = ("listening", "claim")
 
 
 def run(argv: list[str]) -> Report:
@@ -29,13 +37,25 @@ def run(argv: list[str]) -> Report:
     with pinned() as where:
         report.notes.append(where.text)
         kinds = available(args.kinds, report.notes)
-        runs: dict[str, list[dict[str, float]]] = {kind: [] for kind in kinds}
+        beside = Beside()
+        commands: dict[str, list[tuple[float, float]]] = {words: [] for words in COMMANDS}
+        runs: dict[str, list[tuple[dict[str, float], float]]] = {kind: [] for kind in kinds}
         for _ in range(args.rounds):
+            for words, times in commands.items():
+                times.append(beside(partial(command_ns, words)))
             for kind, parts in runs.items():
-                parts.append(_measure(kind, args.slaves, args.baud, where))
+                parts.append(beside(partial(_measure, kind, args.slaves, args.baud, where)))
+        report.calibrated("Python", beside.loops)
+        for words, times in commands.items():
+            report.in_loops(f"dpstack {words}: CPU time", times)
+        report.exact("dpstack --version: modules of ours", modules(), "")
         for kind, parts in runs.items():
             for name in _PARTS:
-                report.measured(f"{kind}, {args.slaves} slaves: {name}", [part[name] for part in parts], "ms")
+                title = f"{kind}, {args.slaves} slaves: {name}"
+                if name in _BUS_TIME:
+                    report.measured(title, [part[name] for part, _ in parts], "ms")
+                else:
+                    report.in_loops(title, [(part[name] * NS_PER_MS, loop) for part, loop in parts])
     return report
 
 

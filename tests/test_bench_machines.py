@@ -46,7 +46,7 @@ def test_scale_gives_the_cost_of_an_exchange_and_of_one_slave_more() -> None:
     report = scale.run(["--slaves", "3", "--exchanges", "30", "--rounds", "1", "--seconds", "0"])
     values = figures(report)
     assert set(values) == {
-        "calibration loop",
+        "Python calibration",
         "no medium, 1 slave: CPU time per exchange",
         "no medium, 3 slaves: CPU time per exchange",
         "no medium, 3 slaves: CPU time per exchange to one slave's",
@@ -65,15 +65,16 @@ def test_scale_over_a_pty() -> None:
 def test_virtual_measures_drives_and_mirrors_under_the_referee() -> None:
     values = figures(virtual.run(["--drives", "2", "--slaves", "1", "2", "--rounds", "1", "--ms", "20"]))
     assert set(values) == {
-        "2 demag-dedrive, PPO1: simulated seconds per second of CPU",
+        "Python calibration",
+        "2 demag-dedrive, PPO1: CPU time of a simulated second",
         "2 demag-dedrive, PPO1: CPU per exchange, both ends and the wire",
-        "1 mirror: simulated seconds per second of CPU",
+        "1 mirror: CPU time of a simulated second",
         "1 mirror: CPU per exchange, both ends and the wire",
-        "2 mirrors: simulated seconds per second of CPU",
+        "2 mirrors: CPU time of a simulated second",
         "2 mirrors: CPU per exchange, both ends and the wire",
         "CPU per exchange, 2 mirrors to 1",
     }
-    assert values["1 mirror: simulated seconds per second of CPU"] > 0
+    assert values["1 mirror: CPU time of a simulated second"] > 0
 
 
 def test_the_medium_without_cost_brings_everybody_into_data_exchange_and_keeps_the_rules() -> None:

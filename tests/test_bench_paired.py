@@ -1,0 +1,527 @@
+"""A commit and the tree measured in turn: ratios, intervals, verdicts, order, what is measured how, environments."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from math import inf
+from pathlib import Path
+
+import pytest
+
+from bench import __main__ as cli
+from bench import commit_probe, commits, rounds
+from bench.calibration import PIPE, PYTHON, Beside, Speeds, calibrate_python
+from bench.commits import Side
+from bench.loop_clock import LoopClock
+from bench.paired import (
+    PairedComparison,
+    Reading,
+    Round,
+    Run,
+    Verdict,
+    interval,
+    judged,
+    order,
+    pairs_of,
+    readings_of,
+    readings_of_probe,
+    take_rounds,
+    together,
+)
+from bench.report import Report
+from bench.rounds import PLANS, Commands, LacksError, Measured, Plan
+
+OLD = Side("0123456789ab", Path("old"), Path("old/python"))
+NEW = Side("the tree as it stands", Path("new"), Path("new/python"))
+STILL = Speeds(500.0, 800.0)
+
+
+def round_of(old: dict[str, Reading], new: dict[str, Reading], *speeds: Speeds) -> Round:
+    return Run(old, speeds[0] if speeds else STILL), Run(new, speeds[-1] if speeds else STILL)
+
+
+def rounds_of(values: Sequence[tuple[float, float]], reading: Reading) -> list[Round]:
+    return [round_of({"a": reading._replace(value=old)}, {"a": reading._replace(value=new)}) for old, new in values]
+
+
+# --- arithmetic ---
+
+
+@pytest.mark.parametrize(
+    ("count", "low", "high"),
+    [(7, 0.0, inf), (8, 1, 8), (10, 1, 10), (11, 1, 11), (12, 2, 11), (16, 3, 14), (20, 4, 17)],
+)
+def test_the_interval_is_that_of_the_sign_test_with_99_percent(count: int, low: float, high: float) -> None:
+    assert interval([float(n) for n in range(count, 0, -1)]) == (low, high)
+
+
+@pytest.mark.parametrize(
+    ("low", "middle", "high", "more", "verdict"),
+    [
+        (1.02, 1.05, 1.08, False, Verdict.SLOWER),
+        (0.92, 0.95, 0.98, False, Verdict.FASTER),
+        (1.02, 1.05, 1.08, True, Verdict.FASTER),
+        (0.92, 0.95, 0.98, True, Verdict.SLOWER),
+        (0.98, 1.05, 1.08, False, Verdict.NONE),
+        (1.001, 1.005, 1.02, False, Verdict.NONE),  # sure, and too little to matter
+        (1.0, 1.2, inf, False, Verdict.NONE),
+    ],
+)
+def test_a_verdict_needs_the_whole_interval_on_one_side(
+    low: float, middle: float, high: float, more: bool, verdict: Verdict
+) -> None:
+    assert judged(low, middle, high, more=more) is verdict
+
+
+def test_a_computer_that_becomes_slower_meets_both_sides() -> None:
+    """The new side needs a tenth more in every round, while the computer's speed halves again and again."""
+    taken = []
+    for n in range(10):
+        pace = 1.0 + n % 2
+        old, new = (Reading(10 * pace * more, "us", PYTHON) for more in (1.0, 1.1))
+        taken.append(round_of({"a": old}, {"a": new}, Speeds(500 * pace, 800.0)))
+    (pair,) = pairs_of(taken)
+    assert pair.ratios == pytest.approx([1.1] * 10)
+    assert (pair.low, pair.ratio, pair.high) == pytest.approx((1.1, 1.1, 1.1))
+    assert (pair.old, pair.new) == pytest.approx((15.0, 16.5))
+    assert pair.verdict is Verdict.SLOWER
+
+
+def test_each_figure_is_judged_in_its_own_calibration() -> None:
+    slow_python, slow_pipe = Speeds(1000.0, 800.0), Speeds(500.0, 1600.0)
+    figures = {
+        "cpu": Reading(10.0, "us", PYTHON),
+        "turn": Reading(10.0, "us", PIPE),
+        "wall": Reading(10.0, "us"),
+        "loops": Reading(10.0, PYTHON, PYTHON),
+    }
+    of_python = {p.name: p.ratio for p in pairs_of([round_of(figures, figures, STILL, slow_python)] * 10)}
+    assert of_python == {"cpu": 0.5, "turn": 1.0, "wall": 1.0, "loops": 1.0}
+    of_pipe = {p.name: p.ratio for p in pairs_of([round_of(figures, figures, STILL, slow_pipe)] * 10)}
+    assert of_pipe == {"cpu": 1.0, "turn": 0.5, "wall": 1.0, "loops": 1.0}
+
+
+def test_an_old_report_does_not_know_what_the_new_one_is_judged_in() -> None:
+    old, new = Reading(10.0, "us", ""), Reading(20.0, "us", PYTHON)
+    (pair,) = pairs_of([round_of({"a": old}, {"a": new}, STILL, Speeds(1000.0, 800.0))] * 10)
+    assert (pair.beside, pair.ratio) == (PYTHON, 1.0)
+
+
+def test_one_bad_round_of_twelve_does_not_hide_a_difference_and_does_not_make_one() -> None:
+    reading = Reading(0.0, "us", PYTHON)
+    (pair,) = pairs_of(rounds_of([(10.0, 11.0)] * 11 + [(10.0, 5.0)], reading))
+    assert pair.verdict is Verdict.SLOWER
+    noisy = [(10.0, 10.0 + 0.2 * (-1) ** n) for n in range(11)]
+    (pair,) = pairs_of(rounds_of([*noisy, (10.0, 30.0)], reading))
+    assert pair.verdict is Verdict.NONE
+
+
+def test_exact_figures_and_zeros() -> None:
+    exact = Reading(0.0, "us", exact=True)
+    (pair,) = pairs_of(rounds_of([(1000.0, 1001.0)] * 10, exact))
+    assert pair.verdict is Verdict.SLOWER  # virtual time has no noise
+    (pair,) = pairs_of(rounds_of([(0.0, 0.0)] * 10, exact))
+    assert (pair.ratio, pair.verdict) == (1.0, Verdict.NONE)
+    (pair,) = pairs_of(rounds_of([(0.0, 2.0)] * 10, exact))
+    assert (pair.ratio, pair.verdict) == (inf, Verdict.SLOWER)
+
+
+def test_only_what_both_sides_have_is_paired_and_units_must_be_the_same() -> None:
+    one = Reading(1.0, "us", PYTHON)
+    assert [p.name for p in pairs_of([round_of({"a": one, "old": one}, {"new": one, "a": one})] * 10)] == ["a"]
+    with pytest.raises(RuntimeError, match="a is in us on one side and in ratio on the other"):
+        pairs_of([round_of({"a": one}, {"a": Reading(1.0, "ratio")})] * 10)
+
+
+def test_all_figures_of_a_calibration_together() -> None:
+    taken = [
+        round_of(
+            {"a": Reading(10.0, "us", PYTHON), "b": Reading(10.0, "us", PYTHON), "c": Reading(1.0, "us", PIPE)},
+            {"a": Reading(40.0, "us", PYTHON), "b": Reading(10.0, "us", PYTHON), "c": Reading(9.0, "us", PIPE)},
+        )
+    ] * 10
+    (pair,) = together(taken, pairs_of(taken))
+    assert pair.name == "all 2 figures in Python loops together"
+    assert pair.ratio == pytest.approx(2.0)
+    assert pair.verdict is Verdict.SLOWER
+
+
+# --- rounds ---
+
+
+def test_the_order_alternates_and_calibrations_lie_between_the_runs() -> None:
+    told: list[str] = []
+    paces = iter(range(100))
+
+    def measure(side: int) -> dict[str, Reading]:
+        told.append("old" if side == 0 else "new")
+        return {}
+
+    def calibrate() -> Speeds:
+        told.append("calibrate")
+        return Speeds(float(next(paces)), 0.0)
+
+    taken = list(take_rounds(3, measure, calibrate, []))
+    assert [order(n) for n in range(3)] == [(0, 1), (1, 0), (0, 1)]
+    assert told == [
+        "calibrate", "old", "calibrate", "new", "calibrate",
+        "new", "calibrate", "old", "calibrate",
+        "old", "calibrate", "new", "calibrate",
+    ]  # fmt: skip
+    assert [(old.speeds.python, new.speeds.python) for old, new in taken] == [(0.5, 1.5), (3.5, 2.5), (4.5, 5.5)]
+
+
+def test_a_round_that_fails_is_taken_again_and_too_many_end_it() -> None:
+    def fails_in(*which: int) -> Iterator[bool]:
+        return iter([n in which for n in range(100)])
+
+    def taken(failures: Iterator[bool], notes: list[str]) -> list[Round]:
+        def measure(side: int) -> dict[str, Reading]:
+            if next(failures):
+                raise RuntimeError("slaves were lost")
+            return {}
+
+        return list(take_rounds(10, measure, lambda: STILL, notes))
+
+    notes: list[str] = []
+    assert len(taken(fails_in(2), notes)) == 10
+    assert notes == ["round 2 was taken again: slaves were lost"]
+    with pytest.raises(RuntimeError, match="too many rounds failed, the last one so: slaves were lost"):
+        taken(fails_in(*range(6)), [])
+
+
+# --- what reports say ---
+
+
+def test_reports_of_all_ages_give_durations_in_microseconds() -> None:
+    old = Report("scale")
+    old.measured("calibration loop", [0.8], "us")
+    old.measured("null: CPU time", [10.0], "loops")
+    old.measured("program", [2.0, 3.0, 4.0], "ms")
+    old.measured("10 drives: simulated seconds per second of CPU", [20.0], "s/s", more=True)
+    old.measured("SD1: encode, construct", [15.0], "us")
+    old.measured("rate", [7.0], "1/s", more=True)
+    old.exact("services", 3, "")
+    assert readings_of(old) == {
+        "null: CPU time": Reading(8.0, "us", PIPE),
+        "program": Reading(3000.0, "us"),
+        "10 drives: CPU time of a simulated second": Reading(50_000.0, "us", PYTHON),
+        "rate": Reading(7.0, "1/s", more=True),
+        "services": Reading(3, "", exact=True),
+    }
+    new = Report("scale")
+    new.calibrated("Python", [500.0])
+    new.in_loops("null: CPU time", [(8000.0, 500.0), (9000.0, 500.0), (10000.0, 400.0)])
+    assert readings_of(new) == {"null: CPU time": Reading(9.0, "us", PYTHON)}
+    assert readings_of(new, on_loop_clock=True) == {"null: CPU time": Reading(9.0, PYTHON, PYTHON)}
+
+
+def test_figures_in_loops_keep_their_durations_in_the_report() -> None:
+    report = Report("virtual")
+    report.in_loops("a", [(8000.0, 500.0), (9000.0, 500.0), (10000.0, 400.0)], 17.0)
+    (figure,) = report.figures
+    assert (figure.value, figure.unit, figure.rounds, figure.raw_us) == (18.0, PYTHON, (16, 18, 25), (8.0, 9.0, 10.0))
+    assert "18.00 Python loops  +-25%  (9.00 us)   goal at most 17: MISSED" in report.as_text()
+    assert json.loads(report.as_json())["figures"]["a"]["raw_us"] == [8.0, 9.0, 10.0]
+
+
+def test_the_comparison_is_told_in_words_and_as_json() -> None:
+    taken = [
+        round_of(
+            {"a": Reading(10.0, "us", PYTHON), "b": Reading(0.0, "")},
+            {"a": Reading(12.0, "us", PYTHON), "b": Reading(1.0, "")},
+        )
+    ] * 10
+    comparison = PairedComparison("virtual", ("0123456789ab", "the tree"), taken, pairs_of(taken), ["a note"])
+    text = comparison.as_text().splitlines()
+    assert text[0] == "virtual: 0123456789ab (old) and the tree (new), 10 rounds"
+    assert "Python calibration 0.50 us" in text[1]
+    assert text[4].split() == ["a", "10.00", "us", "12.00", "us", "1.200", "1.200", "to", "1.200", "slower"]
+    assert text[-1] == "  a note"
+    data = json.loads(comparison.as_json())
+    assert data["figures"]["a"]["verdict"] == "slower"
+    assert data["figures"]["b"]["ratio"] is None  # no number: JSON knows no infinity
+    assert data["slower"] == comparison.slower == ["a", "b"]
+
+
+# --- own benches and the probe ---
+
+
+class MadeUp(Commands):
+    """Figures instead of programs: an exception is raised."""
+
+    def __init__(self, own: Sequence[dict[str, float] | Exception], probe: Sequence[dict[str, float]]) -> None:
+        super().__init__("virtual", Plan(""))
+        self._made = {NEW: own[1], OLD: own[0]}
+        self._probed = {NEW: probe[1], OLD: probe[0]}
+        self.called: list[str] = []
+
+    def own(self, side: Side) -> dict[str, Reading]:
+        self.called.append(f"own {side.root}")
+        made = self._made[side]
+        if isinstance(made, Exception):
+            raise made
+        return {name: Reading(value, "us") for name, value in made.items()}
+
+    def probe(self, side: Side) -> dict[str, Reading]:
+        self.called.append(f"probe {side.root}")
+        return {name: Reading(value, "us") for name, value in self._probed[side].items()}
+
+
+def values(readings: dict[str, Reading]) -> dict[str, float]:
+    return {name: reading.value for name, reading in readings.items()}
+
+
+def test_what_both_own_benches_have_is_theirs_and_the_rest_is_probed_on_both_sides() -> None:
+    notes: list[str] = []
+    commands = MadeUp(
+        [{"both": 1, "gone": 1}, {"both": 2, "version": 2, "added": 2}],
+        [{"both": 11, "version": 11}, {"both": 12, "version": 12}],
+    )
+    measured = Measured(commands, (OLD, NEW), notes)
+    assert values(measured(0)) == {"both": 1, "gone": 1, "version": 11}
+    assert values(measured(1)) == {"both": 2, "version": 12, "added": 2}
+    assert notes == ["only 0123456789ab has: gone", "only the tree as it stands has: added"]
+
+
+def test_without_need_nothing_is_probed() -> None:
+    commands = MadeUp([{"a": 1}, {"a": 2}], [{"a": 11}, {"a": 12}])
+    measured = Measured(commands, (OLD, NEW), [])
+    commands.called.clear()
+    assert (values(measured(0)), values(measured(1))) == ({"a": 1}, {"a": 2})
+    assert commands.called == ["own old", "own new"]
+
+
+def test_a_commit_without_the_benchmark_is_probed_alone() -> None:
+    notes: list[str] = []
+    commands = MadeUp([LacksError("no benchmark 'virtual'"), {"b": 2}], [{"a": 11}, {"a": 12}])
+    measured = Measured(commands, (OLD, NEW), notes)
+    commands.called.clear()
+    assert (values(measured(0)), values(measured(1))) == ({"a": 11}, {"a": 12})
+    assert commands.called == ["probe old", "probe new"]
+    assert notes[0] == "the own bench of 0123456789ab cannot do this: no benchmark 'virtual'"
+
+
+def test_nothing_in_common_is_told_with_the_reason() -> None:
+    with pytest.raises(
+        RuntimeError, match="have no figure in common; the own bench of 0123456789ab cannot do this: why"
+    ):
+        Measured(MadeUp([LacksError("why"), {"b": 2}], [{}, {}]), (OLD, NEW), [])
+
+
+@pytest.mark.parametrize(
+    ("code", "out", "error", "raised", "said"),
+    [
+        (2, "", "usage: ...\nbench: no benchmark 'virtual'", LacksError, "^bench: no benchmark 'virtual'$"),
+        (1, "", "python: No module named bench", LacksError, "No module named bench"),
+        (0, "10 drives: 3 us", "", LacksError, "it prints no JSON that can be read"),
+        (1, "", "bench: slaves were lost", RuntimeError, "0123456789ab: bench: slaves were lost"),
+    ],
+)
+def test_lacking_and_failing_are_told_apart(
+    code: int, out: str, error: str, raised: type[Exception], said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(subprocess, "run", lambda words, **_: subprocess.CompletedProcess(words, code, out, error))
+    with pytest.raises(raised, match=said):
+        Commands("virtual", PLANS["virtual"]).own(OLD)
+
+
+def test_cpu_benchmarks_run_on_the_clock_of_loops_and_others_do_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    report = Report("virtual")
+    report.measured("a", [3.0], "us")
+    called: list[list[str]] = []
+
+    def run(words: list[str], **keys: object) -> subprocess.CompletedProcess[str]:
+        called.append(words)
+        assert keys["cwd"] == Path("old")
+        return subprocess.CompletedProcess(words, 0, report.as_json() + "\n", "")
+
+    monkeypatch.setattr(subprocess, "run", run)
+    assert Commands("virtual", Plan("--rounds 3", cpu=True)).own(OLD) == {"a": Reading(3.0, PYTHON, PYTHON)}
+    assert Commands("cycle", Plan("--rounds 1")).own(OLD) == {"a": Reading(3.0, "us")}
+    (first, second) = called
+    assert first[:2] == ["old/python", "-P"]
+    assert Path(first[2]).name == "loop_clock.py"
+    assert first[3:] == ["virtual", "--json", "--rounds", "3"]
+    assert second == ["old/python", "-m", "bench", "cycle", "--json", "--rounds", "1"]
+
+
+def test_every_benchmark_has_a_plan() -> None:
+    assert PLANS.keys() == cli.BENCHMARKS.keys()
+    assert all(plan.rounds >= 10 for plan in PLANS.values())
+
+
+# --- adapters ---
+
+
+def test_the_first_adapter_that_a_commit_has_the_names_for_is_chosen(monkeypatch: pytest.MonkeyPatch) -> None:
+    newest, older, other = (
+        commit_probe.Adapter(needs, dict) for needs in (("m:new",), ("m:old", "m:older"), ("m:other",))
+    )
+    monkeypatch.setattr(commit_probe, "ADAPTERS", {"virtual": ((newest, older), (other,))})
+    assert commit_probe.chosen("virtual", {"m:new", "m:old", "m:older"}.__contains__) == [newest]
+    assert commit_probe.chosen("virtual", {"m:old", "m:older", "m:other"}.__contains__) == [older, other]
+    assert commit_probe.chosen("virtual", {"m:old"}.__contains__) == []
+    assert commit_probe.chosen("gsd") == []
+
+
+def test_the_adapters_fit_the_tree_as_it_stands() -> None:
+    for name, groups in commit_probe.ADAPTERS.items():
+        assert len(commit_probe.chosen(name)) == len(groups)
+    assert not commit_probe.exists("dpstack.nothing:name")
+    assert not commit_probe.exists("dpstack:nothing")
+
+
+def test_what_the_probe_prints_is_read(capsys: pytest.CaptureFixture[str]) -> None:
+    assert commit_probe.main(["codec"]) == 0
+    readings = readings_of_probe(json.loads(capsys.readouterr().out))
+    assert readings["SD1 FDL status: encode, dpstack"].unit == PYTHON
+    assert readings_of_probe({"modules": {"count": 3.0}}) == {"modules": Reading(3.0, "", exact=True)}
+
+
+# --- clocks ---
+
+
+def test_the_clock_of_loops_goes_as_fast_as_the_computer() -> None:
+    times = iter([0, 1000, 1000, 5000, 5000])
+    loops = iter([500.0, 500.0, 1500.0])
+    clock = LoopClock(lambda: next(times), lambda: next(loops))
+    assert clock() == 2000  # 1000 ns at 500 ns a loop, in thousandths
+    assert clock() == 2000 + 4000  # 4000 ns at 1000 ns a loop, the mean of before and after
+
+
+def test_work_stands_beside_the_loops_before_and_after_it() -> None:
+    assert calibrate_python(1, 10, iter([0, 5000]).__next__) == 500
+    beside = Beside(iter([400.0, 600.0, 800.0]).__next__)
+    assert beside(lambda: "first") == ("first", 500.0)
+    assert beside(lambda: "second") == ("second", 700.0)
+    assert beside.loops == [400.0, 600.0, 800.0]
+
+
+# --- environments and the command line ---
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    return tmp_path / "dpstack-bench"
+
+
+def git_of(answers: dict[str, bytes | Exception], monkeypatch: pytest.MonkeyPatch) -> None:
+    def git(*words: str) -> bytes:
+        answer = answers[words[0]]
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    monkeypatch.setattr(commits, "_git", git)
+
+
+def test_an_environment_is_made_once_for_a_commit(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[str] = []
+
+    def extract(number: str, tree: Path) -> None:
+        made.append(f"files {number}")
+        (tree / "pyproject.toml").write_text("[project]")
+
+    git_of({"rev-parse": b"0123456789abcdef\n"}, monkeypatch)
+    monkeypatch.setattr(commits, "_extract", extract)
+    monkeypatch.setattr(commits, "_install", lambda tree, venv: made.append(f"packages {tree.parent.name[:12]}"))
+    for _ in range(2):
+        with commits.commit_side("main~3") as side:
+            assert side.title == "0123456789ab"
+            assert side.root.parent.parent == cache
+            assert side.python == side.root.parent / "venv" / "bin" / "python"
+    assert made == ["files 0123456789abcdef", "packages 0123456789ab"]
+
+
+def test_the_tree_is_copied_each_time_and_installed_when_its_packages_change(
+    cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    root = tmp_path / "checkout"
+    (root / "dpstack").mkdir(parents=True)
+    (root / "pyproject.toml").write_text("[project]")
+    (root / "dpstack" / "a.py").write_text("a = 1")
+    installed: list[Path] = []
+    git_of({"ls-files": b"pyproject.toml\0dpstack/a.py\0removed.py\0"}, monkeypatch)
+    monkeypatch.setattr(commits, "_ROOT", root)
+    monkeypatch.setattr(commits, "_install", lambda tree, venv: installed.append(tree))
+    with commits.tree_side() as side:
+        assert (side.root / "dpstack" / "a.py").read_text() == "a = 1"
+    (root / "dpstack" / "a.py").write_text("a = 2")
+    with commits.tree_side() as side:
+        assert (side.root / "dpstack" / "a.py").read_text() == "a = 2"
+    assert len(installed) == 1
+    (root / "pyproject.toml").write_text("[project] # more")
+    with commits.tree_side():
+        assert len(installed) == 2
+    assert sorted(path.name for path in root.iterdir()) == ["dpstack", "pyproject.toml"]  # nothing is left there
+
+
+def test_an_installation_that_fails_is_told_and_tried_again(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    git_of({"rev-parse": b"0123456789abcdef\n"}, monkeypatch)
+    monkeypatch.setattr(commits, "_extract", lambda number, tree: (tree / "pyproject.toml").write_text("") and None)
+    monkeypatch.setattr(sys, "executable", "/bin/false")
+    for _ in range(2):
+        with pytest.raises(RuntimeError, match="no virtual environment could be made"), commits.commit_side("x"):
+            pytest.fail("there is none")
+
+
+def test_variables_that_lead_python_elsewhere_are_kept_away(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONPATH", "/elsewhere")
+    monkeypatch.setenv("VIRTUAL_ENV", "/elsewhere")
+    monkeypatch.setenv("LANG", "C")
+    assert {"PYTHONPATH", "VIRTUAL_ENV", "LANG"} & commits.clean().keys() == {"LANG"}
+
+
+def test_what_git_cannot_do_is_one_line(
+    cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["compare", "virtual", "--commit", "no-such-commit"]) == 2
+    assert "no commit 'no-such-commit' in this repository" in capsys.readouterr().err
+    assert cli.main(["compare", "virtual", "--commit=--all"]) == 2
+    monkeypatch.setattr(commits, "_ROOT", tmp_path)
+    monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
+    assert cli.main(["compare", "virtual", "--commit", "HEAD"]) == 1
+    assert "git rev-parse: fatal: not a git repository" in capsys.readouterr().err
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert cli.main(["compare", "virtual", "--commit", "HEAD"]) == 1
+    assert "git is not installed, which --commit needs" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("virtual --commit HEAD --rounds 9", "--rounds 9: a verdict needs 10 at least"),
+        ("virtual a.json --commit HEAD", "compare takes files or --commit, not both"),
+        ("virtual --rounds 12", "--rounds belongs to --commit"),
+        ("nothing --commit HEAD", "no benchmark 'nothing'"),
+    ],
+)
+def test_wrong_use_of_commit_is_one_line(line: str, said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["compare", *line.split()]) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_the_command_line_says_by_its_exit_code_whether_something_is_slower(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    @contextmanager
+    def side(*_: str) -> Iterator[Side]:
+        yield OLD if _ else NEW
+
+    cost = {OLD: 10.0, NEW: 10.0}
+    monkeypatch.setattr(rounds, "commit_side", side)
+    monkeypatch.setattr(rounds, "tree_side", side)
+    monkeypatch.setattr(rounds, "speeds", lambda: STILL)
+    monkeypatch.setattr(Commands, "own", lambda self, side: {"a": Reading(cost[side], "us", PYTHON)})
+    monkeypatch.setattr(Commands, "probe", lambda self, side: {})
+    assert cli.main(["compare", "virtual", "--commit", "HEAD"]) == 0
+    assert "no difference seen" in capsys.readouterr().out
+    cost[NEW] = 12.0
+    assert cli.main(["compare", "virtual", "--commit", "HEAD", "--json"]) == 1
+    assert json.loads(capsys.readouterr().out)["slower"] == ["a"]
