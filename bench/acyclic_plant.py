@@ -14,7 +14,7 @@ from dpstack.dp.master.fixed_cycle import MissReason
 from dpstack.dp.master.master import Master
 from dpstack.dp.slave.application import SlaveApp
 from dpstack.dp.slave.loopback_device import MirrorDevice
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.dp.telegram_times import acyclic_bits
 from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone, WriteRecord
 from dpstack.dpv1.pdu.dpv1_status import Dpv1
@@ -228,9 +228,9 @@ class Plant:
         return ReadRecord(self._orders, address, _SLOT, load.octets, load.octets)
 
 
-def setups(slaves: int) -> list[SlaveSetup]:
+def setups(slaves: int) -> list[SlaveParams]:
     """How the master parameterises them."""
     return [
-        SlaveSetup(address=_FIRST + n, name=f"s{n}", ident=_IDENT, config=_PPO1, user_prm=bytes(3), dpv1=Dpv1())
+        SlaveParams(address=_FIRST + n, name=f"s{n}", ident=_IDENT, config=_PPO1, user_prm=bytes(3), dpv1=Dpv1())
         for n in range(slaves)
     ]

@@ -20,7 +20,7 @@ from dpstack.dp.master.master import Master
 from dpstack.dp.slave.application import make_slave
 from dpstack.dp.slave.device import Device
 from dpstack.dp.slave.loopback_device import MirrorDevice
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.params import BusParams
@@ -54,7 +54,7 @@ class Plant:
             self.world.add(make_slave(address, device, params))
         self.master = Master(
             params,
-            [SlaveSetup(address=a, name=f"s{a}", ident=ident, config=config, user_prm=user_prm) for a in addresses],
+            [SlaveParams(address=a, name=f"s{a}", ident=ident, config=config, user_prm=user_prm) for a in addresses],
             watchdog_ms=2_000,
         )
         station = ActiveStation(params, [self.master])

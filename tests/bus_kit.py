@@ -12,7 +12,7 @@ from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
 from dpstack.dp.slave.application import make_slave
 from dpstack.dp.slave.loopback_device import MirrorDevice
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.passive.station import PassiveStation
@@ -25,9 +25,9 @@ PPO1 = bytes.fromhex("F3 F1")
 IDENT = 0x1234
 
 
-def setup(address: int) -> SlaveSetup:
+def setup(address: int) -> SlaveParams:
     """How a master parameterises :func:`mirror`."""
-    return SlaveSetup(address=address, name=f"s{address}", ident=IDENT, config=PPO1)
+    return SlaveParams(address=address, name=f"s{address}", ident=IDENT, config=PPO1)
 
 
 def mirror(address: int, params: BusParams, *, t_sdr: int | None = None) -> PassiveStation:

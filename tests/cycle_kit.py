@@ -13,7 +13,7 @@ from support import MS, S, WorldFactory
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.interface import LinkUser
@@ -25,10 +25,10 @@ from dpstack.trace import Event, WireEntry
 P500 = BusParams.preset(500_000, address=2)
 
 
-def slave(address: int, **changes: Any) -> SlaveSetup:
+def slave(address: int, **changes: Any) -> SlaveParams:
     """How the master parameterises a mirror slave with twelve octets each way."""
     values: dict[str, Any] = {"address": address, "name": f"s{address}", "ident": IDENT, "config": PPO1}
-    return SlaveSetup(**(values | changes))
+    return SlaveParams(**(values | changes))
 
 
 @dataclass
@@ -37,7 +37,7 @@ class CycleBus:
 
     world: World
     params: BusParams
-    setups: Sequence[SlaveSetup]
+    setups: Sequence[SlaveParams]
     cycle_ns: int
     silent: Sequence[int] = ()
     more: Sequence[LinkUser] = ()

@@ -14,7 +14,7 @@ from ring_bus import RingBus
 from dpstack.dp.acyclic.queue import Acyclic
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone, WriteRecord
 from dpstack.dpv1.pdu.dpv1_status import Dpv1
 from dpstack.fdl.active.station import ActiveStation
@@ -26,9 +26,9 @@ MS = 1_000_000
 Ms1 = Callable[[bytes], bytes | None]
 
 
-def setup(address: int, dpv1: Dpv1 | None) -> SlaveSetup:
+def setup(address: int, dpv1: Dpv1 | None) -> SlaveParams:
     """A slave with one octet of inputs and DPV1_Status in its parameters."""
-    return SlaveSetup(
+    return SlaveParams(
         address=address,
         name=f"s{address}",
         ident=0x1234,

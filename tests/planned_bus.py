@@ -14,7 +14,7 @@ from dpstack.dp.master.master import Master
 from dpstack.dp.plan.plan import Case, rotation
 from dpstack.dp.slave.application import make_slave
 from dpstack.dp.slave.loopback_device import MirrorDevice
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.params import BusParams
@@ -35,10 +35,10 @@ def identifiers(inputs: int, outputs: int) -> bytes:
     return bytes(octets or b"\x00")
 
 
-def setups(configs: Sequence[bytes], min_tsdr: int = 11, max_tsdr: int | None = None) -> list[SlaveSetup]:
+def setups(configs: Sequence[bytes], min_tsdr: int = 11, max_tsdr: int | None = None) -> list[SlaveParams]:
     """Slaves from address 3 on."""
     return [
-        SlaveSetup(address=FIRST + n, name=f"s{n}", ident=IDENT, config=config, min_tsdr=min_tsdr, max_tsdr=max_tsdr)
+        SlaveParams(address=FIRST + n, name=f"s{n}", ident=IDENT, config=config, min_tsdr=min_tsdr, max_tsdr=max_tsdr)
         for n, config in enumerate(configs)
     ]
 
@@ -67,7 +67,7 @@ def first_request(entry: WireEntry) -> bool:
 def undisturbed(
     world: WorldFactory,
     params: BusParams,
-    slaves: Sequence[SlaveSetup],
+    slaves: Sequence[SlaveParams],
     *,
     t_sdr: int | None = None,
     gap_polls: int = 0,

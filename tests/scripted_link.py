@@ -9,7 +9,7 @@ from typing import Any
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveFaulted, SlaveRemark, SlaveState, SlaveStateChanged
 from dpstack.dp.master.master import Master
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.fdl.interface import Expect, Failure, Request
 from dpstack.fdl.telegram import SHORT_ACK, Kind, Telegram
 from dpstack.params import BusParams
@@ -119,20 +119,20 @@ class ScriptedLink:
         return [e.message for e in self.events if isinstance(e, SlaveRemark) and e.address == address]
 
 
-def setup(address: int = 3, **changes: Any) -> SlaveSetup:
+def setup(address: int = 3, **changes: Any) -> SlaveParams:
     """A slave with four octets each way, as :class:`ScriptedSlave` is."""
     values: dict[str, Any] = {"address": address, "name": f"s{address}", "ident": 0x0696, "config": b"\x71"}
-    return SlaveSetup(**(values | changes))
+    return SlaveParams(**(values | changes))
 
 
-def link(*setups: SlaveSetup, slaves: dict[int, ScriptedSlave] | None = None, **options: Any) -> ScriptedLink:
+def link(*setups: SlaveParams, slaves: dict[int, ScriptedSlave] | None = None, **options: Any) -> ScriptedLink:
     """A master (its ``options``) at the start; all slaves are there unless ``slaves`` says which."""
     master = Master(BusParams.preset(500_000, address=2), setups, **options)
     given = {s.address: ScriptedSlave() for s in setups} if slaves is None else slaves
     return ScriptedLink(master, given)
 
 
-def exchanging(*setups: SlaveSetup, **options: Any) -> ScriptedLink:
+def exchanging(*setups: SlaveParams, **options: Any) -> ScriptedLink:
     """All slaves are in data exchange, in Clear."""
     bus = link(*setups, **options)
     bus.run(5 * MS)
@@ -140,7 +140,7 @@ def exchanging(*setups: SlaveSetup, **options: Any) -> ScriptedLink:
     return bus
 
 
-def operating(*setups: SlaveSetup, **options: Any) -> ScriptedLink:
+def operating(*setups: SlaveParams, **options: Any) -> ScriptedLink:
     """All slaves are in data exchange, in Operate; what was said until then is forgotten."""
     bus = link(*setups, **options)
     bus.run(20 * MS)

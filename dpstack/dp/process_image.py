@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final, Protocol
 
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.errors import UsageError
 from dpstack.text import octets_text
 from dpstack.units import NS_PER_S
@@ -92,7 +92,7 @@ class SlaveImage:
         self._outputs = octets
 
 
-def image_of(setup: SlaveSetup, before: SlaveImage | None = None) -> SlaveImage:
+def image_of(setup: SlaveParams, before: SlaveImage | None = None) -> SlaveImage:
     """The process image of a slave; ``before`` itself where the lengths are the same.
 
     Raises UsageError where ``before`` has a cyclic unit, which is made for its lengths.

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Final
 
 from dpstack.dp.pdu.requests import SetPrm
-from dpstack.dp.slave_params import SlaveSetup, WatchdogTime
+from dpstack.dp.slave_params import SlaveParams, WatchdogTime
 from dpstack.fdl.interface import LONG_NS, Request
 from dpstack.fdl.telegram import (
     MAX_DATA,
@@ -47,7 +47,7 @@ _IDENT_AT: Final = 4
 _ACKNOWLEDGED: Final = frozenset((SAP_SET_PRM, SAP_CHK_CFG, SAP_SET_SLAVE_ADD))
 
 
-def set_prm(setup: SlaveSetup, ident: int, watchdog: WatchdogTime | None) -> bytes:
+def set_prm(setup: SlaveParams, ident: int, watchdog: WatchdogTime | None) -> bytes:
     """The octets of Set_Prm that lock ``setup``'s slave to this master."""
     return SetPrm(
         ident=ident,
@@ -60,14 +60,14 @@ def set_prm(setup: SlaveSetup, ident: int, watchdog: WatchdogTime | None) -> byt
     ).build()
 
 
-def planned_prm(setup: SlaveSetup, watchdog: WatchdogTime | None) -> str:
+def planned_prm(setup: SlaveParams, watchdog: WatchdogTime | None) -> str:
     """The octets of :func:`set_prm` in hex, ``....`` where the ident number will be that of the slave's diagnosis."""
     octets = set_prm(setup, setup.ident or 0, watchdog).hex()
     first, behind = 2 * _IDENT_AT, 2 * (_IDENT_AT + 2)
     return octets if setup.ident is not None else octets[:first] + "...." + octets[behind:]
 
 
-def unlock_prm(setup: SlaveSetup, ident: int) -> bytes:
+def unlock_prm(setup: SlaveParams, ident: int) -> bytes:
     """The octets of Set_Prm that give the slave free."""
     return SetPrm(ident=ident, lock=False, unlock=True, min_tsdr=setup.min_tsdr).build()
 

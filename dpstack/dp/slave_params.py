@@ -41,7 +41,7 @@ class WatchdogTime(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SlaveSetup:
+class SlaveParams:
     """One slave as the master parameterises it.
 
     ``ident`` None takes the ident number from the slave's diagnosis. ``config`` are the identifier octets of Chk_Cfg

@@ -7,7 +7,7 @@ from typing import Final
 
 from dpstack.dp.pdu.diagnosis import MAX_LEN
 from dpstack.dp.rate_groups import Share
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.params import BusParams
 from dpstack.units import BITS_PER_CHAR
 
@@ -27,12 +27,12 @@ PDU_HEAD: Final = 4
 LONGEST_PDU: Final = PDU_HEAD + 240
 
 
-def request_octets(setup: SlaveSetup) -> int:
+def request_octets(setup: SlaveParams) -> int:
     """Octets of Data_Exchange to ``setup``: SD1 when it has no outputs, else SD2 without SAPs."""
     return SD2_FRAME + setup.output_len if setup.output_len else SD1_OCTETS
 
 
-def answer_octets(setup: SlaveSetup) -> int:
+def answer_octets(setup: SlaveParams) -> int:
     """Octets of its answer: SC when it has no inputs, else SD2 without SAPs."""
     return SD2_FRAME + setup.input_len if setup.input_len else SC_OCTETS
 
@@ -42,12 +42,12 @@ def chars(octets: int) -> int:
     return octets * BITS_PER_CHAR
 
 
-def shortest_tsdr(params: BusParams, setup: SlaveSetup) -> int:
+def shortest_tsdr(params: BusParams, setup: SlaveParams) -> int:
     """The T_SDR of ``setup`` at the least, in bit times: the bus's min T_SDR, or what Set_Prm tells it."""
     return max(params.min_tsdr, setup.min_tsdr)
 
 
-def longest_tsdr(params: BusParams, setup: SlaveSetup) -> int:
+def longest_tsdr(params: BusParams, setup: SlaveParams) -> int:
     """The T_SDR of ``setup`` at the most, in bit times: its MaxTsdr, or the bus's max T_SDR."""
     longest = params.max_tsdr if setup.max_tsdr is None else setup.max_tsdr
     return max(shortest_tsdr(params, setup), longest)
@@ -63,12 +63,12 @@ def exchange_bits(params: BusParams, request: int, answer: int, tsdr: int, retri
     return retries * vain_bits(params, request) + chars(request) + tsdr + chars(answer) + params.t_id1
 
 
-def data_bits(params: BusParams, setup: SlaveSetup, tsdr: int, retries: int = 0) -> int:
+def data_bits(params: BusParams, setup: SlaveParams, tsdr: int, retries: int = 0) -> int:
     """Data_Exchange with ``setup``."""
     return exchange_bits(params, request_octets(setup), answer_octets(setup), tsdr, retries)
 
 
-def diagnosis_bits(params: BusParams, setup: SlaveSetup, retries: int = 0) -> int:
+def diagnosis_bits(params: BusParams, setup: SlaveParams, retries: int = 0) -> int:
     """Slave_Diag with the longest diagnosis of ``setup``, 244 octets where its Max_Diag_Data_Len is not known."""
     octets = DIAG_REQUEST + (MAX_LEN if setup.max_diag_len is None else setup.max_diag_len)
     return exchange_bits(params, DIAG_REQUEST, octets, longest_tsdr(params, setup), retries)
@@ -88,7 +88,7 @@ def service_bits(params: BusParams, request: int, answer: int, tsdr: int, retrie
     return max(answered, (retries + 1) * vain_bits(params, octets)) if retries else answered
 
 
-def acyclic_bits(params: BusParams, setups: Iterable[SlaveSetup] = (), retries: int = 0) -> int:
+def acyclic_bits(params: BusParams, setups: Iterable[SlaveParams] = (), retries: int = 0) -> int:
     """One acyclic service, the longest: what one token hold spends on it.
 
     That is a Write of 240 octets answered at once (or a Read of as many: the same octets the other way round). Polls,
@@ -98,7 +98,7 @@ def acyclic_bits(params: BusParams, setups: Iterable[SlaveSetup] = (), retries: 
     return service_bits(params, LONGEST_PDU, PDU_HEAD, slowest_tsdr(params, setups), retries)
 
 
-def slowest_tsdr(params: BusParams, setups: Iterable[SlaveSetup]) -> int:
+def slowest_tsdr(params: BusParams, setups: Iterable[SlaveParams]) -> int:
     """The longest T_SDR of all slaves, and of others that class 2 may ask."""
     return max([params.max_tsdr, *(longest_tsdr(params, setup) for setup in setups)])
 
@@ -118,6 +118,6 @@ def global_control_bits(params: BusParams) -> int:
     return chars(GLOBAL_CONTROL) + params.t_id2
 
 
-def share(params: BusParams, setup: SlaveSetup) -> Share:
+def share(params: BusParams, setup: SlaveParams) -> Share:
     """What ``setup`` takes of a cycle at the least: by this the master and the plan spread the rate groups."""
     return Share(setup.address, setup.every, params.ns(data_bits(params, setup, shortest_tsdr(params, setup))))

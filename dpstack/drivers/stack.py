@@ -9,7 +9,7 @@ from dpstack.dp.acyclic.queue import Acyclic
 from dpstack.dp.master.master import Master
 from dpstack.dp.master.read_only import reading_only
 from dpstack.dp.master.scanner import Scanner
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.interface import LinkUser
 from dpstack.fdl.livelist import LiveList, live_allowance
@@ -28,7 +28,7 @@ class StackSpec:
 
     params: BusParams
     patience: Patience
-    slaves: tuple[SlaveSetup, ...]
+    slaves: tuple[SlaveParams, ...]
     watchdog_ms: int
     auto_clear: bool
     data_control_ns: int

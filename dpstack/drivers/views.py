@@ -10,7 +10,7 @@ from dpstack.dp.master.events import Fault, SlaveState
 from dpstack.dp.master.fixed_cycle import CycleBook, CycleData
 from dpstack.dp.master.scanner import Found, SurveyResult
 from dpstack.dp.pdu.diagnosis import Diagnosis
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.alarm_events import AlarmCounts
 from dpstack.fdl.decoder import DecoderStats
 from dpstack.fdl.interface import LinkStats
@@ -58,7 +58,7 @@ class HandlerSeen(Protocol):
     """See :class:`dpstack.dp.master.slave_handler.SlaveHandler`."""
 
     @property
-    def setup(self) -> SlaveSetup:
+    def setup(self) -> SlaveParams:
         """How it is parameterised."""
 
     @property

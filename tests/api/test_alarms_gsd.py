@@ -13,7 +13,7 @@ from dpstack.api.bus.events_json import AlarmRaised
 from dpstack.api.config.config import parse_config
 from dpstack.dp.master.fault_report import Findings
 from dpstack.dp.pdu.diagnosis import Diagnosis
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.alarm_events import AlarmBook
 from dpstack.dpv1.master.alarm_handler import AlarmHandler
 from dpstack.dpv1.pdu.dpv1_status import Dpv1
@@ -29,7 +29,7 @@ ALL = ("pull_plug", "process", "diagnostic", "manufacturer", "status", "update")
 @pytest.mark.parametrize("rest", ["", "42 01 80 40 30"])
 def test_the_words_of_the_gsd_file_in_either_process(rest: str) -> None:
     texts = GsdTexts(device("diagnosis"), [None])
-    setup = SlaveSetup(
+    setup = SlaveParams(
         address=9, name="rig", ident=1, config=b"\x10", user_prm=bytes(3), dpv1=Dpv1(alarms=ALL), texts=texts
     )
     diagnosis = Diagnosis(8, 0x0C, 0, 2, 1, bytes.fromhex("05 21 03 01 01" + rest))

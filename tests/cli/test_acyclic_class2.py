@@ -19,7 +19,7 @@ from dpstack.cli.main import main
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.errors import AcyclicError, UsageError
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
@@ -57,7 +57,7 @@ class Field:
         self.world = dpstack.World()
         self.server = ms2_in(self.world, 8)
         params = BusParams.preset(500_000, address=2, gap=1)
-        setup = SlaveSetup(address=8, name="rig", ident=0x1234, config=bytes.fromhex("20 10"))
+        setup = SlaveParams(address=8, name="rig", ident=0x1234, config=bytes.fromhex("20 10"))
         self.owner = Master(params, [setup])
         self.station = ActiveStation(params, [self.owner], now=self.world.now)
         self.world.add(self.station)

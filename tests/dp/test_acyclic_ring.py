@@ -28,7 +28,7 @@ from dpstack.dp.master.master import Master
 from dpstack.dp.plan.cycle_check import Verdict, least_ns
 from dpstack.dp.plan.rotation_time import Case, Figures, OtherMasters, figures, rotation, t_tr_needed
 from dpstack.dp.slave.application import SlaveApp
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone, WriteRecord
 from dpstack.dpv1.pdu.dpv1_status import Dpv1
 from dpstack.fdl.active.station import ActiveStation
@@ -55,10 +55,10 @@ class Mute(SlaveApp):
         return None if request.dsap in (SAP_MS1, SAP_RD_INP) else super().serve(request, now)
 
 
-def setups(first: int, count: int, response_ns: int = S) -> list[SlaveSetup]:
+def setups(first: int, count: int, response_ns: int = S) -> list[SlaveParams]:
     dpv1 = Dpv1(c1_response_timeout_ns=response_ns)
     return [
-        SlaveSetup(
+        SlaveParams(
             address=address, name=f"s{address}", ident=0x1234, config=PPO1, user_prm=bytes(3), dpv1=dpv1, max_diag_len=6
         )
         for address in range(first, first + count)
@@ -71,7 +71,7 @@ class Loaded:
 
     world: World
     params: BusParams
-    slaves: Sequence[SlaveSetup]
+    slaves: Sequence[SlaveParams]
     app: type[SlaveApp] = AnswersAtOnce
     cycle_ns: int = 0
     patience: Patience = EXACT
@@ -148,7 +148,7 @@ def ring(world: World, counts: Sequence[int], t_tr: int | None, t_sdr: int) -> t
     return masters, planned
 
 
-def _others(params: BusParams, plants: Sequence[list[SlaveSetup]], own: int, case: Case) -> tuple[int, ...]:
+def _others(params: BusParams, plants: Sequence[list[SlaveParams]], own: int, case: Case) -> tuple[int, ...]:
     rounds = [rotation(params, slaves, case).bits for slaves in plants]
     return (*rounds[:own], *rounds[own + 1 :])
 

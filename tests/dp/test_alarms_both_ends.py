@@ -17,7 +17,7 @@ from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
 from dpstack.dp.slave.application import make_slave
 from dpstack.dp.slave.loopback_device import MirrorDevice
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.alarm_events import AlarmRaised, StatusTold
 from dpstack.dpv1.pdu.alarms import Alarm, Status
 from dpstack.dpv1.pdu.dpv1_status import ALARMS, Dpv1
@@ -79,7 +79,7 @@ def test_delivered_once_and_acknowledged(steps: list[tuple[str, int]], mode: int
     device = Alarming(sap)
     world.add(make_slave(4, device, params))
     dpv1 = Dpv1(alarms=tuple(ALARMS), alarm_mode=mode, c1_response_timeout_ns=60 * MS, extra_alarm_sap=sap)
-    master = Master(params, [SlaveSetup(address=4, name="s4", ident=IDENT, config=PPO1, user_prm=bytes(3), dpv1=dpv1)])
+    master = Master(params, [SlaveParams(address=4, name="s4", ident=IDENT, config=PPO1, user_prm=bytes(3), dpv1=dpv1)])
     station = ActiveStation(params, [master, Acyclic(2, master)], now=world.now)
     events: list[Event] = []
     world.add(station, on_events=events.extend)

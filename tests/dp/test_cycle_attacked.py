@@ -29,7 +29,7 @@ from dpstack.dp.master.commands import (
 )
 from dpstack.dp.master.fixed_cycle import Cadence, CycleData
 from dpstack.dp.plan.rotation_time import Case, figures, t_tr_preset
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.errors import BusError, UsageError
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT, HOST
@@ -78,7 +78,7 @@ class Attack:
         self.grid = self.grids = 0  # the number of the grid that rounds are on, 0 without one; how many there were
         self.grid_of: dict[int, int] = {}
 
-    def setup(self, address: int) -> SlaveSetup:
+    def setup(self, address: int) -> SlaveParams:
         r = self.random
         return slave(
             address,

@@ -11,7 +11,7 @@ from support import MS, WorldFactory
 from dpstack.dp.master.commands import AddSlave, Mode, RemoveSlave, SendControl, SetMode, Shutdown
 from dpstack.dp.master.events import SlaveRemark, SlaveState
 from dpstack.dp.slave.application import SlaveApp
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.errors import ConfigError, UsageError
 from dpstack.params import BusParams
 
@@ -19,7 +19,7 @@ P500 = BusParams.preset(500_000, address=2)
 BOTH = {"cycle_freeze": (1,), "cycle_sync": (1, 3)}
 
 
-def member(address: int) -> SlaveSetup:
+def member(address: int) -> SlaveParams:
     return slave(address, groups=(1,), sync=True, freeze=True)
 
 

@@ -9,7 +9,7 @@ from dpstack.dp.master.commands import AddSlave
 from dpstack.dp.master.events import SlaveFaulted, SlaveState, SlaveStateChanged
 from dpstack.dp.slave.application import make_slave
 from dpstack.dp.slave.loopback_device import MirrorDevice
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.fdl.events import StationFound
 from dpstack.params import BusParams
 
@@ -19,7 +19,7 @@ def test_the_right_device_is_taken_up_when_a_gap_poll_has_found_it(world: WorldF
     bus = SimBus(world(), params, [5])
     wrong = make_slave(3, MirrorDevice(0x4321, PPO1), params)
     bus.world.add(wrong)
-    bus.world.command(bus.station, AddSlave(SlaveSetup(address=3, name="s3", ident=IDENT, config=PPO1)))
+    bus.world.command(bus.station, AddSlave(SlaveParams(address=3, name="s3", ident=IDENT, config=PPO1)))
     bus.world.run_for(16 * S)  # refused after 1, 3, 7 and 15 s: the next time would be at 25 s
     (fault,) = (e.fault for e in bus.events if isinstance(e, SlaveFaulted) and e.address == 3)
     assert "0x4321 instead of 0x1234" in fault.message

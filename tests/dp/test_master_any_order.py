@@ -33,7 +33,7 @@ from dpstack.dp.master.events import ControlFailed, ControlSent, PictureTaken, S
 from dpstack.dp.master.master import Master
 from dpstack.dp.slave.application import SlaveApp
 from dpstack.dp.slave.loopback_device import MirrorDevice
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.errors import BusError, UsageError
 from dpstack.fdl.codec import decode
 from dpstack.fdl.interface import Expect, Failure, Reply, Request
@@ -160,12 +160,12 @@ class Link(ScriptedLink):
         return super().hold()
 
 
-def setup(address: int, **changes: Any) -> SlaveSetup:
+def setup(address: int, **changes: Any) -> SlaveParams:
     values: dict[str, Any] = {
         "address": address, "name": f"s{address}", "ident": IDENT, "config": CONFIG, "user_prm": b"\x01",
         "groups": (1,), "sync": True, "freeze": True,
     }  # fmt: skip
-    return SlaveSetup(**(values | changes))
+    return SlaveParams(**(values | changes))
 
 
 addresses = st.sampled_from(ADDRESSES)

@@ -23,7 +23,7 @@ from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
 from dpstack.dp.slave.application import make_slave
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone, WriteRecord
 from dpstack.dpv1.pdu.dpv1_status import Dpv1
 from dpstack.fdl.active.station import ActiveStation
@@ -131,7 +131,7 @@ def test_both_ends_with_loss(steps: list[tuple[str, int, int, int]], seed: int) 
     dpv1 = Dpv1(c1_response_timeout_ns=LIMIT)
     master = Master(
         params,
-        [SlaveSetup(address=a, name=f"s{a}", ident=IDENT, config=PPO1, user_prm=bytes(3), dpv1=dpv1) for a in devices],
+        [SlaveParams(address=a, name=f"s{a}", ident=IDENT, config=PPO1, user_prm=bytes(3), dpv1=dpv1) for a in devices],
     )
     acyclic = Acyclic(2, master)
     station = ActiveStation(params, [master, acyclic], now=world.now)

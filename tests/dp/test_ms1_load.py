@@ -12,7 +12,7 @@ from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
 from dpstack.dp.slave.application import make_slave
 from dpstack.dp.slave.loopback_device import MirrorDevice
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.dp.telegram_times import acyclic_bits
 from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone
 from dpstack.dpv1.pdu.dpv1_status import Dpv1
@@ -44,7 +44,7 @@ class Loaded:
             device.records = RecordTable({(1, 2): bytes(octets)})
             world.add(make_slave(address, device, params, t_sdr=60))
         setups = [
-            SlaveSetup(address=a, name=f"s{a}", ident=IDENT, config=PPO1, user_prm=bytes(3), dpv1=Dpv1())
+            SlaveParams(address=a, name=f"s{a}", ident=IDENT, config=PPO1, user_prm=bytes(3), dpv1=Dpv1())
             for a in self.slaves
         ]
         self.master = Master(params, setups, cycle_ns=cycle_ns)

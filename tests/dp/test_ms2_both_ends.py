@@ -22,7 +22,7 @@ from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
 from dpstack.dp.slave.application import SlaveApp, make_slave
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone, WriteRecord
 from dpstack.dpv1.master.ms2_commands import (
     CloseConnection,
@@ -64,7 +64,7 @@ class Both:
             self.world.add(station)
         dpv1 = Dpv1(c1_response_timeout_ns=LIMIT)
         setups = [
-            SlaveSetup(address=a, name=f"s{a}", ident=IDENT, config=PPO1, user_prm=bytes(3), dpv1=dpv1)
+            SlaveParams(address=a, name=f"s{a}", ident=IDENT, config=PPO1, user_prm=bytes(3), dpv1=dpv1)
             for a in self.devices
         ]
         self.master = Master(params, setups)

@@ -9,7 +9,7 @@ from dpstack.dp.acyclic.queue import Acyclic
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.dp.telegram_times import acyclic_bits
 from dpstack.dpv1.master.ms1 import RecordDone
 from dpstack.dpv1.master.ms2_commands import InitiateDone, OpenConnection, ReadOver
@@ -39,7 +39,7 @@ class Loaded:
         params = BusParams.preset(baud, address=2, gap=0)
         for address in SLAVES:
             long_records(ms2_in(world, address, baud=baud), octets)
-        setups = [SlaveSetup(address=a, name=f"s{a}", ident=0x1234, config=bytes.fromhex("20 10")) for a in SLAVES]
+        setups = [SlaveParams(address=a, name=f"s{a}", ident=0x1234, config=bytes.fromhex("20 10")) for a in SLAVES]
         self.master = Master(params, setups, cycle_ns=cycle_ns)
         self.station = ActiveStation(
             params, [self.master, Acyclic(2, self.master)], now=world.now, budget=self.master.budget

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from dpstack.dp.plan.plan import Case, make_plan, rotation, t_tr_preset, watchdog_ms
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.params import BusParams
 from dpstack.units import BAUD_RATES, NS_PER_MS, NS_PER_US
 
@@ -19,8 +19,8 @@ def slave(
     max_tsdr: int | None = None,
     every: int = 1,
     on_loss: str = "",
-) -> SlaveSetup:
-    return SlaveSetup(
+) -> SlaveParams:
+    return SlaveParams(
         address=address,
         name=f"s{address}",
         ident=0x1234,
@@ -182,7 +182,7 @@ def test_as_dict_has_the_shape_of_the_command() -> None:
 def test_the_watchdog_outlasts_the_death_of_a_neighbour_on_a_slow_adapter() -> None:
     """60 ms of slack, one retry: the others wait 2 x (T_SL + 60 ms) = 120.8 ms; three times that is over 200 ms."""
     params = BusParams.preset(500_000, address=2)
-    setups = [SlaveSetup(address=3, name="one", ident=1, config=b"\x71")]
+    setups = [SlaveParams(address=3, name="one", ident=1, config=b"\x71")]
     assert watchdog_ms(params, setups) == 200
     assert watchdog_ms(params, setups, host_slack_ns=60_000_000) >= 370
 

@@ -8,7 +8,7 @@ from planned_bus import IDENT, identifiers
 from dpstack.dp.plan.cycle_check import Verdict, slowest_rates, token_wait_ns
 from dpstack.dp.plan.plan import OtherMasters, Plan, make_plan
 from dpstack.dp.plan.rotation_time import figures
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.params import BusParams
 from dpstack.units import BAUD_RATES, NS_PER_MS
 
@@ -22,8 +22,8 @@ ACYCLIC = 255 * 11 + 150 + 15 * 11 + 37
 BIT_NS = 2000 / 3
 
 
-def slave(address: int, *, every: int = 1, watchdog: int | None = None, interval_us: int = 0) -> SlaveSetup:
-    return SlaveSetup(
+def slave(address: int, *, every: int = 1, watchdog: int | None = None, interval_us: int = 0) -> SlaveParams:
+    return SlaveParams(
         address=address,
         name=f"s{address}",
         ident=IDENT,
@@ -38,7 +38,7 @@ def slave(address: int, *, every: int = 1, watchdog: int | None = None, interval
 FIVE = [slave(n) for n in range(3, 8)]
 
 
-def plan(cycle_ms: float, slaves: list[SlaveSetup] = FIVE, baud: int = 1_500_000) -> Plan:
+def plan(cycle_ms: float, slaves: list[SlaveParams] = FIVE, baud: int = 1_500_000) -> Plan:
     return make_plan(BusParams.preset(baud), slaves, cycle_ns=round(cycle_ms * NS_PER_MS))
 
 
@@ -179,8 +179,8 @@ def test_a_cycle_that_is_kept_while_nothing_is_repeated() -> None:
 
 def test_the_longest_diagnosis_of_the_gsd_file_counts() -> None:
     """6 octets instead of 244: an acyclic service is longest then."""
-    unknown = SlaveSetup(address=3, name="s", ident=IDENT, config=identifiers(4, 4))
-    known = SlaveSetup(address=3, name="s", ident=IDENT, config=identifiers(4, 4), max_diag_len=6)
+    unknown = SlaveParams(address=3, name="s", ident=IDENT, config=identifiers(4, 4))
+    known = SlaveParams(address=3, name="s", ident=IDENT, config=identifiers(4, 4), max_diag_len=6)
     params = BusParams.preset(1_500_000)
     of = [figures(params, [each]).rotations for each in (unknown, known)]
     for case in of[0]:

@@ -9,7 +9,7 @@ import pytest
 from octet_slave import DL, SC, sd2
 from ring_bus import ListUser, RingBus
 
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.dp.telegram_times import acyclic_bits, exchange_bits, service_bits, service_octets
 from dpstack.fdl.interface import Request
 from dpstack.fdl.telegram import Req
@@ -136,7 +136,7 @@ def test_silence_with_every_retry_is_in_the_longest(baud: int, t_sl: int | None)
 def test_the_slowest_slave_counts() -> None:
     """MaxTsdr of a GSD file may be longer than the bus's max T_SDR, where T_SL was given."""
     params = BusParams.preset(500_000, t_sl=500)
-    slow = SlaveSetup(address=3, name="s", ident=1, config=b"\x10", max_tsdr=450)
-    quick = SlaveSetup(address=4, name="q", ident=1, config=b"\x10", max_tsdr=60)
+    slow = SlaveParams(address=3, name="s", ident=1, config=b"\x10", max_tsdr=450)
+    quick = SlaveParams(address=4, name="q", ident=1, config=b"\x10", max_tsdr=60)
     assert acyclic_bits(params, [quick]) == acyclic_bits(params)  # class 2 may ask others
     assert acyclic_bits(params, [quick, slow]) - acyclic_bits(params) == 450 - params.max_tsdr

@@ -33,7 +33,7 @@ from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.pdu.requests import SetPrm
 from dpstack.dp.slave.application import make_slave
 from dpstack.dp.slave.loopback_device import MirrorDevice
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.pdu.describe import inside
 from dpstack.dpv1.pdu.dpv1_status import Dpv1
 from dpstack.dpv1.slave.record_table import RecordTable
@@ -161,7 +161,7 @@ class RecordedSlave:
 class Brought:
     """Our master at the recorded master's address, before one recorded slave."""
 
-    def __init__(self, setup: SlaveSetup, slave: RecordedSlave) -> None:
+    def __init__(self, setup: SlaveParams, slave: RecordedSlave) -> None:
         self.slave = slave
         self.bus = RingBus(500_000, "octets")
         self.bus.slaves[setup.address] = slave
@@ -181,10 +181,10 @@ class Brought:
         raise AssertionError(f"{self.handler.state.value}: {self.handler.fault}")
 
 
-def parameters(recording: Recording) -> SlaveSetup:
+def parameters(recording: Recording) -> SlaveParams:
     """What a user would configure to send that Set_Prm and that Chk_Cfg."""
     prm = recording.sent_to(PRM)
-    return SlaveSetup(
+    return SlaveParams(
         address=recording.slave,
         name="recorded",
         ident=int.from_bytes(prm[4:6], "big"),
@@ -350,7 +350,7 @@ def test_our_master_counts_a_class_1_slave_like_the_recorded_one_as_dpv1() -> No
     """Set_Prm of the recorded PLC enables DP-V1 and Fail_Safe in its first user octet; ours does by ``dpv1``."""
     recorded = IM151_PLC.sent_to(PRM)
     assert recorded[7] == 0xC0
-    setup = SlaveSetup(
+    setup = SlaveParams(
         address=8,
         name="recorded",
         ident=0x80E0,

@@ -17,7 +17,7 @@ from dpstack.dp.master.scanner import Found, Scanner, SlaveView, StationSeen, vi
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState
 from dpstack.dp.slave.loopback_device import MirrorDevice
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOffline, GoOnline
 from dpstack.fdl.events import TokenLost
@@ -289,7 +289,7 @@ def test_a_master_behind_the_guard_takes_no_slave(world: WorldFactory) -> None:
     slave: PassiveStation = mirror(3, params)
     w.add(slave)
     events: list[Event] = []
-    master = Master(params, [SlaveSetup(address=3, name="s3", ident=IDENT, config=PPO1)])
+    master = Master(params, [SlaveParams(address=3, name="s3", ident=IDENT, config=PPO1)])
     station = ActiveStation(params, [master], guard=reading_only)
     w.add(station, on_events=events.extend)
     w.command(station, GoOnline())

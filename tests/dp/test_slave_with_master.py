@@ -23,7 +23,7 @@ from dpstack.dp.master.master import Master
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState
 from dpstack.dp.slave.device import Device
 from dpstack.dp.slave.loopback_device import MirrorDevice
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.passive.station import PassiveStation
@@ -44,8 +44,8 @@ class Plant:
         self.app = app
         self.healthy = SlaveApp(MirrorDevice(IDENT, CFG))
         setups = [
-            SlaveSetup(address=3, name="healthy", ident=IDENT, config=CFG, initial=b"\x11\x22"),
-            SlaveSetup(address=4, name="tested", ident=IDENT, config=config, user_prm=user_prm, watchdog_ms=50),
+            SlaveParams(address=3, name="healthy", ident=IDENT, config=CFG, initial=b"\x11\x22"),
+            SlaveParams(address=4, name="tested", ident=IDENT, config=config, user_prm=user_prm, watchdog_ms=50),
         ]
         self.master = Master(PARAMS, setups)
         self.world = World()

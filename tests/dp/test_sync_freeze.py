@@ -17,7 +17,7 @@ from dpstack.dp.master.events import ControlFailed, ControlSent, PictureTaken, S
 from dpstack.dp.master.master import Master
 from dpstack.dp.slave.application import make_slave
 from dpstack.dp.slave.device import Device
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.errors import BusError, UsageError
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.codec import encode_sd2
@@ -31,7 +31,7 @@ from dpstack.trace import Event
 PARAMS = BusParams.preset(500_000, address=2)
 
 
-def setup(address: int, **changes: Any) -> SlaveSetup:
+def setup(address: int, **changes: Any) -> SlaveParams:
     return slave(address, **({"groups": (1,), "sync": True, "freeze": True} | changes))
 
 
@@ -241,7 +241,7 @@ class Three:
         for address, valve in enumerate(self.valves, 3):
             self.world.add(make_slave(address, valve, PARAMS))
         setups = [
-            SlaveSetup(
+            SlaveParams(
                 address=a, name=f"v{a}", ident=IDENT, config=b"\x20\x10", groups=(2,), sync=True, freeze=True
             )
             for a in (3, 4, 5)

@@ -13,7 +13,7 @@ import pytest
 
 from dpstack.dp.master.commands import AddSlave, Mode, SetMode, Shutdown
 from dpstack.dp.master.events import DriveEvent
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.drivers.line.echo import Echo
 from dpstack.drivers.line.select_loop import PlainLoop
 from dpstack.drivers.process import messages as m
@@ -260,7 +260,7 @@ def test_an_order_after_its_time_limit_is_dropped_and_its_number_shows_that_it_w
 
 
 def test_outputs_after_their_time_limit_are_dropped_and_that_is_told(rig: Rig) -> None:
-    asked(rig, 1, AddSlave(SlaveSetup(address=4, name="v", ident=1, config=b"\x20\x10")))
+    asked(rig, 1, AddSlave(SlaveParams(address=4, name="v", ident=1, config=b"\x20\x10")))
     late = time.monotonic_ns()
     rig.image.outputs.write(bytes((4, 1)) + late.to_bytes(8, "little") + b"\x11")
     asked(rig, 2, m.TakeOutputs())
@@ -288,7 +288,7 @@ def test_it_shows_that_it_lives_whatever_the_application_does(rig: Rig) -> None:
 
 
 def test_it_tells_everything_anew_to_an_application_that_found_it_silent(rig: Rig) -> None:
-    asked(rig, 1, AddSlave(SlaveSetup(address=4, name="v", ident=1, config=b"\x20\x10")))
+    asked(rig, 1, AddSlave(SlaveParams(address=4, name="v", ident=1, config=b"\x20\x10")))
     told = len(rig.got)
     rig.image.silences.value = 7
     run_until(rig, lambda: rig.host._silences == 7)

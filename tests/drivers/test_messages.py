@@ -19,7 +19,7 @@ from property_kit import examples
 from dpstack.dp.acyclic.job import Outcome, ServiceFailure
 from dpstack.dp.master.commands import AddSlave, DriveCommand, ReparameteriseSlave
 from dpstack.dp.pdu.diag_texts import DiagTexts
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone, WriteRecord
 from dpstack.dpv1.master.ms2_commands import (
     CloseConnection,
@@ -51,7 +51,7 @@ JSON = st.recursive(
 )  # fmt: skip
 NS = st.integers(-(2**63), 2**63 - 1)
 SETUPS = st.builds(
-    SlaveSetup,
+    SlaveParams,
     address=st.integers(0, 125),
     name=st.text(max_size=8),
     ident=st.none() | st.integers(0, 0xFFFF),
@@ -72,7 +72,7 @@ PARAMS = st.sampled_from((9_600, 500_000, 12_000_000)).map(lambda baud: BusParam
 
 #: what has limits of its own
 LIMITED: dict[object, st.SearchStrategy[object]] = {
-    SlaveSetup: SETUPS,
+    SlaveParams: SETUPS,
     BusParams: PARAMS,
     object: JSON,
     int: NS,
@@ -139,7 +139,7 @@ def test_every_class_is_found_by_its_name() -> None:
 
 
 def test_the_octets_are_json_with_a_length_in_front() -> None:
-    octets = m.framed(m.Message(question=m.Question(3, m.named(AddSlave(SlaveSetup(**SETUP))))))
+    octets = m.framed(m.Message(question=m.Question(3, m.named(AddSlave(SlaveParams(**SETUP))))))
     assert int.from_bytes(octets[:4], "big") == len(octets) - 4
     said = json.loads(octets[4:])
     assert said["question"]["number"] == 3
@@ -153,7 +153,7 @@ SETUP: dict[str, Any] = {"address": 4, "name": "valves", "ident": 0x1234, "confi
 
 def test_the_texts_of_a_gsd_file_stay_here() -> None:
     texts: DiagTexts = GsdTexts(Device())
-    setup = SlaveSetup(address=4, name="v", ident=1, config=b"\x21", texts=texts)
+    setup = SlaveParams(address=4, name="v", ident=1, config=b"\x21", texts=texts)
     question = there(m.Message(question=m.Question(1, m.named(ReparameteriseSlave(setup))))).question
     assert question is not None
     order = m.order_of(question.order)
@@ -255,7 +255,7 @@ def test_errors_keep_their_class_and_text() -> None:
 
 def test_a_slave_of_dp_v1_and_its_records_survive_the_way() -> None:
     dpv1 = Dpv1(alarms=("process",), blocks=(PrmBlock(0x81, 1, b"\x01"),), c1_response_timeout_ns=7)
-    order = AddSlave(SlaveSetup(address=3, name="v", ident=1, config=b"\x10", user_prm=bytes(3), dpv1=dpv1))
+    order = AddSlave(SlaveParams(address=3, name="v", ident=1, config=b"\x10", user_prm=bytes(3), dpv1=dpv1))
     outcome = Outcome(b"\xff\0", ServiceFailure.NEGATIVE, "no", "", (0x80, 0xB5, 0))
     done = RecordDone(t_ns=1, token=2, address=3, write=False, slot=4, index=5, outcome=outcome)
     (message,) = m.Frames().feed(m.framed(m.Message(question=m.Question(1, m.named(order)))))

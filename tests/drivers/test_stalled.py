@@ -17,7 +17,7 @@ from octet_slave import SC, sd1, sd2
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import Blocked, Stalled
 from dpstack.dp.master.master import Master
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.drivers.line.timers import suspended_ns
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
@@ -42,7 +42,7 @@ class Plant:
         self._heard = 0
         self._state = "wait_prm"
         self._free_at = 0
-        setup = SlaveSetup(address=3, name="s3", ident=0x0696, config=b"\x31", initial=RUN)
+        setup = SlaveParams(address=3, name="s3", ident=0x0696, config=b"\x31", initial=RUN)
         params = BusParams.preset(BAUD, address=2, gap=0)
         self.master = Master(params, [setup], safe_after_stall=after_stall == "safe")
         self.station = ActiveStation(params, [self.master], patience=HOST, now=self.kernel.now)

@@ -17,7 +17,7 @@ from dpstack.dp.master.events import MasterStopped, SlaveState
 from dpstack.dp.master.master import Master
 from dpstack.dp.slave.application import SlaveApp
 from dpstack.dp.slave.device import FunctionDevice
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.drivers.line.port_latency import patience_of
 from dpstack.drivers.segment.hub import Segment
 from dpstack.fdl.active.station import ActiveStation
@@ -48,8 +48,8 @@ async def test_bring_up_exchange_restart_and_an_ordered_end(tmp_path: Path) -> N
         master = Master(
             params,
             [
-                SlaveSetup(address=3, name="drive", ident=0x0696, config=bytes.fromhex("f3f1")),
-                SlaveSetup(address=4, name="valves", ident=0x1234, config=bytes.fromhex("2010")),
+                SlaveParams(address=3, name="drive", ident=0x0696, config=bytes.fromhex("f3f1")),
+                SlaveParams(address=4, name="valves", ident=0x1234, config=bytes.fromhex("2010")),
             ],
             watchdog_ms=1000,
         )

@@ -17,7 +17,7 @@ from dpstack.dp.plan.plan import Case, OtherMasters, rotation, t_tr_needed
 from dpstack.dp.plan.rotation_time import figures
 from dpstack.dp.slave.application import make_slave
 from dpstack.dp.slave.loopback_device import MirrorDevice
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.params import BusParams
@@ -27,12 +27,12 @@ from dpstack.units import ns_to_bits
 BAUD = 500_000
 
 
-def slaves_of(counts: list[int]) -> list[list[SlaveSetup]]:
+def slaves_of(counts: list[int]) -> list[list[SlaveParams]]:
     """The slaves of each master, from address 20 on, with 12 octets each way."""
     found, address = [], 20
     for count in counts:
         numbers = range(address, address + count)
-        found.append([SlaveSetup(address=n, name=f"s{n}", ident=IDENT, config=identifiers(12, 12)) for n in numbers])
+        found.append([SlaveParams(address=n, name=f"s{n}", ident=IDENT, config=identifiers(12, 12)) for n in numbers])
         address += count
     return found
 

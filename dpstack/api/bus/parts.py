@@ -15,7 +15,7 @@ from dpstack.api.server.virtual_bench import VirtualBench
 from dpstack.dp.master.commands import Mode
 from dpstack.dp.plan.plan import Case, Plan
 from dpstack.dp.plan.rotation_time import figures
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.drivers.runtime import Runtime
 from dpstack.drivers.views import MasterSeen, StationSeen, WatcherSeen
 from dpstack.errors import UsageError
@@ -80,7 +80,7 @@ class Composed:
         """The bus parameters."""
         return self.parts.plan.params
 
-    def fitting(self, slave: SlaveConfig) -> SlaveSetup:
+    def fitting(self, slave: SlaveConfig) -> SlaveParams:
         """``slave`` for the master, beside all others. Raises ConfigError where the cycle has no room for it."""
         setup = slave.setup(self.params.baud)
         others = [h.setup for address, h in self.master.handlers.items() if address != slave.address]
@@ -88,7 +88,7 @@ class Composed:
         self._round_ns = None
         return setup
 
-    def poll_interval_ns(self, slave: SlaveSetup) -> int:
+    def poll_interval_ns(self, slave: SlaveParams) -> int:
         """The time from one Data_Exchange of ``slave`` to the next where nothing is repeated and no service is beside
         it, as the plan counts it with the slaves that are on the bus now."""
         if self._round_ns is None:

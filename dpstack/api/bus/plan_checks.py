@@ -9,7 +9,7 @@ from dpstack.api.config.config import Config, rate_findings
 from dpstack.dp.plan.cycle_check import Verdict, judge_cycle, slowest_rates
 from dpstack.dp.plan.plan import Case, OtherMasters, Plan, make_plan, rotation, t_tr_preset
 from dpstack.dp.plan.rotation_time import Figures, figures
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.errors import ConfigError
 from dpstack.params import BusParams
 from dpstack.units import BAUD_RATES, NS_PER_MS, NS_PER_S, baud_text, ms_text
@@ -30,7 +30,7 @@ def other_masters(config: Config, baud: int) -> OtherMasters:
     return OtherMasters(rounds=tuple(-(-round(ms * NS_PER_MS) * own // NS_PER_S) for ms in given))
 
 
-def with_t_tr(config: Config, params: BusParams, setups: Sequence[SlaveSetup]) -> BusParams:
+def with_t_tr(config: Config, params: BusParams, setups: Sequence[SlaveParams]) -> BusParams:
     """``params`` with T_TR enough for the longest normal round of all masters, unless the configuration fixes it."""
     if config.bus.t_tr is not None:
         return params
@@ -42,10 +42,10 @@ def data_control_ns(config: Config) -> int:
     return config.bus.data_control_time_ms * NS_PER_MS if config.bus.auto_clear else 0
 
 
-def news_of_plan(config: Config, plan: Plan, setups: Sequence[SlaveSetup], added: SlaveSetup) -> list[str]:
+def news_of_plan(config: Config, plan: Plan, setups: Sequence[SlaveParams], added: SlaveParams) -> list[str]:
     """Findings and notes of the running bus of ``plan`` that are new because ``added`` joins ``setups``."""
 
-    def texts(slaves: Sequence[SlaveSetup]) -> tuple[str, ...]:
+    def texts(slaves: Sequence[SlaveParams]) -> tuple[str, ...]:
         now = make_plan(
             plan.params,
             slaves,
@@ -77,7 +77,7 @@ def _at_rates(config: Config) -> Iterable[Figures]:
         yield figures(params, setups, others=other_masters(config, rate))
 
 
-def adapter_notes(config: Config, params: BusParams, setups: Sequence[SlaveSetup]) -> list[str]:
+def adapter_notes(config: Config, params: BusParams, setups: Sequence[SlaveParams]) -> list[str]:
     """What a USB adapter does to the cycle, which is known before one is opened; nothing where there is time for it."""
     slaves = len(rotation(params, setups, Case.SHORTEST).together)
     round_ns = slaves * _ADAPTER_EXCHANGE + _ADAPTER_TOKEN
@@ -90,7 +90,7 @@ def adapter_notes(config: Config, params: BusParams, setups: Sequence[SlaveSetup
     ]
 
 
-def refuse_misfit(config: Config, plan: Plan, setups: Sequence[SlaveSetup]) -> None:
+def refuse_misfit(config: Config, plan: Plan, setups: Sequence[SlaveParams]) -> None:
     """Refuse ``setups`` that the cycle of ``plan`` cannot have. Raises ConfigError, one line."""
     cycle_ns = config.bus.cycle_ns
     if not cycle_ns:

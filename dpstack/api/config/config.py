@@ -19,7 +19,7 @@ from dpstack.api.config.slave import SlaveConfig, read_slave
 from dpstack.api.config.table import Source, Table
 from dpstack.api.config.toml import MAX_OCTETS, TomlError, read_toml
 from dpstack.api.files import read_file
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.errors import ConfigError, ParamError
 from dpstack.params import BusParams
 from dpstack.text import octets_text
@@ -110,7 +110,7 @@ class Config:
         """True when the slaves are simulated in this process."""
         return self.bus.port == VIRTUAL
 
-    def setups(self, baud: int | None = None) -> tuple[SlaveSetup, ...]:
+    def setups(self, baud: int | None = None) -> tuple[SlaveParams, ...]:
         """The slaves as the master parameterises them at ``baud`` (default: the configured rate)."""
         rate = self.baud if baud is None else baud
         return tuple(slave.setup(rate) for slave in self.slaves)

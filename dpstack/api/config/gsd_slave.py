@@ -56,7 +56,7 @@ class GsdSlave:
     configuration: Configuration
     user_prm: bytes
     notes: tuple[str, ...]
-    #: what helps where the slave refuses ``user_prm``, see :attr:`~dpstack.dp.slave_params.SlaveSetup.prm_note`
+    #: what helps where the slave refuses ``user_prm``, see :attr:`~dpstack.dp.slave_params.SlaveParams.prm_note`
     prm_note: str = ""
 
     @property

@@ -18,7 +18,7 @@ from dpstack.dp.pdu.diag_texts import DiagTexts
 from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN
 from dpstack.dp.process_data import Field, FieldMap, field_of, overlap
 from dpstack.dp.slave.description import SlaveDescription
-from dpstack.dp.slave_params import INTERVAL_UNIT, MAX_WATCHDOG_MS, SlaveSetup
+from dpstack.dp.slave_params import INTERVAL_UNIT, MAX_WATCHDOG_MS, SlaveParams
 from dpstack.dpv1.pdu.dpv1_status import DPV1_STATUS_LEN, Dpv1
 from dpstack.errors import ConfigError
 from dpstack.gsd.identifiers import io_lengths
@@ -148,7 +148,7 @@ class SlaveConfig:
     #: Max_Diag_Data_Len of its GSD file
     max_diag_len: int | None = None
     notes: tuple[str, ...] = ()
-    #: see :attr:`~dpstack.dp.slave_params.SlaveSetup.prm_note`
+    #: see :attr:`~dpstack.dp.slave_params.SlaveParams.prm_note`
     prm_note: str = ""
 
     @property
@@ -161,10 +161,10 @@ class SlaveConfig:
         """Octets of outputs."""
         return io_lengths(self.config)[1]
 
-    def setup(self, baud: int) -> SlaveSetup:
+    def setup(self, baud: int) -> SlaveParams:
         """What the master must know of it at ``baud`` bit/s."""
         profile = self.profile
-        return SlaveSetup(
+        return SlaveParams(
             address=self.address,
             name=self.name,
             ident=self.ident,

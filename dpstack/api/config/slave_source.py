@@ -39,7 +39,7 @@ class Basis:
     description: SlaveDescription | None = None
     texts: DiagTexts | None = None
     notes: tuple[str, ...] = ()
-    #: see :attr:`~dpstack.dp.slave_params.SlaveSetup.prm_note`
+    #: see :attr:`~dpstack.dp.slave_params.SlaveParams.prm_note`
     prm_note: str = ""
 
 

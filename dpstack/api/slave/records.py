@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final, TypeVar
 
 from dpstack.api.slave.services import time_of
 from dpstack.argcheck import octets, whole
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone, WriteRecord
 from dpstack.dpv1.pdu.error_codes import AGAIN, Decode
 from dpstack.dpv1.pdu.im import IM_ANSWER, IM_INDEX, RECORDS, Im, Im0, build_call, number_of, parse_answer
@@ -145,7 +145,7 @@ async def _until_ready(service: Callable[[], Awaitable[T]], timeout: float | Non
 class Records(RecordAccess):
     """The records of a slave of this master (MS1)."""
 
-    def __init__(self, services: Services, setup: SlaveSetup) -> None:
+    def __init__(self, services: Services, setup: SlaveParams) -> None:
         self._services = services
         self._setup = setup
 

@@ -20,7 +20,7 @@ from dpstack.dp.pdu.diag_texts import block_texts, conspicuous_text
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.process_data import Field, Value
 from dpstack.dp.process_image import inputs_are_valid, inputs_limit_ns
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.alarm_events import AlarmCounts
 from dpstack.dpv1.pdu.im import Im
 from dpstack.drivers.views import HandlerSeen
@@ -66,7 +66,7 @@ class Slave(Sealed):
         return self._handler.setup.name
 
     @property
-    def setup(self) -> SlaveSetup:
+    def setup(self) -> SlaveParams:
         """How the master parameterises it."""
         return self._handler.setup
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 
 
 class Mode(IntEnum):
@@ -43,7 +43,7 @@ class Shutdown:
 class AddSlave:
     """Take up one more slave while the bus runs."""
 
-    setup: SlaveSetup
+    setup: SlaveParams
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +75,7 @@ class ReparameteriseSlave:
     lengths they are made anew (a slave with a cyclic unit is refused then).
     """
 
-    setup: SlaveSetup
+    setup: SlaveParams
 
 
 @dataclass(frozen=True, slots=True)

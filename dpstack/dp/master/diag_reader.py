@@ -9,7 +9,7 @@ from dpstack.dp.master.fault_report import Findings
 from dpstack.dp.master.verdicts import deviations
 from dpstack.dp.pdu.diag_texts import block_texts
 from dpstack.dp.pdu.diagnosis import Diagnosis
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.alarm_events import AlarmBook
 from dpstack.dpv1.master.alarm_handler import AlarmHandler
 from dpstack.trace import Event
@@ -25,7 +25,7 @@ class Diagnoses:
 
     def __init__(
         self,
-        setup: SlaveSetup,
+        setup: SlaveParams,
         own: int,
         findings: Findings,
         emit: Callable[[Event], None],

@@ -12,7 +12,7 @@ from typing import Final
 from dpstack.dp.master.events import Fault, FaultKind
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.pdu.requests import SET_PRM_LEN
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.fdl.interface import Failure
 from dpstack.text import octets_text
 from dpstack.units import baud_text
@@ -107,14 +107,14 @@ def not_supported() -> Fault:
     )
 
 
-def refusal(setup: SlaveSetup, diagnosis: Diagnosis, sent: bytes) -> Fault | FaultOfCfg:
+def refusal(setup: SlaveParams, diagnosis: Diagnosis, sent: bytes) -> Fault | FaultOfCfg:
     """What a diagnosis refuses: Set_Prm, whose octets were ``sent``, or Chk_Cfg."""
     if diagnosis.prm_fault:
         return prm_fault(setup, diagnosis, sent)
     return not_supported() if diagnosis.not_supported else partial(cfg_fault, setup)
 
 
-def prm_fault(setup: SlaveSetup, diagnosis: Diagnosis, sent: bytes) -> Fault:
+def prm_fault(setup: SlaveParams, diagnosis: Diagnosis, sent: bytes) -> Fault:
     """Set_Prm refused. ``sent`` are the octets of Set_Prm."""
     said = f", it adds {diagnosis.ext.hex(' ')}" if diagnosis.ext else ""
     user = sent[SET_PRM_LEN:].hex(" ") or "none"
@@ -126,7 +126,7 @@ def prm_fault(setup: SlaveSetup, diagnosis: Diagnosis, sent: bytes) -> Fault:
     )
 
 
-def cfg_fault(setup: SlaveSetup, actual: bytes | None) -> Fault:
+def cfg_fault(setup: SlaveParams, actual: bytes | None) -> Fault:
     """Chk_Cfg refused. ``actual`` is what Get_Cfg gave, None when it gave nothing."""
     difference, correction = _compared(setup.config, actual)
     if actual is None:
@@ -156,7 +156,7 @@ def _compared(sent: bytes, actual: bytes | None) -> tuple[str, str]:
     )
 
 
-def not_ready(setup: SlaveSetup, seconds: float, actual: bytes | None) -> Fault:
+def not_ready(setup: SlaveParams, seconds: float, actual: bytes | None) -> Fault:
     """Accepts parameters and configuration, never gets ready. ``actual`` as in :func:`cfg_fault`."""
     difference, correction = _compared(setup.config, actual)
     look = "look at the device: it may wait for its own start-up or for modules"
@@ -168,7 +168,7 @@ def not_ready(setup: SlaveSetup, seconds: float, actual: bytes | None) -> Fault:
     )
 
 
-def not_taken(setup: SlaveSetup, actual: bytes | None) -> Fault:
+def not_taken(setup: SlaveParams, actual: bytes | None) -> Fault:
     """Prm_Req after everything was acknowledged, again and again. ``actual`` as in :func:`cfg_fault`."""
     difference, correction = _compared(setup.config, actual)
     return Fault(
@@ -188,7 +188,7 @@ def statically_ill(seconds: float) -> Fault:
     )
 
 
-def wrong_length(setup: SlaveSetup, expected: int, got: int, actual: bytes | None) -> Fault:
+def wrong_length(setup: SlaveParams, expected: int, got: int, actual: bytes | None) -> Fault:
     """Data_Exchange answers with ``got`` octets instead of ``expected``. ``actual`` as in :func:`cfg_fault`."""
     difference, correction = _compared(setup.config, actual)
     return Fault(
@@ -227,7 +227,7 @@ def prm_silent(sent: bytes) -> Fault:
     )
 
 
-def cfg_silent(setup: SlaveSetup, actual: bytes | None) -> Fault:
+def cfg_silent(setup: SlaveParams, actual: bytes | None) -> Fault:
     """Alive, but never acknowledges Chk_Cfg. ``actual`` as in :func:`cfg_fault`."""
     difference, correction = _compared(setup.config, actual)
     return Fault(

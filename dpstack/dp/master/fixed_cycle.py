@@ -17,7 +17,7 @@ from enum import Enum
 from typing import Final
 
 from dpstack.dp.master.events import CyclesMissed
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.errors import ConfigError
 from dpstack.fdl.active.cycle_window import Budget
 from dpstack.stats import Histogram
@@ -225,7 +225,7 @@ class Cadence:
         """The slaves are lost: the next round may begin at once."""
         self._begun_at = self._interval = 0
 
-    def check(self, setup: SlaveSetup) -> None:
+    def check(self, setup: SlaveParams) -> None:
         """Raises ConfigError where the fixed cycle is too fast for a slave."""
         turn_ns = self.book.cycle_ns * setup.every
         interval_ns = setup.min_slave_interval_ns

@@ -33,7 +33,7 @@ from dpstack.dp.master.slave_handler import SlaveHandler
 from dpstack.dp.master.slave_list import SAFE_HOLD, Farewells, Roster
 from dpstack.dp.master.token_watch import TokenAge
 from dpstack.dp.process_image import SlaveImage
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.errors import BusError, UsageError
 from dpstack.fdl.active.cycle_window import Budget
 from dpstack.fdl.events import StationFound
@@ -68,7 +68,7 @@ class Master:
     def __init__(
         self,
         params: BusParams,
-        slaves: Iterable[SlaveSetup] = (),
+        slaves: Iterable[SlaveParams] = (),
         *,
         watchdog_ms: int = 200,
         absent_share: int = 0,
@@ -203,7 +203,7 @@ class Master:
         events, self._events = self._events, []
         return events
 
-    def _check(self, setup: SlaveSetup) -> None:
+    def _check(self, setup: SlaveParams) -> None:
         self._cadence.check(setup)
         self.controls.cycle_freeze.check(setup)
         self.controls.cycle_sync.check(setup)

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.slave_handler import SlaveHandler
 from dpstack.dp.rate_groups import offsets, round_interval_ns
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.dp.telegram_times import share
 from dpstack.params import BusParams
 
@@ -24,12 +24,12 @@ class RateTurns:
 
     def __init__(self, params: BusParams) -> None:
         self._params = params
-        self._setups: Sequence[SlaveSetup] = ()
+        self._setups: Sequence[SlaveParams] = ()
         #: by address: n and offset, and the number of the next turn
         self._rare: dict[int, tuple[int, int]] = {}
         self._due: dict[int, int] = {}
 
-    def arrange(self, setups: Sequence[SlaveSetup]) -> None:
+    def arrange(self, setups: Sequence[SlaveParams]) -> None:
         """The slaves there are, whether they are in data exchange or not; who was there keeps its offset."""
         if setups == self._setups:
             return
@@ -68,7 +68,7 @@ class RateTurns:
         self._due.pop(address, None)
 
     @staticmethod
-    def interval_ns(setups: Sequence[SlaveSetup]) -> int:
+    def interval_ns(setups: Sequence[SlaveParams]) -> int:
         """The shortest time between the beginnings of two free running rounds that leave out who has no turn."""
         return round_interval_ns((s.every, s.min_slave_interval_ns) for s in setups)
 

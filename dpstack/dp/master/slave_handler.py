@@ -22,7 +22,7 @@ from dpstack.dp.master.verdicts import OddAnswers, Readiness, foreign_owner, mas
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.process_image import SlaveImage, image_of
 from dpstack.dp.services import DATA_STATUS, EMPTY_STATUS, SERVICE_NAMES, SlaveRequests, positive, refusal_text, set_prm
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.alarm_events import AlarmBook, AlarmCounts
 from dpstack.dpv1.master.alarm_handler import AlarmHandler
 from dpstack.fdl.interface import Failure, Request
@@ -56,7 +56,7 @@ class SlaveHandler:
 
     def __init__(
         self,
-        setup: SlaveSetup,
+        setup: SlaveParams,
         *,
         own: int,
         baud: int,

@@ -17,7 +17,7 @@ from dpstack.dp.master.poll_order import Turns
 from dpstack.dp.master.slave_handler import SlaveHandler
 from dpstack.dp.pdu.requests import GlobalControl
 from dpstack.dp.services import unlock_prm
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.errors import ConfigError, UsageError
 from dpstack.fdl.interface import Request
 from dpstack.fdl.telegram import SAP_GLOBAL_CONTROL, SAP_SET_PRM, SSAP_MS0, Req
@@ -127,7 +127,7 @@ class Roster:
         controls: Controls,
         sending: Callable[[], bool],
         emit: Callable[[Event], None],
-        check: Callable[[SlaveSetup], None],
+        check: Callable[[SlaveParams], None],
         masters: Callable[[], Collection[int] | None],
         still: Callable[[int], bool],
         look_soon: Callable[[], None],
@@ -173,7 +173,7 @@ class Roster:
                 self._handlers[setup.address] = handler
                 self._emit(SlaveStateChanged(t_ns=now, address=setup.address, name=setup.name, state=handler.state))
 
-    def add(self, setup: SlaveSetup) -> None:
+    def add(self, setup: SlaveParams) -> None:
         """Take up one more. Raises ConfigError."""
         if setup.address in self._handlers:
             other = self._handlers[setup.address].setup.name
@@ -183,7 +183,7 @@ class Roster:
         self._handlers[setup.address] = self._make(setup)
         self._turns.changed()
 
-    def _make(self, setup: SlaveSetup, before: SlaveHandler | None = None) -> SlaveHandler:
+    def _make(self, setup: SlaveParams, before: SlaveHandler | None = None) -> SlaveHandler:
         self._check(setup)
         return SlaveHandler(
             setup,

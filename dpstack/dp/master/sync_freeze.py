@@ -13,7 +13,7 @@ from dpstack.dp.master.commands import Mode, SendControl
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.slave_handler import SlaveHandler
 from dpstack.dp.pdu.requests import GlobalControl
-from dpstack.dp.slave_params import SlaveSetup, group_mask
+from dpstack.dp.slave_params import SlaveParams, group_mask
 from dpstack.errors import ConfigError, UsageError
 
 
@@ -105,7 +105,7 @@ def check_order(command: SendControl, handlers: Iterable[SlaveHandler], mode: Mo
             )
 
 
-def _concerns(setup: SlaveSetup, mask: int) -> bool:
+def _concerns(setup: SlaveParams, mask: int) -> bool:
     return not mask or bool(setup.group_mask & mask)
 
 
@@ -128,7 +128,7 @@ class CyclicControl:
         """Its telegram, which says Operate too."""
         return GlobalControl(freeze=self.freeze, sync=not self.freeze, group_mask=self._mask)
 
-    def concerns(self, setup: SlaveSetup) -> bool:
+    def concerns(self, setup: SlaveParams) -> bool:
         """Whether the slave is in one of the groups."""
         return bool(setup.group_mask & self._mask)
 
@@ -136,7 +136,7 @@ class CyclicControl:
         """Whether the slave takes the telegram: it is in one of the groups and in data exchange."""
         return handler.state is SlaveState.DATA_EXCHANGE and self.concerns(handler.setup)
 
-    def check(self, setup: SlaveSetup) -> None:
+    def check(self, setup: SlaveParams) -> None:
         """Raises ConfigError for a slave of the groups that is not parameterised for it."""
         name = "freeze" if self.freeze else "sync"
         if self.concerns(setup) and not getattr(setup, name):

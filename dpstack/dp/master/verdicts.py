@@ -19,7 +19,7 @@ from dpstack.dp.master.slave_states import Ev
 from dpstack.dp.pdu.diag_bits import FLAG, FLAGS, Does, SetBy, weightiest
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.services import SERVICE_NAMES
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.fdl.telegram import SAP_SET_PRM, Kind, Resp, Telegram
 from dpstack.params import MAX_STATION
 from dpstack.units import NS_PER_S
@@ -160,7 +160,7 @@ class Readiness:
             self.cfg_sent = False
 
     def judge(
-        self, setup: SlaveSetup, diagnosis: Diagnosis, prm_sent: bytes, waited_ns: int
+        self, setup: SlaveParams, diagnosis: Diagnosis, prm_sent: bytes, waited_ns: int
     ) -> tuple[Ev, Fault | fault_texts.FaultOfCfg | None]:
         """What ``diagnosis`` means ``waited_ns`` after the last step, and what is wrong.
 
@@ -187,5 +187,5 @@ class Readiness:
             return verdict, fault_texts.refusal(setup, diagnosis, prm_sent)
         return verdict, None
 
-    def _silent(self, setup: SlaveSetup, prm_sent: bytes) -> Fault | fault_texts.FaultOfCfg:
+    def _silent(self, setup: SlaveParams, prm_sent: bytes) -> Fault | fault_texts.FaultOfCfg:
         return fault_texts.prm_silent(prm_sent) if self.unacked == _SET_PRM else partial(fault_texts.cfg_silent, setup)

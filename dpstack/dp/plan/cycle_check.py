@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 
 from dpstack.dp.master.fixed_cycle import tolerance_ns
 from dpstack.dp.plan.rotation_time import Case, Figures, longest_diagnosis
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.dp.telegram_times import gap_poll_bits, global_control_bits, request_octets, vain_bits
 from dpstack.units import NS_PER_MS, NS_PER_US, baud_text, ms_text
 
@@ -171,7 +171,7 @@ def _refusals(figures: Figures) -> Iterable[Refusal]:
             )
 
 
-def _too_short(figures: Figures, least: int, together: Sequence[SlaveSetup]) -> Refusal:
+def _too_short(figures: Figures, least: int, together: Sequence[SlaveParams]) -> Refusal:
     at, cycle, others = baud_text(figures.params.baud), figures.cycle_ns / NS_PER_MS, figures.others.count
     beside = f" and {others} other master{'s' * (others > 1)}" if others else ""
     slaves = f"{len(together)} slave{'s' * (len(together) != 1)}"
@@ -238,7 +238,7 @@ def _costs(figures: Figures) -> list[str]:
     return told
 
 
-def _turn(cycle: int, setup: SlaveSetup) -> str:
+def _turn(cycle: int, setup: SlaveParams) -> str:
     turn = f"cycle_ms = {cycle / NS_PER_MS:g}"
     return turn if setup.every == 1 else f"{turn} x every = {setup.every} ({ms_text(cycle * setup.every)})"
 

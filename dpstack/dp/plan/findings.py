@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from dpstack.dp.plan.rotation_time import Case, Figures
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.units import NS_PER_MS, baud_text, ms_text
 
 
@@ -83,7 +83,7 @@ def notes(figures: Figures, watchdogs: dict[int, int]) -> Iterable[str]:
             )
 
 
-def _who(setup: SlaveSetup) -> str:
+def _who(setup: SlaveParams) -> str:
     return f"slave {setup.address} ({setup.name})"
 
 

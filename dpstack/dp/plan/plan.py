@@ -23,7 +23,7 @@ from dpstack.dp.plan.rotation_time import (
     watchdog_ms,
 )
 from dpstack.dp.services import planned_prm
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.dp.telegram_times import answer_octets, request_octets
 from dpstack.params import BusParams
 
@@ -39,7 +39,7 @@ class SlavePlan:
     for.
     """
 
-    setup: SlaveSetup
+    setup: SlaveParams
     request_octets: int
     answer_octets: int
     shortest_bits: int
@@ -127,7 +127,7 @@ def _slave_dict(slave: SlavePlan) -> dict[str, object]:
 
 def make_plan(
     params: BusParams,
-    setups: Iterable[SlaveSetup],
+    setups: Iterable[SlaveParams],
     *,
     others: OtherMasters = ALONE,
     cycle_ns: int = 0,
@@ -191,7 +191,7 @@ def _slave_plans(counted: Figures, recommended: int) -> tuple[SlavePlan, ...]:
     return tuple(plans)
 
 
-def _on_loss(setup: SlaveSetup, effective: int) -> str:
+def _on_loss(setup: SlaveParams, effective: int) -> str:
     if not effective:
         return "goes on with its last outputs: its watchdog is off"
     return f"after {effective} ms: {setup.on_loss or 'as its manual says (usually outputs off)'}"

@@ -12,7 +12,7 @@ from enum import Enum
 from typing import Final
 
 from dpstack.dp.rate_groups import Share, fullest, offsets, round_interval_ns
-from dpstack.dp.slave_params import MAX_WATCHDOG_MS, SlaveSetup
+from dpstack.dp.slave_params import MAX_WATCHDOG_MS, SlaveParams
 from dpstack.dp.telegram_times import (
     acyclic_bits,
     data_bits,
@@ -94,7 +94,7 @@ class Rotation:
         return self.data + self.beside
 
 
-def rotation(params: BusParams, setups: Sequence[SlaveSetup], case: Case, others: OtherMasters = ALONE) -> Rotation:
+def rotation(params: BusParams, setups: Sequence[SlaveParams], case: Case, others: OtherMasters = ALONE) -> Rotation:
     """The bus rotation time with every slave of ``setups`` in data exchange, other masters doing what ``case`` says."""
     retries = params.max_retry if case is Case.LONGEST else 0
     slaves = {s.address: data_bits(params, s, _tsdr(params, s, case), retries) for s in setups}
@@ -113,12 +113,12 @@ def rotation(params: BusParams, setups: Sequence[SlaveSetup], case: Case, others
     )
 
 
-def rate_offsets(params: BusParams, setups: Sequence[SlaveSetup]) -> dict[int, int]:
+def rate_offsets(params: BusParams, setups: Sequence[SlaveParams]) -> dict[int, int]:
     """In which rounds the slaves of ``setups`` have their turn, see :mod:`dpstack.dp.rate_groups`."""
     return offsets(share(params, s) for s in setups)
 
 
-def _beside(params: BusParams, setups: Sequence[SlaveSetup], case: Case) -> int:
+def _beside(params: BusParams, setups: Sequence[SlaveParams], case: Case) -> int:
     if case is Case.SHORTEST:
         return 0
     bits = gap_poll_bits(params)
@@ -129,19 +129,19 @@ def _beside(params: BusParams, setups: Sequence[SlaveSetup], case: Case) -> int:
     return bits
 
 
-def longest_diagnosis(params: BusParams, setups: Sequence[SlaveSetup], retries: int = 0) -> int:
+def longest_diagnosis(params: BusParams, setups: Sequence[SlaveParams], retries: int = 0) -> int:
     """The longest Slave_Diag of all in bit times; 0 without slaves."""
     return max((diagnosis_bits(params, s, retries) for s in setups), default=0)
 
 
-def _tsdr(params: BusParams, setup: SlaveSetup, case: Case) -> int:
+def _tsdr(params: BusParams, setup: SlaveParams, case: Case) -> int:
     shortest, longest = shortest_tsdr(params, setup), longest_tsdr(params, setup)
     if case is Case.SHORTEST:
         return shortest
     return max(shortest, min(TYPICAL_TSDR, longest)) if case is Case.TYPICAL else longest
 
 
-def t_tr_needed(params: BusParams, setups: Sequence[SlaveSetup], others: OtherMasters = ALONE) -> int:
+def t_tr_needed(params: BusParams, setups: Sequence[SlaveParams], others: OtherMasters = ALONE) -> int:
     """T_TR in bit times with which every master can end its longest normal round in each hold.
 
     T_TH is T_TR - T_RR: after a full token rotation there must be time left for the longest hold of all.
@@ -151,7 +151,7 @@ def t_tr_needed(params: BusParams, setups: Sequence[SlaveSetup], others: OtherMa
     return min(normal.work + longest, MAX_T_TR)
 
 
-def t_tr_preset(params: BusParams, setups: Sequence[SlaveSetup], others: OtherMasters = ALONE) -> int:
+def t_tr_preset(params: BusParams, setups: Sequence[SlaveParams], others: OtherMasters = ALONE) -> int:
     """T_TR in bit times for this configuration: the table's, or what the masters need if that is more."""
     return max(params.t_tr, t_tr_needed(params, setups, others))
 
@@ -163,7 +163,7 @@ class Figures:
     """
 
     params: BusParams
-    setups: tuple[SlaveSetup, ...]
+    setups: tuple[SlaveParams, ...]
     rotations: dict[Case, Rotation]
     others: OtherMasters = ALONE
     cycle_ns: int = 0
@@ -220,7 +220,7 @@ class Figures:
 
 def figures(
     params: BusParams,
-    setups: Iterable[SlaveSetup],
+    setups: Iterable[SlaveParams],
     *,
     others: OtherMasters = ALONE,
     cycle_ns: int = 0,
@@ -232,6 +232,6 @@ def figures(
     return Figures(params, slaves, rotations, others, cycle_ns, host_slack_ns)
 
 
-def watchdog_ms(params: BusParams, setups: Iterable[SlaveSetup], *, pty: bool = False, host_slack_ns: int = 0) -> int:
+def watchdog_ms(params: BusParams, setups: Iterable[SlaveParams], *, pty: bool = False, host_slack_ns: int = 0) -> int:
     """The recommended watchdog of a free running master alone on its bus, see :meth:`Figures.watchdog_ms`."""
     return figures(params, setups, host_slack_ns=host_slack_ns).watchdog_ms(pty=pty)

@@ -40,7 +40,7 @@ from dpstack.dp.acyclic.job import Outcome, ServiceFailure
 from dpstack.dp.master.fault_report import Findings
 from dpstack.dp.pdu.diag_blocks import DeviceBlock
 from dpstack.dp.pdu.diagnosis import Diagnosis
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.alarm_events import AlarmBook, AlarmDone, AlarmRaised, StatusTold, texts_beside
 from dpstack.dpv1.master.alarm_repeats import Key, Settling
 from dpstack.dpv1.pdu.alarms import Alarm, Status, alarm_name, kind_of, parse_block
@@ -97,7 +97,7 @@ class AlarmHandler:
 
     def __init__(
         self,
-        setup: SlaveSetup,
+        setup: SlaveParams,
         findings: Findings,
         emit: Callable[[Event], None],
         ask: Callable[[int], None],

@@ -18,7 +18,7 @@ from dpstack.dp.master.fixed_cycle import CycleBook, CycleData
 from dpstack.dp.master.scanner import Found
 from dpstack.dp.pdu.diag_texts import block_texts
 from dpstack.dp.pdu.diagnosis import Diagnosis
-from dpstack.dp.slave_params import SlaveSetup
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.alarm_events import AlarmCounts, AlarmRaised, texts_beside
 from dpstack.drivers.process.messages import BusNow, Counters, CyclesNow, News, SlaveNow, WatcherNow
 from dpstack.drivers.process.shared_image import Picture
@@ -52,7 +52,7 @@ class ImageMirror:
 
     __slots__ = ("_address", "_outputs", "_source", "input_len", "output_len", "unit")
 
-    def __init__(self, setup: SlaveSetup, source: Source) -> None:
+    def __init__(self, setup: SlaveParams, source: Source) -> None:
         self.input_len = setup.input_len
         self.output_len = setup.output_len
         #: a drive plugin makes the outputs, over there
@@ -115,7 +115,7 @@ class ImageMirror:
 class SlaveMirror:
     """The handling of one slave, see :class:`dpstack.dp.master.slave_handler.SlaveHandler`."""
 
-    def __init__(self, setup: SlaveSetup, source: Source, before: SlaveMirror | None = None) -> None:
+    def __init__(self, setup: SlaveParams, source: Source, before: SlaveMirror | None = None) -> None:
         self.setup = setup
         self.state = SlaveState.OFFLINE
         self.fault: Fault | None = None
@@ -145,7 +145,7 @@ class SlaveMirror:
 class MasterMirror:
     """The class 1 master, see :class:`dpstack.dp.master.master.Master`; its ``controls`` are this object, too."""
 
-    def __init__(self, slaves: tuple[SlaveSetup, ...], source: Source, *, read_only: bool) -> None:
+    def __init__(self, slaves: tuple[SlaveParams, ...], source: Source, *, read_only: bool) -> None:
         self.read_only = read_only
         self.mode = Mode.STOP if read_only else Mode.CLEAR
         self.handlers = {setup.address: SlaveMirror(setup, source) for setup in slaves}
