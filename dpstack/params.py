@@ -1,8 +1,7 @@
 """Bus parameters under the standard's names, presets per baud rate, and the constructor that checks them.
 
-All times are bit times. Sources: the table of IEC 61158 as printed in Felser's PROFIBUS manual ("Zeitverhaeltnisse"),
-the 45.45 kbit/s row and the retry limits from the Softing bus parameter table (``busparam.c``), the limits from the
-Siemens ET 200AL manual and the ELPRO 105U-G manual; see ``docs/bus-parameters.md``.
+All times are bit times. Table and limits with their sources: docs/protocol.md#bus-parameters; what follows from them:
+docs/bus-parameters.md.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ class _Row(NamedTuple):
     t_tr: int
 
 
-# Columns as in Felser's table; gap, retry and T_TR by the Softing table (protocol facts, section J).
+# Columns as in Felser's table; gap, retry and T_TR by the Softing table (docs/protocol.md#bus-parameters).
 _PRESETS: Final[dict[int, _Row]] = {
     9_600: _Row(100, 11, 60, 1, 0, 1, 1, 50_000),
     19_200: _Row(100, 11, 60, 1, 0, 1, 1, 50_000),

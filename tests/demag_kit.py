@@ -18,7 +18,8 @@ def sim(telegram: str = "PPO3", presets: Mapping[str, Any] = NONE, **options: An
 
 
 def pkw(bench: DeviceBench, order: str) -> str:
-    """One order with the handshake of D4 in PPO1; the reply's eight octets."""
+    """One order with its handshake (docs/drives/demag.md#handshake-of-the-parameter-channel) in PPO1; the reply's eight
+    octets."""
     assert bench.send(ZERO + "00 00 00 00")[:23] == ZERO.strip()
     return bench.send(order + " 00 00 00 00")[:23]
 

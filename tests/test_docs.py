@@ -6,7 +6,9 @@ import json
 import re
 import runpy
 import shlex
-from functools import partial
+from collections import Counter
+from collections.abc import Callable
+from functools import cache, partial
 from pathlib import Path
 
 import pytest
@@ -16,6 +18,7 @@ from dpstack.api.config.config import parse_config
 from dpstack.cli.main import _COMMANDS, build_parser, main
 from dpstack.errors import ConfigError
 from dpstack.params import BusParams
+from tools import make_pictures
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -23,7 +26,23 @@ PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglo
 BUSY = ROOT / "examples" / "busy_program.py"
 EXAMPLES = sorted(set((ROOT / "examples").glob("*.py")) - {BUSY})
 _BLOCK = re.compile(r"(?:<!-- (?P<mark>[^>]*?) -->\n)?```(?P<kind>\w+)\n(?P<text>.*?)^```", re.DOTALL | re.MULTILINE)
-_LINK = re.compile(r"\[[^\]]*\]\(([^)#]+)(?:#[^)]*)?\)")
+_LINK = re.compile(r"\[[^\]]*\]\(([^)#\s]*)(?:#([^)\s]*))?\)")
+_CITATION = re.compile(r"docs/[\w/-]+\.md(?:#[\w-]+)?")
+_HEADING = re.compile(r"^#+ (.+)$", re.MULTILINE)
+#: what is code in a page holds no headings and no links
+_CODE = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
+#: facts cited by the numbers of lists that are not in the project
+_OLD_CITATION = re.compile(
+    r"protocol facts|\bsection [A-J]\b(?! of)|\b[Rr]ows? [DKILF]\d+|\bspec p\.? ?\d|check list|"
+    r"\((?:[A-D]\d|J|section [A-J])(?:, (?:[A-D]\d|J))*\)"
+)
+_ARCHITECTURE = ROOT / "docs" / "architecture.md"
+SOURCES = sorted(
+    path
+    for room in ("dpstack", "drives", "tests", "bench", "tools", "examples")
+    for path in (ROOT / room).rglob("*")
+    if path.suffix in {".py", ".toml", ".gsd"} and path != Path(__file__).resolve()
+)
 
 
 def blocks(page: Path, kind: str) -> list[tuple[str, str]]:
@@ -220,11 +239,51 @@ def test_commands_exist(page: Path) -> None:
                 assert f"\n{words[1]}:" in makefile
 
 
+def slug(heading: str) -> str:
+    """The anchor that GitHub makes of a heading: "RD_Inp, RD_Outp" -> rd_inp-rd_outp."""
+    return re.sub(r"[^\w -]", "", heading.strip().lower()).replace(" ", "-")
+
+
+@cache
+def anchors(page: Path) -> frozenset[str]:
+    """Of headings and of ``<a id="...">``; two of the same name would lead to the first one only."""
+    text = _CODE.sub("", page.read_text(encoding="utf-8"))
+    names = [slug(heading) for heading in _HEADING.findall(text)] + re.findall(r'<a id="([^"]+)">', text)
+    doubled = [name for name, times in Counter(names).items() if times > 1]
+    assert page.name == "CHANGELOG.md" or not doubled, f"{page.name}: {doubled}"
+    return frozenset(names)
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
 def test_links_lead_somewhere(page: Path) -> None:
-    for target in _LINK.findall(page.read_text(encoding="utf-8")):
-        if "://" not in target:
-            assert (page.parent / target).exists(), f"{page.name}: {target}"
+    for target, anchor in _LINK.findall(_CODE.sub("", page.read_text(encoding="utf-8"))):
+        if "://" in target:
+            continue
+        found = (page.parent / target).resolve() if target else page
+        assert found.exists(), f"{page.name}: {target}"
+        assert not anchor or anchor in anchors(found), f"{page.name}: {target}#{anchor}"
+
+
+def missing(text: str) -> list[str]:
+    """The citations of documents in ``text`` that lead nowhere."""
+    found = (citation.partition("#") for citation in _CITATION.findall(text))
+    return [
+        f"{file}#{anchor}"
+        for file, _, anchor in found
+        if not (ROOT / file).is_file() or (anchor and anchor not in anchors(ROOT / file))
+    ]
+
+
+@pytest.mark.parametrize("find", [missing, _OLD_CITATION.findall], ids=["leads nowhere", "old form"])
+def test_citations_in_the_sources_lead_to_an_anchor(find: Callable[[str], list[str]]) -> None:
+    wrong = {path: find(path.read_text(encoding="utf-8", errors="replace")) for path in SOURCES}
+    assert {str(path.relative_to(ROOT)): found for path, found in wrong.items() if found} == {}
+
+
+def test_a_citation_of_nothing_is_found() -> None:
+    assert missing("docs/protocol.md#t-sl, docs/protocol.md") == []
+    assert missing("docs/protocol.md#nothing and docs/nothing.md") == ["docs/protocol.md#nothing", "docs/nothing.md#"]
+    assert _OLD_CITATION.findall("(protocol facts B6), row D17 (C3, J)") == ["protocol facts", "row D17", "(C3, J)"]
 
 
 def test_every_command_and_option_is_documented() -> None:
@@ -291,3 +350,36 @@ def test_the_table_of_neighbours_is_the_programs() -> None:
             wanted = Neighbours(BusParams.preset(baud), patience, int(lowest or 0)).t_sl
             assert ("none" in cell) if wanted > 16_383 else int(cell.replace(" ", "")) == wanted
     assert len(rows) == 3
+
+
+def test_pictures_are_made_by_the_tool() -> None:
+    text = _ARCHITECTURE.read_text(encoding="utf-8")
+    assert text == make_pictures.architecture(text), "run tools/make_pictures.py"
+    assert make_pictures.STATES.read_text(encoding="utf-8") == make_pictures.states(), "run tools/make_pictures.py"
+
+
+def _file(name: str) -> Path:
+    """A file that the walk through the code names."""
+    return next((path for path in (ROOT / "dpstack" / name, ROOT / name) if path.exists()), ROOT / name)
+
+
+def test_the_walk_names_files_that_exist() -> None:
+    named = re.findall(r"`([\w/.-]+(?:\.py|/))`", _ARCHITECTURE.read_text(encoding="utf-8"))
+    assert len(named) > 80
+    assert [name for name in named if not _file(name).exists() and name != "__init__.py"] == []
+
+
+def test_the_walk_finds_what_a_newcomer_asks_for() -> None:
+    """Functions and tables named beside a question are in the files of that row; no cell is an essay."""
+    lines = _ARCHITECTURE.read_text(encoding="utf-8").splitlines()
+    rows = [line.strip("|").split("|") for line in lines if line.startswith("| ") and line.count("|") == 4]
+    questions = [row for row in rows if row[0].strip().endswith("?")]
+    assert len(questions) >= 10
+    for question, *cells in questions:
+        words = re.findall(r"`([^`]+)`", " ".join(cells))
+        source = "".join(_file(word).read_text(encoding="utf-8") for word in words if word.endswith(".py"))
+        names = [part for word in words if not word.endswith(".py") for part in word.split(".")]
+        assert [name for name in names if not re.search(rf"(?:def|class) {name}\b|^{name}\b", source, re.M)] == [], (
+            question
+        )
+    assert [cell for row in rows for cell in row if len(cell.split()) > 45] == []

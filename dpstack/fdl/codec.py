@@ -1,7 +1,7 @@
 """Telegrams to octets and back: SD1, SD2, SD3, SD4 and SC, the FC octet, address extension octets, FCS.
 
-Sources: IEC 61158-4-3 as told by Felser, "Telegrammformate" and "Funktionscode". Address extension octets: bit 7 =
-another one follows, bit 6 = region/segment address (0 = SAP), bits 5..0 the value; those of DA come first, then SA's.
+Layouts: docs/protocol.md#telegrams, docs/protocol.md#addresses (extension octets: those of DA come first, then SA's),
+docs/protocol.md#function-code.
 
 :func:`parse` is the only place that judges octets. It looks at what is there, so that a frame that cannot become a
 telegram is recognised by the first octet that says so and not at its end.

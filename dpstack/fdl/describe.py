@@ -1,6 +1,6 @@
 """Telegrams and wire logs in words, for people: what a failing test prints, what ``decode`` and ``capture`` show.
 
-The DP services are recognised by their service access points (Felser, "Dienstzugangspunkte").
+The DP services are recognised by their service access points (docs/protocol.md#saps).
 """
 
 from __future__ import annotations

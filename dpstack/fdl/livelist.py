@@ -1,7 +1,8 @@
 """The live list: which stations 0..126 are on the bus, of what type and how ready, asked by FDL status.
 
 A user of the link layer beside others, with the lowest claim of all: one request a token hold, in time that is left
-(spec p102: low priority), silent polls within the allowance it is given. It changes nothing in any station.
+(docs/protocol.md#token-rotation: low priority), silent polls within the allowance it is given. It changes nothing in
+any station.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """Identifier octets of Chk_Cfg and Get_Cfg: the I/O configuration of a slave, general and special format.
 
-Source: Felser, "Kompaktes Format"; the special format's layout from the VPC3+ header and ABB FPBA-01
-(ST1 = C3 C1 C1 FD 00 01: header, output length, input length, manufacturer octets).
+Layouts: docs/protocol.md#identifiers, docs/protocol.md#special-identifiers.
 """
 
 from __future__ import annotations
@@ -16,7 +15,8 @@ from dpstack.errors import ConfigError
 MAX_IO: Final = 244
 #: an identifier of the general format has one of these bits
 _GENERAL: Final = 0x30
-#: low nibble of a special one in Chk_Cfg: no manufacturer octets follow, and none are compared (VPC3+, J)
+#: low nibble of a special one in Chk_Cfg: no manufacturer octets follow, and none are compared
+#: (docs/protocol.md#special-identifiers)
 _NOT_COMPARED: Final = 0x0F
 
 

@@ -3,8 +3,8 @@
 A port that delivers late by ``unknown_ns`` (there and back) shows twice. The first octet of its station after a token,
 or the answer of a simulated slave, begins so much later: within T_SL, else the token is taken back and the request
 repeated. And while the station holds the token it waits with its slack for those who do not answer: a master n claims
-the token after a silence of T_TO = (6 + 2 n) T_SL (protocol facts, A8). All masters of a bus have the same T_SL, so the
-sums are made for one.
+the token after a silence of T_TO = (6 + 2 n) T_SL (docs/protocol.md#t_to). All masters of a bus have the same T_SL, so
+the sums are made for one.
 """
 
 from __future__ import annotations

@@ -8,9 +8,9 @@ take 1/``unknown_share`` of the bus time in silence.
 The GAP has an account of its own, else a few absent slaves would keep every other master out of the ring. It is counted
 by the pass, because a pass is what a newcomer waits for: every silent address is asked about once in 3 s, for which the
 GAP takes 1 % to 10 % of the bus. With 1 % alone a second master on a pty (HSA 126, 187.5 kbit/s, 2.6 ms a silent poll)
-waited 22 to 32 s [M], on an adapter not yet measured 4 minutes; 10 % means 3.3 s and 26 s. It is less than hardware
-masters take, which poll in every rotation, and the median of the rotation does not show it. In a ring each master asks
-its own part of the addresses, so all of them together take little more than one.
+waited 22 to 32 s (measured), on an adapter not yet measured 4 minutes; 10 % means 3.3 s and 26 s. It is less than
+hardware masters take, which poll in every rotation, and the median of the rotation does not show it. In a ring each
+master asks its own part of the addresses, so all of them together take little more than one.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""An IMO HD2 on a bus, as a user has it: its map, a fault, the ways out, and the one rate that its card hears (I5)."""
+"""An IMO HD2 on a bus, as a user has it: its map, a fault, the ways out, and the one rate that its card hears
+(docs/drives/imo-hd2.md#address-and-baud-rate)."""
 
 from __future__ import annotations
 
@@ -68,7 +69,7 @@ def test_a_users_program() -> None:
 
 @pytest.mark.parametrize("way", ["clear", "stop"])
 def test_a_running_hd2_comes_to_rest(way: str) -> None:
-    """Zeros are no command (I2): only 0005 before them ramps it down."""
+    """Zeros are no command (docs/drives/imo-hd2.md#control-and-status-word): only 0005 before them ramps it down."""
 
     async def program() -> None:
         async with dpstack.open_bus(port="virtual", baud=500_000, slaves=[{**PUMP, **SET}]) as bus:

@@ -70,7 +70,7 @@ DRIVES: list[tuple[Mapping[str, object], str | int]] = [
 
 @pytest.mark.parametrize(("table", "parameter"), DRIVES, ids=lambda value: str(value)[:30])
 def test_a_new_address_acts_from_the_next_power_on(table: Mapping[str, object], parameter: str | int) -> None:
-    """D19, K11, I5, L9, F11: the drive holds its address and stands there."""
+    """The drive holds its address and stands there (for one: docs/drives/demag.md#address)."""
 
     async def main() -> None:
         slaves = [{"name": "it", "address": 4, **table}]

@@ -493,7 +493,8 @@ def test_alone_on_a_port_until_ctrl_c_then_through_a_run(plant: Path, start: Sta
         if status["status"]["state"] != "offline":
             break
     assert status["through"] == "run"
-    assert status["status"]["state"] == "fault"  # Er5: its watchdog ended the data exchange with the first master (F8)
+    # Er5: its watchdog ended the data exchange with the first master (docs/drives/fuji.md#lost-communication)
+    assert status["status"]["state"] == "fault"
     assert main(["ctl", port]) == 0
     assert capsys.readouterr().out.startswith("sim on ")
     through_the_run(plant, run, capsys)

@@ -89,7 +89,7 @@ def test_what_is_no_diagnosis(length: int) -> None:
 
 
 def test_what_real_slaves_do_instead_is_tolerated() -> None:
-    """Section I: the bit that is always 1 is 0; the master address is own + 128."""
+    """docs/protocol.md#always-1-bit: it is 0; the master address is own + 128."""
     assert not parse("00 00 00 02 12 34").always_one
     assert parse("00 08 00 82 12 34").master == 0x82
 
@@ -101,7 +101,7 @@ def test_an_extended_diagnosis_that_is_too_long_is_misuse() -> None:
 
 
 def test_all_kinds_of_blocks() -> None:
-    """Protocol facts B1: device, identifier, channel, revision."""
+    """docs/protocol.md#diagnosis-blocks: device, identifier, channel, revision."""
     diagnosis = parse("08 0C 00 02 12 34" + "04 AA BB CC" + "43 05 80" + "82 43 A6" + "C7" + "01")
     assert diagnosis.ext_finding is None
     device, identifier, channel, revision, empty = diagnosis.blocks

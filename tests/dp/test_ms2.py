@@ -139,7 +139,7 @@ def test_a_request_that_is_not_taken_now_is_repeated(busy: int, sap: int) -> Non
 
 
 def test_old_data_are_given_away_first() -> None:
-    """RDL: old data, and the request was not taken (A3)."""
+    """RDL: old data, and the request was not taken (docs/protocol.md#function-code)."""
     kit = Ms2Bus()
     kit.open()
     usual, times = usual_of(kit.slave), [2]

@@ -1,4 +1,5 @@
-"""Set_Prm, Global_Control and Set_Slave_Add, against octets of real bus logs and of manuals (facts A1, B2, B4, B8)."""
+"""Set_Prm, Global_Control and Set_Slave_Add, against octets of real bus logs (docs/protocol.md#known-telegrams) and of
+manuals."""
 
 from __future__ import annotations
 
@@ -155,7 +156,7 @@ def test_global_control_ignores_reserved_bits_and_refuses_other_lengths() -> Non
         GlobalControl(group_mask=256).build()
 
 
-# --- Set_Slave_Add (B8) ---------------------------------------------------------------------------------------------
+# --- Set_Slave_Add (docs/protocol.md#set_slave_add) -----------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

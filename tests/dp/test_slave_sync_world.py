@@ -172,7 +172,7 @@ def test_clear_and_sync_in_one_telegram(plant: Plant) -> None:
 
 
 def test_the_un_ones_win_on_the_wire(plant: Plant) -> None:
-    """B4: sync with unsync is unsync, freeze with unfreeze is unfreeze."""
+    """docs/protocol.md#global_control: sync with unsync is unsync, freeze with unfreeze is unfreeze."""
     plant.control(SYNC)
     plant.round("22 22")
     plant.control("3C")

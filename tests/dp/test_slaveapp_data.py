@@ -1,4 +1,4 @@
-"""Clear and Operate, SYNC and FREEZE with their double buffers, groups (protocol facts B4, J)."""
+"""Clear and Operate, SYNC and FREEZE with their double buffers, groups (docs/protocol.md#global_control)."""
 
 from __future__ import annotations
 
@@ -51,7 +51,8 @@ def test_leaving_forgets_clear() -> None:
 
 
 def test_an_empty_frame_is_clear_for_a_fail_safe_slave() -> None:
-    """J: a Fail_Safe slave is sent empty frames in Clear; a full one ends it unless Global_Control said Clear."""
+    """docs/protocol.md#clear: a Fail_Safe slave is sent empty frames in Clear; a full one ends it unless Global_Control
+    said Clear."""
     device = Recorder()
     device.fail_safe = True
     bench = Bench(device).up()
@@ -149,7 +150,8 @@ def test_the_un_ones_win() -> None:
 
 
 def test_clear_goes_through_sync() -> None:
-    """J: Clear empties the outputs, held or not; back in Operate they wait for the next SYNC."""
+    """docs/protocol.md#slave-states: Clear empties the outputs, held or not; back in Operate they wait for the next
+    SYNC."""
     bench = Bench().up()
     bench.dx(b"\x11")
     bench.control(SYNC)
@@ -185,7 +187,7 @@ def test_groups(mask: int, meant: bool) -> None:
 
 
 def test_group_ident_only_with_lock_req() -> None:
-    """p734: Group_Ident is taken only when Lock_Req is set."""
+    """docs/protocol.md#set_prm: Group_Ident is taken only when Lock_Req is set."""
     bench = Bench().up()
     bench.dx()
     bench.prm(bytes.fromhex("00 01 01 0B 0A 35 01"))

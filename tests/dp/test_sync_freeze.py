@@ -57,7 +57,7 @@ def outcomes(bus: ScriptedLink) -> list[Event]:
     ],
 )
 def test_each_is_sent_once_to_its_groups(what: dict[str, bool], groups: tuple[int, ...], octets: str) -> None:
-    """Literal octets (protocol facts B4); a second SYNC would act again, so it is never repeated."""
+    """Literal octets (docs/protocol.md#global_control); a second SYNC would act again, so it is never repeated."""
     bus = operating(setup(3), setup(4))
     bus.master.command(SendControl(7, groups, **what), bus.now)
     bus.run(500 * MS)

@@ -33,7 +33,7 @@ def slave(**more: Any) -> DpSlave:
     return DpSlave(description, lambda outputs, elapsed: outputs)
 
 
-# --- blocks (protocol facts B1) -----------------------------------------------------------------------------------
+# --- blocks (docs/protocol.md#diagnosis-blocks) ---------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -196,7 +196,7 @@ def test_a_master_that_goes_on_has_read_it() -> None:
 
 @pytest.mark.parametrize("between", [None, 59])
 def test_a_master_that_takes_the_station_up_afresh_has_not(between: int | None) -> None:
-    """FCV 0, FCB 1 after the diagnosis: every attempt to get it failed (A4)."""
+    """FCV 0, FCB 1 after the diagnosis: every attempt to get it failed (docs/protocol.md#frame-count-bit)."""
     device = slave()
     bench = Bench(device).up()
     device.diag = UserDiag.of(device_block(b"\x01"))

@@ -1,4 +1,4 @@
-"""Demag: facts of the GSD file (D1, D2), state and command tables (D7), readings of status words."""
+"""Demag: facts of the GSD file, state and command tables, readings of status words (docs/drives/demag.md)."""
 
 from __future__ import annotations
 

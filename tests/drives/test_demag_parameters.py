@@ -1,4 +1,4 @@
-"""Demag's parameter channel, the master's end alone, fed with literal octets (D3 to D6, D16, D17, D20)."""
+"""Demag's parameter channel, the master's end alone, fed with literal octets (docs/drives/demag.md)."""
 
 from __future__ import annotations
 

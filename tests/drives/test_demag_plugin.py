@@ -1,4 +1,4 @@
-"""Demag, the master's end alone: fed with literal octets of the manual (D2, D7 to D9, D11, D13, D15, D18, D21)."""
+"""Demag, the master's end alone: fed with literal octets of the manual (docs/drives/demag.md)."""
 
 from __future__ import annotations
 

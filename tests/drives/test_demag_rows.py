@@ -1,4 +1,4 @@
-"""Demag: Set_Prm (D1), DC brake (D8), toggle bit (D10), address, limits, warnings and SYNC (D15, D17, D19 to D22).
+"""Demag: Set_Prm, DC brake, toggle bit, address, limits, warnings and SYNC (docs/drives/demag.md).
 
 Both ends alone, against literal octets.
 """
@@ -15,7 +15,7 @@ from dpstack.errors import ConfigError
 from dpstack.profile import Leave
 from dpstack_drives.demag import DRIVE
 
-# -- D1, D2 ------------------------------------------------------------------------------------------------------------
+# -- docs/drives/demag.md#gsd-facts -----------------------------------------------------------------------------------
 
 
 def test_d1_what_set_prm_and_chk_cfg_bring() -> None:
@@ -30,7 +30,7 @@ def test_d1_what_set_prm_and_chk_cfg_bring() -> None:
     assert device.fail_safe
 
 
-# -- D8 ----------------------------------------------------------------------------------------------------------------
+# -- docs/drives/demag.md#stopping -----------------------------------------------------------------------------------
 
 
 def test_d8_the_dc_brake_holds_for_632_and_takes_no_control_word() -> None:
@@ -74,7 +74,7 @@ def test_d8_392_by_the_kind_of_application() -> None:
         DRIVE.device("PPO3", {"392": 1, "application": "speed"})
 
 
-# -- D10 ---------------------------------------------------------------------------------------------------------------
+# -- docs/drives/demag.md#toggle-bit ---------------------------------------------------------------------------------
 
 
 def test_d10_the_drive_waits_for_the_first_copy_and_then_limits_each_answer() -> None:
@@ -151,7 +151,7 @@ def test_d10_the_plugin_warns_when_881_is_too_short(limit: str, told: bool) -> N
     assert all("50 ms, two scans of the drive and two rotations take 68 ms" in text for text in notices)
 
 
-# -- D19 to D22 --------------------------------------------------------------------------------------------------------
+# -- docs/drives/demag.md#address ------------------------------------------------------------------------------------
 
 
 def test_d19_a_write_of_391_resets_the_drive() -> None:

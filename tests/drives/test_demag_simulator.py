@@ -1,4 +1,4 @@
-"""Demag, the simulated drive alone: literal outputs in, literal inputs out (D3, D4, D6, D7, D9, D11, D13, D17, D18)."""
+"""Demag, the simulated drive alone: literal outputs in, literal inputs out (docs/drives/demag.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Demag: OUT-PZD and IN-PZD (D12, D14), the trace of the manual's lines (D16). Both ends alone, literal octets."""
+"""Demag: OUT-PZD and IN-PZD, the trace of the manual's lines (docs/drives/demag.md). Both ends alone, literal
+octets."""
 
 from __future__ import annotations
 
@@ -10,7 +11,7 @@ from dpstack.errors import ConfigError
 from dpstack_drives.demag import DRIVE
 from dpstack_drives.demag.simulator import DemagDevice
 
-# -- D12, D14 ----------------------------------------------------------------------------------------------------------
+# -- docs/drives/demag.md#out-pzd -------------------------------------------------------------------------------------
 
 VALUES = [
     ("bool", 1, "FF FF"),
@@ -105,7 +106,7 @@ def test_d14_sources_are_there_in_ppo2_and_ppo4_only() -> None:
         wide.source(762)
 
 
-# -- D16 ---------------------------------------------------------------------------------------------------------------
+# -- docs/drives/demag.md#trace-lines --------------------------------------------------------------------------------
 
 
 def test_d16_the_lines_of_the_manual_from_live_data() -> None:

@@ -1,4 +1,4 @@
-"""Fuji's parameters and words of PCD, each end against literal octets (F5 to F8, F11, F13, F14)."""
+"""Fuji's parameters and words of PCD, each end against literal octets (docs/drives/fuji.md)."""
 
 from __future__ import annotations
 

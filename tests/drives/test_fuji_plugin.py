@@ -1,4 +1,4 @@
-"""Fuji's plugin against literal octets (F1 to F4, F9, F10, F12, F15), the worked run of F3 in order."""
+"""Fuji's plugin against literal octets, the worked run of the manual in order (docs/drives/fuji.md)."""
 
 from __future__ import annotations
 

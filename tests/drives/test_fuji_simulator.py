@@ -1,4 +1,4 @@
-"""The simulated Fuji against literal octets (F2 to F4, F8, F10, F12, F15), the worked run of F3 in order."""
+"""The simulated Fuji against literal octets, the worked run of the manual in order (docs/drives/fuji.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""IMO's plugin against literal octets: codes of CW and SW (I1, I2, I4), what start and faults tell."""
+"""IMO's plugin against literal octets: codes of CW and SW (docs/drives/imo-hd2.md), what start and faults tell."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The simulated IMO HD2 against literal octets (I1 to I5)."""
+"""The simulated IMO HD2 against literal octets (docs/drives/imo-hd2.md)."""
 
 from __future__ import annotations
 

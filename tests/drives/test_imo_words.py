@@ -1,4 +1,4 @@
-"""IMO's process data by P15, the plugin's end against literal octets (I4)."""
+"""IMO's process data by P15, the plugin's end against literal octets (docs/drives/imo-hd2.md#process-data)."""
 
 from __future__ import annotations
 

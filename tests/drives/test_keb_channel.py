@@ -1,4 +1,4 @@
-"""KEB's parameter channel: each end against the octets of the manual and of rows K3 to K6."""
+"""KEB's parameter channel: each end against the octets of the manual (docs/drives/keb-f5.md#administration-byte)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from dpstack_drives.keb.simulator import KebDevice
 
 ZERO = "00 00 00 00 00 00 00 00"
 IDLE = " 00 00 00 00"
-WRITE_20_HZ = "72 01 23 03 00 00 06 40"  # K3, oP.3 := 20 Hz with four octets
+WRITE_20_HZ = "72 01 23 03 00 00 06 40"  # oP.3 := 20 Hz with four octets
 CONFIRMED = "42 01 23 03 00 00 06 40"
 
 

@@ -1,4 +1,4 @@
-"""KEB: telegrams and GSD facts (K2), names and indexes (K6), what the profile says (K8, K10)."""
+"""KEB: telegrams and GSD facts, names and indexes, what the profile says (docs/drives/keb-f5.md)."""
 
 from __future__ import annotations
 

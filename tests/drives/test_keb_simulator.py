@@ -1,4 +1,5 @@
-"""KEB's simulated drive against literal octets: services (K1), control and status word (K8), timing (K9), watchdog."""
+"""KEB's simulated drive against literal octets: services, control and status word, timing, watchdog
+(docs/drives/keb-f5.md)."""
 
 from __future__ import annotations
 
@@ -31,7 +32,7 @@ def keb(bench: DeviceBench) -> KebDevice:
     return bench.device
 
 
-# -- K1 ----------------------------------------------------------------------------------------------------------------
+# -- docs/drives/keb-f5.md#services ----------------------------------------------------------------------------------
 
 
 def test_k1_every_service() -> None:
@@ -115,7 +116,7 @@ def test_limits_and_ramps() -> None:
     assert bench.send(RUN, 600) == "00 15 02 EE"
 
 
-# -- K9 ----------------------------------------------------------------------------------------------------------------
+# -- docs/drives/keb-f5.md#when-data-move ----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("cycle", "presets"), [(25, NONE), (7, {"Fb.09": 7}), (1, {"Fb.09": 0})])
@@ -146,7 +147,7 @@ def test_k9_outputs_reach_the_inverter_only_when_they_change() -> None:
 
 
 def _two_blocks(com_cycle: float = 0.0) -> DeviceBench:
-    """K12's test map, active."""
+    """The test map of docs/drives/keb-f5.md#second-block, active."""
     telegram, config = "8+2/8+4 own-gsd", "A7 A1 97 93"
     options: Mapping[str, object] = {"Fb.09": 0, "com_cycle_us": com_cycle}
     first = DRIVE.device(telegram, options)
@@ -210,7 +211,7 @@ def test_k9_the_cyclic_mode_has_a_grid(com_cycle: float, cycle: int) -> None:
     assert keb(bench).operator.output_telegrams - before == pytest.approx(2 * 100 / cycle, abs=2)
 
 
-# -- K10 ---------------------------------------------------------------------------------------------------------------
+# -- docs/drives/keb-f5.md#watchdog-of-the-operator ------------------------------------------------------------------
 
 #: trips at once after 0.1 s
 TRIPS: Mapping[str, object] = {"Pn.05": 0, "Pn.06": 0.1}
@@ -327,7 +328,7 @@ def test_clear_writes_zeros() -> None:
     assert bench.send(RUN, 60)[:5] == "00 05"
 
 
-# -- K11 ---------------------------------------------------------------------------------------------------------------
+# -- docs/drives/keb-f5.md#address-and-maps-over-power-off -----------------------------------------------------------
 
 
 def test_k11_the_address_and_what_power_on_keeps() -> None:

@@ -1,4 +1,4 @@
-"""LS S100: what stands in the manual's tables (L1, L2, L5, L6, L7, L9)."""
+"""LS S100: what stands in the manual's tables (docs/drives/ls-s100.md)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,6 @@
-"""The check list of the drives cannot rot: every row is named by tests of both ends, against literal octets.
+"""The pages of the drives cannot rot: every section of docs/drives is shown by tests of both ends, with literal octets.
 
+A section is a row here, by its second anchor (``<a id="d10">``).
 A test names its rows in its own name (``test_d7_...``, ``test_k9_k12_...``). Which end it shows is read from its
 source, with whatever of its module and of the kits it uses: the plugin is made by ``PluginBench`` or ``core()``, the
 simulated drive by ``DeviceBench`` or ``device()``. A test of both against each other shows neither: they share a table
@@ -18,16 +19,11 @@ from typing import Final
 import pytest
 
 TESTS: Final = Path(__file__).parent.parent
+_PAGES: Final = Path(__file__).resolve().parents[2] / "docs" / "drives"
 ROWS: Final = tuple(
-    f"{letter}{number}"
-    for letter, numbers in {
-        "D": range(1, 23),
-        "K": range(1, 13),
-        "I": range(1, 6),
-        "L": range(1, 12),
-        "F": range(1, 16),
-    }.items()
-    for number in numbers
+    name.upper()
+    for page in sorted(_PAGES.glob("*.md"))
+    for name in re.findall(r'<a id="([dkilf]\d+)"></a>', page.read_text(encoding="utf-8"))
 )
 PLUGIN, DRIVE = "plugin", "simulated drive"
 #: names in the source that make one end; those of PAIR make both and have them talk to each other

@@ -1,4 +1,4 @@
-"""Identifier octets against the examples of manuals (protocol facts B3, J), and the watchdog factors."""
+"""Identifier octets against the examples of manuals (docs/protocol.md#identifiers), and the watchdog factors."""
 
 from __future__ import annotations
 

@@ -3,10 +3,10 @@
 The orders, and what is refused of them at once. Queue and token are :mod:`dpstack.dp.acyclic.queue`, the requests
 :mod:`dpstack.dp.acyclic.class2_services`.
 
-Giving a slave another address (Set_Slave_Add, B8): its acknowledgement proves nothing, some slaves act at once, some
-acknowledge and ignore the service (section I), some take the address at the next power-up. So: Slave_Diag first (the
-right device, nobody's slave), FDL status of the new address (nobody there), the service, then Slave_Diag at the new
-address and silence at the old one.
+Giving a slave another address (docs/protocol.md#set_slave_add): its acknowledgement proves nothing. Some slaves act at
+once, some acknowledge and ignore the service (docs/protocol.md#set-slave-add-ignored), some take the address at the
+next power-up. So: Slave_Diag first (the right device, nobody's slave), FDL status of the new address (nobody there),
+the service, then Slave_Diag at the new address and silence at the old one.
 """
 
 from __future__ import annotations

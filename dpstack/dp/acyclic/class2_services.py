@@ -1,7 +1,7 @@
 """What a class 2 master asks a slave, and what the answers mean; queue and token are :mod:`dpstack.dp.acyclic.queue`.
 
-What a job is, is said in :mod:`dpstack.dp.acyclic.job`. Services of protocol facts B5 and B8: Slave_Diag and Get_Cfg
-are open in every state, RD_Inp and RD_Outp in data exchange, all of them to every master; none of these changes
+What a job is, is said in :mod:`dpstack.dp.acyclic.job`. Services (docs/protocol.md#services-by-state): Slave_Diag and
+Get_Cfg are open in every state, RD_Inp and RD_Outp in data exchange, all of them to every master; none of these changes
 anything in the slave.
 """
 
@@ -110,7 +110,7 @@ class Reading:
 def leaves_out(address: int, service: int) -> Steps[bool]:
     """Whether the slave that did not answer at the SAP ``service`` is there all the same: it answers Slave_Diag.
 
-    Some slaves leave a service that they do not have without any answer (protocol facts, section I).
+    Some slaves leave a service that they do not have without any answer (docs/protocol.md#silent-service).
     """
     if service == Service.DIAGNOSIS:
         return False
@@ -129,7 +129,7 @@ def left_out(address: int, title: str, why: str) -> Outcome:
 
 def request(address: int, service: Service, data: bytes = b"") -> Request:
     """``service`` to ``address``: low priority by its place in the token hold; on the wire it is SRD high like all
-    services of DP, because some slaves know no other (A4)."""
+    services of DP, because some slaves know no other (docs/protocol.md#slaves-that-know-only-fcv-1)."""
     return Request(address, Req.SRD_HIGH, data, service, SSAP_MS0)
 
 
@@ -158,7 +158,8 @@ def judged(address: int, service: Service, answer: Telegram | Failure, expected:
     if not isinstance(answer, Telegram):
         return unanswered(address, service, answer)
     reads_data = service in (Service.INPUTS, Service.OUTPUTS)
-    empty = answer.kind is Kind.SC or answer.function in _NO_DATA  # no inputs, or no outputs: NR, OK, SC (A3)
+    # without inputs, or outputs, the answer is NR, OK or SC (docs/protocol.md#function-code)
+    empty = answer.kind is Kind.SC or answer.function in _NO_DATA
     if not (positive(service, answer) or (reads_data and empty and not answer.data)):
         return refused(address, service, answer)
     low, high = (FIXED_LEN, MAX_LEN) if service is Service.DIAGNOSIS else (0 if reads_data else 1, MAX_LEN)

@@ -20,7 +20,8 @@ from dpstack.trace import Event
 
 T = TypeVar("T")
 
-#: three first requests and the probe with FCV = 1 that finds slaves which know nothing else (A4)
+#: three first requests and the probe with FCV = 1 that finds slaves which know nothing else
+#: (docs/protocol.md#slaves-that-know-only-fcv-1)
 ATTEMPTS: Final = 4
 
 

@@ -8,9 +8,9 @@ services are is in :mod:`dpstack.dp.acyclic.class2`, :mod:`dpstack.dpv1.master.m
 
 A slave that exchanges data and left a service unanswered is asked for no other before its next exchange: to the link
 layer silence is silence, the next request to that station is a first one (FCV 0, FCB 1), and after three of these FCV
-is probed (protocol facts A4). A probe that carries the FCB of the request before is taken for its repetition. That must
-never be a Data_Exchange, which several services in vain between two cycles would bring about: the slave would be given
-up although it exchanges data.
+is probed (docs/protocol.md#slaves-that-know-only-fcv-1). A probe that carries the FCB of the request before is taken
+for its repetition. That must never be a Data_Exchange, which several services in vain between two cycles would bring
+about: the slave would be given up although it exchanges data.
 """
 
 from __future__ import annotations
@@ -302,7 +302,8 @@ class Acyclic:
             self._cut(entry, *entry.over, now)
 
     def _share(self, request: Request, answer: Telegram, now: int) -> None:
-        """Some slaves show a fault in one diagnosis only (section I): their own master must not miss it."""
+        """Some slaves show a fault in one diagnosis only (docs/protocol.md#fault-shown-once): their own master must not
+        miss it."""
         if self.master is None or request.dsap != SAP_SLAVE_DIAG or not positive(request.dsap, answer):
             return
         handler = self.master.handlers.get(request.da)

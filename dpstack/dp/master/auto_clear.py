@@ -1,6 +1,6 @@
 """Auto-clear: the master goes to Clear when a slave had no good data exchange for the Data_Control_Time.
 
-Protocol facts B7, J (spec p760: Error_Action_Flag, Data_Control_Time, Ignore_Aclr of each slave).
+docs/protocol.md#auto-clear (Error_Action_Flag, Data_Control_Time, Ignore_Aclr of each slave).
 """
 
 from __future__ import annotations

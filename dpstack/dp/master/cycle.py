@@ -5,7 +5,7 @@ with every slave whose turn it is, from the process image; a cyclic SYNC; who is
 due. Free running services belong to the round (bring-up, diagnosis; :mod:`dpstack.dp.master.poll_order`): one while any
 slave is in data exchange, so that a bring-up never breaks the others' rhythm, else one for each slave. With a fixed
 cycle they come between the rounds, one a token hold, as far as they fit in (:mod:`dpstack.fdl.active.cycle_window`).
-The order is that of the Siemens S120 and Heidenhain manuals (protocol facts, B6).
+The order is that of the Siemens S120 and Heidenhain manuals (docs/protocol.md#order-in-a-cycle).
 """
 
 from __future__ import annotations
@@ -206,7 +206,7 @@ class Round:
         course = self._course
         if self._operating and course.mode is _OPERATE:
             return handler.unit.outputs(now) if course.target is _OPERATE else handler.unit.safe_outputs()
-        # Clear: a Fail_Safe slave gets an empty frame, the others zeros (section J, Siemens CP5613)
+        # Clear: a Fail_Safe slave gets an empty frame, the others zeros (docs/protocol.md#clear)
         return b"" if handler.setup.fail_safe else bytes(handler.image.output_len)
 
     def _service(self, now: int, *, room: bool = True) -> Request | None:

@@ -1,4 +1,5 @@
-"""Global_Control: the master's mode, repeated; SYNC, FREEZE and their ends, each sent exactly once (B4).
+"""Global_Control: the master's mode, repeated; SYNC, FREEZE and their ends, each sent exactly once
+(docs/protocol.md#global_control).
 
 A further SYNC or FREEZE acts, so none is ever repeated. A slave that comes back into data exchange while its group is
 held is put back into the mode by a telegram of its own, before its first outputs; on every way out of Operate all are

@@ -285,7 +285,7 @@ class Master:
         return not self._outdated
 
     def _go_up(self, now: int) -> None:
-        """Operate with auto-clear waits in Clear for everybody (section J)."""
+        """Operate with auto-clear waits in Clear for everybody (docs/protocol.md#auto-clear)."""
         missing = self._control.missing(self.handlers.values()) if self._course.target is Mode.OPERATE else []
         if not missing:
             self._reach(self._course.target, now)

@@ -81,10 +81,11 @@ class Turns:
     """The slaves of a master in order. ``exchanging``: those in data exchange, by address.
 
     ``interval``: the shortest time in ns between the beginnings of two rounds, by the Min_Slave_Interval of those that
-    are spoken with (section J); ``interval_all``: the same beside a round that leaves nobody out. ``absent_share``:
-    while any slave is in data exchange, silent polls of absent ones take at most 1/absent_share of the bus time, and so
-    do those among them that are waited for with patience, on an account of their own: they hold up others no longer
-    than any poll, and the first one of a slave that fell silent costs no more than its last exchange. 0 = no limit.
+    are spoken with (docs/protocol.md#min-slave-interval); ``interval_all``: the same beside a round that leaves nobody
+    out. ``absent_share``: while any slave is in data exchange, silent polls of absent ones take at most 1/absent_share
+    of the bus time, and so do those among them that are waited for with patience, on an account of their own: they hold
+    up others no longer than any poll, and the first one of a slave that fell silent costs no more than its last
+    exchange. 0 = no limit.
     """
 
     __slots__ = (
@@ -138,7 +139,8 @@ class Turns:
             self.sort(handlers)
 
     def sort(self, handlers: Mapping[int, SlaveHandler]) -> None:
-        """Sort anew where something changed. Who has a diagnosis waiting comes first: a DH is answered at once (B6)."""
+        """Sort anew where something changed. Who has a diagnosis waiting comes first: a DH is answered at once
+        (docs/protocol.md#answers-to-data_exchange)."""
         if not self._stale:
             return
         self._stale = False

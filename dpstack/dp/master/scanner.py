@@ -1,9 +1,9 @@
 """The scanner: the live list, filled up with ident number, state and owner of each slave.
 
 It asks FDL status, Slave_Diag and, where wanted, Get_Cfg: nothing that changes anything, so no slave is taken from its
-master (B5: both services are open to every master in every state; a request from another address leaves watchdog and
-frame count of the owner alone). One request a token hold, in time that is left, like the live list. A live list made
-once while the bus runs is an order of plain data.
+master (docs/protocol.md#services-by-state: both are open to every master in every state; a request from another address
+leaves watchdog and frame count of the owner alone). One request a token hold, in time that is left, like the live list.
+A live list made once while the bus runs is an order of plain data.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ from dpstack.phy.patience import Patience
 from dpstack.trace import Event
 from dpstack.units import NEVER
 
-#: three first requests and the probe with FCV = 1 that finds slaves which know nothing else (A4)
+#: three first requests and the probe with FCV = 1 that finds slaves which know nothing else
+#: (docs/protocol.md#slaves-that-know-only-fcv-1)
 _ATTEMPTS: Final = 4
 
 
@@ -41,7 +42,7 @@ class SlaveView(Enum):
 
 
 def view_of(diagnosis: Diagnosis | None) -> SlaveView:
-    """The state behind a diagnosis (B1: Prm_Req; Station_Not_Ready; a master's address)."""
+    """The state behind a diagnosis: Prm_Req, Station_Not_Ready, a master's address (docs/protocol.md#slave_diag)."""
     if diagnosis is None:
         return SlaveView.UNKNOWN
     if diagnosis.prm_req:
@@ -179,7 +180,8 @@ class Scanner:
             return request
         self._turn = False
         question = self._asked = self._questions.popleft()
-        # its priority is that of all DP services on the wire (A4: some slaves know no other); here it waits for time
+        # its priority is that of all DP services on the wire (docs/protocol.md#slaves-that-know-only-fcv-1); here it
+        # waits for time
         return Request(question.address, Req.SRD_HIGH, b"", question.sap, SSAP_MS0, patient=True)
 
     def started(self, request: Request, at: int) -> None:

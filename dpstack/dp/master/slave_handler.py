@@ -140,7 +140,7 @@ class SlaveHandler:
         """The answer to Data_Exchange: data into the image, everything else on to the judging."""
         if isinstance(outcome, Telegram):
             status = outcome.fc & 0x0F
-            # SC (fc = -1) and an empty LE = 3 answer are legal where there are no inputs (B6, section I)
+            # SC (fc = -1) and an empty LE = 3 answer are legal where there are no inputs (docs/protocol.md#le-3)
             image = self.image
             if status in DATA_STATUS if image.input_len else (outcome.fc < 0 or status in EMPTY_STATUS):
                 data = outcome.data

@@ -25,8 +25,8 @@ from dpstack.params import BusParams
 from dpstack.trace import Event
 from dpstack.units import NS_PER_MS
 
-#: Safe values stand at least so long, because drives look at their outputs only every 4 to 32 ms (drives, row D17)
-#: and Clear's zeros mean nothing to some of them (bit 10 of STW1).
+#: Safe values stand at least so long, because drives look at their outputs only every 4 to 32 ms, and Clear's zeros
+#: mean nothing to some of them: docs/decisions/master.md#safe-values-on-the-way-out
 SAFE_HOLD: Final = 50 * NS_PER_MS
 
 

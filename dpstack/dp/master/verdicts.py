@@ -1,8 +1,8 @@
 """What answers mean to a master that did not write the slave: diagnoses and odd answers to Data_Exchange.
 
 A diagnosis: owner, deviations, verdicts by the table of bits; and between Set_Prm and data exchange what the slave is
-asked next (protocol facts B6). Answers to Data_Exchange that are no good data: when they are too many, and what they
-then mean (B6, A3).
+asked next (docs/protocol.md#slave-handler). Answers to Data_Exchange that are no good data: when they are too many,
+and what they then mean (docs/protocol.md#answers-to-data_exchange).
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def foreign_owner(diagnosis: Diagnosis, own: int) -> int | None:
     """The other class 1 master that owns the slave, or None.
 
     A slave that wants parameters (Prm_Req) has no owner whatever octet 4 says; some report own + 128 or whoever asked
-    (protocol facts, section I).
+    (docs/protocol.md#how-real-devices-deviate).
     """
     master = diagnosis.master
     if master is None or diagnosis.prm_req or master & 0x7F == own or master > MAX_STATION:
@@ -92,7 +92,7 @@ def foreign_owner(diagnosis: Diagnosis, own: int) -> int | None:
 
 
 def deviations(diagnosis: Diagnosis, own: int) -> Iterator[str]:
-    """What in the diagnosis is against the standard and tolerated, one line each (section I)."""
+    """What in the diagnosis is against the standard and tolerated, one line each (docs/protocol.md#always-1-bit)."""
     if not diagnosis.always_one:
         yield "its diagnosis lacks the bit that is always 1 (octet 2 bit 2); tolerated"
     if diagnosis.master is not None and diagnosis.master == own + 128:
@@ -105,12 +105,14 @@ def deviations(diagnosis: Diagnosis, own: int) -> Iterator[str]:
 
 
 def verdict_exchanging(diagnosis: Diagnosis) -> Ev:
-    """What a diagnosis of the right device, ours, means while in data exchange (B1)."""
+    """What a diagnosis of the right device, ours, means while in data exchange
+    (docs/protocol.md#what-a-diagnosis-means)."""
     return _EVENT[weightiest(tuple(flag.exchange for flag in diagnosis.findings))]
 
 
 def verdict_ready(diagnosis: Diagnosis, *, cfg_sent: bool) -> Ev:
-    """What a diagnosis of the right device means after Set_Prm and, when ``cfg_sent``, Chk_Cfg (B1, B6)."""
+    """What a diagnosis of the right device means after Set_Prm and, when ``cfg_sent``, Chk_Cfg
+    (docs/protocol.md#slave-handler)."""
     verdict = _EVENT[weightiest(tuple(flag.bring_up for flag in diagnosis.findings))]
     if not cfg_sent and verdict in (Ev.DIAG_WAIT, Ev.DIAG_READY):
         return Ev.DIAG_NO_CFG

@@ -1,7 +1,7 @@
 """Every bit of the diagnosis in one table: who sets it, what the master does about it, what the user reads.
 
-The judging (:mod:`dpstack.dp.master.verdicts`) works from this table, and docs/dp-v0.md is written from it. Sources:
-protocol facts B1 (Siemens SINAMICS and Norgren manuals, EN 50170-2), B6, I.
+The judging (:mod:`dpstack.dp.master.verdicts`) works from this table, and docs/dp-v0.md is written from it. Facts:
+docs/protocol.md#slave_diag, docs/protocol.md#what-a-diagnosis-means.
 """
 
 from __future__ import annotations

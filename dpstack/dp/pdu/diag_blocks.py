@@ -1,4 +1,6 @@
-"""The blocks of the extended diagnosis, read and made: device, identifier, channel related, revision (B1).
+"""The blocks of the extended diagnosis, read and made: device, identifier, channel related, revision.
+
+Layouts: docs/protocol.md#diagnosis-blocks.
 
 Lengths in what is read come from the slave and may lie: a block that announces more than is left holds what is left,
 one that announces nothing ends the splitting; both are a finding in words, never an exception. What is made is the
@@ -205,7 +207,7 @@ def channel_block(
     identifier: int, channel: int, error: int, *, size: int = 0, input: bool = False, output: bool = False
 ) -> ChannelBlock:
     """A channel related block. ``identifier`` (the module as on the wire: slot 1 is 0) and ``channel`` 0..63; ``error``
-    1..31 and ``size`` 0..7 as in the table of protocol facts B1 (1 short circuit, 6 line break ..., from 16 on the
+    1..31 and ``size`` 0..7 as in docs/protocol.md#diagnosis-blocks (1 short circuit, 6 line break ..., from 16 on the
     maker's). Raises PduError.
     """
     octets = CHANNEL.build(ChannelOctets(_CHANNEL, identifier, output, input, channel, size, error))

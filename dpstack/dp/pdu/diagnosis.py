@@ -1,7 +1,7 @@
 """The diagnosis of a slave: the six fixed octets (bits: :mod:`dpstack.dp.pdu.diag_bits`), and the blocks that may
 follow.
 
-Sources: protocol facts B1 (Siemens SINAMICS and Norgren manuals, EN 50170-2), I (what slaves do instead).
+Facts: docs/protocol.md#slave_diag; what slaves do instead: docs/protocol.md#how-real-devices-deviate.
 """
 
 from __future__ import annotations

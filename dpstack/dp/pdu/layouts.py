@@ -2,8 +2,9 @@
 
 construct knows no types and takes some 10 us and more a PDU: it is imported here only, and never runs on the cyclic
 path. A :class:`Layout` turns octets into a NamedTuple and back; what the values mean is the business of the callers
-(:mod:`dpstack.dp.pdu.requests`, :mod:`dpstack.dp.pdu.diagnosis`). Layouts: protocol facts B1, B2, B4, B8 (EN 50170-2,
-Felser, VPC3+); those of DP-V1 are in :mod:`dpstack.dpv1.pdu.layouts`.
+(:mod:`dpstack.dp.pdu.requests`, :mod:`dpstack.dp.pdu.diagnosis`). Layouts: docs/protocol.md#slave_diag,
+docs/protocol.md#set_prm, docs/protocol.md#global_control, docs/protocol.md#set_slave_add; those of DP-V1 are in
+:mod:`dpstack.dpv1.pdu.layouts`.
 """
 
 from __future__ import annotations

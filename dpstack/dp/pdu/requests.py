@@ -1,7 +1,7 @@
 """The request PDUs of DP-V0: Set_Prm, Global_Control and Set_Slave_Add. (Chk_Cfg is :mod:`dpstack.gsd.identifiers`.)
 
-Sources: protocol facts B2, B4, B8, J; EN 50170-2 (Set_Prm, Global_Control), Festo CP FB13 manual (lock and unlock),
-profichip VPC3+ manual (Set_Slave_Add).
+Facts: docs/protocol.md#set_prm, docs/protocol.md#lock-and-unlock, docs/protocol.md#global_control,
+docs/protocol.md#set_slave_add.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
-"""The station address of a slave: from Set_Slave_Add, over restarts, back by an initial reset (protocol facts B8).
+"""The station address of a slave: from Set_Slave_Add, over restarts, back by an initial reset
+(docs/protocol.md#set_slave_add).
 
 No_Add_Chg closes the service for good; only an initial reset, done at the device itself, gives the slave the address
-126 and opens it again (profichip VPC3+ manual; Acromag, "Introduction to ProfiBus DP").
+126 and opens it again.
 """
 
 from __future__ import annotations

@@ -187,7 +187,7 @@ class SlaveApp:
             core.fail("Data_Exchange", error, now)
             return RS_REPLY
         self.stats.exchanges += 1
-        if waiting:  # B6: DH until the diagnosis is fetched; SC could not say so
+        if waiting:  # DH until the diagnosis is fetched; SC could not say so
             return Reply(_DH, inputs)
         return Reply(_DL, inputs) if inputs else SC_REPLY
 

@@ -2,7 +2,7 @@
 
 It listens at one rate after the other (BAUD_SEARCH); once the rate is found it watches that telegrams keep coming
 (BAUD_CONTROL); parameterised with the watchdog on, that watches the master instead (DP_MODE). States and transitions
-are those of the VPC3+ (protocol facts, B5 and J): a watchdog that expires leads back to BAUD_CONTROL, silence there
+are those of the VPC3+ (docs/protocol.md#baud-search): a watchdog that expires leads back to BAUD_CONTROL, silence there
 to BAUD_SEARCH; with the watchdog off losing the rate restarts the search, but the slave stays in Data_Exchange.
 """
 
@@ -17,8 +17,8 @@ from dpstack.fdl.telegram import Telegram
 from dpstack.params import BusParams
 from dpstack.units import BAUD_RATES, NEVER, NOW
 
-#: BAUD_CONTROL gives up after T_TO of a station that is no master: 6 T_SL + 2 x 130 T_SL. A master that is alive is
-#: never silent for so long; the chips have a register for it.
+#: BAUD_CONTROL gives up after T_TO of a station that is no master (docs/protocol.md#t_to): 6 T_SL + 2 x 130 T_SL. A
+#: master that is alive is never silent for so long; the chips have a register for it.
 _CONTROL_SLOTS: Final = 6 + 2 * 130
 
 

@@ -1,7 +1,7 @@
 """The cyclic data of a slave in data exchange: double buffers for SYNC and FREEZE, Clear and Operate.
 
-Exists only while the slave is in data exchange; leaving drops it, and with it outputs and modes (section J).
-Exceptions of the device come out of here and are caught by the slave application.
+Exists only while the slave is in data exchange; leaving drops it, and with it outputs and modes
+(docs/protocol.md#slave-states). Exceptions of the device come out of here and are caught by the slave application.
 """
 
 from __future__ import annotations
@@ -14,9 +14,10 @@ class CyclicData:
     """Outputs and inputs of one stay in data exchange.
 
     ``outputs`` are what the device has, ``inputs`` what the master reads; before the first exchange the device's safe
-    outputs and zeros. Raises ValueError where the safe outputs have another length than the configuration's.
-    Outputs are valid from the first Data_Exchange on (masters that never send Operate exist, B4). A Global_Control
-    Clear holds until one without Clear_Data, an empty frame until a full one. ``plain``: none of Clear, SYNC, FREEZE.
+    outputs and zeros. Raises ValueError where the safe outputs have another length than the configuration's. Outputs
+    are valid from the first Data_Exchange on (masters that never send Operate exist: docs/protocol.md#global_control).
+    A Global_Control Clear holds until one without Clear_Data, an empty frame until a full one. ``plain``: none of
+    Clear, SYNC, FREEZE.
     """
 
     __slots__ = (
@@ -67,7 +68,7 @@ class CyclicData:
 
     def exchange(self, octets: bytes, now: int) -> bytes:
         """A Data_Exchange that was accepted; returns the inputs for the answer."""
-        if len(octets) != self.output_len:  # J: a Fail_Safe slave is sent empty frames in Clear
+        if len(octets) != self.output_len:  # a Fail_Safe slave is sent empty frames in Clear (docs/protocol.md#clear)
             self._make_void(now)
         elif not self._clear:
             self._make_valid(now)
@@ -81,7 +82,8 @@ class CyclicData:
         return self.inputs
 
     def control(self, command: GlobalControl, now: int) -> None:
-        """A Global_Control that concerns this slave (B4: each further SYNC or FREEZE acts; the Un- ones win)."""
+        """A Global_Control that concerns this slave (docs/protocol.md#global_control): each further SYNC or FREEZE
+        acts."""
         if self.plain:  # the slave application's short way leaves it to us to note what came last
             self._received = self.outputs
         self._clear = command.clear

@@ -88,7 +88,8 @@ class DiagState:
     def heard(self, fc: int) -> None:
         """The owner's next new request: it has the answer before, unless it had to take the station up afresh.
 
-        A request again with the same FCB never gets here: the link layer repeats the answer (A4).
+        A request again with the same FCB never gets here: the link layer repeats the answer
+        (docs/protocol.md#frame-count-bit).
         """
         if self._offered is not None:
             if fc & (FC_FCV | FC_FCB) != FC_FCB:
@@ -109,7 +110,8 @@ class DiagState:
     def build(
         self, state: SlaveAppState, master: int | None, data: CyclicData | None, user: UserDiag, *, wd: bool, ill: bool
     ) -> Diagnosis:
-        """The diagnosis of this moment (B1); ``wd``: the watchdog is on, ``ill``: the device is broken."""
+        """The diagnosis of this moment (docs/protocol.md#slave_diag); ``wd``: the watchdog is on, ``ill``: the device
+        is broken."""
         blocks = b"" if self.alarms is None else self.alarms.shown().octets
         user = user.limited(self._room - len(blocks))
         status1 = (

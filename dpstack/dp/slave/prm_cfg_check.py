@@ -28,7 +28,7 @@ class Refusal(NamedTuple):
 def judge_prm(device: Device, prm: SetPrm, *, ask_device: bool) -> Refusal | None:
     """Judge ``prm`` for ``device``; None when it is accepted. Exceptions of ``device.check_prm`` pass through."""
     if not prm.lock and not prm.unlock:
-        return None  # p734: only min T_SDR is taken, whatever the ident number
+        return None  # only min T_SDR is taken, whatever the ident number (docs/protocol.md#set_prm)
     if prm.ident != device.ident:
         return Refusal(f"octets 5-6: ident number 0x{prm.ident:04X}, this device is 0x{device.ident:04X}")
     if prm.unlock:
@@ -48,7 +48,7 @@ def judge_prm(device: Device, prm: SetPrm, *, ask_device: bool) -> Refusal | Non
 
 
 def watchdog_time(device: Device, prm: SetPrm) -> int:
-    """The watchdog time that ``prm`` asks for in ns, 0 when it is off: base 10 ms, or 1 ms with WD_Base_1ms (C1)."""
+    """The watchdog time that ``prm`` asks for in ns, 0 when it is off (docs/protocol.md#watchdog)."""
     if prm.watchdog is None:
         return 0
     fine = device.wd_base_1ms and _dpv1_status(prm) & WD_BASE_1MS
@@ -61,7 +61,7 @@ def dpv1_enabled(prm: SetPrm) -> bool:
 
 
 def alarm_octets(prm: SetPrm) -> tuple[int, int]:
-    """DPV1_Status_2 and 3: what alarms the master takes, and how many at a time (C1); zeros without DPV1_Enable."""
+    """DPV1_Status_2 and 3: what alarms the master takes, and how many at a time (docs/protocol.md#dpv1_status)."""
     octets = prm.user_prm[:DPV1_STATUS_LEN].ljust(DPV1_STATUS_LEN, b"\0")
     return (octets[1], octets[2]) if dpv1_enabled(prm) else (0, 0)
 
@@ -71,7 +71,8 @@ def _dpv1_status(prm: SetPrm) -> int:
 
 
 def real_cfg(device: Device, config: bytes) -> bytes:
-    """The device's own configuration where ``config`` differs only by wanting no comparison (J), else ``config``."""
+    """The device's own configuration where ``config`` wants no comparison (docs/protocol.md#special-identifiers), else
+    ``config``."""
     if config in device.configs:
         return config
     return next((real for real in device.configs if agree(real, config)), config)

@@ -118,7 +118,7 @@ class Services:
         return SC_REPLY
 
     def _prm_bad(self, sa: int, refusal: Refusal, now: int) -> None:
-        # B1: Not_Supported says it more exactly than Prm_Fault
+        # Not_Supported says it more exactly than Prm_Fault
         core = self._core
         core.diag.clear_faults()
         core.diag.not_supported = refusal.not_supported
@@ -246,5 +246,5 @@ class Services:
 
 
 def _data_reply(octets: bytes) -> Reply:
-    """Data, or NR where there are none (A3)."""
+    """Data, or NR where there are none (docs/protocol.md#function-code)."""
     return Reply(_DL, octets) if octets else Reply(Resp.NR)

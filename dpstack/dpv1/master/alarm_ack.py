@@ -1,4 +1,4 @@
-"""Alarm_Ack of a class 1 master (MS1): to SAP 51 between Read and Write, or to SAP 50 with Extra_Alarm_SAP (section J).
+"""Alarm_Ack of a class 1 master (MS1): to SAP 51 between Read and Write, or to SAP 50 with Extra_Alarm_SAP.
 
 The positive response repeats the request. One whose response was lost is not sent again before the slave was asked for
 the response it may still have (:class:`~dpstack.dpv1.master.ms1_job.Ms1Job`).

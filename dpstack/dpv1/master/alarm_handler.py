@@ -1,32 +1,8 @@
-"""Alarms of one slave at its master: recognised in its diagnoses, delivered once, acknowledged (protocol facts C4, J).
+"""Alarms of one slave at its master: recognised in its diagnoses, delivered once, acknowledged.
 
 An alarm is open from the diagnosis it comes in until the slave takes its acknowledgement; the sequence of requests is
-:mod:`dpstack.dpv1.master.alarm_ack`'s. Facts: one block per diagnosis; a slave keeps at most one alarm of each type
-open (Alarm_Mode 0) or so many in all; Alarm_Ack repeats slot, type and specifier (VPC3+ header; Felser; ProSoft PDPMV1
-p127: an alarm that cannot be read is indicated and not acknowledged). A Siemens DPC31 stack answers nothing to an
-Alarm_Ack that fits no open alarm, and closes the SAP: so one is never repeated while its response may still be fetched.
-
-Decisions where the sources are silent:
-
-- Type, slot and sequence number are one alarm while it is open.
-- A block that was not in the last diagnosis, or is in one that the slave asks to be read (DH) though it is as before,
-  is one raised just now. With the numbers of an alarm whose acknowledgement has no answer yet it is the next one, and
-  says that the slave has had the acknowledgement; otherwise the diagnosis is read again after the response.
-- After a request without an answer the frame count bit begins anew, and a slave cannot know whether its diagnosis was
-  read: it may offer it again. So one data exchange comes between a diagnosis and an acknowledgement, and what was
-  offered again after silence right behind a diagnosis, in the first data exchange, is nothing new.
-- With the same octets after the response it may be the old one still: :mod:`dpstack.dpv1.master.alarm_repeats`.
-- An acknowledgement without an answer is sent again as long as the slave is in data exchange. When another alarm has
-  taken its place under the same number, or in mode 0 one of the same type, the slave has had it.
-- A refused one is over, and told. A second one that is refused shows that the first had arrived.
-- Where SAP 50 is closed (RS), though GSD file or configuration say Extra_Alarm_SAP, it goes to SAP 51 from then on,
-  which takes it in every case (VPC3+: SAP 50 only where the slave was built for it). Where SAP 50 took one before, and
-  a second acknowledgement finds it closed, the first had arrived: see DPC31 above.
-- More at a time than agreed are delivered all the same, up to :data:`MAX_OPEN`; what is beyond is dropped without
-  acknowledgement, and the diagnosis is read again when there is room.
-- A kind that Set_Prm did not enable is neither delivered nor acknowledged: it may be no alarm at all, but a device
-  related diagnosis in the old form.
-- Leaving data exchange ends all of them; those delivered stay delivered.
+:mod:`dpstack.dpv1.master.alarm_ack`'s. Facts: docs/protocol.md#alarms, docs/protocol.md#alarm_ack. Decisions where the
+sources leave something open: docs/decisions/alarms.md#alarms-at-the-master.
 """
 
 from __future__ import annotations

@@ -1,17 +1,6 @@
 """An acknowledged alarm that stands in the diagnosis once more: still, or is it the next one, exactly alike?
 
-Slaves differ: some number their alarms in type mode too (Lenze I/O system 1000: 0 to 31), some never (ifm AC412S: the
-number is always 0, and "appears" may come several times); some take an alarm out of the diagnosis once it is
-acknowledged, some leave it there until they have something else to say. Decisions:
-
-- One that was gone meanwhile, or that the slave asks to be read (DH) with nothing else new, is the next one; that is
-  :meth:`~dpstack.dpv1.master.alarm_handler.AlarmHandler.take`'s. The rest is here.
-- In sequence mode, and of a slave that has used a number other than 0, it is the old one.
-- Where all numbers are 0 it is the old one for :data:`SETTLE`, then the next one: it may have been raised between the
-  last data exchange and the reading, and lost it would hold up its type for ever.
-- Did another alarm take its place before that, and had the slave asked to be read with it, it was the next one.
-- Was that a mistake (it stands there yet again, and the slave did not ask to be read), the slave leaves them standing;
-  from then on it is the next one only where the slave asked to be read since.
+Slaves differ; which of the two is assumed when: docs/decisions/alarms.md#the-same-alarm-again.
 """
 
 from __future__ import annotations

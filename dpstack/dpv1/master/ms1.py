@@ -1,7 +1,7 @@
 """Read and Write of a class 1 master to its slaves (MS1): DSAP 51, SSAP 51, open while the slave is in data exchange.
 
 The request is one SRD. The slave answers in it at once, or acknowledges and is polled with empty SRDs; both are legal
-(protocol facts C3, I). One service per slave is outstanding, others wait. What is to be asked when is
+(docs/protocol.md#ms1). One service per slave is outstanding, others wait. What is to be asked when is
 :mod:`dpstack.dp.acyclic.queue`'s.
 
 A Read without any answer is repeated, a Write is not: it may have been carried out, which is said. The course of a
@@ -187,7 +187,7 @@ class Ms1:
 
     def bar(self, handler: SlaveHandler, since: int) -> str:
         """Why no service to the slave of ``handler``, in data exchange ``since`` then, can end: MS1 closes on leaving
-        data exchange (section J), and in Stop nothing is sent to slaves. Empty while it can.
+        data exchange (docs/protocol.md#ms1), and in Stop nothing is sent to slaves. Empty while it can.
         """
         master = self.master
         if master is None or master.handlers.get(handler.setup.address) is not handler:

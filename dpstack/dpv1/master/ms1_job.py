@@ -1,13 +1,8 @@
 """The course of one service at MS1, whichever it is: what an earlier one left behind, the request, polls, the end.
 
 Read and Write are in :mod:`dpstack.dpv1.master.ms1`, Alarm_Ack in :mod:`dpstack.dpv1.master.alarm_ack`, how a slave is
-polled in :mod:`dpstack.dpv1.master.srd_polling`. Decisions where the sources are silent:
-
-- An answer to another service is one to an earlier request: counted, dropped, polled again.
-- A slave that answers its polls no more is given up soon: it is in data exchange, so it is there.
-- A service that ended without its answer leaves one behind: it is fetched before the next request goes out, for as long
-  as a slave may take for an answer, and shown to the service that it answers (:meth:`Ms1Job.late`). All who come fetch
-  it in the same time: one after the other could have less of it than the slave.
+polled in :mod:`dpstack.dpv1.master.srd_polling`. Decisions where the sources leave something open:
+docs/decisions/services.md#ms1-at-the-master.
 """
 
 from __future__ import annotations

@@ -1,18 +1,11 @@
 """Class 2 connections (MS2) of a master: opened through the resource manager of a slave (DSAP 49), used at the server
-SAP that it gives out, ended by Abort (protocol facts C2, C3, J; Felser, Balluff BTL7 p27 and 28).
+SAP that it gives out, ended by Abort (docs/protocol.md#ms2).
 
 They take nothing away from the slave's own master, and need none. Every connection of a master asks from SSAP 50
 (Felser: its only SAP for MS2); the slave's server SAP tells several of them apart. What is to be asked when is
 :mod:`dpstack.dp.acyclic.queue`'s, the telegrams are :mod:`dpstack.dpv1.master.ms2_jobs`.
 
-Decisions where the sources are silent:
-
-- Idle goes out when a connection was quiet for a third of its send time-out. A slave chip waits twice that time-out for
-  a request (VPC3+), so two may be lost. One that had no answer of the link layer is sent again when the slave is heard.
-- A connection over which nothing was heard for the send time-out is over, and so is one whose slave does not answer a
-  service in its time, or answers what cannot be read. The slave is told by Abort.
-- What ends a service from outside (cancelled, its time is over) leaves the connection: the answer is fetched first.
-- A slave that may have taken an Initiate nobody wants any more is asked for the server SAP, to abort it.
+Decisions where the sources leave something open: docs/decisions/ms2.md#connections-at-the-master.
 """
 
 from __future__ import annotations

@@ -1,11 +1,7 @@
 """One class 2 connection at the master: what is known of it, and the course of every service over it.
 
-How a slave is polled is :mod:`dpstack.dpv1.master.srd_polling`'s. Decisions where the sources are silent:
-
-- Any answer of the link layer is a sign of life, Idle or not; the time-out counts from the last one.
-- A request without an answer may have been taken, and a second one would be an error of sequence: the slave is polled
-  for the answer instead.
-- Idle while a service is under way says that the slave still works at it: its time begins anew.
+How a slave is polled is :mod:`dpstack.dpv1.master.srd_polling`'s. Decisions where the sources leave something open:
+docs/decisions/ms2.md#connections-at-the-master.
 """
 
 from __future__ import annotations

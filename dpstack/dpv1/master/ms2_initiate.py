@@ -1,9 +1,7 @@
 """How a class 2 connection is opened: Initiate at the resource manager (SAP 49), which gives out a server SAP; polls of
-that one bring the slave's answer (Felser; protocol facts J).
+that one bring the slave's answer (docs/protocol.md#ms2).
 
-Decisions where the sources are silent: an Initiate that had no answer may have been taken, so the resource manager is
-asked for what it gave out before Initiate is sent again; a second connection that a slave might set up for that one
-ends by the slave's own time-out.
+Decisions where the sources leave something open: docs/decisions/ms2.md#initiate-at-the-master.
 """
 
 from __future__ import annotations

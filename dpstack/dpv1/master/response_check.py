@@ -1,4 +1,5 @@
-"""What an answer to Read, Write or Data_Transport comes to, for a master of either class (protocol facts C2)."""
+"""What an answer to Read, Write or Data_Transport comes to, for a master of either class
+(docs/protocol.md#read-and-write)."""
 
 from __future__ import annotations
 

@@ -1,13 +1,7 @@
 """How a slave is asked for one service of DP-V1, at MS1 or over a class 2 connection: SRDs with the request until it
-takes it, then empty ones until its answer is there (protocol facts C3, I, J; Felser: "poll cycles").
+takes it, then empty ones until its answer is there (docs/protocol.md#ms1, docs/protocol.md#ms2).
 
-Decisions where the sources are silent:
-
-- SC, NR and OK without data mean "not yet"; RR and UE "not now", and the request is repeated; RDL and RDH give away old
-  data and have not taken the request (A3).
-- The slave's time counts from the first bit of the first request on. What comes after it is still an answer; nobody
-  asks again.
-- Who is polled and has nothing is polled in the next token holds, then more and more seldom; who is silent, too.
+Decisions where the sources leave something open: docs/decisions/services.md#polling.
 
 What a PDU means, and what silence does, is said by whoever asks: :mod:`dpstack.dpv1.master.ms1_job`,
 :mod:`dpstack.dpv1.master.ms2_connection`, :mod:`dpstack.dpv1.master.ms2_initiate`.
@@ -58,7 +52,7 @@ class Said(Enum):
 
 
 def said(answer: Telegram | Failure, *, requested: bool) -> Said:
-    """By its FC (A3). ``requested``: it answers a request, not a poll."""
+    """By its FC (docs/protocol.md#function-code). ``requested``: it answers a request, not a poll."""
     if not isinstance(answer, Telegram):
         return Said.GUARDED if answer is Failure.REFUSED else Said.NOTHING
     if answer.kind is Kind.SC:

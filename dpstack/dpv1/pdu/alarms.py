@@ -1,4 +1,5 @@
-"""The PDUs of alarms: alarm and status blocks of the diagnosis, Alarm_Ack (protocol facts C2, C4; Felser; FPBA-01 p85).
+"""The PDUs of alarms: alarm and status blocks of the diagnosis, Alarm_Ack (docs/protocol.md#alarms,
+docs/protocol.md#alarm_ack).
 
 A block is device related (its octets with the header, 4 to 63). Octets are counted within the block, from 1.
 """

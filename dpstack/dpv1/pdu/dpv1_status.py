@@ -1,4 +1,5 @@
-"""What Set_Prm says to a DP-V1 slave: DPV1_Status_1 to 3, and structured parameter blocks (protocol facts C1, J).
+"""What Set_Prm says to a DP-V1 slave: DPV1_Status_1 to 3, and structured parameter blocks
+(docs/protocol.md#dpv1_status).
 
 The three octets are the first of its user parameters. GSD files mostly hold them as constants, the first as 00: the
 master sets what it uses (DPV1_Enable, Fail_Safe, WD_Base_1ms) and leaves the other bits as they stand there.

@@ -1,4 +1,4 @@
-"""What a negative response says: Error_Decode, class and code with their texts (protocol facts C2; IEC 61158-6).
+"""What a negative response says: Error_Decode, class and code with their texts (docs/protocol.md#negative-response).
 
 Error_Code_1 is class (bits 7..4) and code (bits 3..0); Error_Code_2 is the device's own.
 """

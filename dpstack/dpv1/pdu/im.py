@@ -1,10 +1,9 @@
-"""Identification and maintenance: I&M0 to I&M4 by the call function of index 255 (protocol facts C5).
+"""Identification and maintenance: I&M0 to I&M4 by the call function of index 255 (docs/protocol.md#im).
 
-A call is written to index 255 of a slot: Extended_Function_Num 08, a reserved octet, FI_Index, and for a record that
-is to be changed its 64 octets. The following Read of index 255 gives the same four octets and the 64 of the record.
-Record layouts: ABB FPBA-01 manual p128; PNO 3.502 (I&M1 to I&M4). Letters of a software revision: ABB's Profinet
-library, IM_Software_Revision; Micro-Epsilon optoNCDT 1900 p72. Texts are VisibleStrings filled up with blanks: what a
-device is stands in ASCII; what people write has umlauts in the field (ISO 8859-1).
+A call is written to index 255 of a slot: Extended_Function_Num 08, a reserved octet, FI_Index, and for a record that is
+to be changed its 64 octets. The following Read of index 255 gives the same four octets and the 64 of the record. Texts
+are VisibleStrings filled up with blanks: what a device is stands in ASCII; what people write has umlauts in the field
+(ISO 8859-1).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The octets of the DP-V1 services, declared as those of DP-V0 are (:mod:`dpstack.dp.pdu.layouts`).
 
-Layouts: protocol facts C2 (VPC3+ header; ABB FPBA-01 manual p103) C4 (alarms: Felser) and C5 (ABB FPBA-01 manual p128).
+Layouts: docs/protocol.md#functions-of-dp-v1, docs/protocol.md#alarms, docs/protocol.md#im.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The PDUs that MS2 has beside Read and Write: Resource_Manager, Initiate, Data_Transport, Idle, Abort.
 
-Layouts: protocol facts C2 and J (VPC3+ header; Felser); reasons of Abort: ProSoft MVI69-PDPMV1 manual p123; an Abort
-has no answer: Balluff BTL7-T500 configuration guide p28. Times are in ns; on the wire they count 10 ms.
+Layouts and reasons: docs/protocol.md#ms2, docs/protocol.md#initiate, docs/protocol.md#idle, docs/protocol.md#abort.
+Times are in ns; on the wire they count 10 ms.
 """
 
 from __future__ import annotations

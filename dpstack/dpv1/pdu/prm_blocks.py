@@ -1,8 +1,6 @@
 """Structured parameters of Set_Prm (Prm_Structure in DPV1_Status_3): blocks, each with a head of four octets.
 
-Layouts: protocol facts C1 (VPC3+; ABB FPBA-01 manual p79); isochronous mode, VPC3+S manual p76; all others, numbers of
-types included, Hilscher's header of the DP slave stack (PBDPS_STRUCTURED_PARAMETER_...); PrmCmd also AUMA AC 01.2
-manual p45 and p46 (table 33).
+Layouts and numbers of types: docs/protocol.md#structured-parameters.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The PDUs of Read and Write: requests, responses, negative responses (protocol facts C2).
+"""The PDUs of Read and Write: requests, responses, negative responses (docs/protocol.md#read-and-write).
 
 Lengths are octets of data. Slots 0..254, indexes 0..255, up to 240 octets of data.
 """

@@ -1,26 +1,10 @@
 """Alarms and status messages of a slave: raised by its application, shown in the diagnosis, alarms acknowledged.
 
-One alarm stands in the diagnosis at a time, and one status message beside it (protocol facts C4). A new one stays
+One alarm stands in the diagnosis at a time, and one status message beside it. A new one stays
 until the slave's own master has fetched it; then the next takes its place. An alarm is over when it is acknowledged.
 
-Sources: facts C1, C2, C4 and J; the state machines MSAL1S and MSCY1S as two slave stacks have them (profichip's VPC3+
-DP-V1 stack, TMG's DPC1): a type that is not enabled and a closed connection refuse the alarm at once; up to 32 alarms
-wait; in type mode one alarm of each type is on its way, all vendor types count as one, and a type that waits does not
-hold up another; in sequence mode the lesser limit of both ends counts; slot, type and sequence number identify an
-alarm in Alarm_Ack. Decisions where they are silent or differ:
-
-- Sequence numbers count 0..31 in both modes (those stacks leave them to their user): so a late or repeated Alarm_Ack
-  can never be taken for that of the next alarm of the same type.
-- An Alarm_Ack for what is not on its way is answered negatively: 0xB8, invalid parameter (0xB5 would say: again).
-  Those stacks leave data exchange or go silent: a doubled acknowledgement would cost the cycle.
-- Of the last 31 alarms that were acknowledged every further Alarm_Ack is answered positively, without effect: the
-  master repeats one whose answer was lost.
-- Nothing is shown before the first Data_Exchange: masters read diagnoses of the bring-up for their fault bits only.
-- The alarm fetched last stays in the diagnosis until it is acknowledged or another one is shown; that it goes is no
-  news, and the master is not told.
-- A status message is shown once, and between two that are the same there is a diagnosis without. Where one has no
-  room beside the alarm, a new alarm goes first, a fetched one last.
-- Whatever ends data exchange ends what is on its way or waits; who raised it is told.
+Facts: docs/protocol.md#alarms. Decisions where the sources leave something open:
+docs/decisions/alarms.md#alarms-at-the-slave.
 """
 
 from __future__ import annotations
@@ -185,7 +169,7 @@ class AlarmServer:
     # --- the slave application ----------------------------------------------------------------------------------
 
     def agree(self, status_2: int, status_3: int) -> None:
-        """DPV1_Status_2 and 3 of Set_Prm: what is enabled, and how many at a time (C1)."""
+        """DPV1_Status_2 and 3 of Set_Prm: what is enabled, and how many at a time (docs/protocol.md#dpv1_status)."""
         self._enabled = frozenset(kind for kind, bit in ALARMS.items() if status_2 & bit)
         self.limit = min(ALARM_LIMITS[status_3 & 7], self.support.sequence)
 

@@ -1,13 +1,6 @@
 """MS1 of a slave: requests come in, records answer now or later, the master polls for the answer.
 
-Decisions where the sources are silent:
-
-- Every request is acknowledged with SC and answered when polled, as slave chips do; a poll before that gets SC, too.
-- A request while another one is being worked at, or has an answer that nobody fetched, takes its place: the master has
-  given that one up, and whoever works at it is told.
-- An answer stays until the next request: a poll whose answer was lost gets it again.
-- Leaving data exchange ends everything; an answer that comes after that is dropped.
-- Alarm_Ack is answered here, and where the device has the extra SAP also there, which then keeps an answer of its own.
+Decisions where the sources leave something open: docs/decisions/services.md#ms1-at-the-slave.
 """
 
 from __future__ import annotations

@@ -1,17 +1,9 @@
 """The states of one class 2 connection at the slave as a table: what is heard, what is done, with the source per row.
 
-Sources: protocol facts C2, C3, J; "VPC3+": what profichip's class 2 server does, as its public sources show it;
-"ProSoft": the reasons of Abort in the MVI69-PDPMV1 manual, p123; "Felser": profibus.felser.ch, MS2.
+Facts: docs/protocol.md#ms2, docs/protocol.md#idle, docs/protocol.md#abort; the documents "VPC3+", "ProSoft" and
+"Felser": docs/protocol.md#sources.
 
-Decisions where they are silent:
-
-- Every request is acknowledged with SC and answered when polled, as slave chips do (a slave can be told to answer in
-  the request itself); a poll before that gets SC, from half the send time-out on Idle: the master hears that it lives.
-- An answer is given once; what is lost on the way the link layer asks for again. A poll after that gets SC: were it
-  the last answer, it could be taken for that to a request which never arrived.
-- A request while another one is under way, or before its answer was fetched, ends the connection (sequence error).
-- Idle while a service is under way is acknowledged only: it asks for nothing.
-- Whatever the master sends to its server SAP, polls included, says that it lives.
+Decisions where they leave something open: docs/decisions/ms2.md#connections-at-the-slave.
 """
 
 from __future__ import annotations
@@ -63,25 +55,27 @@ class Row(NamedTuple):
 
 
 _O, _W, _A, _V = State.OPEN, State.WORKING, State.ANSWERED, State.OVER
+_MS2: Final = "docs/protocol.md#ms2"
+_DECIDED: Final = "docs/decisions/ms2.md#connections-at-the-slave"
 
 TABLE: Final[dict[tuple[State, Ev], Row]] = {
     (_O, Ev.POLL): Row(Act.ACKNOWLEDGE, "VPC3+: nothing is there any more"),
-    (_O, Ev.SERVICE): Row(Act.SERVE, "C3"),
-    (_O, Ev.IDLE): Row(Act.ANSWER_IDLE, "C3; VPC3+"),
-    (_O, Ev.ABORT): Row(Act.FREE, "C3; VPC3+"),
+    (_O, Ev.SERVICE): Row(Act.SERVE, _MS2),
+    (_O, Ev.IDLE): Row(Act.ANSWER_IDLE, "docs/protocol.md#idle; VPC3+"),
+    (_O, Ev.ABORT): Row(Act.FREE, "docs/protocol.md#abort; VPC3+"),
     (_O, Ev.OUT_OF_PLACE): Row(Act.SEQUENCE, "ProSoft: a service that is not allowed in this state"),
     (_O, Ev.UNREADABLE): Row(Act.REQUEST_PDU, "VPC3+; ProSoft: an invalid request PDU"),
     (_O, Ev.SILENCE): Row(Act.TIMEOUT, "VPC3+: after twice the send time-out"),
-    (_W, Ev.POLL): Row(Act.LOOK, "C3"),
+    (_W, Ev.POLL): Row(Act.LOOK, _MS2),
     (_W, Ev.SERVICE): Row(Act.SEQUENCE, "ProSoft: a service that is not allowed in this state"),
-    (_W, Ev.IDLE): Row(Act.ACKNOWLEDGE, "decision; VPC3+ ignores it"),
+    (_W, Ev.IDLE): Row(Act.ACKNOWLEDGE, f"{_DECIDED}; VPC3+ ignores it"),
     (_W, Ev.ABORT): Row(Act.FREE, "VPC3+: in every state"),
     (_W, Ev.OUT_OF_PLACE): Row(Act.SEQUENCE, "ProSoft"),
     (_W, Ev.UNREADABLE): Row(Act.REQUEST_PDU, "ProSoft"),
     (_W, Ev.SILENCE): Row(Act.TIMEOUT, "VPC3+: after the send time-out"),
-    (_A, Ev.POLL): Row(Act.GIVE, "C3"),
+    (_A, Ev.POLL): Row(Act.GIVE, _MS2),
     (_A, Ev.SERVICE): Row(Act.SEQUENCE, "ProSoft: a service that is not allowed in this state"),
-    (_A, Ev.IDLE): Row(Act.ACKNOWLEDGE, "decision; VPC3+ ignores it"),
+    (_A, Ev.IDLE): Row(Act.ACKNOWLEDGE, f"{_DECIDED}; VPC3+ ignores it"),
     (_A, Ev.ABORT): Row(Act.FREE, "VPC3+: in every state"),
     (_A, Ev.OUT_OF_PLACE): Row(Act.SEQUENCE, "ProSoft"),
     (_A, Ev.UNREADABLE): Row(Act.REQUEST_PDU, "ProSoft"),

@@ -2,14 +2,8 @@
 
 Initiate comes to SAP 49 and is acknowledged; polled there, the resource manager names the server SAP, and the response
 to Initiate, or an Abort, is fetched at that one (Felser; VPC3+). Open in every state of the slave, for any master:
-class 2 needs no parameters (C3). Decisions where the sources are silent:
-
-- No connection free: RS at SAP 49 (J). A connection that is over, whose Abort nobody has fetched, is given to who asks.
-- What is no Initiate, or cannot be read, gets a server SAP like any other and the Abort there (VPC3+).
-- The Resource_Manager PDU stays until its master uses the server SAP. Another Initiate of the same master before that
-  has a connection of its own, polls name the oldest that was not fetched yet; where no connection is free it takes the
-  place of one that was not fetched: that one was given up.
-- The connection that has been free for longest is given out, so that a late poll of the last user meets RS.
+class 2 needs no parameters (docs/protocol.md#ms2). Decisions where the sources leave something open:
+docs/decisions/ms2.md#the-resource-manager-of-a-slave.
 """
 
 from __future__ import annotations
@@ -52,7 +46,7 @@ class Ms2Server:
     """The connections of one slave application: ``count`` of them (0..49), 0 for a slave without MS2.
 
     ``send_timeout`` gives the shortest send time-out of the moment in ns. ``at_once``: what is known is answered in the
-    request itself, not when polled; both are legal (protocol facts I). ``at``: when :meth:`tick` is wanted.
+    request itself, not when polled; both are legal (docs/protocol.md#ms1). ``at``: when :meth:`tick` is wanted.
     """
 
     __slots__ = ("_connections", "_device", "_free", "_offers", "_report", "_send_timeout", "at", "at_once", "count")

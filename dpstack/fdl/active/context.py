@@ -247,7 +247,7 @@ class Link:
         self.slot_again_ns = slot_ns + max(patience.known_ns // _AGAIN, patience.unknown_ns)
         # The holder may be silent for T_SL and its slack, and notice the end of that late by as much. With the slack
         # once (5 ms more than a known station's answer is waited for) a busy computer lost the token with every master
-        # that left, and two rings stood side by side [M].
+        # that left, and two rings stood side by side (measured).
         self.t_to_ns = line.t_to_ns + _SLACK_IN_T_TO * patience.known_ns
         self.t_tr_ns = params.ns(params.t_tr)
         self.max_retry = params.max_retry

@@ -38,7 +38,7 @@ def _service(function: Req, counted: bool, answered: bool, acknowledged: bool) -
     return _Service(fc, counted, answered, acknowledged)
 
 
-# FDL status, ident, LSAP status and SDN carry FCV = 0 and FCB = 0 (protocol facts A4, J).
+# FDL status, ident, LSAP status and SDN carry FCV = 0 and FCB = 0 (docs/protocol.md#frame-count-bit).
 _SERVICES: Final[dict[Req, _Service]] = {
     f: _service(
         f,
@@ -158,7 +158,7 @@ def start(link: Link, user: LinkUser, request: Request) -> None:
             fcb.restart(da)
         fc |= fcb.bits[da]
         if not fcb.operational[da]:
-            tries = 0  # spec p119: a first request is not repeated
+            tries = 0  # a first request is not repeated (docs/protocol.md#frame-count-bit)
     elif answered and not patient and link.knows(da):
         request = request._replace(patient=True)  # whoever asks: the silence of a station that is there is news
     link.user = user

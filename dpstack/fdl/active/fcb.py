@@ -1,9 +1,9 @@
 """Requester side of the frame count bit: FCB and FCV of the next request, per responder.
 
-spec p119, p131 (protocol facts A4 and J): the first request to a station, or the first after it was given up, goes
-out with FCV = 0 and FCB = 1 and is not repeated. Once answered the station is operational: FCV = 1, and FCB toggles
-with each new request but not with a repetition. Some slaves know only requests with FCV = 1 (0x5D, 0x7D): after
-three silent rounds one probe with FCV = 1 finds them.
+docs/protocol.md#frame-count-bit: the first request to a station, or the first after it was given up, goes out with FCV
+= 0 and FCB = 1 and is not repeated. Once answered the station is operational: FCV = 1, and FCB toggles with each new
+request but not with a repetition. Some slaves know only requests with FCV = 1 (0x5D, 0x7D): after three silent rounds
+one probe with FCV = 1 finds them.
 """
 
 from __future__ import annotations

@@ -127,7 +127,7 @@ class Ring:
 class Gap:
     """The GAP list: addresses from TS + 1 to NS - 1, wrapping at HSA to 0, polled in passes G x T_TR apart.
 
-    spec p11. ``stations`` are those that answered, with their type.
+    docs/protocol.md#gap-update. ``stations`` are those that answered, with their type.
     """
 
     __slots__ = (

@@ -3,8 +3,8 @@
 Handlers are named ``module.function`` of the ``active_*`` modules; :func:`handlers_by_state` binds them. A pair that
 has no row is ignored and counted. ``docs/fdl-states.md`` is made from this table by ``tools/make_state_docs.py``.
 
-Sources: "Felser" is Max Felser's PROFIBUS manual (follows IEC 61158-4-3), chapter state machine; "spec p." are pages of
-EN 50170-2 (1997); "rule" is a rule of this project with its reason.
+Sources: facts docs/protocol.md#the-token-ring, the documents "Felser" and "EN 50170-2" docs/protocol.md#sources; "rule"
+is a rule of this project with its reason.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Final, NamedTuple, TypeVar
 
 
 class State(IntEnum):
-    """The states of an active station (Felser, state machine)."""
+    """The states of an active station (docs/protocol.md#states-of-a-master)."""
 
     OFFLINE = 0
     LISTEN_TOKEN = 1
@@ -86,13 +86,13 @@ def _rows() -> list[Row]:
         Row(_S.OFFLINE, _I.LINE_UP, "idle.line_up", (_S.LISTEN_TOKEN, _S.OFFLINE), "listen again if wanted", "rule"),
         # --- Listen_Token ---
         Row(_S.LISTEN_TOKEN, _I.TOKEN_SEEN, "idle.learn", (_S.LISTEN_TOKEN,),
-            "build the LAS; accept it after two identical rotations", f"{_FELSER}; spec p102"),
+            "build the LAS; accept it after two identical rotations", f"{_FELSER}; EN 50170-2 p102"),
         Row(_S.LISTEN_TOKEN, _I.TOKEN_TO_ME, "idle.learn", (_S.LISTEN_TOKEN,),
             "build the LAS; a listener takes no token", _FELSER),
         Row(_S.LISTEN_TOKEN, _I.STATUS_REQUEST, "idle.status_listening", (_S.LISTEN_TOKEN, _S.ACTIVE_IDLE),
             "answer 'not ready'; with the LAS 'ready', then wait for the token", _FELSER),
         Row(_S.LISTEN_TOKEN, _I.TIMEOUT, "idle.silence", (_S.LISTEN_TOKEN, _S.CLAIM_TOKEN),
-            "silent for T_TO: claim the token; back-off over: listen afresh", f"{_FELSER}; spec p12"),
+            "silent for T_TO: claim the token; back-off over: listen afresh", f"{_FELSER}; EN 50170-2 p119"),
         # --- Active_Idle ---
         Row(_S.ACTIVE_IDLE, _I.TOKEN_TO_ME, "idle.token_to_me", (_S.ACTIVE_IDLE, _S.USE_TOKEN),
             "from PS, or who repeated a pass in vain: take it; else refuse it once, take it the second time",
@@ -102,18 +102,18 @@ def _rows() -> list[Row]:
         Row(_S.ACTIVE_IDLE, _I.STATUS_REQUEST, "idle.status_in_ring", (_S.ACTIVE_IDLE,),
             "answer 'in ring', before the first token 'ready'", _FELSER),
         Row(_S.ACTIVE_IDLE, _I.REQUEST_TO_ME, "idle.no_service", (_S.ACTIVE_IDLE,),
-            "answer RS: no SAP of a master is open", "spec p14; Felser, FC"),
+            "answer RS: no SAP of a master is open", "EN 50170-2 p131; Felser, function code"),
         Row(_S.ACTIVE_IDLE, _I.TIMEOUT, "idle.silence", (_S.ACTIVE_IDLE, _S.CLAIM_TOKEN),
-            "silent for T_TO: the token is lost, claim it", f"{_FELSER}; spec p12"),
+            "silent for T_TO: the token is lost, claim it", f"{_FELSER}; EN 50170-2 p119"),
         # --- Claim_Token ---
         Row(_S.CLAIM_TOKEN, _I.SENT, "idle.claim_sent", (_S.CLAIM_TOKEN, _S.USE_TOKEN),
             "two tokens to itself, then it is ours", _FELSER),
         # --- Use_Token ---
         Row(_S.USE_TOKEN, _I.HOLD, "hold.begin", (_S.CHECK_ACCESS_TIME,),
-            "T_TH = T_TR - T_RR; ask the users", "spec p12"),
+            "T_TH = T_TR - T_RR; ask the users", "EN 50170-2 p119"),
         Row(_S.USE_TOKEN, _I.SENT, "hold.sent",
             (_S.AWAIT_DATA_RESPONSE, _S.AWAIT_STATUS_RESPONSE, _S.CHECK_ACCESS_TIME),
-            "wait for the answer; after an SDN go on with T_ID2", "spec p12"),
+            "wait for the answer; after an SDN go on with T_ID2", "EN 50170-2 p119"),
         Row(_S.USE_TOKEN, _I.RESPONSE, "exchange.late", (_S.USE_TOKEN,), "a late answer: count it", "rule"),
         Row(_S.USE_TOKEN, _I.TIMEOUT, "hold.resume", (_S.CHECK_ACCESS_TIME,),
             "the fixed cycle for which the token was kept is due", "rule"),
@@ -121,15 +121,15 @@ def _rows() -> list[Row]:
             "abandon what was not started, pass the token on", "rule"),
         # --- Await_Data_Response ---
         Row(_S.AWAIT_DATA_RESPONSE, _I.RESPONSE, "exchange.response", (_S.AWAIT_DATA_RESPONSE, _S.CHECK_ACCESS_TIME),
-            "it answers the request: done; it does not: count it, keep waiting", "spec p12, p14"),
+            "it answers the request: done; it does not: count it, keep waiting", "EN 50170-2 p119, p131"),
         Row(_S.AWAIT_DATA_RESPONSE, _I.TIMEOUT, "exchange.timeout", (_S.AWAIT_DATA_RESPONSE, _S.CHECK_ACCESS_TIME),
-            "T_SL over: repeat with unchanged FCB, or give up", "spec p12, p14"),
+            "T_SL over: repeat with unchanged FCB, or give up", "EN 50170-2 p119, p131"),
         Row(_S.AWAIT_DATA_RESPONSE, _I.SENT, "exchange.repeated", (_S.AWAIT_DATA_RESPONSE,),
-            "wait for the answer to the repetition", "spec p14"),
+            "wait for the answer to the repetition", "EN 50170-2 p131"),
         # --- Check_Access_Time: never rests, what comes next is decided at once ---
         Row(_S.CHECK_ACCESS_TIME, _I.CHECK, "hold.check", (_S.USE_TOKEN, _S.PASS_TOKEN, _S.OFFLINE),
             "high priority once even when late, low while time is left, then the GAP, then the token; kept for a fixed "
-            "cycle that is due at once", "spec p11, p12; rule"),
+            "cycle that is due at once", "EN 50170-2 p102, p119; rule"),
         # --- Pass_Token, Check_Token_Pass ---
         Row(_S.PASS_TOKEN, _I.SENT, "passing.sent", (_S.CHECK_TOKEN_PASS, _S.USE_TOKEN, _S.OFFLINE),
             "watch NS; a lone master holds the token again", "Felser, state machine; lone master"),
@@ -142,9 +142,9 @@ def _rows() -> list[Row]:
             "SC: somebody is active; a response to TS is a late one and proves nothing", "rule"),
         # --- Await_Status_Response ---
         Row(_S.AWAIT_STATUS_RESPONSE, _I.RESPONSE, "hold.status", (_S.AWAIT_STATUS_RESPONSE, _S.PASS_TOKEN, _S.OFFLINE),
-            "'ready' becomes NS; note slaves; pass the token", "spec p11"),
+            "'ready' becomes NS; note slaves; pass the token", "EN 50170-2 p102"),
         Row(_S.AWAIT_STATUS_RESPONSE, _I.TIMEOUT, "hold.status_timeout", (_S.PASS_TOKEN, _S.OFFLINE),
-            "nobody there: pass the token", "spec p11"),
+            "nobody there: pass the token", "EN 50170-2 p102"),
     ]  # fmt: skip
     idle, watching = (_S.LISTEN_TOKEN, _S.ACTIVE_IDLE), _S.CHECK_TOKEN_PASS
     others = (_I.TOKEN_TO_ME, _I.TOKEN_SEEN, *_REQUESTS)
@@ -167,11 +167,11 @@ def _rows() -> list[Row]:
         (_I.GO_OFFLINE, "hold.leave", (None,), "end this, pass the token, then Offline", "rule",
          (*_HOLDING[1:], watching)),
         (_I.TOKEN_TO_ME, "hold.withdraw", (_S.USE_TOKEN, _S.ACTIVE_IDLE, _S.OFFLINE),
-         "repeated by PS before we started: still ours; else withdraw", f"{_FELSER}; spec p12", (_S.USE_TOKEN,)),
+         "repeated by PS before we started: still ours; else withdraw", f"{_FELSER}; EN 50170-2 p119", (_S.USE_TOKEN,)),
         (_I.TOKEN_TO_ME, "hold.withdraw", (_S.ACTIVE_IDLE, _S.OFFLINE), "somebody else held the token: withdraw",
-         f"{_FELSER}; spec p12", _HOLDING[1:]),
+         f"{_FELSER}; EN 50170-2 p119", _HOLDING[1:]),
         *((what, "hold.withdraw", (_S.ACTIVE_IDLE, _S.OFFLINE), "somebody else holds the token: withdraw",
-           f"{_FELSER}; spec p12", _HOLDING) for what in others[1:]),
+           f"{_FELSER}; EN 50170-2 p119", _HOLDING) for what in others[1:]),
         *((what, "passing.confirmed", (_S.ACTIVE_IDLE, _S.OFFLINE), "NS has the token", _FELSER, (watching,))
           for what in (*others, _I.RESPONSE_SEEN)),
         *((what, "idle.claim_broken", (_S.ACTIVE_IDLE, _S.LISTEN_TOKEN), "the line lives: no claim", "rule",
@@ -222,6 +222,7 @@ def render() -> str:
         "Made from `dpstack/fdl/active/states.py` by `tools/make_state_docs.py`; do not edit. A lost line leads from",
         "every state to Offline and is left out of the diagram. A pair that is not listed is ignored and counted.",
         "A handler may pass an input on to the state it entered; what happens then is that state's row.",
+        "The documents named as sources: [protocol.md](protocol.md#sources).",
         "",
         "```mermaid",
         "stateDiagram-v2",

@@ -24,7 +24,8 @@ _GAP_PATIENCE: Final = 8
 
 
 def begin(link: Link, _: Telegram, now: int) -> None:
-    """The token is ours: T_TH = T_TR - T_RR, so it ends one T_TR after the receipt before (spec p12)."""
+    """The token is ours: T_TH = T_TR - T_RR, so it ends one T_TR after the receipt before
+    (docs/protocol.md#token-rotation)."""
     before = link.token_at
     link.token_at = now
     if before >= 0:
@@ -169,7 +170,7 @@ def sent(link: Link, _: Telegram, at: int) -> None:
 
 
 def status(link: Link, telegram: Telegram, now: int) -> None:
-    """The answer of the address polled: a ready master becomes NS (spec p11)."""
+    """The answer of the address polled: a ready master becomes NS (docs/protocol.md#gap-update)."""
     address = link.polling
     plain = not telegram.data and telegram.dsap is telegram.ssap is None and telegram.kind != Kind.SC
     if telegram.sa != address or not plain or link.edge_at < link.early_until:

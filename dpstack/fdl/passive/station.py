@@ -23,7 +23,7 @@ from dpstack.phy.patience import EXACT, Patience
 from dpstack.trace import Event
 from dpstack.units import NEVER
 
-#: T_SDR of a station is never less than this (IEC 61158; Felser, "Zeitverhaeltnisse").
+#: T_SDR of a station is never less than this (docs/protocol.md#t-sdr).
 LOWEST_TSDR: Final = 11
 
 #: requests that carry a frame count
@@ -271,7 +271,8 @@ class PassiveStation:
         if telegram.empty_le3:
             self._tell_le3(sa, now)
         if fc & FC_FCV and sa == self._kept_sa and fc & FC_FCB == self._kept_fcb and function in _CONFIRMED:
-            # EN 50170-2 p. 131: same initiator, same FCB: the answer was lost, so it is repeated and nothing done twice
+            # docs/protocol.md#frame-count-bit: same requester, same FCB: the answer was lost, so it is repeated and
+            # nothing done twice
             self.stats.repeats += 1
             self._answer(self._kept, now)
             return

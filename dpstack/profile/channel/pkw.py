@@ -72,10 +72,11 @@ class Pkw(NamedTuple):
 class PkwDialect:
     """What differs between drives: positive replies allowed to each order, error texts, and the handshake.
 
-    ``zero_between``: the drive takes a new order only after it has answered 0 with 0 (D4). Without it a new order
-    may follow at once unless it looks like the last one; then a reply counts only when id, PNU and index match.
-    ``parse``: of a :class:`Pkw` whose octets are laid out in another way. ``busy``: error numbers with which the drive
-    says that it cannot do it yet: the order is given again.
+    ``zero_between``: the drive takes a new order only after it has answered 0 with 0 (as
+    docs/drives/demag.md#handshake-of-the-parameter-channel). Without it a new order may follow at once unless it looks
+    like the last one; then a reply counts only when id, PNU and index match. ``parse``: of a :class:`Pkw` whose octets
+    are laid out in another way. ``busy``: error numbers with which the drive says that it cannot do it yet: the order
+    is given again.
     """
 
     answers: Mapping[int, tuple[int, ...]]

@@ -161,7 +161,7 @@ class DemagCore(MappedCore[OutMap]):
             self._selector = 0
 
     def control_bits(self) -> int:
-        """What PZD2 is to report, and the toggle bit as the drive sent it (D10), never inverted."""
+        """What PZD2 is to report, and the toggle bit as the drive sent it (docs/drives/demag.md#toggle-bit)."""
         return self._selector << _SELECTOR | (self.status_word & _TOGGLE if self.online else 0)
 
     def measured(self) -> tuple[float | None, float | None, float | None]:
@@ -442,7 +442,7 @@ class DemagCore(MappedCore[OutMap]):
         self._take_mode(None)
 
     def _ask_toggle_time(self, deadline: int) -> Steps[int]:
-        """881 must leave time for two of the drive's scans and two rotations (D10)."""
+        """881 must leave time for two of the drive's scans and two rotations (docs/drives/demag.md#toggle-bit)."""
         began = self.now
         yield
         yield

@@ -370,7 +370,8 @@ class DemagDevice(DriveDevice):
             return Reply.ERROR, refused.number
 
     def _carry_out(self, order: Pkw) -> tuple[int, int]:
-        """Readings as in row D3; a plain order on a parameter with data sets takes the data set in IND."""
+        """Readings: docs/drives/demag.md#parameter-channel; a plain order on a parameter with data sets takes the data
+        set in IND."""
         if order.id not in t.PKW.answers:
             raise _RefusedError(108)
         spec = t.PARAMETERS.get(order.pnu)

@@ -1,4 +1,4 @@
-"""The OPC-E1-PDP of the simulated drive: PCV orders (F6, F7, F14), PCD words (F5), its address (F11)."""
+"""The OPC-E1-PDP of the simulated drive: PCV orders, PCD words, its address (docs/drives/fuji.md)."""
 
 from __future__ import annotations
 

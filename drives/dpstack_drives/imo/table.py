@@ -1,4 +1,4 @@
-"""What plugin and simulated drive share. Rows I1 to I3 and I5 of the project's check list.
+"""What plugin and simulated drive share. Passages: docs/drives/imo-hd2.md.
 
 Source: IMO, HD2 PROFIBUS Communication Card, instruction manual; numbers in the comments are its tables. It has no GSD
 file: ident number and identifier octets are made up until the user's GSD overrides them. The inverter's own parameters,

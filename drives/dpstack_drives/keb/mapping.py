@@ -1,4 +1,5 @@
-"""Reading and writing the drive's process data map over the parameter channel (rows K7, K11, K12)."""
+"""Reading and writing the drive's process data map over the parameter channel
+(docs/drives/keb-f5.md#process-data-map)."""
 
 from __future__ import annotations
 

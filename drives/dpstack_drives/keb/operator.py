@@ -1,6 +1,6 @@
 """The simulated PROFIBUS operator: process data maps with their enables, and when data go to and from the inverter.
 
-Rows K7, K9, K11, K12. Manual: Process Data Assignment, Saving of the F5 PB-Operator Configuration.
+Passages: docs/drives/keb-f5.md#process-data-map, docs/drives/keb-f5.md#when-data-move.
 """
 
 from __future__ import annotations

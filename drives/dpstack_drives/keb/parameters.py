@@ -1,4 +1,4 @@
-"""The parameters of the simulated F5 as its operator reads and writes them (rows K3 to K6, K8)."""
+"""The parameters of the simulated F5 as its operator reads and writes them (docs/drives/keb-f5.md#indexes)."""
 
 from __future__ import annotations
 

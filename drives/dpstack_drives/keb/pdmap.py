@@ -1,6 +1,6 @@
-"""The process data map: which parameter stands where, as records 6000h (inputs) and 6001h (outputs); rows K7 and K8.
+"""The process data map: which parameter stands where, as records 6000h (inputs) and 6001h (outputs).
 
-Manual: Process Data Assignment, and Changing the PD-Assignment via the Parameter Channel (examples 1 and 2).
+Passages: docs/drives/keb-f5.md#process-data-map, docs/drives/keb-f5.md#default-map.
 """
 
 from __future__ import annotations
@@ -150,7 +150,8 @@ class PdMap:
 
 
 def check(inputs: PdMap, outputs: PdMap) -> str | None:
-    """Why a drive would not confirm its enable for these maps; None where they are right (K7, K11)."""
+    """Why a drive would not confirm its enable for these maps; None where they are right
+    (docs/drives/keb-f5.md#process-data-map)."""
     for name, one in (("inputs", inputs), ("outputs", outputs)):
         if one.octets > _LONGEST:
             return f"{name}: {one.octets} octets, the operator has at most {_LONGEST}"
@@ -189,6 +190,6 @@ def _entry(word: str) -> Entry:
     return Entry(index, kind == "long", int(sets) if sets else 1)
 
 
-#: K8, example 1
+#: docs/drives/keb-f5.md#default-map, example 1
 DEFAULT_INPUTS: Final = PdMap((Entry(t.STATUS_WORD), Entry(t.ACTUAL_SPEED)))
 DEFAULT_OUTPUTS: Final = PdMap((Entry(t.CONTROL_WORD), Entry(t.SET_SPEED)))

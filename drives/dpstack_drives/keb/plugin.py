@@ -216,7 +216,7 @@ class KebCore(MappedCore[PdMap]):
         return self.outputs_map if outputs else self.inputs_map
 
     def check_maps(self, inputs: PdMap, outputs: PdMap) -> str | None:
-        """What the drive would not confirm (K7, K11)."""
+        """What the drive would not confirm (docs/drives/keb-f5.md#process-data-map)."""
         return pdmap.check(inputs, outputs)
 
     def read_map(self, deadline: int) -> Steps[dict[str, object]]:

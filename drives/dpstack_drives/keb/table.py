@@ -1,4 +1,4 @@
-"""What plugin and simulated drive share: parameters, error texts, names of bits. Rows K2 to K12 of the check list.
+"""What plugin and simulated drive share: parameters, error texts, names of bits. Passages: docs/drives/keb-f5.md.
 
 Source: KEB, COMBICOM F5-Profibus (slides of a training course); the names in the comments are its headings. The bits
 of sy.50 and sy.51, the unit of sy.52 and most addresses are in the inverter's application manual, which we do not
@@ -176,7 +176,8 @@ def bits(text: str, made_up: str, what: str) -> dict[str, int]:
 
 
 class _P(NamedTuple):
-    """80 per Hz of oP.3 by arithmetic (K4). Limits and factory values are not in the manual."""
+    """80 per Hz of oP.3 by arithmetic (docs/drives/keb-f5.md#example-of-the-parameter-channel). Limits and factory
+    values are not in the manual."""
 
     name: str
     title: str
@@ -271,7 +272,7 @@ PARAMETERS: Final = ParamTable(_specs())
 SCALES: Final = {0x2303: (80, "Hz")}
 
 
-#: made up: record and enable of block 2 in the simulated drive (K12)
+#: made up: record and enable of block 2 in the simulated drive (docs/drives/keb-f5.md#second-block)
 BLOCK2_INPUTS, BLOCK2_OUTPUTS = "5FE0 5FE1", "5FE2 5FE3"
 
 

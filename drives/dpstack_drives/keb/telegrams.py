@@ -1,7 +1,7 @@
-"""Telegrams of the F5 operator: made of modules, named ``[PCH+]OUTPUTS/INPUTS`` in octets (row K2).
+"""Telegrams of the F5 operator: made of modules, named ``[PCH+]OUTPUTS/INPUTS`` in octets
+(docs/drives/keb-f5.md#gsd-facts).
 
-Source: the GSD file printed in the manual (PB-Master Assignments, GSD-File, V2.2): parameter channel B7, 1..8 octets
-of outputs A0..A7, 1..8 of inputs 90..97, at most 3 modules, 16 octets each way.
+Parameter channel B7, 1..8 octets of outputs A0..A7, 1..8 of inputs 90..97, at most 3 modules, 16 octets each way.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
-"""The fieldbus watchdog of the simulated F5 (row K10): what begins it, what keeps it alive.
+"""The fieldbus watchdog of the simulated F5 (docs/drives/keb-f5.md#watchdog-of-the-operator): what begins it, what
+keeps it alive.
 
-Manual: Communication Supervision. Reading: with both bits of Fb39 either event begins it.
+Reading: with both bits of Fb39 either event begins it.
 """
 
 from __future__ import annotations

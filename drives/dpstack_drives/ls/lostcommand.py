@@ -1,4 +1,5 @@
-"""What the simulated drive does when its command is lost (row L11): PRT-12 how, PRT-13 when, PRT-14 a frequency.
+"""What the simulated drive does when its command is lost (docs/drives/ls-s100.md#swap-and-lost-command): PRT-12 how,
+PRT-13 when, PRT-14 a frequency.
 
 They stand in the inverter's manual, so this is a reading: 0 nothing, 1 coast, 2 ramp, both with the trip, 3 hold the
 input, 4 hold the output, 5 the preset frequency. It is judged whatever ended data exchange.

@@ -1,4 +1,4 @@
-"""The CPDP-S100 of the simulated drive: parameters by PKW, fault situations, PNUs (rows L6, L9; 6.2.1, 7)."""
+"""The CPDP-S100 of the simulated drive: parameters by PKW, fault situations, PNUs (docs/drives/ls-s100.md#pnus)."""
 
 from __future__ import annotations
 

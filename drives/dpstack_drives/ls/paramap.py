@@ -1,4 +1,5 @@
-"""Para Status (COM-31..) and Para Control (COM-51..): which address stands where (row L7; manual 4.2.4-4.2.8)."""
+"""Para Status (COM-31..) and Para Control (COM-51..): which address stands where
+(docs/drives/ls-s100.md#parameters-and-maps)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The records of the CPDP-S100: 47 at both ends (row L8; manual 6.2.2), a subset, and I&M0 (L10; 8).
+"""The records of the CPDP-S100: 47 at both ends (docs/drives/ls-s100.md#record-47), and I&M0.
 
 PNUs are taken before addresses of the same number. Readings: a plain parameter with a subindex is error 4; a request
 takes two scans.
@@ -15,7 +15,7 @@ from dpstack_drives.ls import table as t
 from dpstack_drives.ls.module import Module
 
 SLOT: Final = 1
-#: of class 2 (row L8); a reading: the manual gives no number
+#: of class 2 (docs/drives/ls-s100.md#record-47); a reading: the manual gives no number
 CONNECTIONS: Final = 2
 #: at most 8 parameters of at most 8 elements a request, values only, one object
 LIMITS: Final = record47.Limits(parameters=8, elements=8)
@@ -89,7 +89,7 @@ def server(module: Module, refusal: Callable[..., int | None]) -> record47.Param
 
 
 def identification() -> record47.Im0:
-    """I&M0 (row L10; manual 8). Order id, serial number and versions are made up."""
+    """I&M0 (docs/drives/ls-s100.md#im). Order id, serial number and versions are made up."""
     return record47.Im0(
         manufacturer_id=t.DEVICE_ID[0],
         order_id="CPDP-S100",

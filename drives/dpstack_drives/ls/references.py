@@ -1,4 +1,4 @@
-"""What a user calls a parameter, as it stands in the parameter channel (rows L6, L7; manual 6.2.1)."""
+"""What a user calls a parameter, as it stands in the parameter channel (docs/drives/ls-s100.md#parameter-channel)."""
 
 from __future__ import annotations
 

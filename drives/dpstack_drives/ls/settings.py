@@ -1,4 +1,5 @@
-"""The communication parameters of the simulated drive: what they are at first and what of them counts (4.2, L7)."""
+"""The communication parameters of the simulated drive: what they are at first and what of them counts
+(docs/drives/ls-s100.md#parameters-and-maps)."""
 
 from __future__ import annotations
 
