@@ -76,20 +76,18 @@ def reach(arrows: Graph, start: str) -> set[str]:
 
 
 def reduced(arrows: Graph) -> Graph:
-    """Without the arrows that follow from others, so that a picture shows the floors."""
+    """Without the arrows that follow from others, so that a picture shows the floors. Rooms that import each other keep
+    theirs: neither stands below the other."""
     reached = {name: reach(arrows, name) for name in arrows}
-    return {
-        name: {
+    found: Graph = {}
+    for name, targets in arrows.items():
+        below = [other for other in targets if name not in reached[other]]
+        found[name] = {
             target
             for target in targets
-            if not any(
-                target in reached.get(other, ()) and other not in reached.get(target, ())
-                for other in targets
-                if other != target
-            )
+            if not any(target in reached[other] and other not in reached[target] for other in below if other != target)
         }
-        for name, targets in arrows.items()
-    }
+    return found
 
 
 def flowchart(arrows: Graph, labels: Mapping[str, str]) -> str:
