@@ -18,23 +18,25 @@ from dpstack.cli.terminal import lost_stdout
 from dpstack.errors import ConfigError, DpError, UsageError
 from dpstack.text import printable
 
-#: modules of dpstack.cli.commands, imported when the program runs: an early Ctrl-C is no traceback
-_COMMANDS = (
-    "demo",
-    "run",
-    "sim",
-    "segment",
-    "ctl",
-    "drive",
-    "acyclic",
-    "scan",
-    "address",
-    "plan",
-    "baud",
-    "ports",
-    "doctor",
-    "gsd",
-)
+#: what each command does; the module of the same name in dpstack.cli.commands has its options and is imported when the
+#: command is used
+_COMMANDS = {
+    "demo": "every known drive, simulated, each through a little story",
+    "run": "the soft master, operating at once",
+    "sim": "the slaves of a configuration, one simulated drive, or one device of a GSD file, on one port",
+    "segment": "a virtual RS-485 segment: ptys joined as one bus, that any program may open",
+    "ctl": "tells a running run, sim or segment what to do; without COMMAND: what it knows",
+    "drive": "one drive by hand: through the run that holds the port, "
+    "otherwise as master in the foreground until Ctrl-C",
+    "acyclic": "records of a slave (DP-V1): through the run that holds the port, otherwise as master in the foreground",
+    "scan": "who is on the bus: stations 0-126 with type, ident number, state and owner; changes nothing",
+    "address": "gives a slave that no master owns another station address (Set_Slave_Add) and verifies it",
+    "plan": "bus parameters, rotation times, watchdogs, and what does not fit together",
+    "baud": "finds the baud rate of a bus by listening only",
+    "ports": "serial adapters with their lasting path, chip and holder",
+    "doctor": "adapters, permissions, latency, rates and real-time rights: what was found, what to do",
+    "gsd": "GSD files: show, check, configure",
+}
 _INTERRUPTED = 130
 #: set to anything: errors are shown with where they come from
 _DEBUG = "DPSTACK_DEBUG"
@@ -42,6 +44,16 @@ _DEBUG = "DPSTACK_DEBUG"
 
 class Parser(argparse.ArgumentParser):
     """Refuses wrong arguments in one line."""
+
+    #: the command whose module adds the arguments when they are to be read; empty where they are there
+    command = ""
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """As in argparse, and the help of a command is asked for here, too."""
+        if self.command:
+            importlib.import_module(f"dpstack.cli.commands.{self.command}").add_to(self)
+            self.command = ""
+        return super().parse_known_args(args, namespace)
 
     def error(self, message: str) -> NoReturn:
         """One line on stderr, exit code 2."""
@@ -61,8 +73,11 @@ def build_parser() -> Parser:
     )
     parser.add_argument("--version", action="version", version=f"dpstack {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=Parser)
-    for name in _COMMANDS:
-        importlib.import_module(f"dpstack.cli.commands.{name}").add_to(commands)
+    for name, text in _COMMANDS.items():
+        one = commands.add_parser(
+            name, help=text, description=text, formatter_class=argparse.RawDescriptionHelpFormatter
+        )
+        one.command = name
     return parser
 
 

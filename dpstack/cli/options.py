@@ -6,7 +6,7 @@ import argparse
 import math
 from typing import TYPE_CHECKING
 
-from dpstack.api.config.config import AUTO
+from dpstack.api.config.bus import AUTO
 from dpstack.text import decimal, shortened
 from dpstack.units import BAUD_RATES
 

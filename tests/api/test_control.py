@@ -377,7 +377,9 @@ async def test_a_client_finds_the_program_by_link_and_by_device(tmp_path: Path) 
 
     def ask(port: str) -> object:
         with connect(port) as client:
-            assert list(client.items("count", "3")) == [0, 1, 2]
+            items: list[object] = []
+            client.call("count", "3", on_item=items.append)
+            assert items == [0, 1, 2]
             with pytest.raises(UsageError, match="not like this"):
                 client.call("bad", "usage")
             with pytest.raises(SlaveTimeout, match="slave 3 is late"):

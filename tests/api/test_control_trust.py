@@ -84,7 +84,7 @@ async def refused() -> str:
         connect("COM3")
     assert str(at_client.value) == str(at_server.value)
     with pytest.raises(PortError):  # of `drive` and `acyclic`: nothing goes anywhere, and no second master begins
-        await find_run("COM3", None)
+        find_run("COM3", None)
     with pytest.raises(PortError):
         running()
     return str(at_client.value)

@@ -22,7 +22,7 @@ from dpstack.api.bus.open_bus import open_bus
 from dpstack.api.bus.scan import LiveListResult
 from dpstack.cli.commands import demo, ports, scan
 from dpstack.cli.main import main
-from dpstack.cli.terminal import output
+from dpstack.cli.terminal import drawing, output
 from dpstack.cli.terminal.report import Reporter
 from dpstack.dp.master.scanner import Found, SlaveView
 from dpstack.fdl.telegram import StationType
@@ -78,12 +78,12 @@ CELL = st.one_of(st.integers(0, 10**15).map(str), st.lists(WORD, max_size=6).map
 def test_no_word_is_cut_in_any_table(data: st.DataObject, count: int, width: int) -> None:
     rows = data.draw(st.lists(st.lists(CELL, min_size=count, max_size=count), min_size=1, max_size=4))
     columns = data.draw(st.lists(CELL, min_size=count, max_size=count))
-    text = drawn(output.rich_table("", columns, rows, width), width)
+    text = drawn(drawing.rich_table("", columns, rows, width), width)
     assert_nothing_cut(text, [word for row in (columns, *rows) for cell in row for word in cell.split()], width)
 
 
 def test_a_wide_terminal_has_each_row_in_one_line() -> None:
-    text = drawn(output.rich_table("T", ("address", "state"), [(3, "data_exchange"), (125, "fault")], 80), 80)
+    text = drawn(drawing.rich_table("T", ("address", "state"), [(3, "data_exchange"), (125, "fault")], 80), 80)
     assert text.splitlines() == [
         "T",
         "┌─────────┬───────────────┐",
@@ -97,7 +97,7 @@ def test_a_wide_terminal_has_each_row_in_one_line() -> None:
 
 def test_columns_without_room_move_into_a_second_line() -> None:
     columns = ("address", "name", "state", "exchanges")
-    text = drawn(output.rich_table("", columns, [(3, "hoist", "data_exchange", 316), (4, "fan", "fault", 0)], 36), 36)
+    text = drawn(drawing.rich_table("", columns, [(3, "hoist", "data_exchange", 316), (4, "fan", "fault", 0)], 36), 36)
     assert text.splitlines() == [
         "┌───────────────┬───────────┐",
         "│ address       │ name      │",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import json
 import os
@@ -13,7 +12,7 @@ from time import monotonic_ns
 from typing import Any, Final
 
 from dpstack.api.config.bus import VIRTUAL
-from dpstack.api.control.answers import Help, checked
+from dpstack.api.control.answers import Help, Item, checked
 from dpstack.api.control.errors import failure
 from dpstack.api.control.socket_path import Sockets, directory, names_of, own_name, socket_name
 from dpstack.errors import DpError, PortError, UsageError
@@ -74,11 +73,29 @@ class ControlClient:
         """What the program is, with the fields of ``Help``. Raises like :meth:`call`."""
         return self.call("help", kind=Help)
 
-    def items(self, command: str, *args: str) -> Iterator[Any]:
-        """What a command that goes on tells, one by one. Raises like :meth:`call`."""
-        for answer in self._answers(command, args):
-            if "item" in answer:
-                yield answer["item"]
+    def ask(
+        self,
+        command: str,
+        *args: str,
+        kind: type | None = None,
+        progress: Callable[[str, int, int], None] | None = None,
+    ) -> Any:
+        """As :meth:`call`, for an order that takes its time: its result with the parameters that came in items before;
+        ``progress`` is told how far it is."""
+        found: list[object] = []
+
+        def on_item(item: Any) -> None:
+            told = checked(item, Item, self.port, command)
+            found.extend(told.get("parameters", ()))
+            if progress is not None and "progress" in told:
+                progress(*told["progress"])
+
+        result = self.call(command, *args, on_item=on_item)
+        if found and isinstance(result, Mapping):
+            result = {**result, "parameters": found}
+        if kind is not None:
+            checked(result, kind, self.port, command)
+        return result
 
     def _answers(self, command: str, args: tuple[str, ...]) -> Iterator[Mapping[str, Any]]:
         limit_s = self._socket.gettimeout() or TIMEOUT_S
@@ -150,7 +167,7 @@ def connect(port: str, timeout: float | None = TIMEOUT_S) -> ControlClient:
     raise PortError(f"nobody answers for {port}; {there}")
 
 
-async def find_run(port: str, config: Path | None, timeout: float | None = TIMEOUT_S) -> ControlClient | None:
+def find_run(port: str, config: Path | None, timeout: float | None = TIMEOUT_S) -> ControlClient | None:
     """The run on ``port`` that has the configuration file ``config``; None where no run answers for that port.
 
     An order goes where both agree. Raises UsageError where the run, or each run on "virtual", has another file, or
@@ -164,7 +181,7 @@ async def find_run(port: str, config: Path | None, timeout: float | None = TIMEO
         else:
             found = [_reach(sockets, port, [own_name("run", name) for name in names_of(port)], timeout)]
     clients = [client for client in found if client is not None]
-    return await asyncio.to_thread(_chosen, clients, port, config) if clients else None
+    return _chosen(clients, port, config) if clients else None
 
 
 def running() -> list[dict[str, Any]]:

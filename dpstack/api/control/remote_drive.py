@@ -5,12 +5,14 @@ from __future__ import annotations
 import asyncio
 import json
 from collections.abc import AsyncIterator, Mapping, Sequence
-from typing import Any
+from typing import Annotated, Any, Final, NotRequired, TypedDict
+
+import msgspec
 
 from dpstack.api.bus.bus import Bus
 from dpstack.api.bus.parts import SEARCHING
 from dpstack.api.config.config import Config
-from dpstack.api.control.answers import OF_DRIVE, DriveTold, ParametersTold, checked
+from dpstack.api.control.answers import checked
 from dpstack.api.control.client import ControlClient, find_run
 from dpstack.api.control.drive_commands import PARAMETERS, READ_MANY, carry_out
 from dpstack.api.control.errors import failure
@@ -19,6 +21,73 @@ from dpstack.api.lists.dump_compare import ParameterPlace, ParameterValue
 from dpstack.errors import BusError, ParameterError, PortError, UsageError
 from dpstack.profile import ListedParam
 from dpstack.text import number_or_name
+
+
+class Status(TypedDict):
+    """A drive at one moment, as ``DriveStatus.as_dict`` writes it."""
+
+    state: str
+    running: bool
+    reached: bool
+    remote: bool
+    setpoint: float
+    speed: float | None
+    frequency_hz: float | None
+    current: float | None
+    torque: float | None
+    warnings: list[str]
+    faults: list[str]
+    words: list[str]
+    bits: list[str]
+    settings: NotRequired[str]
+    settings_texts: NotRequired[list[str]]
+
+
+class _OfDrive(TypedDict):
+    drive: str
+    type: str
+    address: int
+
+
+class DriveTold(_OfDrive):
+    """An order to a drive without an answer of its own: the status afterwards."""
+
+    status: Status
+
+
+class _Parameter(TypedDict):
+    name: str | None
+    value: int | float
+    unit: str
+    data_set: int | None
+
+
+class ParameterTold(_OfDrive):
+    """``read`` and ``write`` of a drive."""
+
+    parameter: _Parameter
+
+
+class ParametersTold(_OfDrive):
+    """``parameters`` of a drive."""
+
+    per_request: Annotated[int, msgspec.Meta(ge=1)]
+    parameters: list[ListedParam]
+
+
+class ManyTold(_OfDrive):
+    """``read_many`` of a drive: each entry a ``ParameterValue``, or an error as it stands in an answer."""
+
+    parameters: list[dict[str, Any]]
+
+
+#: of a drive, by the order; all others are :class:`DriveTold`
+OF_DRIVE: Final[dict[str, type]] = {
+    "read": ParameterTold,
+    "write": ParameterTold,
+    "parameters": ParametersTold,
+    "read_many": ManyTold,
+}
 
 
 def drive_order(bus: Bus, args: list[str]) -> AsyncIterator[object]:
@@ -107,7 +176,7 @@ async def find_drive(config: Config, name: str) -> RemoteDrive | None:
     Raises UsageError where the run there has another configuration file or no such drive, BusError, PortError where it
     cannot be reached.
     """
-    client = await find_run(config.port, config.file)
+    client = await asyncio.to_thread(find_run, config.port, config.file)
     if client is None:
         return None
     try:

@@ -4,22 +4,68 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncGenerator, Mapping, Sequence
-from typing import Any, Final
+from collections.abc import AsyncGenerator, Sequence
+from typing import Annotated, Any, Final, NotRequired, TypedDict
+
+import msgspec
 
 from dpstack.api.bus.bus import Bus
 from dpstack.api.bus.parts import SEARCHING
 from dpstack.api.config.config import Config
-from dpstack.api.control.answers import OF_SLAVE, Item, checked
-from dpstack.api.control.client import ControlClient, find_run
+from dpstack.api.control.client import find_run
 from dpstack.api.control.record_commands import COMPARE, DUMP, PARAMETERS, OnProgress, carry_out, check
 from dpstack.api.control.server import Result, kept_alive
+from dpstack.api.lists.record_list import ListedValues
 from dpstack.errors import BusError, UsageError
 from dpstack.text import number_or_name
 
 #: parameters in one line of an answer: it stays well below what the server keeps for a slow reader
 _IN_A_LINE: Final = 100
 
+Hex = Annotated[str, msgspec.Meta(pattern=r"^(?:[0-9a-fA-F]{2})*$")]
+
+
+class _OfSlave(TypedDict):
+    slave: str
+    address: int
+    slot: int
+
+
+class WriteTold(_OfSlave):
+    """``write`` of a slave's record."""
+
+    index: int
+    length: int
+
+
+class RecordTold(WriteTold):
+    """``read`` and ``transport`` of a slave."""
+
+    data: Hex
+
+
+class ListTold(_OfSlave):
+    """``parameters`` of a slave; the entries come in items before."""
+
+    object: int
+    ident: int
+    parameters: NotRequired[list[ListedValues]]
+
+
+class ImTold(_OfSlave):
+    """``im`` of a slave: the fields of each record, by its number."""
+
+    im: dict[str, dict[str, Any]]
+
+
+#: of a slave's records, by the order
+OF_SLAVE: Final[dict[str, type]] = {
+    "read": RecordTold,
+    "transport": RecordTold,
+    "write": WriteTold,
+    "parameters": ListTold,
+    "im": ImTold,
+}
 
 #: the commands of a run, by class of master
 COMMANDS: Final = {1: "acyclic", 2: "class2"}
@@ -76,31 +122,11 @@ async def through_run(
     Raises what it raises there, UsageError where the run has another configuration file or no such slave, PortError.
     ``progress`` is called by another thread.
     """
-    client = await find_run(config.port, config.file)
+    client = await asyncio.to_thread(find_run, config.port, config.file)
     if client is None:
         return None
     with client:
         told = await asyncio.to_thread(
-            ask, client, COMMANDS[master], str(slave), word, *args, kind=OF_SLAVE.get(word), progress=progress
+            client.ask, COMMANDS[master], str(slave), word, *args, kind=OF_SLAVE.get(word), progress=progress
         )
     return {PARAMETERS: [], **told, "order": word} if word == PARAMETERS else {**told, "order": word}
-
-
-def ask(
-    client: ControlClient,
-    command: str,
-    *args: str,
-    kind: type | None = None,
-    progress: OnProgress | None = None,
-) -> Any:
-    """The result of ``command`` as :meth:`ControlClient.call` has it, with the parameters that came in items before."""
-    found: list[object] = []
-
-    def on_item(item: Any) -> None:
-        told = checked(item, Item, client.port, command)
-        found.extend(item.get(PARAMETERS, ()))
-        if progress is not None and "progress" in told:
-            progress(*told["progress"])
-
-    told = client.call(command, *args, kind=kind, on_item=on_item)
-    return {**told, PARAMETERS: found} if found and isinstance(told, Mapping) else told

@@ -26,8 +26,8 @@ from dpstack.cli.commands import on_bus
 from dpstack.cli.commands.acyclic_lists import FILES, show_comparison, show_dump, show_list
 from dpstack.cli.commands.on_bus import tell_simulated
 from dpstack.cli.terminal import output
+from dpstack.cli.terminal.drawing import progress_bar
 from dpstack.cli.terminal.lost_stdout import warn
-from dpstack.cli.terminal.output import progress_bar
 from dpstack.cli.terminal.signals import StopSignal
 from dpstack.errors import BusError, SlaveFault, UsageError
 from dpstack.text import octets_text
@@ -46,18 +46,15 @@ class Order(NamedTuple):
     args: tuple[str, ...]
 
 
-def add_to(commands: options.Commands) -> None:
-    """The command and its options."""
-    parser = options.command(
-        commands,
-        "acyclic",
-        "records of a slave (DP-V1): through the run that holds the port, otherwise as master in the foreground",
-        "dpstack acyclic plant.toml 8 read 1 47\n"
+def add_to(parser: argparse.ArgumentParser) -> None:
+    """The options of the command."""
+    parser.epilog = (
+        "example: dpstack acyclic plant.toml 8 read 1 47\n"
         "         dpstack acyclic plant.toml valves write 1 47 00FF\n"
         "         dpstack acyclic plant.toml 8 im\n"
         "         dpstack acyclic plant.toml 8 im --class 2\n"
         "         dpstack acyclic plant.toml 8 dump pump.toml\n\norders:\n"
-        + "\n".join(f"  {f'{spec.name} {spec.usage}':29} {spec.text}" for spec in _WORDS),
+        + "\n".join(f"  {f'{spec.name} {spec.usage}':29} {spec.text}" for spec in _WORDS)
     )
     parser.add_argument("config", metavar="CONFIG", help="configuration file")
     parser.add_argument("slave", metavar="ADDRESS", help="the slave, by its address or its name there")

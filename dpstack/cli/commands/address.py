@@ -13,14 +13,9 @@ from dpstack.cli.terminal.lost_stdout import warn
 from dpstack.cli.terminal.signals import StopSignal
 
 
-def add_to(commands: options.Commands) -> None:
-    """The command and its options."""
-    parser = options.command(
-        commands,
-        "address",
-        "gives a slave that no master owns another station address (Set_Slave_Add) and verifies it",
-        "dpstack address 126 5 --ident 0x0696 --port /dev/ttyUSB0 --baud 500000",
-    )
+def add_to(parser: argparse.ArgumentParser) -> None:
+    """The options of the command."""
+    parser.epilog = "example: dpstack address 126 5 --ident 0x0696 --port /dev/ttyUSB0 --baud 500000"
     parser.add_argument("old", metavar="OLD", type=options.slave_address, help="its address, 126 as delivered")
     parser.add_argument("new", metavar="NEW", type=options.address, help="its new address, 0..125")
     parser.add_argument("--ident", metavar="I", type=options.ident, help="only the device with this ident number")

@@ -12,14 +12,9 @@ from dpstack.cli.terminal.lost_stdout import warn
 from dpstack.cli.terminal.signals import StopSignal
 
 
-def add_to(commands: options.Commands) -> None:
-    """The command and its options."""
-    parser = options.command(
-        commands,
-        "baud",
-        "finds the baud rate of a bus by listening only",
-        "dpstack baud --port /dev/ttyUSB0",
-    )
+def add_to(parser: argparse.ArgumentParser) -> None:
+    """The options of the command."""
+    parser.epilog = "example: dpstack baud --port /dev/ttyUSB0"
     parser.add_argument("--port", metavar="P", required=True, help="the port")
     parser.add_argument(
         "--timeout",

@@ -8,7 +8,6 @@ from typing import Any, Final
 
 from dpstack.api.control.answers import Help
 from dpstack.api.control.client import connect
-from dpstack.api.control.remote_records import ask
 from dpstack.cli import options
 from dpstack.cli.terminal import output
 
@@ -16,14 +15,9 @@ from dpstack.cli.terminal import output
 _LINE: Final = 130
 
 
-def add_to(commands: options.Commands) -> None:
-    """The command and its options."""
-    parser = options.command(
-        commands,
-        "ctl",
-        "tells a running run, sim or segment what to do; without COMMAND: what it knows",
-        "dpstack ctl /tmp/bus/0 trip 3 F2100\n         dpstack ctl /tmp/bus noise 1e-4",
-    )
+def add_to(parser: argparse.ArgumentParser) -> None:
+    """The options of the command."""
+    parser.epilog = "example: dpstack ctl /tmp/bus/0 trip 3 F2100\n         dpstack ctl /tmp/bus noise 1e-4"
     parser.add_argument(
         "port",
         metavar="PORT",
@@ -38,7 +32,7 @@ def add_to(commands: options.Commands) -> None:
 def execute(args: argparse.Namespace) -> int:
     """Ask and print the answer."""
     with connect(args.port) as client:
-        result = ask(client, args.order, *args.args, kind=Help if args.order == "help" else None)
+        result = client.ask(args.order, *args.args, kind=Help if args.order == "help" else None)
     if args.json:
         output.json_line({"result": result})
     elif args.order == "help":

@@ -21,7 +21,7 @@ from dpstack.api.control.handlers_slaves import SlaveCommands
 from dpstack.api.slave.drive import Drive
 from dpstack.cli import options
 from dpstack.cli.commands.demo_stories import OTHERS, STORIES
-from dpstack.cli.terminal import output
+from dpstack.cli.terminal import drawing, output
 from dpstack.cli.terminal.lost_stdout import guarded, warn
 from dpstack.cli.terminal.report import Reporter, not_exchanging
 from dpstack.cli.terminal.signals import INTERRUPTED, StopSignal
@@ -42,11 +42,9 @@ _SHOWN = 15
 _BAR = 6
 
 
-def add_to(commands: options.Commands) -> None:
-    """The command and its options."""
-    parser = options.command(
-        commands, "demo", "every known drive, simulated, each through a little story", "dpstack demo --seconds 20"
-    )
+def add_to(parser: argparse.ArgumentParser) -> None:
+    """The options of the command."""
+    parser.epilog = "example: dpstack demo --seconds 20"
     parser.add_argument("--seconds", metavar="S", type=options.seconds, help="go on for so long at least")
     parser.add_argument("--baud", metavar="B", type=options.baud, default=_BAUD, help=f"the rate (default {_BAUD})")
     parser.add_argument("--fast", action="store_true", help="as fast as this computer can, not in real time")
@@ -135,7 +133,7 @@ class _Stage:
             speed = "" if status.speed is None else f"{status.speed:7.1%} {_bar(status.speed)}"
             rows.append((slave.address, drive.name, f"{state:<19}", f"{speed:<21}", slave.exchanges))
         console = Console()
-        table = output.rich_table(title, ("address", "drive", "state", "speed", "exchanges"), rows, console.width)
+        table = drawing.rich_table(title, ("address", "drive", "state", "speed", "exchanges"), rows, console.width)
         room = min(_SHOWN, max(1, console.height - len(console.render_lines(table)) - 1))
         told = [line for text in self.lines for line in Text(printable(text)).wrap(console, console.width)][-room:]
         return Group(table, *told, *[""] * (room - len(told)))

@@ -11,14 +11,9 @@ from dpstack.cli.terminal import output
 _STYLES = {Level.OK: "", Level.NOTE: "yellow", Level.FINDING: "red"}
 
 
-def add_to(commands: options.Commands) -> None:
-    """The command and its options."""
-    parser = options.command(
-        commands,
-        "doctor",
-        "adapters, permissions, latency, rates and real-time rights: what was found, what to do",
-        "dpstack doctor --port /dev/ttyUSB0",
-    )
+def add_to(parser: argparse.ArgumentParser) -> None:
+    """The options of the command."""
+    parser.epilog = "example: dpstack doctor --port /dev/ttyUSB0"
     parser.add_argument("--port", metavar="P", help="only this port (default: every adapter)")
     options.add_json(parser)
     parser.set_defaults(execute=execute)

@@ -39,16 +39,13 @@ _FOR_FILES: Final = frozenset(spec.name for spec in DUMP_AND_COMPARE)
 _FOR: Final = {**OPTIONS, "data_set": OPTIONS["data_set"] | _FOR_FILES, "all": frozenset({"compare"})}
 
 
-def add_to(commands: options.Commands) -> None:
-    """The command and its options."""
-    parser = options.command(
-        commands,
-        "drive",
-        "one drive by hand: through the run that holds the port, otherwise as master in the foreground until Ctrl-C",
-        "dpstack drive plant.toml hoist status\n"
+def add_to(parser: argparse.ArgumentParser) -> None:
+    """The options of the command."""
+    parser.epilog = (
+        "example: dpstack drive plant.toml hoist status\n"
         "         dpstack drive plant.toml hoist start speed 0.5 reached\n"
         "         dpstack drive plant.toml hoist dump hoist.toml\n\norders, one or several, in turn:\n"
-        + "\n".join(f"  {f'{spec.name} {spec.usage}':13} {spec.text}" for spec in _WORDS),
+        + "\n".join(f"  {f'{spec.name} {spec.usage}':13} {spec.text}" for spec in _WORDS)
     )
     parser.add_argument("config", metavar="CONFIG", help="configuration file")
     parser.add_argument("name", metavar="NAME", help="the drive, by its name there or its address")

@@ -12,8 +12,8 @@ from dpstack.api.drive_check import DriveCheck
 from dpstack.api.lists.dump_compare import OnParameter, Readable, check_compare, check_dump, compare, dump
 from dpstack.api.lists.parameter_list import SavedParam, label, value_text
 from dpstack.cli.terminal import output
+from dpstack.cli.terminal.drawing import progress_bar
 from dpstack.cli.terminal.lost_stdout import warn
-from dpstack.cli.terminal.output import progress_bar
 
 DUMP_AND_COMPARE: Final = (
     Spec("dump", "FILE", "all declared parameters into a file", "hoist.toml"),

@@ -36,9 +36,9 @@ from dpstack.units import baud_text
 _STYLES = {Severity.INFO: "dim", Severity.WARNING: "yellow", Severity.ERROR: "bold red"}
 
 
-def add_to(commands: options.Commands) -> None:
-    """The command with its own commands."""
-    parser = options.command(commands, "gsd", "GSD files: show, check, configure", "dpstack gsd show valves.gsd")
+def add_to(parser: argparse.ArgumentParser) -> None:
+    """Its own commands."""
+    parser.epilog = "example: dpstack gsd show valves.gsd"
     inner = parser.add_subparsers(dest="gsd_command", metavar="COMMAND", required=True)
     shower = options.command(inner, "show", "what a GSD file says", "dpstack gsd show valves.gsd --json")
     shower.add_argument("file", metavar="FILE", help="GSD file, or a drive that has one here (demag-dedrive, keb-f5)")

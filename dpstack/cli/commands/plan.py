@@ -24,14 +24,9 @@ _HOW: Final = {
 }
 
 
-def add_to(commands: options.Commands) -> None:
-    """The command and its options."""
-    parser = options.command(
-        commands,
-        "plan",
-        "bus parameters, rotation times, watchdogs, and what does not fit together",
-        "dpstack plan plant.toml --baud all --cycle-ms 4",
-    )
+def add_to(parser: argparse.ArgumentParser) -> None:
+    """The options of the command."""
+    parser.epilog = "example: dpstack plan plant.toml --baud all --cycle-ms 4"
     parser.add_argument("config", metavar="CONFIG", help="configuration file")
     parser.add_argument("--baud", metavar="B|all", type=_baud_or_all, help="another rate, or all of them")
     parser.add_argument(

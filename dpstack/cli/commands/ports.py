@@ -9,11 +9,9 @@ from dpstack.cli import options
 from dpstack.cli.terminal import output
 
 
-def add_to(commands: options.Commands) -> None:
-    """The command and its options."""
-    parser = options.command(
-        commands, "ports", "serial adapters with their lasting path, chip and holder", "dpstack ports --json"
-    )
+def add_to(parser: argparse.ArgumentParser) -> None:
+    """The options of the command."""
+    parser.epilog = "example: dpstack ports --json"
     options.add_json(parser)
     parser.set_defaults(execute=execute)
 

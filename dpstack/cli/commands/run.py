@@ -22,14 +22,11 @@ from dpstack.cli.terminal.signals import INTERRUPTED, StopSignal
 from dpstack.errors import UsageError
 
 
-def add_to(commands: options.Commands) -> None:
-    """The command and its options."""
-    parser = options.command(
-        commands,
-        "run",
-        "the soft master, operating at once",
-        "dpstack run plant.toml --outputs valves=07 9=00FF --seconds 10\n"
-        "         dpstack run plant.toml --read-only --address 1",
+def add_to(parser: argparse.ArgumentParser) -> None:
+    """The options of the command."""
+    parser.epilog = (
+        "example: dpstack run plant.toml --outputs valves=07 9=00FF --seconds 10\n"
+        "         dpstack run plant.toml --read-only --address 1"
     )
     # optional, because --outputs may stand before it
     parser.add_argument("config", metavar="CONFIG", nargs="?", help="configuration file")

@@ -16,14 +16,9 @@ from dpstack.cli.terminal.signals import StopSignal
 from dpstack.units import baud_text
 
 
-def add_to(commands: options.Commands) -> None:
-    """The command and its options."""
-    parser = options.command(
-        commands,
-        "scan",
-        "who is on the bus: stations 0-126 with type, ident number, state and owner; changes nothing",
-        "dpstack scan --port /dev/ttyUSB0 --baud 500000 --config > plant.toml",
-    )
+def add_to(parser: argparse.ArgumentParser) -> None:
+    """The options of the command."""
+    parser.epilog = "example: dpstack scan --port /dev/ttyUSB0 --baud 500000 --config > plant.toml"
     on_bus.add_port(parser)
     parser.add_argument("--config", action="store_true", help="print a configuration file of what was found")
     options.add_json(parser)

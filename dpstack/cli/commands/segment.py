@@ -21,14 +21,9 @@ from dpstack.units import ns_to_s
 _COLUMNS = ("path", "sent", "received", "dropped", "overrun", "telegrams", "damaged", "erased")
 
 
-def add_to(commands: options.Commands) -> None:
-    """The command and its options."""
-    parser = options.command(
-        commands,
-        "segment",
-        "a virtual RS-485 segment: ptys joined as one bus, that any program may open",
-        "dpstack segment --stations 2 --dir /tmp/bus",
-    )
+def add_to(parser: argparse.ArgumentParser) -> None:
+    """The options of the command."""
+    parser.epilog = "example: dpstack segment --stations 2 --dir /tmp/bus"
     parser.add_argument("--stations", metavar="N", type=options.count, default=2, help="how many ptys (default 2)")
     parser.add_argument("--dir", metavar="DIR", help="where the links 0, 1 ... are made")
     parser.add_argument(

@@ -23,16 +23,13 @@ from dpstack.text import number_or_name
 from dpstack.units import baud_text, ns_to_s
 
 
-def add_to(commands: options.Commands) -> None:
-    """The command and its options."""
-    parser = options.command(
-        commands,
-        "sim",
-        "the slaves of a configuration, one simulated drive, or one device of a GSD file, on one port",
-        "dpstack sim plant.toml --port pty\n"
+def add_to(parser: argparse.ArgumentParser) -> None:
+    """The options of the command."""
+    parser.epilog = (
+        "example: dpstack sim plant.toml --port pty\n"
         "         dpstack sim --drive fuji-frenic --address 4 --port pty\n"
         '         dpstack sim --gsd io-station --modules "8 DI" "8 DO" --address 8 --port pty\n'
-        "         dpstack sim --drive demag-dedrive --address 126 --port pty",
+        "         dpstack sim --drive demag-dedrive --address 126 --port pty"
     )
     parser.add_argument("config", metavar="CONFIG", nargs="?", help="configuration file")
     parser.add_argument("--drive", metavar="NAME", help="one simulated drive instead of a configuration")

@@ -1,0 +1,52 @@
+"""A command loads what it needs: counted by modules, for times say more of the computer than of the program."""
+
+from __future__ import annotations
+
+import importlib
+import subprocess
+import sys
+
+import pytest
+
+from dpstack.cli.main import _COMMANDS
+
+_PROGRAM = """
+import sys
+from dpstack.cli.main import main
+try:
+    main(sys.argv[1:])
+except SystemExit:
+    pass
+print("loaded", *sys.modules)
+"""
+HEAVY = {"asyncio", "construct", "msgspec", "rich"}
+
+
+def loaded(program: str, *args: str) -> tuple[set[str], set[str]]:
+    """Modules of dpstack that ``program`` has loaded at its end, and those of HEAVY."""
+    told = subprocess.run([sys.executable, "-c", program, *args], capture_output=True, text=True, check=True).stdout
+    names = set(told.splitlines()[-1].split()[1:])
+    return {name for name in names if name.partition(".")[0] == "dpstack"}, names & HEAVY
+
+
+@pytest.mark.parametrize("args", [["--version"], ["--help"], ["nonsense"], []], ids=" ".join)
+def test_what_is_no_command_loads_no_command(args: list[str]) -> None:
+    ours, heavy = loaded(_PROGRAM, *args)
+    assert len(ours) <= 12
+    assert heavy == set()
+
+
+def test_the_control_client_is_all_that_ctl_loads() -> None:
+    ours, heavy = loaded(_PROGRAM, "ctl", "no/such/port")
+    assert len(ours) <= 32
+    assert heavy == set()
+    assert {name for name in ours if name.startswith("dpstack.api.bus")} == set()
+
+
+def test_the_package_loads_nothing_of_itself() -> None:
+    assert loaded("import sys, dpstack; print('loaded', *sys.modules)") == ({"dpstack"}, set())
+
+
+@pytest.mark.parametrize("name", _COMMANDS)
+def test_a_command_is_the_module_of_its_name(name: str) -> None:
+    assert callable(importlib.import_module(f"dpstack.cli.commands.{name}").add_to)
