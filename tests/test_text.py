@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpstack.api.bus.streams import SlaveFlapping, hand_to
 from dpstack.api.config.toml import quoted
+from dpstack.api.streams import SlaveFlapping, hand_to
 from dpstack.dp.master.events import DriveEvent, SlaveRemark
 from dpstack.drivers.process.messages import event_classes
 from dpstack.drivers.runtime import PortLost

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import functools
-from collections.abc import AsyncIterator, Callable, Iterable, Mapping
+from collections.abc import AsyncIterator, Iterable, Mapping
 from dataclasses import dataclass
 from types import TracebackType
 
@@ -17,20 +17,18 @@ from dpstack.api.bus.ring_entry import Beside, join, what_was_heard
 from dpstack.api.bus.scan import scan_on
 from dpstack.api.bus.shutdown import OrderedEnd
 from dpstack.api.bus.statistics import BusStats, collect
-from dpstack.api.bus.streams import Events, EventStream, OnEvent, Waiters
 from dpstack.api.bus.sync_freeze import Group, GroupOrders, Groups
 from dpstack.api.config.config import Config, slave_config
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.slave.class2 import Class2
 from dpstack.api.slave.drive import Drive
-from dpstack.api.slave.services import Services
 from dpstack.api.slave.slave import Slave
+from dpstack.api.streams import EventStream, OnEvent
 from dpstack.argcheck import Sealed
 from dpstack.dp.master.commands import AddSlave, Alive, Mode, RemoveSlave, SetMode
 from dpstack.dp.master.events import ControlSent, DriveEvent, ForcedClear, ModeChanged, OperateWaits, SlaveStateChanged
 from dpstack.dp.master.scanner import Found
 from dpstack.drivers.line.asyncio_runtime import outlast
-from dpstack.drivers.shutdown import end_limit_ns
 from dpstack.errors import BusError, ConfigError, DpError, UsageError
 from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.events import AddressCollision, RingJoined
@@ -63,32 +61,14 @@ class Bus(Sealed, Composed):
         make = functools.partial(
             compose, on_events=self._on_events, on_failure=self._on_failure, world=world, watched=watched
         )
-        super().__init__(config, make, world)
-        #: addresses whose answers to the last scan could not be read
-        self.unreadable: frozenset[int] = frozenset()
-        #: machine time of the start in ns
-        self.started_ns = 0
-        self._events = Events(on_event)
+        super().__init__(config, make, world, on_event)
         self._join_timeout = join_timeout
-        self._open = False
-        self._ending: asyncio.Task[None] | None = None
-        self._left = False
-        self._ordered_end = OrderedEnd(self)
+        self._ordered_end = OrderedEnd(self, self.close, self.hurry)
         self._joined_ns = 0  # machine time of the first token
-        #: what was heard of another station at this one's address
-        self.collision: str | None = None
-        #: why the master is in Clear by itself, until Operate is ordered; None while it is not
-        self.forced_clear: ForcedClear | None = None
-        #: why nothing will happen any more: a failure, or the end
-        self._over: DpError | None = None
-        self._waiters = Waiters()
         self._groups = GroupOrders(self)
         self._cycles = Cycles(self)
         #: the services of a class 2 master: diagnosis, configuration, inputs and outputs of any slave, its address
-        self.class2 = Class2(self)
-        self.services = Services(self)
-        self._slaves: dict[int, Slave] = {}
-        self._drives: dict[int, Drive] = {}
+        self.class2 = Class2(self, self._slaves, self.slave)
         if not self.searching:
             self._build(config)
         self._seal(Bus)
@@ -167,11 +147,6 @@ class Bus(Sealed, Composed):
             self._begin_end()
 
     @property
-    def end_limit_s(self) -> float:
-        """No end takes longer than this (s), whatever port and slaves do."""
-        return ns_to_s(end_limit_ns(self.params, self.rotation_limit_ns) + self.runtime.close_limit_ns)
-
-    @property
     def end_failed(self) -> bool:
         """True after an end in which slaves that had outputs got neither safe values nor Clear (dead port, no token,
         a bus process that hangs). An event tells it, and what the slaves do."""
@@ -196,42 +171,7 @@ class Bus(Sealed, Composed):
                 self._nothing_more(UsageError("the bus is closed"))
                 await self._ordered_end.unwatch()
 
-    # --- for dpstack.api.bus.shutdown ---------------------------------------------------------------------------------
-
-    @property
-    def ender(self) -> asyncio.Task[None] | None:
-        """The task that carries the end out, once it was begun."""
-        return self._ending
-
-    @property
-    def is_left(self) -> bool:
-        """A finaliser has ended it, or this process is a fork of its own: there is nothing to close."""
-        return self._left
-
-    def leave(self, why: DpError) -> None:
-        """It is over without :meth:`close`; ``why`` is raised by every order. Its event loop is not touched."""
-        self._open = False
-        self._left = True
-        self._over = why
-
-    def at_exit(self) -> None:
-        """The interpreter ends, and the bus is still open."""
-        self._ordered_end.at_exit()
-
-    def forsake(self) -> None:
-        """In the child of a fork: it is the parent's."""
-        self._ordered_end.forsake()
-
-    def notice(self, source: str, message: str, severity: Severity = Severity.INFO) -> None:
-        """Tell ``message`` as an event."""
-        self._events.tell(Notice(t_ns=self.runtime.now(), source=source, message=message, severity=severity))
-
     # --- orders -------------------------------------------------------------------------------------------------
-
-    @property
-    def is_open(self) -> bool:
-        """True between a successful opening and the end."""
-        return self._open and self._ending is None
 
     async def operate(self) -> None:
         """Outputs go out from the next rotation on; with ``auto_clear`` once all slaves are in data exchange.
@@ -266,29 +206,6 @@ class Bus(Sealed, Composed):
         """
         self.check_open()
         self._unless_over(self.runtime.hand_over_outputs)
-
-    def command(self, command: object) -> None:
-        """Hand an order to the machine. Raises UsageError when the bus is not open."""
-        self.check_open()
-        self._hand_on(command)
-
-    def check_open(self) -> None:
-        """Raises UsageError when the bus is not open."""
-        if self.is_left and self._over is not None:
-            raise self._over
-        if not self._open:
-            raise UsageError("the bus is not open: use it inside `async with open_bus(...)`")
-
-    def _hand_on(self, command: object) -> None:
-        self._unless_over(functools.partial(self.runtime.command, command))
-
-    def _unless_over(self, order: Callable[[], None]) -> None:
-        try:
-            order()
-        except BusError:
-            if self._over is not None:
-                raise self._over from None
-            raise
 
     async def ready(self, timeout: float | None = 5.0) -> None:
         """Wait until every slave in service is in data exchange. Raises SlaveFault or SlaveTimeout for the first that
@@ -359,32 +276,6 @@ class Bus(Sealed, Composed):
 
     # --- what there is ------------------------------------------------------------------------------------------
 
-    @property
-    def slaves(self) -> tuple[Slave, ...]:
-        """All slaves by address."""
-        return tuple(self._slaves[address] for address in sorted(self._slaves))
-
-    @property
-    def drives(self) -> tuple[Drive, ...]:
-        """All drives by address."""
-        return tuple(self._drives[address] for address in sorted(self._drives))
-
-    def slave(self, which: str | int) -> Slave:
-        """A slave by name or address. Raises UsageError naming those there are."""
-        for slave in self._slaves.values():
-            if which in (slave.name, slave.address):
-                return slave
-        known = ", ".join(f"{s.name} ({s.address})" for s in self.slaves) or "none"
-        raise UsageError(f"no slave {which!r} on this bus; there are: {known}")
-
-    def drive(self, which: str | int) -> Drive:
-        """A drive by name or address. Raises UsageError naming those there are."""
-        for drive in self._drives.values():
-            if which in (drive.name, drive.slave.address):
-                return drive
-        known = ", ".join(d.name for d in self.drives) or "none"
-        raise UsageError(f"no drive {which!r} on this bus; there are: {known}")
-
     async def scan(
         self, *, configs: bool = False, addresses: Iterable[int] = ALL_ADDRESSES, quick: bool | None = None
     ) -> tuple[Found, ...]:
@@ -394,11 +285,6 @@ class Bus(Sealed, Composed):
         for them (default: while no slave of this bus is in data exchange).
         """
         return await scan_on(self, configs=configs, addresses=addresses, quick=quick)
-
-    @property
-    def collided(self) -> bool:
-        """Another station uses this one's address."""
-        return self.collision is not None
 
     def events(self) -> EventStream:
         """What happens, from the start of the bus on: an async iterator, bounded; ``dropped`` counts what was lost."""
@@ -422,24 +308,9 @@ class Bus(Sealed, Composed):
         return collect(self)
 
     @property
-    def seconds(self) -> float:
-        """Bus time since the start in seconds."""
-        return ns_to_s(self.runtime.now() - self.started_ns)
-
-    @property
     def seconds_in_ring(self) -> float:
         """Bus time since this master was given, or claimed, its first token in seconds; 0 before that."""
         return ns_to_s(self.runtime.now() - self._joined_ns) if self._joined_ns else 0.0
-
-    async def until(self, condition: Callable[[], bool], timeout: float | None = None) -> None:
-        """Wait until ``condition()``, judged after every event; what it raises is raised here. Raises TimeoutError."""
-
-        def judged() -> bool:
-            if self._over is not None:
-                raise self._over
-            return condition()
-
-        await self._waiters.until(judged, timeout)
 
     async def rotated(self, rotations: int | None, timeout: float | None = None) -> None:
         """Wait until there were so many rotations in all (None: for ever). Raises TimeoutError."""

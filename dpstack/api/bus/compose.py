@@ -10,12 +10,12 @@ from typing import Final
 from dpstack.api.bus.driver_choice import PROCESS, driver_for
 from dpstack.api.bus.plan_checks import adapter_notes, data_control_ns, other_masters, refuse_misfit, with_t_tr
 from dpstack.api.bus.remote_plugins import attach_remote, core_of, known_places, plugin_of
-from dpstack.api.bus.streams import Rounds
 from dpstack.api.config.bus import SAFE
 from dpstack.api.config.config import Config, rate_findings
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.server.virtual_bench import VirtualBench
 from dpstack.api.slave.drive_view import DriveSeen
+from dpstack.api.streams import Rounds
 from dpstack.dp.master.master import Master
 from dpstack.dp.master.scanner import SurveyOrder, SurveyResult
 from dpstack.dp.plan.plan import Case, Plan, make_plan

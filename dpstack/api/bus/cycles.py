@@ -5,16 +5,13 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
+from dpstack.api.bus.parts import Composed
 from dpstack.dp.master.fixed_cycle import CycleData
 from dpstack.dp.process_data import FieldMap, Value
 from dpstack.dp.process_image import inputs_are_valid
 from dpstack.errors import NoInputs, UsageError
 from dpstack.units import NS_PER_MS, ns_to_s
-
-if TYPE_CHECKING:
-    from dpstack.api.bus.bus import Bus
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,7 +84,7 @@ class Cycle:
 class Cycles:
     """Whoever reads the cycles of one bus."""
 
-    def __init__(self, bus: Bus) -> None:
+    def __init__(self, bus: Composed) -> None:
         self._bus = bus
         self._readers: list[_Reader] = []
         self._over = False
@@ -116,7 +113,7 @@ class Cycles:
 
 
 class _Reader:
-    def __init__(self, bus: Bus) -> None:
+    def __init__(self, bus: Composed) -> None:
         self._bus = bus
         self.more = asyncio.Event()
         self.data: CycleData | None = None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from dpstack.api.bus.streams import SlaveFlapping
+from dpstack.api.streams import SlaveFlapping
 from dpstack.dp.master.commands import Mode
 from dpstack.dp.master.events import (
     ApplicationSilent,

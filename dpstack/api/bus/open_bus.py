@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Literal
 
 from dpstack.api.bus.bus import Bus, SlaveTable
-from dpstack.api.bus.streams import OnEvent
 from dpstack.api.config.config import Config, load_config, make_config
+from dpstack.api.streams import OnEvent
 from dpstack.errors import ConfigError
 from dpstack.sim.world import World
 

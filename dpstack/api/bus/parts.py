@@ -2,25 +2,33 @@
 
 from __future__ import annotations
 
+import asyncio
+import functools
 from collections.abc import Callable
 from typing import Final
 
 from dpstack.api.bus.compose import Parts
 from dpstack.api.bus.find_baud import need_wire, rate_of
 from dpstack.api.bus.plan_checks import refuse_misfit
-from dpstack.api.bus.streams import Rounds
 from dpstack.api.config.config import AUTO, Config
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.server.virtual_bench import VirtualBench
+from dpstack.api.slave.drive import Drive
+from dpstack.api.slave.services import Services
+from dpstack.api.slave.slave import Slave
+from dpstack.api.streams import Events, OnEvent, Rounds, Waiters
 from dpstack.dp.master.commands import Mode
+from dpstack.dp.master.events import ForcedClear
 from dpstack.dp.plan.plan import Case, Plan
 from dpstack.dp.plan.rotation_time import figures
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.drivers.runtime import Runtime
+from dpstack.drivers.shutdown import end_limit_ns
 from dpstack.drivers.views import MasterSeen, StationSeen, WatcherSeen
-from dpstack.errors import UsageError
+from dpstack.errors import BusError, DpError, UsageError
 from dpstack.params import BusParams
 from dpstack.sim.world import World
+from dpstack.trace import Notice, Severity
 from dpstack.units import ns_to_s
 
 SEARCHING: Final = "searching for the baud rate"
@@ -33,8 +41,28 @@ class Composed:
     where nothing can be found.
     """
 
-    def __init__(self, config: Config, make: Callable[[Config], Parts], world: World | None) -> None:
+    def __init__(
+        self, config: Config, make: Callable[[Config], Parts], world: World | None, on_event: OnEvent | None
+    ) -> None:
         self.config = config
+        #: addresses whose answers to the last scan could not be read
+        self.unreadable: frozenset[int] = frozenset()
+        #: machine time of the start in ns
+        self.started_ns = 0
+        #: what was heard of another station at this one's address
+        self.collision: str | None = None
+        #: why the master is in Clear by itself, until Operate is ordered; None while it is not
+        self.forced_clear: ForcedClear | None = None
+        self.services = Services(self.command, lambda: self.is_open)
+        self._slaves: dict[int, Slave] = {}
+        self._drives: dict[int, Drive] = {}
+        self._events = Events(on_event)
+        self._waiters = Waiters()
+        self._open = False
+        self._ending: asyncio.Task[None] | None = None
+        self._left = False
+        #: why nothing will happen any more: a failure, or the end
+        self._over: DpError | None = None
         self._given_world = world
         self._make = make
         self._parts: Parts | None = None
@@ -159,3 +187,108 @@ class Composed:
     def bench(self) -> VirtualBench | None:
         """The simulated slaves, where they are part of this bus."""
         return self.parts.bench
+
+    # --- slaves and drives ---------------------------------------------------------------------------------------
+
+    @property
+    def slaves(self) -> tuple[Slave, ...]:
+        """All slaves by address."""
+        return tuple(self._slaves[address] for address in sorted(self._slaves))
+
+    @property
+    def drives(self) -> tuple[Drive, ...]:
+        """All drives by address."""
+        return tuple(self._drives[address] for address in sorted(self._drives))
+
+    def slave(self, which: str | int) -> Slave:
+        """A slave by name or address. Raises UsageError naming those there are."""
+        for slave in self._slaves.values():
+            if which in (slave.name, slave.address):
+                return slave
+        known = ", ".join(f"{s.name} ({s.address})" for s in self.slaves) or "none"
+        raise UsageError(f"no slave {which!r} on this bus; there are: {known}")
+
+    def drive(self, which: str | int) -> Drive:
+        """A drive by name or address. Raises UsageError naming those there are."""
+        for drive in self._drives.values():
+            if which in (drive.name, drive.slave.address):
+                return drive
+        known = ", ".join(d.name for d in self.drives) or "none"
+        raise UsageError(f"no drive {which!r} on this bus; there are: {known}")
+
+    # --- orders and what is waited for --------------------------------------------------------------------------
+
+    @property
+    def is_open(self) -> bool:
+        """True between a successful opening and the end."""
+        return self._open and self._ending is None
+
+    def command(self, command: object) -> None:
+        """Hand an order to the machine. Raises UsageError when the bus is not open."""
+        self.check_open()
+        self._hand_on(command)
+
+    def check_open(self) -> None:
+        """Raises UsageError when the bus is not open."""
+        if self.is_left and self._over is not None:
+            raise self._over
+        if not self._open:
+            raise UsageError("the bus is not open: use it inside `async with open_bus(...)`")
+
+    def _hand_on(self, command: object) -> None:
+        self._unless_over(functools.partial(self.runtime.command, command))
+
+    def _unless_over(self, order: Callable[[], None]) -> None:
+        try:
+            order()
+        except BusError:
+            if self._over is not None:
+                raise self._over from None
+            raise
+
+    async def until(self, condition: Callable[[], bool], timeout: float | None = None) -> None:
+        """Wait until ``condition()``, judged after every event; what it raises is raised here. Raises TimeoutError."""
+
+        def judged() -> bool:
+            if self._over is not None:
+                raise self._over
+            return condition()
+
+        await self._waiters.until(judged, timeout)
+
+    @property
+    def seconds(self) -> float:
+        """Bus time since the start in seconds."""
+        return ns_to_s(self.runtime.now() - self.started_ns)
+
+    def notice(self, source: str, message: str, severity: Severity = Severity.INFO) -> None:
+        """Tell ``message`` as an event."""
+        self._events.tell(Notice(t_ns=self.runtime.now(), source=source, message=message, severity=severity))
+
+    @property
+    def collided(self) -> bool:
+        """Another station uses this one's address."""
+        return self.collision is not None
+
+    # --- the end ------------------------------------------------------------------------------------------------
+
+    @property
+    def end_limit_s(self) -> float:
+        """No end takes longer than this (s), whatever port and slaves do."""
+        return ns_to_s(end_limit_ns(self.params, self.rotation_limit_ns) + self.runtime.close_limit_ns)
+
+    @property
+    def ender(self) -> asyncio.Task[None] | None:
+        """The task that carries the end out, once it was begun."""
+        return self._ending
+
+    @property
+    def is_left(self) -> bool:
+        """A finaliser has ended it, or this process is a fork of its own: there is nothing to close."""
+        return self._left
+
+    def leave(self, why: DpError) -> None:
+        """It is over without :meth:`close`; ``why`` is raised by every order. Its event loop is not touched."""
+        self._open = False
+        self._left = True
+        self._over = why

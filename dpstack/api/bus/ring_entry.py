@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
+from dpstack.api.bus.parts import Composed
 from dpstack.drivers.views import StationSeen
 from dpstack.errors import BusError
 from dpstack.fdl.events import MasterSeen
@@ -13,9 +14,6 @@ from dpstack.phy.neighbours import Neighbours
 from dpstack.phy.patience import Patience
 from dpstack.trace import Event, Notice, Severity
 from dpstack.units import NS_PER_S, ns_to_s
-
-if TYPE_CHECKING:
-    from dpstack.api.bus.bus import Bus
 
 #: a master of another make may be slower than ours: nobody gives up sooner
 _LEAST_LIMIT_S: Final = 30.0
@@ -69,7 +67,7 @@ class Beside:
         return Notice(t_ns=now, source="ring", message=text, severity=severity)
 
 
-async def join(bus: Bus, timeout: float | None) -> None:
+async def join(bus: Composed, timeout: float | None) -> None:
     """Wait until the station is in the ring, for :func:`join_limit_s` unless ``timeout`` is given. Raises BusError."""
     limit = join_limit_s(bus.params, bus.station.patience) if timeout is None else timeout
 

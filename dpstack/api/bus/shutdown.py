@@ -17,12 +17,13 @@ import signal
 import sys
 import threading
 import weakref
-from collections.abc import AsyncGenerator, Callable, Iterable, Iterator
+from collections.abc import AsyncGenerator, Callable, Coroutine, Iterable, Iterator
 from pathlib import Path
 from time import monotonic
 from types import FrameType
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
+from dpstack.api.bus.parts import Composed
 from dpstack.dp.master.commands import Mode
 from dpstack.drivers.line.asyncio_runtime import outlast
 from dpstack.drivers.shutdown import EndSteps, at_slaves
@@ -31,13 +32,10 @@ from dpstack.text import printable
 from dpstack.trace import Event, Severity
 from dpstack.units import NS_PER_MS, ns_to_s
 
-if TYPE_CHECKING:
-    from dpstack.api.bus.bus import Bus
-
 _log: Final = logging.getLogger("dpstack")
 
-#: the buses of this process that are open: for :func:`hurry_all` and for the child of a fork
-_open_buses: weakref.WeakSet[Bus] = weakref.WeakSet()
+#: of the buses of this process that are open: for :func:`hurry_all` and for the child of a fork
+_open: weakref.WeakSet[OrderedEnd] = weakref.WeakSet()
 #: a loop that calls so much too late was blocked
 _HELD_UP_NS: Final = 10 * NS_PER_MS
 #: what the system sends to end a program
@@ -50,15 +48,22 @@ SAME_SIGNAL_S: Final = 1.0
 
 def hurry_all() -> None:
     """End every open bus of this process now, without what is not needed to make outputs safe. Within their loop."""
-    for bus in list(_open_buses):
-        bus.hurry()
+    for end in list(_open):
+        end.hurry_bus()
 
 
 class OrderedEnd:
-    """The end of ``bus``: how far it is, who makes it, what is said where slaves were not told to be safe."""
+    """The end of ``bus``: how far it is, who makes it, what is said where slaves were not told to be safe.
 
-    def __init__(self, bus: Bus) -> None:
+    ``close`` and ``hurry`` are its own.
+    """
+
+    def __init__(
+        self, bus: Composed, close: Callable[[], Coroutine[object, object, None]], hurry_bus: Callable[[], None]
+    ) -> None:
         self._bus = bus
+        self._close = close
+        self.hurry_bus = hurry_bus
         self._steps: EndSteps | None = None
         self._step: asyncio.Future[None] | None = None
         self._hurried = False
@@ -81,7 +86,7 @@ class OrderedEnd:
         """
         self._loop = loop = asyncio.get_running_loop()
         self._pid = os.getpid()
-        _open_buses.add(self._bus)
+        _open.add(self)
         self._keeper = self._keep()
         await anext(self._keeper)
         held = _HeldByLoop()
@@ -104,7 +109,7 @@ class OrderedEnd:
             yield
         finally:
             if not self._is_ender():
-                await self._bus.close()
+                await self._close()
 
     def _is_ender(self) -> bool:
         ender = self._bus.ender
@@ -119,7 +124,7 @@ class OrderedEnd:
                 await keeper.aclose()
 
     def _forget(self) -> None:
-        _open_buses.discard(self._bus)
+        _open.discard(self)
         if self._finalizer is not None:
             self._finalizer.detach()
             self._finalizer = None
@@ -221,7 +226,7 @@ class OrderedEnd:
             yield
             return
         assert callable(before)
-        deferred = _DeferredSignals((signal.SIGINT,), lambda: loop.call_soon_threadsafe(self._bus.hurry))
+        deferred = _DeferredSignals((signal.SIGINT,), lambda: loop.call_soon_threadsafe(self.hurry_bus))
         try:
             yield
         finally:
@@ -245,7 +250,7 @@ class OrderedEnd:
         try:
             if loop is not None and loop.is_running():  # in another thread, which ends with the interpreter
                 with contextlib.suppress(Exception):
-                    asyncio.run_coroutine_threadsafe(bus.close(), loop).result(bus.end_limit_s)
+                    asyncio.run_coroutine_threadsafe(self._close(), loop).result(bus.end_limit_s)
                     _log.warning("%s was still open as the program ended and was closed then", where)
                     return
             self._end_now(f"{where} was not closed before its event loop was (use `async with`)")
@@ -255,7 +260,7 @@ class OrderedEnd:
     def _hurry_in_thread(self) -> None:
         loop = self._loop
         if loop is not None and loop.is_running():
-            loop.call_soon_threadsafe(self._bus.hurry)
+            loop.call_soon_threadsafe(self.hurry_bus)
 
     def _end_now(self, how: str) -> None:
         """The end by this thread, without the loop. ``how`` the bus was left, for people."""
@@ -286,7 +291,7 @@ class OrderedEnd:
         if loop is None or loop is running:
             return False
         if loop.is_running():
-            ending = asyncio.wrap_future(asyncio.run_coroutine_threadsafe(self._bus.close(), loop))
+            ending = asyncio.wrap_future(asyncio.run_coroutine_threadsafe(self._close(), loop))
             limit = running.call_later(self._bus.end_limit_s, ending.cancel)
             await outlast(ending)
             limit.cancel()
@@ -404,15 +409,15 @@ def _separate(watched_fd: int) -> None:
 
 
 def _in_child() -> None:
-    for bus in list(_open_buses):
-        bus.forsake()
+    for end in list(_open):
+        end.forsake()
 
 
 def _at_exit() -> None:
     """End all buses that are left, before a signal that comes meanwhile ends the program."""
     deferred = _DeferredSignals(_ENDING_SIGNALS, lambda: None)
-    for bus in list(_open_buses):
-        bus.at_exit()
+    for end in list(_open):
+        end.at_exit()
     deferred.raise_again()
 
 

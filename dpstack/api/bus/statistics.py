@@ -15,7 +15,7 @@ from dpstack.fdl.interface import LinkStats, StationStats
 from dpstack.units import NS_PER_MS, NS_PER_S, NS_PER_US, ns_to_s
 
 if TYPE_CHECKING:
-    from dpstack.api.bus.bus import Bus
+    from dpstack.api.bus.parts import Composed
     from dpstack.api.slave.drive import Drive
     from dpstack.api.slave.slave import Slave
 
@@ -90,7 +90,7 @@ def diagnosis_dict(slave: Slave) -> dict[str, object]:
     return {"diagnosis": {"flags": list(diagnosis.flags), "texts": list(slave.block_texts)}}
 
 
-def drive_dict(bus: Bus, drive: Drive) -> dict[str, object]:
+def drive_dict(bus: Composed, drive: Drive) -> dict[str, object]:
     """The status of ``drive``, and ``notices`` with ``t`` in seconds since the start, where there were some."""
     notices = [{"t": round(ns_to_s(one.t_ns - bus.started_ns), 3), "text": one.text} for one in drive.notices]
     return drive.status.as_dict() | ({"notices": notices} if notices else {})
@@ -206,7 +206,7 @@ class BusStats:
         }
 
 
-def collect(bus: Bus) -> BusStats:
+def collect(bus: Composed) -> BusStats:
     """The picture at this moment: a copy, later counts do not change it. It never waits for a bus process."""
     age_ns = bus.runtime.counters_age_ns
     link = copy.deepcopy(bus.station.stats)

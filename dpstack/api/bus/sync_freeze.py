@@ -6,8 +6,9 @@ import asyncio
 import itertools
 from collections.abc import Iterable, Mapping
 from types import TracebackType
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
+from dpstack.api.bus.parts import Composed
 from dpstack.api.slave.slave import Slave
 from dpstack.argcheck import Sealed
 from dpstack.dp.master.commands import SendControl
@@ -15,9 +16,6 @@ from dpstack.dp.master.events import ControlFailed, ControlSent, PictureTaken
 from dpstack.errors import BusError, DpError, SlaveFault, UsageError
 from dpstack.trace import Event
 from dpstack.units import NS_PER_US, ns_to_s
-
-if TYPE_CHECKING:
-    from dpstack.api.bus.bus import Bus
 
 #: A group number 1..8, several of them, 0 or nothing for all slaves.
 Groups = int | Iterable[int]
@@ -30,7 +28,7 @@ T = TypeVar("T", bound=Event)
 class GroupOrders:
     """The orders of one bus that wait for the wire."""
 
-    def __init__(self, bus: Bus) -> None:
+    def __init__(self, bus: Composed) -> None:
         self._bus = bus
         self._pending: dict[int, tuple[asyncio.Future[Event], type[Event]]] = {}
 
@@ -105,7 +103,7 @@ class Group(Sealed):
     Leaving the block ends SYNC and FREEZE. However the bus is left, safe values reach the outputs all the same.
     """
 
-    def __init__(self, bus: Bus, orders: GroupOrders, groups: Groups) -> None:
+    def __init__(self, bus: Composed, orders: GroupOrders, groups: Groups) -> None:
         self._bus = bus
         self._orders = orders
         self._groups = numbers(groups)

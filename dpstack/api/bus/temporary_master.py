@@ -1,22 +1,23 @@
-"""Visiting a bus for one errand: into its token ring at an address that nobody uses, and out of it in order."""
+"""A master for one errand: at an address that nobody uses into the ring, and out of it in order; the live list."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import AsyncIterator, Callable, Collection
-from typing import TYPE_CHECKING, Final
+from collections.abc import AsyncIterator, Callable, Collection, Iterable, Iterator
+from dataclasses import dataclass
+from typing import Final
 
+from dpstack.api.bus.bus import Bus
+from dpstack.dp.master.scanner import Found
 from dpstack.errors import BusError
+from dpstack.fdl.telegram import StationType
 from dpstack.params import MAX_STATION
-
-if TYPE_CHECKING:
-    from dpstack.api.bus.bus import Bus
 
 #: so many addresses in use are tried before somebody has to name one
 _TRIES: Final = 8
 
 #: Makes a bus at a station address that is not open yet.
-MakeBus = Callable[[int], "Bus"]
+MakeBus = Callable[[int], Bus]
 
 
 @contextlib.asynccontextmanager
@@ -40,3 +41,59 @@ async def joined(make_bus: MakeBus, address: int | None = None, *, avoid: Collec
         yield bus
     finally:
         await bus.close()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LiveListResult:
+    """What is on a bus. ``address`` is the one that this station asked from; ``notes`` are worth a line each."""
+
+    baud: int
+    address: int
+    stations: tuple[Found, ...]
+    unreadable: tuple[int, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def as_dict(self) -> dict[str, object]:
+        """As ``scan --json`` prints it."""
+        return {
+            "baud": self.baud,
+            "stations": [found.as_dict() for found in self.stations],
+            "address": self.address,
+            "unreadable": list(self.unreadable),
+            "notes": list(self.notes),
+        }
+
+
+async def scan_port(make_bus: MakeBus, *, address: int | None = None, configs: bool = False) -> LiveListResult:
+    """Join the bus, ask everybody, leave in order; on a silent bus then ask the own address from another one.
+
+    ``make_bus`` makes read-only buses; ``address`` as in :func:`joined`.
+    Raises PortError, BusError.
+    """
+    async with joined(make_bus, address) as bus:
+        own = bus.params.address
+        stations = await bus.scan(configs=configs)
+    notes = list(_notes(stations, bus.unreadable))
+    if bus.station.claimed:  # else another master asked the own address and understood the one answer it got
+        taken = {own, *(found.address for found in stations)}
+        other = next(free for free in range(MAX_STATION + 1) if free not in taken)
+        try:
+            async with make_bus(other) as second:
+                stations += await second.scan(configs=configs, addresses=(own,))
+        except BusError as error:
+            notes.append(f"address {own} itself could not be asked from {other}: {error}")
+    return LiveListResult(
+        baud=bus.params.baud,
+        address=own,
+        stations=tuple(sorted(stations, key=lambda found: found.address)),
+        unreadable=tuple(sorted(bus.unreadable)),
+        notes=tuple(notes),
+    )
+
+
+def _notes(stations: tuple[Found, ...], unreadable: Iterable[int]) -> Iterator[str]:
+    for address in sorted(unreadable):
+        yield f"address {address} answers, but not readably: two stations with one address, or a bad line"
+    for found in stations:
+        if found.kind is StationType.SLAVE and found.ident is None:
+            yield f"station {found.address} does not tell its diagnosis: it may be no DP slave"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from dpstack.api.bus.scan import LiveListResult
+from dpstack.api.bus.temporary_master import LiveListResult
 from dpstack.api.config.toml import quoted
 from dpstack.dp.master.scanner import Found, SlaveView
 from dpstack.errors import ConfigError

@@ -12,7 +12,6 @@ from dpstack.api.bus.bus import Bus
 from dpstack.api.bus.events_json import Injected
 from dpstack.api.bus.parts import SEARCHING
 from dpstack.api.bus.statistics import diagnosis_dict, drive_dict, inputs_dict
-from dpstack.api.bus.streams import OnEvent, hand_to
 from dpstack.api.control import arguments
 from dpstack.api.control.commands import KINDS, SLAVES
 from dpstack.api.control.handlers_slaves import SlaveCommands, address_of
@@ -22,6 +21,7 @@ from dpstack.api.control.server import ControlServer, Handler
 from dpstack.api.server.simulation import Segment, Simulation
 from dpstack.api.server.virtual_bench import silence_text, station_status
 from dpstack.api.slave.slave import Slave
+from dpstack.api.streams import OnEvent, hand_to
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.process_data import as_json
 from dpstack.errors import UsageError

@@ -8,11 +8,11 @@ from types import TracebackType
 from typing import Any, Final
 
 from dpstack.api.bus.open_bus import open_bus
-from dpstack.api.bus.streams import OnEvent
 from dpstack.api.config.config import Config
 from dpstack.api.control.drive_commands import carry_out
 from dpstack.api.lists.dump_compare import ParameterPlace, ParameterValue
 from dpstack.api.slave.drive import Drive
+from dpstack.api.streams import OnEvent
 from dpstack.errors import DpError, DriveError, DriveFault, ParameterError, SlaveFault
 from dpstack.profile import MOVING, ListedParam
 from dpstack.sim.world import World

@@ -6,8 +6,8 @@ import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
 
-from dpstack.api.bus.streams import OnEvent, Waiters, hand_to
 from dpstack.api.server.async_device import AsyncRecords, ServedAlarms
+from dpstack.api.streams import OnEvent, Waiters, hand_to
 from dpstack.argcheck import Sealed, octets, whole
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState, SlaveAppStats

@@ -10,9 +10,9 @@ from typing import Final, Literal
 
 from dpstack.api.bus.compose import ECHO, port_of
 from dpstack.api.bus.events_json import Injected
-from dpstack.api.bus.streams import OnEvent, hand_to
 from dpstack.api.config.config import AUTO, Config, rate_findings
 from dpstack.api.server.virtual_bench import Unit, injected_text, rates_of, set_rate, station_status
+from dpstack.api.streams import OnEvent, hand_to
 from dpstack.dp.slave.application import SlaveAppState
 from dpstack.dp.slave.auto_baud import PortBaudChanged, SearchingPort
 from dpstack.dp.slave.baud_control import BaudState

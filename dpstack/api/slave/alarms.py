@@ -11,12 +11,12 @@ import asyncio
 import contextlib
 import weakref
 from collections import deque
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
-from dpstack.api.bus.streams import Stream
 from dpstack.api.slave.service_errors import error_of
+from dpstack.api.streams import Stream
 from dpstack.dp.acyclic.job import Outcome, ServiceFailure
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dpv1.master.alarm_events import AcknowledgeAlarm, AlarmDone, AlarmRaised, HoldAlarms, StatusTold
@@ -24,9 +24,6 @@ from dpstack.dpv1.pdu.alarms import Alarm, Specifier, Status
 from dpstack.dpv1.pdu.read_write import Function
 from dpstack.errors import DpError
 from dpstack.trace import Event
-
-if TYPE_CHECKING:
-    from dpstack.api.bus.bus import Bus
 
 #: statuses kept for a reader that does not read
 _STATUSES: Final = 64
@@ -165,8 +162,8 @@ class StatusStream(Stream[Status]):
 class AlarmDesk:
     """All alarms of one bus that are listened for."""
 
-    def __init__(self, bus: Bus) -> None:
-        self._bus = bus
+    def __init__(self, command: Callable[[object], None]) -> None:
+        self._command = command
         self._listeners: dict[int, list[_Listener]] = {}
         self._statuses: dict[int, weakref.WeakSet[StatusStream]] = {}
         self._held: dict[tuple[int, int], _Held] = {}
@@ -188,7 +185,7 @@ class AlarmDesk:
 
     def listen(self, address: int, listener: _Listener) -> None:
         """From now on ``listener`` has the alarms of the slave at ``address``. Raises UsageError, BusError."""
-        self._bus.command(HoldAlarms(address, True))  # again for each: it says where there is nothing to listen for
+        self._command(HoldAlarms(address, True))  # again for each: it says where there is nothing to listen for
         self._listeners.setdefault(address, []).append(listener)
 
     def leave(self, address: int, listener: _Listener) -> None:
@@ -236,7 +233,7 @@ class AlarmDesk:
 
     def _order(self, command: object) -> None:
         with contextlib.suppress(DpError):  # the bus is over, or the slave removed: nothing is held any more
-            self._bus.command(command)
+            self._command(command)
 
     # --- from the machine ---------------------------------------------------------------------------------------
 

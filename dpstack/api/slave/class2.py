@@ -6,15 +6,16 @@ request in time that is left in a token hold; it has one result or one error.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING
 
 from dpstack.api.config.dpv1 import Ms2Limits
 from dpstack.api.config.slave import SlaveConfig
+from dpstack.api.slave.host import Host
 from dpstack.api.slave.ms2_connection import Connecting
 from dpstack.api.slave.records import usual_timeout
 from dpstack.api.slave.services import time_of
+from dpstack.api.slave.slave import Slave
 from dpstack.argcheck import Sealed, octets, whole
 from dpstack.dp.acyclic.class2 import ChangeAddress, ReadService
 from dpstack.dp.acyclic.class2_services import Service, ServiceDone
@@ -25,10 +26,6 @@ from dpstack.dpv1.master.ms2_commands import OpenConnection
 from dpstack.dpv1.timeouts import least_send_timeout
 from dpstack.errors import ConfigError, PduError, UsageError
 from dpstack.gsd.identifiers import Identifier, io_lengths, parse_identifiers
-
-if TYPE_CHECKING:
-    from dpstack.api.bus.bus import Bus
-    from dpstack.api.slave.slave import Slave
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,8 +76,10 @@ class Class2(Sealed):
     BusError when the port vanished meanwhile.
     """
 
-    def __init__(self, bus: Bus) -> None:
+    def __init__(self, bus: Host, slaves: Mapping[int, Slave], find: Callable[[str], Slave]) -> None:
         self._bus = bus
+        self._slaves = slaves
+        self._find = find
         self._seal(Class2)
 
     async def diagnosis(self, slave: Slave | str | int, *, timeout: float = 5.0) -> ReadDiagnosis:
@@ -172,7 +171,9 @@ class Class2(Sealed):
             channels=limits.channels,
             timeout_ns=time_of(usual_timeout(response) if timeout is None else timeout),
         )
-        return Connecting(self._bus, order, f"slave{address}" if known is None else known.name, limits)
+        return Connecting(
+            self._bus.services, order, f"slave{address}" if known is None else known.name, limits, self.diagnosis
+        )
 
     @property
     def connections(self) -> int:
@@ -196,7 +197,7 @@ class Class2(Sealed):
         if isinstance(slave, int) and not isinstance(slave, bool):
             return slave
         if isinstance(slave, str):
-            return self._bus.slave(slave).address
+            return self._find(slave).address
         address = getattr(slave, "address", None)
         if not isinstance(address, int):
             raise UsageError(f"{slave!r} is no slave: give its address, 0..126, its name, or bus.slave(...)")
@@ -207,11 +208,11 @@ class Class2(Sealed):
         return None if known is None else known.config
 
     def _known(self, address: int) -> Slave | None:
-        return next((slave for slave in self._bus.slaves if slave.address == address), None)
+        return self._slaves.get(address)
 
     def _check_settable(self, old: int, new: int, ident: int | None) -> None:
         """Raises UsageError where its GSD file says that it cannot be given an address."""
-        alike = [slave for slave in self._bus.slaves if ident is not None and slave.config.ident == ident]
+        alike = [slave for slave in self._slaves.values() if ident is not None and slave.config.ident == ident]
         known = self._known(old) or (alike[0] if alike else self._known(new) if ident is None else None)
         device = None if known is None else known.config.device
         if known is not None and device is not None and not device.set_slave_add:

@@ -9,13 +9,14 @@ import math
 from collections import deque
 from collections.abc import AsyncIterator, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
-from dpstack.api.bus.streams import Latest
 from dpstack.api.lists.dump_compare import Comparison, OnParameter, ParameterPlace, ParameterValue, compare, dump
 from dpstack.api.lists.parameter_list import ParameterList
 from dpstack.api.slave.drive_view import DriveSeen
+from dpstack.api.slave.host import Host
 from dpstack.api.slave.slave import Slave
+from dpstack.api.streams import Latest
 from dpstack.argcheck import Sealed
 from dpstack.dp.master.commands import DriveCommand, Mode
 from dpstack.drivers.views import ImageSeen
@@ -30,9 +31,6 @@ from dpstack.errors import (
 )
 from dpstack.profile import DriveStatus, ListedParam, per_request
 from dpstack.profile.model.jobs import LARGEST
-
-if TYPE_CHECKING:
-    from dpstack.api.bus.bus import Bus
 
 #: the plugin judges time-outs once a rotation; this much later nobody can have judged them
 _GRACE: Final = 0.25
@@ -51,7 +49,7 @@ class DriveNotice(NamedTuple):
 class Drive(Sealed):
     """A drive by its name in the configuration. Orders are awaitable and raise DriveFault or DriveTimeout."""
 
-    def __init__(self, bus: Bus, slave: Slave, core: DriveSeen, image: ImageSeen) -> None:
+    def __init__(self, bus: Host, slave: Slave, core: DriveSeen, image: ImageSeen) -> None:
         self._bus = bus
         self._core = core
         self._image = image

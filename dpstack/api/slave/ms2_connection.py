@@ -5,15 +5,16 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import weakref
-from collections.abc import Generator
+from collections.abc import Awaitable, Callable, Generator
 from types import TracebackType
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 from dpstack.api.config.dpv1 import Ms2Limits
 from dpstack.api.slave.record_parameters import RecordParameters, over_records
 from dpstack.api.slave.records import RecordAccess, usual_timeout
-from dpstack.api.slave.services import Ending
+from dpstack.api.slave.services import Ending, Services
 from dpstack.argcheck import Sealed, octets, whole
+from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dpv1.master.ms1 import RecordDone
 from dpstack.dpv1.master.ms2 import NO_CONNECTION
 from dpstack.dpv1.master.ms2_commands import (
@@ -27,12 +28,11 @@ from dpstack.dpv1.master.ms2_commands import (
 )
 from dpstack.dpv1.pdu.ms2 import Address, InitiateReq
 from dpstack.dpv1.pdu.read_write import MAX_RECORD
-from dpstack.errors import ConnectionEnded, DpError, PduError, UsageError
+from dpstack.errors import ConnectionEnded, PduError, UsageError
 from dpstack.units import ns_to_s
 
-if TYPE_CHECKING:
-    from dpstack.api.bus.bus import Bus
-
+#: Slave_Diag of the slave at an address
+ReadsDiagnosis = Callable[[int], Awaitable[Diagnosis]]
 Done = TypeVar("Done", RecordDone, TransportDone)
 
 
@@ -45,17 +45,27 @@ class Connection(Sealed, RecordAccess):
     where C2_Response_Timeout is); what takes the slave longer than that ends the connection.
     """
 
-    def __init__(self, bus: Bus, done: InitiateDone, ending: Ending, name: str, longest: int, response_ns: int) -> None:
-        self._bus = bus
+    def __init__(
+        self,
+        services: Services,
+        done: InitiateDone,
+        ending: Ending,
+        name: str,
+        longest: int,
+        response_ns: int,
+        diagnosis: ReadsDiagnosis,
+    ) -> None:
+        self._services = services
         self._response_ns = response_ns
         self._done = done
+        self._diagnosis = diagnosis
         self._ending = ending
         self._longest = min(longest, done.max_len)
         self._im_call = asyncio.Lock()
         #: the slave's name on this bus, or "slave" and its address
         self.name = name
         # who forgets it does not say so
-        left = weakref.finalize(self, _close_later, bus, done.token, ending, asyncio.get_running_loop())
+        left = weakref.finalize(self, _close_later, services, done.token, ending, asyncio.get_running_loop())
         left.atexit = False
         self._seal(Connection)
 
@@ -120,7 +130,7 @@ class Connection(Sealed, RecordAccess):
 
     async def read(self, slot: int, index: int, length: int | None = None, *, timeout: float | None = None) -> bytes:
         """Read a record: up to ``length`` octets, as many as it can have where nothing is said."""
-        token = self._bus.services.token()
+        token = self._services.token()
         wanted = self._longest if length is None else whole("length", length)
         order = ReadOver(token, self._done.token, *_place(slot, index), wanted, self._time(timeout))
         return (await self._do(token, order, RecordDone)).outcome.data
@@ -128,14 +138,14 @@ class Connection(Sealed, RecordAccess):
     async def write(self, slot: int, index: int, data: bytes, *, timeout: float | None = None) -> None:
         """Write all of ``data`` into a record."""
         data = self._checked(data)
-        token = self._bus.services.token()
+        token = self._services.token()
         order = WriteOver(token, self._done.token, *_place(slot, index), data, self._time(timeout))
         await self._do(token, order, RecordDone)
 
     async def transport(self, slot: int, index: int, data: bytes = b"", *, timeout: float | None = None) -> bytes:
         """Data_Transport: ``data`` to the slave, what it sends back."""
         data = self._checked(data)
-        token = self._bus.services.token()
+        token = self._services.token()
         order = TransportOver(token, self._done.token, *_place(slot, index), data, self._time(timeout))
         return (await self._do(token, order, TransportDone)).outcome.data
 
@@ -145,7 +155,7 @@ class Connection(Sealed, RecordAccess):
 
     async def ident(self) -> int:
         """The slave's ident number, by Slave_Diag."""
-        return (await self._bus.class2.diagnosis(self.address)).ident
+        return (await self._diagnosis(self.address)).ident
 
     async def ended(self) -> None:
         """Wait until it is over, from whatever end; then :attr:`reason` says why."""
@@ -153,7 +163,7 @@ class Connection(Sealed, RecordAccess):
 
     async def close(self) -> None:
         """End it by Abort, and wait until the slave has it back or cannot be told. May be repeated."""
-        _close(self._bus, self._done.token, self._ending)
+        self._services.close_connection(self._done.token, self._ending)
         await self._ending.told.wait()
 
     async def __aenter__(self) -> Connection:
@@ -167,7 +177,7 @@ class Connection(Sealed, RecordAccess):
     async def _do(self, token: int, order: object, kind: type[Done]) -> Done:
         self._check_open()
         try:
-            return await self._bus.services.do(token, order, kind)
+            return await self._services.do(token, order, kind)
         except UsageError as error:  # it ended meanwhile, which was not told yet
             if not str(error).startswith(NO_CONNECTION):
                 raise
@@ -189,16 +199,10 @@ class Connection(Sealed, RecordAccess):
         return data
 
 
-def _close(bus: Bus, token: int, ending: Ending) -> None:
-    if bus.is_open and not ending.told.is_set():
-        with contextlib.suppress(DpError):  # the bus may have ended meanwhile
-            bus.command(CloseConnection(token))
-
-
-def _close_later(bus: Bus, token: int, ending: Ending, loop: asyncio.AbstractEventLoop) -> None:
+def _close_later(services: Services, token: int, ending: Ending, loop: asyncio.AbstractEventLoop) -> None:
     """From a finalizer, which may run anywhere."""
     with contextlib.suppress(RuntimeError):  # the loop is over, and the bus with it
-        loop.call_soon_threadsafe(_close, bus, token, ending)
+        loop.call_soon_threadsafe(services.close_connection, token, ending)
 
 
 class Connecting:
@@ -207,8 +211,11 @@ class Connecting:
     Once: a second time raises UsageError.
     """
 
-    def __init__(self, bus: Bus, order: OpenConnection, name: str, limits: Ms2Limits) -> None:
-        self._bus = bus
+    def __init__(
+        self, services: Services, order: OpenConnection, name: str, limits: Ms2Limits, diagnosis: ReadsDiagnosis
+    ) -> None:
+        self._services = services
+        self._diagnosis = diagnosis
         self._order = order
         self._name = name
         self._limits = limits
@@ -232,7 +239,7 @@ class Connecting:
         if self._begun:
             raise UsageError("this connection was opened before: call connect() again for another one")
         self._begun = True
-        services, order, limits = self._bus.services, self._order, self._limits
+        services, order, limits = self._services, self._order, self._limits
         who = f"slave {order.address} ({self._name})"
         if not limits.supported:
             raise UsageError(f"{who}: its GSD file says C2_Read_Write_supp = 0: it has no class 2 connections")
@@ -243,7 +250,8 @@ class Connecting:
         except BaseException:
             services.connections.pop(order.token, None)
             raise
-        return Connection(self._bus, done, ending, self._name, limits.max_data_len, order.response_ns)
+        longest, response_ns = limits.max_data_len, order.response_ns
+        return Connection(services, done, ending, self._name, longest, response_ns, self._diagnosis)
 
 
 def _place(slot: int, index: int) -> tuple[int, int]:

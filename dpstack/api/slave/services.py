@@ -7,20 +7,18 @@ import contextlib
 import itertools
 import math
 from collections import defaultdict
-from typing import TYPE_CHECKING, TypeVar
+from collections.abc import Callable
+from typing import TypeVar
 
 from dpstack.api.slave.alarms import AlarmDesk
 from dpstack.api.slave.service_errors import error_of
 from dpstack.dp.acyclic.job import ServiceEnd, ServiceFailure
 from dpstack.dp.acyclic.queue import CancelService
 from dpstack.dpv1.master.ms1 import RecordDone
-from dpstack.dpv1.master.ms2_commands import ConnectionOver, ConnectionsClosed, TransportDone
+from dpstack.dpv1.master.ms2_commands import CloseConnection, ConnectionOver, ConnectionsClosed, TransportDone
 from dpstack.errors import BusError, DpError, UsageError
 from dpstack.trace import Event
 from dpstack.units import s_to_ns
-
-if TYPE_CHECKING:
-    from dpstack.api.bus.bus import Bus
 
 D = TypeVar("D", bound=ServiceEnd)
 
@@ -44,13 +42,14 @@ class Ending:
 class Services:
     """The services under way on one bus, and the alarms that are listened for."""
 
-    def __init__(self, bus: Bus) -> None:
-        self._bus = bus
+    def __init__(self, command: Callable[[object], None], is_open: Callable[[], bool]) -> None:
+        self._command = command
+        self._is_open = is_open
         self._tokens = itertools.count(1)
         self._waiting: dict[int, asyncio.Future[ServiceEnd]] = {}
         #: class 2 connections by the token that opened them
         self.connections: dict[int, Ending] = {}
-        self.alarms = AlarmDesk(bus)
+        self.alarms = AlarmDesk(command)
         self._im_calls: defaultdict[int, asyncio.Lock] = defaultdict(asyncio.Lock)
 
     def im_call(self, address: int) -> asyncio.Lock:
@@ -67,25 +66,30 @@ class Services:
 
         ``cancel``: the order that gives it up where it is cancelled (default CancelService).
         """
-        bus = self._bus
         future: asyncio.Future[ServiceEnd] = asyncio.get_running_loop().create_future()
         self._waiting[token] = future
         try:
-            bus.command(command)
+            self._command(command)
             done = await future
         except asyncio.CancelledError:
             with contextlib.suppress(DpError):  # the bus may have ended meanwhile
-                bus.command(CancelService(token) if cancel is None else cancel)
+                self._command(CancelService(token) if cancel is None else cancel)
             raise
         finally:
             del self._waiting[token]
         assert isinstance(done, kind)
         if done.outcome.failure is not None:
             record = (done.slot, done.index) if isinstance(done, (RecordDone, TransportDone)) else None
-            if done.outcome.failure is ServiceFailure.CLOSED and not bus.is_open:  # nothing is wrong with the slave
+            if done.outcome.failure is ServiceFailure.CLOSED and not self._is_open():  # nothing is wrong with the slave
                 raise BusError(f"this bus was closed: {done.outcome.text}")
             raise error_of(done.address, done.title, done.outcome, record)
         return done
+
+    def close_connection(self, token: int, ending: Ending) -> None:
+        """End the connection that ``token`` opened; ``ending`` tells when it is over."""
+        if self._is_open() and not ending.told.is_set():
+            with contextlib.suppress(DpError):  # the bus may have ended meanwhile
+                self._command(CloseConnection(token))
 
     def take(self, event: Event) -> bool:
         """From the machine: True for the end of a service. One that nobody waits for any more is dropped."""

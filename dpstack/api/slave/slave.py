@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Unpack
+from typing import Unpack
 
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.slave.alarms import AlarmStream, StatusStream
+from dpstack.api.slave.host import Host
 from dpstack.api.slave.record_parameters import RecordParameters, over_records
 from dpstack.api.slave.records import Records
 from dpstack.api.slave.reparameterise import Changes, changed
@@ -28,14 +29,11 @@ from dpstack.errors import SlaveFault, SlaveTimeout, UsageError
 from dpstack.text import octets_text
 from dpstack.units import ns_to_s
 
-if TYPE_CHECKING:
-    from dpstack.api.bus.bus import Bus
-
 
 class Slave(Sealed):
     """One slave of a bus: inputs, outputs, state, diagnosis. Made by the bus, see ``Bus.slave``."""
 
-    def __init__(self, bus: Bus, config: SlaveConfig, handler: HandlerSeen) -> None:
+    def __init__(self, bus: Host, config: SlaveConfig, handler: HandlerSeen) -> None:
         self._bus = bus
         self._handler = handler
         self.config = config

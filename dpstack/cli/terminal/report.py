@@ -23,7 +23,7 @@ from dpstack.api.bus.events_json import (
 )
 from dpstack.api.bus.parts import SEARCHING
 from dpstack.api.bus.statistics import BusStats, SlaveStats
-from dpstack.api.bus.streams import Flapping
+from dpstack.api.streams import Flapping
 from dpstack.cli.terminal import output
 from dpstack.units import baud_text, ms_text, ns_to_s
 

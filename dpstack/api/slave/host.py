@@ -1,0 +1,48 @@
+# ruff: noqa: D102
+"""What a slave, a drive and the class 2 services need of the bus that they are on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+from dpstack.api.config.config import Config
+from dpstack.api.config.slave import SlaveConfig
+from dpstack.api.slave.services import Services
+from dpstack.api.streams import Rounds
+from dpstack.dp.master.commands import Mode
+from dpstack.dp.master.events import ForcedClear
+from dpstack.dp.slave_params import SlaveSetup
+from dpstack.drivers.runtime import Runtime
+from dpstack.drivers.views import MasterSeen, StationSeen, WatcherSeen
+from dpstack.params import BusParams
+
+
+class Host(Protocol):
+    """A bus, see :class:`dpstack.api.bus.parts.Composed`."""
+
+    config: Config
+    services: Services
+    forced_clear: ForcedClear | None
+
+    @property
+    def params(self) -> BusParams: ...
+    @property
+    def runtime(self) -> Runtime: ...
+    @property
+    def station(self) -> StationSeen: ...
+    @property
+    def master(self) -> MasterSeen: ...
+    @property
+    def watcher(self) -> WatcherSeen | None: ...
+    @property
+    def mode(self) -> Mode: ...
+    @property
+    def rounds(self) -> Rounds: ...
+    @property
+    def rotation_limit_s(self) -> float: ...
+    def command(self, command: object) -> None: ...
+    def check_open(self) -> None: ...
+    async def until(self, condition: Callable[[], bool], timeout: float | None = None) -> None: ...
+    def fitting(self, slave: SlaveConfig) -> SlaveSetup: ...
+    def poll_interval_ns(self, slave: SlaveSetup) -> int: ...
