@@ -7,7 +7,7 @@
 - ``server/``: Slaves served: user slaves, simulated ones, a whole virtual bench
 - ``slave/``: A slave and a drive of a bus as their user sees them
 - ``doctor``: Is this computer fit for a bus: adapters, permissions, latency, rates, real-time rights
-- ``drive_check``: Check of orders for a drive before the first of them goes out: numbers, ranges
 - ``files``: Ordinary files: read with a limit, written whole or not at all and never over a file of somebody else
 - ``gsd_info``: GSD files from disk, and what they say as plain data
+- ``streams``: Handing events to the application without ever letting a slow reader hold up the bus
 """

@@ -10,8 +10,8 @@ import pytest
 from api_kit import off_and_on
 
 import dpstack
+from dpstack.api.bus.config_from_scan import config_skeleton
 from dpstack.api.bus.temporary_master import LiveListResult
-from dpstack.api.config.from_scan import config_skeleton
 from dpstack.dp.master.scanner import Found, SlaveView
 from dpstack.fdl.telegram import StationType
 

@@ -10,10 +10,10 @@ from api_kit import FAN, HOIST, RAW, bus_of, slave_in, virtual
 
 import dpstack
 from dpstack.api.bus.bus import Bus
+from dpstack.api.bus.config_from_scan import config_skeleton
 from dpstack.api.bus.events_json import Found, Notice, SlaveView, StationSeen, event_json
 from dpstack.api.bus.temporary_master import LiveListResult, scan_port
 from dpstack.api.config.config import make_config, parse_config
-from dpstack.api.config.from_scan import config_skeleton
 from dpstack.dp.slave.application import SlaveAppState
 from dpstack.dp.slave.loopback_device import MirrorDevice
 from dpstack.fdl.telegram import StationType

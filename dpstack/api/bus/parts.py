@@ -1,4 +1,4 @@
-"""The parts of a bus, which are there once its baud rate is known."""
+"""What a bus consists of once its baud rate is known: its parts, its slaves, orders to it, waiting for it."""
 
 from __future__ import annotations
 

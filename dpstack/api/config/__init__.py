@@ -3,7 +3,6 @@
 - ``bus``: The [bus] table of a configuration: the keys of the bus as a whole, read and checked
 - ``config``: The configuration file: TOML in, checked settings out
 - ``dpv1``: The key ``dpv1`` of a [[slave]] table: DP-V1 on or off, what else DPV1_Status says, class 2 connections
-- ``from_scan``: A configuration made of what a live list found: a start to be read and completed, not the last word
 - ``gsd_choice``: Choices made from a GSD file as a [[slave]] table that a configuration accepts
 - ``gsd_slave``: A [[slave]] table that names a GSD file: its modules, parameters and what follows from them
 - ``slave``: One [[slave]] table: a known drive by name, a GSD file, or a raw slave by ident and identifier octets

@@ -10,6 +10,7 @@ Requests of one connection are answered one after the other.
 - ``arguments``: Arguments of commands, as people type them
 - ``client``: The client's end of the control socket: finds a running program by its port and tells it what to do
 - ``commands``: What running programs can be told: the commands of each kind of program, as data
+- ``drive_check``: Check of orders for a drive before the first of them goes out: numbers, ranges
 - ``drive_commands``: What a drive is told from outside, in words: each with its arguments as texts
 - ``errors``: What failed in a program, over its control socket: the error there is the same error of its client
 - ``handlers``: The control servers of the three kinds of programs: what each command does to them

@@ -11,6 +11,7 @@ from dpstack.api.bus.events_json import DriveEvent, Event, Notice, Severity, sev
 from dpstack.api.config.config import Config, load_config
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.control.commands import Spec
+from dpstack.api.control.drive_check import DriveCheck
 from dpstack.api.control.drive_commands import (
     HALTS,
     LASTING,
@@ -24,7 +25,6 @@ from dpstack.api.control.drive_commands import (
 )
 from dpstack.api.control.own_master import OneDrive
 from dpstack.api.control.remote_drive import RemoteDrive, find_drive
-from dpstack.api.drive_check import DriveCheck
 from dpstack.cli import options
 from dpstack.cli.commands.drive_run import DUMP_AND_COMPARE, Order, Orders, check_orders, status_text
 from dpstack.cli.commands.on_bus import refuse_application_watchdog, tell_simulated

@@ -8,7 +8,7 @@ from contextlib import asynccontextmanager
 from typing import Any, Final, NamedTuple, Protocol
 
 from dpstack.api.control.commands import Spec
-from dpstack.api.drive_check import DriveCheck
+from dpstack.api.control.drive_check import DriveCheck
 from dpstack.api.lists.dump_compare import OnParameter, Readable, check_compare, check_dump, compare, dump
 from dpstack.api.lists.parameter_list import SavedParam, label, value_text
 from dpstack.cli.terminal import output

@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 import asyncio
 
+from dpstack.api.bus.config_from_scan import config_skeleton, drive_of
 from dpstack.api.bus.events_json import Found
 from dpstack.api.bus.temporary_master import LiveListResult, scan_port
-from dpstack.api.config.from_scan import config_skeleton, drive_of
 from dpstack.cli import options
 from dpstack.cli.commands import on_bus
 from dpstack.cli.terminal import output
