@@ -34,15 +34,15 @@ if TYPE_CHECKING:
     from dpstack.api.slave.drive import Drive
     from dpstack.api.slave.ms2_connection import Connection
     from dpstack.api.slave.slave import Slave
+    from dpstack.dp.pdu.alarm_blocks import AlarmType, ModuleState, Specifier, StatusType
     from dpstack.dp.pdu.diag_blocks import UserDiag, channel_block, device_block, identifier_block, revision_block
+    from dpstack.dp.pdu.prm_blocks import PrmBlock
     from dpstack.dp.slave.application import SlaveApp, SlaveAppState
-    from dpstack.dp.slave.description import SlaveDescription, SlaveModule
     from dpstack.dp.slave.events import DeviceFailed, RequestRefused
-    from dpstack.dp.slave.user_slave import DpSlave
-    from dpstack.dpv1.pdu.alarms import AlarmType, ModuleState, Specifier, StatusType
     from dpstack.dpv1.pdu.im import Im0, Im1, Im2, Im3, Im4
     from dpstack.dpv1.pdu.ms2 import InitiateReq
-    from dpstack.dpv1.pdu.prm_blocks import PrmBlock
+    from dpstack.dpv1.slave.description import SlaveDescription, SlaveModule
+    from dpstack.dpv1.slave.user_slave import DpSlave
     from dpstack.errors import (
         AcyclicError,
         AlarmError,
@@ -169,11 +169,11 @@ _WHERE: Final = {
     "SlaveServer": "api.server.server",
     "serve_slave": "api.server.server",
     "serve_slaves": "api.server.server",
-    "DpSlave": "dp.slave.user_slave",
+    "DpSlave": "dpv1.slave.user_slave",
     "SlaveApp": "dp.slave.application",
     "SlaveAppState": "dp.slave.application",
-    "SlaveDescription": "dp.slave.description",
-    "SlaveModule": "dp.slave.description",
+    "SlaveDescription": "dpv1.slave.description",
+    "SlaveModule": "dpv1.slave.description",
     "DeviceFailed": "dp.slave.events",
     "RequestRefused": "dp.slave.events",
     "UserDiag": "dp.pdu.diag_blocks",
@@ -182,11 +182,11 @@ _WHERE: Final = {
     "identifier_block": "dp.pdu.diag_blocks",
     "revision_block": "dp.pdu.diag_blocks",
     "ParameterPlace": "api.lists.dump_compare",
-    "PrmBlock": "dpv1.pdu.prm_blocks",
-    "AlarmType": "dpv1.pdu.alarms",
-    "ModuleState": "dpv1.pdu.alarms",
-    "Specifier": "dpv1.pdu.alarms",
-    "StatusType": "dpv1.pdu.alarms",
+    "PrmBlock": "dp.pdu.prm_blocks",
+    "AlarmType": "dp.pdu.alarm_blocks",
+    "ModuleState": "dp.pdu.alarm_blocks",
+    "Specifier": "dp.pdu.alarm_blocks",
+    "StatusType": "dp.pdu.alarm_blocks",
     "Im0": "dpv1.pdu.im",
     "Im1": "dpv1.pdu.im",
     "Im2": "dpv1.pdu.im",

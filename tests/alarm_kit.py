@@ -12,6 +12,7 @@ from ms1_kit import MS, Ms1Bus, OctetMs1Slave
 from octet_slave import DL, RS, SC, sd1, sd2
 
 from dpstack.dp.master.events import SlaveRemark
+from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dpv1.master.alarm_events import (
     AcknowledgeAlarm,
     AlarmCounts,
@@ -20,7 +21,6 @@ from dpstack.dpv1.master.alarm_events import (
     HoldAlarms,
     StatusTold,
 )
-from dpstack.dpv1.pdu.dpv1_status import Dpv1
 from dpstack.trace import Event
 
 DH = 0x0A

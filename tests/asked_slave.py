@@ -5,8 +5,8 @@ from __future__ import annotations
 from octet_wire import PARAMS, Wire, framed
 
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState, make_slave
-from dpstack.dp.slave.description import SlaveDescription
-from dpstack.dp.slave.user_slave import DpSlave
+from dpstack.dpv1.slave.description import SlaveDescription
+from dpstack.dpv1.slave.user_slave import DpSlave
 
 WAIT_PRM, WAIT_CFG, DATA_EXCH = SlaveAppState.WAIT_PRM, SlaveAppState.WAIT_CFG, SlaveAppState.DATA_EXCH
 TYPE = SlaveDescription(

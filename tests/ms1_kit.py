@@ -14,9 +14,9 @@ from ring_bus import RingBus
 from dpstack.dp.acyclic.queue import Acyclic
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
+from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone, WriteRecord
-from dpstack.dpv1.pdu.dpv1_status import Dpv1
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.params import BusParams

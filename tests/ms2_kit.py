@@ -15,7 +15,6 @@ from ring_bus import RingBus
 
 from dpstack.dp.acyclic.queue import Acyclic
 from dpstack.dp.slave.application import SlaveApp
-from dpstack.dp.slave.loopback_device import MirrorDevice
 from dpstack.dpv1.master.ms1 import RecordDone
 from dpstack.dpv1.master.ms2_commands import (
     CloseConnection,
@@ -27,6 +26,7 @@ from dpstack.dpv1.master.ms2_commands import (
     TransportOver,
     WriteOver,
 )
+from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.fdl.active.request_filter import Guard
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline

@@ -6,8 +6,8 @@ from typing import Final
 
 from bus_kit import IDENT, PPO1
 
-from dpstack.dp.slave.loopback_device import MirrorDevice
 from dpstack.dpv1.pdu.error_codes import Code
+from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.dpv1.slave.record_requests import Ticket, TransportTicket
 
 #: class 2 connections that it has

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from slave_kit import CFG, MASTER, PRM, Bench, Recorder, srd
 
-from dpstack.dpv1.pdu.alarms import Alarm
+from dpstack.dp.pdu.alarm_blocks import Alarm
 from dpstack.dpv1.slave.alarms import AlarmServer, AlarmSupport, Raised
 from dpstack.fdl.interface import SC_REPLY, Reply
 from dpstack.fdl.telegram import Kind, Resp, Telegram

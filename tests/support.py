@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from dpstack.dpv1.pdu.describe import render
+from dpstack.dpv1.describe import render
 from dpstack.fdl.telegram import Telegram
 from dpstack.sim.world import World
 from dpstack.trace import Event

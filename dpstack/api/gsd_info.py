@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from dpstack.api.files import FileToBe, read_file
-from dpstack.dpv1.pdu.dpv1_status import ALARM_KEYWORDS
+from dpstack.dp.pdu.dpv1_status import ALARM_KEYWORDS
 from dpstack.errors import ConfigError
 from dpstack.gsd.check import check
 from dpstack.gsd.configuration import first_slot

@@ -13,10 +13,6 @@ RESPONSE_TIMEOUT: Final = NS_PER_S
 #: a service that takes the slave all its time has so much more
 _MARGIN: Final = NS_PER_S
 
-#: before a request is repeated that the slave did not take ("not now"), or did not answer for the first time
-BUSY_PAUSE: Final = 10 * NS_PER_MS
-#: before it is asked again after silence, at most
-_SILENT_PAUSE: Final = 16 * BUSY_PAUSE
 #: so many polls in as many token holds, then with pauses that grow up to the last
 _EAGER: Final = 4
 _PAUSES: Final = (NS_PER_MS, 2 * NS_PER_MS, 5 * NS_PER_MS, 10 * NS_PER_MS)
@@ -43,14 +39,6 @@ def service_timeout(response_ns: int) -> int:
 def pause_before(polls: int) -> int:
     """Before the next poll for an answer, after ``polls`` of them."""
     return 0 if polls < _EAGER else _PAUSES[min(polls - _EAGER, len(_PAUSES) - 1)]
-
-
-def pause_after_silence(silent: int) -> int:
-    """Before a slave is asked again, after ``silent`` times without an answer (1 or more) one after the other.
-
-    It grows: a computer that stands still for 30 ms must not use up all attempts at once.
-    """
-    return min(BUSY_PAUSE << (silent - 1), _SILENT_PAUSE)
 
 
 def least_send_timeout(baud: int) -> int:

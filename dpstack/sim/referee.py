@@ -11,7 +11,7 @@ from enum import Enum, auto
 from functools import lru_cache
 from typing import Final, NamedTuple
 
-from dpstack.dpv1.pdu.describe import render
+from dpstack.dpv1.describe import render
 from dpstack.errors import DpError
 from dpstack.fdl.codec import decode
 from dpstack.fdl.telegram import FC_FUNCTION, FC_REQUEST, Kind, Req, Telegram

@@ -13,10 +13,10 @@ from dpstack.api.bus.events_json import AlarmRaised
 from dpstack.api.config.config import parse_config
 from dpstack.dp.master.fault_report import Findings
 from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.alarm_events import AlarmBook
 from dpstack.dpv1.master.alarm_handler import AlarmHandler
-from dpstack.dpv1.pdu.dpv1_status import Dpv1
 from dpstack.drivers.process.mirror import MasterMirror, Mirror, Source, StationMirror
 from dpstack.errors import ConfigError
 from dpstack.gsd.diag_texts import DiagTexts as GsdTexts

@@ -13,7 +13,7 @@ from dpstack.api.bus.events_json import DriveEvent, ModeChanged, Notice, RingJoi
 from dpstack.dp.master.master import Master
 from dpstack.dp.plan.plan import Case
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState, make_slave
-from dpstack.dp.slave.loopback_device import MirrorDevice
+from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.fdl.interface import Reply
 from dpstack.fdl.passive.station import PassiveStation
 from dpstack.fdl.telegram import Telegram

@@ -13,7 +13,7 @@ import dpstack
 from dpstack.api.config.config import make_config
 from dpstack.api.slave.class2 import Class2, Configuration, ProcessData
 from dpstack.dp.slave.application import SlaveApp
-from dpstack.dp.slave.loopback_device import MirrorDevice
+from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.fdl.interface import RS_REPLY, SC_REPLY, Reply, StationControl
 from dpstack.fdl.passive.station import PassiveStation
 from dpstack.fdl.telegram import Telegram

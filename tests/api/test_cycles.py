@@ -12,7 +12,7 @@ from support import WorldFactory
 
 import dpstack
 from dpstack.api.config.config import parse_config
-from dpstack.dp.slave.loopback_device import MirrorDevice
+from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.sim.world import World
 
 A: dict[str, object] = {

@@ -12,8 +12,8 @@ from support import WorldFactory
 
 import dpstack
 from dpstack import DpSlave, SlaveDescription
-from dpstack.dpv1.pdu.dpv1_status import Dpv1
-from dpstack.dpv1.pdu.prm_blocks import PrmBlock
+from dpstack.dp.pdu.dpv1_status import Dpv1
+from dpstack.dp.pdu.prm_blocks import PrmBlock
 from dpstack.errors import ConfigError, UsageError
 from dpstack.sim.world import World
 from dpstack.units import NS_PER_MS

@@ -11,7 +11,7 @@ import dpstack
 from dpstack import UsageError
 from dpstack.api.config.config import parse_config
 from dpstack.dp.pdu.diag_blocks import UserDiag, channel_block, device_block
-from dpstack.dp.slave.loopback_device import MirrorDevice
+from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.errors import ConfigError
 
 GSD = """#Profibus_DP

@@ -14,9 +14,9 @@ import dpstack
 from dpstack import AcyclicError, DpSlave, Im0, Im1, Im3, RecordRefused, SlaveDescription
 from dpstack.api.config.config import parse_config
 from dpstack.api.server.server import ServedSlave
-from dpstack.dpv1.pdu.dpv1_status import Dpv1
+from dpstack.dp.pdu.dpv1_status import Dpv1
+from dpstack.dp.pdu.prm_blocks import PrmBlock
 from dpstack.dpv1.pdu.im import Im
-from dpstack.dpv1.pdu.prm_blocks import PrmBlock
 from dpstack.errors import ConfigError, SlaveTimeout
 from dpstack.sim.world import World
 

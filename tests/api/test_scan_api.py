@@ -15,7 +15,7 @@ from dpstack.api.bus.events_json import Found, Notice, SlaveView, StationSeen, e
 from dpstack.api.bus.temporary_master import LiveListResult, scan_port
 from dpstack.api.config.config import make_config, parse_config
 from dpstack.dp.slave.application import SlaveAppState
-from dpstack.dp.slave.loopback_device import MirrorDevice
+from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.fdl.telegram import StationType
 from dpstack.sim.world import World
 

@@ -13,8 +13,8 @@ from slave_alarm_kit import OctetMaster, prm
 import dpstack
 from dpstack import AlarmError, AlarmType, DpSlave, ModuleState, SlaveDescription, Specifier, StatusType
 from dpstack.api.server.server import ServedSlave
+from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.slave.application import SlaveApp
-from dpstack.dpv1.pdu.dpv1_status import Dpv1
 from dpstack.errors import ConfigError, PduError, SlaveTimeout, UsageError
 
 RIG = SlaveDescription.simple(0x0A35, inputs=1, outputs=1, name="rig", dpv1=True, alarms=("process", "diagnostic"))

@@ -14,7 +14,7 @@ from support import WorldFactory
 import dpstack
 from dpstack import DpSlave, Im0, RecordRefused, SlaveDescription
 from dpstack.api.server.server import ServedSlave
-from dpstack.dp.slave.description_from_gsd import slave_description
+from dpstack.dpv1.slave.description_from_gsd import slave_description
 from dpstack.errors import BusError, ConfigError
 from dpstack.phy.patience import EXACT
 

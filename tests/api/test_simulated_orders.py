@@ -10,7 +10,7 @@ from api_kit import virtual
 import dpstack
 from dpstack.api.control.handlers import control_run
 from dpstack.api.control.server import ControlServer
-from dpstack.dpv1.pdu.alarms import AlarmType, Specifier
+from dpstack.dp.pdu.alarm_blocks import AlarmType, Specifier
 from dpstack.errors import UsageError
 from dpstack.profile import DriveDevice
 

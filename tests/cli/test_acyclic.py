@@ -17,7 +17,7 @@ from dpstack.api.config.config import Config
 from dpstack.api.control.handlers import control_run
 from dpstack.api.control.remote_records import through_run
 from dpstack.cli.commands import acyclic
-from dpstack.dp.slave.loopback_device import MirrorDevice
+from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.dpv1.slave.record_table import RecordTable
 from dpstack.errors import AcyclicError, UsageError
 

@@ -22,7 +22,7 @@ import dpstack
 from dpstack.api.config.config import load_config
 from dpstack.cli.commands import on_bus
 from dpstack.cli.main import main
-from dpstack.dp.slave.loopback_device import MirrorDevice
+from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.params import BusParams

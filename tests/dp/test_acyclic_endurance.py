@@ -20,8 +20,9 @@ from dpstack.dp.acyclic.queue import Acyclic
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
+from dpstack.dp.pdu.alarm_blocks import SEQUENCES, Alarm
+from dpstack.dp.pdu.dpv1_status import ALARMS, Dpv1
 from dpstack.dp.slave.application import SlaveApp, make_slave
-from dpstack.dp.slave.loopback_device import MirrorDevice
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.alarm_events import AlarmRaised
 from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone, WriteRecord
@@ -36,10 +37,9 @@ from dpstack.dpv1.master.ms2_commands import (
     TransportOver,
     WriteOver,
 )
-from dpstack.dpv1.pdu.alarms import SEQUENCES, Alarm
-from dpstack.dpv1.pdu.dpv1_status import ALARMS, Dpv1
 from dpstack.dpv1.pdu.error_codes import Code
 from dpstack.dpv1.slave.alarms import AlarmEnd, AlarmServer, AlarmSupport, Raised
+from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.dpv1.slave.record_requests import Ticket, TransportTicket
 from dpstack.errors import UsageError
 from dpstack.fdl.active.station import ActiveStation

@@ -25,12 +25,12 @@ from dpstack.dp.acyclic.queue import Acyclic
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
+from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.plan.cycle_check import Verdict, least_ns
 from dpstack.dp.plan.rotation_time import Case, Figures, OtherMasters, figures, rotation, t_tr_needed
 from dpstack.dp.slave.application import SlaveApp
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone, WriteRecord
-from dpstack.dpv1.pdu.dpv1_status import Dpv1
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.interface import LinkUser, Reply

@@ -8,7 +8,7 @@ from ms1_kit import MS, answer, status
 from octet_slave import NR, RR, RS, SC
 
 from dpstack.dp.acyclic.job import ServiceFailure
-from dpstack.dpv1.pdu.dpv1_status import Dpv1
+from dpstack.dp.pdu.dpv1_status import Dpv1
 
 PROCESS = block(2, 3, 1, data="12 34")
 

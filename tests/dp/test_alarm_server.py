@@ -6,9 +6,9 @@ import pytest
 from slave_alarm_kit import AlarmBench, prm
 from slave_kit import CFG, OTHER, PRM, UNLOCK
 
+from dpstack.dp.pdu.alarm_blocks import Alarm, ModuleState, Status, kind_of, module_status
 from dpstack.dp.pdu.diag_blocks import UserDiag, channel_block
 from dpstack.dp.slave.application import SlaveAppState
-from dpstack.dpv1.pdu.alarms import Alarm, ModuleState, Status, kind_of, module_status
 from dpstack.dpv1.slave.alarms import MAX_WAITING, AlarmEnd, AlarmServer, AlarmSupport
 from dpstack.errors import AlarmError, ConfigError, PduError, UsageError
 from dpstack.fdl.interface import RS_REPLY

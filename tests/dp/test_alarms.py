@@ -13,9 +13,9 @@ from dpstack.dp.acyclic.class2_services import Service
 from dpstack.dp.acyclic.job import ServiceFailure
 from dpstack.dp.master.commands import Mode, ReparameteriseSlave, SetMode
 from dpstack.dp.master.events import SlaveState
+from dpstack.dp.pdu.alarm_blocks import ModuleState
+from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dpv1.master.alarm_handler import MAX_OPEN
-from dpstack.dpv1.pdu.alarms import ModuleState
-from dpstack.dpv1.pdu.dpv1_status import Dpv1
 from dpstack.errors import UsageError
 
 PROCESS = block(2, 3, 1, data="12 34")

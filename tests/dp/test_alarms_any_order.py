@@ -7,7 +7,7 @@ from hypothesis import given, note
 from hypothesis import strategies as st
 from property_kit import examples
 
-from dpstack.dpv1.pdu.dpv1_status import Dpv1
+from dpstack.dp.pdu.dpv1_status import Dpv1
 
 _KINDS = st.sampled_from([1, 2, 3, 4, 5, 6, 32, 126])
 #: few slots and data, so that equal ones follow each other often

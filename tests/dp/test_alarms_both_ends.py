@@ -15,13 +15,13 @@ from dpstack.dp.acyclic.queue import Acyclic
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
+from dpstack.dp.pdu.alarm_blocks import Alarm, Status
+from dpstack.dp.pdu.dpv1_status import ALARMS, Dpv1
 from dpstack.dp.slave.application import make_slave
-from dpstack.dp.slave.loopback_device import MirrorDevice
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.alarm_events import AlarmRaised, StatusTold
-from dpstack.dpv1.pdu.alarms import Alarm, Status
-from dpstack.dpv1.pdu.dpv1_status import ALARMS, Dpv1
 from dpstack.dpv1.slave.alarms import AlarmEnd, AlarmServer, AlarmSupport, Raised
+from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.errors import AlarmError
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline

@@ -17,7 +17,7 @@ from dpstack.dp.master.events import SlaveDiagnosis, SlaveStateChanged
 from dpstack.dp.master.master import Master
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState
-from dpstack.dp.slave.loopback_device import MirrorDevice
+from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.errors import UsageError
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import AttachUser, GoOffline, GoOnline

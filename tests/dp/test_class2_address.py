@@ -15,7 +15,7 @@ from dpstack.dp.acyclic.job import Heard, Outcome, ServiceFailure
 from dpstack.dp.acyclic.queue import Acyclic
 from dpstack.dp.master.read_only import reading_only
 from dpstack.dp.slave.application import SlaveApp
-from dpstack.dp.slave.loopback_device import MirrorDevice
+from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.errors import UsageError
 from dpstack.fdl.commands import AttachUser
 from dpstack.fdl.interface import LONG_NS, SC_REPLY, Failure, Reply, StationControl

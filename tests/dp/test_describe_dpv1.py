@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from octet_slave import DL, sd2
 from property_kit import examples
 
-from dpstack.dpv1.pdu.describe import inside, pdu_text, render
+from dpstack.dpv1.describe import inside, pdu_text, render
 from dpstack.fdl.codec import decode
 from dpstack.fdl.describe import describe
 from dpstack.trace import WireEntry

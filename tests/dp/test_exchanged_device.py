@@ -8,8 +8,8 @@ from support import MS, S, WorldFactory
 from dpstack.dp.master.commands import AddSlave
 from dpstack.dp.master.events import SlaveFaulted, SlaveState, SlaveStateChanged
 from dpstack.dp.slave.application import make_slave
-from dpstack.dp.slave.loopback_device import MirrorDevice
 from dpstack.dp.slave_params import SlaveParams
+from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.fdl.events import StationFound
 from dpstack.params import BusParams
 

@@ -32,8 +32,8 @@ from dpstack.dp.master.commands import (
 from dpstack.dp.master.events import ControlFailed, ControlSent, PictureTaken, SlaveState
 from dpstack.dp.master.master import Master
 from dpstack.dp.slave.application import SlaveApp
-from dpstack.dp.slave.loopback_device import MirrorDevice
 from dpstack.dp.slave_params import SlaveParams
+from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.errors import BusError, UsageError
 from dpstack.fdl.codec import decode
 from dpstack.fdl.interface import Expect, Failure, Reply, Request

@@ -8,7 +8,7 @@ import pytest
 from scripted_link import DIAG_FREE, DIAG_READY, MS, ScriptedSlave, data, exchanging, link, setup
 
 from dpstack.dp.master.events import SlaveFaulted, SlaveState
-from dpstack.dpv1.pdu.dpv1_status import Dpv1
+from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.fdl.events import StationFound
 from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.telegram import Kind, StationType, Telegram

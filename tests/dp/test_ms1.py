@@ -10,8 +10,8 @@ from dpstack.dp.acyclic.class2 import ReadService
 from dpstack.dp.acyclic.class2_services import Service, ServiceDone
 from dpstack.dp.acyclic.job import ServiceFailure
 from dpstack.dp.acyclic.queue import CAPACITY, CancelService
+from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone, WriteRecord
-from dpstack.dpv1.pdu.dpv1_status import Dpv1
 from dpstack.errors import UsageError
 
 RDL = 0x0C

@@ -10,12 +10,12 @@ from dpstack.dp.acyclic.queue import Acyclic
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
+from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.slave.application import make_slave
-from dpstack.dp.slave.loopback_device import MirrorDevice
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dp.telegram_times import acyclic_bits
 from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone
-from dpstack.dpv1.pdu.dpv1_status import Dpv1
+from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.dpv1.slave.record_table import RecordTable
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline

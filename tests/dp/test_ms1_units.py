@@ -8,8 +8,8 @@ from ms1_kit import DL, MS, SC, Ms1Bus, answer
 
 from dpstack.dp.acyclic.queue import CAPACITY
 from dpstack.dp.master.commands import Mode, SetMode
+from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dpv1.master.plugin_queue import Outcome, PendingRecord, ReadReq, RecordQueue, ServiceFailure, WriteReq
-from dpstack.dpv1.pdu.dpv1_status import Dpv1
 
 
 class Unit:

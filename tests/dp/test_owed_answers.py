@@ -12,9 +12,9 @@ from ms2_kit import DL, MS, RS, SC, Ms2Bus, sd1, sd2
 from octet_slave import RR
 
 from dpstack.dp.acyclic.job import ServiceFailure
+from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dpv1.master.ms1 import ReadRecord
 from dpstack.dpv1.master.ms2_commands import ConnectionOver
-from dpstack.dpv1.pdu.dpv1_status import Dpv1
 
 
 def test_services_with_less_time_than_the_slave_do_not_fetch_for_ever() -> None:

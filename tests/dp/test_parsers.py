@@ -10,13 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from linear_kit import assert_linear
 
+from dpstack.dp.pdu.alarm_blocks import parse_block
 from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.pdu.prm_blocks import parse_blocks
 from dpstack.dp.pdu.requests import GlobalControl, SetPrm, SetSlaveAdd
 from dpstack.dpv1.pdu import im
-from dpstack.dpv1.pdu.alarms import AlarmAck, parse_block
 from dpstack.dpv1.pdu.ms2 import Abort, DataTransport, InitiateReq, InitiateRes, ResourceManagerRes
-from dpstack.dpv1.pdu.prm_blocks import parse_blocks
-from dpstack.dpv1.pdu.read_write import parse_request, parse_response
+from dpstack.dpv1.pdu.read_write import AlarmAck, parse_request, parse_response
 from dpstack.dpv1.slave.ms2_connection import parse_transport
 from dpstack.errors import ConfigError, PduError
 from dpstack.fdl.codec import decode

@@ -7,10 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from slave_kit import Bench
 
-from dpstack.dp.slave.application import SlaveApp, SlaveAppState
-from dpstack.dp.slave.description import SlaveDescription
-from dpstack.dp.slave.user_slave import DpSlave
-from dpstack.dpv1.pdu.prm_blocks import (
+from dpstack.dp.pdu.prm_blocks import (
     BlockType,
     Content,
     DxbLink,
@@ -22,6 +19,9 @@ from dpstack.dpv1.pdu.prm_blocks import (
     TimeAr,
     parse_blocks,
 )
+from dpstack.dp.slave.application import SlaveApp, SlaveAppState
+from dpstack.dpv1.slave.description import SlaveDescription
+from dpstack.dpv1.slave.user_slave import DpSlave
 from dpstack.errors import ConfigError, PduError
 
 SLAVE_TYPE = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True)

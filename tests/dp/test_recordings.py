@@ -30,12 +30,12 @@ from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
 from dpstack.dp.pdu.diag_blocks import DeviceBlock, IdentifierBlock
 from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.pdu.requests import SetPrm
 from dpstack.dp.slave.application import make_slave
-from dpstack.dp.slave.loopback_device import MirrorDevice
 from dpstack.dp.slave_params import SlaveParams
-from dpstack.dpv1.pdu.describe import inside
-from dpstack.dpv1.pdu.dpv1_status import Dpv1
+from dpstack.dpv1.describe import inside
+from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.dpv1.slave.record_table import RecordTable
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline

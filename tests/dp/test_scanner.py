@@ -16,8 +16,8 @@ from dpstack.dp.master.read_only import reading_only
 from dpstack.dp.master.scanner import Found, Scanner, SlaveView, StationSeen, view_of
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState
-from dpstack.dp.slave.loopback_device import MirrorDevice
 from dpstack.dp.slave_params import SlaveParams
+from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOffline, GoOnline
 from dpstack.fdl.events import TokenLost

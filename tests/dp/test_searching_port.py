@@ -8,7 +8,7 @@ from support import MS, S
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState
 from dpstack.dp.slave.auto_baud import PortBaudChanged, SearchingPort
 from dpstack.dp.slave.baud_control import BaudState
-from dpstack.dp.slave.loopback_device import MirrorDevice
+from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.errors import ConfigError, UsageError
 from dpstack.fdl.baud_search import Missing
 from dpstack.fdl.passive.multi_station import Multidrop

@@ -8,7 +8,7 @@ from slave_kit import CFG, OTHER, PRM, Bench, Recorder
 
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState, make_slave
 from dpstack.dp.slave.events import AddressChanged, DeviceFailed, RequestRefused
-from dpstack.dp.slave.loopback_device import MirrorDevice
+from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.fdl.interface import RS_REPLY, SC_REPLY
 from dpstack.fdl.passive.multi_station import Multidrop
 from dpstack.fdl.passive.station import PassiveStation

@@ -12,7 +12,7 @@ from property_kit import examples
 from slave_alarm_kit import KINDS, AlarmBench, prm
 from slave_kit import UNLOCK
 
-from dpstack.dpv1.pdu.alarms import Alarm, Status, kind_of
+from dpstack.dp.pdu.alarm_blocks import Alarm, Status, kind_of
 from dpstack.dpv1.slave.alarms import AlarmEnd, Raised
 from dpstack.errors import AlarmError
 

@@ -13,7 +13,7 @@ from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
 from dpstack.dp.slave.application import SlaveAppState
 from dpstack.dp.slave.auto_baud import BaudState, BaudStateChanged, SearchingSlave, make_searching_slave
-from dpstack.dp.slave.loopback_device import MirrorDevice
+from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.errors import UsageError
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline

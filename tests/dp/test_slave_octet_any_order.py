@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from octet_wire import MS, framed
 from property_kit import examples
 
-from dpstack.dp.slave.description import SlaveDescription
+from dpstack.dpv1.slave.description import SlaveDescription
 
 #: what a master of octets may send: (data unit or outputs, kind)
 UNITS = st.one_of(

@@ -18,7 +18,7 @@ from slave_kit import CFG, MS, PRM, Bench
 
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState, make_slave
 from dpstack.dp.slave.events import SlaveAppStateChanged
-from dpstack.dp.slave.loopback_device import MirrorDevice
+from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.fdl.interface import RS_REPLY, SC_REPLY, Reply
 from dpstack.fdl.telegram import Resp
 

@@ -22,8 +22,8 @@ from dpstack.dp.master.events import FaultKind, SlaveDiagnosis, SlaveFaulted, Sl
 from dpstack.dp.master.master import Master
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState
 from dpstack.dp.slave.device import Device
-from dpstack.dp.slave.loopback_device import MirrorDevice
 from dpstack.dp.slave_params import SlaveParams
+from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.passive.station import PassiveStation

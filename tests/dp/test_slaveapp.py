@@ -22,8 +22,8 @@ from slave_kit import (
 
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState
 from dpstack.dp.slave.events import RequestRefused, SlaveAppStateChanged, WatchdogExpired
-from dpstack.dp.slave.loopback_device import MirrorDevice
 from dpstack.dp.slave.state_table import AppEv
+from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.errors import ConfigError
 from dpstack.fdl.interface import RS_REPLY, SC_REPLY, Reply
 from dpstack.fdl.telegram import Resp

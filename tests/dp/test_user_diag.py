@@ -22,8 +22,8 @@ from dpstack.dp.pdu.diag_blocks import (
     split_blocks,
 )
 from dpstack.dp.slave.application import SlaveApp, make_slave
-from dpstack.dp.slave.description import SlaveDescription
-from dpstack.dp.slave.user_slave import DpSlave
+from dpstack.dpv1.slave.description import SlaveDescription
+from dpstack.dpv1.slave.user_slave import DpSlave
 from dpstack.errors import PduError
 from dpstack.fdl.telegram import Kind, Resp, Telegram
 

@@ -8,9 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpstack.dpv1.pdu.alarms import (
+from dpstack.dp.pdu.alarm_blocks import (
     Alarm,
-    AlarmAck,
     AlarmType,
     ModuleState,
     Specifier,
@@ -21,7 +20,8 @@ from dpstack.dpv1.pdu.alarms import (
     parse_block,
     status_name,
 )
-from dpstack.dpv1.pdu.redundancy import PrmFunction, RedState, Redundancy
+from dpstack.dp.pdu.redundancy import PrmFunction, RedState, Redundancy
+from dpstack.dpv1.pdu.read_write import AlarmAck
 from dpstack.errors import PduError
 
 BLOCKS: list[tuple[Alarm | Status, str, str]] = [
@@ -95,7 +95,7 @@ def test_a_module_status_counts_slots_from_one() -> None:
 def test_the_acknowledgement_repeats_slot_type_and_specifier() -> None:
     alarm = parse_block(bytes.fromhex("07 01 03 2D 83 46 A6"))
     assert isinstance(alarm, Alarm)
-    assert alarm.ack.build() == bytes.fromhex("5C 03 01 2D")
+    assert AlarmAck.of(alarm).build() == bytes.fromhex("5C 03 01 2D")
     assert AlarmAck.parse(bytes.fromhex("5C 03 01 2D")) == AlarmAck(3, 1, Specifier.APPEARS, 5, add_ack=True)
     for octets, what in (
         ("5C 03 01", "octet 4 (specifier) is missing"),

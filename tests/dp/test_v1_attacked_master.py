@@ -21,6 +21,7 @@ from dpstack.dp.acyclic.class2 import ReadService
 from dpstack.dp.acyclic.class2_services import Service, ServiceDone
 from dpstack.dp.acyclic.queue import CancelService
 from dpstack.dp.master.events import SlaveRemark, SlaveState, SlaveStateChanged
+from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dpv1.master.alarm_events import AlarmDone, AlarmRaised
 from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone, WriteRecord
 from dpstack.dpv1.master.ms2_commands import (
@@ -32,7 +33,6 @@ from dpstack.dpv1.master.ms2_commands import (
     TransportDone,
     TransportOver,
 )
-from dpstack.dpv1.pdu.dpv1_status import Dpv1
 from dpstack.errors import UsageError
 from dpstack.fdl.codec import decode
 

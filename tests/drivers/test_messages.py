@@ -19,6 +19,8 @@ from property_kit import examples
 from dpstack.dp.acyclic.job import Outcome, ServiceFailure
 from dpstack.dp.master.commands import AddSlave, DriveCommand, ReparameteriseSlave
 from dpstack.dp.pdu.diag_texts import DiagTexts
+from dpstack.dp.pdu.dpv1_status import Dpv1
+from dpstack.dp.pdu.prm_blocks import PrmBlock
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone, WriteRecord
 from dpstack.dpv1.master.ms2_commands import (
@@ -33,8 +35,6 @@ from dpstack.dpv1.master.ms2_commands import (
     TransportOver,
     WriteOver,
 )
-from dpstack.dpv1.pdu.dpv1_status import Dpv1
-from dpstack.dpv1.pdu.prm_blocks import PrmBlock
 from dpstack.drivers.process import messages as m
 from dpstack.drivers.process.mirror import checked_arguments
 from dpstack.drivers.stack import StackSpec

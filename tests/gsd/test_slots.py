@@ -7,7 +7,7 @@ from gsd_kit import made
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpstack.dp.slave.description_from_gsd import slave_description
+from dpstack.dpv1.slave.description_from_gsd import slave_description
 from dpstack.errors import GsdError
 from dpstack.gsd.check import check
 from dpstack.gsd.configuration import configuration_like, configure, default_modules, plug

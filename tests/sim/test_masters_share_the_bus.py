@@ -16,8 +16,8 @@ from dpstack.dp.plan.cycle_check import token_wait_ns
 from dpstack.dp.plan.plan import Case, OtherMasters, rotation, t_tr_needed
 from dpstack.dp.plan.rotation_time import figures
 from dpstack.dp.slave.application import make_slave
-from dpstack.dp.slave.loopback_device import MirrorDevice
 from dpstack.dp.slave_params import SlaveParams
+from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.params import BusParams

@@ -30,9 +30,9 @@ from dpstack.dp.master.events import (
     Stalled,
 )
 from dpstack.dp.master.scanner import Found, ScanDone, SlaveView, StationSeen
+from dpstack.dp.pdu.alarm_blocks import Alarm, Specifier, Status
 from dpstack.dpv1.master.alarm_events import AlarmRaised, StatusTold
 from dpstack.dpv1.master.ms2_commands import ConnectionOver
-from dpstack.dpv1.pdu.alarms import Alarm, Specifier, Status
 from dpstack.drivers.runtime import BehindRealTime, BusProcessBack, BusProcessSilent, OutputsDropped, PortBack, PortLost
 from dpstack.fdl.events import AddressCollision, DoesNotFit, MasterSeen, RingJoined, RingLeft, StationFound, TokenLost
 from dpstack.trace import Event, Notice, Severity

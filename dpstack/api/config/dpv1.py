@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from dpstack.api.config.table import Table
-from dpstack.dpv1.pdu.dpv1_status import ALARM_KEYWORDS, ALARM_LIMITS, ALARMS, DPV1_ENABLE, DPV1_STATUS_LEN, Dpv1
+from dpstack.dp.pdu.dpv1_status import ALARM_KEYWORDS, ALARM_LIMITS, ALARMS, DPV1_ENABLE, DPV1_STATUS_LEN, Dpv1
+from dpstack.dp.pdu.layouts import MAX_RECORD
+from dpstack.dp.pdu.prm_blocks import NAMES, RECORDS, TABLES, Content, DxbTable, PrmBlock
 from dpstack.dpv1.pdu.ms2 import LEAST_INITIATE
-from dpstack.dpv1.pdu.prm_blocks import NAMES, RECORDS, TABLES, Content, DxbTable, PrmBlock
-from dpstack.dpv1.pdu.read_write import MAX_RECORD
 from dpstack.errors import ConfigError, PduError
 from dpstack.gsd.model import Device
 from dpstack.units import NS_PER_MS

@@ -12,8 +12,8 @@ from typing import Final, NoReturn
 
 from dpstack.api.config.table import Table
 from dpstack.api.gsd_info import read_gsd
+from dpstack.dp.pdu.dpv1_status import ALARM_KEYWORDS, Dpv1
 from dpstack.dp.pdu.requests import SET_PRM_LEN
-from dpstack.dpv1.pdu.dpv1_status import ALARM_KEYWORDS, Dpv1
 from dpstack.errors import ConfigError, GsdError
 from dpstack.gsd.configuration import Configuration, configure
 from dpstack.gsd.model import Device

@@ -16,10 +16,10 @@ from dpstack.api.config.slave_source import Basis, basis_of
 from dpstack.api.config.table import Table
 from dpstack.dp.pdu.diag_texts import DiagTexts
 from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN
+from dpstack.dp.pdu.dpv1_status import DPV1_STATUS_LEN, Dpv1
 from dpstack.dp.process_data import Field, FieldMap, field_of, overlap
-from dpstack.dp.slave.description import SlaveDescription
 from dpstack.dp.slave_params import INTERVAL_UNIT, MAX_WATCHDOG_MS, SlaveParams
-from dpstack.dpv1.pdu.dpv1_status import DPV1_STATUS_LEN, Dpv1
+from dpstack.dpv1.slave.description import SlaveDescription
 from dpstack.errors import ConfigError
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.gsd.model import Device

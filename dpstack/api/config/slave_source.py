@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from dpstack.api.config.gsd_slave import GSD_KEYS, GsdSlave, read_gsd_slave
 from dpstack.api.config.table import Table
 from dpstack.dp.pdu.diag_texts import DiagTexts
-from dpstack.dp.slave.description import SlaveDescription
-from dpstack.dp.slave.description_from_gsd import slave_description
 from dpstack.dp.slave_params import INTERVAL_UNIT
+from dpstack.dpv1.slave.description import SlaveDescription
+from dpstack.dpv1.slave.description_from_gsd import slave_description
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.configuration import configuration_like

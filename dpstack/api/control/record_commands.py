@@ -13,8 +13,8 @@ from dpstack.api.lists.record_list import ListedValues
 from dpstack.api.slave.ms2_connection import Connection
 from dpstack.api.slave.record_parameters import RecordParameters
 from dpstack.api.slave.slave import Slave
+from dpstack.dp.pdu.layouts import MAX_RECORD, MAX_SLOT
 from dpstack.dpv1.pdu.im import Im, Im0
-from dpstack.dpv1.pdu.read_write import MAX_RECORD, MAX_SLOT
 from dpstack.errors import AcyclicError, SlaveFault, UsageError
 from dpstack.profile.record47 import Progress
 from dpstack.text import shortened

@@ -9,12 +9,12 @@ import asyncio
 from collections.abc import Awaitable, Coroutine, Iterable, Sequence
 from typing import TypeVar
 
-from dpstack.dp.slave.user_slave import OnRead, OnTransport, OnWrite
-from dpstack.dpv1.pdu.alarms import Alarm, ModuleState, Status, module_status
+from dpstack.dp.pdu.alarm_blocks import Alarm, ModuleState, Status, module_status
 from dpstack.dpv1.pdu.error_codes import Code
 from dpstack.dpv1.pdu.read_write import ReadReq
 from dpstack.dpv1.slave.alarms import AlarmEnd, AlarmServer, Raised
 from dpstack.dpv1.slave.record_requests import AnyTicket, Ticket, TransportTicket
+from dpstack.dpv1.slave.user_slave import OnRead, OnTransport, OnWrite
 from dpstack.errors import AlarmError, SlaveTimeout, UsageError
 
 
@@ -74,7 +74,7 @@ T = TypeVar("T")
 
 
 class AsyncRecords:
-    """The functions of a :class:`~dpstack.dp.slave.user_slave.DpSlave` for records; one that is not there refuses."""
+    """The functions of a :class:`~dpstack.dpv1.slave.user_slave.DpSlave` for records; one that is not there refuses."""
 
     def __init__(
         self, on_read: OnRead | None, on_write: OnWrite | None, on_transport: OnTransport | None = None

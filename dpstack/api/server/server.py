@@ -9,12 +9,12 @@ from types import TracebackType
 from dpstack.api.server.async_device import AsyncRecords, ServedAlarms
 from dpstack.api.streams import OnEvent, Waiters, hand_to
 from dpstack.argcheck import Sealed, octets, whole
+from dpstack.dp.pdu.alarm_blocks import Alarm, ModuleState, Specifier, Status
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState, SlaveAppStats
 from dpstack.dp.slave.device import Device
-from dpstack.dp.slave.user_slave import DpSlave
-from dpstack.dpv1.pdu.alarms import Alarm, ModuleState, Specifier, Status
 from dpstack.dpv1.slave.resource_manager import ServedConnection
+from dpstack.dpv1.slave.user_slave import DpSlave
 from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime, patience_of
 from dpstack.drivers.runtime import Runtime
 from dpstack.drivers.virtual.runtime import VirtualRuntime

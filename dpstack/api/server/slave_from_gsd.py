@@ -6,12 +6,12 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from dpstack.api.gsd_info import read_gsd
-from dpstack.dp.slave.description_from_gsd import slave_description
+from dpstack.dp.pdu.prm_blocks import PrmBlock
 from dpstack.dp.slave.device import Leave, OnCycle
-from dpstack.dp.slave.user_slave import DpSlave, OnAddress, OnIm, OnRead, OnTransport, OnWrite
-from dpstack.dpv1.pdu.prm_blocks import PrmBlock
+from dpstack.dpv1.slave.description_from_gsd import slave_description
 from dpstack.dpv1.slave.record_requests import Records
 from dpstack.dpv1.slave.record_table import ImOf
+from dpstack.dpv1.slave.user_slave import DpSlave, OnAddress, OnIm, OnRead, OnTransport, OnWrite
 from dpstack.errors import ConfigError, GsdError
 from dpstack.gsd.configuration import configure, default_modules
 

@@ -18,9 +18,9 @@ from typing import Final
 from dpstack.api.slave.service_errors import error_of
 from dpstack.api.streams import Stream
 from dpstack.dp.acyclic.job import Outcome, ServiceFailure
+from dpstack.dp.pdu.alarm_blocks import Alarm, Specifier, Status
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dpv1.master.alarm_events import AcknowledgeAlarm, AlarmDone, AlarmRaised, HoldAlarms, StatusTold
-from dpstack.dpv1.pdu.alarms import Alarm, Specifier, Status
 from dpstack.dpv1.pdu.read_write import Function
 from dpstack.errors import DpError
 from dpstack.trace import Event

@@ -8,8 +8,8 @@ from typing import TypeVar
 
 from dpstack.api.slave.records import RecordAccess
 from dpstack.argcheck import whole
+from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dpv1.pdu.error_codes import Decode
-from dpstack.dpv1.pdu.read_write import MAX_RECORD
 from dpstack.errors import (
     AcyclicError,
     DriveError,

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Final, TypeVar
 
 from dpstack.api.slave.services import time_of
 from dpstack.argcheck import octets, whole
+from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone, WriteRecord
 from dpstack.dpv1.pdu.error_codes import AGAIN, Decode
 from dpstack.dpv1.pdu.im import IM_ANSWER, IM_INDEX, RECORDS, Im, Im0, build_call, number_of, parse_answer
-from dpstack.dpv1.pdu.read_write import MAX_RECORD
 from dpstack.dpv1.timeouts import service_timeout
 from dpstack.errors import AcyclicError, PduError, SlaveFault, SlaveTimeout, UsageError
 from dpstack.units import ns_to_s

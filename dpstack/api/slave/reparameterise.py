@@ -9,7 +9,7 @@ from typing import Any, Final, TypedDict
 from dpstack.api.config.dpv1 import read_dpv1
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.config.table import Source, Table
-from dpstack.dpv1.pdu.dpv1_status import Dpv1
+from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.errors import ConfigError, UsageError
 
 _DPV1: Final = "dpv1"

@@ -367,7 +367,7 @@ class Slave(Sealed):
         return self._bus.services.alarms.alarms(self.address, acknowledge=acknowledge)
 
     def status_messages(self) -> StatusStream:
-        """Status messages, module status, PrmCmdAck ... from now on, as :class:`~dpstack.dpv1.pdu.alarms.Status`: an
+        """Status messages, module status, PrmCmdAck ... from now on (:class:`~dpstack.dp.pdu.alarm_blocks.Status`): an
         async iterator; nobody acknowledges them, of a reader that does not read the oldest are dropped.
 
         Raises UsageError for a slave without DP-V1 and a bus that is not open.

@@ -12,10 +12,9 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final
 
-from dpstack.dp.acyclic.job import ATTEMPTS, Job, Outcome, ServiceEnd, ServiceFailure, Step, Steps
+from dpstack.dp.acyclic.job import ATTEMPTS, Job, Outcome, ServiceEnd, ServiceFailure, Step, Steps, pause_after_silence
 from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN, Diagnosis
 from dpstack.dp.services import EMPTY_STATUS, SERVICE_NAMES, positive, refusal_text
-from dpstack.dpv1.timeouts import pause_after_silence
 from dpstack.fdl.interface import LONG_NS, Failure, Request
 from dpstack.fdl.telegram import (
     SAP_GET_CFG,

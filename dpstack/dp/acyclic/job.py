@@ -17,12 +17,17 @@ from typing import Final, NamedTuple, Protocol, TypeVar
 from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.telegram import Telegram
 from dpstack.trace import Event
+from dpstack.units import NS_PER_MS
 
 T = TypeVar("T")
 
 #: three first requests and the probe with FCV = 1 that finds slaves which know nothing else
 #: (docs/protocol.md#slaves-that-know-only-fcv-1)
 ATTEMPTS: Final = 4
+#: before a request is repeated that the slave did not take ("not now"), or did not answer for the first time
+BUSY_PAUSE: Final = 10 * NS_PER_MS
+#: before it is asked again after silence, at most
+_SILENT_PAUSE: Final = 16 * BUSY_PAUSE
 
 
 class ServiceFailure(Enum):
@@ -142,3 +147,11 @@ class Job(Protocol):
 
     def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:
         """What is told of its one end, to whom ``token`` means something."""
+
+
+def pause_after_silence(silent: int) -> int:
+    """Before a slave is asked again, after ``silent`` times without an answer (1 or more) one after the other.
+
+    It grows: a computer that stands still for 30 ms must not use up all attempts at once.
+    """
+    return min(BUSY_PAUSE << (silent - 1), _SILENT_PAUSE)

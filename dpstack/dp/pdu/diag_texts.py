@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import Protocol
 
+from dpstack.dp.pdu.alarm_blocks import parse_block
 from dpstack.dp.pdu.diag_blocks import FIRST_SLOT, Block, ChannelBlock, DeviceBlock, IdentifierBlock
 from dpstack.dp.pdu.diagnosis import Diagnosis
-from dpstack.dpv1.pdu.alarms import parse_block
 from dpstack.errors import PduError
 
 

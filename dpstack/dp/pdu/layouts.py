@@ -3,8 +3,8 @@
 construct knows no types and takes some 10 us and more a PDU: it is imported here only, and never runs on the cyclic
 path. A :class:`Layout` turns octets into a NamedTuple and back; what the values mean is the business of the callers
 (:mod:`dpstack.dp.pdu.requests`, :mod:`dpstack.dp.pdu.diagnosis`). Layouts: docs/protocol.md#slave_diag,
-docs/protocol.md#set_prm, docs/protocol.md#global_control, docs/protocol.md#set_slave_add; those of DP-V1 are in
-:mod:`dpstack.dpv1.pdu.layouts`.
+docs/protocol.md#set_prm, docs/protocol.md#global_control, docs/protocol.md#set_slave_add,
+docs/protocol.md#alarms; those of MS1 and MS2 are in :mod:`dpstack.dpv1.pdu.layouts`.
 """
 
 from __future__ import annotations
@@ -14,6 +14,10 @@ from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar, cast
 import construct as cs
 
 from dpstack.errors import PduError
+
+#: of DP-V1: octets of data in one record; slots count from 0
+MAX_RECORD: Final = 240
+MAX_SLOT: Final = 254
 
 
 class _Record(Protocol):
@@ -211,4 +215,31 @@ CHANNEL: Final = Layout(
     "channel" / bits(6),
     "size" / bits(3),
     "error" / bits(5),
+)
+
+
+class MessageOctets(NamedTuple):
+    """An alarm or a status in a device related block of the diagnosis; ``header`` is the block's."""
+
+    header: int
+    is_status: bool
+    kind: int
+    slot: int
+    sequence: int
+    add_ack: bool
+    specifier: int
+    data: bytes
+
+
+MESSAGE: Final = Layout(
+    "alarm or status",
+    MessageOctets,
+    "header" / OCTET,
+    *flags("is_status"),
+    "kind" / bits(7),
+    "slot" / OCTET,
+    "sequence" / bits(5),
+    *flags("add_ack"),
+    "specifier" / bits(2),
+    "data" / REST,
 )

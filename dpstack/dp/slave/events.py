@@ -8,9 +8,9 @@ from functools import partial
 from typing import Final
 
 from dpstack.dp.error_origin import error_text, origin_of
+from dpstack.dp.pdu.alarm_blocks import Alarm
 from dpstack.dp.slave.device import Device
 from dpstack.dp.slave.state_table import AppEv, SlaveAppState
-from dpstack.dpv1.pdu.alarms import Alarm
 from dpstack.dpv1.slave.record_requests import Asker
 from dpstack.fdl.interface import StationControl
 from dpstack.params import UNADDRESSED

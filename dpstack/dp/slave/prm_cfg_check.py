@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN
+from dpstack.dp.pdu.dpv1_status import DPV1_ENABLE, DPV1_STATUS_LEN, FAIL_SAFE, WD_BASE_1MS
+from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dp.pdu.requests import SetPrm
 from dpstack.dp.slave.device import Device
 from dpstack.dp.slave_params import watchdog_ns
-from dpstack.dpv1.pdu.dpv1_status import DPV1_ENABLE, DPV1_STATUS_LEN, FAIL_SAFE, WD_BASE_1MS
 from dpstack.dpv1.pdu.ms2 import LEAST_INITIATE
-from dpstack.dpv1.pdu.read_write import MAX_RECORD
 from dpstack.dpv1.slave.resource_manager import MAX_CONNECTIONS
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA

@@ -10,12 +10,12 @@ from collections.abc import Iterable, Iterator
 
 from dpstack.dp.acyclic.job import Outcome, ServiceFailure
 from dpstack.dp.master.slave_handler import SlaveHandler
+from dpstack.dp.pdu.alarm_blocks import HEAD
 from dpstack.dpv1.master.alarm_handler import AlarmHandler, OpenAlarm
 from dpstack.dpv1.master.ms1 import Ms1
 from dpstack.dpv1.master.ms1_job import Ms1Job
 from dpstack.dpv1.master.response_check import negative_outcome
-from dpstack.dpv1.pdu.alarms import HEAD, AlarmAck
-from dpstack.dpv1.pdu.read_write import Function, Negative, parse_response
+from dpstack.dpv1.pdu.read_write import AlarmAck, Function, Negative, parse_response
 from dpstack.errors import PduError
 from dpstack.fdl.telegram import SAP_MS1, SAP_MS1_ALARM
 from dpstack.trace import Event
@@ -29,7 +29,7 @@ class AckJob(Ms1Job):
 
     def __init__(self, known: OpenAlarm, alarms: AlarmHandler, handler: SlaveHandler, ms1: Ms1) -> None:
         sap = SAP_MS1_ALARM if alarms.extra_sap else SAP_MS1
-        self._ack = known.alarm.ack
+        self._ack = AlarmAck.of(known.alarm)
         super().__init__(handler, ms1, self._ack.build(), HEAD, sap)
         self._known = known
         self._alarms = alarms

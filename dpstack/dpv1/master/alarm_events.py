@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 
 from dpstack.dp.acyclic.job import Outcome
 from dpstack.dp.master.events import SlaveEvent
+from dpstack.dp.pdu.alarm_blocks import Alarm, Status
 from dpstack.dp.pdu.diag_texts import DiagTexts, texts_of
 from dpstack.dp.pdu.diagnosis import Diagnosis
-from dpstack.dpv1.pdu.alarms import Alarm, Status
 
 
 @dataclass(frozen=True, slots=True)

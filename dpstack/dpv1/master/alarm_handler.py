@@ -14,13 +14,13 @@ from typing import Final
 
 from dpstack.dp.acyclic.job import Outcome, ServiceFailure
 from dpstack.dp.master.fault_report import Findings
+from dpstack.dp.pdu.alarm_blocks import Alarm, Status, alarm_name, kind_of, parse_block
 from dpstack.dp.pdu.diag_blocks import DeviceBlock
 from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.pdu.dpv1_status import ALARM_LIMITS, ALARM_MODE, ALARMS
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.alarm_events import AlarmBook, AlarmDone, AlarmRaised, StatusTold, texts_beside
 from dpstack.dpv1.master.alarm_repeats import Key, Settling
-from dpstack.dpv1.pdu.alarms import Alarm, Status, alarm_name, kind_of, parse_block
-from dpstack.dpv1.pdu.dpv1_status import ALARM_LIMITS, ALARM_MODE, ALARMS
 from dpstack.dpv1.pdu.error_codes import AGAIN
 from dpstack.errors import PduError
 from dpstack.trace import Event

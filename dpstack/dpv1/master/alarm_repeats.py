@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
+from dpstack.dp.pdu.alarm_blocks import Alarm
 from dpstack.dp.pdu.diagnosis import Diagnosis
-from dpstack.dpv1.pdu.alarms import Alarm
 from dpstack.units import NEVER, NS_PER_MS
 
 #: a slave has so long to take an acknowledged alarm out of its diagnosis

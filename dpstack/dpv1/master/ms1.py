@@ -18,11 +18,12 @@ from dpstack.dp.master.commands import Mode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
 from dpstack.dp.master.slave_handler import SlaveHandler
+from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dpv1.master.alarm_events import AcknowledgeAlarm, HoldAlarms
 from dpstack.dpv1.master.ms1_job import Ms1Job, Owed
 from dpstack.dpv1.master.plugin_queue import queue_at
 from dpstack.dpv1.master.response_check import service_outcome, title_of
-from dpstack.dpv1.pdu.read_write import MAX_RECORD, Function, ReadReq, RecordReq, WriteReq
+from dpstack.dpv1.pdu.read_write import Function, ReadReq, RecordReq, WriteReq
 from dpstack.dpv1.timeouts import SERVICE_TIMEOUT
 from dpstack.errors import PduError, UsageError
 from dpstack.fdl.interface import Failure, Request

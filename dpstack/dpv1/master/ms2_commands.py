@@ -10,8 +10,9 @@ from dataclasses import dataclass
 from typing import Final
 
 from dpstack.dp.acyclic.job import ServiceEnd
+from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dpv1.pdu.ms2 import FEATURES
-from dpstack.dpv1.pdu.read_write import MAX_RECORD, Function
+from dpstack.dpv1.pdu.read_write import Function
 from dpstack.dpv1.timeouts import SERVICE_TIMEOUT, least_send_timeout
 from dpstack.trace import Event
 

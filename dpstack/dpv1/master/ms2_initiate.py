@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Final
 
 from dpstack.dp.acyclic.class2_services import leaves_out, left_out
 from dpstack.dp.acyclic.job import ATTEMPTS, Outcome, ServiceFailure, Steps
+from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dp.services import refusal_text
 from dpstack.dpv1.master.ms2_commands import InitiateDone
 from dpstack.dpv1.master.ms2_connection import NOT_WANTED, TIMED_OUT, Connection, Ended, Phase
 from dpstack.dpv1.master.ms2_jobs import ConnectionJob
 from dpstack.dpv1.master.srd_polling import NO_ANSWERS, Course, Said
 from dpstack.dpv1.pdu.ms2 import AbortReason, InitiateReq, InitiateRes, Instance, ResourceManagerRes
-from dpstack.dpv1.pdu.read_write import MAX_RECORD, Function, Negative, parse_response
+from dpstack.dpv1.pdu.read_write import Function, Negative, parse_response
 from dpstack.errors import PduError
 from dpstack.fdl.interface import Failure
 from dpstack.fdl.telegram import SAP_MS2_RM, Telegram

@@ -11,11 +11,12 @@ from collections.abc import Iterable, Iterator
 from dpstack.dp.acyclic.job import Outcome, ServiceFailure
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.slave_handler import SlaveHandler
+from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dpv1.master.ms1 import Ms1, RecordJob
 from dpstack.dpv1.master.plugin_queue import PendingRecord, RecordQueue, queue_at
 from dpstack.dpv1.master.response_check import negative_outcome, title_of
 from dpstack.dpv1.pdu.error_codes import Code
-from dpstack.dpv1.pdu.read_write import MAX_RECORD, Function, Negative, ReadReq, RecordReq, WriteReq
+from dpstack.dpv1.pdu.read_write import Function, Negative, ReadReq, RecordReq, WriteReq
 from dpstack.errors import PduError
 from dpstack.trace import Event
 

@@ -13,9 +13,9 @@ from collections.abc import Callable
 from enum import Enum
 from typing import Final
 
-from dpstack.dp.acyclic.job import ServiceFailure, Step, Steps
+from dpstack.dp.acyclic.job import BUSY_PAUSE, ServiceFailure, Step, Steps, pause_after_silence
 from dpstack.dp.services import DATA_STATUS
-from dpstack.dpv1.timeouts import BUSY_PAUSE, pause_after_silence, pause_before
+from dpstack.dpv1.timeouts import pause_before
 from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.telegram import Kind, Resp, Telegram
 from dpstack.units import NEVER

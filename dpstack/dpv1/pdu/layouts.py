@@ -1,13 +1,13 @@
-"""The octets of the DP-V1 services, declared as those of DP-V0 are (:mod:`dpstack.dp.pdu.layouts`).
+"""The octets of MS1 and MS2, declared as those of DP-V0 are (:mod:`dpstack.dp.pdu.layouts`).
 
-Layouts: docs/protocol.md#functions-of-dp-v1, docs/protocol.md#alarms, docs/protocol.md#im.
+Layouts: docs/protocol.md#functions-of-dp-v1, docs/protocol.md#im.
 """
 
 from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-from dpstack.dp.pdu.layouts import OCTET, REST, WORD, Layout, bits, flags, octets
+from dpstack.dp.pdu.layouts import OCTET, REST, WORD, Layout, bits, octets
 
 
 class RecordOctets(NamedTuple):
@@ -70,33 +70,6 @@ ALARM_ACK: Final = Layout(
     "kind" / OCTET,
     "specifier" / OCTET,
     "rest" / REST,
-)
-
-
-class MessageOctets(NamedTuple):
-    """An alarm or a status in a device related block of the diagnosis; ``header`` is the block's."""
-
-    header: int
-    is_status: bool
-    kind: int
-    slot: int
-    sequence: int
-    add_ack: bool
-    specifier: int
-    data: bytes
-
-
-MESSAGE: Final = Layout(
-    "alarm or status",
-    MessageOctets,
-    "header" / OCTET,
-    *flags("is_status"),
-    "kind" / bits(7),
-    "slot" / OCTET,
-    "sequence" / bits(5),
-    *flags("add_ack"),
-    "specifier" / bits(2),
-    "data" / REST,
 )
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, Final
 
+from dpstack.dp.pdu.layouts import MAX_RECORD, MAX_SLOT
 from dpstack.dpv1.pdu.layouts import (
     ABORT,
     INITIATE,
@@ -24,7 +25,7 @@ from dpstack.dpv1.pdu.layouts import (
     RecordOctets,
     ResourceManagerOctets,
 )
-from dpstack.dpv1.pdu.read_write import MAX_RECORD, MAX_SLOT, Function
+from dpstack.dpv1.pdu.read_write import Function
 from dpstack.errors import PduError
 from dpstack.units import NS_PER_MS, ns_to_s
 

@@ -9,15 +9,14 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final
 
+from dpstack.dp.pdu.alarm_blocks import Alarm, Specifier
+from dpstack.dp.pdu.layouts import MAX_RECORD, MAX_SLOT
 from dpstack.dpv1.pdu.error_codes import Code, Decode, negative_text
-from dpstack.dpv1.pdu.layouts import NEGATIVE, RECORD, NegativeOctets, RecordOctets
+from dpstack.dpv1.pdu.layouts import ALARM_ACK, NEGATIVE, RECORD, AlarmAckOctets, NegativeOctets, RecordOctets
 from dpstack.errors import PduError
 
-#: octets of data in one record
-MAX_RECORD: Final = 240
 #: the record of PROFIdrive's parameter channel
 PARAMETER_INDEX: Final = 47
-MAX_SLOT: Final = 254
 _HEAD: Final = 4
 _NEGATIVE: Final = 0x80
 
@@ -113,6 +112,37 @@ class Negative:
     def build(self) -> bytes:
         """The octets. Raises PduError where a value does not fit."""
         return NEGATIVE.build(NegativeOctets(self.function | _NEGATIVE, self.decode, self.code_1, self.code_2, b""))
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmAck:
+    """Alarm_Ack, request and positive response: slot, type and specifier of the alarm."""
+
+    slot: int
+    type: int
+    specifier: int = Specifier.NONE
+    sequence: int = 0
+    add_ack: bool = False
+
+    def build(self) -> bytes:
+        """The octets. Raises PduError where a value does not fit."""
+        specifier = self.sequence << 3 | self.add_ack << 2 | self.specifier
+        return ALARM_ACK.build(AlarmAckOctets(Function.ALARM_ACK, self.slot, self.type, specifier, b""))
+
+    @classmethod
+    def of(cls, alarm: Alarm) -> AlarmAck:
+        """What acknowledges ``alarm``."""
+        return cls(alarm.slot, alarm.type, alarm.specifier, alarm.sequence, alarm.add_ack)
+
+    @classmethod
+    def parse(cls, octets: bytes) -> AlarmAck:
+        """Raises PduError naming the octet."""
+        raw = ALARM_ACK.parse(octets)
+        if raw.function != Function.ALARM_ACK:
+            raise PduError(f"octet 1 is 0x{raw.function:02X}, Alarm_Ack is 0x{Function.ALARM_ACK:02X}")
+        if raw.rest:
+            raise PduError(f"Alarm_Ack has {len(octets)} octets, octet {_HEAD} is the last one")
+        return cls(raw.slot, raw.kind, raw.specifier & 3, raw.specifier >> 3, bool(raw.specifier & 4))
 
 
 RecordReq = ReadReq | WriteReq

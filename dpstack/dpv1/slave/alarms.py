@@ -15,10 +15,10 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Final, NamedTuple
 
-from dpstack.dpv1.pdu.alarms import SEQUENCES, VENDOR, Alarm, AlarmAck, Status, StatusType, kind_of
-from dpstack.dpv1.pdu.dpv1_status import ALARM_LIMITS, ALARMS
+from dpstack.dp.pdu.alarm_blocks import SEQUENCES, VENDOR, Alarm, Status, StatusType, kind_of
+from dpstack.dp.pdu.dpv1_status import ALARM_LIMITS, ALARMS
 from dpstack.dpv1.pdu.error_codes import Code
-from dpstack.dpv1.pdu.read_write import Function, Negative
+from dpstack.dpv1.pdu.read_write import AlarmAck, Function, Negative
 from dpstack.errors import AlarmError, ConfigError, PduError, UsageError
 
 #: alarms, and status messages, that wait to be shown
@@ -27,7 +27,7 @@ MAX_WAITING: Final = 32
 
 @dataclass(frozen=True, slots=True)
 class AlarmSupport:
-    """What a slave can raise: ``kinds``, keys of :data:`~dpstack.dpv1.pdu.dpv1_status.ALARMS` [Diagnostic_Alarm_supp
+    """What a slave can raise: ``kinds``, keys of :data:`~dpstack.dp.pdu.dpv1_status.ALARMS` [Diagnostic_Alarm_supp
     ...].
 
     ``sequence``: in sequence mode so many at a time, 2..32, or 0 where it has type mode only

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from dpstack.dpv1.pdu.alarms import Alarm, AlarmAck
+from dpstack.dp.pdu.alarm_blocks import Alarm
 from dpstack.dpv1.pdu.error_codes import Code
-from dpstack.dpv1.pdu.read_write import Function, Negative, UnacceptableError, parse_request
+from dpstack.dpv1.pdu.read_write import AlarmAck, Function, Negative, UnacceptableError, parse_request
 from dpstack.dpv1.slave.alarms import AlarmServer
 from dpstack.dpv1.slave.record_requests import Asker, Records, Ticket, Told, put
 from dpstack.fdl.interface import SC_REPLY, Reply

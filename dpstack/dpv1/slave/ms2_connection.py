@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Protocol
 
 from dpstack.dp.error_origin import failure_text
+from dpstack.dp.pdu.layouts import MAX_SLOT
 from dpstack.dpv1.pdu.error_codes import Code
 from dpstack.dpv1.pdu.ms2 import IDLE, Abort, AbortReason, DataTransport, InitiateReq, InitiateRes, Instance
-from dpstack.dpv1.pdu.read_write import MAX_SLOT, Function, Negative, ReadReq, UnacceptableError, parse_request
+from dpstack.dpv1.pdu.read_write import Function, Negative, ReadReq, UnacceptableError, parse_request
 from dpstack.dpv1.slave.ms2_states import TABLE, Act, Ev, State
 from dpstack.dpv1.slave.record_requests import (
     AnyTicket,

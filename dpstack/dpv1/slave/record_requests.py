@@ -10,18 +10,10 @@ from dataclasses import dataclass
 from typing import Final, Protocol, TypeVar
 
 from dpstack.dp.error_origin import failure_text
+from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dpv1.pdu.error_codes import Code
 from dpstack.dpv1.pdu.ms2 import DataTransport
-from dpstack.dpv1.pdu.read_write import (
-    MAX_RECORD,
-    Function,
-    Negative,
-    ReadRes,
-    RecordReq,
-    RecordRes,
-    WriteReq,
-    WriteRes,
-)
+from dpstack.dpv1.pdu.read_write import Function, Negative, ReadRes, RecordReq, RecordRes, WriteReq, WriteRes
 from dpstack.errors import PduError, RecordRefused
 
 

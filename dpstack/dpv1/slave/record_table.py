@@ -10,9 +10,10 @@ from collections.abc import Callable, Iterable, Mapping
 from weakref import WeakKeyDictionary
 
 from dpstack.argcheck import whole
+from dpstack.dp.pdu.layouts import MAX_SLOT
 from dpstack.dpv1.pdu.error_codes import Code
 from dpstack.dpv1.pdu.im import IM_FI, IM_INDEX, IM_LEN, RECORDS, Im, Im0, build_call, number_of, parse_call
-from dpstack.dpv1.pdu.read_write import MAX_SLOT, ReadReq, WriteReq
+from dpstack.dpv1.pdu.read_write import ReadReq, WriteReq
 from dpstack.dpv1.slave.record_requests import Asker, Records, Ticket, put
 from dpstack.errors import PduError
 

@@ -13,9 +13,9 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Final
 
+from dpstack.dp.pdu.alarm_blocks import Alarm, AlarmType, Specifier
 from dpstack.dp.pdu.diagnosis import FIXED_LEN
 from dpstack.dp.slave.device import Device, Leave
-from dpstack.dpv1.pdu.alarms import Alarm, AlarmType, Specifier
 from dpstack.dpv1.slave.alarms import AlarmServer, AlarmSupport
 from dpstack.errors import AlarmError
 from dpstack.profile.channel.base import CHANNEL_LEN, ChannelServer

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-from dpstack.dpv1.pdu.alarms import ModuleState
+from dpstack.dp.pdu.alarm_blocks import ModuleState
 
 #: what an analogue channel reads when its wire is broken (overflow, as such modules show it)
 BROKEN: Final = 0x7FFF

@@ -23,11 +23,11 @@ from collections.abc import Iterable, Sequence
 from typing import Final
 
 from dpstack.argcheck import octets, whole
+from dpstack.dp.pdu.alarm_blocks import Alarm, AlarmType, ModuleState, Specifier, module_status
 from dpstack.dp.pdu.diag_blocks import UserDiag, channel_block, identifier_block
-from dpstack.dp.slave.description import SlaveDescription
-from dpstack.dp.slave.user_slave import DpSlave
-from dpstack.dpv1.pdu.alarms import Alarm, AlarmType, ModuleState, Specifier, module_status
-from dpstack.dpv1.pdu.dpv1_status import DPV1_STATUS_LEN
+from dpstack.dp.pdu.dpv1_status import DPV1_STATUS_LEN
+from dpstack.dpv1.slave.description import SlaveDescription
+from dpstack.dpv1.slave.user_slave import DpSlave
 from dpstack.errors import AlarmError, ConfigError
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.sim.io_station.modules import EMPTY, MODULES, Slot, edges, module_named

@@ -9,14 +9,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
+from dpstack.dp.pdu.alarm_blocks import HEAD as ALARM_HEAD
 from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN
+from dpstack.dp.pdu.dpv1_status import ALARM_LIMITS, DPV1_STATUS_LEN, PRM_STRUCTURE, set_bit
+from dpstack.dp.pdu.layouts import MAX_RECORD
+from dpstack.dp.pdu.prm_blocks import PrmBlock, parse_blocks
 from dpstack.dp.pdu.requests import MAX_USER_PRM
 from dpstack.dp.slave_params import INTERVAL_UNIT
-from dpstack.dpv1.pdu.alarms import HEAD as ALARM_HEAD
-from dpstack.dpv1.pdu.dpv1_status import ALARM_LIMITS, DPV1_STATUS_LEN, PRM_STRUCTURE, set_bit
 from dpstack.dpv1.pdu.ms2 import LEAST_INITIATE
-from dpstack.dpv1.pdu.prm_blocks import PrmBlock, parse_blocks
-from dpstack.dpv1.pdu.read_write import MAX_RECORD
 from dpstack.dpv1.slave.alarms import AlarmSupport
 from dpstack.dpv1.slave.resource_manager import MAX_CONNECTIONS
 from dpstack.errors import ConfigError, PduError

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import Any, Final
 
+from dpstack.dp.pdu.alarm_blocks import HEAD, SEQUENCES
 from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN
+from dpstack.dp.pdu.dpv1_status import ALARM_KEYWORDS, ALARM_LIMITS, DPV1_STATUS_LEN
+from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dp.pdu.requests import MAX_USER_PRM
-from dpstack.dp.slave.description import SlaveDescription, SlaveModule
 from dpstack.dp.slave_params import INTERVAL_UNIT
-from dpstack.dpv1.pdu.alarms import HEAD, SEQUENCES
-from dpstack.dpv1.pdu.dpv1_status import ALARM_KEYWORDS, ALARM_LIMITS, DPV1_STATUS_LEN
 from dpstack.dpv1.pdu.ms2 import LEAST_INITIATE
-from dpstack.dpv1.pdu.read_write import MAX_RECORD
+from dpstack.dpv1.slave.description import SlaveDescription, SlaveModule
 from dpstack.dpv1.slave.resource_manager import MAX_CONNECTIONS
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA

@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from dpstack.dpv1.pdu.prm_blocks import BlockType, PrmBlock, parse_blocks
-from dpstack.dpv1.pdu.read_write import MAX_RECORD
+from dpstack.dp.pdu.layouts import MAX_RECORD
+from dpstack.dp.pdu.prm_blocks import BlockType, PrmBlock, parse_blocks
 from dpstack.errors import ConfigError, PduError
 
 DPV1_STATUS_LEN: Final = 3

@@ -10,13 +10,12 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, Final, NamedTuple
 
-from dpstack.dp.pdu.layouts import DOUBLE_WORD, OCTET, WORD, Layout
+from dpstack.dp.pdu.layouts import DOUBLE_WORD, MAX_SLOT, OCTET, WORD, Layout
 from dpstack.errors import ConfigError, PduError
 
 #: length, type, slot, specifier
 BLOCK_HEAD: Final = 4
 _MAX_BLOCK: Final = 234
-_MAX_SLOT: Final = 254
 
 
 class BlockType(IntEnum):
@@ -38,7 +37,7 @@ NAMES: Final = {int(one): one.name.lower() for one in BlockType}
 class PrmCmd(NamedTuple):
     """A command to a redundant slave; its sequence number is in the specifier of the block's head, bits 7..3.
 
-    ``function``: :class:`~dpstack.dpv1.pdu.redundancy.PrmFunction`. ``properties``: bit 0 Primary Request for MS0 and
+    ``function``: :class:`~dpstack.dp.pdu.redundancy.PrmFunction`. ``properties``: bit 0 Primary Request for MS0 and
     MS1 is used, 1 start and stop of MS1 are used, 2 the address changes, 3 by 64. ``output_hold_time`` in 10 ms.
     """
 
@@ -151,7 +150,7 @@ class PrmBlock:
     specifier: int = 0
 
     def __post_init__(self) -> None:
-        if not 0 <= self.type <= 255 or not 0 <= self.slot <= _MAX_SLOT or not 0 <= self.specifier <= 255:
+        if not 0 <= self.type <= 255 or not 0 <= self.slot <= MAX_SLOT or not 0 <= self.specifier <= 255:
             raise ConfigError(
                 f"parameter block of type {self.type} for slot {self.slot}: type and specifier 0..255, slot 0..254"
             )

@@ -9,13 +9,13 @@ from typing import Protocol
 from dpstack.argcheck import Sealed, functions, octets, whole
 from dpstack.dp.pdu.diag_blocks import NO_DIAG, UserDiag
 from dpstack.dp.pdu.diagnosis import FIXED_LEN
-from dpstack.dp.slave.description import SlaveDescription
+from dpstack.dp.pdu.prm_blocks import PrmBlock
 from dpstack.dp.slave.device import FunctionDevice, Leave, OnCycle
 from dpstack.dpv1.pdu.im import Im
 from dpstack.dpv1.pdu.ms2 import InitiateReq
-from dpstack.dpv1.pdu.prm_blocks import PrmBlock
 from dpstack.dpv1.pdu.read_write import PARAMETER_INDEX
 from dpstack.dpv1.slave.alarms import AlarmServer
+from dpstack.dpv1.slave.description import SlaveDescription
 from dpstack.dpv1.slave.record_requests import Records
 from dpstack.dpv1.slave.record_table import ByIndex, ImOf, ImRecords
 from dpstack.dpv1.slave.resource_manager import MAX_CONNECTIONS

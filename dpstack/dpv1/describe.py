@@ -8,12 +8,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Final
 
+from dpstack.dp.pdu.alarm_blocks import Alarm, alarm_name, parse_block
 from dpstack.dp.pdu.diag_blocks import DeviceBlock
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dpv1.master.response_check import title_of
-from dpstack.dpv1.pdu.alarms import Alarm, AlarmAck, alarm_name, parse_block
 from dpstack.dpv1.pdu.ms2 import Abort, DataTransport, InitiateReq, InitiateRes, ResourceManagerRes
-from dpstack.dpv1.pdu.read_write import Function, Negative, ReadReq, ReadRes, parse_request, parse_response
+from dpstack.dpv1.pdu.read_write import AlarmAck, Function, Negative, ReadReq, ReadRes, parse_request, parse_response
 from dpstack.errors import PduError
 from dpstack.fdl import describe
 from dpstack.fdl.telegram import SAP_MS1, SAP_MS1_ALARM, SAP_MS2_RM, SAP_SLAVE_DIAG, SSAP_MS2, Telegram

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dpstack.dp.slave.description import SlaveDescription
 from dpstack.dp.slave.device import Device
-from dpstack.dp.slave.user_slave import DpSlave
+from dpstack.dpv1.slave.description import SlaveDescription
+from dpstack.dpv1.slave.user_slave import DpSlave
 from dpstack.gsd.identifiers import io_lengths
 
 

@@ -1,5 +1,4 @@
-"""The PDUs of alarms: alarm and status blocks of the diagnosis, Alarm_Ack (docs/protocol.md#alarms,
-docs/protocol.md#alarm_ack).
+"""The blocks of alarms and status messages in the diagnosis of a DP-V1 slave (docs/protocol.md#alarms).
 
 A block is device related (its octets with the header, 4 to 63). Octets are counted within the block, from 1.
 """
@@ -10,9 +9,8 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final
 
-from dpstack.dpv1.pdu.layouts import ALARM_ACK, MESSAGE, AlarmAckOctets, MessageOctets
-from dpstack.dpv1.pdu.read_write import MAX_SLOT, Function
-from dpstack.dpv1.pdu.redundancy import Redundancy
+from dpstack.dp.pdu.layouts import MAX_SLOT, MESSAGE, MessageOctets
+from dpstack.dp.pdu.redundancy import Redundancy
 from dpstack.errors import PduError
 
 #: octets of a block before its data
@@ -137,11 +135,6 @@ class Alarm:
         told = self.text + _hex(self.data)
         return f"{told}, wants to be acknowledged by the user too" if self.add_ack else told
 
-    @property
-    def ack(self) -> AlarmAck:
-        """What acknowledges it."""
-        return AlarmAck(self.slot, self.type, self.specifier, self.sequence, self.add_ack)
-
     def build(self) -> bytes:
         """The block with its header. Raises PduError where a value does not fit."""
         _check(self.slot, self.data)
@@ -248,34 +241,8 @@ def parse_block(octets: bytes) -> Alarm | Status:
     return Alarm(raw.kind, raw.slot, raw.specifier, raw.sequence, raw.data, raw.add_ack)
 
 
-@dataclass(frozen=True, slots=True)
-class AlarmAck:
-    """Alarm_Ack, request and positive response: slot, type and specifier of the alarm."""
-
-    slot: int
-    type: int
-    specifier: int = Specifier.NONE
-    sequence: int = 0
-    add_ack: bool = False
-
-    def build(self) -> bytes:
-        """The octets. Raises PduError where a value does not fit."""
-        specifier = self.sequence << 3 | self.add_ack << 2 | self.specifier
-        return ALARM_ACK.build(AlarmAckOctets(Function.ALARM_ACK, self.slot, self.type, specifier, b""))
-
-    @classmethod
-    def parse(cls, octets: bytes) -> AlarmAck:
-        """Raises PduError naming the octet."""
-        raw = ALARM_ACK.parse(octets)
-        if raw.function != Function.ALARM_ACK:
-            raise PduError(f"octet 1 is 0x{raw.function:02X}, Alarm_Ack is 0x{Function.ALARM_ACK:02X}")
-        if raw.rest:
-            raise PduError(f"Alarm_Ack has {len(octets)} octets, octet {HEAD} is the last one")
-        return cls(raw.slot, raw.kind, raw.specifier & 3, raw.specifier >> 3, bool(raw.specifier & 4))
-
-
 def kind_of(alarm_type: int) -> str:
-    """The key of :data:`~dpstack.dpv1.pdu.dpv1_status.ALARMS` that enables it: pull and plug share one, so do vendor
+    """The key of :data:`~dpstack.dp.pdu.dpv1_status.ALARMS` that enables it: pull and plug share one, so do vendor
     types.
 
     Raises PduError for types that do not exist.
