@@ -18,8 +18,8 @@ from dpstack.dp.master.commands import DriveCommand, Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
 from dpstack.dp.slave.application import make_slave
-from dpstack.dp.slave.device import Device
 from dpstack.dp.slave_params import SlaveParams
+from dpstack.dpv1.slave.device import Device
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline

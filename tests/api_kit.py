@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 import dpstack
 from dpstack.dp.slave.application import SlaveApp, make_slave
-from dpstack.dp.slave.device import Device
+from dpstack.dpv1.slave.device import Device
 from dpstack.fdl.passive.station import PassiveStation
 from dpstack.params import BusParams
 from dpstack.sim.world import World

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dpstack.dp.pdu.requests import SetPrm
 from dpstack.dp.slave.application import SlaveApp
-from dpstack.dp.slave.device import Device
+from dpstack.dpv1.slave.device import Device
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.fdl.interface import SC_REPLY, Reply
 from dpstack.fdl.telegram import SAP_CHK_CFG, SAP_SET_PRM, Kind, Req, Telegram

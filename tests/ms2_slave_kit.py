@@ -13,9 +13,10 @@ from octet_wire import MS, Wire, framed
 from slave_kit import Recorder
 
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState, make_slave
-from dpstack.dp.slave.device import Device
+from dpstack.dpv1.slave.device import Device
 from dpstack.dpv1.slave.record_requests import Records, Ticket, Transport
 from dpstack.dpv1.slave.record_table import RecordTable
+from dpstack.dpv1.slave.resource_manager import ms2_of
 from dpstack.params import BusParams
 
 READ = "5E 00 01 F0"
@@ -65,13 +66,13 @@ class Slave:
         return [event.text.removeprefix("slave 8 (recorder): ") for event in self.wire.station.take_events()]
 
     def saps(self) -> list[int]:
-        return [connection.sap for connection in self.app.connections]
+        return [connection.sap for connection in ms2_of(self.app).connections]
 
     def state(self) -> SlaveAppState:
         return self.app.state
 
     def all_free(self) -> bool:
-        return self.app.connections_free == self.count and not self.app.connections
+        return ms2_of(self.app).free == self.count and not ms2_of(self.app).connections
 
 
 def reach(slave: Slave, later: Later, step: str) -> None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState
-from dpstack.dp.slave.device import Device, Leave
+from dpstack.dp.slave.device import DpV0Device, Leave
+from dpstack.dpv1.slave.device import Device
 from dpstack.fdl.interface import Reply
 from dpstack.fdl.telegram import Kind, Req, Telegram
 
@@ -102,7 +103,7 @@ def global_control(data: bytes, sa: int = MASTER) -> Telegram:
 class Bench:
     """A slave application under test, with the time it is told."""
 
-    def __init__(self, device: Device | None = None, app: SlaveApp | None = None) -> None:
+    def __init__(self, device: DpV0Device | None = None, app: SlaveApp | None = None) -> None:
         self.device = device or Recorder()
         self.app = app or SlaveApp(self.device, address=SLAVE)
         self.now = 0

@@ -10,7 +10,8 @@
 """
 
 from dpstack.dp.process_image import CyclicUnit
-from dpstack.dp.slave.device import Device, Leave
+from dpstack.dp.slave.device import Leave
+from dpstack.dpv1.slave.device import Device
 from dpstack.errors import ConfigError
 from dpstack.profile import record47
 from dpstack.profile.channel.base import CHANNEL_LEN, ChannelServer, ParameterChannel, ParamKey

@@ -11,7 +11,7 @@ from support import WorldFactory
 
 import dpstack
 from dpstack.api.bus.events_json import Notice, Severity
-from dpstack.dp.slave.device import FunctionDevice
+from dpstack.dpv1.slave.device import FunctionDevice
 from dpstack.sim.world import World
 
 # --- every kind of end ----------------------------------------------------------------------------------------------

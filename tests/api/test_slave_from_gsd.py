@@ -16,8 +16,8 @@ from dpstack.api.bus.events_json import event_json
 from dpstack.api.config.config import slave_config
 from dpstack.api.server.virtual_bench import device_of
 from dpstack.dp.slave.application import make_slave
-from dpstack.dp.slave.device import Device
 from dpstack.dpv1.slave.description_from_gsd import slave_description
+from dpstack.dpv1.slave.device import Device
 from dpstack.errors import ConfigError
 from dpstack.gsd.configuration import configure
 

@@ -11,7 +11,7 @@ from ends_kit import told
 from support import WorldFactory
 
 import dpstack
-from dpstack.dp.slave.device import FunctionDevice
+from dpstack.dpv1.slave.device import FunctionDevice
 from dpstack.machine import LineDown
 from dpstack.sim.world import World
 

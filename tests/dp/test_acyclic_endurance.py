@@ -41,6 +41,7 @@ from dpstack.dpv1.pdu.error_codes import Code
 from dpstack.dpv1.slave.alarms import AlarmEnd, AlarmServer, AlarmSupport, Raised
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.dpv1.slave.record_requests import Ticket, TransportTicket
+from dpstack.dpv1.slave.resource_manager import ms2_of
 from dpstack.errors import UsageError
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOffline, GoOnline
@@ -235,7 +236,7 @@ class Plant:
         assert self.acyclic.waiting == self.acyclic.connections == 0
         self.send(GoOffline())
         self.world.run_for(30 * S)
-        assert [app.connections_free for app in self.apps] == [CONNECTIONS] * len(ADDRESSES)
+        assert [ms2_of(app).free for app in self.apps] == [CONNECTIONS] * len(ADDRESSES)
         assert all(app.stats.connections == app.stats.closed for app in self.apps)
 
 
@@ -286,7 +287,7 @@ def idle(world: WorldFactory, seconds: int, seed: int) -> None:
         plant.world.run_for(60 * S)
         assert plant.acyclic.connections == len(ADDRESSES) * CONNECTIONS
         assert plant.acyclic.waiting <= len(ADDRESSES) * CONNECTIONS  # an Idle of each at the most
-    assert all(len(app.connections) == CONNECTIONS for app in plant.apps)
+    assert all(len(ms2_of(app).connections) == CONNECTIONS for app in plant.apps)
     plant.settle()
 
 

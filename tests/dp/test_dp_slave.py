@@ -9,9 +9,10 @@ import pytest
 from slave_kit import CFG, CLEAR, FREEZE, MS, OPERATE, PRM, PRM_NO_WD, SYNC, UNLOCK, UNSYNC, Bench
 
 from dpstack.dp.slave.application import SlaveAppState
-from dpstack.dp.slave.device import FunctionDevice, Leave, OnCycle
+from dpstack.dp.slave.device import Leave
 from dpstack.dp.slave.events import DeviceFailed
 from dpstack.dpv1.slave.description import SlaveDescription, SlaveModule
+from dpstack.dpv1.slave.device import FunctionDevice, OnCycle
 from dpstack.dpv1.slave.user_slave import DpSlave
 from dpstack.errors import ConfigError
 from dpstack.fdl.interface import RS_REPLY

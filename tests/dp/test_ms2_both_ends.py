@@ -36,6 +36,7 @@ from dpstack.dpv1.master.ms2_commands import (
     TransportOver,
     WriteOver,
 )
+from dpstack.dpv1.slave.resource_manager import ms2_of
 from dpstack.errors import UsageError
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOffline, GoOnline
@@ -197,6 +198,6 @@ def test_one_end_each_with_loss(steps: list[tuple[str, int, int, int]], seed: in
     assert both.exchanging()
     both.send(GoOffline())
     world.run_for(30 * S)
-    assert [app.connections_free for app in both.apps] == [CONNECTIONS] * 2
-    assert [app.connections for app in both.apps] == [(), ()]
+    assert [ms2_of(app).free for app in both.apps] == [CONNECTIONS] * 2
+    assert [ms2_of(app).connections for app in both.apps] == [(), ()]
     assert all(app.stats.connections == app.stats.closed for app in both.apps)

@@ -22,6 +22,7 @@ from dpstack.dp.slave.application import SlaveAppState
 from dpstack.dpv1.pdu.im import Im0, Im1
 from dpstack.dpv1.slave.record_requests import Ticket, TransportTicket
 from dpstack.dpv1.slave.record_table import ImRecords
+from dpstack.dpv1.slave.resource_manager import ms2_of
 from dpstack.dpv1.timeouts import least_send_timeout
 from dpstack.errors import ConfigError, RecordRefused
 
@@ -40,9 +41,9 @@ def test_a_connection_from_initiate_to_abort() -> None:
     assert master.service(48, READ) == READ_RES
     assert master.service(48, "5F 01 02 01 BB") == "5F 01 02 01"
     assert master.service(48, "5E 01 02 F0") == "5E 01 02 01 BB"
-    (found,) = slave.app.connections
+    (found,) = ms2_of(slave.app).connections
     assert (found.master, found.sap, found.send_timeout_ns, found.services) == (1, 48, TIMEOUT, 3)
-    assert slave.app.connections_free == 1
+    assert ms2_of(slave.app).free == 1
     assert master.ask(48, ABORT) == SC
     assert master.ask(48) == RS
     assert master.ask(48, READ) == RS
@@ -73,7 +74,7 @@ def test_answers_in_the_request_itself() -> None:
 def test_the_longer_send_timeout_counts(asked: str, seconds: float) -> None:
     slave = Slave()
     slave.master.initiate(f"57 01 02 03 {asked}" + INITIATE[17:])
-    assert slave.app.connections[0].send_timeout_ns == round(seconds * 1_000) * MS
+    assert ms2_of(slave.app).connections[0].send_timeout_ns == round(seconds * 1_000) * MS
 
 
 @pytest.mark.parametrize(
@@ -112,7 +113,7 @@ def test_several_masters_at_once_and_nobody_gets_what_is_not_his() -> None:
         assert [other.ask(sap, ABORT) for other in others] == [RS, RS]
         assert master.ask(sap) == f"5E 00 {sap:02X} 01 {master.sa:02X}"
     assert Class2(slave.wire, 1, ssap=51).ask(48) == RS  # another user of the same master
-    assert len(slave.app.connections) == 3
+    assert len(ms2_of(slave.app).connections) == 3
 
 
 # --- services ---------------------------------------------------------------------------------------------------------
@@ -264,7 +265,7 @@ def test_in_every_state_and_the_cycle_of_class_1_goes_on() -> None:
         slave.wire.pass_time(40 * MS)
         assert master.ask(second) != RS
     assert slave.state() is SlaveAppState.WAIT_PRM
-    assert len(slave.app.connections) == 2
+    assert len(ms2_of(slave.app).connections) == 2
     assert slave.app.stats.watchdogs == 1
 
 

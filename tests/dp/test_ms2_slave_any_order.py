@@ -13,8 +13,9 @@ from property_kit import examples
 from slave_kit import Recorder
 
 from dpstack.dp.slave.application import SlaveApp, make_slave
-from dpstack.dp.slave.events import ConnectionClosed, ConnectionOpened
+from dpstack.dpv1.slave.ms2_connection import ConnectionClosed, ConnectionOpened
 from dpstack.dpv1.slave.record_requests import Ticket, TransportTicket
+from dpstack.dpv1.slave.resource_manager import ms2_of
 from dpstack.params import BusParams
 
 COUNT = 3
@@ -117,8 +118,8 @@ def test_any_sequence_from_three_masters(steps: list[tuple[str, int, int, str]],
                 app.restart(wire.now)
             case "rate lost":
                 app.rate_lost(wire.now)
-        assert 0 <= len(app.connections) <= COUNT
-        assert app.connections_free == COUNT - len(app.connections)
+        assert 0 <= len(ms2_of(app).connections) <= COUNT
+        assert ms2_of(app).free == COUNT - len(ms2_of(app).connections)
     note(str(got))
     # each answer once, and to who asked for it
     answers = Counter(octets[12:] for _, octets in got if octets[:2] in ("5E", "51") and octets[9:11] == "02")
@@ -129,7 +130,7 @@ def test_any_sequence_from_three_masters(steps: list[tuple[str, int, int, str]],
     # everything comes back: nobody says anything any more
     wire.pass_time(3_000 * S)
     wire.pass_time(3_000 * S)
-    assert app.connections == ()
+    assert ms2_of(app).connections == ()
     assert app.wake_at() > wire.now + 3_000 * S
     events = station.take_events()
     opened = Counter(event.sap for event in events if isinstance(event, ConnectionOpened))
@@ -143,4 +144,4 @@ def test_any_sequence_from_three_masters(steps: list[tuple[str, int, int, str]],
     for master in masters:
         sap = master.connect() if not at_once else int(master.ask(49, INITIATE)[3:5], 16)
         assert master.ask(sap, ABORT) in (SC, "")
-        assert len(app.connections) == 0
+        assert len(ms2_of(app).connections) == 0

@@ -21,6 +21,7 @@ from slave_kit import Recorder
 from dpstack.dp.slave.auto_baud import SearchingSlave
 from dpstack.dpv1.pdu.ms2 import Abort
 from dpstack.dpv1.slave.ms2_states import TABLE, Act, Ev, State
+from dpstack.dpv1.slave.resource_manager import ms2_of
 
 # --- time -------------------------------------------------------------------------------------------------------------
 
@@ -91,7 +92,7 @@ def test_a_connection_that_is_over_is_given_to_who_asks() -> None:
     other = Class2(slave.wire, 3)
     assert other.connect() == 48
     assert slave.master.ask(48) == RS
-    assert [connection.master for connection in slave.app.connections] == [3]
+    assert [connection.master for connection in ms2_of(slave.app).connections] == [3]
 
 
 def test_polls_and_idle_keep_it() -> None:
@@ -102,7 +103,7 @@ def test_polls_and_idle_keep_it() -> None:
         assert slave.master.service(sap, IDLE) == IDLE
         slave.wire.pass_time(2 * TIMEOUT - 20 * MS)
         assert slave.master.ask(sap) == SC
-    assert len(slave.app.connections) == 1
+    assert len(ms2_of(slave.app).connections) == 1
 
 
 # --- every way out ----------------------------------------------------------------------------------------------------

@@ -15,6 +15,8 @@ from octet_class2 import (
     Class2,
 )
 
+from dpstack.dpv1.slave.resource_manager import ms2_of
+
 
 @pytest.mark.parametrize(
     ("request_", "abort", "reason"),
@@ -37,7 +39,7 @@ from octet_class2 import (
 def test_an_initiate_that_cannot_be_is_aborted_at_its_server_sap(request_: str, abort: str, reason: str) -> None:
     slave = Slave(count=1)
     sap = slave.master.initiate(request_)
-    assert slave.app.connections == ()
+    assert ms2_of(slave.app).connections == ()
     assert slave.master.ask(sap) == abort
     assert slave.master.ask(sap) == RS
     (told,) = slave.texts()
@@ -81,7 +83,7 @@ def test_initiates_before_an_answer_was_fetched_are_named_one_after_the_other() 
     assert [slave.master.manager() for _ in range(5)] == [48, 47, 46, 46, 46]
     assert [slave.master.ask(sap) for sap in (46, 47, 48)] == [OPENED] * 3
     assert slave.master.ask(49) == SC
-    assert len(slave.app.connections) == 3
+    assert len(ms2_of(slave.app).connections) == 3
 
 
 def test_where_none_is_free_the_next_initiate_takes_the_place_of_one_that_was_not_fetched() -> None:
@@ -89,14 +91,14 @@ def test_where_none_is_free_the_next_initiate_takes_the_place_of_one_that_was_no
     assert slave.master.ask(49, INITIATE) == SC
     assert slave.master.connect() == 48
     assert slave.texts()[1].endswith("0 services: another Initiate of its master came before the answer was fetched")
-    assert len(slave.app.connections) == 1
+    assert len(ms2_of(slave.app).connections) == 1
 
 
 def test_what_was_wrong_with_an_earlier_initiate_is_no_answer_to_the_next() -> None:
     slave = Slave(count=3)
     assert slave.master.ask(49, "57") == SC
     assert slave.master.connect() == 47
-    assert slave.app.connections_free == 2
+    assert ms2_of(slave.app).free == 2
 
 
 def test_one_that_was_fetched_is_not_taken_away() -> None:

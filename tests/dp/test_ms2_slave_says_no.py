@@ -10,6 +10,7 @@ from slave_kit import Recorder
 from dpstack.dp.slave.application import SlaveApp, make_slave
 from dpstack.dpv1.pdu.ms2 import InitiateReq
 from dpstack.dpv1.slave.record_requests import Ticket
+from dpstack.dpv1.slave.resource_manager import ms2_of
 from dpstack.errors import ConfigError, RecordRefused, UsageError
 from dpstack.params import BusParams
 
@@ -74,7 +75,7 @@ def initiate(profile: int, extra: str = "") -> str:
 def test_a_device_refuses_initiate_by_a_negative_response(profile: int, answer: str, told: str) -> None:
     bench = Bench()
     sap = bench.master.initiate(initiate(profile))
-    assert bench.app.connections == ()
+    assert ms2_of(bench.app).connections == ()
     assert bench.master.ask(sap) == answer
     assert bench.master.ask(sap) == RS
     (text,) = bench.texts()
@@ -113,15 +114,15 @@ def test_the_application_aborts(step: str, reason: int) -> None:
     assert bench.master.ask(sap)[:2] == "57"
     if step == "working":
         assert bench.master.ask(sap, READ) == SC
-    bench.app.abort(sap, reason, bench.wire.now)
-    assert bench.app.connections == ()
+    ms2_of(bench.app).abort(sap, reason, bench.wire.now)
+    assert ms2_of(bench.app).connections == ()
     assert bench.device.dropped == (step == "working")
     assert bench.master.ask(sap) == f"58 00 2{reason:X}"
     assert bench.master.ask(sap) == RS
     assert bench.texts()[-1].endswith(f"services: it was aborted here (reason {reason})")
-    assert bench.app.connections_free == 1
+    assert ms2_of(bench.app).free == 1
     with pytest.raises(UsageError, match=f"no open class 2 connection at server SAP {sap}; see connections"):
-        bench.app.abort(sap, 0, bench.wire.now)
+        ms2_of(bench.app).abort(sap, 0, bench.wire.now)
 
 
 def test_an_abort_that_nobody_fetches_holds_nothing() -> None:
@@ -129,10 +130,10 @@ def test_an_abort_that_nobody_fetches_holds_nothing() -> None:
     sap = bench.master.initiate(initiate(0x1234))
     bench.master.ask(sap)
     with pytest.raises(UsageError, match=r"an Abort has no reason 16: 0\.\.15"):
-        bench.app.abort(sap, 16, bench.wire.now)
-    bench.app.abort(sap, 0, bench.wire.now)
+        ms2_of(bench.app).abort(sap, 16, bench.wire.now)
+    ms2_of(bench.app).abort(sap, 0, bench.wire.now)
     with pytest.raises(UsageError, match="no open class 2 connection"):
-        bench.app.abort(sap, 0, bench.wire.now)
+        ms2_of(bench.app).abort(sap, 0, bench.wire.now)
     bench.wire.pass_time(2_001 * MS)
     assert bench.master.ask(sap) == RS
     assert bench.master.initiate(INITIATE) == sap

@@ -7,8 +7,8 @@ from octet_wire import BIT, PARAMS, framed
 from support import MS, Dummy, WorldFactory
 
 from dpstack.dp.slave.application import make_slave
-from dpstack.dp.slave.device import OnCycle
 from dpstack.dpv1.slave.description import SlaveDescription
+from dpstack.dpv1.slave.device import OnCycle
 from dpstack.dpv1.slave.user_slave import DpSlave
 from dpstack.fdl.telegram import Kind, Telegram
 from dpstack.sim.world import World

@@ -21,8 +21,8 @@ from dpstack.dp.master.commands import Mode, RemoveSlave, SetMode
 from dpstack.dp.master.events import FaultKind, SlaveDiagnosis, SlaveFaulted, SlaveState, SlaveStateChanged
 from dpstack.dp.master.master import Master
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState
-from dpstack.dp.slave.device import Device
 from dpstack.dp.slave_params import SlaveParams
+from dpstack.dpv1.slave.device import Device
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline

@@ -16,8 +16,8 @@ from dpstack.dp.master.commands import Mode, RemoveSlave, SendControl, SetMode, 
 from dpstack.dp.master.events import ControlFailed, ControlSent, PictureTaken, SlaveState
 from dpstack.dp.master.master import Master
 from dpstack.dp.slave.application import make_slave
-from dpstack.dp.slave.device import Device
 from dpstack.dp.slave_params import SlaveParams
+from dpstack.dpv1.slave.device import Device
 from dpstack.errors import BusError, UsageError
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.codec import encode_sd2

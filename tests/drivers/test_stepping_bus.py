@@ -16,8 +16,8 @@ from dpstack.dp.master.commands import Mode, SetMode, Shutdown
 from dpstack.dp.master.events import MasterStopped, SlaveState
 from dpstack.dp.master.master import Master
 from dpstack.dp.slave.application import SlaveApp
-from dpstack.dp.slave.device import FunctionDevice
 from dpstack.dp.slave_params import SlaveParams
+from dpstack.dpv1.slave.device import FunctionDevice
 from dpstack.drivers.line.port_latency import patience_of
 from dpstack.drivers.segment.hub import Segment
 from dpstack.fdl.active.station import ActiveStation

@@ -14,8 +14,10 @@ from slave_kit import MS, Bench
 
 from dpstack import DpSlave, Im0, IoStation, SlaveDescription
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState
-from dpstack.dp.slave.device import Device
-from dpstack.dp.slave.events import ConnectionClosed, ConnectionOpened, DeviceFailed, RequestRefused
+from dpstack.dp.slave.events import DeviceFailed, RequestRefused
+from dpstack.dpv1.slave.device import Device
+from dpstack.dpv1.slave.ms2_connection import ConnectionClosed, ConnectionOpened
+from dpstack.dpv1.slave.resource_manager import ms2_of
 from dpstack.fdl.interface import Reply
 from dpstack.fdl.telegram import Kind, Telegram
 from dpstack.gsd.identifiers import io_lengths
@@ -159,8 +161,8 @@ def test_any_octets_to_any_sap(name: str, seed: int) -> None:
     assert not [event for event in events if isinstance(event, DeviceFailed)]
     # silence gives every connection back, and the slave is as it was
     attacker.bench.pass_time(3_000_000 * MS)
-    assert app.connections == ()
-    assert app.connections_free == attacker.bench.device.ms2
+    assert ms2_of(app).connections == ()
+    assert ms2_of(app).free == ms2_of(app).count
     events += app.take_events()
     opened = sum(isinstance(event, ConnectionOpened) for event in events)
     assert opened == sum(isinstance(event, ConnectionClosed) for event in events) == app.stats.connections

@@ -16,6 +16,7 @@ from dpstack.api.config.config import make_config
 from dpstack.api.gsd_info import check_gsd, read_gsd
 from dpstack.api.server.simulation import Simulation
 from dpstack.dp.slave.application import SlaveApp, make_slave
+from dpstack.dpv1.slave.resource_manager import ms2_of
 from dpstack.drivers.segment.hub import Segment
 from dpstack.params import BusParams
 from dpstack.sim.io_station import NAME
@@ -76,7 +77,7 @@ def test_two_connections_of_its_gsd_file_with_im_of_their_own() -> None:
     assert two.service(second, "5E 00 FF F0") == "DE 80 B5 00"  # that was the call of master 1
     dpv1 = read_gsd(NAME).device.dpv1
     assert (dpv1.c2_read_write, dpv1.c2_max_count_channels, dpv1.c2_max_data_len) == (True, field.io.ms2, 0xF0)
-    assert (field.app.connections_free, field.io.ms2_max_initiate) == (0, dpv1.max_initiate_pdu_length)
+    assert (ms2_of(field.app).free, field.io.ms2_max_initiate) == (0, dpv1.max_initiate_pdu_length)
 
 
 def test_an_initiate_longer_than_its_gsd_file_says() -> None:

@@ -7,7 +7,7 @@ from typing import Protocol
 
 from dpstack.api.control import arguments
 from dpstack.api.control.server import Handler
-from dpstack.dp.slave.device import Device
+from dpstack.dpv1.slave.device import Device
 from dpstack.errors import UsageError
 from dpstack.profile.simulator.device import DriveDevice
 from dpstack.sim.io_station import IoStation

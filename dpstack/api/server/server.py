@@ -12,8 +12,8 @@ from dpstack.argcheck import Sealed, octets, whole
 from dpstack.dp.pdu.alarm_blocks import Alarm, ModuleState, Specifier, Status
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState, SlaveAppStats
-from dpstack.dp.slave.device import Device
-from dpstack.dpv1.slave.resource_manager import ServedConnection
+from dpstack.dpv1.slave.device import Device
+from dpstack.dpv1.slave.resource_manager import ServedConnection, ms2_of
 from dpstack.dpv1.slave.user_slave import DpSlave
 from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime, patience_of
 from dpstack.drivers.runtime import Runtime
@@ -101,19 +101,19 @@ class ServedSlave(Sealed):
     @property
     def connections(self) -> tuple[ServedConnection, ...]:
         """Its open connections of class 2."""
-        return self._app.connections
+        return ms2_of(self._app).connections
 
     @property
     def connections_free(self) -> int:
         """How many more there can be."""
-        return self._app.connections_free
+        return ms2_of(self._app).free
 
     def abort_connection(self, sap: int, reason: int = 0) -> None:
         """End its connection of class 2 at the server ``sap`` (of :attr:`connections`).
 
         Its master reads an Abort of the user with ``reason`` 0..15. Raises UsageError.
         """
-        self._app.abort(sap, reason, 0 if self.runtime is None else self.runtime.now())
+        ms2_of(self._app).abort(sap, reason, 0 if self.runtime is None else self.runtime.now())
 
     @property
     def stats(self) -> SlaveAppStats:

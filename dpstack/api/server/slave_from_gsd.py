@@ -7,8 +7,9 @@ from pathlib import Path
 
 from dpstack.api.gsd_info import read_gsd
 from dpstack.dp.pdu.prm_blocks import PrmBlock
-from dpstack.dp.slave.device import Leave, OnCycle
+from dpstack.dp.slave.device import Leave
 from dpstack.dpv1.slave.description_from_gsd import slave_description
+from dpstack.dpv1.slave.device import OnCycle
 from dpstack.dpv1.slave.record_requests import Records
 from dpstack.dpv1.slave.record_table import ImOf
 from dpstack.dpv1.slave.user_slave import DpSlave, OnAddress, OnIm, OnRead, OnTransport, OnWrite

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.dp.slave.application import SlaveApp
 from dpstack.dp.slave.auto_baud import SearchingSlave
-from dpstack.dp.slave.device import Device
 from dpstack.dpv1.slave.description import SlaveDescription
+from dpstack.dpv1.slave.device import Device
 from dpstack.dpv1.slave.loopback_device import MirrorDevice, mirror_of
 from dpstack.fdl.interface import BusStation
 from dpstack.fdl.passive.station import PassiveStation

@@ -8,6 +8,7 @@
 - ``device``: What a slave does with its data: the part of a slave application that its author writes
 - ``diagnosis``: The diagnosis as a slave application keeps it: its fault bits
 - ``events``: What a slave application tells and counts: events, each refusal once, counters
+- ``extension``: Services of a device beyond those of DP-V0 (MS1, MS2), and their blocks in the diagnosis
 - ``prm_cfg_check``: What a slave makes of Set_Prm and Chk_Cfg: the judgement, and the watchdog that comes out of it
 - ``services``: The services of a slave that are not cyclic: reading, Set_Prm, Chk_Cfg, Set_Slave_Add
 - ``state``: What a slave application is at one moment, and its steps through the table of states

@@ -8,8 +8,8 @@ No_Add_Chg closes the service for good; only an initial reset, done at the devic
 from __future__ import annotations
 
 from dpstack.dp.pdu.requests import SetSlaveAdd
-from dpstack.dp.slave.device import Device
-from dpstack.dp.slave.events import Report
+from dpstack.dp.slave.device import DpV0Device
+from dpstack.dp.slave.events import AddressChanged, Report
 from dpstack.params import MAX_STATION, UNADDRESSED
 
 
@@ -18,7 +18,7 @@ class SlaveAddress:
 
     __slots__ = ("_device", "_kept_address", "_kept_fixed", "_report", "fixed")
 
-    def __init__(self, device: Device, report: Report, fixed: bool) -> None:
+    def __init__(self, device: DpV0Device, report: Report, fixed: bool) -> None:
         self._device = device
         self._report = report
         self.fixed = fixed
@@ -72,4 +72,4 @@ class SlaveAddress:
             self._kept_address, self._kept_fixed = address, fixed
         self.fixed = fixed
         self._report.readdress(address)
-        self._report.address_changed(before, master, fixed, kept, now)
+        self._report.emit(AddressChanged, now, before=before, master=master, fixed=fixed, kept=kept)

@@ -15,14 +15,13 @@ from typing import Final
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.pdu.requests import GlobalControl
 from dpstack.dp.slave.cyclic_data import wrong_inputs
-from dpstack.dp.slave.device import Device, Leave
-from dpstack.dp.slave.events import SlaveAppStats
+from dpstack.dp.slave.device import DpV0Device, Leave
+from dpstack.dp.slave.events import SlaveAppStats, WatchdogExpired
+from dpstack.dp.slave.extension import SlaveService
 from dpstack.dp.slave.prm_cfg_check import Watchdog, check_device
 from dpstack.dp.slave.services import Services
 from dpstack.dp.slave.state import DeviceClock, SlaveCore
 from dpstack.dp.slave.state_table import ACCESS, CONNECTION, AppEv, SlaveAppState
-from dpstack.dpv1.pdu.ms2 import SERVER_SAPS
-from dpstack.dpv1.slave.resource_manager import Ms2Server, ServedConnection
 from dpstack.errors import PduError
 from dpstack.fdl.interface import RS_REPLY, SC_REPLY, Reply, StationControl
 from dpstack.fdl.passive.station import PassiveStation
@@ -47,14 +46,15 @@ class SlaveApp:
     Raises ConfigError where ident number or configurations of the device cannot be.
     """
 
-    __slots__ = ("_clock", "_core", "_ms2", "_services", "device", "stats", "take_events", "watchdog")
+    __slots__ = ("_clock", "_core", "_services", "_timed", "device", "stats", "take_events", "watchdog")
 
-    def __init__(self, device: Device, *, address: int | None = None, address_fixed: bool = False) -> None:
+    def __init__(self, device: DpV0Device, *, address: int | None = None, address_fixed: bool = False) -> None:
         check_device(device)
         self.device = device
         self._core = core = SlaveCore(device, address, address_fixed)
         self._services = Services(core).by_sap
-        self._ms2: Ms2Server = core.ms2
+        #: services of the device that have deadlines
+        self._timed = [one for one in core.services if type(one).tick is not SlaveService.tick]
         self._clock = DeviceClock(device)
         self.stats: SlaveAppStats = core.report.stats
         #: what there is to tell, oldest first; asked in every step of the station
@@ -115,18 +115,9 @@ class SlaveApp:
         return data is None or data.void
 
     @property
-    def connections(self) -> tuple[ServedConnection, ...]:
-        """The connections of class 2 that are open."""
-        return self._ms2.connections
-
-    @property
-    def connections_free(self) -> int:
-        """How many more there can be."""
-        return self._ms2.free
-
-    def abort(self, sap: int, reason: int, now: int) -> None:
-        """End the connection of class 2 at the server ``sap``. Raises UsageError."""
-        self._ms2.abort(sap, reason, now)
+    def services(self) -> tuple[SlaveService, ...]:
+        """The services of its device beyond DP-V0."""
+        return self._core.services
 
     def diagnosis(self, now: int) -> Diagnosis:
         """The diagnosis as a Slave_Diag at ``now`` would read it."""
@@ -151,8 +142,8 @@ class SlaveApp:
         core.restart(now)
 
     def rate_lost(self, now: int) -> None:
-        """The baud rate is searched again: nobody can use a connection of class 2 any more."""
-        self._ms2.end_all("the baud rate was lost", now)
+        """The baud rate is searched again: nobody can use the services of the device any more."""
+        self._core.end_services("the baud rate was lost", now)
 
     # --- Responder ----------------------------------------------------------------------------------------------
 
@@ -214,22 +205,25 @@ class SlaveApp:
             core.fail("Global_Control", error, now)
 
     def wake_at(self) -> int:
-        """The watchdog, the connections of class 2, or what the device wants."""
+        """The watchdog, the services of the device, or what the device itself wants."""
         at = self.watchdog.at
-        if self._ms2.at < at:
-            at = self._ms2.at
+        for service in self._timed:
+            if service.at < at:
+                at = service.at
         if self._clock.idle or self._core.failure is not None:
             return at
         due = self._clock.wake_at()
         return due if due < at else at
 
     def tick(self, now: int) -> None:
-        """Judge the watchdog and the connections, let the device have its time."""
+        """Judge the watchdog and the services of the device, let the device have its time."""
         core = self._core
-        if self._ms2.at <= now:
-            self._ms2.tick(now)
+        for service in self._timed:
+            if service.at <= now:
+                service.tick(now)
         if self.watchdog.expired(now):
-            core.report.watchdog(core.master, self.watchdog.time_ns, now)
+            self.stats.watchdogs += 1
+            core.report.emit(WatchdogExpired, now, master=core.master, watchdog_ns=self.watchdog.time_ns)
             core.step(AppEv.WATCHDOG, now, Leave.WATCHDOG)
         if core.failure is None:
             try:
@@ -245,17 +239,23 @@ class SlaveApp:
     def _service(self, request: Telegram, now: int) -> Reply:
         core = self._core
         dsap = request.dsap
-        access = CONNECTION if dsap in SERVER_SAPS else ACCESS.get(dsap)
+        access = ACCESS.get(dsap, CONNECTION)
         handler = self._services.get(dsap)
-        if access is None or handler is None or core.state not in access.states or request.fc & _SRD_MASK != _SRD:
+        foreign = request.sa != core.master
+        closed = handler is None or core.state not in access.states or (access.owner_only and foreign)
+        if handler is None or closed or request.fc & _SRD_MASK != _SRD:
             self.stats.refused += 1
-            self.stats.foreign += core.master is not None and request.sa != core.master
+            self.stats.foreign += core.master is not None and foreign
             return RS_REPLY
         self.stats.services += 1
-        if request.sa == core.master:
+        if not foreign:
             self.watchdog.heard = now
             core.diag.heard(request.fc)
-        return handler(request, now)
+        reply = handler(request, now)
+        if reply is None:
+            self.stats.refused += 1
+            return RS_REPLY
+        return reply
 
     def _wrong_length(self, sa: int, got: int, expected: int, now: int) -> Reply:
         core = self._core
@@ -266,7 +266,7 @@ class SlaveApp:
 
 
 def make_slave(
-    address: int, device: Device, params: BusParams, *, t_sdr: int | None = None, patience: Patience = EXACT
+    address: int, device: DpV0Device, params: BusParams, *, t_sdr: int | None = None, patience: Patience = EXACT
 ) -> PassiveStation:
     """A whole slave: a passive station at ``address`` with a :class:`SlaveApp` around ``device`` as its responder.
 

@@ -14,7 +14,7 @@ from typing import Protocol
 
 from dpstack.dp.slave.application import SlaveApp
 from dpstack.dp.slave.baud_control import BaudState, BaudWatch
-from dpstack.dp.slave.device import Device
+from dpstack.dp.slave.device import DpV0Device
 from dpstack.dp.slave.events import SlaveAppEvent
 from dpstack.fdl.baud_search import BaudNotFound
 from dpstack.fdl.decoder import DecoderStats
@@ -207,7 +207,7 @@ class SearchingSlave(Searching):
 
 def make_searching_slave(
     address: int,
-    device: Device,
+    device: DpV0Device,
     *,
     rates: Sequence[int] = BAUD_RATES,
     params_at: Callable[[int], BusParams] = BusParams.preset,

@@ -7,7 +7,7 @@ Exists only while the slave is in data exchange; leaving drops it, and with it o
 from __future__ import annotations
 
 from dpstack.dp.pdu.requests import GlobalControl
-from dpstack.dp.slave.device import Device
+from dpstack.dp.slave.device import DpV0Device
 
 
 class CyclicData:
@@ -38,7 +38,7 @@ class CyclicData:
         "synced",
     )
 
-    def __init__(self, device: Device, config: bytes, input_len: int, output_len: int) -> None:
+    def __init__(self, device: DpV0Device, config: bytes, input_len: int, output_len: int) -> None:
         self._device = device
         self.run = device.exchange
         self.config = config

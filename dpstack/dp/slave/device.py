@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from enum import Enum
 
 from dpstack.dp.pdu.diag_blocks import NO_DIAG, UserDiag
-from dpstack.dpv1.pdu.ms2 import InitiateReq
-from dpstack.dpv1.slave.alarms import AlarmServer
-from dpstack.dpv1.slave.record_requests import Records, Transport
+from dpstack.dp.slave.extension import ServiceHost, SlaveService
 from dpstack.units import NEVER
 
 
@@ -24,18 +21,14 @@ class Leave(Enum):
     FAILURE = "failure"  # an exception in this very device
 
 
-class Device:
+class DpV0Device:
     """A DP device behind a :class:`~dpstack.dp.slave.application.SlaveApp`; subclass it, override what differs.
 
     ``ident``: ident number. ``configs``: acceptable identifier octets, the default first. ``fail_safe``: an empty
     output frame is taken as Clear (otherwise as one of the wrong length); ``fail_safe_required``: a master that does
     not announce such frames in DPV1_Status_1 is refused. ``set_slave_add``: Set_Slave_Add is open. ``wd_base_1ms``:
     WD_Base_1ms in DPV1_Status_1 is understood. ``max_diag_len``: octets of a whole diagnosis, 6..244. ``safe``: the
-    outputs while there are none of a master (Clear, before the first exchange), empty for zeros. ``records``: what
-    Read and Write of DP-V1 reach, ``alarm_server`` its alarms, None where the device has none of it. ``ms2``:
-    connections of class 2, 0..49; ``transport`` serves their Data_Transport, ``ms2_max_len``: octets of data in one of
-    their services, up to 240; ``ms2_max_initiate``: octets of the longest Initiate, 20..244; ``ms2_at_once``: it
-    answers in the request itself what it knows by then, not when polled.
+    outputs while there are none of a master (Clear, before the first exchange), empty for zeros.
 
     All times in ns on the bus's clock; nothing here may block or read a clock of its own. An exception takes the device
     out of data exchange until it is restarted.
@@ -52,13 +45,10 @@ class Device:
     wd_base_1ms: bool = False
     max_diag_len: int = 244
     safe: bytes = b""
-    records: Records | None = None
-    ms2: int = 0
-    transport: Transport | None = None
-    ms2_max_len: int = 240
-    ms2_max_initiate: int = 244
-    ms2_at_once: bool = False
-    alarm_server: AlarmServer | None = None
+
+    def services(self, host: ServiceHost) -> tuple[SlaveService, ...]:
+        """Its services beyond DP-V0, for the application ``host``. Raises ConfigError where they cannot be."""
+        return ()
 
     def check_prm(self, user_prm: bytes) -> str | None:
         """Judge the user parameters of Set_Prm (without the seven fixed octets): a reason to refuse, or None."""
@@ -104,36 +94,9 @@ class Device:
         """
         return False
 
-    def initiate(self, master: int, wanted: InitiateReq) -> None:
-        """``master`` opens a connection of class 2: raise RecordRefused for a negative response to it."""
-
     def wake_at(self) -> int:
         """When :meth:`tick` is wanted, in ns, or NEVER."""
         return NEVER
 
     def tick(self, now: int) -> int | None:
         """The time asked for has come. An address where the slave restarts by itself and stands there from then on."""
-
-
-#: From the outputs and the time since data exchange began in ns to the inputs.
-OnCycle = Callable[[bytes, int], bytes | bytearray]
-
-
-class FunctionDevice(Device):
-    """A device that is one function from outputs and elapsed time (ns since entry) to inputs."""
-
-    def __init__(self, ident: int, config: bytes, function: OnCycle, name: str = "device") -> None:
-        self.ident = ident
-        self.configs = (config,)
-        self.name = name
-        self._function = function
-        self._since = 0
-
-    def enter(self, config: bytes, now: int) -> None:
-        """Elapsed time starts here."""
-        self._since = now
-
-    def exchange(self, outputs: bytes, now: int) -> bytes:
-        """Hand over to the function, which may return a bytearray that it goes on writing to."""
-        inputs = self._function(outputs, now - self._since)
-        return bytes(inputs) if isinstance(inputs, bytearray) else inputs

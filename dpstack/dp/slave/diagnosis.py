@@ -11,25 +11,25 @@ from collections.abc import Callable
 from dpstack.dp.pdu.diag_blocks import NO_DIAG, UserDiag
 from dpstack.dp.pdu.diagnosis import ALWAYS_ONE, FIXED_LEN, Diagnosis
 from dpstack.dp.slave.cyclic_data import CyclicData
-from dpstack.dp.slave.device import Device
+from dpstack.dp.slave.device import DpV0Device
+from dpstack.dp.slave.extension import DiagMessages
 from dpstack.dp.slave.state_table import SlaveAppState
-from dpstack.dpv1.slave.alarms import Shown
 from dpstack.fdl.telegram import FC_FCB, FC_FCV
 
 
 class DiagState:
     """Fault bits of one slave application, and what its owner has read of the application's own diagnosis.
 
-    ``user`` asks the device, None where the device never has anything to say; ``alarms`` are the device's, None where
-    it has none. ``silent``: neither of them, there is never anything to fetch.
+    ``user`` asks the device, None where the device never has anything to say; ``messages``: alarms and status messages,
+    None where it has none. ``silent``: neither of them, there is never anything to fetch.
     """
 
     __slots__ = (
         "_ident",
+        "_messages",
         "_offered",
         "_room",
         "_told",
-        "alarms",
         "cfg_fault",
         "not_supported",
         "prm_fault",
@@ -37,21 +37,21 @@ class DiagState:
         "user",
     )
 
-    def __init__(self, device: Device) -> None:
+    def __init__(self, device: DpV0Device, messages: DiagMessages | None = None) -> None:
         self._ident = device.ident
         self._room = device.max_diag_len - FIXED_LEN
         self._told = NO_DIAG
-        self._offered: tuple[UserDiag, Shown | None] | None = None  # in an answer that the owner may not have received
+        self._offered: UserDiag | None = None  # in an answer that the owner may not have received
         self.prm_fault = self.cfg_fault = self.not_supported = False
         self.user: Callable[[], UserDiag] | None = device.user_diag
         # a device that leaves both as they are need not be asked in every exchange
         if all(
-            getattr(getattr(device, name), "__func__", None) is getattr(Device, name)
+            getattr(getattr(device, name), "__func__", None) is getattr(DpV0Device, name)
             for name in ("user_diag", "ext_diag")
         ):
             self.user = None
-        self.alarms = device.alarm_server
-        self.silent = self.user is None and self.alarms is None
+        self._messages = messages
+        self.silent = self.user is None and messages is None
 
     def clear_faults(self) -> None:
         """Good parameters, release or restart."""
@@ -62,28 +62,11 @@ class DiagState:
         self._told = NO_DIAG
         self._offered = None
 
-    def agree(self, status_2: int, status_3: int) -> None:
-        """DPV1_Status_2 and 3 of good parameters."""
-        if self.alarms is not None:
-            self.alarms.agree(status_2, status_3)
-
-    def entered(self, dpv1: bool) -> None:
-        """Data exchange begins, with DPV1_Enable or without."""
-        if self.alarms is not None and dpv1:
-            self.alarms.open()
-
-    def left(self) -> None:
-        """Data exchange is over: alarms end with it."""
-        if self.alarms is not None:
-            self.alarms.close()
-
     def offer(self, user: UserDiag) -> None:
         """An answer with ``user`` in it goes to the owner; :meth:`heard` tells whether it arrived."""
-        shown = None
-        if self.alarms is not None:
-            shown = self.alarms.shown()
-            self.alarms.offered(shown)
-        self._offered = user, shown
+        if self._messages is not None:
+            self._messages.offered()
+        self._offered = user
 
     def heard(self, fc: int) -> None:
         """The owner's next new request: it has the answer before, unless it had to take the station up afresh.
@@ -93,9 +76,9 @@ class DiagState:
         """
         if self._offered is not None:
             if fc & (FC_FCV | FC_FCB) != FC_FCB:
-                self._told, shown = self._offered
-                if shown is not None and self.alarms is not None:
-                    self.alarms.fetched(shown)
+                self._told = self._offered
+                if self._messages is not None:
+                    self._messages.fetched()
             self._offered = None
 
     def waiting(self, fc: int) -> bool:
@@ -104,7 +87,7 @@ class DiagState:
             return False
         self.heard(fc)
         # both are asked: with the first Data_Exchange alarms may be shown
-        news = self.alarms is not None and self.alarms.news()
+        news = self._messages is not None and self._messages.news()
         return news or (self.user is not None and self.user() != self._told)
 
     def build(
@@ -112,7 +95,7 @@ class DiagState:
     ) -> Diagnosis:
         """The diagnosis of this moment (docs/protocol.md#slave_diag); ``wd``: the watchdog is on, ``ill``: the device
         is broken."""
-        blocks = b"" if self.alarms is None else self.alarms.shown().octets
+        blocks = b"" if self._messages is None else self._messages.octets()
         user = user.limited(self._room - len(blocks))
         status1 = (
             (data is None) << 1 | self.cfg_fault << 2 | user.fault << 3 | self.not_supported << 4 | self.prm_fault << 6

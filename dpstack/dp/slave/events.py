@@ -5,13 +5,10 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import dataclass
 from functools import partial
-from typing import Final
+from typing import Any, Final, Protocol
 
 from dpstack.dp.error_origin import error_text, origin_of
-from dpstack.dp.pdu.alarm_blocks import Alarm
-from dpstack.dp.slave.device import Device
 from dpstack.dp.slave.state_table import AppEv, SlaveAppState
-from dpstack.dpv1.slave.record_requests import Asker
 from dpstack.fdl.interface import StationControl
 from dpstack.params import UNADDRESSED
 from dpstack.report_once import News, Once
@@ -75,50 +72,6 @@ class RequestRefused(SlaveAppEvent):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ConnectionOpened(SlaveAppEvent):
-    """``master`` has opened a connection of class 2 at the server ``sap``."""
-
-    master: int
-    sap: int
-    send_timeout_ns: int
-
-    @property
-    def text(self) -> str:
-        """Whose, and how long silence may last."""
-        which = f"class 2 connection of master {self.master} opened (server SAP {self.sap}"
-        return f"{self.who}: {which}, send time-out {self.send_timeout_ns // NS_PER_MS} ms)"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ConnectionClosed(SlaveAppEvent):
-    """A connection of class 2 is over and given back; ``services``: how many its master asked for."""
-
-    master: int
-    sap: int
-    services: int
-    reason: str
-
-    @property
-    def text(self) -> str:
-        """Whose and why."""
-        which = f"class 2 connection of master {self.master} (server SAP {self.sap})"
-        return f"{self.who}: {which} is over after {self.services} services: {self.reason}"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AlarmAcknowledged(SlaveAppEvent):
-    """``master`` acknowledged ``alarm``, which is over with it."""
-
-    alarm: Alarm
-    master: int
-
-    @property
-    def text(self) -> str:
-        """Which, by whom."""
-        return f"{self.who}: {self.alarm.text}: acknowledged by master {self.master}"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class AddressChanged(SlaveAppEvent):
     """``address`` is new: set by ``master``; None: at the device itself, 126 by an initial reset or another one by a
     parameter. ``fixed``: No_Add_Chg is set.
@@ -179,12 +132,18 @@ class SlaveAppStats:
     closed: int = 0  # of these, over
 
 
+class Named(Protocol):
+    """What has a name for messages."""
+
+    name: str
+
+
 class Report:
     """Events and counters of one slave application."""
 
     __slots__ = ("_address", "_device", "_events", "_told", "station", "stats")
 
-    def __init__(self, device: Device, address: int | None) -> None:
+    def __init__(self, device: Named, address: int | None) -> None:
         self.stats = SlaveAppStats()
         self.station: StationControl | None = None
         self._device = device
@@ -214,69 +173,14 @@ class Report:
         """Refusals told before are news again."""
         self._told.clear()
 
-    def state(self, state: SlaveAppState, why: AppEv, master: int | None, now: int) -> None:
-        """Another state."""
-        name = self._device.name
-        self._events.append(
-            SlaveAppStateChanged(t_ns=now, address=self.address, name=name, state=state, why=why, master=master)
-        )
-
-    def watchdog(self, master: int | None, watchdog_ns: int, now: int) -> None:
-        """The master fell silent."""
-        self.stats.watchdogs += 1
-        name = self._device.name
-        self._events.append(
-            WatchdogExpired(t_ns=now, address=self.address, name=name, master=master, watchdog_ns=watchdog_ns)
-        )
-
-    def address_changed(self, before: int | None, master: int | None, fixed: bool, kept: bool, now: int) -> None:
-        """The station has another address."""
-        name, address = self._device.name, self.address
-        self._events.append(
-            AddressChanged(t_ns=now, address=address, name=name, before=before, master=master, fixed=fixed, kept=kept)
-        )
-
-    def connection_opened(self, asker: Asker, send_timeout_ns: int, now: int) -> None:
-        """A connection of class 2."""
-        self.stats.connections += 1
-        self._events.append(
-            ConnectionOpened(
-                t_ns=now,
-                address=self.address,
-                name=self._device.name,
-                master=asker.master,
-                sap=asker.sap,
-                send_timeout_ns=send_timeout_ns,
-            )
-        )
-
-    def connection_closed(self, asker: Asker, services: int, reason: str, now: int) -> None:
-        """A connection of class 2 is over."""
-        self.stats.closed += 1
-        self._events.append(
-            ConnectionClosed(
-                t_ns=now,
-                address=self.address,
-                name=self._device.name,
-                master=asker.master,
-                sap=asker.sap,
-                services=services,
-                reason=reason,
-            )
-        )
+    def emit(self, kind: type[SlaveAppEvent], now: int, **fields: Any) -> None:
+        """An event of ``kind`` with these fields."""
+        self._events.append(kind(t_ns=now, address=self.address, name=self._device.name, **fields))
 
     def failed(self, during: str, error: Exception, now: int) -> None:
         """An exception in the device."""
         self.stats.failures += 1
-        name, text, origin = self._device.name, error_text(error), origin_of(error)
-        self._events.append(
-            DeviceFailed(t_ns=now, address=self.address, name=name, during=during, error=text, origin=origin)
-        )
-
-    def acknowledged(self, alarm: Alarm, master: int, now: int) -> None:
-        """An alarm is over."""
-        name = self._device.name
-        self._events.append(AlarmAcknowledged(t_ns=now, address=self.address, name=name, alarm=alarm, master=master))
+        self.emit(DeviceFailed, now, during=during, error=error_text(error), origin=origin_of(error))
 
     def refused(self, service: str, master: int, reason: str, now: int) -> None:
         """A refusal; told once until :meth:`forget`, of a master whose requests are always wrong in another way the
@@ -287,7 +191,4 @@ class Report:
             return
         if news is News.LAST:
             reason += _NO_MORE
-        name = self._device.name
-        self._events.append(
-            RequestRefused(t_ns=now, address=self.address, name=name, service=service, master=master, reason=reason)
-        )
+        self.emit(RequestRefused, now, service=service, master=master, reason=reason)

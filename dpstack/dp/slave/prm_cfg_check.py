@@ -5,13 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN
-from dpstack.dp.pdu.dpv1_status import DPV1_ENABLE, DPV1_STATUS_LEN, FAIL_SAFE, WD_BASE_1MS
-from dpstack.dp.pdu.layouts import MAX_RECORD
+from dpstack.dp.pdu.dpv1_status import FAIL_SAFE, WD_BASE_1MS
 from dpstack.dp.pdu.requests import SetPrm
-from dpstack.dp.slave.device import Device
+from dpstack.dp.slave.device import DpV0Device
 from dpstack.dp.slave_params import watchdog_ns
-from dpstack.dpv1.pdu.ms2 import LEAST_INITIATE
-from dpstack.dpv1.slave.resource_manager import MAX_CONNECTIONS
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.identifiers import agree, io_lengths
@@ -25,7 +22,7 @@ class Refusal(NamedTuple):
     not_supported: bool = False
 
 
-def judge_prm(device: Device, prm: SetPrm, *, ask_device: bool) -> Refusal | None:
+def judge_prm(device: DpV0Device, prm: SetPrm, *, ask_device: bool) -> Refusal | None:
     """Judge ``prm`` for ``device``; None when it is accepted. Exceptions of ``device.check_prm`` pass through."""
     if not prm.lock and not prm.unlock:
         return None  # only min T_SDR is taken, whatever the ident number (docs/protocol.md#set_prm)
@@ -47,7 +44,7 @@ def judge_prm(device: Device, prm: SetPrm, *, ask_device: bool) -> Refusal | Non
     return None if reason is None else Refusal(f"octet 8 on: {reason}")
 
 
-def watchdog_time(device: Device, prm: SetPrm) -> int:
+def watchdog_time(device: DpV0Device, prm: SetPrm) -> int:
     """The watchdog time that ``prm`` asks for in ns, 0 when it is off (docs/protocol.md#watchdog)."""
     if prm.watchdog is None:
         return 0
@@ -55,22 +52,11 @@ def watchdog_time(device: Device, prm: SetPrm) -> int:
     return watchdog_ns(prm.watchdog, 1) if fine else watchdog_ns(prm.watchdog)
 
 
-def dpv1_enabled(prm: SetPrm) -> bool:
-    """Whether ``prm`` opens the services of DP-V1."""
-    return bool(_dpv1_status(prm) & DPV1_ENABLE)
-
-
-def alarm_octets(prm: SetPrm) -> tuple[int, int]:
-    """DPV1_Status_2 and 3: what alarms the master takes, and how many at a time (docs/protocol.md#dpv1_status)."""
-    octets = prm.user_prm[:DPV1_STATUS_LEN].ljust(DPV1_STATUS_LEN, b"\0")
-    return (octets[1], octets[2]) if dpv1_enabled(prm) else (0, 0)
-
-
 def _dpv1_status(prm: SetPrm) -> int:
     return prm.user_prm[0] if prm.user_prm else 0
 
 
-def real_cfg(device: Device, config: bytes) -> bytes:
+def real_cfg(device: DpV0Device, config: bytes) -> bytes:
     """The device's own configuration where ``config`` wants no comparison (docs/protocol.md#special-identifiers), else
     ``config``."""
     if config in device.configs:
@@ -78,7 +64,7 @@ def real_cfg(device: Device, config: bytes) -> bytes:
     return next((real for real in device.configs if agree(real, config)), config)
 
 
-def judge_cfg(device: Device, config: bytes) -> tuple[int, int] | Refusal:
+def judge_cfg(device: DpV0Device, config: bytes) -> tuple[int, int] | Refusal:
     """(input octets, output octets) of ``config``, or the refusal. Exceptions of ``device.check_cfg`` pass through."""
     try:
         lengths = io_lengths(config)
@@ -90,19 +76,12 @@ def judge_cfg(device: Device, config: bytes) -> tuple[int, int] | Refusal:
     return lengths if reason is None else Refusal(reason)
 
 
-def check_device(device: Device) -> None:
+def check_device(device: DpV0Device) -> None:
     """Raise ConfigError where ``device`` could never be on a bus."""
     if not 0 <= device.ident <= 0xFFFF:
         raise ConfigError(f"device {device.name}: ident {device.ident:#x} does not fit two octets")
     if not device.configs or any(len(config) > MAX_DATA for config in device.configs):
         raise ConfigError(f"device {device.name}: configs must hold identifier octets (up to {MAX_DATA} each)")
-    if not 0 <= device.ms2 <= MAX_CONNECTIONS:
-        raise ConfigError(f"device {device.name}: ms2 = {device.ms2} connections; 0 to {MAX_CONNECTIONS} are possible")
-    if not 0 < device.ms2_max_len <= MAX_RECORD:
-        raise ConfigError(f"device {device.name}: ms2_max_len {device.ms2_max_len} is outside 1..{MAX_RECORD}")
-    if not LEAST_INITIATE <= device.ms2_max_initiate <= MAX_DATA:
-        what = f"ms2_max_initiate {device.ms2_max_initiate} is outside {LEAST_INITIATE}..{MAX_DATA}"
-        raise ConfigError(f"device {device.name}: {what}")
     if not FIXED_LEN <= device.max_diag_len <= MAX_LEN:
         raise ConfigError(f"device {device.name}: max_diag_len {device.max_diag_len} is outside {FIXED_LEN}..{MAX_LEN}")
 

@@ -5,16 +5,14 @@ Who may use which when is in :mod:`dpstack.dp.slave.state_table`; here is what e
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from typing import Final
 
 from dpstack.dp.pdu.requests import SetPrm, SetSlaveAdd
 from dpstack.dp.slave.cyclic_data import CyclicData
 from dpstack.dp.slave.device import Leave
+from dpstack.dp.slave.extension import Handler
 from dpstack.dp.slave.prm_cfg_check import (
     Refusal,
-    alarm_octets,
-    dpv1_enabled,
     judge_cfg,
     judge_prm,
     real_cfg,
@@ -22,15 +20,11 @@ from dpstack.dp.slave.prm_cfg_check import (
 )
 from dpstack.dp.slave.state import SlaveCore
 from dpstack.dp.slave.state_table import AppEv
-from dpstack.dpv1.pdu.ms2 import SERVER_SAPS
 from dpstack.errors import PduError
-from dpstack.fdl.interface import RS_REPLY, SC_REPLY, Reply
+from dpstack.fdl.interface import SC_REPLY, Reply
 from dpstack.fdl.telegram import (
     SAP_CHK_CFG,
     SAP_GET_CFG,
-    SAP_MS1,
-    SAP_MS1_ALARM,
-    SAP_MS2_RM,
     SAP_RD_INP,
     SAP_RD_OUTP,
     SAP_SET_PRM,
@@ -42,8 +36,6 @@ from dpstack.fdl.telegram import (
 
 _DL: Final = Resp.DL
 
-Handler = Callable[[Telegram, int], Reply]
-
 
 class Services:
     """The services of one slave application by DSAP, in ``by_sap``."""
@@ -52,9 +44,7 @@ class Services:
 
     def __init__(self, core: SlaveCore) -> None:
         self._core = core
-        self.by_sap: Mapping[int | None, Handler] = {
-            **dict.fromkeys(SERVER_SAPS, self._connection),
-            SAP_MS2_RM: self._resource_manager,
+        self.by_sap: dict[int | None, Handler] = {
             SAP_SLAVE_DIAG: self._slave_diag,
             SAP_SET_PRM: self._set_prm,
             SAP_CHK_CFG: self._chk_cfg,
@@ -62,9 +52,9 @@ class Services:
             SAP_RD_INP: self._rd_inp,
             SAP_RD_OUTP: self._rd_outp,
             SAP_SET_SLAVE_ADD: self._set_slave_add,
-            SAP_MS1: self._ms1,
-            SAP_MS1_ALARM: self._ms1_alarm,
         }
+        for service in core.services:
+            self.by_sap.update(service.handlers())
 
     # --- reading ------------------------------------------------------------------------------------------------
 
@@ -134,8 +124,8 @@ class Services:
         core.master = sa
         core.group = prm.group_mask
         core.watchdog.arm(watchdog_time(core.device, prm), now)
-        core.ms1.enabled = dpv1_enabled(prm)
-        core.diag.agree(*alarm_octets(prm))
+        for service in core.services:
+            service.parameterised(prm)
         core.step(AppEv.PRM_GOOD, now, Leave.NEW_PARAMETERS)
 
     # --- Chk_Cfg ------------------------------------------------------------------------------------------------
@@ -179,61 +169,23 @@ class Services:
             return
         core.diag.cfg_fault = False
         core.data = data
-        core.diag.entered(core.ms1.enabled)
+        for service in core.services:
+            service.entered()
         core.report.forget()
         core.step(AppEv.CFG_GOOD, now)
 
-    # --- DP-V1 --------------------------------------------------------------------------------------------------
-
-    def _ms1(self, request: Telegram, now: int) -> Reply:
-        core = self._core
-        if self._closed(request.sa, core.ms1.open):
-            return RS_REPLY
-        return core.ms1.serve(request.data, request.sa, now)
-
-    def _resource_manager(self, request: Telegram, now: int) -> Reply:
-        core = self._core
-        reply = core.ms2.manage(request.data, request.sa, request.ssap, now)
-        return self._refused() if reply is None else reply
-
-    def _connection(self, request: Telegram, now: int) -> Reply:
-        core = self._core
-        sap = request.dsap or 0
-        reply = core.ms2.serve(sap, request.data, request.sa, request.ssap, now)
-        return self._refused() if reply is None else reply
-
-    def _refused(self) -> Reply:
-        self._core.report.stats.refused += 1
-        return RS_REPLY
-
-    def _ms1_alarm(self, request: Telegram, now: int) -> Reply:
-        core = self._core
-        if self._closed(request.sa, core.ms1.extra_sap):
-            return RS_REPLY
-        return core.ms1.serve_alarm(request.data, request.sa, now)
-
-    def _closed(self, sa: int, is_open: bool) -> bool:
-        """To all but the owner, and as the parameters say."""
-        core = self._core
-        if sa == core.master and is_open:
-            return False
-        core.report.stats.refused += 1
-        core.report.stats.foreign += sa != core.master
-        return True
-
     # --- Set_Slave_Add ------------------------------------------------------------------------------------------
 
-    def _set_slave_add(self, request: Telegram, now: int) -> Reply:
+    def _set_slave_add(self, request: Telegram, now: int) -> Reply | None:
         core = self._core
         if not core.address.open:
-            core.report.stats.refused += 1
-            return RS_REPLY
+            return None
         try:
             wanted = SetSlaveAdd.parse(request.data)
             reason = core.address.judge(wanted)
             if reason is None:
                 core.address.take(wanted, request.sa, now)
-                core.ms2.end_all("the slave has another address", now)
+                core.end_services("the slave has another address", now)
                 core.step(AppEv.ADDRESS, now)
         except PduError as error:
             reason = str(error)

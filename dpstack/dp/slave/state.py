@@ -13,14 +13,11 @@ from dpstack.dp.pdu.diag_blocks import NO_DIAG, UserDiag
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.slave.address import SlaveAddress
 from dpstack.dp.slave.cyclic_data import CyclicData
-from dpstack.dp.slave.device import Device, Leave
+from dpstack.dp.slave.device import DpV0Device, Leave
 from dpstack.dp.slave.diagnosis import DiagState
-from dpstack.dp.slave.events import Report
+from dpstack.dp.slave.events import AddressChanged, Report, SlaveAppStateChanged
 from dpstack.dp.slave.prm_cfg_check import Watchdog
 from dpstack.dp.slave.state_table import TABLE, AppEv, SlaveAppState
-from dpstack.dpv1.slave.ms1 import Ms1Server
-from dpstack.dpv1.slave.resource_manager import Ms2Server
-from dpstack.dpv1.timeouts import least_send_timeout
 from dpstack.fdl.passive.station import LOWEST_TSDR
 from dpstack.units import NEVER, NOW
 
@@ -32,7 +29,7 @@ class SlaveCore:
     """One slave application, as :class:`~dpstack.dp.slave.application.SlaveApp` and its services share it.
 
     ``master``: who has locked the slave. ``failure``: what failed in the device, None while it works. ``data``: only in
-    data exchange. ``group``: Group_Ident. ``ms1``: Read and Write of DP-V1, ``ms2``: the connections of class 2.
+    data exchange. ``group``: Group_Ident. ``services``: those of the device, beyond DP-V0.
     """
 
     __slots__ = (
@@ -43,22 +40,20 @@ class SlaveCore:
         "failure",
         "group",
         "master",
-        "ms1",
-        "ms2",
         "report",
+        "services",
         "state",
         "watchdog",
     )
 
-    def __init__(self, device: Device, address: int | None, address_fixed: bool) -> None:
+    def __init__(self, device: DpV0Device, address: int | None, address_fixed: bool) -> None:
         self.device = device
         self.state = SlaveAppState.WAIT_PRM
         self.master: int | None = None
         self.failure: str | None = None
         self.report = Report(device, address)
-        self.diag = DiagState(device)
-        self.ms1 = Ms1Server(device.records, self.report, device.alarm_server)
-        self.ms2 = Ms2Server(device, device.ms2, self.report, self._send_timeout, device.ms2_at_once)
+        self.services = device.services(self)
+        self.diag = DiagState(device, next((one.messages for one in self.services if one.messages is not None), None))
         self.address = SlaveAddress(device, self.report, address_fixed)
         self.watchdog = Watchdog()
         self.data: CyclicData | None = None
@@ -90,7 +85,7 @@ class SlaveCore:
     def restart(self, now: int) -> None:
         """Off and on again: nothing kept but the address, a failure forgotten."""
         self.step(AppEv.POWER_ON, now, Leave.POWER_OFF)
-        self.ms2.end_all("the slave was switched off", now)
+        self.end_services("the slave was switched off", now)
         self.failure = None
         self.diag.clear_faults()
         self.take_min_tsdr(LOWEST_TSDR)
@@ -103,7 +98,7 @@ class SlaveCore:
         before = self.report.address
         self.restart(now)
         if before != address:
-            self.report.address_changed(before, None, self.address.fixed, True, now)
+            self.report.emit(AddressChanged, now, before=before, master=None, fixed=self.address.fixed, kept=True)
 
     def step(self, event: AppEv, now: int, leave: Leave | None = None) -> None:
         """Take the row of ``event``; ``leave``: why data exchange ends, unless the row leads back into it."""
@@ -114,7 +109,7 @@ class SlaveCore:
             self.group = 0
             self.watchdog.disarm()
         if state is not was:
-            self.report.state(state, event, self.master, now)
+            self.report.emit(SlaveAppStateChanged, now, state=state, why=event, master=self.master)
         if leave is not None and state is not SlaveAppState.DATA_EXCH:
             self.leave(leave, now)
 
@@ -123,8 +118,8 @@ class SlaveCore:
         if self.data is None:
             return True
         self.data = None
-        self.ms1.close()
-        self.diag.left()
+        for service in self.services:
+            service.left()
         try:
             self.device.leave(reason, now)
         except Exception as error:
@@ -138,9 +133,16 @@ class SlaveCore:
         self.report.failed(during, error, now)
         self.step(AppEv.FAILED, now, Leave.FAILURE)
 
-    def _send_timeout(self) -> int:
+    @property
+    def baud(self) -> int:
+        """The rate of the station in bit/s."""
         station = self.report.station
-        return least_send_timeout(_UNKNOWN_RATE if station is None else station.baud)
+        return _UNKNOWN_RATE if station is None else station.baud
+
+    def end_services(self, why: str, now: int) -> None:
+        """What the services of the device have under way ends."""
+        for service in self.services:
+            service.end(why, now)
 
     def foreign(self, service: str, sa: int, event: AppEv, now: int) -> None:
         """A service of a master that does not own the slave: counted, told, without effect."""
@@ -155,11 +157,11 @@ class DeviceClock:
 
     __slots__ = ("_device", "_due", "_error", "idle")
 
-    def __init__(self, device: Device) -> None:
+    def __init__(self, device: DpV0Device) -> None:
         self._device = device
         self._error: Exception | None = None
         # a device that leaves wake_at as it is need not be asked in every step
-        plain = getattr(device.wake_at, "__func__", None) is Device.wake_at
+        plain = getattr(device.wake_at, "__func__", None) is DpV0Device.wake_at
         self._due = None if plain else device.wake_at
         #: it never wants its time
         self.idle = plain

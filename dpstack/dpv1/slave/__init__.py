@@ -3,6 +3,7 @@
 - ``alarms``: Alarms and status messages of a slave: raised by its application, shown in the diagnosis
 - ``description``: What a slave is, as its GSD file or its maker says; the checks of Set_Prm and Chk_Cfg follow from it
 - ``description_from_gsd``: From what a GSD file says to the description that a slave is made of
+- ``device``: A device as its author writes it: its records, alarms and class 2 connections
 - ``loopback_device``: Devices that mirror their outputs to their inputs: the simulation of a slave without a drive
 - ``ms1``: MS1 of a slave: requests come in, records answer now or later, the master polls for the answer
 - ``ms2_connection``: One class 2 connection at the slave, from Initiate to whatever ends it

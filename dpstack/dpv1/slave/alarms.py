@@ -115,6 +115,7 @@ class AlarmServer:
         self._on_its_way: dict[_Key, Raised] = {}
         self._acknowledged: deque[_Key] = deque(maxlen=SEQUENCES - 1)
         self._sequence = 0
+        self._offered = _NOTHING  # in an answer that the master may not have received
 
     # --- the application ----------------------------------------------------------------------------------------
 
@@ -199,7 +200,7 @@ class AlarmServer:
         self._started = True
         return not self._fetched or bool(self._statuses)
 
-    def shown(self) -> Shown:
+    def _shown(self) -> Shown:
         """What stands in the diagnosis."""
         if not self._started:
             return _NOTHING
@@ -213,13 +214,19 @@ class AlarmServer:
             return Shown(alarm, None, alarm_octets)
         return Shown(alarm, status, alarm_octets + status_octets)
 
-    def offered(self, shown: Shown) -> None:
-        """An answer to the master holds it; whether it arrived is not known yet."""
-        if shown.alarm is not None:
-            shown.alarm.offered = True
+    def octets(self) -> bytes:
+        """The blocks in the diagnosis."""
+        return self._shown().octets
 
-    def fetched(self, shown: Shown) -> None:
-        """The master has it."""
+    def offered(self) -> None:
+        """An answer to the master holds them; whether it arrived is not known yet."""
+        self._offered = self._shown()
+        if self._offered.alarm is not None:
+            self._offered.alarm.offered = True
+
+    def fetched(self) -> None:
+        """The master has what was offered last."""
+        shown = self._offered
         if shown.alarm is not None and shown.alarm is self._current:
             self._fetched = True
         if shown.status is not None and self._statuses and self._statuses[0] is shown.status:

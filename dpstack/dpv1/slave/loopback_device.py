@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dpstack.dp.slave.device import Device
 from dpstack.dpv1.slave.description import SlaveDescription
+from dpstack.dpv1.slave.device import Device
 from dpstack.dpv1.slave.user_slave import DpSlave
 from dpstack.gsd.identifiers import io_lengths
 

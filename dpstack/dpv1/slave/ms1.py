@@ -5,62 +5,92 @@ Decisions where the sources leave something open: docs/decisions/services.md#ms1
 
 from __future__ import annotations
 
-from typing import Protocol
+from dataclasses import dataclass
 
 from dpstack.dp.pdu.alarm_blocks import Alarm
+from dpstack.dp.pdu.dpv1_status import DPV1_ENABLE, DPV1_STATUS_LEN
+from dpstack.dp.pdu.requests import SetPrm
+from dpstack.dp.slave.events import Report, SlaveAppEvent
+from dpstack.dp.slave.extension import Handler, SlaveService
 from dpstack.dpv1.pdu.error_codes import Code
 from dpstack.dpv1.pdu.read_write import AlarmAck, Function, Negative, UnacceptableError, parse_request
 from dpstack.dpv1.slave.alarms import AlarmServer
-from dpstack.dpv1.slave.record_requests import Asker, Records, Ticket, Told, put
+from dpstack.dpv1.slave.record_requests import Asker, Records, Ticket, put
 from dpstack.fdl.interface import SC_REPLY, Reply
-from dpstack.fdl.telegram import SAP_MS1, Resp
+from dpstack.fdl.telegram import SAP_MS1, SAP_MS1_ALARM, Resp, Telegram
 
 
-class Ms1Told(Told, Protocol):
-    """Where MS1 tells what it refused, and which alarm is over."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AlarmAcknowledged(SlaveAppEvent):
+    """``master`` acknowledged ``alarm``, which is over with it."""
 
-    def acknowledged(self, alarm: Alarm, master: int, now: int) -> None:
-        """An alarm is over."""
+    alarm: Alarm
+    master: int
+
+    @property
+    def text(self) -> str:
+        """Which, by whom."""
+        return f"{self.who}: {self.alarm.text}: acknowledged by master {self.master}"
 
 
-class Ms1Server:
+class Ms1Server(SlaveService):
     """MS1 of one slave application: ``records`` and ``alarms``, None where the device has none; without both the SAP is
     closed."""
 
-    __slots__ = ("_alarm_answer", "_alarms", "_answer", "_asker", "_report", "_ticket", "enabled", "records")
+    __slots__ = (
+        "_alarm_answer",
+        "_alarms",
+        "_answer",
+        "_asker",
+        "_enabled",
+        "_report",
+        "_ticket",
+        "messages",
+        "records",
+    )
 
-    def __init__(self, records: Records | None, report: Ms1Told, alarms: AlarmServer | None = None) -> None:
+    def __init__(self, records: Records | None, report: Report, alarms: AlarmServer | None = None) -> None:
         self.records = records
         self._alarms = alarms
         self._alarm_answer: bytes | None = None  # at the extra SAP
-        #: DPV1_Enable was in Set_Prm
-        self.enabled = False
+        self.messages = alarms
+        self._enabled = False  # by Set_Prm
         self._report = report
         self._ticket: Ticket | None = None
         self._answer: bytes | None = None  # to what no application is asked
         self._asker: Asker | None = None
 
-    @property
-    def open(self) -> bool:
-        """The SAP is open, as far as parameters go."""
-        alarms = self._alarms is not None and bool(self._alarms.support.kinds)
-        return self.enabled and (alarms or self.records is not None)
+    def handlers(self) -> dict[int | None, Handler]:
+        """SAP 51, and the extra one of alarms."""
+        return {SAP_MS1: self._serve, SAP_MS1_ALARM: self._serve_alarm}
 
-    @property
-    def extra_sap(self) -> bool:
-        """The extra SAP of alarms is open."""
-        return self.enabled and self._alarms is not None and self._alarms.support.extra_sap
+    def parameterised(self, prm: SetPrm) -> None:
+        """DPV1_Enable opens it; DPV1_Status_2 and 3 say what alarms the master takes, and how many at a time (C1)."""
+        status = prm.user_prm[:DPV1_STATUS_LEN].ljust(DPV1_STATUS_LEN, b"\0")
+        self._enabled = bool(status[0] & DPV1_ENABLE)
+        if self._alarms is not None:
+            self._alarms.agree(*(status[1:] if self._enabled else b"\0\0"))
 
-    def close(self) -> None:
-        """Data exchange is over."""
+    def entered(self) -> None:
+        """Alarms are possible with DPV1_Enable."""
+        if self._enabled and self._alarms is not None:
+            self._alarms.open()
+
+    def left(self) -> None:
+        """Alarms, and what is asked, end with data exchange."""
+        if self._alarms is not None:
+            self._alarms.close()
         self._alarm_answer = None
         self._drop()
         if self._asker is not None:
             self._asker.open = False
             self._asker = None
 
-    def serve(self, octets: bytes, sa: int, now: int) -> Reply:
+    def _serve(self, request: Telegram, now: int) -> Reply | None:
         """A request, or a poll (no octets)."""
+        if not self._enabled or (self.records is None and not (self._alarms and self._alarms.support.kinds)):
+            return None
+        octets, sa = request.data, request.sa
         if not octets:
             return _reply(self._answer if self._ticket is None else self._ticket.take(self._report, now))
         self._drop()
@@ -70,19 +100,21 @@ class Ms1Server:
             self._answer = self._acknowledge(self._alarms, octets, sa, now).build()
             return SC_REPLY
         try:
-            request = parse_request(octets)
+            wanted = parse_request(octets)
         except UnacceptableError as error:
             self._answer = error.negative.build()
             self._report.refused("MS1", sa, str(error), now)
             return SC_REPLY
-        self._ticket = Ticket(request, self._asker, now)
+        self._ticket = Ticket(wanted, self._asker, now)
         put(self._ticket, self.records)
         return SC_REPLY
 
-    def serve_alarm(self, octets: bytes, sa: int, now: int) -> Reply:
+    def _serve_alarm(self, request: Telegram, now: int) -> Reply | None:
         """A request at the extra SAP of alarms, or a poll."""
-        if self._alarms is not None and octets:
-            self._alarm_answer = self._acknowledge(self._alarms, octets, sa, now).build()
+        if not self._enabled or self._alarms is None or not self._alarms.support.extra_sap:
+            return None
+        if request.data:
+            self._alarm_answer = self._acknowledge(self._alarms, request.data, request.sa, now).build()
             return SC_REPLY
         return _reply(self._alarm_answer)
 
@@ -94,7 +126,7 @@ class Ms1Server:
         if done.reason is not None:
             self._report.refused("Alarm_Ack", sa, done.reason, now)
         if done.alarm is not None:
-            self._report.acknowledged(done.alarm, sa, now)
+            self._report.emit(AlarmAcknowledged, now, alarm=done.alarm, master=sa)
         return done.answer
 
     def _drop(self) -> None:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Protocol
 
 from dpstack.dp.error_origin import failure_text
 from dpstack.dp.pdu.layouts import MAX_SLOT
+from dpstack.dp.slave.events import Report, SlaveAppEvent
 from dpstack.dpv1.pdu.error_codes import Code
 from dpstack.dpv1.pdu.ms2 import IDLE, Abort, AbortReason, DataTransport, InitiateReq, InitiateRes, Instance
 from dpstack.dpv1.pdu.read_write import Function, Negative, ReadReq, UnacceptableError, parse_request
@@ -15,7 +17,6 @@ from dpstack.dpv1.slave.record_requests import (
     Asker,
     Records,
     Ticket,
-    Told,
     Transport,
     TransportTicket,
     put,
@@ -49,14 +50,35 @@ class Served(Protocol):
         """Raises RecordRefused where it does not want the connection."""
 
 
-class ServerReport(Told, Protocol):
-    """Where the class 2 server tells."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ConnectionOpened(SlaveAppEvent):
+    """``master`` has opened a connection of class 2 at the server ``sap``."""
 
-    def connection_opened(self, asker: Asker, send_timeout_ns: int, now: int) -> None:
-        """Initiate was accepted."""
+    master: int
+    sap: int
+    send_timeout_ns: int
 
-    def connection_closed(self, asker: Asker, services: int, reason: str, now: int) -> None:
-        """It is over, for whatever reason."""
+    @property
+    def text(self) -> str:
+        """Whose, and how long silence may last."""
+        which = f"class 2 connection of master {self.master} opened (server SAP {self.sap}"
+        return f"{self.who}: {which}, send time-out {self.send_timeout_ns // NS_PER_MS} ms)"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ConnectionClosed(SlaveAppEvent):
+    """A connection of class 2 is over and given back; ``services``: how many its master asked for."""
+
+    master: int
+    sap: int
+    services: int
+    reason: str
+
+    @property
+    def text(self) -> str:
+        """Whose and why."""
+        which = f"class 2 connection of master {self.master} (server SAP {self.sap})"
+        return f"{self.who}: {which} is over after {self.services} services: {self.reason}"
 
 
 class Connection:
@@ -80,7 +102,7 @@ class Connection:
     )
 
     def __init__(
-        self, asker: Asker, ssap: int | None, send_timeout_ns: int, device: Served, report: ServerReport, now: int
+        self, asker: Asker, ssap: int | None, send_timeout_ns: int, device: Served, report: Report, now: int
     ) -> None:
         self.asker = asker
         self.ssap = ssap
@@ -130,7 +152,9 @@ class Connection:
         self.send_timeout_ns = max(self.send_timeout_ns, wanted.send_timeout_ns)
         longest = self._device.ms2_max_len
         self._answer = InitiateRes(longest, source=wanted.destination, destination=wanted.source).build()
-        self._report.connection_opened(self.asker, self.send_timeout_ns, now)
+        self._report.stats.connections += 1
+        who = self.asker
+        self._report.emit(ConnectionOpened, now, master=who.master, sap=who.sap, send_timeout_ns=self.send_timeout_ns)
 
     def _unwanted(self, error: Exception, now: int) -> None:
         """Refused by the device: the negative response is its answer, and all that is left of it."""
@@ -219,7 +243,9 @@ class Connection:
             ticket, self._ticket = self._ticket, None
             if ticket is not None:
                 ticket.drop()
-            self._report.connection_closed(self.asker, self.services, why, now)
+            self._report.stats.closed += 1
+            who = self.asker
+            self._report.emit(ConnectionClosed, now, master=who.master, sap=who.sap, services=self.services, reason=why)
         self._answer = None if abort is None else abort.build()
 
     # --- inside ---------------------------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ from typing import Final, Protocol, TypeVar
 
 from dpstack.dp.error_origin import failure_text
 from dpstack.dp.pdu.layouts import MAX_RECORD
+from dpstack.dp.slave.events import Report
 from dpstack.dpv1.pdu.error_codes import Code
 from dpstack.dpv1.pdu.ms2 import DataTransport
 from dpstack.dpv1.pdu.read_write import Function, Negative, ReadRes, RecordReq, RecordRes, WriteReq, WriteRes
@@ -70,7 +71,7 @@ class AnyTicket:
         if self.response is None and self.abandoned is not None:
             self.abandoned()
 
-    def take(self, report: Told, now: int) -> bytes | None:
+    def take(self, report: Report, now: int) -> bytes | None:
         """The answer in octets once there is one; what failed is told to ``report``."""
         if self.failure is not None:
             report.refused(self.title, self.asker.master, self.failure, now)
@@ -129,13 +130,6 @@ class Records(Protocol):
 
 #: what serves Data_Transport: answers the ticket, at once or later
 Transport = Callable[[TransportTicket], None]
-
-
-class Told(Protocol):
-    """Where a slave application tells what it refused."""
-
-    def refused(self, service: str, master: int, reason: str, now: int) -> None:
-        """Once for the same reason."""
 
 
 def put(ticket: Ticket, records: Records | None) -> None:

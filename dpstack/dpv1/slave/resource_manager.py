@@ -9,17 +9,19 @@ docs/decisions/ms2.md#the-resource-manager-of-a-slave.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
+from dpstack.dp.slave.application import SlaveApp
+from dpstack.dp.slave.extension import Handler, ServiceHost, SlaveService
 from dpstack.dpv1.pdu.ms2 import MAX_REASON, SERVER_SAPS, ResourceManagerRes
-from dpstack.dpv1.slave.ms2_connection import Connection, Served, ServerReport
+from dpstack.dpv1.slave.ms2_connection import Connection, Served
 from dpstack.dpv1.slave.ms2_states import State
 from dpstack.dpv1.slave.record_requests import Asker
+from dpstack.dpv1.timeouts import least_send_timeout
 from dpstack.errors import UsageError
 from dpstack.fdl.interface import SC_REPLY, Reply
-from dpstack.fdl.telegram import Resp
+from dpstack.fdl.telegram import SAP_MS2_RM, Resp, Telegram
 from dpstack.units import NEVER
 
 #: connections that one slave can have
@@ -42,29 +44,27 @@ class _Offer:
     fetched: bool = False
 
 
-class Ms2Server:
+class Ms2Server(SlaveService):
     """The connections of one slave application: ``count`` of them (0..49), 0 for a slave without MS2.
 
-    ``send_timeout`` gives the shortest send time-out of the moment in ns. ``at_once``: what is known is answered in the
-    request itself, not when polled; both are legal (docs/protocol.md#ms1). ``at``: when :meth:`tick` is wanted.
+    ``at_once``: what is known is answered in the request itself, not when polled; both are legal
+    (docs/protocol.md#ms1).
     """
 
-    __slots__ = ("_connections", "_device", "_free", "_offers", "_report", "_send_timeout", "at", "at_once", "count")
+    __slots__ = ("_connections", "_device", "_free", "_host", "_offers", "at", "at_once", "count")
 
     def __init__(
         self,
         device: Served,
         count: int,
-        report: ServerReport,
-        send_timeout: Callable[[], int],
+        host: ServiceHost,
         at_once: bool,
     ) -> None:
         self.count = count
         self.at = NEVER
         self.at_once = at_once
         self._device = device
-        self._report = report
-        self._send_timeout = send_timeout
+        self._host = host
         self._connections: dict[int, Connection] = {}
         self._free = deque(list(reversed(SERVER_SAPS))[:count])
         self._offers: dict[tuple[int, int | None], list[_Offer]] = {}
@@ -83,10 +83,18 @@ class Ms2Server:
         """How many can be given out now."""
         return self.count - len(self.connections)
 
+    def handlers(self) -> dict[int | None, Handler]:
+        """The resource manager, and the server SAPs."""
+        return {**dict.fromkeys(SERVER_SAPS, self._serve), SAP_MS2_RM: self._manage}
+
+    def _send_timeout(self) -> int:
+        return least_send_timeout(self._host.baud)
+
     # --- SAP 49 ---------------------------------------------------------------------------------------------------
 
-    def manage(self, octets: bytes, sa: int, ssap: int | None, now: int) -> Reply | None:
+    def _manage(self, request: Telegram, now: int) -> Reply | None:
         """A request to the resource manager, or a poll (no octets); None for RS."""
+        octets, sa, ssap = request.data, request.sa, request.ssap
         if not self.count:
             return None
         if not octets:
@@ -97,7 +105,7 @@ class Ms2Server:
         sap = self._next(sa, ssap, now)
         if sap is None:
             return None
-        connection = Connection(Asker(sa, sap), ssap, self._send_timeout(), self._device, self._report, now)
+        connection = Connection(Asker(sa, sap), ssap, self._send_timeout(), self._device, self._host.report, now)
         self._connections[sap] = connection
         self._offers.setdefault((sa, ssap), []).append(_Offer(connection))
         connection.initiate(octets, now)
@@ -128,10 +136,11 @@ class Ms2Server:
 
     # --- server SAPs ------------------------------------------------------------------------------------------------
 
-    def serve(self, sap: int, octets: bytes, sa: int, ssap: int | None, now: int) -> Reply | None:
+    def _serve(self, request: Telegram, now: int) -> Reply | None:
         """A request to a server SAP, or a poll (no octets); None for RS: it is not open, or not for this master."""
-        connection = self._connections.get(sap)
-        if connection is None or not connection.is_of(sa, ssap):
+        octets = request.data
+        connection = self._connections.get(request.dsap or 0)
+        if connection is None or not connection.is_of(request.sa, request.ssap):
             return None
         self._forget_offer(connection)
         if octets:
@@ -164,7 +173,7 @@ class Ms2Server:
         connection.abort(reason, now)
         self._watch(connection)
 
-    def end_all(self, why: str, now: int) -> None:
+    def end(self, why: str, now: int) -> None:
         """Every connection is over, without an Abort: nobody could fetch it."""
         for connection in list(self._connections.values()):
             connection.end(why, now)
@@ -194,3 +203,8 @@ class Ms2Server:
         offers[:] = [one for one in offers if one.connection is not connection]
         if not offers:
             del self._offers[whose]
+
+
+def ms2_of(app: SlaveApp) -> Ms2Server:
+    """The connections of a slave application whose device has MS2."""
+    return next(one for one in app.services if isinstance(one, Ms2Server))

@@ -10,12 +10,13 @@ from dpstack.argcheck import Sealed, functions, octets, whole
 from dpstack.dp.pdu.diag_blocks import NO_DIAG, UserDiag
 from dpstack.dp.pdu.diagnosis import FIXED_LEN
 from dpstack.dp.pdu.prm_blocks import PrmBlock
-from dpstack.dp.slave.device import FunctionDevice, Leave, OnCycle
+from dpstack.dp.slave.device import Leave
 from dpstack.dpv1.pdu.im import Im
 from dpstack.dpv1.pdu.ms2 import InitiateReq
 from dpstack.dpv1.pdu.read_write import PARAMETER_INDEX
 from dpstack.dpv1.slave.alarms import AlarmServer
 from dpstack.dpv1.slave.description import SlaveDescription
+from dpstack.dpv1.slave.device import FunctionDevice, OnCycle
 from dpstack.dpv1.slave.record_requests import Records
 from dpstack.dpv1.slave.record_table import ByIndex, ImOf, ImRecords
 from dpstack.dpv1.slave.resource_manager import MAX_CONNECTIONS
@@ -27,7 +28,7 @@ class OnAddress(Protocol):
     """Keeps what Set_Slave_Add brought where it survives a restart."""
 
     def __call__(self, address: int, fixed: bool, rem_slave_data: bytes) -> None:
-        """As :meth:`~dpstack.dp.slave.device.Device.address_set`: all of it is kept."""
+        """As :meth:`~dpstack.dpv1.slave.device.Device.address_set`: all of it is kept."""
 
 
 class OnIm(Protocol):

@@ -15,8 +15,9 @@ from typing import Final
 
 from dpstack.dp.pdu.alarm_blocks import Alarm, AlarmType, Specifier
 from dpstack.dp.pdu.diagnosis import FIXED_LEN
-from dpstack.dp.slave.device import Device, Leave
+from dpstack.dp.slave.device import Leave
 from dpstack.dpv1.slave.alarms import AlarmServer, AlarmSupport
+from dpstack.dpv1.slave.device import Device
 from dpstack.errors import AlarmError
 from dpstack.profile.channel.base import CHANNEL_LEN, ChannelServer
 from dpstack.profile.channel.pkw import READS, Pkw, Reply
