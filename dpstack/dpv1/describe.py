@@ -11,8 +11,7 @@ from typing import Final
 from dpstack.dp.pdu.alarm_blocks import Alarm, alarm_name, parse_block
 from dpstack.dp.pdu.diag_blocks import DeviceBlock
 from dpstack.dp.pdu.diagnosis import Diagnosis
-from dpstack.dpv1.master.response_check import title_of
-from dpstack.dpv1.pdu.ms2 import Abort, DataTransport, InitiateReq, InitiateRes, ResourceManagerRes
+from dpstack.dpv1.pdu.ms2 import Abort, DataTransport, InitiateReq, InitiateRes, ResourceManagerRes, title_of
 from dpstack.dpv1.pdu.read_write import AlarmAck, Function, Negative, ReadReq, ReadRes, parse_request, parse_response
 from dpstack.errors import PduError
 from dpstack.fdl import describe

@@ -22,7 +22,8 @@ from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dpv1.master.alarm_events import AcknowledgeAlarm, HoldAlarms
 from dpstack.dpv1.master.ms1_job import Ms1Job, Owed
 from dpstack.dpv1.master.plugin_queue import queue_at
-from dpstack.dpv1.master.response_check import service_outcome, title_of
+from dpstack.dpv1.master.response_check import service_outcome
+from dpstack.dpv1.pdu.ms2 import title_of
 from dpstack.dpv1.pdu.read_write import Function, ReadReq, RecordReq, WriteReq
 from dpstack.dpv1.timeouts import SERVICE_TIMEOUT
 from dpstack.errors import PduError, UsageError

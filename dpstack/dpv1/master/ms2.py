@@ -29,8 +29,7 @@ from dpstack.dpv1.master.ms2_commands import (
 from dpstack.dpv1.master.ms2_connection import NOT_WANTED, TIMED_OUT, Connection, Phase
 from dpstack.dpv1.master.ms2_initiate import InitiateJob
 from dpstack.dpv1.master.ms2_jobs import GiveBackJob, IdleJob, ServiceJob
-from dpstack.dpv1.master.response_check import Service
-from dpstack.dpv1.pdu.ms2 import Abort, Address, DataTransport, InitiateReq
+from dpstack.dpv1.pdu.ms2 import Abort, Address, DataTransport, InitiateReq, Service
 from dpstack.dpv1.pdu.read_write import ReadReq, WriteReq
 from dpstack.dpv1.timeouts import QUIET_SHARE
 from dpstack.errors import PduError, UsageError

@@ -14,9 +14,9 @@ from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dpv1.master.ms1 import RecordDone
 from dpstack.dpv1.master.ms2_commands import TransportDone
 from dpstack.dpv1.master.ms2_connection import Connection, Ended, Phase
-from dpstack.dpv1.master.response_check import Service, service_outcome, title_of
+from dpstack.dpv1.master.response_check import service_outcome
 from dpstack.dpv1.master.srd_polling import Course, Said
-from dpstack.dpv1.pdu.ms2 import HEAD, IDLE, Abort, DataTransport, ResourceManagerRes
+from dpstack.dpv1.pdu.ms2 import HEAD, IDLE, Abort, DataTransport, ResourceManagerRes, Service, title_of
 from dpstack.dpv1.pdu.read_write import Function, ReadReq
 from dpstack.dpv1.timeouts import service_timeout
 from dpstack.errors import PduError

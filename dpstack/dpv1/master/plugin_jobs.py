@@ -14,8 +14,9 @@ from dpstack.dp.master.slave_handler import SlaveHandler
 from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dpv1.master.ms1 import Ms1, RecordJob
 from dpstack.dpv1.master.plugin_queue import PendingRecord, RecordQueue, queue_at
-from dpstack.dpv1.master.response_check import negative_outcome, title_of
+from dpstack.dpv1.master.response_check import negative_outcome
 from dpstack.dpv1.pdu.error_codes import Code
+from dpstack.dpv1.pdu.ms2 import title_of
 from dpstack.dpv1.pdu.read_write import Function, Negative, ReadReq, RecordReq, WriteReq
 from dpstack.errors import PduError
 from dpstack.trace import Event

@@ -5,27 +5,9 @@ from __future__ import annotations
 
 from dpstack.dp.acyclic.job import Outcome, ServiceFailure
 from dpstack.dpv1.pdu.error_codes import Decode, remedy
-from dpstack.dpv1.pdu.ms2 import DataTransport
-from dpstack.dpv1.pdu.read_write import Function, Negative, ReadReq, ReadRes, RecordReq, WriteReq, parse_response
+from dpstack.dpv1.pdu.ms2 import DataTransport, Service, function_of, title_of
+from dpstack.dpv1.pdu.read_write import Function, Negative, ReadReq, ReadRes, WriteReq, parse_response
 from dpstack.errors import PduError
-
-Service = RecordReq | DataTransport
-
-
-def function_of(service: Service) -> Function:
-    """Its function number."""
-    match service:
-        case DataTransport():
-            return Function.DATA_TRANSPORT
-        case WriteReq():
-            return Function.WRITE
-        case _:
-            return Function.READ
-
-
-def title_of(service: Service) -> str:
-    """With slot and index: they are what a reader looks for."""
-    return f"{function_of(service).title} of slot {service.slot}, index {service.index}"
 
 
 def service_outcome(address: int, service: Service, octets: bytes) -> Outcome | None:

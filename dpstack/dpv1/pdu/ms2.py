@@ -25,7 +25,7 @@ from dpstack.dpv1.pdu.layouts import (
     RecordOctets,
     ResourceManagerOctets,
 )
-from dpstack.dpv1.pdu.read_write import Function
+from dpstack.dpv1.pdu.read_write import Function, RecordReq, WriteReq
 from dpstack.errors import PduError
 from dpstack.units import NS_PER_MS, ns_to_s
 
@@ -320,3 +320,22 @@ def _is(function: Function, found: int) -> None:
 def _ends(octets: bytes, rest: bytes, name: str) -> None:
     if rest:
         raise PduError(f"{name} has {len(octets)} octets, octet {len(octets) - len(rest)} is the last one")
+
+
+Service = RecordReq | DataTransport
+
+
+def function_of(service: Service) -> Function:
+    """Its function number."""
+    match service:
+        case DataTransport():
+            return Function.DATA_TRANSPORT
+        case WriteReq():
+            return Function.WRITE
+        case _:
+            return Function.READ
+
+
+def title_of(service: Service) -> str:
+    """With slot and index: they are what a reader looks for."""
+    return f"{function_of(service).title} of slot {service.slot}, index {service.index}"
