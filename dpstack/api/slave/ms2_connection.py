@@ -15,6 +15,7 @@ from dpstack.api.slave.records import RecordAccess, usual_timeout
 from dpstack.api.slave.services import Ending, Services
 from dpstack.argcheck import Sealed, octets, whole
 from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dpv1.master.ms1 import RecordDone
 from dpstack.dpv1.master.ms2 import NO_CONNECTION
 from dpstack.dpv1.master.ms2_commands import (
@@ -27,7 +28,6 @@ from dpstack.dpv1.master.ms2_commands import (
     WriteOver,
 )
 from dpstack.dpv1.pdu.ms2 import Address, InitiateReq
-from dpstack.dpv1.pdu.read_write import MAX_RECORD
 from dpstack.errors import ConnectionEnded, PduError, UsageError
 from dpstack.units import ns_to_s
 

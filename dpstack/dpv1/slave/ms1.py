@@ -65,7 +65,8 @@ class Ms1Server(SlaveService):
         return {SAP_MS1: self._serve, SAP_MS1_ALARM: self._serve_alarm}
 
     def parameterised(self, prm: SetPrm) -> None:
-        """DPV1_Enable opens it; DPV1_Status_2 and 3 say what alarms the master takes, and how many at a time (docs/protocol.md#dpv1_status)."""
+        """DPV1_Enable opens it; DPV1_Status_2 and 3 say what alarms the master takes, and how many at a time
+        (docs/protocol.md#dpv1_status)."""
         status = prm.user_prm[:DPV1_STATUS_LEN].ljust(DPV1_STATUS_LEN, b"\0")
         self._enabled = bool(status[0] & DPV1_ENABLE)
         if self._alarms is not None:
