@@ -65,7 +65,7 @@ def test_a_wrong_length_is_given_up_with_safe_values_at_once(wrong: bytes) -> No
     handler = bus.master.handlers[3]
     assert handler.state is SlaveState.FAULT
     assert handler.fault is not None
-    assert f"{len(wrong)} octets instead of 4" in handler.fault.message
+    assert f"{len(wrong)} octet{'' if len(wrong) == 1 else 's'} instead of 4" in handler.fault.message
     assert squeezed(wire(bus)) == [
         (None, "04 7F 40 00"),
         (None, "04 7E 00 00"),
