@@ -35,10 +35,10 @@ def identifiers(inputs: int, outputs: int) -> bytes:
     return bytes(octets or b"\x00")
 
 
-def setups(configs: Sequence[bytes], min_tsdr: int = 11, max_tsdr: int | None = None) -> list[SlaveParams]:
+def setups(configs: Sequence[bytes], min_tsdr: int = 11) -> list[SlaveParams]:
     """Slaves from address 3 on."""
     return [
-        SlaveParams(address=FIRST + n, name=f"s{n}", ident=IDENT, config=config, min_tsdr=min_tsdr, max_tsdr=max_tsdr)
+        SlaveParams(address=FIRST + n, name=f"s{n}", ident=IDENT, config=config, min_tsdr=min_tsdr)
         for n, config in enumerate(configs)
     ]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
@@ -51,6 +52,7 @@ class SlaveParams:
     ``wd_base_1ms``: a DP-V1 slave with a watchdog base of 1 ms; its user parameters begin with DPV1_Status_1..3.
     ``dpv1``: DPV1_Enable and what goes with it, for a slave whose user parameters begin so; None: nothing of it.
     ``fail_safe``: it gets empty frames in Clear; ``fail_safe_told``: DPV1_Status_1 says whether, also without ``dpv1``.
+    ``max_tsdr``: MaxTsdr in bit times by baud rate, where it is known.
     ``max_diag_len``: octets of its longest diagnosis, 6..244, None: not known.
     ``ignore_auto_clear``: the master stays in Operate without it. ``texts``: what its GSD file says to a diagnosis.
 
@@ -73,7 +75,7 @@ class SlaveParams:
     fail_safe_told: bool = False
     every: int = 1
     min_slave_interval_ns: int = 0
-    max_tsdr: int | None = None
+    max_tsdr: Mapping[int, int] = field(default_factory=dict)
     max_diag_len: int | None = None
     wd_base_1ms: bool = False
     ignore_auto_clear: bool = False

@@ -49,8 +49,7 @@ def shortest_tsdr(params: BusParams, setup: SlaveParams) -> int:
 
 def longest_tsdr(params: BusParams, setup: SlaveParams) -> int:
     """The T_SDR of ``setup`` at the most, in bit times: its MaxTsdr, or the bus's max T_SDR."""
-    longest = params.max_tsdr if setup.max_tsdr is None else setup.max_tsdr
-    return max(shortest_tsdr(params, setup), longest)
+    return max(shortest_tsdr(params, setup), setup.max_tsdr.get(params.baud, params.max_tsdr))
 
 
 def vain_bits(params: BusParams, request: int) -> int:

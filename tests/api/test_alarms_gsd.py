@@ -108,7 +108,7 @@ def test_what_the_gsd_file_does_not_have_is_refused(tmp_path: Any, dpv1: str, to
 )
 def test_what_is_enabled(tmp_path: Any, dpv1: str, sent: str) -> None:
     (tmp_path / "rig.gsd").write_text(GSD, encoding="latin-1")
-    setup = parse_config(plant(dpv1), str(tmp_path / "plant.toml")).slaves[0].setup(500_000)
+    setup = parse_config(plant(dpv1), str(tmp_path / "plant.toml")).slaves[0].params
     assert setup.user_octets(None).hex(" ") == sent
     assert setup.dpv1 is not None
     assert setup.dpv1.extra_alarm_sap

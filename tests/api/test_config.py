@@ -71,9 +71,9 @@ watchdog_ms = 0
     assert (bus.port, bus.baud, bus.address, bus.driver) == ("/dev/ttyUSB0", 500_000, 1, "asyncio")
     assert (bus.t_sl, bus.max_retry, bus.gap, bus.hsa, bus.t_tr) == (400, 3, 0, 20, 50_000)
     assert (bus.host_slack_ms, bus.extra_idle_bits) == (12.5, 10)
-    hoist, raw = config.setups()
+    hoist, raw = config.slave_params
     assert (hoist.ident, hoist.config, hoist.user_prm) == (0x0696, b"\x71", bytes(16))
-    assert (hoist.watchdog_ms, hoist.groups, hoist.fail_safe, hoist.max_tsdr) == (250, (1, 2), True, 100)
+    assert (hoist.watchdog_ms, hoist.groups, hoist.fail_safe, hoist.max_tsdr[500_000]) == (250, (1, 2), True, 100)
     assert hoist.on_loss
     assert (raw.ident, raw.config, raw.user_prm) == (0x1234, b"\x20\x10", b"\x01\x02")
     assert (raw.safe, raw.every, raw.fail_safe, raw.watchdog_ms) == (b"\xff", 2, True, 0)
@@ -86,7 +86,7 @@ watchdog_ms = 0
 def test_defaults() -> None:
     config = parse(BUS + RAW)
     assert config.bus.address == 2
-    (slave,) = config.setups()
+    (slave,) = config.slave_params
     assert slave.watchdog_ms is None
     assert slave.every == 1
     assert config.params().t_sl == 200
@@ -99,14 +99,14 @@ def test_t_sl_widens_to_the_slowest_slave() -> None:
 
 def test_ident_ask_and_made_up() -> None:
     fan = '[[slave]]\naddress = 4\ndrive = "fuji-frenic"\n'
-    (asked,) = parse(BUS + fan + 'ident = "ask"\n').setups()
+    (asked,) = parse(BUS + fan + 'ident = "ask"\n').slave_params
     assert asked.ident is None
     config = parse(BUS + fan)
-    assert config.setups()[0].ident == 0xDD04
+    assert config.slave_params[0].ident == 0xDD04
     assert config.slaves[0].name == "slave4"
     assert any("made up" in note for note in config.slaves[0].notes)
     (given_one,) = parse(BUS + fan + "ident = 0x0ABC\n").slaves
-    assert given_one.ident == 0x0ABC
+    assert given_one.params.ident == 0x0ABC
     assert not any("ident number" in note for note in given_one.notes)
 
 
@@ -257,7 +257,7 @@ def test_impossible_bus_parameters_name_the_line() -> None:
 
 def test_port_and_baud_are_asked_for_when_needed() -> None:
     config = parse("[bus]\naddress = 2\n" + RAW)
-    assert len(config.setups(9600)) == 1
+    assert len(config.slave_params) == 1
     with pytest.raises(ConfigError, match=r"^plant.toml:1: \[bus\]: no port; add port ="):
         _ = config.port
     with pytest.raises(ConfigError, match=r"^plant.toml:1: \[bus\]: no baud; add for instance"):
@@ -280,7 +280,7 @@ def test_arguments_override_and_are_checked() -> None:
 def test_initial_outputs() -> None:
     config = parse(BUS + RAW + DRIVE)
     (raw, _hoist) = config.with_outputs({9: b"\x5a"}).slaves
-    assert raw.setup(500_000).initial == b"\x5a"
+    assert raw.params.initial == b"\x5a"
     with pytest.raises(ConfigError, match="2 octets given; it has 1 octet "):
         config.with_outputs({9: b"\x5a\x5a"})
     with pytest.raises(ConfigError, match="no slave has it; configured: 3, 9"):

@@ -11,7 +11,8 @@ from property_kit import examples
 
 from dpstack.api.config.bus import BusConfig
 from dpstack.api.config.config import make_config, parse_config
-from dpstack.api.config.slave import _KEYS
+from dpstack.api.config.slave import Changes, SlaveKeys
+from dpstack.api.config.table import keys_of
 from dpstack.errors import ConfigError
 
 #: TOML as it is written
@@ -47,7 +48,7 @@ VALUES = st.one_of(
     st.lists(st.integers(-5, 300), max_size=4).map(str),
 )
 BUS_KEYS = sorted({*BusConfig.__dataclass_fields__, "unknown"})
-SLAVE_KEYS = sorted({*_KEYS, "unknown"})
+SLAVE_KEYS = sorted({*keys_of(SlaveKeys), *keys_of(Changes), "unknown"})
 BASE = {
     "raw": 'address = 8\nident = 0x1234\nconfig = "20 10"\n',
     "drive": 'address = 8\ndrive = "demag-dedrive"\n',

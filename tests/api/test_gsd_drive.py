@@ -50,21 +50,21 @@ def fan(folder: Path, keys: str) -> SlaveConfig:
 
 def test_the_file_goes_before_what_was_made_up(folder: Path) -> None:
     slave = fan(folder, 'telegram = "PPO3"\nsync = true\n')
-    assert (slave.ident, slave.config, slave.user_prm) == (0x0A1B, b"\xf1", b"\x01\x02\x03")
-    assert (slave.telegram, slave.notes, slave.sync) == ("PPO3", (), True)
-    assert (slave.min_slave_interval_ns, slave.setup(500_000).max_tsdr) == (300_000, 100)
-    assert slave.texts is not None
-    assert slave.texts.unit_diag_texts(b"\x01") == ("inverter trip",)
+    assert (slave.params.ident, slave.params.config, slave.params.user_prm) == (0x0A1B, b"\xf1", b"\x01\x02\x03")
+    assert (slave.telegram, slave.notes, slave.params.sync) == ("PPO3", (), True)
+    assert (slave.params.min_slave_interval_ns, slave.params.max_tsdr[500_000]) == (300_000, 100)
+    assert slave.params.texts is not None
+    assert slave.params.texts.unit_diag_texts(b"\x01") == ("inverter trip",)
 
 
 def test_the_telegram_follows_from_the_modules_where_only_one_fits(folder: Path) -> None:
     assert fan(folder, 'modules = ["PPO type 3"]\n').telegram == "PPO3"
-    assert fan(folder, 'modules = ["PPO type 1"]\ntelegram = "PPO1"\n').config == b"\xf3\xf1"
+    assert fan(folder, 'modules = ["PPO type 1"]\ntelegram = "PPO1"\n').params.config == b"\xf3\xf1"
 
 
 def test_known_identifier_octets_name_the_telegram() -> None:
     table = {"name": "hoist", "address": 3, "drive": "demag-dedrive", "gsd": "demag-dedrive"}
-    assert slave_config(table).config == b"\xf3\x71"
+    assert slave_config(table).params.config == b"\xf3\x71"
     assert slave_config(table | {"modules": ["PPO4 (6 words)"]}).telegram == "PPO4"
 
 
@@ -154,6 +154,6 @@ def test_other_drives_run_as_their_files_say(
             assert it.status.speed == pytest.approx(0.25, abs=0.01)
 
     found = slave_config(slave)
-    assert found.config.hex() == config
+    assert found.params.config.hex() == config
     assert not any("made up" in note for note in found.notes)
     dpstack.run_virtual(main())

@@ -22,13 +22,13 @@ def config(keys: str, name: str = "plant.toml") -> Config:
 def test_what_follows_from_the_file() -> None:
     found = config('gsd = "whole.gsd"\nmodules = ["8 DI", 2]\nparameters = { "Diagnosis" = "off", Delay = 100 }\n')
     slave = found.slaves[0]
-    assert (slave.ident, slave.config.hex(" ")) == (0x1A2B, "10 20")
-    assert slave.user_prm.hex(" ") == "80 00 00 00 00 01 00 64"
-    assert (slave.input_len, slave.output_len) == (1, 1)
-    assert (slave.min_slave_interval_ns, slave.fail_safe) == (600_000, True)
-    assert (slave.setup(12_000_000).max_tsdr, slave.setup(19_200).max_tsdr) == (800, None)
-    assert slave.texts is not None
-    assert slave.texts.unit_diag_texts(b"\x01") == ("fuse blown",)
+    assert (slave.params.ident, slave.params.config.hex(" ")) == (0x1A2B, "10 20")
+    assert slave.params.user_prm.hex(" ") == "80 00 00 00 00 01 00 64"
+    assert (slave.params.input_len, slave.params.output_len) == (1, 1)
+    assert (slave.params.min_slave_interval_ns, slave.params.fail_safe) == (600_000, True)
+    assert (slave.params.max_tsdr[12_000_000], slave.params.max_tsdr.get(19_200)) == (800, None)
+    assert slave.params.texts is not None
+    assert slave.params.texts.unit_diag_texts(b"\x01") == ("fuse blown",)
     assert rate_findings(found, 500_000) == []
     assert rate_findings(found, 19_200) == [
         "slave 8 (io): by its GSD file it does not know 19.2 kbit/s; take another rate"
@@ -38,21 +38,21 @@ def test_what_follows_from_the_file() -> None:
 def test_both_readings_and_the_remark() -> None:
     keys = 'gsd = "prm.gsd"\nmodules = ["AI"]\n'
     refs = config(keys).slaves[0]
-    assert refs.user_prm.hex(" ") == "c0 00 00 d7 11 5f ff fe 00 00 00"
+    assert refs.params.user_prm.hex(" ") == "c0 00 00 d7 11 5f ff fe 00 00 00"
     assert refs.notes == (
         "slave 8 (io): in its GSD file the defaults of 3 parameters contradict the constant octets (the first: "
         "0/Diagnosis@3.3: its default is 0 (off), the constant octets say 1 (on)); the defaults are used, "
         'defaults = "const" takes the constants',
     )
-    assert refs.setup(500_000).prm_note == (
+    assert refs.params.prm_note == (
         "in its GSD file defaults and constants contradict each other (octets 11, 13, 14, 15 of Set_Prm): the defaults "
         'were sent, defaults = "const" sends the constants, as some devices need it'
     )
     const = config(keys + 'defaults = "const"\n').slaves[0]
-    assert const.setup(500_000).prm_note.endswith(
+    assert const.params.prm_note.endswith(
         'the constants were sent, defaults = "refs" sends the defaults, as some devices need it'
     )
-    assert (const.user_prm.hex(" "), const.notes) == ("c0 00 00 ff 11 0f 00 05 00 00 00", ())
+    assert (const.params.user_prm.hex(" "), const.notes) == ("c0 00 00 ff 11 0f 00 05 00 00 00", ())
     assert config(keys + 'defaults = "refs"\n').slaves[0].notes == ()
     chosen = '"Diagnosis" = "off", "0/Range" = 5, "Offset" = 5'
     assert config(keys + f"parameters = {{ {chosen} }}\n").slaves[0].notes == ()
@@ -62,17 +62,17 @@ def test_both_readings_and_the_remark() -> None:
 
 def test_user_prm_in_place_of_the_files() -> None:
     slave = config('gsd = "prm.gsd"\nmodules = ["PLAIN"]\nuser_prm = "01 02 03 04 05"\n').slaves[0]
-    assert slave.user_prm == bytes((1, 2, 3, 4, 5))
-    assert slave.setup(500_000).prm_note == ""
+    assert slave.params.user_prm == bytes((1, 2, 3, 4, 5))
+    assert slave.params.prm_note == ""
 
 
 def test_modules_as_the_file_presets_them() -> None:
-    assert config('gsd = "slots.gsd"\n').slaves[0].config == b"\x00\x11\x21"
+    assert config('gsd = "slots.gsd"\n').slaves[0].params.config == b"\x00\x11\x21"
 
 
 def test_an_absolute_path(tmp_path: Path) -> None:
     text = HEAD + f'gsd = "{FILES / "slots.gsd"}"\n'
-    assert parse_config(text, str(tmp_path / "plant.toml")).slaves[0].ident == 0x0FFE
+    assert parse_config(text, str(tmp_path / "plant.toml")).slaves[0].params.ident == 0x0FFE
 
 
 @pytest.mark.parametrize(
@@ -112,7 +112,7 @@ def test_an_absolute_path(tmp_path: Path) -> None:
         ),
         (
             'gsd = "slots.gsd"\nwd_base_1ms = true\n',
-            "8: [[slave]] io: wd_base_1ms = true, but its GSD file says WD_Base_1ms_supp = 0; leave it out",
+            "8: [[slave]] io: wd_base_1ms = true, but its GSD file says WD_Base_1ms_supp = 0; leave wd_base_1ms out",
         ),
     ],
 )
@@ -124,12 +124,12 @@ def test_refused(keys: str, message: str) -> None:
 
 def test_what_dpv1_status_says_follows_from_the_file() -> None:
     keys = 'gsd = "whole.gsd"\nmodules = ["8 DO"]\n'
-    setup = config(keys + "watchdog_ms = 25\n").slaves[0].setup(500_000)
+    setup = config(keys + "watchdog_ms = 25\n").slaves[0].params
     watchdog = setup.watchdog(100)
     assert watchdog is not None
     assert (watchdog.factors, watchdog.base_ms) == ((1, 25), 1)
     assert setup.user_octets(watchdog).hex(" ") == "c4 40 00 08 00"  # DPV1_Enable, Fail_Safe, WD_Base_1ms
-    coarse = config(keys + "watchdog_ms = 20\nfail_safe = false\nwd_base_1ms = false\n").slaves[0].setup(500_000)
+    coarse = config(keys + "watchdog_ms = 20\nfail_safe = false\nwd_base_1ms = false\n").slaves[0].params
     assert coarse.user_octets(coarse.watchdog(100)).hex(" ") == "80 40 00 08 00"  # Process_Alarm_required
 
 
@@ -137,7 +137,7 @@ def test_fail_safe_required_cannot_be_left_out(tmp_path: Path) -> None:
     text = (FILES / "whole.gsd").read_text(encoding="utf-8").replace("Fail_Safe = 1", "Fail_Safe_required = 1")
     (tmp_path / "required.gsd").write_text(text, encoding="utf-8")
     keys = 'gsd = "required.gsd"\nmodules = ["8 DO"]\n'
-    setup = parse_config(HEAD + keys, str(tmp_path / "plant.toml")).slaves[0].setup(500_000)
+    setup = parse_config(HEAD + keys, str(tmp_path / "plant.toml")).slaves[0].params
     assert (setup.fail_safe, setup.user_octets(None)[0]) == (True, 0xC0)
     with pytest.raises(
         ConfigError, match=r"9: \[\[slave\]\] io: fail_safe = false, but its GSD file says Fail_Safe_req"

@@ -117,7 +117,7 @@ ident = 0x1234
     options = 'options = { control_bits = "run=2", status_bits = "run=2 fault=1", rpm_per_count = 1 }'
     path.write_text(text.format(options=options), encoding="utf-8")
     slave = dpstack.load_config(path).slaves[0]
-    assert slave.config.hex() == "a7a19793"
+    assert slave.params.config.hex() == "a7a19793"
     assert slave.options == {"control_bits": "run=2", "status_bits": "run=2 fault=1", "rpm_per_count": 1}
     assert "identifier octets A7 A1 97 93 of keb-f5 are in no manual" in slave.notes[0]
     path.write_text(text.format(options="options = { control_bit = 1 }"), encoding="utf-8")

@@ -121,7 +121,7 @@ options = { para_control = "0005 0006 dr-03=1" }
         encoding="utf-8",
     )
     slave = dpstack.load_config(path).slaves[0]
-    assert slave.config.hex() == "6251"
+    assert slave.params.config.hex() == "6251"
     assert "identifier octets 62 51 of ls-s100 are in no manual" in slave.notes[0]
 
 

@@ -73,7 +73,7 @@ def test_the_plan_tells_the_octets_that_slaves_receive() -> None:
         address: Received(bus, address, ident=bytes.fromhex(ident))
         for address, ident in ((8, "1A2B"), (3, "0696"), (4, "BEEF"), (5, "0FFE"))
     }
-    master = Master(plan.params, config.setups(500_000), watchdog_ms=plan.watchdog_ms)
+    master = Master(plan.params, config.slave_params, watchdog_ms=plan.watchdog_ms)
     station = ActiveStation(plan.params, [master])
     bus.stations.append(station)
     bus.command(station, GoOnline())

@@ -265,7 +265,7 @@ OCTETS = 'ident = 1\nconfig = "10"\nuser_prm = "00 00 00 07"\n'
 
 
 def setup(keys: str) -> tuple[Dpv1 | None, str]:
-    slave = parse_config(HEAD + keys, "tests/gsd/files/plant.toml").slaves[0].setup(500_000)
+    slave = parse_config(HEAD + keys, "tests/gsd/files/plant.toml").slaves[0].params
     return slave.dpv1, slave.user_octets(None).hex(" ")
 
 

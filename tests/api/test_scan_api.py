@@ -219,7 +219,7 @@ def test_the_skeleton_is_a_configuration() -> None:
     text = config_skeleton(LiveListResult(baud=187_500, address=0, stations=stations), '/dev/"odd"\\name')
     config = parse_config(text, "skeleton")
     assert (config.port, config.baud, config.bus.address) == ('/dev/"odd"\\name', 187_500, 4)
-    assert [(s.address, s.ident, s.config.hex(), s.telegram) for s in config.slaves] == [
+    assert [(s.address, s.params.ident, s.params.config.hex(), s.telegram) for s in config.slaves] == [
         (3, 0x0696, "f371", "PPO1"),
         (5, 0x0696, "2010", None),
         (6, 0x1234, "2010", None),

@@ -21,7 +21,7 @@ COMMAND_OCTETS = "08 02 00 01 00 00 00 00"
 
 def sent(keys: str) -> str:
     """The user parameters as they go out."""
-    return parse_config(HEAD + keys, "plant.toml").slaves[0].setup(500_000).user_octets(None).hex(" ")
+    return parse_config(HEAD + keys, "plant.toml").slaves[0].params.user_octets(None).hex(" ")
 
 
 def gsd_of(folder: Path, user_prm: str, *, required: bool) -> Path:

@@ -165,7 +165,7 @@ def test_configure(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixtur
     for told in ("'126' is no station address", "there is no module '9 DO'", "'Delay' = 2000 is not allowed"):
         assert told in err
     slave = parse_config(BUS + out, "plant.toml").slaves[0]
-    assert (slave.config.hex(), slave.user_prm.hex()) == ("102000", "8000000000010021")
+    assert (slave.params.config.hex(), slave.params.user_prm.hex()) == ("102000", "8000000000010021")
 
 
 @pytest.mark.parametrize(
@@ -186,7 +186,7 @@ def test_its_tables_are_accepted(
 ) -> None:
     code = configure(name, answers, monkeypatch)
     out = capsys.readouterr().out
-    assert (code, parse_config(BUS + out, "plant.toml").slaves[0].config.hex()) == (0, config)
+    assert (code, parse_config(BUS + out, "plant.toml").slaves[0].params.config.hex()) == (0, config)
     assert f"modules = {modules}\n" in out
 
 
@@ -195,7 +195,7 @@ def test_slots_refuse_at_once(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Ca
     out, err = capsys.readouterr()
     assert "is not allowed in slot 2 (signals); allowed references: 2..3, 5" in err
     assert "4 octets of outputs, the device has at most 2" in err
-    assert parse_config(BUS + out, "plant.toml").slaves[0].config.hex() == "0011"
+    assert parse_config(BUS + out, "plant.toml").slaves[0].params.config.hex() == "0011"
 
 
 def test_answers_that_end_too_early(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
@@ -373,7 +373,7 @@ def test_configure_puts_modules_behind_the_fixed_presets(
     assert err.count("    10  6ES7 321-1BH00-0AA0 16DI  (11)\n") == 2  # all, then found
     assert err.count("    12  6ES7 322-1BH00-0AA0 16DO  (21)\n") == 1
     assert "[SlotNumber]" not in err
-    assert parse_config(BUS + out, "plant.toml").slaves[0].config.hex() == "001121"
+    assert parse_config(BUS + out, "plant.toml").slaves[0].params.config.hex() == "001121"
 
 
 def test_a_preset_that_is_not_fixed_is_taken_and_more_behind_it(capsys: Out, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -410,7 +410,7 @@ def test_a_text_that_stands_for_two_values_is_written_as_its_number(
     out, err = capsys.readouterr()
     assert 'parameters = { "3/Filter@1" = 2 }\n' in out  # the device keeps its 3, the other "reserved"
     assert "(off, on, reserved, reserved) [reserved]" in err
-    assert parse_config(BUS + out, "plant.toml").slaves[0].user_prm.hex() == "0003" + "0302"
+    assert parse_config(BUS + out, "plant.toml").slaves[0].params.user_prm.hex() == "0003" + "0302"
 
 
 def test_configure_for_a_configuration(

@@ -173,7 +173,7 @@ def test_a_blown_fuse_in_the_words_of_the_gsd_file() -> None:
     diagnosis = Diagnosis.parse(bytes.fromhex("080C00021A2B0201"))
     assert diagnosis is not None
     terminal = slave_config({"name": "t", "address": 7, "gsd": TERMINAL, "modules": ["8 DI"], "dpv1": False})
-    told = conspicuous_text(diagnosis, terminal.texts, exchanging=True)
+    told = conspicuous_text(diagnosis, terminal.params.texts, exchanging=True)
     assert told == "ext_diag; fuse blown (replace F1)"
 
 

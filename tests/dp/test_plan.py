@@ -27,7 +27,7 @@ def slave(
         config=bytes.fromhex(config),
         watchdog_ms=watchdog,
         min_slave_interval_ns=interval_ns,
-        max_tsdr=max_tsdr,
+        max_tsdr={} if max_tsdr is None else dict.fromkeys(BAUD_RATES, max_tsdr),
         every=every,
         on_loss=on_loss,
     )

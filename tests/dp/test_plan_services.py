@@ -136,7 +136,7 @@ def test_silence_with_every_retry_is_in_the_longest(baud: int, t_sl: int | None)
 def test_the_slowest_slave_counts() -> None:
     """MaxTsdr of a GSD file may be longer than the bus's max T_SDR, where T_SL was given."""
     params = BusParams.preset(500_000, t_sl=500)
-    slow = SlaveParams(address=3, name="s", ident=1, config=b"\x10", max_tsdr=450)
-    quick = SlaveParams(address=4, name="q", ident=1, config=b"\x10", max_tsdr=60)
+    slow = SlaveParams(address=3, name="s", ident=1, config=b"\x10", max_tsdr={params.baud: 450})
+    quick = SlaveParams(address=4, name="q", ident=1, config=b"\x10", max_tsdr={params.baud: 60})
     assert acyclic_bits(params, [quick]) == acyclic_bits(params)  # class 2 may ask others
     assert acyclic_bits(params, [quick, slow]) - acyclic_bits(params) == 450 - params.max_tsdr

@@ -43,6 +43,7 @@ from dpstack.fdl.interface import LinkStats
 from dpstack.gsd.diag_texts import DiagTexts as GsdTexts
 from dpstack.gsd.model import Device
 from dpstack.params import BusParams
+from dpstack.units import BAUD_RATES
 
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers(-99, 99) | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
@@ -62,7 +63,7 @@ SETUPS = st.builds(
     safe=st.just(b"") | st.binary(min_size=2, max_size=2),
     initial=st.none() | st.binary(min_size=2, max_size=2),
     every=st.integers(1, 100),
-    max_tsdr=st.none() | st.integers(1, 1000),
+    max_tsdr=st.dictionaries(st.sampled_from(BAUD_RATES), st.integers(1, 1000)),
     fail_safe_told=st.just(False),
     wd_base_1ms=st.just(False),
     texts=st.none(),

@@ -43,7 +43,7 @@ def plan_bus(config: Config, baud: int | None = None) -> Plan:
     What keeps the bus from being opened is told there, and stands in the plan as a finding.
     """
     rate = config.baud if baud is None else baud
-    setups = config.setups(rate)
+    setups = config.slave_params
     params = with_t_tr(config, config.params(rate), setups)
     notes = [note for slave in config.slaves for note in slave.notes]
     others = other_masters(config, rate)
@@ -123,14 +123,14 @@ def compose(
     and is watched unless told otherwise. Raises ConfigError, PortError.
     """
     plan = plan_bus(config)
-    refuse_misfit(config, plan, config.setups())
+    refuse_misfit(config, plan, config.slave_params)
     virtual = world is not None or config.virtual
     port = None if virtual else port_of(config, plan.params.baud)
     patience = EXACT if port is None else patience_for(config, port)
     spec = StackSpec(
         params=plan.params,
         patience=patience,
-        slaves=config.setups(),
+        slaves=config.slave_params,
         watchdog_ms=plan.watchdog_ms,
         auto_clear=config.bus.auto_clear,
         data_control_ns=config.bus.data_control_time_ms * NS_PER_MS,

@@ -110,11 +110,10 @@ class Composed:
 
     def fitting(self, slave: SlaveConfig) -> SlaveParams:
         """``slave`` for the master, beside all others. Raises ConfigError where the cycle has no room for it."""
-        setup = slave.setup(self.params.baud)
         others = [h.setup for address, h in self.master.handlers.items() if address != slave.address]
-        refuse_misfit(self.config, self.plan, [*others, setup])
+        refuse_misfit(self.config, self.plan, [*others, slave.params])
         self._round_ns = None
-        return setup
+        return slave.params
 
     def poll_interval_ns(self, slave: SlaveParams) -> int:
         """The time from one Data_Exchange of ``slave`` to the next where nothing is repeated and no service is beside

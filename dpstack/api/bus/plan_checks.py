@@ -71,7 +71,7 @@ def _at_rates(config: Config) -> Iterable[Figures]:
         if rate_findings(config, rate):
             continue
         try:
-            params, setups = config.params(rate), config.setups(rate)
+            params, setups = config.params(rate), config.slave_params
         except ConfigError:
             continue  # its parameters are for another rate
         yield figures(params, setups, others=other_masters(config, rate))

@@ -22,7 +22,7 @@ def core_of(slave: SlaveConfig, *, simulated: bool = False) -> DriveCore | None:
     """
     if slave.profile is None or slave.raw:
         return None
-    records = None if slave.dpv1 is None else RecordQueue()
+    records = None if slave.params.dpv1 is None else RecordQueue()
     return slave.profile.core(slave.name, slave.telegram, slave.options, simulated=simulated, records=records)
 
 
@@ -42,7 +42,7 @@ def plugin_of(slave: SlaveConfig) -> PluginRef | None:
         name=slave.name,
         telegram=slave.telegram,
         options=dict(slave.options),
-        records=slave.dpv1 is not None,
+        records=slave.params.dpv1 is not None,
     )
 
 

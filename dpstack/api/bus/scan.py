@@ -43,6 +43,6 @@ def _of_ours(found: Found, slave: Slave | None, own: int) -> Found:
         state=SlaveView.DATA_EXCHANGE if exchanging else view_of(slave.diagnosis),
         ident=None if slave.diagnosis is None else slave.diagnosis.ident,
         master=own if exchanging else None,
-        config=slave.config.config if exchanging else None,
+        config=slave.setup.config if exchanging else None,
         diagnosis=slave.diagnosis,
     )

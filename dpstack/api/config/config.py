@@ -62,13 +62,15 @@ class Config:
             if slave is None:
                 known = ", ".join(map(str, sorted(by_address))) or "none"
                 raise ConfigError(f"outputs for address {address}: no slave has it; configured: {known}")
-            if len(octets) != slave.output_len:
+            if len(octets) != slave.params.output_len:
                 raise ConfigError(
                     f"outputs for slave {address} ({slave.name}): {octets_text(len(octets))} given; "
-                    f"it has {octets_text(slave.output_len)} of outputs"
+                    f"it has {octets_text(slave.params.output_len)} of outputs"
                 )
         slaves = tuple(
-            dataclasses.replace(s, initial=outputs[s.address], raw=True) if s.address in outputs else s
+            dataclasses.replace(s, params=dataclasses.replace(s.params, initial=outputs[s.address]), raw=True)
+            if s.address in outputs
+            else s
             for s in self.slaves
         )
         return dataclasses.replace(self, slaves=slaves)
@@ -110,16 +112,16 @@ class Config:
         """True when the slaves are simulated in this process."""
         return self.bus.port == VIRTUAL
 
-    def setups(self, baud: int | None = None) -> tuple[SlaveParams, ...]:
-        """The slaves as the master parameterises them at ``baud`` (default: the configured rate)."""
-        rate = self.baud if baud is None else baud
-        return tuple(slave.setup(rate) for slave in self.slaves)
+    @property
+    def slave_params(self) -> tuple[SlaveParams, ...]:
+        """The slaves as the master parameterises them."""
+        return tuple(slave.params for slave in self.slaves)
 
     def params(self, baud: int | None = None) -> BusParams:
         """Bus parameters for these slaves at ``baud``, T_TR as the table or the file says. Raises ConfigError."""
         rate = self.baud if baud is None else baud
         bus = self.bus
-        tsdr = [s.max_tsdr for s in self.setups(rate) if s.max_tsdr is not None]
+        tsdr = [slave.max_tsdr[rate] for slave in self.slave_params if rate in slave.max_tsdr]
         try:
             return BusParams.preset(
                 rate,

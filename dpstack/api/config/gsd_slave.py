@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Final, NoReturn
+from typing import Any, Final, TypedDict
 
-from dpstack.api.config.table import Table
+from dpstack.api.config.table import Key, Table
 from dpstack.api.gsd_info import read_gsd
-from dpstack.dp.pdu.dpv1_status import ALARM_KEYWORDS, Dpv1
+from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN
+from dpstack.dp.pdu.dpv1_status import ALARM_KEYWORDS, DPV1_STATUS_LEN, Dpv1
 from dpstack.dp.pdu.requests import SET_PRM_LEN
-from dpstack.errors import ConfigError, GsdError
+from dpstack.dp.slave_params import INTERVAL_UNIT, SlaveParams
 from dpstack.gsd.configuration import Configuration, configure
 from dpstack.gsd.model import Device
 from dpstack.gsd.prm import Reading, UserPrm
@@ -44,8 +45,16 @@ def remarks(device: Device | None, dpv1: Dpv1 | None) -> Iterator[str]:
 
 #: keys that mean something beside ``gsd`` only
 GSD_KEYS: Final = ("modules", "parameters", "defaults")
+_OTHER: Final = {Reading.REFS: Reading.CONST, Reading.CONST: Reading.REFS}
 #: so many octets are named where two readings of a file differ
 _SHOWN_OCTETS: Final = 8
+
+
+class Who(TypedDict):
+    """Whose parameters they are."""
+
+    address: int
+    name: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,15 +63,8 @@ class GsdSlave:
 
     device: Device
     configuration: Configuration
-    user_prm: bytes
+    params: SlaveParams
     notes: tuple[str, ...]
-    #: what helps where the slave refuses ``user_prm``, see :attr:`~dpstack.dp.slave_params.SlaveParams.prm_note`
-    prm_note: str = ""
-
-    @property
-    def max_tsdr(self) -> Mapping[int, int]:
-        """MaxTsdr in bit times by baud rate."""
-        return {speed.baud: speed.max_tsdr for speed in self.device.speeds if speed.max_tsdr is not None}
 
     @property
     def baud_rates(self) -> frozenset[int]:
@@ -70,97 +72,102 @@ class GsdSlave:
         return frozenset(speed.baud for speed in self.device.speeds)
 
 
-def read_gsd_slave(table: Table, path: str, preset: Callable[[Device], Configuration] = configure) -> GsdSlave:
+def read_gsd_slave(
+    table: Table, given: Mapping[str, Any], who: Who, preset: Callable[[Device], Configuration] = configure
+) -> GsdSlave:
     """Read the file (relative to the configuration) and make the choices. Raises ConfigError, one line.
 
     ``preset``: what is plugged where the table does not say it; may raise GsdError.
     """
-    try:
-        file = read_gsd(path, table.folder)
-    except ConfigError as error:
-        _refuse(table, "gsd", error)
-    chosen = "modules" if "modules" in table else "gsd"
-    try:
-        modules = _modules(table)
-        configuration = preset(file.device) if modules is None else configure(file.device, modules)
-    except GsdError as error:
-        _refuse(table, chosen, error)
-    reading = _reading(table)
-    try:
+    with table.blaming("gsd"):
+        device = read_gsd(given["gsd"], table.folder).device
+    reading: Reading = given.get("defaults", Reading.REFS)
+    with table.blaming("modules" if "modules" in given else "gsd"):
+        configuration = configure(device, given["modules"]) if "modules" in given else preset(device)
         prm = configuration.user_prm(reading)
-    except GsdError as error:
-        _refuse(table, chosen, error)
-    _set_parameters(table, prm)
-    octets = _given(table, prm)
+    parameters = given.get("parameters", {})
+    _set_parameters(table, parameters, prm)
+    octets = _given(table, given, prm)
     notes = list(configuration.notes)
     differing = [contradiction for contradiction in prm.contradictions() if contradiction.matters]
-    if differing and octets is None and reading is Reading.REFS and "defaults" not in table:
+    if differing and octets is None and "defaults" not in given:
         count = f"{len(differing)} parameters" if len(differing) > 1 else "one parameter"
         notes.append(
             f"in its GSD file the defaults of {count} contradict the constant octets (the first: "
             f'{differing[0].text}); the defaults are used, defaults = "const" takes the constants'
         )
-    note = _other_reading(table, configuration, reading, prm) if octets is None else ""
-    return GsdSlave(file.device, configuration, prm.octets() if octets is None else octets, tuple(notes), note)
+    note = ""
+    if octets is None:
+        octets, others = prm.octets(), configuration.user_prm(_OTHER[reading])
+        _set_parameters(table, parameters, others)
+        note = _contradicting(reading, octets, others.octets())
+    told = device.dpv1.slave and len(octets) >= DPV1_STATUS_LEN
+    fail_safe = device.fail_safe or device.dpv1.fail_safe_required  # what needs empty frames in Clear can take them
+    longest = device.max_diag_data_len
+    with table.blaming():
+        params = SlaveParams(
+            **who,
+            ident=device.ident,
+            config=configuration.config,
+            user_prm=octets,
+            fail_safe=fail_safe,
+            fail_safe_told=told and fail_safe,
+            wd_base_1ms=told and device.dpv1.wd_base_1ms,
+            min_slave_interval_ns=(device.min_slave_interval or 0) * INTERVAL_UNIT,
+            max_tsdr={speed.baud: speed.max_tsdr for speed in device.speeds if speed.max_tsdr is not None},
+            max_diag_len=None if longest is None else min(max(FIXED_LEN, longest), MAX_LEN),
+            texts=configuration.texts(),
+            prm_note=note,
+        )
+    return GsdSlave(device, configuration, params, tuple(notes))
 
 
-def _other_reading(table: Table, configuration: Configuration, reading: Reading, prm: UserPrm) -> str:
+def _contradicting(reading: Reading, octets: bytes, others: bytes) -> str:
     """Where defaults and constants of the file contradict each other: in which octets of Set_Prm, and the way out."""
-    other = Reading.CONST if reading is Reading.REFS else Reading.REFS
-    others = configuration.user_prm(other)
-    _set_parameters(table, others)
-    pairs = enumerate(zip(prm.octets(), others.octets(), strict=True), SET_PRM_LEN + 1)
+    pairs = enumerate(zip(octets, others, strict=True), SET_PRM_LEN + 1)
     differing = [str(number) for number, (mine, its) in pairs if mine != its]
     if not differing:
         return ""
     shown = ", ".join(differing[:_SHOWN_OCTETS]) + (" ..." if len(differing) > _SHOWN_OCTETS else "")
-    taken = ("defaults", "constants") if other is Reading.CONST else ("constants", "defaults")
+    taken = ("defaults", "constants") if reading is Reading.REFS else ("constants", "defaults")
     return (
         f"in its GSD file defaults and constants contradict each other (octet{'s' * (len(differing) > 1)} {shown} of "
-        f'Set_Prm): the {taken[0]} were sent, defaults = "{other.value}" sends the {taken[1]}, as some devices need it'
+        f'Set_Prm): the {taken[0]} were sent, defaults = "{_OTHER[reading].value}" sends the {taken[1]}, as some '
+        f"devices need it"
     )
 
 
-def _modules(table: Table) -> list[int | str] | None:
-    value = table.raw("modules")
-    if value is None:
-        return None
+def modules_of(table: Table, name: str, key: Key) -> list[int | str]:
+    """The reader of ``modules``."""
+    value = table.raw(name)
     if not isinstance(value, list) or any(isinstance(v, bool) or not isinstance(v, (int, str)) for v in value):
-        table.fail("modules", f"modules = {value!r} is no list of names and numbers", 'write modules = ["8 DO", 12]')
+        table.fail(name, f"{name} = {value!r} is no list of names and numbers", 'write modules = ["8 DO", 12]')
     return list(value)
 
 
-def _reading(table: Table) -> Reading:
-    text = table.text("defaults")
-    if text is None:
-        return Reading.REFS
+def reading_of(table: Table, name: str, key: Key) -> Reading:
+    """The reader of ``defaults``."""
+    text = table.text(name)
     try:
         return Reading(text)
     except ValueError:
-        table.fail("defaults", f"defaults = {text!r}", 'it is "refs" (defaults of the parameters) or "const"')
+        table.fail(name, f"{name} = {text!r}", 'it is "refs" (defaults of the parameters) or "const"')
 
 
-def _set_parameters(table: Table, prm: UserPrm) -> None:
-    value = table.raw("parameters")
-    if value is None:
-        return
-    if not isinstance(value, Mapping):
-        table.fail("parameters", "parameters is no table", 'write parameters = { "Diagnosis" = "on" }')
-    for name, wanted in value.items():
+def _set_parameters(table: Table, parameters: Mapping[str, object], prm: UserPrm) -> None:
+    for name, wanted in parameters.items():
         if not isinstance(wanted, (int, str)):
             table.fail("parameters", f"parameter {name!r} = {wanted!r}", "give a number or a text of its list")
-        try:
-            prm.set(str(name), wanted)
-        except GsdError as error:
-            _refuse(table, "parameters", error)
+        with table.blaming("parameters"):
+            prm.set(name, wanted)
 
 
-def _given(table: Table, prm: UserPrm) -> bytes | None:
+def _given(table: Table, given: Mapping[str, Any], prm: UserPrm) -> bytes | None:
     """``user_prm`` in place of what follows from the file."""
-    octets = table.octets("user_prm")
+    octets: bytes | None = given.get("user_prm")
     if octets is None:
         return None
-    if "parameters" in table:
+    if "parameters" in given:
         table.fail("user_prm", "user_prm beside parameters", "give one of them")
     expected, limit = len(prm.octets()), prm.device.max_user_prm_data_len
     if expected and len(octets) != expected:
@@ -170,8 +177,3 @@ def _given(table: Table, prm: UserPrm) -> bytes | None:
     if limit is not None and len(octets) > limit:
         table.fail("user_prm", f"user_prm has {len(octets)} octets", f"Max_User_Prm_Data_Len is {limit}; shorten it")
     return octets
-
-
-def _refuse(table: Table, key: str, error: ConfigError) -> NoReturn:
-    what, _, todo = str(error).partition("; ")
-    raise table.error(key, what, todo or "correct it") from None

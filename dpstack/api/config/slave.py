@@ -5,22 +5,20 @@ Its keys ``inputs`` and ``outputs`` name its process data.
 
 from __future__ import annotations
 
+import dataclasses
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from operator import attrgetter
+from typing import Annotated, Any, Final, TypedDict
 
 from dpstack.api.config.dpv1 import Ms2Limits, read_dpv1
-from dpstack.api.config.gsd_slave import remarks
-from dpstack.api.config.slave_source import Basis, basis_of
-from dpstack.api.config.table import Table
-from dpstack.dp.pdu.diag_texts import DiagTexts
-from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN
-from dpstack.dp.pdu.dpv1_status import DPV1_STATUS_LEN, Dpv1
+from dpstack.api.config.gsd_slave import Who, modules_of, reading_of, remarks
+from dpstack.api.config.slave_source import basis_of
+from dpstack.api.config.table import Gsd, Key, Octets, Table, keys_of
 from dpstack.dp.process_data import Field, FieldMap, field_of, overlap
 from dpstack.dp.slave_params import INTERVAL_UNIT, MAX_WATCHDOG_MS, SlaveParams
 from dpstack.dpv1.slave.description import SlaveDescription
-from dpstack.errors import ConfigError
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.gsd.model import Device
 from dpstack.params import MAX_STATION, UNADDRESSED
@@ -57,82 +55,127 @@ def _fields(table: Table, key: str, length: int) -> dict[str, Field]:
 
 def _field(inside: Table, name: str, length: int, key: str) -> Field:
     text = inside.text(name) or ""
-    try:
+    with inside.blaming(name):
         return field_of(name, text, length, key)
-    except ConfigError as error:
-        what, _, todo = str(error).rpartition("; ")
-        raise inside.error(name, what, todo) from None
-
-
-_KEYS: Final = (
-    "name",
-    "address",
-    "drive",
-    "telegram",
-    "ident",
-    "config",
-    "user_prm",
-    "gsd",
-    "modules",
-    "parameters",
-    "defaults",
-    "watchdog_ms",
-    "groups",
-    "every",
-    "safe",
-    "min_slave_interval",
-    "fail_safe",
-    "sync",
-    "freeze",
-    "wd_base_1ms",
-    "ignore_auto_clear",
-    "dpv1",
-    "reference_hz",
-    "reference_rpm",
-    "options",
-    "simulated",
-    "inputs",
-    "outputs",
-)
 
 
 #: commands take a name or an address: a name that is a number could mean another slave
 _NUMERIC: Final = re.compile(r"[+-]?(\d+|0[xX][0-9a-fA-F]+)")
+_PERCENT: Final = Key(0.001, 1_000_000)
+
+
+def _ident(table: Table, name: str, key: Key) -> object:
+    """ "ask" is None."""
+    value = table.raw(name)
+    if isinstance(value, str):
+        if value.strip().lower() != "ask":
+            table.fail(name, f"{name} = {value!r}", 'give a number like 0x0696, or "ask"')
+        return None
+    return table.integer(name, key.low, key.high, key.hint)
+
+
+def _interval(table: Table, name: str, key: Key) -> object:
+    """In ns."""
+    return (table.integer(name, key.low, key.high) or 0) * INTERVAL_UNIT
+
+
+class SlaveKeys(TypedDict, total=False):
+    """The keys of [[slave]] that say what it is, as docs/configuration.md has them.
+
+    name: for people and programs, unique. Left out: `slaveN`
+    address: the station address, unique. Left out: refused
+    drive: a known drive, see [drives.md](drives.md)
+    telegram: one of its telegrams
+    gsd: a [GSD file](gsd.md), relative to the configuration, or the name of a drive that has one here, or
+        `"io-station"` ([io-station.md](io-station.md)); beside `drive` it goes before what the plugin knows
+    modules: its modules by name or reference number, in slot order, `""` for an empty slot. Left out: what the file
+        presets
+    parameters: its user parameters by name, as number or text. Left out: the file's defaults
+    defaults: which defaults count: `"refs"` or `"const"`. Left out: `"refs"`
+    inputs: names for its inputs, [see below](#names-for-process-data)
+    outputs: names for its outputs
+    reference_hz: what 100 % speed is, where the drive has that option. Left out: the drive's
+    reference_rpm: what 100 % speed is, where the drive has that option. Left out: the drive's
+    options: options of the drive plugin, see [drives.md](drives.md)
+    simulated: what only its simulated drive has: its options and its parameters by name or number (`{ load = 0.8,
+        412 = 1 }`), see [drives.md](drives.md)
+    """
+
+    name: Annotated[str, Key()]
+    address: Annotated[int, Key(0, MAX_STATION, hint="stations have 0..125; 126 is a slave without an address yet")]
+    drive: Annotated[str, Key()]
+    telegram: Annotated[str, Key()]
+    gsd: Annotated[str, Key()]
+    modules: Annotated[Sequence[int | str], Key(read=modules_of)]
+    parameters: Annotated[Mapping[str, object], Key()]
+    defaults: Annotated[str, Key(read=reading_of)]
+    inputs: Annotated[Mapping[str, object], Key()]
+    outputs: Annotated[Mapping[str, object], Key()]
+    reference_hz: Annotated[float, _PERCENT]
+    reference_rpm: Annotated[float, _PERCENT]
+    options: Annotated[Mapping[str, object], Key()]
+    simulated: Annotated[Mapping[str, object], Key()]
+
+
+class Changes(TypedDict, total=False):
+    """The keys of [[slave]] that are parameters for its master:
+    :meth:`~dpstack.api.slave.slave.Slave.reparameterise` changes them while the bus runs. None is as if left out.
+
+    ident: ident number, or `"ask"`: taken from the diagnosis. Left out: the drive's, or that of its GSD file
+    config: identifier octets in hex (instead of `drive`). Left out: the telegram's, or those of the modules
+    user_prm: user parameters of Set_Prm in hex. Left out: the drive's, or those of the GSD file
+    watchdog_ms: 0 = off, which is said at every start; else rounded up to what two factors can give, and the effective
+        time told (`dpstack plan`, `run --json`, `slave.watchdog_ms`). Left out: the plan's recommendation
+    wd_base_1ms: a DP-V1 slave whose watchdog can count in 1 ms (WD_Base_1ms); its `user_prm` begin with the three
+        DPV1_Status octets. Left out: as its GSD file says, else false
+    groups: group numbers for Global_Control
+    sync: ask for SYNC in Set_Prm; `bus.sync` and `bus.group` refuse slaves without
+    freeze: ask for FREEZE in Set_Prm; `bus.freeze` and `bus.group` refuse slaves without
+    every: exchange data in every n-th round or cycle; the slaves of such groups are [spread](cycle.md#rate-groups)
+    safe: output octets for every way out, in hex. Left out: the drive's, else zeros
+    min_slave_interval: shortest time between two exchanges with it; less than its GSD file says is told. Left out: the
+        drive's, its GSD file's
+    dpv1: DP-V1, or a table of what DPV1_Status says beside DPV1_Enable ([dp-v1.md](dp-v1.md)); `user_prm` begin with
+        its three octets. Left out: on where the GSD file says DPV1_Slave and C1_Read_Write_supp, or DPV1_Enable stands
+        in `user_prm`
+    ignore_auto_clear: `auto_clear` does not look at this slave
+    fail_safe: the slave takes an empty output frame in Clear. Left out: the drive's, or as its GSD file says
+    """
+
+    ident: Annotated[int | str | None, Key(0, 0xFFFF, hint="an ident number has two octets", read=_ident)]
+    config: Annotated[Octets | None, Key()]
+    user_prm: Annotated[Octets | None, Key()]
+    watchdog_ms: Annotated[
+        int | None, Key(0, MAX_WATCHDOG_MS, hint="0 is off; leave it out for the plan's recommendation")
+    ]
+    wd_base_1ms: Annotated[bool | None, Key(gsd=Gsd("WD_Base_1ms_supp", attrgetter("dpv1.wd_base_1ms")))]
+    groups: Annotated[Sequence[int] | None, Key(1, 8)]
+    sync: Annotated[bool | None, Key(gsd=Gsd("Sync_Mode_supp", attrgetter("sync")))]
+    freeze: Annotated[bool | None, Key(gsd=Gsd("Freeze_Mode_supp", attrgetter("freeze")))]
+    every: Annotated[int | None, Key(1, 10_000)]
+    safe: Annotated[Octets | None, Key()]
+    min_slave_interval: Annotated[int | None, Key(0, 0xFFFF, "x 100 us", read=_interval)]
+    dpv1: Annotated[bool | Mapping[str, object] | None, Key(read=lambda table, name, _: table.raw(name))]
+    ignore_auto_clear: Annotated[bool | None, Key()]
+    fail_safe: Annotated[
+        bool | None, Key(gsd=Gsd("Fail_Safe_required", attrgetter("dpv1.fail_safe_required"), required=True))
+    ]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SlaveConfig:
-    """One slave as configured and checked. ``ident`` None: taken from the slave's diagnosis (``ident = "ask"``)."""
+    """One slave as configured and checked."""
 
-    name: str
-    address: int
-    ident: int | None
-    config: bytes
-    user_prm: bytes = b""
+    params: SlaveParams
+    #: what drive, GSD file or identifier octets say, without its own keys
+    known: SlaveParams
     profile: DriveProfile | None = None
     telegram: str | None = None
     options: Mapping[str, object] = field(default_factory=dict)
     #: what only its simulated drive has: options and parameters by name
     simulated: Mapping[str, object] = field(default_factory=dict)
-    watchdog_ms: int | None = None
-    groups: tuple[int, ...] = ()
-    every: int = 1
-    safe: bytes = b""
-    initial: bytes | None = None
-    min_slave_interval_ns: int = 0
-    fail_safe: bool = False
-    #: a DP-V1 slave is told so in DPV1_Status_1
-    fail_safe_told: bool = False
-    sync: bool = False
-    freeze: bool = False
-    wd_base_1ms: bool = False
-    ignore_auto_clear: bool = False
-    #: DPV1_Enable and what goes with it; None: nothing of DP-V1 is used
-    dpv1: Dpv1 | None = None
     #: what its GSD file says about class 2 connections
     ms2: Ms2Limits = field(default_factory=Ms2Limits)
-    #: what the device's GSD file says to a diagnosis
-    texts: DiagTexts | None = field(default=None, compare=False, repr=False)
     #: as a slave, where its GSD file describes it
     description: SlaveDescription | None = field(default=None, compare=False, repr=False)
     #: what its GSD file says
@@ -142,53 +185,19 @@ class SlaveConfig:
     output_fields: FieldMap = field(default_factory=FieldMap)
     #: the application makes the outputs octet by octet, also where there is a drive plugin
     raw: bool = False
-    #: MaxTsdr in bit times by rate, and the rates it knows, where manual or GSD file say so
-    max_tsdr: Mapping[int, int] = field(default_factory=dict)
+    #: the rates it knows, where manual or GSD file say so
     baud_rates: frozenset[int] = frozenset()
-    #: Max_Diag_Data_Len of its GSD file
-    max_diag_len: int | None = None
     notes: tuple[str, ...] = ()
-    #: see :attr:`~dpstack.dp.slave_params.SlaveParams.prm_note`
-    prm_note: str = ""
 
     @property
-    def input_len(self) -> int:
-        """Octets of inputs."""
-        return io_lengths(self.config)[0]
+    def address(self) -> int:
+        """Its station address."""
+        return self.params.address
 
     @property
-    def output_len(self) -> int:
-        """Octets of outputs."""
-        return io_lengths(self.config)[1]
-
-    def setup(self, baud: int) -> SlaveParams:
-        """What the master must know of it at ``baud`` bit/s."""
-        profile = self.profile
-        return SlaveParams(
-            address=self.address,
-            name=self.name,
-            ident=self.ident,
-            config=self.config,
-            user_prm=self.user_prm,
-            watchdog_ms=self.watchdog_ms,
-            groups=self.groups,
-            safe=self.safe,
-            initial=self.initial,
-            fail_safe=self.fail_safe,
-            fail_safe_told=self.fail_safe_told,
-            every=self.every,
-            min_slave_interval_ns=self.min_slave_interval_ns,
-            max_tsdr=self.max_tsdr.get(baud),
-            max_diag_len=self.max_diag_len,
-            on_loss=profile.on_loss if profile else "",
-            sync=self.sync,
-            freeze=self.freeze,
-            wd_base_1ms=self.wd_base_1ms,
-            ignore_auto_clear=self.ignore_auto_clear,
-            dpv1=self.dpv1,
-            texts=self.texts,
-            prm_note=self.prm_note,
-        )
+    def name(self) -> str:
+        """Its name."""
+        return self.params.name
 
 
 def read_slave(table: Table, *, unaddressed: bool = False) -> SlaveConfig:
@@ -196,135 +205,68 @@ def read_slave(table: Table, *, unaddressed: bool = False) -> SlaveConfig:
     named = table.raw("name")
     if isinstance(named, str) and named.strip() and named.isprintable():
         table.title = f"[[slave]] {named}" if table.title.startswith("[[") else f"slave {named}"
-    table.check_keys(_KEYS)
-    highest = UNADDRESSED if unaddressed else MAX_STATION
-    address = table.integer("address", 0, highest, "stations have 0..125; 126 is a slave without an address yet")
-    if address is None:
+    keys = keys_of(SlaveKeys) | keys_of(Changes)
+    if unaddressed:
+        keys["address"] = dataclasses.replace(keys["address"], high=UNADDRESSED)
+    given = table.read(keys)
+    if "address" not in given:
         table.fail(None, "no address", "add its station address, 0..125")
-    slave = _build(table, address, basis_of(table))
-    try:
-        slave.setup(500_000)
-    except ConfigError as error:
-        raise table.error(None, str(error), "correct it") from None
-    return slave
-
-
-def _build(table: Table, address: int, basis: Basis) -> SlaveConfig:
-    watchdog = table.integer("watchdog_ms", 0, MAX_WATCHDOG_MS, "0 is off; leave it out for the plan's recommendation")
-    interval = table.integer("min_slave_interval", 0, 0xFFFF)
-    every = table.integer("every", 1, 10_000)
-    safe = table.octets("safe")
-    outputs = io_lengths(basis.config)[1]
-    if safe is not None and len(safe) != outputs:
-        table.fail("safe", f"safe has {len(safe)} octets", f"the configuration has {outputs} octets of outputs")
-    device = basis.device
-    octets = table.octets("user_prm") if device is None else None  # with a GSD file it was looked at there
-    user_prm = basis.user_prm if octets is None else octets
-    told = device is not None and device.dpv1.slave and len(user_prm) >= DPV1_STATUS_LEN
-    ident, ident_note = _ident(table, basis)
-    input_fields, output_fields = read_fields(table, *io_lengths(basis.config))
-    name = table.text("name") or f"slave{address}"
+    address = given["address"]
+    name = given.get("name") or f"slave{address}"
     if _NUMERIC.fullmatch(name.strip()):
         table.fail("name", f"name = {name!r} looks like an address", f'write a word: name = "slave{address}"')
-    profile = basis.profile
-    interval_ns = basis.interval_ns if interval is None else interval * INTERVAL_UNIT
-    dpv1 = read_dpv1(table, device, user_prm)
-    told_of_it = (ident_note, _hurried(basis, interval_ns), *basis.notes, *remarks(device, dpv1))
-    notes = [f"slave {address} ({name}): {note}" for note in told_of_it if note]
-    if profile is not None and profile.telegram(basis.telegram).made_up:
-        notes.append(
-            f"slave {address} ({name}): the identifier octets {basis.config.hex(' ').upper()} of {profile.name} are in "
-            f"no manual (made up): compare them with its GSD file"
+    known, rest = basis_of(table, given, Who(address=address, name=name))
+    slave = SlaveConfig(params=known, known=known, ms2=Ms2Limits.of(rest.get("device")), **rest)
+    changes = changed_params(slave, table, given)
+    with table.blaming():
+        params = dataclasses.replace(known, **changes)
+    inputs, outputs = read_fields(table, params.input_len, params.output_len)
+    slave = dataclasses.replace(slave, params=params, input_fields=inputs, output_fields=outputs)
+    notes = (f"slave {address} ({name}): {note}" for note in _notes(slave, "ident" in given) if note)
+    return dataclasses.replace(slave, notes=tuple(notes))
+
+
+def changed_params(slave: SlaveConfig, table: Table, given: Mapping[str, Any]) -> dict[str, Any]:
+    """The fields of ``slave.params`` that keys of :class:`Changes` ``given`` in ``table`` change, held against its GSD
+    file. Raises ConfigError.
+    """
+    changes: dict[str, Any] = {}
+    for name, key in keys_of(Changes).items():
+        to = "min_slave_interval_ns" if name == "min_slave_interval" else name
+        if name in given:
+            changes[to] = given[name]
+            if key.gsd is not None:
+                table.against_gsd(name, given[name], key.gsd, slave.device)
+        elif name in table:
+            changes[to] = getattr(slave.known, to)
+    safe, outputs = changes.get("safe"), io_lengths(changes.get("config", slave.params.config))[1]
+    if safe and len(safe) != outputs:
+        table.fail("safe", f"safe has {len(safe)} octets", f"the configuration has {outputs} octets of outputs")
+    if "user_prm" in changes:
+        changes["prm_note"] = "" if "user_prm" in given else slave.known.prm_note
+    if "dpv1" in table or slave.params is slave.known:
+        changes["dpv1"] = read_dpv1(table, slave.device, changes.get("user_prm", slave.params.user_prm))
+    return changes
+
+
+def _notes(slave: SlaveConfig, ident_given: bool) -> Iterator[str]:
+    profile, params = slave.profile, slave.params
+    if profile is not None and profile.ident_made_up and not ident_given:
+        yield (
+            f"the ident number 0x{profile.ident:04X} of {profile.name} is in no manual (made up); "
+            f'for a real one give ident = 0x... or ident = "ask"'
         )
-    return SlaveConfig(
-        name=name,
-        address=address,
-        ident=ident,
-        config=basis.config,
-        user_prm=user_prm,
-        profile=profile,
-        telegram=basis.telegram,
-        options=basis.options,
-        simulated=basis.simulated,
-        max_tsdr=basis.max_tsdr,
-        baud_rates=basis.baud_rates,
-        texts=basis.texts,
-        description=basis.description,
-        device=device,
-        watchdog_ms=watchdog,
-        groups=table.integers("groups", 1, 8),
-        every=1 if every is None else every,
-        safe=basis.safe if safe is None else safe,
-        min_slave_interval_ns=interval_ns,
-        max_diag_len=_max_diag_len(device),
-        fail_safe=_fail_safe(table, basis),
-        fail_safe_told=told and basis.fail_safe,
-        sync=_mode(table, "sync", None if device is None else device.sync, "Sync_Mode_supp"),
-        freeze=_mode(table, "freeze", None if device is None else device.freeze, "Freeze_Mode_supp"),
-        wd_base_1ms=_wd_base_1ms(table, device, told),
-        ignore_auto_clear=table.flag("ignore_auto_clear", False),
-        dpv1=dpv1,
-        ms2=Ms2Limits.of(device),
-        input_fields=input_fields,
-        output_fields=output_fields,
-        notes=tuple(notes),
-        prm_note=basis.prm_note,
-    )
-
-
-def _hurried(basis: Basis, interval_ns: int) -> str:
-    """A remark on a Min_Slave_Interval below what the slave is known to need."""
-    if interval_ns >= basis.interval_ns:
-        return ""
-    known = "its GSD file" if basis.device is not None or basis.profile is None else basis.profile.name
-    return (
-        f"min_slave_interval = {interval_ns // INTERVAL_UNIT} ({ms_text(interval_ns)}) is shorter than the "
-        f"{ms_text(basis.interval_ns)} of {known} (Min_Slave_Intervall): it may not follow; leave it out"
-    )
-
-
-def _max_diag_len(device: Device | None) -> int | None:
-    if device is None or device.max_diag_data_len is None:
-        return None
-    return min(max(FIXED_LEN, device.max_diag_data_len), MAX_LEN)
-
-
-def _mode(table: Table, key: str, supported: bool | None, keyword: str) -> bool:
-    """A flag that a GSD file may not allow; ``supported`` None: there is no such file."""
-    wanted = table.flag(key, False)
-    if wanted and supported is False:
-        table.fail(key, f"{key} = true, but its GSD file says {keyword} = 0", f"leave {key} out")
-    return wanted
-
-
-def _wd_base_1ms(table: Table, device: Device | None, told: bool) -> bool:
-    supported = device is not None and device.dpv1.wd_base_1ms
-    wanted = table.flag("wd_base_1ms", supported and told)
-    if wanted and device is not None and not supported:
-        table.fail("wd_base_1ms", "wd_base_1ms = true, but its GSD file says WD_Base_1ms_supp = 0", "leave it out")
-    return wanted
-
-
-def _fail_safe(table: Table, basis: Basis) -> bool:
-    wanted = table.flag("fail_safe", basis.fail_safe)
-    if basis.device is not None and basis.device.dpv1.fail_safe_required and not wanted:
-        table.fail("fail_safe", "fail_safe = false, but its GSD file says Fail_Safe_required = 1", "leave it out")
-    return wanted
-
-
-def _ident(table: Table, basis: Basis) -> tuple[int | None, str]:
-    """The ident number and a remark on it. "ask" is None."""
-    profile = basis.profile
-    value = table.raw("ident")
-    if value is None:
-        if profile is not None and profile.ident_made_up:
-            return basis.ident, (
-                f"the ident number 0x{profile.ident:04X} of {profile.name} is in no manual (made up); "
-                f'for a real one give ident = 0x... or ident = "ask"'
-            )
-        return basis.ident, ""
-    if isinstance(value, str):
-        if value.strip().lower() != "ask":
-            table.fail("ident", f"ident = {value!r}", 'give a number like 0x0696, or "ask"')
-        return None, ""
-    return table.integer("ident", 0, 0xFFFF, "an ident number has two octets"), ""
+    interval, needed = params.min_slave_interval_ns, slave.known.min_slave_interval_ns
+    if interval < needed:
+        known = "its GSD file" if slave.device is not None or profile is None else profile.name
+        yield (
+            f"min_slave_interval = {interval // INTERVAL_UNIT} ({ms_text(interval)}) is shorter than the "
+            f"{ms_text(needed)} of {known} (Min_Slave_Intervall): it may not follow; leave it out"
+        )
+    yield from slave.notes
+    yield from remarks(slave.device, params.dpv1)
+    if profile is not None and profile.telegram(slave.telegram).made_up:
+        yield (
+            f"the identifier octets {params.config.hex(' ').upper()} of {profile.name} are in no manual (made up): "
+            f"compare them with its GSD file"
+        )

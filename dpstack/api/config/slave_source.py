@@ -2,139 +2,94 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from typing import Any, Final, TypeAlias
 
-from dpstack.api.config.gsd_slave import GSD_KEYS, GsdSlave, read_gsd_slave
+from dpstack.api.config.gsd_slave import GsdSlave, Who, read_gsd_slave
 from dpstack.api.config.table import Table
-from dpstack.dp.pdu.diag_texts import DiagTexts
-from dpstack.dp.slave_params import INTERVAL_UNIT
-from dpstack.dpv1.slave.description import SlaveDescription
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.slave.description_from_gsd import slave_description
-from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.configuration import configuration_like
 from dpstack.gsd.identifiers import io_lengths
-from dpstack.gsd.model import Device
 from dpstack.profile import DriveProfile, TelegramSpec, registry
 
-
-@dataclass(frozen=True, slots=True)
-class Basis:
-    """What the kinds of slave take from elsewhere. ``device``: what its GSD file says; ``description``: as a slave."""
-
-    ident: int | None
-    config: bytes
-    user_prm: bytes = b""
-    safe: bytes = b""
-    interval_ns: int = 0
-    fail_safe: bool = False
-    profile: DriveProfile | None = None
-    telegram: str | None = None
-    options: Mapping[str, object] = field(default_factory=dict)
-    simulated: Mapping[str, object] = field(default_factory=dict)
-    max_tsdr: Mapping[int, int] = field(default_factory=dict)
-    baud_rates: frozenset[int] = frozenset()
-    device: Device | None = None
-    description: SlaveDescription | None = None
-    texts: DiagTexts | None = None
-    notes: tuple[str, ...] = ()
-    #: see :attr:`~dpstack.dp.slave_params.SlaveParams.prm_note`
-    prm_note: str = ""
+#: what is known of a slave before its own keys count, and the fields of a SlaveConfig that go with it
+Basis: TypeAlias = tuple[SlaveParams, dict[str, Any]]
+#: keys that mean something beside ``gsd`` only, and beside ``drive`` only
+_GSD_KEYS: Final = ("modules", "parameters", "defaults")
+_REFERENCES: Final = ("reference_hz", "reference_rpm")
+_DRIVE_KEYS: Final = ("telegram", *_REFERENCES, "options", "simulated")
 
 
-def basis_of(table: Table) -> Basis:
-    """Read it. Raises ConfigError, one line."""
-    drive, gsd = table.text("drive"), table.text("gsd")
-    if gsd is None:
-        for key in GSD_KEYS:
-            if key in table:
-                table.fail(key, f"{key} without gsd", f"name the GSD file, or leave {key} out")
-    else:
+def basis_of(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
+    """Of the slave whose keys are ``given`` in ``table``. Raises ConfigError, one line."""
+    if "gsd" in given:
         _leave_out(table, "config", "beside gsd", "leave config out, or gsd")
-    if drive is not None:
-        return _drive(table, drive, gsd)
-    for key in ("telegram", "reference_hz", "reference_rpm", "options", "simulated"):
+    else:
+        for key in _GSD_KEYS:
+            _leave_out(table, key, "without gsd", f"name the GSD file, or leave {key} out")
+    if "drive" in given:
+        return _drive(table, given, who)
+    for key in _DRIVE_KEYS:
         _leave_out(table, key, "without drive", f"add drive, or leave {key} out")
-    return _raw(table) if gsd is None else _gsd(table, gsd)
+    return _gsd(table, given, who) if "gsd" in given else _raw(table, given, who)
 
 
-def _gsd(table: Table, path: str) -> Basis:
-    found = read_gsd_slave(table, path)
-    _check_ident(table, path, found)
-    return Basis(
-        ident=found.device.ident,
-        config=found.configuration.config,
-        user_prm=found.user_prm,
-        interval_ns=_interval_ns(found.device),
-        fail_safe=_fail_safe(found.device),
-        max_tsdr=found.max_tsdr,
-        baud_rates=found.baud_rates,
-        device=found.device,
-        description=slave_description(found.device, found.configuration, ident=found.device.ident or 0),
-        texts=found.configuration.texts(),
-        notes=found.notes,
-        prm_note=found.prm_note,
-    )
+def _gsd(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
+    found = read_gsd_slave(table, given, who)
+    _check_ident(table, given, found)
+    description = slave_description(found.device, found.configuration, ident=found.device.ident or 0)
+    return found.params, _of_gsd(found) | {"baud_rates": found.baud_rates, "description": description}
 
 
-def _drive(table: Table, name: str, gsd: str | None) -> Basis:
+def _of_gsd(found: GsdSlave) -> dict[str, Any]:
+    return {"device": found.device, "notes": found.notes}
+
+
+def _drive(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
     _leave_out(table, "config", "beside drive", "leave config out: it follows from drive and telegram")
-    try:
-        profile = registry.find(name)
-    except ConfigError as error:
-        raise _split(table, "drive", error) from None
+    with table.blaming("drive"):
+        profile = registry.find(given["drive"])
+    with table.blaming("telegram"):
+        telegram = profile.telegram(given.get("telegram"))
     found: GsdSlave | None = None
-    wanted = table.text("telegram")
-    try:
-        telegram = profile.telegram(wanted)
-    except ConfigError as error:
-        raise _split(table, "telegram", error) from None
-    if gsd is not None:
+    if "gsd" in given:
         like = telegram.config, _lengths(telegram)
-        found = read_gsd_slave(table, gsd, lambda device: configuration_like(device, *like))
-        _check_ident(table, gsd, found)
+        found = read_gsd_slave(table, given, who, lambda device: configuration_like(device, *like))
+        _check_ident(table, given, found)
         telegram = _telegram_for(table, profile, telegram, found)
-        profile = _as_its_gsd_says(profile, telegram, found)
+        # what a GSD file says goes before what the plugin knows
+        profile = profile.described(telegram, found.params, tuple(sorted(found.baud_rates)))
         telegram = profile.telegram(telegram.name)
-    options, simulated = _inside(table, "options"), _inside(table, "simulated")
-    references: dict[str, object] = {}
-    for key in ("reference_hz", "reference_rpm"):
-        value = table.number(key, 0.001, 1_000_000)
-        if value is not None:
-            references[key] = value
-    options |= references
-    try:
-        core = profile.core(table.text("name") or name, telegram.name, options)
-    except ConfigError as error:
-        raise _split(table, next(iter(references), "options"), error) from None
-    try:
+    references = {key: given[key] for key in _REFERENCES if key in given}
+    options = given.get("options", {}) | references
+    simulated = given.get("simulated", {})
+    with table.blaming(next(iter(references), "options")):
+        core = profile.core(who["name"], telegram.name, options)
+    with table.blaming("simulated"):
         profile.device(telegram.name, {**profile.shared(options), **simulated})
-    except ConfigError as error:
-        raise _split(table, "simulated", error) from None
-    return Basis(
-        ident=profile.ident if found is None else found.device.ident,
-        config=telegram.config,
-        user_prm=profile.user_prm,
-        safe=core.safe_outputs,
-        interval_ns=profile.min_slave_interval_ns,
-        fail_safe=profile.fail_safe,
-        max_tsdr=profile.max_tsdr,
-        baud_rates=frozenset(profile.rates(options)),
-        profile=profile,
-        telegram=telegram.name,
-        options=options,
-        simulated=simulated,
-        device=None if found is None else found.device,
-        texts=None if found is None else found.configuration.texts(),
-        notes=() if found is None else found.notes,
-    )
-
-
-def _inside(table: Table, key: str) -> dict[str, object]:
-    """A table within the table, empty where it is left out."""
-    inside = table.table(key)
-    return {} if inside is None else {name: inside.raw(name) for name in inside}
+    with table.blaming():
+        params = SlaveParams(
+            **who,
+            ident=profile.ident,
+            config=telegram.config,
+            user_prm=profile.user_prm,
+            min_slave_interval_ns=profile.min_slave_interval_ns,
+            fail_safe=profile.fail_safe,
+            max_tsdr=profile.max_tsdr,
+        )
+    rest = {
+        "profile": profile,
+        "telegram": telegram.name,
+        "options": options,
+        "simulated": simulated,
+        "baud_rates": frozenset(profile.rates(options)),
+    }
+    known = params if found is None else found.params
+    known = dataclasses.replace(known, safe=core.safe_outputs, on_loss=profile.on_loss)
+    return known, rest if found is None else rest | _of_gsd(found)
 
 
 def _telegram_for(table: Table, profile: DriveProfile, default: TelegramSpec, found: GsdSlave) -> TelegramSpec:
@@ -164,38 +119,21 @@ def _telegram_for(table: Table, profile: DriveProfile, default: TelegramSpec, fo
     )
 
 
-def _as_its_gsd_says(profile: DriveProfile, telegram: TelegramSpec, found: GsdSlave) -> DriveProfile:
-    """What a GSD file says goes before what the plugin knows of ident number, identifier octets and parameters."""
-    device = found.device
-    return profile.described(
-        telegram,
-        config=found.configuration.config,
-        ident=device.ident,
-        user_prm=found.user_prm,
-        baud_rates=tuple(sorted(found.baud_rates)),
-        max_tsdr=found.max_tsdr,
-        min_slave_interval_ns=_interval_ns(device),
-        fail_safe=_fail_safe(device),
-    )
-
-
-def _raw(table: Table) -> Basis:
-    config = table.octets("config")
-    if config is None:
+def _raw(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
+    if "config" not in given:
         table.fail(
             None,
             "neither drive nor config",
             'name a drive or a GSD file, or give ident and config (identifier octets, "20 10")',
         )
-    try:
+    config = given["config"]
+    with table.blaming("config", "config: "):
         io_lengths(config)
-    except ConfigError as error:
-        raise table.error("config", f"config: {error}", "take the octets from its GSD file") from None
     if not 1 <= len(config) <= MAX_DATA:
         table.fail("config", f"config has {len(config)} octets", f"1..{MAX_DATA} are possible")
-    if "ident" not in table:
+    if "ident" not in given:
         table.fail(None, "no ident", 'add ident = 0x1234 (from its GSD file), or ident = "ask"')
-    return Basis(ident=None, config=config)
+    return SlaveParams(**who, ident=None, config=config), {}
 
 
 def _leave_out(table: Table, key: str, why: str, todo: str) -> None:
@@ -203,25 +141,10 @@ def _leave_out(table: Table, key: str, why: str, todo: str) -> None:
         table.fail(key, f"{key} {why}", todo)
 
 
-def _check_ident(table: Table, path: str, found: GsdSlave) -> None:
-    if found.device.ident is None and "ident" not in table:
-        table.fail("gsd", f"{path} has no Ident_Number", 'add ident = 0x1234, or ident = "ask"')
+def _check_ident(table: Table, given: Mapping[str, Any], found: GsdSlave) -> None:
+    if found.device.ident is None and "ident" not in given:
+        table.fail("gsd", f"{given['gsd']} has no Ident_Number", 'add ident = 0x1234, or ident = "ask"')
 
 
 def _lengths(telegram: TelegramSpec) -> tuple[int, int]:
     return telegram.input_octets, telegram.output_octets
-
-
-def _interval_ns(device: Device) -> int:
-    return (device.min_slave_interval or 0) * INTERVAL_UNIT
-
-
-def _fail_safe(device: Device) -> bool:
-    """A slave that needs empty frames in Clear can take them."""
-    return device.fail_safe or device.dpv1.fail_safe_required
-
-
-def _split(table: Table, key: str | None, error: ConfigError) -> ConfigError:
-    """A refusal of the drive registry (``what; what to do``) with the place in front."""
-    what, _, todo = str(error).partition("; ")
-    return table.error(key, what, todo or "correct it")

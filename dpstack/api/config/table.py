@@ -1,15 +1,65 @@
-"""Typed reading of a configuration table: every refusal is one line that says where, what, and what to do."""
+"""Typed reading of a configuration table: every refusal is one line that says where, what, and what to do.
+
+What a table may hold is stated once, as a class whose annotations are ``Annotated[type, Key(...)]``: the reader, its
+refusals and the tables of docs/configuration.md follow from that. The sentences are in the docstring of the class.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
 import difflib
+import functools
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, NoReturn
+from types import UnionType
+from typing import Any, Final, Literal, NoReturn, TypeAlias, get_args, get_origin, get_type_hints
 
 from dpstack.api.config.toml import Path as KeyPath
-from dpstack.errors import ConfigError
+from dpstack.api.config.toml import quoted
+from dpstack.errors import ConfigError, PduError
+from dpstack.gsd.model import Device
+
+#: octets as they may be given: bytes, hex digits, or numbers 0..255
+Octets: TypeAlias = bytes | str | Sequence[int]
+
+
+@dataclass(frozen=True, slots=True)
+class Gsd:
+    """What a GSD file says to a flag: ``keyword``, that is 0 where the device does not have it, or 1 where the device
+    wants it (``required``)."""
+
+    keyword: str
+    says: Callable[[Device], bool]
+    required: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Key:
+    """What a key takes beside its type. ``unit`` of its limits, where its name does not say it. ``hint``: what to do
+    about a value outside them. ``read`` takes the place of the reader of its type.
+    """
+
+    low: float = -math.inf
+    high: float = math.inf
+    unit: str = ""
+    hint: str = ""
+    gsd: Gsd | None = None
+    read: Callable[[Table, str, Key], object] | None = None
+    #: the type of the value, the first one where it may be given in several
+    kind: Any = None
+
+
+@functools.cache
+def keys_of(table: type) -> dict[str, Key]:
+    """The keys that the annotations of ``table`` state, in their order."""
+    found = {}
+    for name, hint in get_type_hints(table, include_extras=True).items():
+        kind, key = get_args(hint)
+        found[name] = dataclasses.replace(key, kind=get_args(kind)[0] if isinstance(kind, UnionType) else kind)
+    return found
 
 
 class Source:
@@ -57,6 +107,21 @@ class Table:
         path = self._path if key is None or key not in self._data else (*self._path, key)
         return self._source.error(path, f"{self.title}: {what}", todo)
 
+    @contextlib.contextmanager
+    def blaming(self, key: str | None = None, prefix: str = "") -> Iterator[None]:
+        """What is refused in here (``what; what to do``) is refused at ``key``."""
+        try:
+            yield
+        except (ConfigError, PduError) as error:
+            what, _, todo = str(error).partition("; ")
+            raise self.error(key, prefix + what, todo or "correct it") from None
+
+    def against_gsd(self, name: str, value: object, gsd: Gsd, device: Device | None) -> None:
+        """Refuse a flag that the device's GSD file does not allow."""
+        if device is not None and gsd.says(device) is gsd.required is not value:
+            what = f"{name} = {str(value).lower()}, but its GSD file says {gsd.keyword} = {int(gsd.required)}"
+            self.fail(name, what, f"leave {name} out")
+
     def check_keys(self, known: Iterable[str]) -> None:
         """Refuse the first unknown key, with the nearest known one."""
         names = list(known)
@@ -65,6 +130,25 @@ class Table:
                 near = difflib.get_close_matches(key.lower(), names, n=1, cutoff=0.5)
                 todo = f"did you mean {near[0]!r}?" if near else f"known keys: {', '.join(names)}"
                 self.fail(key, f"unknown key {key!r}", todo)
+
+    def read(self, keys: Mapping[str, Key]) -> dict[str, Any]:
+        """The values of those of ``keys`` that are given, None is as if left out. Refuses keys that are not known."""
+        self.check_keys(keys)
+        return {name: self._value(name, key) for name, key in keys.items() if self.raw(name) is not None}
+
+    def _value(self, name: str, key: Key) -> object:
+        kind = get_origin(key.kind) or key.kind
+        if key.read is not None:
+            return key.read(self, name, key)
+        if kind is Literal:
+            return self.choice(name, get_args(key.kind))
+        if kind is int:
+            return self.integer(name, key.low, key.high, key.hint)
+        if kind is float:
+            return self.number(name, key.low, key.high)
+        if kind in (tuple, Sequence):
+            return self.integers(name, key.low, key.high)
+        return _READERS[kind](self, name)
 
     @property
     def folder(self) -> Path:
@@ -94,7 +178,7 @@ class Table:
             self.fail(key, f"{key} = {value!r} holds a control character", "take it out")
         return value
 
-    def flag(self, key: str, default: bool) -> bool:
+    def flag(self, key: str, default: bool = False) -> bool:
         """True or false."""
         value = self._data.get(key, default)
         if not isinstance(value, bool):
@@ -123,7 +207,15 @@ class Table:
             self.fail(key, f"{key} = {value:g} is outside {low:g}..{high:g}", "correct it or leave it out")
         return float(value)
 
-    def integers(self, key: str, low: int, high: int) -> tuple[int, ...]:
+    def choice(self, key: str, known: Sequence[str]) -> str:
+        """One of the texts ``known``."""
+        value = self.text(key)
+        if value is None or value not in known:
+            *others, last = map(quoted, known)
+            self.fail(key, f"unknown {key} {value!r}", f"it must be {', '.join(others)} or {last}")
+        return value
+
+    def integers(self, key: str, low: float, high: float) -> tuple[int, ...]:
         """A list of integers within limits, each once."""
         value = self._data.get(key, [])
         if not isinstance(value, (list, tuple)) or any(isinstance(v, bool) or not isinstance(v, int) for v in value):
@@ -141,6 +233,11 @@ class Table:
         if not isinstance(value, Mapping):
             self._wrong(key, wanted)
         return Table(self._source, (*self._path, key), value, f"{self.title}: {key}")
+
+    def inside(self, key: str) -> dict[str, object]:
+        """What stands in a table inside this one, empty where it is left out."""
+        inside = self.table(key)
+        return {} if inside is None else {name: inside.raw(name) for name in inside}
 
     def inner(self, key: str, number: int, value: object) -> Table:
         """The table ``value`` that stands at place ``number``, from 1, of the list ``key``."""
@@ -175,6 +272,12 @@ class Table:
         self.fail(key, f"{key} = {value!r} is {kind}", f"it must be {wanted}")
 
 
+_READERS: Final[dict[type, Callable[[Table, str], object]]] = {
+    str: Table.text,
+    bool: Table.flag,
+    bytes: Table.octets,
+    Mapping: Table.inside,
+}
 _KINDS: Final[dict[type, str]] = {
     bool: "true/false",
     int: "an integer",

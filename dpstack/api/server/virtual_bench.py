@@ -30,23 +30,23 @@ def device_of(slave: SlaveConfig) -> Device:
     """
     if slave.profile is not None:
         device = slave.profile.device(slave.telegram, {**slave.profile.shared(slave.options), **slave.simulated})
-        if slave.ident is not None:
-            device.ident = slave.ident
+        if slave.params.ident is not None:
+            device.ident = slave.params.ident
         device.name = slave.name
         return device
-    if slave.ident == IDENT:
+    params = slave.params
+    if params.ident == IDENT:
         described = None if slave.description is None else _own(slave, slave.description)
-        return IoStation(slave.config, described, name=slave.name)
+        return IoStation(params.config, described, name=slave.name)
     if slave.description is not None:
         return mirror_of(_own(slave, slave.description))
-    return MirrorDevice(slave.ident or 0, slave.config, slave.name, fail_safe=slave.fail_safe)
+    return MirrorDevice(params.ident or 0, params.config, params.name, fail_safe=params.fail_safe)
 
 
 def _own(slave: SlaveConfig, description: SlaveDescription) -> SlaveDescription:
     """``description`` under the slave's own name, with the ident number that the table gives."""
-    return dataclasses.replace(
-        description, name=slave.name, ident=description.ident if slave.ident is None else slave.ident
-    )
+    ident = slave.params.ident
+    return dataclasses.replace(description, name=slave.name, ident=description.ident if ident is None else ident)
 
 
 def station_status(device: Device) -> dict[str, object]:

@@ -187,7 +187,7 @@ class Class2(Sealed):
         known = self._known(address)
         expected = None
         if known is not None and service in (Service.INPUTS, Service.OUTPUTS):
-            expected = known.config.input_len if service is Service.INPUTS else known.config.output_len
+            expected = known.setup.input_len if service is Service.INPUTS else known.setup.output_len
         token = self._bus.services.token()
         command = ReadService(token, address, service, expected, time_of(timeout))
         return await self._bus.services.do(token, command, ServiceDone)
@@ -212,7 +212,7 @@ class Class2(Sealed):
 
     def _check_settable(self, old: int, new: int, ident: int | None) -> None:
         """Raises UsageError where its GSD file says that it cannot be given an address."""
-        alike = [slave for slave in self._slaves.values() if ident is not None and slave.config.ident == ident]
+        alike = [slave for slave in self._slaves.values() if ident is not None and slave.setup.ident == ident]
         known = self._known(old) or (alike[0] if alike else self._known(new) if ident is None else None)
         device = None if known is None else known.config.device
         if known is not None and device is not None and not device.set_slave_add:

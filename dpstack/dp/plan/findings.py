@@ -25,10 +25,11 @@ def findings(figures: Figures, watchdogs: dict[int, int], data_control_ns: int) 
                 f"({ms_text(worst)} with retries{_while_dying(figures.dying_ns)}): it would trip by itself; "
                 f"take {_up(3 * worst)} ms or more, or a faster rate"
             )
-        if setup.max_tsdr is not None and setup.max_tsdr + 15 > params.t_sl:
+        max_tsdr = setup.max_tsdr.get(params.baud, 0)
+        if max_tsdr + 15 > params.t_sl:
             yield (
-                f"{who}: it may take T_SDR {setup.max_tsdr} at {at}, t_sl = {params.t_sl} is too short for it; "
-                f"leave t_sl out, or set it to {setup.max_tsdr + 15} or more"
+                f"{who}: it may take T_SDR {max_tsdr} at {at}, t_sl = {params.t_sl} is too short for it; "
+                f"leave t_sl out, or set it to {max_tsdr + 15} or more"
             )
         if setup.min_tsdr > params.min_tsdr and setup.min_tsdr > params.max_tsdr:
             yield f"{who}: its min T_SDR {setup.min_tsdr} lies above max T_SDR {params.max_tsdr} of the bus"

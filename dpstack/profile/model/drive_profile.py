@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.errors import ConfigError
 from dpstack.profile.channel.base import CHANNEL_LEN
 from dpstack.profile.master.settings import OPTION as CHECK_SETTINGS
@@ -151,34 +152,23 @@ class DriveProfile:
             return (made,)
         return found
 
-    def described(
-        self,
-        telegram: TelegramSpec,
-        *,
-        config: bytes,
-        ident: int | None,
-        user_prm: bytes,
-        baud_rates: tuple[int, ...],
-        max_tsdr: Mapping[int, int],
-        min_slave_interval_ns: int,
-        fail_safe: bool,
-    ) -> DriveProfile:
+    def described(self, telegram: TelegramSpec, params: SlaveParams, baud_rates: tuple[int, ...]) -> DriveProfile:
         """The drive with ``telegram`` by default, as a GSD file describes it; what that says is not made up.
 
-        ``ident`` None: the file has none.
+        ``params.ident`` None: the file has none.
         """
         others = {name: spec for name, spec in self.telegrams.items() if name != telegram.name}
         return replace(
             self,
-            ident=self.ident if ident is None else ident,
-            ident_made_up=self.ident_made_up and ident is None,
-            telegrams={telegram.name: replace(telegram, config=config, made_up=False)} | others,
+            ident=self.ident if params.ident is None else params.ident,
+            ident_made_up=self.ident_made_up and params.ident is None,
+            telegrams={telegram.name: replace(telegram, config=params.config, made_up=False)} | others,
             default_telegram=telegram.name,
-            user_prm=user_prm,
+            user_prm=params.user_prm,
             baud_rates=baud_rates,
-            max_tsdr=max_tsdr,
-            min_slave_interval_ns=min_slave_interval_ns,
-            fail_safe=fail_safe,
+            max_tsdr=params.max_tsdr,
+            min_slave_interval_ns=params.min_slave_interval_ns,
+            fail_safe=params.fail_safe,
         )
 
     def core(
