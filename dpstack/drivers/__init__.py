@@ -5,6 +5,7 @@
 - ``realtime/``: What makes a bus process punctual: rights, its share of the processor, the collector
 - ``segment/``: A segment made of ptys: stations of other programs on one simulated line
 - ``virtual/``: A machine in virtual time
+- ``futures``: Futures of asyncio as the drivers use them
 - ``runtime``: What every driver offers to the API: one machine kept running on one line inside an asyncio loop
 - ``shutdown``: The ordered end of a bus: safe values, Clear twice, class 2 connections given back, out of the ring
 - ``stack``: The machines of one bus, from plain data: what every driver runs, in this process or in one of its own

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 from dpstack.dp.master.events import SlaveEvent
 from dpstack.drivers.line.port_latency import Lateness
+from dpstack.errors import DpError
 from dpstack.params import BusParams
 from dpstack.trace import Event
 from dpstack.units import BITS_PER_CHAR, NS_PER_S, ms_text, ns_to_s
+
+if TYPE_CHECKING:
+    import asyncio
 
 #: the ordered end takes a few rotations; nobody waits longer than this for each of its steps (plus ten rotations)
 END_LIMIT: Final = 2 * NS_PER_S
@@ -24,6 +28,8 @@ IN_PARENT: Final = "the bus runs in the process from which this one was forked"
 OnEvents = Callable[[list[Event]], None]
 #: Told when the machine raised: a defect of ours, the driver has stopped.
 OnFailure = Callable[[Exception], None]
+#: Told an order that nobody awaits and that a machine in another process refused, or dropped, with the error.
+OnRefused = Callable[[object, DpError], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -178,9 +184,12 @@ class Runtime(Protocol):
         """In the child of a fork: let go of everything that the parent uses too, and change nothing at it."""
 
     def command(self, command: object) -> None:
-        """Hand an order to the machine and let it act at once."""
+        """Hand an order to the machine. What a machine in another process refuses is told later (:data:`OnRefused`)."""
 
-    def hand_over_outputs(self) -> None:
+    def order(self, command: object) -> asyncio.Future[object]:
+        """As :meth:`command`; done when the machine has carried the order out. What it raises is in the future."""
+
+    async def hand_over_outputs(self) -> None:
         """The machine has the outputs that were set up to now when this returns. Raises OrderDropped, BusError."""
 
     def now(self) -> int:

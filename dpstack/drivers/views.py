@@ -8,7 +8,7 @@ from typing import Protocol
 from dpstack.dp.master.commands import Mode
 from dpstack.dp.master.events import Fault, SlaveState
 from dpstack.dp.master.fixed_cycle import CycleBook, CycleData
-from dpstack.dp.master.scanner import Found, SurveyResult
+from dpstack.dp.master.scanner import Found, SurveyOrder, SurveyResult
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.alarm_events import AlarmCounts
@@ -215,6 +215,9 @@ class WatcherSeen(Protocol):
 
 class Survey(Protocol):
     """A live list that is being made."""
+
+    async def begin(self, order: SurveyOrder) -> None:
+        """Begin to ask. Raises DpError when the bus is over."""
 
     @property
     def result(self) -> SurveyResult | None:

@@ -83,9 +83,9 @@ async def test_misuse_raises_at_once_and_changes_nothing(driver: Driver) -> None
             with pytest.raises(UsageError, match="1 octet of outputs given"):
                 valves.outputs = b"\x01"
             with pytest.raises(UsageError, match="goes offline by Shutdown"):
-                bus.command(SetMode(Mode.OFFLINE))
+                await bus.order(SetMode(Mode.OFFLINE))
             with pytest.raises(UsageError, match="no slave with address 77"):
-                bus.command(DriveCommand(77, "start", {}, 1))
+                await bus.order(DriveCommand(77, "start", {}, 1))
             with pytest.raises(ConfigError, match="already"):
                 await bus.add_slave(VALVES)
             with pytest.raises(ConfigError, match="both have address 4"):

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from dpstack.dp.master.commands import AddSlave, Mode, SetMode, Shutdown
+from dpstack.dp.master.commands import AddSlave, Mode, RemoveSlave, SetMode, Shutdown
 from dpstack.dp.master.events import DriveEvent
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.drivers.line.echo import Echo
@@ -188,7 +188,7 @@ def test_the_last_words_are_not_dropped(rig: Rig, monkeypatch: pytest.MonkeyPatc
 def test_a_flood_of_orders_is_answered_in_order_and_never_piles_up(rig: Rig) -> None:
     count = 500
     rig.sock.setblocking(False)
-    left = b"".join(m.framed(m.Message(question=m.Question(n, m.named(m.AskUnit(77))))) for n in range(1, count + 1))
+    left = b"".join(m.framed(m.Message(question=m.Question(n, m.named(RemoveSlave(77))))) for n in range(1, count + 1))
 
     def write() -> None:
         nonlocal left
@@ -208,7 +208,9 @@ def test_a_flood_of_orders_is_answered_in_order_and_never_piles_up(rig: Rig) -> 
     rig.loop.remove_reader(rig.sock.fileno())
     answers = [message.answer for message in rig.got if message.answer is not None and message.answer.number]
     assert [answer.number for answer in answers] == list(range(1, count + 1))
-    assert {answer.error for answer in answers} == {("UsageError", "no slave with address 77 in the bus process")}
+    assert {answer.error for answer in answers} == {
+        ("UsageError", "no slave with address 77 is configured (configured: none)")
+    }
 
 
 def test_garbage_from_the_application_ends_the_bus_in_order(rig: Rig) -> None:

@@ -21,7 +21,7 @@ from dpstack.api.config.config import make_config
 from dpstack.api.control.handlers import control_run, run_status
 from dpstack.api.server.simulation import Segment, Simulation
 from dpstack.dp.master.commands import DriveCommand
-from dpstack.drivers.process.channel import Link
+from dpstack.drivers.process.channel import Channel
 from dpstack.drivers.runtime import BusProcessBack, BusProcessSilent, OutputsDropped
 from dpstack.errors import BusError, OrderDropped
 from dpstack.profile import State
@@ -70,7 +70,7 @@ def is_stale(bus: dpstack.Bus) -> bool:
     return bus.stats.stale
 
 
-def never_ask(_link: Link, order: object) -> object:
+def never_send(_channel: Channel, order: object, _answer: object) -> None:
     raise AssertionError(f"the bus process was asked: {order}")
 
 
@@ -138,7 +138,7 @@ async def test_a_stopped_bus_process_is_silent_and_nothing_old_goes_out_when_it_
                 assert isinstance(status, dict)
                 assert (status["4"]["state"], status["4"]["inputs_valid"]) == ("offline", False)
                 with monkeypatch.context() as patch:
-                    patch.setattr(Link, "ask", never_ask)
+                    patch.setattr(Channel, "_send", never_send)
                     stats = bus.stats
                 assert stats.stale
                 assert stats.age > 0.9
@@ -227,7 +227,7 @@ async def test_orders_that_the_socket_does_not_take_are_sent_when_the_bus_proces
                 await until(lambda: runtime_of(bus).not_running is not None, "the silence")
                 for number in range(8):
                     with pytest.raises(BusError, match="it carries the order out if it goes on"):
-                        bus.command(DriveCommand(4, "cancel", {"long": "x" * 100_000}, number))
+                        await bus.order(DriveCommand(4, "cancel", {"long": "x" * 100_000}, number))
             await bus.ready(60)
             await bus.rotated(bus.stats.rotations + 3, 60)
             await bus.operate()
@@ -263,7 +263,7 @@ async def test_the_drives_of_a_stopped_bus_process_do_not_look_alive(
                 if status.state is State.OFFLINE:
                     break
             with monkeypatch.context() as patch:
-                patch.setattr(Link, "ask", never_ask)
+                patch.setattr(Channel, "_send", never_send)
                 assert not is_running(fan)
                 assert (fan.status.state, fan.status.speed, fan.status.words) == (State.OFFLINE, None, ())
 

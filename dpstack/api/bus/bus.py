@@ -22,13 +22,15 @@ from dpstack.api.config.config import Config, slave_config
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.slave.class2 import Class2
 from dpstack.api.slave.drive import Drive
+from dpstack.api.slave.drive_view import DriveSeen
 from dpstack.api.slave.slave import Slave
 from dpstack.api.streams import EventStream, OnEvent
 from dpstack.argcheck import Sealed
-from dpstack.dp.master.commands import AddSlave, Alive, Mode, RemoveSlave, SetMode
+from dpstack.dp.master.commands import AddSlave, Alive, DriveCommand, Mode, RemoveSlave, SetMode
 from dpstack.dp.master.events import ControlSent, DriveEvent, ForcedClear, ModeChanged, OperateWaits, SlaveStateChanged
 from dpstack.dp.master.scanner import Found
-from dpstack.drivers.line.asyncio_runtime import outlast
+from dpstack.dpv1.master.alarm_events import AcknowledgeAlarm, HoldAlarms
+from dpstack.drivers.futures import outlast
 from dpstack.errors import BusError, ConfigError, DpError, UsageError
 from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.events import AddressCollision, RingJoined
@@ -59,7 +61,12 @@ class Bus(Sealed, Composed):
         watched: bool = True,
     ) -> None:
         make = functools.partial(
-            compose, on_events=self._on_events, on_failure=self._on_failure, world=world, watched=watched
+            compose,
+            on_events=self._on_events,
+            on_failure=self._on_failure,
+            on_refused=self._on_refused,
+            world=world,
+            watched=watched,
         )
         super().__init__(config, make, world, on_event)
         self._join_timeout = join_timeout
@@ -77,14 +84,13 @@ class Bus(Sealed, Composed):
         super()._build(config)
         self._beside = Beside(self.station)
         for slave in config.slaves:
-            self._register(slave)
+            self._register(slave, self.parts.plugins.get(slave.address))
 
-    def _register(self, config: SlaveConfig) -> Slave:
+    def _register(self, config: SlaveConfig, plugin: DriveSeen | None) -> Slave:
         handler = self.master.handlers[config.address]
         slave = self._slaves[config.address] = Slave(self, config, handler)
-        core = self.parts.attach(config)
-        if core is not None:
-            self._drives[config.address] = Drive(self, slave, core, handler.image)
+        if plugin is not None:
+            self._drives[config.address] = Drive(self, slave, plugin, handler.image)
         return slave
 
     # --- from beginning to end ----------------------------------------------------------------------------------
@@ -117,7 +123,7 @@ class Bus(Sealed, Composed):
                 self.notice("bus", heard)
             for note in (*self.plan.findings, *self.plan.notes):
                 self.notice("plan", note, Severity.WARNING)
-            self._hand_on(GoOnline())
+            await self.order(GoOnline())
             await join(self, self._join_timeout)
         except BaseException:
             await self.close()
@@ -178,7 +184,8 @@ class Bus(Sealed, Composed):
 
         It ends a Clear that the master went to by itself (:attr:`forced_clear`), and arms the application watchdog.
         """
-        self.command(SetMode(Mode.OPERATE))
+        self._raise_refused()
+        await self.order(SetMode(Mode.OPERATE))
 
     def alive(self) -> None:
         """The application is alive: call it more often than ``application_watchdog_ms`` while the bus is in Operate.
@@ -188,15 +195,17 @@ class Bus(Sealed, Composed):
         """
         self.check_open()
         if self.config.bus.application_watchdog_ms:
-            self._hand_on(Alive())
+            self.command(Alive())
 
     async def clear(self) -> None:
         """Inputs are read, outputs are zero (empty for Fail_Safe slaves)."""
-        self.command(SetMode(Mode.CLEAR))
+        await self.order(SetMode(Mode.CLEAR))
+        self._raise_refused()
 
     async def stop(self) -> None:
         """Nothing more is sent to slaves (their watchdogs will expire); the master stays in the ring."""
-        self.command(SetMode(Mode.STOP))
+        await self.order(SetMode(Mode.STOP))
+        self._raise_refused()
 
     async def outputs_taken(self) -> None:
         """Wait until the master has the outputs that were set up to now; in Operate they go out in its next round.
@@ -205,7 +214,8 @@ class Bus(Sealed, Composed):
         ``Slave.outputs`` are those from before. Raises UsageError when the bus is not open, BusError when it is over.
         """
         self.check_open()
-        self._unless_over(self.runtime.hand_over_outputs)
+        await self._unless_over(self.runtime.hand_over_outputs())
+        self._raise_refused()
 
     async def ready(self, timeout: float | None = 5.0) -> None:
         """Wait until every slave in service is in data exchange. Raises SlaveFault or SlaveTimeout for the first that
@@ -248,14 +258,19 @@ class Bus(Sealed, Composed):
         With ``port="virtual"`` it is simulated like the others. What the plan has to say about it comes as notices.
         """
         config = table if isinstance(table, SlaveConfig) else slave_config(table)
-        if any(slave.name == config.name for slave in self._slaves.values()):
+        others = [handler.setup for handler in self.master.handlers.values()]
+        if any(other.name == config.name for other in others):
             raise ConfigError(f"there is a slave called {config.name!r} already: give the new one another name")
         setup = self.fitting(config)
-        others = [handler.setup for handler in self.master.handlers.values()]
-        self.command(AddSlave(setup))
+        await self.order(AddSlave(setup))
         if self.bench is not None:
             self.bench.add(config)
-        slave = self._register(config)
+        try:
+            plugin = await self.parts.attach(config)
+        except ConfigError:
+            await self.order(RemoveSlave(setup.address))
+            raise
+        slave = self._register(config, plugin)
         for note in (*config.notes, *news_of_plan(self.config, self.plan, others, setup)):
             self.notice("plan", note, Severity.WARNING)
         return slave
@@ -266,7 +281,7 @@ class Bus(Sealed, Composed):
         Returns when it has been ordered; the bus does not end before, and a slave added at its address waits.
         """
         address = slave.address if isinstance(slave, Slave) else self.slave(slave).address
-        self.command(RemoveSlave(address))
+        await self.order(RemoveSlave(address))
         self._round_ns = None
         del self._slaves[address]
         self.services.alarms.forget(address)
@@ -351,6 +366,17 @@ class Bus(Sealed, Composed):
                 text, severity = what_was_heard(self.station)
                 self._events.tell(Notice(t_ns=event.t_ns, source="bus", message=text, severity=severity))
         self._waiters.check()
+
+    def _on_refused(self, order: object, error: DpError) -> None:
+        """The bus process did not carry out an order that nobody awaits."""
+        self.notice("bus", f"{type(order).__name__} was not carried out: {error}", Severity.ERROR)
+        match order:
+            case DriveCommand(address=address, token=token) if address in self._drives:
+                self._drives[address].on_refused(token, error)
+            case HoldAlarms() | AcknowledgeAlarm():
+                self.services.alarms.on_refused(order, error)
+            case _:
+                self._refused = error
 
     def _on_failure(self, error: Exception) -> None:
         """Nothing runs the bus any more: everybody who waits is told. What is no BusError is a defect of ours."""

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Final
 
 from dpstack.api.bus.driver_choice import PROCESS, driver_for
 from dpstack.api.bus.plan_checks import adapter_notes, data_control_ns, other_masters, refuse_misfit, with_t_tr
-from dpstack.api.bus.remote_plugins import attach_remote, core_of, known_places, plugin_of
+from dpstack.api.bus.remote_plugins import RemoteCore, attach_remote, core_of, known_places, plugin_of
 from dpstack.api.config.bus import SAFE
 from dpstack.api.config.config import Config, rate_findings
 from dpstack.api.config.slave import SlaveConfig
@@ -17,12 +17,12 @@ from dpstack.api.server.virtual_bench import VirtualBench
 from dpstack.api.slave.drive_view import DriveSeen
 from dpstack.api.streams import Rounds
 from dpstack.dp.master.master import Master
-from dpstack.dp.master.scanner import SurveyOrder, SurveyResult
+from dpstack.dp.master.scanner import Scanner, SurveyOrder, SurveyResult
 from dpstack.dp.plan.plan import Case, Plan, make_plan
 from dpstack.drivers import views
 from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime, OnFailure, patience_of
 from dpstack.drivers.line.echo import Echo
-from dpstack.drivers.runtime import OnEvents, Runtime
+from dpstack.drivers.runtime import OnEvents, OnRefused, Runtime
 from dpstack.drivers.stack import StackSpec, build_stack
 from dpstack.drivers.virtual.runtime import VirtualRuntime
 from dpstack.fdl.active.station import ActiveStation
@@ -82,9 +82,6 @@ def patience_for(config: Config, port: Port) -> Patience:
     return patience_of(port)
 
 
-Survey = Callable[[Callable[[object], None], SurveyOrder], views.Survey]
-
-
 @dataclass(slots=True, kw_only=True)
 class Parts:
     """Everything one bus is made of: machines, or their mirror where they run in another process."""
@@ -96,10 +93,12 @@ class Parts:
     runtime: Runtime
     #: "asyncio", "process", or "virtual" on a simulated bus
     driver: str
-    #: puts the drive plugin of a slave onto its process image; None where it has none. Raises ConfigError
-    attach: Callable[[SlaveConfig], DriveSeen | None]
-    #: begins a live list; its first argument takes the orders for it
-    survey: Survey
+    #: the drive plugins of the slaves that it is made with, by address
+    plugins: Mapping[int, DriveSeen]
+    #: puts the drive plugin of a new slave onto its process image; None where it has none. Raises ConfigError
+    attach: Callable[[SlaveConfig], Awaitable[DriveSeen | None]]
+    #: makes a live list, to be begun
+    survey: Callable[[], views.Survey]
     rounds: Rounds
     world: World | None = None
     #: of a read-only bus: what shows the state of its stations
@@ -114,13 +113,15 @@ def compose(
     on_failure: OnFailure,
     world: World | None = None,
     *,
+    on_refused: OnRefused = lambda _order, _error: None,
     watched: bool = True,
 ) -> Parts:
     """Build the parts of ``config``, with simulated slaves in a world of its own when its port is "virtual".
 
-    ``on_failure`` is told when a machine raised (a defect of ours), or the bus process ended. ``world`` puts the master
-    into an existing simulated bus, with nothing added. A read-only bus has a guard in front of all that could write,
-    and is watched unless told otherwise. Raises ConfigError, PortError.
+    ``on_failure`` is told when a machine raised (a defect of ours), or the bus process ended; ``on_refused`` when a bus
+    process refuses an order that nobody awaits. ``world`` puts the master into an existing simulated bus, with nothing
+    added. A read-only bus has a guard in front of all that could write, and is watched unless told otherwise. Raises
+    ConfigError, PortError.
     """
     plan = plan_bus(config)
     refuse_misfit(config, plan, config.slave_params)
@@ -146,7 +147,7 @@ def compose(
     # a pty is given what a stalled computer needs, and a user's own figure stands
     tune = port is not None and port.delivery is Delivery.ADAPTER and config.bus.host_slack_ms is None
     if driver == PROCESS:
-        return in_process(config, plan, spec, on_events, on_failure, tune=tune)
+        return in_process(config, plan, spec, on_events, on_failure, on_refused, tune=tune)
     stack = build_stack(spec)
     master, station = stack.master, stack.station
     bench = None
@@ -168,6 +169,11 @@ def compose(
             for slave in config.slaves:
                 bench.add(slave)
         runtime = VirtualRuntime(world, station, on_events, on_failure=on_failure)
+    attach = partial(attach_core, master, simulated=bench is not None)
+
+    async def attach_new(slave: SlaveConfig) -> DriveCore | None:
+        return attach(slave)
+
     return Parts(
         config=config,
         plan=plan,
@@ -175,7 +181,8 @@ def compose(
         station=station,
         runtime=runtime,
         driver=driver,
-        attach=partial(attach_core, master, simulated=bench is not None),
+        plugins={slave.address: core for slave in config.slaves if (core := attach(slave)) is not None},
+        attach=attach_new,
         survey=partial(LocalSurvey, station, runtime),
         rounds=Rounds(master),
         world=world,
@@ -185,7 +192,14 @@ def compose(
 
 
 def in_process(
-    config: Config, plan: Plan, spec: StackSpec, on_events: OnEvents, on_failure: OnFailure, *, tune: bool
+    config: Config,
+    plan: Plan,
+    spec: StackSpec,
+    on_events: OnEvents,
+    on_failure: OnFailure,
+    on_refused: OnRefused,
+    *,
+    tune: bool,
 ) -> Parts:
     """The parts where the machines run in a process of their own. Raises ConfigError for plugins without a name."""
     from dpstack.drivers.process.client import ProcessRuntime, ProcessSurvey
@@ -202,7 +216,7 @@ def in_process(
         plugins=plugins,
         preload=known_places(),
     )
-    runtime = ProcessRuntime(setup, on_events, on_failure)
+    runtime = ProcessRuntime(setup, on_events, on_failure, on_refused)
     mirror = runtime.mirror
     return Parts(
         config=config,
@@ -211,6 +225,7 @@ def in_process(
         station=mirror.station,
         runtime=runtime,
         driver=PROCESS,
+        plugins={slave.address: RemoteCore(runtime, slave) for slave in config.slaves if slave.address in plugins},
         attach=partial(attach_remote, runtime),
         survey=partial(ProcessSurvey, runtime),
         rounds=Rounds(mirror.master),
@@ -221,21 +236,26 @@ def in_process(
 class LocalSurvey:
     """A live list by a link user at ``station``."""
 
-    def __init__(
-        self, station: ActiveStation, runtime: Runtime, command: Callable[[object], None], order: SurveyOrder
-    ) -> None:
-        self._command = command
-        self._scanner = order.scanner(station.params, station.patience, runtime.now())
-        command(AttachUser(self._scanner))
+    def __init__(self, station: ActiveStation, runtime: Runtime) -> None:
+        self._station = station
+        self._runtime = runtime
+        self._scanner: Scanner | None = None
+
+    async def begin(self, order: SurveyOrder) -> None:
+        """Begin to ask."""
+        station = self._station
+        self._scanner = order.scanner(station.params, station.patience, self._runtime.now())
+        self._runtime.command(AttachUser(self._scanner))
 
     @property
     def result(self) -> SurveyResult | None:
         """None until everything was asked."""
-        return SurveyResult.of(self._scanner)
+        return None if self._scanner is None else SurveyResult.of(self._scanner)
 
     def end(self) -> None:
         """Nobody wants it any more."""
-        self._command(DetachUser(self._scanner))
+        if self._scanner is not None:
+            self._runtime.command(DetachUser(self._scanner))
 
 
 def attach_core(master: Master, slave: SlaveConfig, *, simulated: bool) -> DriveCore | None:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import functools
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from typing import Final
 
 from dpstack.api.bus.compose import Parts
@@ -53,7 +52,7 @@ class Composed:
         self.collision: str | None = None
         #: why the master is in Clear by itself, until Operate is ordered; None while it is not
         self.forced_clear: ForcedClear | None = None
-        self.services = Services(self.command, lambda: self.is_open)
+        self.services = Services(self.command, self.order, lambda: self.is_open)
         self._slaves: dict[int, Slave] = {}
         self._drives: dict[int, Drive] = {}
         self._events = Events(on_event)
@@ -63,6 +62,7 @@ class Composed:
         self._left = False
         #: why nothing will happen any more: a failure, or the end
         self._over: DpError | None = None
+        self._refused: DpError | None = None  # an order that was not awaited
         self._given_world = world
         self._make = make
         self._parts: Parts | None = None
@@ -223,9 +223,23 @@ class Composed:
         return self._open and self._ending is None
 
     def command(self, command: object) -> None:
-        """Hand an order to the machine. Raises UsageError when the bus is not open."""
+        """Hand an order to the machine. Raises UsageError when the bus is not open.
+
+        What a bus process refuses of it comes as a notice, and is raised by the next ``operate()``, ``clear()``,
+        ``stop()`` or ``outputs_taken()``.
+        """
         self.check_open()
-        self._hand_on(command)
+        try:
+            self.runtime.command(command)
+        except BusError:
+            if self._over is not None:
+                raise self._over from None
+            raise
+
+    async def order(self, command: object) -> None:
+        """As :meth:`command`; returns when the machine has carried it out. What it raises is raised here."""
+        self.check_open()
+        await self._unless_over(self.runtime.order(command))
 
     def check_open(self) -> None:
         """Raises UsageError when the bus is not open."""
@@ -234,16 +248,18 @@ class Composed:
         if not self._open:
             raise UsageError("the bus is not open: use it inside `async with open_bus(...)`")
 
-    def _hand_on(self, command: object) -> None:
-        self._unless_over(functools.partial(self.runtime.command, command))
-
-    def _unless_over(self, order: Callable[[], None]) -> None:
+    async def _unless_over(self, order: Awaitable[object]) -> None:
         try:
-            order()
+            await order
         except BusError:
             if self._over is not None:
                 raise self._over from None
             raise
+
+    def _raise_refused(self) -> None:
+        refused, self._refused = self._refused, None
+        if refused is not None:
+            raise refused
 
     async def until(self, condition: Callable[[], bool], timeout: float | None = None) -> None:
         """Wait until ``condition()``, judged after every event; what it raises is raised here. Raises TimeoutError."""

@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from dpstack.api.config.slave import SlaveConfig
-from dpstack.dp.master.commands import RemoveSlave
 from dpstack.dpv1.master.plugin_queue import RecordQueue
 from dpstack.drivers.process.plugins import PluginRef
 from dpstack.errors import ConfigError
-from dpstack.profile import DriveCore, DriveStatus, ListedParam, registry
+from dpstack.profile import DriveCore, DriveStatus, registry
 
 if TYPE_CHECKING:
     from dpstack.drivers.process.client import ProcessRuntime
@@ -52,49 +51,37 @@ def known_places() -> tuple[str, ...]:
 
 
 class RemoteCore:
-    """A drive plugin in the bus process; ``core`` is one like it that knows ranges and references."""
+    """The drive plugin of ``slave`` in the bus process. One like it stands here, which knows ranges and references."""
 
-    def __init__(self, runtime: ProcessRuntime, address: int, core: DriveCore) -> None:
+    def __init__(self, runtime: ProcessRuntime, slave: SlaveConfig) -> None:
+        core = core_of(slave)
+        assert core is not None
         self.drive = core.drive
         self.reference_hz = core.reference_hz
         self.telegram = core.telegram
         self.access = core.access
+        self.parameters = core.parameters
+        self.setpoint_word = core.setpoint_word
         self._runtime = runtime
-        self._address = address
+        self._address = slave.address
         self._core = core
-
-    @property
-    def setpoint(self) -> float:
-        """The set point as a part of the reference, as the plugin has taken it."""
-        return self.status().setpoint
-
-    def parameters(self) -> tuple[ListedParam, ...]:
-        """Those the plugin declares: data that both processes have."""
-        return self._core.parameters()
-
-    def setpoint_word(self, fraction: float) -> int:
-        """The set point as its word. Raises ValueError with the range."""
-        return self._core.setpoint_word(fraction)
+        runtime.mirror.master.handlers[slave.address].image.unit = core
 
     def status(self) -> DriveStatus:
-        """As the plugin tells it at this moment; when the bus is over, that of a drive nothing is known of."""
+        """As the plugin told it last; when the bus is over, that of a drive nothing is known of."""
         from dpstack.drivers.process.messages import typed
 
-        found = self._runtime.unit_status(self._address)
+        found = self._runtime.drive_status(self._address)
         return self._core.status() if found is None else typed(found, DriveStatus)
 
 
-def attach_remote(runtime: ProcessRuntime, slave: SlaveConfig) -> RemoteCore | None:
-    """Put the drive plugin of ``slave`` onto its process image in the bus process; None where it has none.
+async def attach_remote(runtime: ProcessRuntime, slave: SlaveConfig) -> RemoteCore | None:
+    """Put the drive plugin of ``slave`` onto its process image in the running bus process; None where it has none.
 
-    Those that it was started with stand there already. Raises ConfigError; the slave is given up again then.
+    Raises ConfigError where it cannot be imported there.
     """
-    try:
-        core, plugin = core_of(slave), plugin_of(slave)
-        if core is None or plugin is None:
-            return None
-        runtime.attach_plugin(slave.address, plugin)
-    except ConfigError:
-        runtime.command(RemoveSlave(slave.address))
-        raise
-    return RemoteCore(runtime, slave.address, core)
+    plugin = plugin_of(slave)
+    if plugin is None:
+        return None
+    await runtime.attach_plugin(slave.address, plugin)
+    return RemoteCore(runtime, slave)

@@ -21,7 +21,8 @@ async def scan_on(bus: Composed, *, configs: bool, addresses: Iterable[int], qui
     own = bus.params.address
     mine = {} if bus.master.read_only else {slave.address: slave for slave in bus.slaves}
     order = SurveyOrder(tuple(addresses), tuple(mine), configs=configs, quick=quick)
-    survey = bus.parts.survey(bus.command, order)
+    survey = bus.parts.survey()
+    await survey.begin(order)
     try:
         await bus.until(lambda: survey.result is not None)
         result = survey.result

@@ -25,7 +25,7 @@ from typing import Final
 
 from dpstack.api.bus.parts import Composed
 from dpstack.dp.master.commands import Mode
-from dpstack.drivers.line.asyncio_runtime import outlast
+from dpstack.drivers.futures import outlast
 from dpstack.drivers.shutdown import EndSteps, at_slaves
 from dpstack.errors import BusError, DpError, UsageError
 from dpstack.text import printable
@@ -172,7 +172,10 @@ class OrderedEnd:
             while (order := steps.next_order()) is not None:
                 begun = bus.runtime.now()
                 with contextlib.suppress(DpError):  # a bus that can no longer do it does not hold the program up
-                    bus.command(order)
+                    given = bus.runtime.order(order)
+                    with contextlib.suppress(asyncio.CancelledError):
+                        await outlast(given)
+                    given.result()
                     held_up = False
                     while not steps.done and (left := steps.wait_until(begun, rotation) - bus.runtime.now()) > 0:
                         paused = bus.runtime.now()

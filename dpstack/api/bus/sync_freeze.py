@@ -53,7 +53,7 @@ class GroupOrders:
         future: asyncio.Future[Event] = asyncio.get_running_loop().create_future()
         self._pending[command.token] = future, wanted
         try:
-            self._bus.command(command)
+            await self._bus.order(command)
             event = await future
         finally:
             del self._pending[command.token]

@@ -22,7 +22,6 @@ from dpstack.api.server.simulation import Segment, Simulation
 from dpstack.api.server.virtual_bench import silence_text, station_status
 from dpstack.api.slave.slave import Slave
 from dpstack.api.streams import OnEvent, hand_to
-from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.process_data import as_json
 from dpstack.errors import UsageError
 from dpstack.text import decimal, octets_text, shortened
@@ -39,8 +38,8 @@ def control_run(bus: Bus, port: str) -> ControlServer:
         "status": lambda _: run_status(bus),
         "outputs": lambda args: _outputs(bus, args),
         "set": lambda args: _set(bus, args),
-        "operate": lambda _: bus.command(SetMode(Mode.OPERATE)),
-        "clear": lambda _: bus.command(SetMode(Mode.CLEAR)),
+        "operate": lambda _: bus.operate(),
+        "clear": lambda _: bus.clear(),
         "drive": lambda args: drive_order(bus, args),
         "acyclic": lambda args: acyclic_order(bus, args),
         "class2": lambda args: acyclic_order(bus, args, class2=True),

@@ -112,6 +112,7 @@ class _Listener:
     waiting: deque[SlaveAlarm] = field(default_factory=deque)
     more: asyncio.Event = field(default_factory=asyncio.Event)
     ended: bool = False
+    error: DpError | None = None  # why
 
     def end(self) -> None:
         self.ended = True
@@ -143,7 +144,7 @@ class AlarmStream(AsyncIterator[SlaveAlarm]):
         listener = self._listener
         while not listener.waiting:
             if listener.ended:
-                raise StopAsyncIteration
+                raise listener.error or StopAsyncIteration
             listener.more.clear()
             await listener.more.wait()
         alarm = listener.waiting.popleft()
@@ -185,7 +186,7 @@ class AlarmDesk:
 
     def listen(self, address: int, listener: _Listener) -> None:
         """From now on ``listener`` has the alarms of the slave at ``address``. Raises UsageError, BusError."""
-        self._command(HoldAlarms(address, True))  # again for each: it says where there is nothing to listen for
+        self._command(HoldAlarms(address, True))
         self._listeners.setdefault(address, []).append(listener)
 
     def leave(self, address: int, listener: _Listener) -> None:
@@ -265,6 +266,18 @@ class AlarmDesk:
         held.end = outcome
         held.ended.set()
         self._drop_over(held)
+
+    def on_refused(self, order: HoldAlarms | AcknowledgeAlarm, error: DpError) -> None:
+        """The bus process did not carry out ``order``."""
+        match order:
+            case HoldAlarms(address, on):
+                for listener in self._listeners.pop(address, []) if on else []:
+                    listener.error = error
+                    listener.end()
+            case AcknowledgeAlarm(address, number):
+                held = self._held.get((address, number))
+                if held is not None:
+                    self._done(held, Outcome(failure=ServiceFailure.LINE, text=str(error)))
 
     def forget(self, address: int) -> None:
         """The slave was removed from the bus."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import dataclasses
 import itertools
 import math
 from collections import deque
@@ -34,6 +35,8 @@ from dpstack.profile.model.jobs import LARGEST
 
 #: the plugin judges time-outs once a rotation; this much later nobody can have judged them
 _GRACE: Final = 0.25
+#: orders that go out whatever was refused before
+_STOPS: Final = ("stop", "quick_stop", "coast")
 #: so many notices of a drive are kept
 _NOTICES: Final = 5
 _tokens = itertools.count(1)
@@ -57,6 +60,8 @@ class Drive(Sealed):
         self._readers: list[Latest[DriveStatus]] = []
         self._seen = b""
         self._over = False
+        self._setpoints: dict[int, float] = {}  # those given that the plugin has not answered, by token
+        self._refused: DpError | None = None  # a set point that it did not take
         self._notices: deque[DriveNotice] = deque(maxlen=_NOTICES)
         #: the slave behind it
         self.slave = slave
@@ -87,6 +92,8 @@ class Drive(Sealed):
     def status(self) -> DriveStatus:
         """What the drive tells at this moment; offline while nobody keeps the bus running."""
         status = self._core.status()
+        if self._setpoints:
+            status = dataclasses.replace(status, setpoint=[*self._setpoints.values()][-1])
         return status if self._bus.runtime.not_running is None else status.unknown()
 
     @property
@@ -98,9 +105,10 @@ class Drive(Sealed):
     def speed(self) -> float:
         """The speed set point as a part of the reference (0.5 = 50 %); the actual value is ``status.speed``.
 
-        Assigning goes out in the next rotation. Raises UsageError outside the range.
+        Assigning goes out in the next rotation. Raises UsageError outside the range. Where the plugin does not take it
+        all the same, the next order raises that (one that stops the drive goes out before).
         """
-        return self._core.setpoint
+        return self.status.setpoint
 
     @speed.setter
     def speed(self, fraction: float) -> None:
@@ -109,7 +117,7 @@ class Drive(Sealed):
     @property
     def frequency(self) -> float:
         """The speed set point in Hz, by the drive's reference."""
-        return self._core.setpoint * self._core.reference_hz
+        return self.speed * self._core.reference_hz
 
     @frequency.setter
     def frequency(self, hertz: float) -> None:
@@ -122,7 +130,13 @@ class Drive(Sealed):
             self._core.setpoint_word(value / reference)
         except (ValueError, TypeError) as error:
             raise UsageError(f"drive {self.name}: {error}") from None
-        self._bus.command(DriveCommand(self.slave.address, op, {"value": value}, next(_tokens)))
+        token = next(_tokens)
+        self._setpoints[token] = value / reference
+        try:
+            self._bus.command(DriveCommand(self.slave.address, op, {"value": value}, token))
+        except BaseException:
+            self._setpoints.pop(token, None)
+            raise
 
     async def start(self, timeout: float = 5.0) -> None:
         """Walk the state machine until the drive runs. Raises DriveFault or DriveTimeout, which say why not."""
@@ -303,6 +317,8 @@ class Drive(Sealed):
         if kind == "result":
             token = payload.get("token")
             future = self._pending.pop(token, None) if isinstance(token, int) else None
+            if isinstance(token, int) and self._setpoints.pop(token, None) is not None and not payload.get("ok"):
+                self._refused = self._error(payload)
             if future is not None and not future.done():
                 if payload.get("ok"):
                     future.set_result(dict(payload))
@@ -319,9 +335,15 @@ class Drive(Sealed):
         elif kind == "failed":
             self._refuse(DriveError(self.name, f"drive {self.name}: its plugin failed: {payload.get('text')}"))
 
+    def on_refused(self, token: int, error: DpError) -> None:
+        """The bus process did not take a set point."""
+        if self._setpoints.pop(token, None) is not None:
+            self._refused = error
+
     def end(self, error: DpError) -> None:
         """The bus is over, or the drive was removed: nothing will be answered or told any more."""
         self._over = True
+        self._setpoints.clear()
         self._refuse(error)
         for reader in self._readers:
             reader.end()
@@ -345,13 +367,16 @@ class Drive(Sealed):
         if not 0 <= timeout <= LARGEST:
             raise UsageError(f"drive {self.name}: {op}: timeout must be a number of seconds, not {timeout!r}")
         token = next(_tokens)
+        refused, self._refused = self._refused, None
+        if refused is not None and op not in _STOPS:
+            raise refused
         given = {key: value for key, value in args.items() if value is not None}
         future: asyncio.Future[dict[str, object]] = asyncio.get_running_loop().create_future()
         self._pending[token] = future
         try:
-            self._bus.command(DriveCommand(self.slave.address, op, {**given, "timeout_s": timeout}, token))
+            await self._bus.order(DriveCommand(self.slave.address, op, {**given, "timeout_s": timeout}, token))
             async with asyncio.timeout(timeout + _GRACE + self._bus.rotation_limit_s):
-                return await future
+                result = await future
         except TimeoutError as error:
             if isinstance(error, DpError):
                 raise
@@ -361,6 +386,9 @@ class Drive(Sealed):
                 # Cancelled, or out of patience: the plugin must not start the motor when nobody waits for it any more.
                 with contextlib.suppress(UsageError, BusError):
                     self._bus.command(DriveCommand(self.slave.address, "cancel", {"order": token}, next(_tokens)))
+        if refused is not None:
+            raise refused
+        return result
 
     def _why_silent(self) -> str:
         slave = self.slave

@@ -19,10 +19,6 @@ class DriveSeen(Protocol):
         """The frequency that 100 % speed means."""
 
     @property
-    def setpoint(self) -> float:
-        """The set point as a part of the reference."""
-
-    @property
     def telegram(self) -> TelegramSpec:
         """The telegram it is exchanged in."""
 

@@ -7,7 +7,7 @@ import contextlib
 import itertools
 import math
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from typing import TypeVar
 
 from dpstack.api.slave.alarms import AlarmDesk
@@ -42,8 +42,14 @@ class Ending:
 class Services:
     """The services under way on one bus, and the alarms that are listened for."""
 
-    def __init__(self, command: Callable[[object], None], is_open: Callable[[], bool]) -> None:
+    def __init__(
+        self,
+        command: Callable[[object], None],
+        order: Callable[[object], Awaitable[None]],
+        is_open: Callable[[], bool],
+    ) -> None:
         self._command = command
+        self._order = order
         self._is_open = is_open
         self._tokens = itertools.count(1)
         self._waiting: dict[int, asyncio.Future[ServiceEnd]] = {}
@@ -69,7 +75,7 @@ class Services:
         future: asyncio.Future[ServiceEnd] = asyncio.get_running_loop().create_future()
         self._waiting[token] = future
         try:
-            self._command(command)
+            await self._order(command)
             done = await future
         except asyncio.CancelledError:
             with contextlib.suppress(DpError):  # the bus may have ended meanwhile

@@ -23,6 +23,7 @@ from dpstack.dp.process_data import Field, Value
 from dpstack.dp.process_image import inputs_are_valid, inputs_limit_ns
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.alarm_events import AlarmCounts
+from dpstack.dpv1.master.ms1 import need_dpv1
 from dpstack.dpv1.pdu.im import Im
 from dpstack.drivers.views import HandlerSeen
 from dpstack.errors import SlaveFault, SlaveTimeout, UsageError
@@ -364,6 +365,8 @@ class Slave(Sealed):
         once. Which kinds there are is said by ``dpv1 = { alarms = [...] }``. Raises UsageError for a slave without
         DP-V1 and a bus that is not open.
         """
+        self._bus.check_open()
+        need_dpv1(self.setup, read_only=self._bus.master.read_only)
         return self._bus.services.alarms.alarms(self.address, acknowledge=acknowledge)
 
     def status_messages(self) -> StatusStream:
@@ -395,11 +398,11 @@ class Slave(Sealed):
         Returns when it has been ordered; the bus does not end before it is done. A drive's pending orders end with
         DriveError.
         """
-        self._bus.command(DeactivateSlave(self.address))
+        await self._bus.order(DeactivateSlave(self.address))
 
     async def activate(self) -> None:
         """Bring it up again; :meth:`ready` waits for that."""
-        self._bus.command(ActivateSlave(self.address))
+        await self._bus.order(ActivateSlave(self.address))
 
     async def reparameterise(self, *, timeout: float | None = 5.0, **changes: Unpack[Changes]) -> None:
         """Other parameters while the bus runs: safe outputs for 50 ms, Unlock, a new bring-up, data exchange.
@@ -410,7 +413,7 @@ class Slave(Sealed):
         DriveError. ``timeout`` in seconds.
         """
         config = changed(self.config, changes)
-        self._bus.command(ReparameteriseSlave(self._bus.fitting(config)))
+        await self._bus.order(ReparameteriseSlave(self._bus.fitting(config)))
         self.config = config
         self._handler = self._bus.master.handlers[self.address]
         if not self.deactivated:

@@ -19,6 +19,7 @@ from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
 from dpstack.dp.master.slave_handler import SlaveHandler
 from dpstack.dp.pdu.layouts import MAX_RECORD
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.alarm_events import AcknowledgeAlarm, HoldAlarms
 from dpstack.dpv1.master.ms1_job import Ms1Job, Owed
 from dpstack.dpv1.master.plugin_queue import queue_at
@@ -100,6 +101,17 @@ class RecordDone(ServiceEnd):
         return f"{where} done" if self.write else f"{where}, {len(self.outcome.data)} octets"
 
 
+def need_dpv1(setup: SlaveParams, *, read_only: bool) -> None:
+    """Raises UsageError for a slave that has no Read, Write and alarms of this master."""
+    if read_only:
+        raise UsageError("this bus is read-only: its slaves are not in data exchange with it; leave read_only out")
+    if setup.dpv1 is None:
+        raise UsageError(
+            f"slave {setup.address} ({setup.name}) is not parameterised for DP-V1: no Read, Write, alarms; "
+            f"if it has them put dpv1 = true into its [[slave]] table"
+        )
+
+
 @dataclass(slots=True)
 class Ms1:
     """MS1 of the station ``own``: jobs of orders, the alarms. ``master``: whose slaves they are for."""
@@ -155,13 +167,7 @@ class Ms1:
     def handler(self, address: int) -> SlaveHandler:
         """The slave's, where it is parameterised for DP-V1. Raises UsageError."""
         handler = self.slave(address)
-        if self.master is not None and self.master.read_only:
-            raise UsageError("this bus is read-only: its slaves are not in data exchange with it; leave read_only out")
-        if handler.setup.dpv1 is None:
-            raise UsageError(
-                f"slave {address} ({handler.setup.name}) is not parameterised for DP-V1: no Read, Write, alarms; "
-                f"if it has them put dpv1 = true into its [[slave]] table"
-            )
+        need_dpv1(handler.setup, read_only=self.master is not None and self.master.read_only)
         return handler
 
     def heard(self, request: Request, outcome: Telegram | Failure) -> None:

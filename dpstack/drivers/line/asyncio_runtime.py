@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+from functools import partial
 from time import monotonic_ns
-from typing import Any
 
+from dpstack.drivers.futures import carried_out, outlast
 from dpstack.drivers.line.line_runtime import SPIN_NS, Stepping
 from dpstack.drivers.line.port_latency import patience_of
 from dpstack.drivers.line.rate import Attempts
@@ -16,25 +17,7 @@ from dpstack.errors import PortError
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.units import NEVER, NS_PER_S
 
-__all__ = ["SPIN_NS", "AsyncioRuntime", "OnFailure", "outlast", "patience_of"]
-
-
-async def outlast(future: asyncio.Future[Any]) -> None:
-    """Wait until ``future`` is done, through any number of cancellations; then re-raise the cancellation, if any.
-
-    ``future`` itself is not cancelled, what it raises stays in it, and ``task.cancelling()`` counts every request as
-    ever. Of several cancellations the one without a message is raised: anyio marks its own by a message, and swallows
-    them where its scope ends.
-    """
-    cancelled: asyncio.CancelledError | None = None
-    while not future.done():
-        try:
-            await asyncio.wait([future])
-        except asyncio.CancelledError as error:
-            if cancelled is None or cancelled.args:
-                cancelled = error
-    if cancelled is not None:
-        raise cancelled
+__all__ = ["SPIN_NS", "AsyncioRuntime", "OnFailure", "patience_of"]
 
 
 class AsyncioRuntime(Stepping):
@@ -63,8 +46,12 @@ class AsyncioRuntime(Stepping):
         """They are those of this moment."""
         return 0
 
-    def hand_over_outputs(self) -> None:
+    async def hand_over_outputs(self) -> None:
         """The machine has them as soon as they are set."""
+
+    def order(self, command: object) -> asyncio.Future[object]:
+        """:meth:`command`, which carries it out at once."""
+        return carried_out(partial(self.command, command))
 
     async def open(self) -> None:
         """Open the port and begin. Raises PortError; ConfigError when the port knows none of the machine's rates."""

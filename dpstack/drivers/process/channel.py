@@ -1,7 +1,7 @@
-"""The line between an application and its bus process: one process, one socket, questions and answers, news.
+"""The channel between an application and its bus process: one process, one socket, orders and answers, news.
 
-A question waits for its answer; news that arrive meanwhile are handed on at once, in order. A handler of news that asks
-in turn does not get ahead of what was told before.
+Nothing here waits for the bus process: an order is sent, and its answer ends a future. Where nobody awaits it, a
+refusal is handed on.
 
 Each order has a time limit, :data:`LIMIT_NS`: the bus process drops an order that it takes later. It sets the number of
 the order that it takes in shared memory before it looks at the clock. So an application that gives up after the limit,
@@ -14,17 +14,17 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
-import select
 import signal
 import socket
 import subprocess
 import sys
-from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 from time import monotonic_ns
 from typing import Final
 
-from dpstack.drivers.line.asyncio_runtime import outlast
+from dpstack.drivers.futures import outlast
 from dpstack.drivers.process.messages import (
     FROM_TERMINALS,
     Answer,
@@ -35,14 +35,14 @@ from dpstack.drivers.process.messages import (
     Question,
     SetUp,
     error_of,
-    framed,
     is_ending,
     named,
     typed,
 )
+from dpstack.drivers.process.outbox import Outbox
 from dpstack.drivers.process.shared_image import SharedImage
 from dpstack.errors import BusError, DpError, OrderDropped, UsageError
-from dpstack.units import NEVER, NS_PER_MS, NS_PER_S, ms_text
+from dpstack.units import NEVER, NS_PER_MS, NS_PER_S, ms_text, ns_to_s
 
 #: a bus process without a sign of life for so long is silent; orders and outputs that it does not take in this time are
 #: dropped
@@ -54,43 +54,61 @@ _AGAIN_NS: Final = 500 * NS_PER_MS
 #: the interpreter starts, the plugins are imported, the port is opened
 _START_S: Final = 30.0
 _END_S: Final = 3.0
+#: so often the application looks whether a bus process that is about to end has ended
+_LOOK_S: Final = 0.005
 _CHUNK: Final = 65_536
+#: so many chunks are read before an order counts as unanswered: more than a bus process keeps for a slow reader
+_CHUNKS: Final = 16
 #: what the end of a bus takes longer at most where the bus process hangs: four orders, and its own end
 CLOSE_LIMIT_S: Final = (ANSWER_NS + 3 * _AGAIN_NS) / NS_PER_S + 2 * _END_S
 
 
-class Link:
+@dataclass(slots=True)
+class _Sent:
+    """An order that the bus process has not answered. ``answer`` None: nobody awaits it.
+
+    ``owing``: the bus process owed an answer before. ``until``: when the answer is judged next.
+    """
+
+    order: object
+    answer: asyncio.Future[object] | None
+    began: int
+    until: int
+    owing: bool
+
+
+class Channel:
     """Starts the bus process and talks to it. ``on_news`` takes what it tells.
 
+    ``on_refused`` takes an order that nobody awaits and that the bus process refused, or dropped, with the error.
     ``why_gone`` makes the error of a bus process that ended unasked from its exit code (negative: a signal; None: it
-    runs on, but has hung up) and its last words; from then on that is raised by every question. ``on_gone`` is told
+    runs on, but has hung up) and its last words; from then on that is raised by every order. ``on_gone`` is told
     when all that came before was handed on.
     """
 
     def __init__(
         self,
         on_news: Callable[[News], None],
+        on_refused: Callable[[object, DpError], None],
         why_gone: Callable[[int | None, News | None], DpError],
         on_gone: Callable[[DpError], None],
     ) -> None:
         self._on_news = on_news
+        self._on_refused = on_refused
         self._why_gone = why_gone
         self._on_gone = on_gone
         self._loop: asyncio.AbstractEventLoop | None = None
         self._sock: socket.socket | None = None
+        self._outbox: Outbox | None = None
         self._process: subprocess.Popen[bytes] | None = None
         self._frames = Frames()
         self._hello: asyncio.Future[Hello] | None = None
-        self._inbox: deque[News | DpError] = deque()
         self._last_words: News | None = None
-        self._dispatching = False
         self._number = 0
-        self._awaited: set[int] = set()
-        self._answers: dict[int, Answer] = {}
+        self._sent: dict[int, _Sent] = {}
         self._gone: DpError | None = None
         self._silent = False  # it owes an answer, and has said nothing since
         self._image: SharedImage | None = None
-        self._unsent = bytearray()  # what the socket did not take: later frames come behind it
 
     @property
     def pid(self) -> int | None:
@@ -99,7 +117,7 @@ class Link:
 
     @property
     def is_open(self) -> bool:
-        """Questions can be asked."""
+        """Orders can be given."""
         return self._sock is not None and self._gone is None
 
     def silent_ns(self) -> int:
@@ -123,12 +141,13 @@ class Link:
             with theirs:
                 ours.setblocking(False)
                 self._process = _started(theirs.fileno(), memory)
+            self._outbox = Outbox(loop, ours)
+            self._outbox.send(Message(question=Question(0, named(setup))))
+            loop.add_reader(ours.fileno(), self._on_readable)
             async with asyncio.timeout(_START_S):
-                await loop.sock_sendall(ours, framed(Message(question=Question(0, named(setup)))))
-                loop.add_reader(ours.fileno(), self._on_readable)
                 return await self._hello
         except BaseException as error:
-            self.release(kill=True)
+            self.release()
             if isinstance(error, TimeoutError):
                 raise BusError(f"the bus process did not start within {_START_S:g} s") from None
             raise
@@ -136,26 +155,29 @@ class Link:
     async def ended(self) -> None:
         """Wait until the process has ended by itself, with a limit. Cancellations change nothing.
 
-        The loop waits for the process itself: a thread would need the descriptor by which threads wake up the loop,
-        and the child of a fork may have taken that away from it.
+        It is looked at again and again: a thread would need the descriptor by which threads wake up the loop, and the
+        child of a fork may have taken that away from it.
         """
         process, loop = self._process, self._loop
-        if process is None or loop is None or self._silent or process.poll() is not None:
-            return
-        try:
-            fd = os.pidfd_open(process.pid)
-        except OSError:  # no descriptor is left: who releases it waits for it
+        if process is None or loop is None or self._silent:
             return
         over: asyncio.Future[None] = loop.create_future()
-        limit = loop.call_later(_END_S, _set, over)
-        try:
-            loop.add_reader(fd, _set, over)
-            with contextlib.suppress(asyncio.CancelledError):
-                await outlast(over)
-        finally:
-            limit.cancel()
-            loop.remove_reader(fd)
-            os.close(fd)
+        self._when_ended(partial(over.set_result, None))
+        with contextlib.suppress(asyncio.CancelledError):
+            await outlast(over)
+
+    def _when_ended(self, then: Callable[[], object]) -> None:
+        """Call ``then()`` when the process has ended, or :data:`_END_S` are over."""
+        loop, process = self._loop, self._process
+        limit = monotonic_ns() + round(_END_S * NS_PER_S)
+
+        def look() -> None:
+            if process is None or process.poll() is not None or monotonic_ns() > limit:
+                then()
+            elif loop is not None and not loop.is_closed():
+                loop.call_later(_LOOK_S, look)
+
+        look()
 
     def hang_up_and_wait(self, error: DpError) -> bool:
         """Hang up without a loop; the process makes its ordered end. Whether it has ended in time; it is not killed."""
@@ -178,79 +200,89 @@ class Link:
             process.returncode = 0  # it is no child of this process
 
     def hang_up(self, error: DpError) -> None:
-        """Nothing more will be asked: ``error`` says why."""
+        """No more orders: ``error`` says why."""
         self._gone = self._gone or error
+        sent, self._sent = self._sent, {}
+        for one in sent.values():
+            if one.answer is not None and not one.answer.done():
+                one.answer.set_exception(self._gone)
 
-    def release(self, *, kill: bool) -> bool:
+    def release(self) -> bool:
         """Whatever state it is in: no process and no descriptor is left behind. Whether it had to be killed."""
         self._disconnect()
         process = self._process
         if process is None or process.poll() is not None:
             return False
-        if not kill and not self._silent:
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(_END_S)  # it ends in order when nobody is there any more
-        if process.poll() is not None:
-            return False
         process.kill()
         process.wait()
         return True
 
-    # --- question and answer ----------------------------------------------------------------------------------------
+    # --- orders and answers -----------------------------------------------------------------------------------------
 
-    def ask(self, order: object) -> object:
-        """What it answers to ``order``; what it raises is raised here.
+    def order(self, order: object) -> asyncio.Future[object]:
+        """Send ``order``; the future ends with what the bus process answers, or raises.
 
-        Raises OrderDropped when the bus process does not take the order in time, BusError when it is gone, or took the
-        order and does not answer.
+        It raises OrderDropped when the bus process does not take the order in time, BusError when it is gone, or took
+        the order and does not answer.
         """
+        answer: asyncio.Future[object] = asyncio.get_running_loop().create_future()
+        try:
+            self._send(order, answer)
+        except Exception as error:
+            answer.set_exception(error)
+        return answer
+
+    def tell(self, order: object) -> None:
+        """Send ``order``; ``on_refused`` is told where the bus process refuses it, or drops it.
+
+        Raises UsageError where there is no bus process yet, OrderDropped where it is silent, and what ended it.
+        """
+        self._send(order, None)
+
+    def tell_if_it_reads(self, order: object) -> None:
+        """Send ``order`` and forget it; left out while the bus process reads nothing. Raises as :meth:`tell`."""
+        if not self.silent_ns() and (self._outbox is None or not self._outbox.waiting):
+            self._send(order, None)
+            self._sent.pop(self._number, None)
+
+    def _send(self, order: object, answer: asyncio.Future[object] | None) -> None:
         if self._gone is not None:
             raise self._gone
-        image = self._image
-        if self._sock is None or image is None:
+        if self._process is None or self._loop is None:
             raise UsageError("the driver is not open: await open() first")
         began = monotonic_ns()
-        silent, ending, owing = self.silent_ns(), is_ending(order), self._silent
+        silent, ending = self.silent_ns(), is_ending(order)
         if silent and not ending:
             raise OrderDropped(
                 f"the bus process (pid {self.pid}) has shown no sign of life for {ms_text(silent)} (it is stopped, or "
                 "hangs): the order was dropped"
             )
-        self._number += 1
-        number = self._number
-        self._awaited.add(number)
-        limit = began + (_AGAIN_NS if silent or owing else LIMIT_NS)
-        try:
-            self._send(framed(Message(question=Question(number, named(order), NEVER if ending else limit))), limit)
-            while number not in self._answers:
-                if self._wait(limit, writing=bool(self._unsent)):
-                    continue
-                taken = image.order_taken.value >= number
-                if not taken or owing or limit > began + LIMIT_NS:
-                    self._silent = True
-                    raise self._unanswered(taken=taken, ending=ending)
-                limit = began + ANSWER_NS
-            answer = self._answers.pop(number)
-        finally:
-            self._awaited.discard(number)
-        if answer.error is not None:
-            raise error_of(answer.error)
-        return answer.value
+        number = self._number + 1
+        limit = began + (_AGAIN_NS if silent or self._silent else LIMIT_NS)
+        if self._outbox is not None:  # else it has hung up: how it ended is known soon
+            self._outbox.send(Message(question=Question(number, named(order), NEVER if ending else limit)))
+        self._number = number
+        self._sent[number] = _Sent(order, answer, began, limit, self._silent)
+        if answer is not None:
+            self._loop.call_later(ns_to_s(limit - began), self._judge, number)
 
-    def tell(self, order: object) -> None:
-        """Send ``order`` without waiting for its answer. Left out while the bus process reads nothing.
-
-        Raises what :meth:`ask` raises of a bus process that is gone.
-        """
-        if self._gone is not None:
-            raise self._gone
-        if self._sock is None:
-            raise UsageError("the driver is not open: await open() first")
-        if self.silent_ns() or self._unsent:
+    def _judge(self, number: int) -> None:
+        """The time for the answer to order ``number`` is over."""
+        for _ in range(_CHUNKS):  # this program may have been held up itself
+            if number not in self._sent or not self._on_readable():
+                break
+        sent, image = self._sent.get(number), self._image
+        if sent is None or sent.answer is None or image is None or self._loop is None or self._sock is None:
             return
-        self._number += 1
-        now = monotonic_ns()
-        self._send(framed(Message(question=Question(self._number, named(order), now + LIMIT_NS))), now)
+        taken = image.order_taken.value >= number
+        if taken and not sent.owing and sent.until <= sent.began + LIMIT_NS:
+            sent.until = sent.began + ANSWER_NS
+            self._loop.call_later(ns_to_s(max(0, sent.until - monotonic_ns())), self._judge, number)
+            return
+        self._silent = True
+        del self._sent[number]
+        if not sent.answer.done():
+            sent.answer.set_exception(self._unanswered(taken=taken, ending=is_ending(sent.order)))
 
     def _unanswered(self, *, taken: bool, ending: bool) -> BusError:
         who = f"the bus process (pid {self.pid})"
@@ -262,111 +294,78 @@ class Link:
         limit = ms_text(LIMIT_NS)
         return OrderDropped(f"{who} did not take the order within {limit} (it is stopped, or hangs): it was dropped")
 
-    def _send(self, octets: bytes, limit: int) -> None:
-        """As much as the socket takes up to ``limit``; the rest goes before what is sent next."""
-        left = self._unsent
-        left += octets
-        while left and self._sock is not None:
-            try:
-                del left[: self._sock.send(left)]
-            except BlockingIOError:
-                if not self._wait(limit, writing=True):
-                    return
-            except OSError:  # gone, but its last words may still be here
-                while self._sock is not None:
-                    if not self._wait(limit, writing=False):
-                        return
-
-    def _wait(self, limit: int, *, writing: bool) -> bool:
-        """For octets of the bus process, or for room to write; what it says meanwhile is taken. False: in vain."""
-        sock = self._sock
-        if sock is None:
-            if self._gone is not None:
-                raise self._gone
-            return False
-        left_s = max(0, limit - monotonic_ns()) / NS_PER_S
-        ready, room, _ = select.select([sock], [sock] if writing else [], [], left_s)
-        if ready:
-            self._on_readable()
-        if room and self._unsent and self._sock is not None:
-            with contextlib.suppress(OSError):
-                del self._unsent[: self._sock.send(self._unsent)]
-        return bool(ready or room)
-
-    def _on_readable(self) -> None:
+    def _on_readable(self) -> bool:
+        """Take what the bus process says; False where it says nothing more."""
         if self._sock is None:
-            return
+            return False
         try:
             octets = self._sock.recv(_CHUNK)
         except BlockingIOError:
-            return
+            return False
         except OSError:
             octets = b""
         if not octets:
             self._hung_up()
-            return
+            return False
         self._silent = False
         for message in self._frames.feed(octets):
             if message.news is not None:
-                self._inbox.append(message.news)
                 if message.news.over is not None:
                     self._last_words = message.news
-            answer = message.answer
-            if answer is None:
-                continue
-            if answer.number in self._awaited:
-                self._answers[answer.number] = answer
-            elif not answer.number and self._hello is not None and not self._hello.done():
-                if answer.error is None:
-                    self._hello.set_result(typed(answer.value, Hello))
-                else:
-                    self._hello.set_exception(error_of(answer.error))
-        self._dispatch()
+                self._on_news(message.news)
+            if message.answer is not None:
+                self._on_answer(message.answer)
+        return True
 
-    def _dispatch(self) -> None:
-        """Hand on what was told, in order; a handler that gives orders of its own does not get ahead of it."""
-        if self._dispatching:
+    def _on_answer(self, answer: Answer) -> None:
+        hello = self._hello
+        if not answer.number and hello is not None and not hello.done():
+            if answer.error is None:
+                hello.set_result(typed(answer.value, Hello))
+            else:
+                hello.set_exception(error_of(answer.error))
             return
-        self._dispatching = True
-        try:
-            while self._inbox:
-                told = self._inbox.popleft()
-                if isinstance(told, DpError):
-                    self._on_gone(told)
-                else:
-                    self._on_news(told)
-        finally:
-            self._dispatching = False
+        sent = self._sent.pop(answer.number, None)
+        if sent is None:
+            return
+        if sent.answer is None:
+            if answer.error is not None and not is_ending(sent.order):
+                self._on_refused(sent.order, error_of(answer.error))
+        elif sent.answer.done():  # who awaited it was cancelled
+            return
+        elif answer.error is not None:
+            sent.answer.set_exception(error_of(answer.error))
+        else:
+            sent.answer.set_result(answer.value)
 
     # --- the end ----------------------------------------------------------------------------------------------------
 
     def _hung_up(self) -> None:
         """The bus process is gone, or about to be."""
-        process = self._process
-        if self._sock is None or process is None:
-            return
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            process.wait(_END_S)
-        asked_for = self._gone is not None
-        self._gone = self._gone or self._why_gone(process.returncode, self._last_words)
         self._disconnect()
+        self._when_ended(self._is_gone)
+
+    def _is_gone(self) -> None:
+        process = self._process
+        if process is None:
+            return
+        asked_for = self._gone is not None
+        error = self._gone or self._why_gone(process.poll(), self._last_words)
+        self.hang_up(error)
         if self._hello is not None and not self._hello.done():
-            self._hello.set_exception(self._gone)
+            self._hello.set_exception(error)
         elif not asked_for:
-            self._inbox.append(self._gone)
-            self._dispatch()
+            self._on_gone(error)
 
     def _disconnect(self) -> None:
         sock, self._sock = self._sock, None
+        outbox, self._outbox = self._outbox, None
         if sock is not None:
             if self._loop is not None and not self._loop.is_closed():
                 self._loop.remove_reader(sock.fileno())
+                if outbox is not None:
+                    outbox.forget()
             sock.close()
-
-
-def _set(future: asyncio.Future[None]) -> None:
-    if not future.done():
-        future.set_result(None)
 
 
 def _started(sock: int, memory: int) -> subprocess.Popen[bytes]:

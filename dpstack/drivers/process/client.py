@@ -1,8 +1,9 @@
 """The process driver: the bus runs in a process of its own, and the application's is told.
 
-An order waits for its answer (:mod:`dpstack.drivers.process.channel`): misuse raises at once in the caller, and what an
-order changes is seen when it returns, as with every other driver. It takes the bus process a turn of its loop. Nothing
-else waits: process image, outputs and counters stand in shared memory, states come with the events.
+Nothing here waits for the bus process but who awaits it. An awaited order (:meth:`ProcessRuntime.order`) ends with the
+answer: what it changes is seen then, and what the machines raise is raised then. Any other order
+(:meth:`ProcessRuntime.command`) is sent, and a refusal is told later. Process image, outputs, drives and counters
+stand in shared memory, states come with the events.
 
 The bus process writes a heartbeat into the shared memory. One older than
 :data:`dpstack.drivers.process.channel.LIMIT_NS` is silence: all slaves count as offline until the bus process has
@@ -24,12 +25,11 @@ from typing import Final
 from dpstack.dp.master.commands import AddSlave, Alive, DriveCommand, RemoveSlave, ReparameteriseSlave
 from dpstack.dp.master.events import Fault, FaultKind, SlaveState, SlaveStateChanged
 from dpstack.dp.master.scanner import SurveyOrder, SurveyResult
-from dpstack.drivers.line.asyncio_runtime import outlast
+from dpstack.drivers.futures import outlast
 from dpstack.drivers.line.port_latency import Lateness
 from dpstack.drivers.process import channel
 from dpstack.drivers.process.client_errors import how_it_ended, killed_at_the_end
 from dpstack.drivers.process.messages import (
-    AskUnit,
     AttachPlugin,
     CloseBus,
     Counters,
@@ -61,7 +61,15 @@ from dpstack.drivers.process.shared_image import (
     output_octets,
     read_picture,
 )
-from dpstack.drivers.runtime import IN_PARENT, BusProcessBack, BusProcessSilent, OnEvents, OnFailure, OutputsDropped
+from dpstack.drivers.runtime import (
+    IN_PARENT,
+    BusProcessBack,
+    BusProcessSilent,
+    OnEvents,
+    OnFailure,
+    OnRefused,
+    OutputsDropped,
+)
 from dpstack.drivers.shutdown import at_slaves
 from dpstack.errors import DpError, OrderDropped, UsageError
 from dpstack.stats import Histogram
@@ -82,7 +90,7 @@ class ProcessRuntime:
     ``on_failure`` is told when the bus process ends without having been told to.
     """
 
-    def __init__(self, setup: SetUp, on_events: OnEvents, on_failure: OnFailure) -> None:
+    def __init__(self, setup: SetUp, on_events: OnEvents, on_failure: OnFailure, on_refused: OnRefused) -> None:
         spec = setup.stack
         self.mirror = Mirror(
             MasterMirror(spec.slaves, self, read_only=spec.read_only),
@@ -94,7 +102,8 @@ class ProcessRuntime:
         self._setup = setup
         self._on_events = on_events
         self._on_failure = on_failure
-        self._link = channel.Link(self._on_news, self._why_gone, self._on_gone)
+        self._on_refused = on_refused
+        self._link = channel.Channel(self._on_news, self._refused, self._why_gone, self._on_gone)
         self._image: SharedImage | None = None
         self._picture = _EMPTY
         self._outputs: dict[int, Outputs] = {}
@@ -103,6 +112,7 @@ class ProcessRuntime:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._publishing: asyncio.Handle | None = None
         self._counters = Counters()
+        self._drives: dict[int, object] = {}
         self._counted_ns = -_FRESH_NS
         self._is_final = False  # the counters are those of the end
         self._not_running: str | None = None
@@ -174,13 +184,16 @@ class ProcessRuntime:
         line = self._link
         try:
             if line.is_open:
-                with contextlib.suppress(DpError):
-                    self._counters = typed(self._ask(CloseBus()), Counters)
+                closing = self.order(CloseBus())
+                with contextlib.suppress(asyncio.CancelledError):
+                    await outlast(closing)
+                if not closing.cancelled() and closing.exception() is None:
+                    self._counters = typed(closing.result(), Counters)
                     self._is_final = True
                 line.hang_up(UsageError("the bus is closed"))
                 await outlast(asyncio.ensure_future(line.ended()))
         finally:
-            if line.release(kill=False):
+            if line.release():
                 text = killed_at_the_end(self._watchdogs())
                 self._on_events(
                     [Notice(t_ns=monotonic_ns(), source="bus process", message=text, severity=Severity.ERROR)]
@@ -220,63 +233,92 @@ class ProcessRuntime:
             self._image = None
 
     def command(self, command: object) -> None:
-        """Hand an order to the machines and wait until they have taken it. What they raise is raised here."""
+        """Send an order that nobody awaits. ``on_refused`` is told where the bus process refuses it.
+
+        Raises UsageError when there is no bus process, OrderDropped where it is silent, BusError where it is gone.
+        """
+        if isinstance(command, Alive):
+            self._link.tell_if_it_reads(command)
+            return
+        self._publish_soon()
+        self._link.tell(_sendable(command))
+
+    def order(self, command: object) -> asyncio.Future[object]:
+        """Send an order; the future is done when the machines have carried it out. What they raise is in it.
+
+        It raises OrderDropped when they did not take it in time, BusError when nobody knows, or the bus is gone.
+        """
+        self._publish_soon()
+        answer = self._link.order(_sendable(command))
+        undo = self._note(command)
+        answer.add_done_callback(lambda done: undo(carried_out=not done.cancelled() and done.exception() is None))
+        return answer
+
+    def _note(self, command: object) -> Callable[..., None]:
+        """Slaves that ``command`` adds, changes or removes. Returns what is to be done when it is over."""
         handlers = self.mirror.master.handlers
         match command:
             case AddSlave(setup) if setup.address not in handlers:
-                handlers[setup.address] = SlaveMirror(setup, self)
-                try:
-                    self._ask(command)
-                except BaseException:
-                    del handlers[setup.address]
-                    raise
+                before, after = None, SlaveMirror(setup, self)
             case ReparameteriseSlave(setup) if setup.address in handlers:
                 before = handlers[setup.address]
-                after = handlers[setup.address] = SlaveMirror(setup, self, before)
-                try:
-                    self._ask(command)
-                except BaseException:
-                    handlers[setup.address] = before
-                    raise
-                if after.image is not before.image:
-                    self.put_outputs(setup.address, None)
-            case RemoveSlave(address):
-                self._ask(command)
-                self.put_outputs(address, None)
-                handlers.pop(address, None)
-            case EndSurvey(number):
-                self._surveys.pop(number, None)
-                self._ask(command)
-            case Alive():
-                self._link.tell(command)
-            case DriveCommand(args=args):
-                self._ask(dataclasses.replace(command, args=checked_arguments(args)))
+                after = SlaveMirror(setup, self, before)
+            case RemoveSlave(address) if address in handlers:
+                removed = handlers[address]
+
+                def end(*, carried_out: bool) -> None:
+                    if carried_out and handlers.get(address) is removed:
+                        self.put_outputs(address, None)
+                        del handlers[address]
+
+                return end
             case _:
-                self._ask(command)
+                return lambda **_: None
+        handlers[setup.address] = after
+
+        def settle(*, carried_out: bool) -> None:
+            if handlers.get(setup.address) is not after:
+                return
+            if carried_out:
+                if before is not None and after.image is not before.image:
+                    self.put_outputs(setup.address, None)
+            elif before is None:
+                del handlers[setup.address]
+            else:
+                handlers[setup.address] = before
+
+        return settle
+
+    def _refused(self, order: object, error: DpError) -> None:
+        if not isinstance(order, WatchRounds):  # else it is given again when the bus process goes on
+            self._on_refused(order, error)
 
     # --- what else the bus process does -------------------------------------------------------------------------------
 
-    def attach_plugin(self, address: int, plugin: PluginRef) -> None:
+    async def attach_plugin(self, address: int, plugin: PluginRef) -> None:
         """Put a drive plugin onto a process image over there. Raises ConfigError when it cannot be imported.
 
         The plugins that the bus process is started with stand there already.
         """
-        if self._link.is_open:
-            self._ask(AttachPlugin(address, plugin))
-        self.mirror.master.handlers[address].image.unit = plugin
+        await self.order(AttachPlugin(address, plugin))
 
-    def unit_status(self, address: int) -> object | None:
-        """What the cyclic unit of a slave tells, as plain data; None when nobody answers."""
-        if not self._link.is_open or self.not_running is not None:
+    def drive_status(self, address: int) -> object | None:
+        """What the drive plugin of a slave told last, as plain data; None when nobody tells."""
+        if not self._link.is_open or self._image is None:
             return None
-        try:
-            return self._ask(AskUnit(address))
-        except OrderDropped:
-            return None
+        octets = self._image.drives.read()
+        if octets is not None:
+            self._drives = decoded(octets, dict[int, object])
+        return self._drives.get(address)
 
     def survey_result(self, number: int) -> SurveyResult | None:
         """What came of the live list with ``number``; None until it is complete."""
         return self._surveys.get(number)
+
+    def forget_survey(self, number: int) -> None:
+        """Nobody wants the live list with ``number`` any more."""
+        self._surveys.pop(number, None)
+        self.command(EndSurvey(number))
 
     # --- the source of the mirror -------------------------------------------------------------------------------------
 
@@ -329,42 +371,34 @@ class ProcessRuntime:
         self._image.outputs.write(output_octets(self._outputs))
         self._awaited |= dict.fromkeys(changed, self._image.outputs.newest)
 
-    def _ask(self, order: object) -> object:
-        self._publish_soon()
-        return self._link.ask(order)
-
-    def hand_over_outputs(self) -> None:
+    async def hand_over_outputs(self) -> None:
         """The bus process has the outputs that were set up to now when this returns.
 
         Raises OrderDropped when it did not take them in time: they are taken back, and will not go out.
         """
         self._publish_soon()
-        given = {address: self._outputs[address].until_ns for address in self._awaited}
+        given = tuple(self._awaited)
         if not given:
             return
+        why = "the bus process did not take the outputs in time"
         try:
-            self._link.ask(TakeOutputs())
+            await self._link.order(TakeOutputs())
         except OrderDropped as error:
-            dropped = self._withdraw(given)
-            if dropped:
-                raise OrderDropped(f"{error}; the outputs of {_names(dropped)} will not go out") from None
-        gone = [
-            handler
-            for address, until in given.items()
-            if (handler := self.mirror.master.handlers.get(address)) is not None
-            and (address not in self._outputs or self._outputs[address].until_ns != until)
-        ]
+            why = str(error)
+            self._withdraw(given)
+        handlers = self.mirror.master.handlers
+        gone = [handlers[address] for address in given if address in handlers and address not in self._outputs]
         if gone:
-            raise OrderDropped(f"the bus process did not take the outputs of {_names(gone)} in time: they were dropped")
+            raise OrderDropped(f"{why}; the outputs of {_names(gone)} will not go out")
 
-    def _withdraw(self, addresses: Iterable[int]) -> list[SlaveMirror]:
-        """Take back published outputs that the bus process has not taken; whose they were. Those go out never more.
+    def _withdraw(self, addresses: Iterable[int]) -> None:
+        """Take back published outputs that the bus process has not taken. Those go out never more.
 
         It sets the number of a picture before it reads it: what is not taken after this picture was written, never is.
         """
         image = self._image
         if image is None:
-            return []
+            return
         taken_back = {address: self._outputs.pop(address) for address in addresses if address in self._outputs}
         self._publish()
         dropped = []
@@ -374,7 +408,6 @@ class ProcessRuntime:
             elif (handler := self.mirror.master.handlers.get(address)) is not None:
                 dropped.append(handler)
         self._tell_dropped(dropped)
-        return dropped
 
     def _tell_dropped(self, slaves: list[SlaveMirror]) -> None:
         now = monotonic_ns()
@@ -458,7 +491,7 @@ class ProcessRuntime:
         """Have the ends of rounds told, or no longer. A silent bus process is told when it goes on."""
         if self._link.is_open:
             with contextlib.suppress(OrderDropped if on else DpError):
-                self._ask(WatchRounds(on))
+                self.command(WatchRounds(on))
 
     def _watch_rounds_again(self) -> None:
         with contextlib.suppress(DpError):
@@ -485,9 +518,8 @@ class ProcessRuntime:
             if news.dropped:
                 self._outputs_too_late(news.dropped)
         except Exception as error:  # the application's: the bus goes on
-            asyncio.get_running_loop().call_exception_handler(
-                {"message": "the handler of bus events raised", "exception": error}
-            )
+            told = {"message": "the handler of bus events raised", "exception": error}
+            asyncio.get_running_loop().call_exception_handler(told)
 
     def _why_gone(self, code: int | None, last: News | None) -> DpError:
         return how_it_ended(code, last, self._watchdogs())
@@ -525,14 +557,23 @@ def _names(slaves: Iterable[SlaveMirror]) -> str:
     return ", ".join(f"slave {slave.setup.address} ({slave.setup.name})" for slave in slaves)
 
 
-class ProcessSurvey:
-    """One live list made by ``runtime``'s bus process; ``command`` takes its orders. A :class:`Survey`."""
+def _sendable(command: object) -> object:
+    """A drive's order as JSON can carry it."""
+    if isinstance(command, DriveCommand):
+        return dataclasses.replace(command, args=checked_arguments(command.args))
+    return command
 
-    def __init__(self, runtime: ProcessRuntime, command: Callable[[object], None], order: SurveyOrder) -> None:
+
+class ProcessSurvey:
+    """One live list made by the bus process of ``runtime``. A :class:`Survey`."""
+
+    def __init__(self, runtime: ProcessRuntime) -> None:
         self._runtime = runtime
-        self._command = command
         self._number = next(_numbers)
-        command(StartSurvey(self._number, order))
+
+    async def begin(self, order: SurveyOrder) -> None:
+        """Begin to ask."""
+        await self._runtime.order(StartSurvey(self._number, order))
 
     @property
     def result(self) -> SurveyResult | None:
@@ -541,4 +582,4 @@ class ProcessSurvey:
 
     def end(self) -> None:
         """Nobody wants it any more."""
-        self._command(EndSurvey(self._number))
+        self._runtime.forget_survey(self._number)

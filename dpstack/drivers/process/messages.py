@@ -92,13 +92,6 @@ class TakeOutputs:
 
 
 @dataclass(frozen=True, slots=True)
-class AskUnit:
-    """Answered with what the cyclic unit of the slave at ``address`` tells in ``status()``."""
-
-    address: int
-
-
-@dataclass(frozen=True, slots=True)
 class StartSurvey:
     """One live list; its result comes with the :class:`News` under ``number``."""
 
@@ -131,7 +124,7 @@ def is_ending(order: object) -> bool:
 ORDERS: Final[dict[str, type]] = {
     kind.__name__: kind
     for kind in (
-        *MACHINE_ORDERS, SetUp, AttachPlugin, WatchRounds, TakeOutputs, AskUnit, StartSurvey, EndSurvey, CloseBus,
+        *MACHINE_ORDERS, SetUp, AttachPlugin, WatchRounds, TakeOutputs, StartSurvey, EndSurvey, CloseBus,
     )
 }  # fmt: skip
 

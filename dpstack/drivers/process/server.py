@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import socket
 from collections import deque
@@ -10,6 +11,7 @@ from time import monotonic_ns
 from typing import Final
 
 from dpstack.dp.master.commands import AddSlave, Mode, SendControl, Shutdown
+from dpstack.dp.master.events import DriveEvent
 from dpstack.dp.master.fixed_cycle import CycleData
 from dpstack.dp.master.scanner import Scanner, SurveyResult
 from dpstack.dp.process_image import SlaveImage
@@ -18,7 +20,6 @@ from dpstack.drivers.line.select_runtime import PlainRuntime
 from dpstack.drivers.process import plugins
 from dpstack.drivers.process.messages import (
     Answer,
-    AskUnit,
     AttachPlugin,
     BusNow,
     CloseBus,
@@ -55,6 +56,8 @@ from dpstack.units import NS_PER_MS, ms_text
 _RHYTHM: Final = 100 * NS_PER_MS
 #: so often it shows that it lives, whatever the application does, and takes the application's outputs
 _HEARTBEAT: Final = 20 * NS_PER_MS
+#: and so often what its drives tell, where nobody watches the rounds and no event comes
+_DRIVES_NS: Final = 10 * NS_PER_MS
 #: SIGTERM is for the application, too, if that begins its end within this time
 _GRACE: Final = 200 * NS_PER_MS
 _CHUNK: Final = 65_536
@@ -113,6 +116,8 @@ class Host:
         self._watcher: WatcherNow | None = None
         self._told_surveys: set[int] = set()
         self._told_cycle: CycleData | None = None
+        self._told_drives = encoded({})
+        self._drives_at = 0  # when they were published
 
     def open(self, notices: list[str]) -> None:
         """Open the port, say hello, listen to the application. Raises PortError, ConfigError.
@@ -193,14 +198,12 @@ class Host:
         match order:
             case AttachPlugin(address, ref):
                 self._handler_image(address).unit = plugins.load(ref)
+                self._publish_drives()
             case WatchRounds(on):
                 self._watched = on
                 self._count()  # who waited for rounds looks at the counters next
             case TakeOutputs():
                 self._take_outputs()
-            case AskUnit(address):
-                status = getattr(self._handler_image(address).unit, "status", None)
-                return None if status is None else status()
             case StartSurvey(number, wanted):
                 scanner = wanted.scanner(self._station.params, self._station.patience, self.runtime.now())
                 self.runtime.command(AttachUser(scanner))
@@ -239,8 +242,11 @@ class Host:
 
     def _on_round(self, _now: int) -> None:
         self._publish()
-        if self._watched:  # after the round's last telegram, not before it
+        # after the round's last telegram, not before it
+        if self._watched:
             self._loop.call_soon(partial(self._tell_round, self._master.cycle))
+        elif monotonic_ns() - self._drives_at >= _DRIVES_NS:
+            self._loop.call_soon(self._publish_drives)
 
     def _publish(self) -> None:
         handlers = self._master.handlers
@@ -250,6 +256,22 @@ class Host:
             picture = SlavePicture(image.inputs, image.outputs, image.valid, handler.exchanges, image.input_time)
             slaves.append((address, picture))
         self._image.inputs.write(picture_octets(self._master.rounds, self._master.rotation_count, slaves))
+
+    def _publish_drives(self) -> None:
+        """What the plugins tell of their drives, where that has changed."""
+        if self._over:
+            return
+        self._drives_at = monotonic_ns()
+        told = {}
+        for address, handler in self._master.handlers.items():
+            status = getattr(handler.image.unit, "status", None)
+            if status is not None:
+                with contextlib.suppress(Exception):  # the plugin's own: nothing is known of its drive
+                    told[address] = status()
+        octets = encoded(told)
+        if octets != self._told_drives and len(octets) <= self._image.drives.limit:
+            self._told_drives = octets
+            self._image.drives.write(octets)
 
     def _take_outputs(self) -> None:
         """Those that were set since the last time, unless their time limit is over: a process that was stopped must not
@@ -286,6 +308,8 @@ class Host:
     def _tell(self, events: list[Event], *, over: str | None = None, defect: bool = False) -> None:
         """Events, with what has changed by them. For an application that does not read: later."""
         self._publish()
+        if any(isinstance(event, DriveEvent) for event in events):
+            self._publish_drives()
         if self._outbox.full:
             kept = [event for event in events if event.owed]
             self._dropped += len(events) - len(kept)
@@ -336,6 +360,7 @@ class Host:
                 news.surveys[number] = result
 
     def _tell_round(self, cycle: CycleData | None) -> None:
+        self._publish_drives()
         if not self._outbox.full and not self._over:
             told, self._told_cycle = self._told_cycle, cycle
             self._outbox.send(Message(news=News(round_over=True, cycle=None if cycle is told else cycle)))

@@ -8,8 +8,8 @@ that do not keep the order of stores. With one place for all pictures a reader b
 
 Pictures name the address of each slave, so slaves may come, go and change their lengths: there is room for all 126.
 
-Beside the pictures stand the counters of the bus, and single numbers (:class:`Word`) by which either process sees what
-the other one does without asking it.
+Beside the pictures stand the counters of the bus, the statuses of its drives, and single numbers (:class:`Word`) by
+which either process sees what the other one does without asking it.
 """
 
 from __future__ import annotations
@@ -28,11 +28,13 @@ _INPUTS: Final = 80 * 1024
 _OUTPUTS: Final = 40 * 1024
 #: the counters of 126 stations, and histograms of all durations that occur
 _COUNTERS: Final = 512 * 1024
+#: the statuses of 126 drives
+_DRIVES: Final = 256 * 1024
 #: pictures kept in an area, a power of two: while one is read the writer begins this many more before it is overwritten
 _PLACES: Final = 4
-SIZE: Final = _HEAD + _PLACES * (_INPUTS + _OUTPUTS + _COUNTERS)
+SIZE: Final = _HEAD + _PLACES * (_INPUTS + _OUTPUTS + _COUNTERS + _DRIVES)
 #: where each area and the words have their numbers in the head
-_INPUTS_AT, _OUTPUTS_AT, _COUNTERS_AT, _WORDS_AT = 0, 64, 128, 192
+_INPUTS_AT, _OUTPUTS_AT, _COUNTERS_AT, _WORDS_AT, _DRIVES_AT = 0, 64, 128, 192, 256
 
 #: a reader tries so often
 _TRIES: Final = 4
@@ -169,6 +171,8 @@ class SharedImage:
         self.outputs = Area(memory[:], _OUTPUTS_AT, _HEAD + _PLACES * _INPUTS, _OUTPUTS)
         #: what the bus process counted
         self.counters = Area(memory[:], _COUNTERS_AT, _HEAD + _PLACES * (_INPUTS + _OUTPUTS), _COUNTERS)
+        #: what the drive plugins tell, see :func:`dpstack.drivers.process.messages.encoded`
+        self.drives = Area(memory[:], _DRIVES_AT, _HEAD + _PLACES * (_INPUTS + _OUTPUTS + _COUNTERS), _DRIVES)
         #: the bus process: when it was alive last (CLOCK_MONOTONIC, ns)
         self.heartbeat = Word(memory, _WORDS_AT)
         #: the bus process: the number of the order that it took last, set before it looks at the order's deadline
@@ -187,7 +191,7 @@ class SharedImage:
 
     def close(self) -> None:
         """Unmap it; the other process keeps its own."""
-        for area in (self.inputs, self.outputs, self.counters):
+        for area in (self.inputs, self.outputs, self.counters, self.drives):
             area.release()
         for word in (self.heartbeat, self.order_taken, self.outputs_taken, self.silences):
             word.release()

@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from functools import partial
 from time import monotonic_ns
 from typing import Final, Protocol
 
+from dpstack.drivers.futures import carried_out
 from dpstack.drivers.line.port_latency import Lateness
 from dpstack.drivers.runtime import IN_PARENT, BehindRealTime, OnEvents
 from dpstack.drivers.virtual.loop import Timeline, VirtualLoop
@@ -102,8 +104,12 @@ class VirtualRuntime:
         clockwork = self._clockwork
         return self._behind_ns if clockwork is None else clockwork.behind_ns - self._behind_at_open_ns
 
-    def hand_over_outputs(self) -> None:
+    async def hand_over_outputs(self) -> None:
         """The machine has them as soon as they are set."""
+
+    def order(self, command: object) -> asyncio.Future[object]:
+        """:meth:`command`, which carries it out at once."""
+        return carried_out(partial(self.command, command))
 
     def damage(self) -> dict[str, int]:
         """A medium in virtual time tells every octet as it is; the decoder's counters are all there is."""
