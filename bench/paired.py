@@ -1,7 +1,8 @@
 """Paired ratios: two sides measured in turn, the interval of the median ratio, and a verdict in words.
 
-A round measures each side once, the sides in alternating order, the calibration loops before and after each. A duration
-counts as a multiple of the loops beside it, if it is not in loops already; the ratio of a figure is that of one round.
+A round measures each side once, the sides in alternating order, the calibration loops before and after. A duration
+counts as a multiple of the loops beside it, if it is not in loops already; the ratio of a figure is that of one round,
+the median where a run repeated it.
 The interval is that of the sign test, which supposes nothing about how the ratios are spread: with ten rounds from the
 least to the greatest.
 """
@@ -41,13 +42,22 @@ class Verdict(Enum):
 
 
 class Reading(NamedTuple):
-    """A figure of one run. ``beside``: the unit of the calibration that it is judged in, or ``""``."""
+    """A figure of one run. ``beside``: the unit of the calibration that it is judged in, or ``""``.
+
+    ``repeats``: what the run took the median of.
+    """
 
     value: float
     unit: str
     beside: str = ""
     more: bool = False
     exact: bool = False
+    repeats: tuple[float, ...] = ()
+
+    def times(self, factor: float, unit: str, beside: str = "") -> Reading:
+        """In another unit."""
+        repeats = tuple(value * factor for value in self.repeats)
+        return self._replace(value=self.value * factor, unit=unit, beside=beside, repeats=repeats)
 
 
 Readings = Mapping[str, Reading]
@@ -102,18 +112,19 @@ def _ignored(name: str) -> bool:
 
 
 def _reading(figure: Figure, loop_us: Figure | None) -> tuple[str, Reading]:
-    name, value, unit, more = figure.name, figure.value, figure.unit, figure.more
+    name, unit = figure.name, figure.unit
+    reading = Reading(figure.value, unit, "", figure.more, figure.exact, figure.rounds)
     if figure.raw_us:
-        return name, Reading(median(figure.raw_us), "us", unit, more, figure.exact)
+        return name, reading._replace(value=median(figure.raw_us), unit="us", beside=unit, repeats=figure.raw_us)
     if unit == "loops" and loop_us is not None:  # reports from before there were two calibrations
-        return name, Reading(value * loop_us.value, "us", PIPE, more)
-    if unit == "s/s" and value:
-        return name.replace("simulated seconds per second of CPU", "CPU time of a simulated second"), Reading(
-            1e6 / value, "us", PYTHON
-        )
+        return name, reading.times(loop_us.value, "us", PIPE)
+    if unit == "s/s" and figure.value:
+        repeats = tuple(1e6 / value for value in figure.rounds)
+        name = name.replace("simulated seconds per second of CPU", "CPU time of a simulated second")
+        return name, Reading(1e6 / figure.value, "us", PYTHON, repeats=repeats)
     if unit in _US:
-        return name, Reading(value * _US[unit], "us", "", more, figure.exact)
-    return name, Reading(value, unit, "", more, figure.exact)
+        return name, reading.times(_US[unit], "us")
+    return name, reading
 
 
 def readings_of_probe(figures: Mapping[str, Mapping[str, float]]) -> dict[str, Reading]:
@@ -132,29 +143,23 @@ def order(number: int) -> tuple[int, int]:
     return (1, 0) if number % 2 else (0, 1)
 
 
-def take_rounds(
-    count: int, measure: Callable[[int], Readings], calibrate: Callable[[], Speeds], notes: list[str]
-) -> Iterator[Round]:
-    """``count`` rounds; one in which a side fails is taken again and noted. Raises RuntimeError when too many fail."""
+def take_rounds(count: int, measure: Callable[[tuple[int, int]], Round], notes: list[str]) -> Iterator[Round]:
+    """``count`` rounds; ``measure`` gets the order of the sides. One that fails is taken again and noted.
+
+    Raises RuntimeError when too many fail.
+    """
     done, failed = 0, 0
-    before = calibrate()
     while done < count:
-        runs: dict[int, Run] = {}
         try:
-            for side in order(done):
-                readings = measure(side)
-                after = calibrate()
-                runs[side] = Run(readings, Speeds(*map(mean, zip(before, after, strict=True))))
-                before = after
+            taken = measure(order(done))
         except RuntimeError as error:
             failed += 1
             notes.append(f"round {done + 1} was taken again: {error}")
             if failed > count * _MAY_FAIL:
                 raise RuntimeError(f"too many rounds failed, the last one so: {error}") from None
-            before = calibrate()
             continue
         done += 1
-        yield runs[0], runs[1]
+        yield taken
 
 
 # --- ratios and verdicts ---
@@ -181,8 +186,20 @@ def _pair(name: str, rounds: Sequence[Round]) -> Pair:
 
 
 def _ratio(both: Round, name: str, beside: str) -> float:
-    old, new = (run.readings[name].value / _loop(run.speeds, beside) for run in both)
+    (old, old_loop), (new, new_loop) = ((run.readings[name], _loop(run.speeds, beside)) for run in both)
+    pairs = list(zip(old.repeats, new.repeats, strict=False))
+    if not pairs or len(old.repeats) != len(new.repeats):
+        pairs = [(old.value, new.value)]
+    return median(_over(after / new_loop, before / old_loop) for before, after in pairs)
+
+
+def _over(new: float, old: float) -> float:
     return new / old if old else 1.0 if new == old else inf
+
+
+def between(before: Speeds, after: Speeds) -> Speeds:
+    """The speed of what was measured between two calibrations."""
+    return Speeds(*map(mean, zip(before, after, strict=True)))
 
 
 def _loop(speeds: Speeds, beside: str) -> float:

@@ -6,18 +6,33 @@ by bench/commit_probe.py.
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
+import select
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
 from bench import commit_probe, loop_clock
-from bench.calibration import speeds
+from bench.calibration import Speeds, speeds
 from bench.commits import Side, clean, commit_side, tree_side
 from bench.machine import load
-from bench.paired import PairedComparison, Reading, pairs_of, readings_of, readings_of_probe, take_rounds, together
+from bench.paired import (
+    PairedComparison,
+    Reading,
+    Round,
+    Run,
+    between,
+    pairs_of,
+    readings_of,
+    readings_of_probe,
+    take_rounds,
+    together,
+)
 from bench.report import report_of
 
 _PROBE: Final = Path(commit_probe.__file__)
@@ -52,10 +67,10 @@ PLANS: Final[Mapping[str, Plan]] = {
     "jitter": Plan("--rounds 1 --seconds 2 --cycles 10"),
     "parameters": Plan("", 10),
     "rotation": Plan("--rounds 1 --bauds 500000 1500000 --kinds bare asyncio process"),
-    "scale": Plan("--rounds 3 --exchanges 2000 --seconds 0.2 --pty-rounds 1", cpu=True),
+    "scale": Plan("--rounds 7 --exchanges 2000 --seconds 0", 16, cpu=True),
     "startup": Plan("--rounds 1"),
     "usb": Plan("--rounds 1 --bauds 500000 --seconds 1"),
-    "virtual": Plan("--rounds 3", 16, cpu=True),
+    "virtual": Plan("--rounds 5", 16, cpu=True),
 }
 
 
@@ -75,7 +90,7 @@ def compare_with_commit(name: str, commit: str, rounds: int | None = None) -> Pa
     with commit_side(commit) as old, tree_side() as new:
         measured = Measured(Commands(name, plan), (old, new), notes)
         taken = []
-        for both in take_rounds(count, measured, speeds, notes):
+        for both in take_rounds(count, measured.round, notes):
             taken.append(both)
             _tell(f"{name}: {len(taken)} of {count} rounds")
     pairs = pairs_of(taken)
@@ -83,45 +98,58 @@ def compare_with_commit(name: str, commit: str, rounds: int | None = None) -> Pa
 
 
 class Commands:
-    """What is started for one benchmark on a side: its own bench, and the probe."""
+    """What is started for one benchmark: the own bench of a side, and the probe. Several sides take turns."""
 
     def __init__(self, name: str, plan: Plan) -> None:
         self._name = name
         self._plan = plan
+        #: whether sides can take turns within a run of their own bench
+        self.in_turn = plan.cpu
 
-    def own(self, side: Side) -> dict[str, Reading]:
-        """Of the side's own bench. Raises LacksError, RuntimeError when it fails."""
+    def own(self, *sides: Side) -> list[dict[str, Reading]]:
+        """Of the sides' own benches. Raises LacksError, RuntimeError when one fails."""
         way = ["-P", str(_LOOP_CLOCK)] if self._plan.cpu else ["-m", "bench"]
-        code, out, error = _run(side, [str(side.python), *way, self._name, "--json", *self._plan.words.split()])
-        if code == _WRONG_USE or "No module named" in error:
-            raise LacksError(error)
-        if code:
-            raise RuntimeError(f"{side.title}: {error}")
+        return list(map(self._own, sides, run_in_turn(sides, [*way, self._name, "--json", *self._plan.words.split()])))
+
+    def _own(self, side: Side, ended: Ended) -> dict[str, Reading]:
+        if ended.code == _WRONG_USE or "No module named" in ended.complaint:
+            raise LacksError(ended.complaint)
+        if ended.code:
+            raise RuntimeError(f"{side.title}: {ended.complaint}")
         try:
-            return readings_of(report_of(json.loads(out.splitlines()[-1])), on_loop_clock=self._plan.cpu)
+            return readings_of(report_of(json.loads(ended.output.splitlines()[-1])), on_loop_clock=self._plan.cpu)
         except (ValueError, IndexError):
             raise LacksError("it prints no JSON that can be read") from None
 
-    def probe(self, side: Side) -> dict[str, Reading]:
-        """Of the probe in the side's environment. Raises RuntimeError when it fails."""
-        code, out, error = _run(side, [str(side.python), "-P", str(_PROBE), self._name])
-        if code:
-            raise RuntimeError(f"{side.title}, probe: {error}")
-        return readings_of_probe(json.loads(out))
+    def probe(self, *sides: Side) -> list[dict[str, Reading]]:
+        """Of the probe in the sides' environments. Raises RuntimeError when it fails."""
+        found = []
+        for side, ended in zip(sides, run_in_turn(sides, ["-P", str(_PROBE), self._name]), strict=True):
+            if ended.code:
+                raise RuntimeError(f"{side.title}, probe: {ended.complaint}")
+            found.append(readings_of_probe(json.loads(ended.output)))
+        return found
 
 
 class Measured:
-    """One run of a side. Which figures come from the own benches and which from the probe, a run that is not judged
+    """Rounds of two sides. Which figures come from the own benches and which from the probe, a run that is not judged
     decides: the own ones where both have them, so that both sides of a figure are measured in the same way.
 
     Raises RuntimeError when the two have no figure in common.
     """
 
-    def __init__(self, commands: Commands, sides: tuple[Side, Side], notes: list[str]) -> None:
+    def __init__(
+        self,
+        commands: Commands,
+        sides: tuple[Side, Side],
+        notes: list[str],
+        calibrate: Callable[[], Speeds] = speeds,
+    ) -> None:
         self._commands = commands
         self._sides = sides
+        self._calibrate = calibrate
         owns = [self._own(side, notes) for side in sides]
-        probes = [commands.probe(side) for side in sides]
+        probes = commands.probe(*sides)
         own, probed = (both[0].keys() & both[1].keys() for both in (owns, probes))
         self._uses_own = bool(own)
         self._of_probe = probed - own
@@ -131,24 +159,33 @@ class Measured:
             if alone := readings.keys() - own - probed:
                 notes.append(f"only {side.title} has: {'; '.join(name for name in readings if name in alone)}")
 
-    def __call__(self, number: int) -> dict[str, Reading]:
-        """The readings of a side, 0: old, 1: new. Raises RuntimeError."""
-        side = self._sides[number]
-        readings: dict[str, Reading] = {}
-        if self._uses_own:
-            try:
-                readings |= self._commands.own(side)
-            except LacksError as error:
-                raise RuntimeError(f"{side.title}: {error}") from None
+    def round(self, order: tuple[int, int]) -> Round:
+        """One round, the sides in this order (0: old, 1: new). Raises RuntimeError."""
+        runs: dict[int, Run] = {}
+        before = self._calibrate()
+        for numbers in [order] if self._commands.in_turn else [(number,) for number in order]:
+            found = self._readings(numbers)
+            after = self._calibrate()
+            runs |= {number: Run(found[number], between(before, after)) for number in numbers}
+            before = after
         if self._of_probe:
-            probed = self._commands.probe(side)
-            readings |= {name: reading for name, reading in probed.items() if name in self._of_probe}
-        return readings
+            for number, readings in zip(order, self._commands.probe(*map(self._sides.__getitem__, order)), strict=True):
+                wanted = {name: reading for name, reading in readings.items() if name in self._of_probe}
+                runs[number] = Run({**runs[number].readings, **wanted}, runs[number].speeds)
+        return runs[0], runs[1]
+
+    def _readings(self, numbers: tuple[int, ...]) -> dict[int, dict[str, Reading]]:
+        if not self._uses_own:
+            return {number: {} for number in numbers}
+        try:
+            return dict(zip(numbers, self._commands.own(*map(self._sides.__getitem__, numbers)), strict=True))
+        except LacksError as error:
+            raise RuntimeError(f"a benchmark that ran before does not run: {error}") from None
 
     def _own(self, side: Side, notes: list[str]) -> dict[str, Reading]:
         for attempts_left in reversed(range(_ATTEMPTS)):
             try:
-                return self._commands.own(side)
+                return self._commands.own(side)[0]
             except LacksError as error:
                 notes.append(f"the own bench of {side.title} cannot do this: {error}")
                 break
@@ -158,15 +195,78 @@ class Measured:
         return {}
 
 
-def _run(side: Side, words: Sequence[str]) -> tuple[int, str, str]:
-    """Exit code, output, and the last line of what it complained about."""
-    try:
-        ended = subprocess.run(
-            words, cwd=side.root, env=clean(), stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=_RUN_S
-        )
-    except subprocess.TimeoutExpired:
-        raise RuntimeError(f"{side.title}: a run took longer than {_RUN_S} s") from None
-    return ended.returncode, ended.stdout, (ended.stderr.strip().splitlines() or [""])[-1][:_TOLD]
+class Ended(NamedTuple):
+    """A program that has ended; ``complaint`` is the last line of its error output."""
+
+    code: int
+    output: str
+    complaint: str
+
+
+class _Running:
+    """A program of a side that waits at the gate of bench/loop_clock.py before each piece of work, if it has such."""
+
+    def __init__(self, side: Side, words: Sequence[str], stack: contextlib.ExitStack) -> None:
+        self._title = side.title
+        self._out, self._errors = (stack.enter_context(tempfile.TemporaryFile("w+")) for _ in range(2))  # noqa: SIM115
+        go, self._go = os.pipe()
+        self._ready, ready = os.pipe()
+        stack.callback(os.close, self._go)
+        stack.callback(os.close, self._ready)
+        try:
+            self._process = subprocess.Popen(
+                [str(side.python), *words],
+                cwd=side.root,
+                env=clean() | {"BENCH_GATE": f"{go},{ready}"},
+                stdin=subprocess.DEVNULL,
+                stdout=self._out,
+                stderr=self._errors,
+                pass_fds=(go, ready),
+            )
+        finally:
+            os.close(go)
+            os.close(ready)
+        stack.callback(self._process.wait)
+        stack.callback(self._process.kill)
+
+    def pin(self, processor: int) -> None:
+        """Let it run on this processor only."""
+        with contextlib.suppress(OSError):  # it may have ended
+            os.sched_setaffinity(self._process.pid, {processor})
+
+    def waits(self) -> bool:
+        """Let it work until it waits at its gate; False when it has ended. Raises RuntimeError when neither comes."""
+        if not select.select([self._ready], (), (), _RUN_S)[0]:
+            raise RuntimeError(f"{self._title}: a run took longer than {_RUN_S} s")
+        return bool(os.read(self._ready, 1))
+
+    def go(self) -> bool:
+        """Open its gate once; False when it has ended."""
+        with contextlib.suppress(BrokenPipeError):
+            os.write(self._go, b"g")
+        return self.waits()
+
+    def ended(self) -> Ended:
+        """Once it has closed its end of the gate."""
+        code = self._process.wait(_RUN_S)
+        for file in (self._out, self._errors):
+            file.seek(0)
+        output, errors = self._out.read(), self._errors.read()
+        return Ended(code, output, (errors.strip().splitlines() or [""])[-1][:_TOLD])
+
+
+def run_in_turn(sides: Sequence[Side], words: Sequence[str]) -> list[Ended]:
+    """The same words on each side, their pieces of work in turn. Raises RuntimeError when that takes too long."""
+    with contextlib.ExitStack() as stack:
+        programs = [_Running(side, words, stack) for side in sides]
+        if len(programs) > 1 and hasattr(os, "sched_getaffinity"):
+            processor = min(os.sched_getaffinity(0))
+            for program in programs:  # a processor with a busy neighbour shall meet both of them
+                program.pin(processor)
+        waiting = [program for program in programs if program.waits()]
+        while waiting:
+            waiting = [program for program in waiting if program.go()]
+        return [program.ended() for program in programs]
 
 
 def _tell(text: str) -> None:

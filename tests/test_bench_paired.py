@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -33,7 +32,7 @@ from bench.paired import (
     together,
 )
 from bench.report import Report
-from bench.rounds import PLANS, Commands, LacksError, Measured, Plan
+from bench.rounds import PLANS, Commands, Ended, LacksError, Measured, Plan, run_in_turn
 
 OLD = Side("0123456789ab", Path("old"), Path("old/python"))
 NEW = Side("the tree as it stands", Path("new"), Path("new/python"))
@@ -153,45 +152,44 @@ def test_all_figures_of_a_calibration_together() -> None:
 # --- rounds ---
 
 
-def test_the_order_alternates_and_calibrations_lie_between_the_runs() -> None:
-    told: list[str] = []
-    paces = iter(range(100))
+def test_the_old_side_is_first_in_every_second_round() -> None:
+    orders: list[tuple[int, int]] = []
 
-    def measure(side: int) -> dict[str, Reading]:
-        told.append("old" if side == 0 else "new")
-        return {}
+    def measure(sides: tuple[int, int]) -> Round:
+        orders.append(sides)
+        return round_of({}, {})
 
-    def calibrate() -> Speeds:
-        told.append("calibrate")
-        return Speeds(float(next(paces)), 0.0)
-
-    taken = list(take_rounds(3, measure, calibrate, []))
-    assert [order(n) for n in range(3)] == [(0, 1), (1, 0), (0, 1)]
-    assert told == [
-        "calibrate", "old", "calibrate", "new", "calibrate",
-        "new", "calibrate", "old", "calibrate",
-        "old", "calibrate", "new", "calibrate",
-    ]  # fmt: skip
-    assert [(old.speeds.python, new.speeds.python) for old, new in taken] == [(0.5, 1.5), (3.5, 2.5), (4.5, 5.5)]
+    assert len(list(take_rounds(4, measure, []))) == 4
+    assert orders == [order(n) for n in range(4)] == [(0, 1), (1, 0), (0, 1), (1, 0)]
 
 
 def test_a_round_that_fails_is_taken_again_and_too_many_end_it() -> None:
-    def fails_in(*which: int) -> Iterator[bool]:
-        return iter([n in which for n in range(100)])
+    def taken(failing: set[int], notes: list[str]) -> list[Round]:
+        numbers = iter(range(100))
 
-    def taken(failures: Iterator[bool], notes: list[str]) -> list[Round]:
-        def measure(side: int) -> dict[str, Reading]:
-            if next(failures):
+        def measure(sides: tuple[int, int]) -> Round:
+            if next(numbers) in failing:
                 raise RuntimeError("slaves were lost")
-            return {}
+            return round_of({}, {})
 
-        return list(take_rounds(10, measure, lambda: STILL, notes))
+        return list(take_rounds(10, measure, notes))
 
     notes: list[str] = []
-    assert len(taken(fails_in(2), notes)) == 10
+    assert len(taken({1}, notes)) == 10
     assert notes == ["round 2 was taken again: slaves were lost"]
     with pytest.raises(RuntimeError, match="too many rounds failed, the last one so: slaves were lost"):
-        taken(fails_in(*range(6)), [])
+        taken(set(range(6)), [])
+
+
+def test_what_a_run_repeats_is_paired_repeat_by_repeat() -> None:
+    """Each piece of work of the new side follows one of the old side at once, and the speed changes in between."""
+    old = Reading(20.0, PYTHON, PYTHON, repeats=(10.0, 20.0, 40.0))
+    new = Reading(22.0, PYTHON, PYTHON, repeats=(11.0, 22.0, 44.0))
+    (pair,) = pairs_of([round_of({"a": old}, {"a": new})] * 10)
+    assert pair.ratios == pytest.approx([1.1] * 10)
+    unequal = new._replace(repeats=(11.0, 22.0))
+    (pair,) = pairs_of([round_of({"a": old}, {"a": unequal})] * 10)
+    assert pair.ratios == pytest.approx([1.1] * 10)  # of the medians
 
 
 # --- what reports say ---
@@ -207,17 +205,18 @@ def test_reports_of_all_ages_give_durations_in_microseconds() -> None:
     old.measured("rate", [7.0], "1/s", more=True)
     old.exact("services", 3, "")
     assert readings_of(old) == {
-        "null: CPU time": Reading(8.0, "us", PIPE),
-        "program": Reading(3000.0, "us"),
-        "10 drives: CPU time of a simulated second": Reading(50_000.0, "us", PYTHON),
-        "rate": Reading(7.0, "1/s", more=True),
+        "null: CPU time": Reading(8.0, "us", PIPE, repeats=(8.0,)),
+        "program": Reading(3000.0, "us", repeats=(2000.0, 3000.0, 4000.0)),
+        "10 drives: CPU time of a simulated second": Reading(50_000.0, "us", PYTHON, repeats=(50_000.0,)),
+        "rate": Reading(7.0, "1/s", more=True, repeats=(7.0,)),
         "services": Reading(3, "", exact=True),
     }
     new = Report("scale")
     new.calibrated("Python", [500.0])
     new.in_loops("null: CPU time", [(8000.0, 500.0), (9000.0, 500.0), (10000.0, 400.0)])
-    assert readings_of(new) == {"null: CPU time": Reading(9.0, "us", PYTHON)}
-    assert readings_of(new, on_loop_clock=True) == {"null: CPU time": Reading(9.0, PYTHON, PYTHON)}
+    expected = Reading(9.0, "us", PYTHON, repeats=(8.0, 9.0, 10.0))
+    assert readings_of(new) == {"null: CPU time": expected}
+    assert readings_of(new, on_loop_clock=True) == {"null: CPU time": expected._replace(unit=PYTHON)}
 
 
 def test_figures_in_loops_keep_their_durations_in_the_report() -> None:
@@ -254,26 +253,48 @@ def test_the_comparison_is_told_in_words_and_as_json() -> None:
 class MadeUp(Commands):
     """Figures instead of programs: an exception is raised."""
 
-    def __init__(self, own: Sequence[dict[str, float] | Exception], probe: Sequence[dict[str, float]]) -> None:
-        super().__init__("virtual", Plan(""))
+    def __init__(
+        self,
+        own: Sequence[dict[str, float] | Exception],
+        probe: Sequence[dict[str, float]],
+        *,
+        in_turn: bool = False,
+    ) -> None:
+        super().__init__("virtual", Plan("", cpu=in_turn))
         self._made = {NEW: own[1], OLD: own[0]}
         self._probed = {NEW: probe[1], OLD: probe[0]}
         self.called: list[str] = []
 
-    def own(self, side: Side) -> dict[str, Reading]:
-        self.called.append(f"own {side.root}")
-        made = self._made[side]
-        if isinstance(made, Exception):
-            raise made
-        return {name: Reading(value, "us") for name, value in made.items()}
+    def own(self, *sides: Side) -> list[dict[str, Reading]]:
+        self.called.append(f"own {' '.join(str(side.root) for side in sides)}")
+        found = []
+        for side in sides:
+            made = self._made[side]
+            if isinstance(made, Exception):
+                raise made
+            found.append({name: Reading(value, "us") for name, value in made.items()})
+        return found
 
-    def probe(self, side: Side) -> dict[str, Reading]:
-        self.called.append(f"probe {side.root}")
-        return {name: Reading(value, "us") for name, value in self._probed[side].items()}
+    def probe(self, *sides: Side) -> list[dict[str, Reading]]:
+        self.called.append(f"probe {' '.join(str(side.root) for side in sides)}")
+        return [{name: Reading(value, "us") for name, value in self._probed[side].items()} for side in sides]
 
 
-def values(readings: dict[str, Reading]) -> dict[str, float]:
-    return {name: reading.value for name, reading in readings.items()}
+def measured_with(commands: MadeUp, notes: list[str]) -> Measured:
+    """After the run that is not judged; the Python calibration counts up."""
+    paces = iter(range(100))
+
+    def calibrate() -> Speeds:
+        commands.called.append("calibrate")
+        return Speeds(float(next(paces)), 0.0)
+
+    measured = Measured(commands, (OLD, NEW), notes, calibrate)
+    commands.called.clear()
+    return measured
+
+
+def values(both: Round) -> list[dict[str, float]]:
+    return [{name: reading.value for name, reading in run.readings.items()} for run in both]
 
 
 def test_what_both_own_benches_have_is_theirs_and_the_rest_is_probed_on_both_sides() -> None:
@@ -282,27 +303,41 @@ def test_what_both_own_benches_have_is_theirs_and_the_rest_is_probed_on_both_sid
         [{"both": 1, "gone": 1}, {"both": 2, "version": 2, "added": 2}],
         [{"both": 11, "version": 11}, {"both": 12, "version": 12}],
     )
-    measured = Measured(commands, (OLD, NEW), notes)
-    assert values(measured(0)) == {"both": 1, "gone": 1, "version": 11}
-    assert values(measured(1)) == {"both": 2, "version": 12, "added": 2}
+    measured = measured_with(commands, notes)
+    old = {"both": 1, "gone": 1, "version": 11}
+    assert values(measured.round((0, 1))) == [old, {"both": 2, "version": 12, "added": 2}]
+    assert values(measured.round((1, 0)))[0] == old
     assert notes == ["only 0123456789ab has: gone", "only the tree as it stands has: added"]
 
 
-def test_without_need_nothing_is_probed() -> None:
+def test_calibrations_lie_between_the_runs_and_without_need_nothing_is_probed() -> None:
     commands = MadeUp([{"a": 1}, {"a": 2}], [{"a": 11}, {"a": 12}])
-    measured = Measured(commands, (OLD, NEW), [])
+    measured = measured_with(commands, [])
+    old, new = measured.round((0, 1))
+    assert values((old, new)) == [{"a": 1}, {"a": 2}]
+    assert commands.called == ["calibrate", "own old", "calibrate", "own new", "calibrate"]
+    assert (old.speeds.python, new.speeds.python) == (0.5, 1.5)
     commands.called.clear()
-    assert (values(measured(0)), values(measured(1))) == ({"a": 1}, {"a": 2})
-    assert commands.called == ["own old", "own new"]
+    old, new = measured.round((1, 0))
+    assert commands.called == ["calibrate", "own new", "calibrate", "own old", "calibrate"]
+    assert (old.speeds.python, new.speeds.python) == (4.5, 3.5)
+
+
+def test_runs_of_cpu_benchmarks_take_turns() -> None:
+    commands = MadeUp([{"a": 1}, {"a": 2}], [{"a": 11}, {"a": 12}], in_turn=True)
+    measured = measured_with(commands, [])
+    old, new = measured.round((1, 0))
+    assert values((old, new)) == [{"a": 1}, {"a": 2}]
+    assert commands.called == ["calibrate", "own new old", "calibrate"]
+    assert old.speeds == new.speeds == Speeds(0.5, 0.0)
 
 
 def test_a_commit_without_the_benchmark_is_probed_alone() -> None:
     notes: list[str] = []
     commands = MadeUp([LacksError("no benchmark 'virtual'"), {"b": 2}], [{"a": 11}, {"a": 12}])
-    measured = Measured(commands, (OLD, NEW), notes)
-    commands.called.clear()
-    assert (values(measured(0)), values(measured(1))) == ({"a": 11}, {"a": 12})
-    assert commands.called == ["probe old", "probe new"]
+    measured = measured_with(commands, notes)
+    assert values(measured.round((1, 0))) == [{"a": 11}, {"a": 12}]
+    assert [called for called in commands.called if called != "calibrate"] == ["probe new old"]
     assert notes[0] == "the own bench of 0123456789ab cannot do this: no benchmark 'virtual'"
 
 
@@ -316,7 +351,7 @@ def test_nothing_in_common_is_told_with_the_reason() -> None:
 @pytest.mark.parametrize(
     ("code", "out", "error", "raised", "said"),
     [
-        (2, "", "usage: ...\nbench: no benchmark 'virtual'", LacksError, "^bench: no benchmark 'virtual'$"),
+        (2, "", "bench: no benchmark 'virtual'", LacksError, "^bench: no benchmark 'virtual'$"),
         (1, "", "python: No module named bench", LacksError, "No module named bench"),
         (0, "10 drives: 3 us", "", LacksError, "it prints no JSON that can be read"),
         (1, "", "bench: slaves were lost", RuntimeError, "0123456789ab: bench: slaves were lost"),
@@ -325,7 +360,7 @@ def test_nothing_in_common_is_told_with_the_reason() -> None:
 def test_lacking_and_failing_are_told_apart(
     code: int, out: str, error: str, raised: type[Exception], said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(subprocess, "run", lambda words, **_: subprocess.CompletedProcess(words, code, out, error))
+    monkeypatch.setattr(rounds, "run_in_turn", lambda sides, words: [Ended(code, out, error) for _ in sides])
     with pytest.raises(raised, match=said):
         Commands("virtual", PLANS["virtual"]).own(OLD)
 
@@ -333,21 +368,48 @@ def test_lacking_and_failing_are_told_apart(
 def test_cpu_benchmarks_run_on_the_clock_of_loops_and_others_do_not(monkeypatch: pytest.MonkeyPatch) -> None:
     report = Report("virtual")
     report.measured("a", [3.0], "us")
-    called: list[list[str]] = []
+    called: list[Sequence[str]] = []
 
-    def run(words: list[str], **keys: object) -> subprocess.CompletedProcess[str]:
+    def run(sides: Sequence[Side], words: Sequence[str]) -> list[Ended]:
         called.append(words)
-        assert keys["cwd"] == Path("old")
-        return subprocess.CompletedProcess(words, 0, report.as_json() + "\n", "")
+        return [Ended(0, report.as_json() + "\n", "") for _ in sides]
 
-    monkeypatch.setattr(subprocess, "run", run)
-    assert Commands("virtual", Plan("--rounds 3", cpu=True)).own(OLD) == {"a": Reading(3.0, PYTHON, PYTHON)}
-    assert Commands("cycle", Plan("--rounds 1")).own(OLD) == {"a": Reading(3.0, "us")}
+    monkeypatch.setattr(rounds, "run_in_turn", run)
+    of_loops, of_us = Reading(3.0, PYTHON, PYTHON, repeats=(3.0,)), Reading(3.0, "us", repeats=(3.0,))
+    assert Commands("virtual", Plan("--rounds 3", cpu=True)).own(OLD, NEW) == [{"a": of_loops}] * 2
+    assert Commands("cycle", Plan("--rounds 1")).own(OLD) == [{"a": of_us}]
     (first, second) = called
-    assert first[:2] == ["old/python", "-P"]
-    assert Path(first[2]).name == "loop_clock.py"
-    assert first[3:] == ["virtual", "--json", "--rounds", "3"]
-    assert second == ["old/python", "-m", "bench", "cycle", "--json", "--rounds", "1"]
+    assert first[0] == "-P"
+    assert Path(first[1]).name == "loop_clock.py"
+    assert first[2:] == ["virtual", "--json", "--rounds", "3"]
+    assert second == ["-m", "bench", "cycle", "--json", "--rounds", "1"]
+
+
+def test_programs_work_piece_by_piece_in_turn(tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import os, sys\n"
+        "from pathlib import Path\n"
+        "from bench.loop_clock import LoopClock\n"
+        "clock = LoopClock(lambda: 0, lambda: 1.0)\n"
+        "name = Path.cwd().name\n"
+        "for n in range(3 if name == 'old' else 2):\n"
+        "    clock()\n"
+        "    with open('../pieces', 'a') as pieces:\n"
+        "        print(name, n, file=pieces)\n"
+        "    clock()\n"
+        "print('done')\n"
+        "sys.exit('one line\\nand another' if name == 'old' else 0)\n"
+    )
+    root = str(Path(rounds.__file__).parent.parent)
+    sides = []
+    for name in ("new", "old"):
+        (tmp_path / name).mkdir()
+        sides.append(Side(name, tmp_path / name, Path(sys.executable)))
+    start = f"import sys; sys.path.insert(0, {root!r}); exec(open({str(script)!r}).read())"
+    assert run_in_turn(sides, ["-c", start]) == [Ended(0, "done\n", ""), Ended(1, "done\n", "and another")]
+    pieces = (tmp_path / "pieces").read_text().splitlines()
+    assert pieces == ["new 0", "old 0", "new 1", "old 1", "old 2"]
 
 
 def test_every_benchmark_has_a_plan() -> None:
@@ -387,11 +449,15 @@ def test_what_the_probe_prints_is_read(capsys: pytest.CaptureFixture[str]) -> No
 
 
 def test_the_clock_of_loops_goes_as_fast_as_the_computer() -> None:
-    times = iter([0, 1000, 1000, 5000, 5000])
-    loops = iter([500.0, 500.0, 1500.0])
-    clock = LoopClock(lambda: next(times), lambda: next(loops))
+    times = iter([0, 0, 1000, 9000, 9000, 9000, 13_000, 13_000])
+    loops = iter([500.0, 500.0, 500.0, 1500.0])
+    waited: list[int] = []
+    clock = LoopClock(lambda: next(times), lambda: next(loops), lambda: waited.append(0))
+    assert clock() == 0
     assert clock() == 2000  # 1000 ns at 500 ns a loop, in thousandths
+    assert clock() == 2000  # what lies between two pieces of work does not count
     assert clock() == 2000 + 4000  # 4000 ns at 1000 ns a loop, the mean of before and after
+    assert len(waited) == 2  # before each piece
 
 
 def test_work_stands_beside_the_loops_before_and_after_it() -> None:
@@ -517,9 +583,9 @@ def test_the_command_line_says_by_its_exit_code_whether_something_is_slower(
     cost = {OLD: 10.0, NEW: 10.0}
     monkeypatch.setattr(rounds, "commit_side", side)
     monkeypatch.setattr(rounds, "tree_side", side)
-    monkeypatch.setattr(rounds, "speeds", lambda: STILL)
-    monkeypatch.setattr(Commands, "own", lambda self, side: {"a": Reading(cost[side], "us", PYTHON)})
-    monkeypatch.setattr(Commands, "probe", lambda self, side: {})
+    monkeypatch.setattr(Measured.__init__, "__defaults__", (lambda: STILL,))
+    monkeypatch.setattr(Commands, "own", lambda _, *sides: [{"a": Reading(cost[s], "us", PYTHON)} for s in sides])
+    monkeypatch.setattr(Commands, "probe", lambda _, *sides: [{} for _ in sides])
     assert cli.main(["compare", "virtual", "--commit", "HEAD"]) == 0
     assert "no difference seen" in capsys.readouterr().out
     cost[NEW] = 12.0
