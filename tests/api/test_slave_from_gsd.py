@@ -6,6 +6,7 @@ The other end is octets put together by hand.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 from gsd_kit import FILES, device, made
@@ -16,8 +17,11 @@ from dpstack.api.bus.events_json import event_json
 from dpstack.api.config.config import slave_config
 from dpstack.api.server.virtual_bench import device_of
 from dpstack.dp.slave.application import make_slave
+from dpstack.dpv1.pdu.im import Im0
 from dpstack.dpv1.slave.description_from_gsd import slave_description
 from dpstack.dpv1.slave.device import Device
+from dpstack.dpv1.slave.record_table import RecordTable
+from dpstack.dpv1.slave.user_slave import SlaveOptions
 from dpstack.errors import ConfigError
 from dpstack.gsd.configuration import configure
 
@@ -50,6 +54,30 @@ class Octets:
         answer = self.wire.ask(framed(0x08, 0x02, self.fc, outputs))
         self.fc = 0x7D if self.fc == 0x5D else 0x5D
         return bytes.fromhex(answer)[7:-2].hex(" ").upper()
+
+
+def test_it_takes_all_that_a_slave_takes() -> None:
+    """What a DpSlave may be made with is stated once; here every one of them arrives."""
+
+    def called(*arguments: object) -> None:
+        return None
+
+    records = RecordTable({})
+    options: dict[str, Any] = {name: called for name in SlaveOptions.__annotations__ if name.startswith("on_")}
+    options |= {"config": b"\x20", "safe": b"\x01", "im": [Im0(order_id="T")], "parameters": records, "ms2": 3}
+    assert set(options) == set(SlaveOptions.__annotations__)
+    slave = dpstack.slave_from_gsd(WHOLE, echo, ["8 DO"], **options)
+    found = [getattr(slave, name, getattr(slave, f"_{name}", None)) for name in options if name.startswith("on_")]
+    assert found == [called] * len(found)
+    assert (slave.configs, slave.safe, slave.ms2, len(slave.im)) == ((b"\x20",), b"\x01", 3, 1)
+    with pytest.raises(TypeError, match=r"DpSlave\(\) got an unexpected keyword argument 'colour'"):
+        dpstack.slave_from_gsd(WHOLE, echo, colour=1)  # type: ignore[call-arg]
+
+
+def test_what_is_plugged_may_be_told_otherwise_than_preset() -> None:
+    assert dpstack.slave_from_gsd(WHOLE, echo, config=b"\x10\x20").configs[0] == b"\x10\x20"
+    with pytest.raises(ConfigError, match="configuration 10 is not 20"):
+        dpstack.slave_from_gsd(WHOLE, echo, ["8 DO"], config=b"\x10")
 
 
 def test_three_lines_make_a_slave() -> None:

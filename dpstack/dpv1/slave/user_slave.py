@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Awaitable, Callable, Iterator
-from typing import Protocol
+from typing import Protocol, TypedDict, Unpack
 
 from dpstack.argcheck import Sealed, functions, octets, whole
 from dpstack.dp.pdu.diag_blocks import NO_DIAG, UserDiag
@@ -48,6 +48,25 @@ OnTransport = Callable[[int, int, bytes], Awaitable[bytes]]
 OnInitiate = Callable[[int, InitiateReq], None]
 
 
+class SlaveOptions(TypedDict, total=False):
+    """What a :class:`DpSlave` may be made with, and :func:`dpstack.slave_from_gsd` hands on."""
+
+    config: bytes | None
+    safe: bytes | None
+    on_prm: Callable[[bytes], str | None] | None
+    on_blocks: Callable[[tuple[PrmBlock, ...]], str | None] | None
+    on_address: OnAddress | None
+    on_leave: Callable[[Leave], None] | None
+    on_read: OnRead | None
+    on_write: OnWrite | None
+    on_transport: OnTransport | None
+    on_initiate: OnInitiate | None
+    im: ImOf
+    on_im: OnIm | None
+    parameters: Records | None
+    ms2: int | None
+
+
 class DpSlave(Sealed, FunctionDevice):
     """A slave of the type ``description`` that does what ``on_cycle(outputs, elapsed)`` does.
 
@@ -82,37 +101,15 @@ class DpSlave(Sealed, FunctionDevice):
         self,
         description: SlaveDescription,
         on_cycle: OnCycle,
-        *,
-        config: bytes | None = None,
-        safe: bytes | None = None,
-        on_prm: Callable[[bytes], str | None] | None = None,
-        on_blocks: Callable[[tuple[PrmBlock, ...]], str | None] | None = None,
-        on_address: OnAddress | None = None,
-        on_leave: Callable[[Leave], None] | None = None,
-        on_read: OnRead | None = None,
-        on_write: OnWrite | None = None,
-        on_transport: OnTransport | None = None,
-        on_initiate: OnInitiate | None = None,
-        im: ImOf = (),
-        on_im: OnIm | None = None,
-        parameters: Records | None = None,
-        ms2: int | None = None,
+        **options: Unpack[SlaveOptions],
     ) -> None:
         _check_description(description)
-        functions(
-            f"slave {description.name}",
-            ConfigError,
-            on_cycle=on_cycle,
-            on_prm=on_prm,
-            on_blocks=on_blocks,
-            on_address=on_address,
-            on_leave=on_leave,
-            on_read=on_read,
-            on_write=on_write,
-            on_transport=on_transport,
-            on_initiate=on_initiate,
-            on_im=on_im,
-        )
+        unknown = sorted(options.keys() - SlaveOptions.__annotations__.keys())
+        if unknown:
+            raise TypeError(f"DpSlave() got an unexpected keyword argument {unknown[0]!r}")
+        calls = {name: given for name, given in options.items() if name.startswith("on_")}
+        functions(f"slave {description.name}", ConfigError, on_cycle=on_cycle, **calls)
+        config, safe, ms2 = options.get("config"), options.get("safe"), options.get("ms2")
         first = description.default_config
         real = first if config is None else octets(f"slave {description.name}: config", config, ConfigError)
         reason = description.check_cfg(real)
@@ -138,13 +135,13 @@ class DpSlave(Sealed, FunctionDevice):
         self._diag = NO_DIAG
         self.safe = safe or b""
         self._safe = b""  # in the length of the configuration in use
-        self._on_prm = on_prm
-        self._on_blocks = on_blocks
-        self._on_address = on_address
-        self._on_leave = on_leave
-        self.on_read = on_read
-        self.on_write = on_write
-        self.on_transport = on_transport
+        self._on_prm = options.get("on_prm")
+        self._on_blocks = options.get("on_blocks")
+        self._on_address = options.get("on_address")
+        self._on_leave = options.get("on_leave")
+        self.on_read = options.get("on_read")
+        self.on_write = options.get("on_write")
+        self.on_transport = options.get("on_transport")
         self.ms2 = description.ms2 if ms2 is None else whole(f"slave {self.name}: ms2", ms2, ConfigError)
         if not 0 <= self.ms2 <= MAX_CONNECTIONS:
             raise ConfigError(
@@ -152,8 +149,9 @@ class DpSlave(Sealed, FunctionDevice):
             )
         self.ms2_max_len = description.ms2_max_len
         self.ms2_max_initiate = description.ms2_max_initiate
-        self._on_initiate = on_initiate
-        self._on_im = on_im
+        self._on_initiate = options.get("on_initiate")
+        self._on_im = options.get("on_im")
+        im, parameters = options.get("im", ()), options.get("parameters")
         given = tuple(im) if isinstance(im, Iterator) else im
         if parameters is not None and not hasattr(parameters, "ask"):
             raise ConfigError(
