@@ -1,80 +1,110 @@
-"""What stands between an opening and a closing keyword, while it is read: one class for each kind of block.
+"""The block classes of the GSD parser: device, module, parameter, texts, slots and diagnosis while they are read.
 
-A block has a table of handlers by keyword and, at its end, gives what it has collected to the block around it. A
-statement's ``item`` keeps what was made of its text: False where it is wrong, so that each occurrence is told.
+Each class has a table of handlers by keyword. At its closing keyword a block hands its content to the block around it.
+``Statement.item`` keeps the parsed value of a statement (False where it cannot be parsed), because the same line often
+occurs again and each occurrence is reported.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar, Final, TypeAlias
+from typing import Any, ClassVar, Final, TypeAlias, TypeVar
 
 from dpstack.gsd.findings import Findings
-from dpstack.gsd.lexer import Statement, first_number, number, ranges, ranges_only, string
-from dpstack.gsd.model import PrmKind, PrmType, Ranges, Raw, Slot, in_ranges, ranges_text
+from dpstack.gsd.keywords import BLOCKS, RAW_BLOCKS
+from dpstack.gsd.lexer import Statement, first_number, number, numbers, ranges, ranges_only, string
+from dpstack.gsd.model import (
+    DiagArea,
+    Diagnosis,
+    Module,
+    PrmBlock,
+    PrmConst,
+    PrmKind,
+    PrmRef,
+    PrmType,
+    Ranges,
+    Raw,
+    Slot,
+    in_ranges,
+    ranges_text,
+)
+from dpstack.text import shortened
 
 #: (block, statement, line)
 Handler: TypeAlias = Callable[[Any, Statement, int], None]
 
 
 class Block:
-    """``title`` as the file writes it, ``end``: closing keyword, ``nested``: blocks that may stand inside."""
+    """``title`` as the file writes it, ``nested``: opening keywords of the blocks that may stand inside.
+
+    ``end``: the closing keyword in lower case. The parser sets it; nothing but its end closes a file.
+    """
 
     title: ClassVar[str] = ""
-    end: str = "\n"  # no keyword is like this: nothing ends a file but its end
     nested: ClassVar[frozenset[str]] = frozenset()
     handlers: ClassVar[Mapping[str, Handler]] = {}
+    end = "\n"
 
     def __init__(self, line: int, findings: Findings) -> None:
         self.line = line
         self.findings = findings
 
     def other(self, statement: Statement, line: int) -> bool:
-        """A keyword without a handler; True when the block knows what to do with it."""
+        """Handle a keyword that has no handler. False: this block has no use for it either."""
         return False
 
-    def give(self, inner: Block) -> None:
-        """A block inside has ended."""
+    def add(self, inner: Block) -> None:
+        """Take over the content of ``inner``, a block inside this one that has ended."""
 
     def finish(self, complete: bool) -> None:
-        """The end of the block; not ``complete``: its closing keyword is missing."""
+        """End the block. Not ``complete``: its closing keyword is missing."""
+
+    def warn(self, statement: Statement, line: int, message: str) -> None:
+        """Report ``message`` at the value of ``statement``."""
+        self.findings.warning(line, statement.column, message)
+
+
+_T = TypeVar("_T")
+
+
+def _parsed(statement: Statement, parse: Callable[[Statement], _T | None]) -> _T | None:
+    """The result of ``parse``, which is called once for each text of a line. None: the statement cannot be parsed."""
+    if statement.item is None:
+        statement.item = parse(statement) or False
+    return statement.item or None  # type: ignore[return-value]
+
+
+def _index(statement: Statement) -> int | None:
+    return number(statement.index) if statement.index else None
+
+
+def _numbered_text(statement: Statement) -> tuple[int, str] | None:
+    text, _, closed = string(statement.value)
+    at = _index(statement)
+    if text is None and statement.value and statement.equals:
+        text = statement.value
+    return None if at is None or text is None or not closed else (at, text.strip())
 
 
 def text_item(block: Block, statement: Statement, line: int, what: str) -> tuple[int, str] | None:
-    """(number, text) of ``Text(3) = "on"`` and its like; None and a warning where it is none."""
-    item = statement.item
+    """(number, text) of ``Text(3) = "on"`` and similar statements; None and a warning where it cannot be parsed."""
+    item = _parsed(statement, _numbered_text)
     if item is None:
         text, _, closed = string(statement.value)
-        at = number(statement.index) if statement.index else None
-        if text is None and statement.value and statement.equals:
-            text = statement.value
-        if at is None or text is None or not closed:
-            statement.item = False
+        if text is not None and not closed:
+            problem = "the text has no closing quote"
+        elif text is None:
+            problem = "a text in quotes is missing"
         else:
-            item = statement.item = (at, text.strip())
-            return item
-    if isinstance(item, tuple):
-        return item
-    _tell_text(block, statement, line, what)
-    return None
-
-
-def _tell_text(block: Block, statement: Statement, line: int, what: str) -> None:
-    text, _, closed = string(statement.value)
-    if text is not None and not closed:
-        problem = "the text has no closing quote"
-    elif text is None:
-        problem = "a text in quotes is missing"
-    else:
-        problem = f"{statement.index or 'nothing'} in parentheses is no number"
-    block.findings.warning(line, statement.column, f"{statement.written}: {problem}; this {what} is left out")
+            problem = f"{statement.index or 'nothing'} in parentheses is no number"
+        block.warn(statement, line, f"{statement.written}: {problem}; this {what} is left out")
+    return item
 
 
 class PrmTextBlock(Block):
     """PrmText = n."""
 
     title = "PrmText"
-    end = "endprmtext"
 
     def __init__(self, line: int, findings: Findings, ref: int) -> None:
         super().__init__(line, findings)
@@ -82,28 +112,23 @@ class PrmTextBlock(Block):
         self.texts: dict[int, str] = {}
 
     def text(self, statement: Statement, line: int) -> None:
-        """Text(n) = "..."."""
         item = text_item(self, statement, line, "value")
         if item is not None:
             at, text = item
             if self.texts.get(at, text) != text:
-                message = f"Text({at}) stands twice in PrmText {self.ref}; the last one counts"
-                self.findings.warning(line, statement.column, message)
+                self.warn(statement, line, f"Text({at}) stands twice in PrmText {self.ref}; the last one counts")
             self.texts[at] = text
 
     handlers = {"text": text}
 
 
-_SIZES: Final = {
-    "unsigned8": (PrmKind.UNSIGNED8, 1),
-    "unsigned16": (PrmKind.UNSIGNED16, 2),
-    "unsigned32": (PrmKind.UNSIGNED32, 4),
-    "signed8": (PrmKind.SIGNED8, 1),
-    "signed16": (PrmKind.SIGNED16, 2),
-    "signed32": (PrmKind.SIGNED32, 4),
+#: the types of whole octets by keyword: unsigned8 ... signed32
+_WHOLE: Final = {
+    f"{sign}{8 * size}".lower(): PrmType(PrmKind(f"{sign}{8 * size}"), 0, 8 * size - 1, size)
+    for sign in ("Unsigned", "Signed")
+    for size in (1, 2, 4)
 }
-_WHOLE: Final = {key: PrmType(kind, 0, 8 * size - 1, size) for key, (kind, size) in _SIZES.items()}
-#: more than this no bit of a parameter can be in
+#: the highest bit number of a parameter
 _LAST_BIT: Final = 31
 
 #: type, default, allowed values, what is wrong (empty: nothing)
@@ -114,7 +139,6 @@ class ParameterBlock(Block):
     """ExtUserPrmData = n "name"."""
 
     title = "ExtUserPrmData"
-    end = "endextuserprmdata"
 
     def __init__(self, line: int, findings: Findings, ref: int, name: str) -> None:
         super().__init__(line, findings)
@@ -129,43 +153,32 @@ class ParameterBlock(Block):
 
     def typed(self, statement: Statement, line: int) -> None:
         """``Unsigned8 0 0-255``, ``Bit(3) 1 0-1``, ``BitArea(0-2) 0 0,1,5``."""
-        item = statement.item
-        if item is None:
-            item = statement.item = _type_item(statement)
-        if isinstance(item, str):
-            self.findings.warning(line, statement.column, f"{self.title} {self.ref}: {item}")
-        elif isinstance(item, tuple):
+        item = _parsed(statement, _type_item)
+        if isinstance(item, tuple):
             self.type, self.default, self.allowed, problem = item
-            if problem:
-                self.findings.warning(line, statement.column, f"{self.title} {self.ref}: {problem}")
+        else:
+            problem = item or ""
+        if problem:
+            self.warn(statement, line, f"{self.title} {self.ref}: {problem}")
 
-    def prm_text_ref(self, statement: Statement, line: int) -> None:
-        """Prm_Text_Ref = n."""
-        self.text_ref = _number_or_tell(self, statement, line)
-
-    def is_changeable(self, statement: Statement, line: int) -> None:
-        """Changeable = 0 or 1."""
-        self.changeable = _number_or_tell(self, statement, line) != 0
-
-    def is_visible(self, statement: Statement, line: int) -> None:
-        """Visible = 0 or 1."""
-        self.visible = _number_or_tell(self, statement, line) != 0
+    def setting(self, statement: Statement, line: int) -> None:
+        """Prm_Text_Ref = n, Changeable = 0 or 1, Visible = 0 or 1."""
+        value = number(statement.value)
+        if value is None:
+            message = f"{statement.written} = {statement.value or 'nothing'} is no number; left out"
+            self.warn(statement, line, message)
+        match statement.keyword:
+            case "changeable":
+                self.changeable = value != 0
+            case "visible":
+                self.visible = value != 0
+            case _:
+                self.text_ref = value
 
     handlers = {
-        **dict.fromkeys((*_SIZES, "bit", "bitarea"), typed),
-        "prm_text_ref": prm_text_ref,
-        "prmtextref": prm_text_ref,
-        "changeable": is_changeable,
-        "visible": is_visible,
+        **dict.fromkeys((*_WHOLE, "bit", "bitarea"), typed),
+        **dict.fromkeys(("prm_text_ref", "prmtextref", "changeable", "visible"), setting),
     }
-
-
-def _number_or_tell(block: Block, statement: Statement, line: int) -> int | None:
-    value = number(statement.value)
-    if value is None:
-        message = f"{statement.written} = {statement.value or 'nothing'} is no number; left out"
-        block.findings.warning(line, statement.column, message)
-    return value
 
 
 def _type_item(statement: Statement) -> _TypeItem | str:
@@ -220,7 +233,6 @@ class SlotBlock(Block):
     """SlotDefinition."""
 
     title = "SlotDefinition"
-    end = "endslotdefinition"
 
     def __init__(self, line: int, findings: Findings) -> None:
         super().__init__(line, findings)
@@ -229,38 +241,313 @@ class SlotBlock(Block):
 
     def slot(self, statement: Statement, line: int) -> None:
         """``Slot(1) = "name" default allowed`` (module references)."""
-        at = number(statement.index) if statement.index else None
+        at = _index(statement)
         name, rest, _ = string(statement.value)
         name = (name or "").strip()
         default, rest = first_number(rest)
         allowed = ranges(rest)
         if at is None or allowed is None:
-            self.findings.warning(line, statement.column, f"{statement.written}: cannot be read; the slot is left out")
+            self.warn(statement, line, f"{statement.written}: cannot be read; the slot is left out")
             return
         if default is not None and not allowed:
             allowed = ((default, default),)
         if default is not None and not any(low <= default <= high for low, high in allowed):
             message = f"Slot({at}): the default module {default} is not among those allowed ({ranges_text(allowed)})"
-            self.findings.warning(line, statement.column, message)
+            self.warn(statement, line, message)
         if at in self.slots:
-            self.findings.warning(line, statement.column, f"Slot({at}) stands twice; the last one counts")
+            self.warn(statement, line, f"Slot({at}) stands twice; the last one counts")
         self.slots[at] = Slot(at, name, default, allowed, line)
 
     handlers = {"slot": slot}
 
 
 class RawBlock(Block):
-    """A block without a meaning here: everything in it is kept as it stands."""
+    """A block that dpstack has no use for. Its statements are kept as they stand."""
 
-    title = "block"
-
-    def __init__(self, line: int, findings: Findings, opening: Statement, end: str) -> None:
+    def __init__(self, line: int, findings: Findings, opening: Statement) -> None:
         super().__init__(line, findings)
         self.name = opening.written
-        self.end = end
         self.raws = [Raw(line, opening.written, opening.index, opening.value, opening.written)]
 
     def other(self, statement: Statement, line: int) -> bool:
-        """Keep everything."""
         self.raws.append(Raw(line, statement.written, statement.index, statement.value, self.name))
         return True
+
+
+_FIELDS: Final = {
+    "unit_diag_bit": "bits",
+    "unit_diag_bit_help": "bit_helps",
+    "unit_diag_not_bit": "not_bits",
+    "unit_diag_not_bit_help": "not_bit_helps",
+    "unit_diag_!bit": "not_bits",  # two vendors' spelling
+    "unit_diag_!bit_help": "not_bit_helps",
+    "channel_diag": "channel",
+    "channel_diag_help": "channel_helps",
+}
+_X: Final = "x_"
+_NAMES: Final = tuple(dict.fromkeys(_FIELDS.values()))
+
+
+class AreaBlock(Block):
+    """Unit_Diag_Area = a-b, X_Unit_Diag_Area."""
+
+    title = "Unit_Diag_Area"
+
+    def __init__(self, line: int, findings: Findings, first: int, last: int) -> None:
+        super().__init__(line, findings)
+        self.first = first
+        self.last = last
+        self.values: dict[int, str] = {}
+        self.helps: dict[int, str] = {}
+
+    def text(self, statement: Statement, line: int) -> None:
+        """Value(n) = "...", Value_Help(n) = "..."."""
+        item = text_item(self, statement, line, "value")
+        if item is None:
+            return
+        at, text = item
+        if at >> (self.last - self.first + 1):
+            message = f"{statement.written}({at}) does not fit bits {self.first}..{self.last}; it can never be shown"
+            self.warn(statement, line, message)
+        (self.helps if statement.keyword.endswith("help") else self.values)[at] = text
+
+    handlers = dict.fromkeys(("value", "x_value", "value_help", "x_value_help"), text)
+
+
+class DiagBlock(Block):
+    """A block in which diagnosis texts may stand."""
+
+    nested = frozenset({"unit_diag_area", "x_unit_diag_area"})
+
+    def __init__(self, line: int, findings: Findings) -> None:
+        super().__init__(line, findings)
+        self.texts: dict[str, dict[int, str]] = {}
+        self.areas: list[DiagArea] = []
+        self.raws: list[Raw] = []
+
+    def diag_text(self, statement: Statement, line: int) -> None:
+        """Unit_Diag_Bit(n) = "..." and the other keywords of _FIELDS."""
+        item = text_item(self, statement, line, "text")
+        if item is None:
+            return
+        at, text = item
+        texts = self.texts.setdefault(statement.keyword, {})
+        if texts.get(at, text) != text:
+            message = f"{statement.written}({at}) stands twice with different texts; the last one counts"
+            self.warn(statement, line, message)
+        texts[at] = text
+
+    def add(self, inner: Block) -> None:
+        if isinstance(inner, AreaBlock):
+            self.areas.append(DiagArea(inner.first, inner.last, inner.values, inner.helps, inner.line))
+
+    def diagnosis(self, type_number: int | None = None) -> Diagnosis:
+        """The texts read so far. Where a plain and an X_ text have the same number, the X_ text (of DP-V1) counts."""
+        if not self.texts and not self.areas and type_number is None:
+            return EMPTY
+        merged: dict[str, dict[int, str]] = {name: {} for name in _NAMES}
+        for keyword, texts in sorted(self.texts.items(), key=lambda item: item[0].startswith(_X)):
+            merged[_FIELDS[keyword.removeprefix(_X)]].update(texts)
+        return Diagnosis(**merged, areas=tuple(self.areas), type=type_number, line=self.line)
+
+    handlers = dict.fromkeys((*_FIELDS, *(_X + keyword for keyword in _FIELDS)), diag_text)
+
+
+EMPTY: Final = Diagnosis()
+
+
+class DiagTypeBlock(DiagBlock):
+    """UnitDiagType = n."""
+
+    title = "UnitDiagType"
+
+    def __init__(self, line: int, findings: Findings, number: int) -> None:
+        super().__init__(line, findings)
+        self.number = number
+
+
+#: octets a Set_Prm can carry behind the seven fixed ones
+MAX_USER_PRM: Final = 237
+
+
+class PrmUser(DiagBlock):
+    """A block with user parameters: the device or a module."""
+
+    def __init__(self, line: int, findings: Findings, used: dict[int, int]) -> None:
+        super().__init__(line, findings)
+        self.consts: list[PrmConst] = []
+        self.refs: list[PrmRef] = []
+        self.prm_line = 0
+        #: number of a parameter -> line of its first use in the whole file
+        self.used = used
+
+    def part(self, statement: Statement, line: int) -> None:
+        """Ext_User_Prm_Data_Ref(offset) = number, Ext_User_Prm_Data_Const(offset) = octets."""
+        item = _parsed(statement, _prm_part)
+        if isinstance(item, PrmRef):
+            self.refs.append(item)
+            self.used.setdefault(item.number, line)
+        elif isinstance(item, PrmConst):
+            self.consts.append(item)
+            self.prm_line = self.prm_line or line
+        else:
+            written = f"{statement.written}({statement.index or ''}) = {statement.value}"
+            self.warn(statement, line, f"{shortened(written)} cannot be read; it is left out")
+
+    handlers = {**DiagBlock.handlers, "ext_user_prm_data_ref": part, "ext_user_prm_data_const": part}
+
+
+def _prm_part(statement: Statement) -> PrmRef | PrmConst | None:
+    offset = _index(statement)
+    if offset is None or not 0 <= offset < MAX_USER_PRM:
+        return None
+    if statement.keyword == "ext_user_prm_data_ref":
+        target = number(statement.value)
+        return None if target is None else PrmRef(offset, target)
+    octets = octets_of(statement.value)
+    return None if octets is None else PrmConst(offset, octets[: MAX_USER_PRM - offset])
+
+
+def octets_of(text: str) -> bytes | None:
+    """The octets of a list of numbers. A comma at the end does not matter. None: it is no list of octets."""
+    values = numbers(text.rstrip(" \t,"))
+    if values is None or any(not 0 <= value <= 255 for value in values):
+        return None
+    return bytes(values)
+
+
+class ModuleBlock(PrmUser):
+    """Module = "name" octets."""
+
+    title = "Module"
+    nested = DiagBlock.nested | RAW_BLOCKS.keys()
+
+    def __init__(self, line: int, findings: Findings, used: dict[int, int], name: str, config: bytes) -> None:
+        super().__init__(line, findings, used)
+        self.name = name
+        self.config = config
+        self.reference: int | None = None
+        self.length: int | None = None
+        self.info = ""
+        self.preset = False
+        self.complete = True
+
+    def prm_len(self, statement: Statement, line: int) -> None:
+        length = number(statement.value)
+        if length is None or not 0 <= length <= MAX_USER_PRM:
+            message = f"{statement.written} = {shortened(statement.value)} is no length of 0..{MAX_USER_PRM}; left out"
+            self.warn(statement, line, message)
+        else:
+            self.length = length
+            self.prm_line = line
+
+    def info_text(self, statement: Statement, line: int) -> None:
+        text, _, _ = string(statement.value)
+        self.info = statement.value if text is None else text
+
+    def is_preset(self, statement: Statement, line: int) -> None:
+        self.preset = number(statement.value) not in (0, None)
+
+    def other(self, statement: Statement, line: int) -> bool:
+        """A number on a line of its own: the module reference."""
+        reference = number(statement.keyword)
+        if reference is None or statement.equals or statement.value:
+            return False
+        if self.reference not in (None, reference):
+            message = f"module {self.name!r} has two references, {self.reference} and {reference}; the last one counts"
+            self.findings.warning(line, 1, message)
+        self.reference = reference
+        return True
+
+    def add(self, inner: Block) -> None:
+        if isinstance(inner, RawBlock):
+            self.raws += inner.raws
+        else:
+            super().add(inner)
+
+    def finish(self, complete: bool) -> None:
+        self.complete = complete
+
+    def module(self) -> Module:
+        if self.length is None and not self.consts and not self.refs:
+            prm = NO_PRM
+        else:
+            prm = PrmBlock(self.length, tuple(self.consts), tuple(self.refs), self.prm_line or self.line)
+        return Module(
+            self.name,
+            self.config,
+            self.reference,
+            self.info,
+            self.preset,
+            prm,
+            self.diagnosis(),
+            tuple(self.raws),
+            self.complete,
+            self.line,
+        )
+
+    handlers = {
+        **PrmUser.handlers,
+        "ext_module_prm_data_len": prm_len,
+        "info_text": info_text,
+        "preset": is_preset,
+    }
+
+
+NO_PRM: Final = PrmBlock()
+
+
+class DeviceBlock(PrmUser):
+    """The file itself: the statements outside of all blocks, and the content of the blocks that have ended."""
+
+    title = "file"
+    nested = frozenset(BLOCKS) | RAW_BLOCKS.keys()
+
+    def __init__(self, findings: Findings) -> None:
+        super().__init__(0, findings, {})
+        #: keyword -> its last (statement, line)
+        self.settings: dict[str, tuple[Statement, int]] = {}
+        self.modules: list[Module] = []
+        self.slots: list[Slot] = []
+        self.parameters: dict[int, ParameterBlock] = {}
+        self.prm_texts: dict[int, PrmTextBlock] = {}
+        self.diag_types: list[Diagnosis] = []
+
+    def other(self, statement: Statement, line: int) -> bool:
+        """Keep every other ``keyword = value`` as a setting."""
+        if not statement.equals or statement.index is not None or not statement.keyword:
+            return False
+        before = self.settings.get(statement.keyword)
+        # old files have Revision twice: as a text and as a number
+        if before is not None and before[0].value != statement.value and statement.keyword != "revision":
+            message = f"{statement.written} stands twice (first on line {before[1]}); the last one counts"
+            self.findings.warning(line, 1, message)
+        self.settings[statement.keyword] = (statement, line)
+        return True
+
+    def add(self, inner: Block) -> None:
+        match inner:
+            case ModuleBlock():
+                self.modules.append(inner.module())
+            case ParameterBlock():
+                self._twice(inner, self.parameters.get(inner.ref), inner.ref)
+                self.parameters[inner.ref] = inner
+            case PrmTextBlock():
+                before = self.prm_texts.get(inner.ref)
+                if before is None or before.texts != inner.texts:
+                    self._twice(inner, before, inner.ref)
+                self.prm_texts[inner.ref] = inner
+            case SlotBlock():
+                self.slots += inner.slots.values()
+            case DiagTypeBlock():
+                self.diag_types.append(inner.diagnosis(inner.number))
+                self.raws += inner.raws
+            case RawBlock():
+                self.raws += inner.raws
+            case _:
+                super().add(inner)
+
+    def _twice(self, block: Block, before: Block | None, ref: int) -> None:
+        if before is not None:
+            message = f"{block.title} {ref} stands twice (first on line {before.line}); the last one counts"
+            self.findings.warning(block.line, 1, message)

@@ -1,4 +1,4 @@
-"""Findings on a whole GSD file: defaults against constants, slots nobody can plug, PROFIsafe, missing modules."""
+"""Checks of a whole GSD file: defaults against constants, slots without modules, PROFIsafe, missing modules."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from collections.abc import Iterator
 from dpstack.errors import GsdError
 from dpstack.gsd.configuration import f_notes, first_slot
 from dpstack.gsd.model import Device, Diagnostic, GsdFile, ordered
-from dpstack.gsd.prm import Contradiction, Reading, UserPrm
+from dpstack.gsd.prm import Reading, UserPrm
 from dpstack.trace import Severity
 
 
 def check(file: GsdFile) -> tuple[Diagnostic, ...]:
-    """The diagnostics of ``file`` and those on its user parameters, slots and modules, by place."""
+    """The diagnostics of ``file`` and those of its user parameters, slots and modules, by place."""
     device = file.device
     found = [*file.diagnostics, *_prm_findings(device), *_slot_findings(device)]
     if device.modular and not device.modules:
@@ -31,7 +31,7 @@ def _prm_findings(device: Device) -> Iterator[Diagnostic]:
     except GsdError as error:
         yield Diagnostic(device.prm.line, 1, Severity.WARNING, str(error))
         return
-    found = [(device.prm.line, "the device", contradiction) for contradiction in _contradictions(own)]
+    found = [(device.prm.line, "the device", contradiction) for contradiction in own.contradictions()]
     bare = Device(parameters=device.parameters)
     for module in device.modules:
         if module.prm.consts and module.prm.refs:
@@ -40,7 +40,8 @@ def _prm_findings(device: Device) -> Iterator[Diagnostic]:
             except GsdError as error:
                 yield Diagnostic(module.prm.line, 1, Severity.WARNING, f"module {module.title}: {error}")
                 continue
-            found += [(module.prm.line, f"module {module.title}", c) for c in _contradictions(prm)]
+            found += [(module.prm.line, f"module {module.title}", c) for c in prm.contradictions()]
+    found = [item for item in found if item[2].matters]
     if found:
         line, title, first = min(found, key=lambda item: item[0])
         more = f"; {len(found) - 1} more in this file" if len(found) > 1 else ""
@@ -51,10 +52,6 @@ def _prm_findings(device: Device) -> Iterator[Diagnostic]:
             f"{title}: defaults contradict the constant octets ({first.field.local_key}: {first.readings}{more}); the "
             f'defaults are used, defaults = "{Reading.CONST.value}" takes the constants',
         )
-
-
-def _contradictions(prm: UserPrm) -> list[Contradiction]:
-    return [contradiction for contradiction in prm.contradictions() if contradiction.matters]
 
 
 def _slot_findings(device: Device) -> Iterator[Diagnostic]:

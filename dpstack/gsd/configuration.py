@@ -1,4 +1,4 @@
-"""From modules in slots to the identifier octets of Chk_Cfg, with every limit of the GSD file checked."""
+"""Configuration of a slave: from modules in slots to the identifier octets of Chk_Cfg, within all limits of the GSD."""
 
 from __future__ import annotations
 
@@ -10,15 +10,13 @@ from typing import Final
 from dpstack.errors import ConfigError, GsdError
 from dpstack.gsd.diag_texts import DiagTexts
 from dpstack.gsd.identifiers import MAX_IO, io_lengths
-from dpstack.gsd.model import Device, Module, Slot, folded, in_ranges, ranges_text
+from dpstack.gsd.model import Device, Module, folded, in_ranges, ranges_text
 from dpstack.gsd.prm import Reading, UserPrm, near_names
 
-#: Max_Module and the slots of DP-V1 are octets; so many identifiers fit no Chk_Cfg anyway
-_MAX_SLOTS = 255
+#: Max_Module and the slot numbers of DP-V1 are one octet; more identifiers do not fit a Chk_Cfg anyway
+_MAX_SLOTS: Final = 255
 #: the identifier octet of an empty slot
-_EMPTY = b"\0"
-#: Max_Module is one octet
-_MOST_MODULES: Final = 255
+_EMPTY: Final = b"\0"
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,11 +32,10 @@ class Configuration:
     notes: tuple[str, ...] = ()
 
     def user_prm(self, reading: Reading = Reading.REFS) -> UserPrm:
-        """Its user parameters. Raises GsdError where they are too long."""
+        """Raises GsdError where the user parameters are too long."""
         return UserPrm(self.device, self.modules, reading, self.first_slot)
 
     def texts(self) -> DiagTexts:
-        """The texts of its diagnosis."""
         return DiagTexts(self.device, self.modules, self.first_slot)
 
 
@@ -53,27 +50,25 @@ def fixed_modules(device: Device) -> tuple[Module, ...]:
     Raises GsdError where one of them is damaged in the file, and where they are too many for any device.
     """
     found = tuple(module for module in device.modules if is_fixed(device, module))
-    if len(found) > _MOST_MODULES:
-        raise GsdError(
-            f"{len(found)} fixed presets, Max_Module is {_MOST_MODULES} at most; get a whole copy of the file"
-        )
+    if len(found) > _MAX_SLOTS:
+        raise GsdError(f"{len(found)} fixed presets, Max_Module is {_MAX_SLOTS} at most; get a whole copy of the file")
     return tuple(_usable(module) for module in found)
 
 
 def is_fixed(device: Device, module: Module) -> bool:
-    """``module`` is one of the :func:`fixed_modules` of ``device``."""
+    """Whether ``module`` is one of the :func:`fixed_modules` of ``device``."""
     return device.fix_preset_modules and module.preset
 
 
 def default_modules(device: Device) -> tuple[Module, ...] | None:
-    """What is plugged when nothing is said: the only module, the preset ones, the slots' defaults; else None."""
+    """The modules of a configuration without a choice: the only module, the presets, the slots' defaults; else None."""
     usable = [module for module in device.modules if module.complete]
     if len(usable) == 1:
         return (usable[0],)
     preset = tuple(module for module in usable if module.preset)
     if preset:
         return preset
-    # a row without gaps from the first slot on: of a slot that is not listed the file says nothing
+    # only a row without gaps from the first slot on: the file has no default for a slot that it does not list
     numbered = {module.reference: module for module in reversed(device.modules) if module.reference is not None}
     defaults = {slot.number: slot.default for slot in device.slots}
     numbers = range(first_slot(device), first_slot(device) + len(defaults))
@@ -106,7 +101,7 @@ def find_module(device: Device, wanted: int | str) -> Module:
 
 
 def _by_digits(device: Device, wanted: str) -> Module:
-    """A reference number written as text, or the refusal with the nearest names."""
+    """The module of a reference number written as text. Raises GsdError with the nearest names."""
     if wanted.strip().isdecimal() and len(wanted) < 12:
         numbered = device.module_numbered(int(wanted))
         if numbered is not None:
@@ -119,7 +114,7 @@ def _by_digits(device: Device, wanted: str) -> Module:
 
 
 def _sent(module: Module) -> tuple[object, ...]:
-    """Everything of a module that goes out on the wire."""
+    """All fields of a module that decide the octets on the wire."""
     return module.config, module.prm.consts, module.prm.refs, module.prm.length
 
 
@@ -138,19 +133,15 @@ def configure(device: Device, wanted: Sequence[int | str] | None = None) -> Conf
     Fixed presets stand first; ``wanted`` begins with all of them, or leaves them out. Raises GsdError (``what; what to
     do``): unknown modules, too many, too long, not allowed in their slot, fixed presets elsewhere.
     """
-    if wanted is None:
-        preset = default_modules(device)
-        if preset is None:
-            raise GsdError(_no_choice(device))
-        modules: tuple[Module | None, ...] = preset
-    else:
-        modules = _named(device, wanted)
+    modules = default_modules(device) if wanted is None else _named(device, wanted)
+    if modules is None:
+        raise GsdError(_no_choice(device))
     return plug(device, modules)
 
 
 def _named(device: Device, wanted: Sequence[int | str]) -> tuple[Module | None, ...]:
-    """The modules called so. A name that a fixed preset shares with another module, the same in everything that is
-    sent, is the preset in front and the other one elsewhere.
+    """The modules with these names. Where a fixed preset and another module share a name and everything that is sent,
+    the name stands for the preset in front and for the other module elsewhere.
     """
     if len(wanted) > _MAX_SLOTS:
         raise GsdError(f"{len(wanted)} modules are named; no device has more than {_MAX_SLOTS} slots: take out some")
@@ -184,8 +175,9 @@ def _no_choice(device: Device) -> str:
 
 
 def configuration_like(device: Device, config: bytes, lengths: tuple[int, int]) -> Configuration:
-    """What is plugged for a telegram: the preset, or one module, with the identifier octets ``config``, or else with
-    ``lengths``, (input octets, output octets). Raises GsdError where there is none, or more than one.
+    """The configuration with the identifier octets ``config``, or else with ``lengths`` (input octets, output octets).
+
+    It is the preset or one module behind the fixed presets. Raises GsdError where there is none, or more than one.
     """
     preset, fixed = default_modules(device), fixed_modules(device)
     rows = [preset] if preset else []
@@ -208,10 +200,7 @@ def configuration_like(device: Device, config: bytes, lengths: tuple[int, int]) 
 
 
 def plug(device: Device, modules: Sequence[Module | None]) -> Configuration:
-    """A configuration of these very modules, behind the fixed presets where they do not begin with them.
-
-    Raises GsdError.
-    """
+    """A configuration of ``modules``; fixed presets are put in front where they are missing. Raises GsdError."""
     row = _behind_fixed(device, modules)
     _check_count(device, row)
     first = first_slot(device)
@@ -230,7 +219,7 @@ def plug(device: Device, modules: Sequence[Module | None]) -> Configuration:
         ("outputs", outputs, device.max_output_len),
         ("inputs and outputs", inputs + outputs, device.max_data_len),
     ):
-        # a compact device has no need of these keywords: 0 means nothing there
+        # a compact device does not need these keywords: 0 is no limit there
         if limit is not None and (device.modular or limit) and length > limit:
             raise GsdError(f"{length} octets of {what}, the device has at most {limit}; take out modules")
     found = Configuration(device, row, first, config, inputs, outputs, _notes(device, row, first))
@@ -239,7 +228,7 @@ def plug(device: Device, modules: Sequence[Module | None]) -> Configuration:
 
 
 def _behind_fixed(device: Device, modules: Sequence[Module | None]) -> tuple[Module | None, ...]:
-    """``modules`` with the fixed presets in front. Raises GsdError for one that stands elsewhere, or twice."""
+    """``modules`` with the fixed presets in front. Raises GsdError for a preset in another place, or twice."""
     fixed = fixed_modules(device)
     rest = tuple(modules)
     if rest[: len(fixed)] == fixed:
@@ -263,21 +252,18 @@ def _check_count(device: Device, modules: Sequence[Module | None]) -> None:
 
 
 def _check_slots(device: Device, modules: Sequence[Module | None], first: int) -> None:
-    """A slot that SlotDefinition does not list takes every module."""
+    """Check each module against its slot. A slot that SlotDefinition does not list takes every module."""
     slots = {slot.number: slot for slot in device.slots}
     for number, module in enumerate(modules, first):
         slot = slots.get(number)
-        if slot is not None and module is not None:
-            _check_slot(slot, module)
-
-
-def _check_slot(slot: Slot, module: Module) -> None:
-    if slot.allowed and (module.reference is None or not in_ranges(module.reference, slot.allowed)):
-        name = f" ({slot.name})" if slot.name else ""
-        raise GsdError(
-            f"module {module.title} is not allowed in slot {slot.number}{name}; "
-            f"allowed references: {ranges_text(slot.allowed)}"
-        )
+        if slot is None or module is None or not slot.allowed:
+            continue
+        if module.reference is None or not in_ranges(module.reference, slot.allowed):
+            name = f" ({slot.name})" if slot.name else ""
+            raise GsdError(
+                f"module {module.title} is not allowed in slot {slot.number}{name}; "
+                f"allowed references: {ranges_text(slot.allowed)}"
+            )
 
 
 def _notes(device: Device, modules: Sequence[Module | None], first: int) -> tuple[str, ...]:
@@ -288,9 +274,9 @@ def _notes(device: Device, modules: Sequence[Module | None], first: int) -> tupl
 
 
 def f_notes(device: Device, modules: Sequence[Module | None], first: int | None) -> tuple[str, ...]:
-    """A text for people where ``device`` or ``modules`` have F_ parameters (PROFIsafe), else nothing.
+    """A note for people where ``device`` or ``modules`` have F_ parameters (PROFIsafe), else nothing.
 
-    ``first``: the number of their first slot; None: they are in no slot.
+    ``first``: the number of the first slot; None: the modules are in no slot.
     """
     places = ["the device itself"] if device.f_parameters else []
     for number, module in enumerate(modules):

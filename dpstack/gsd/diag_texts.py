@@ -1,4 +1,4 @@
-"""Texts of the diagnosis from a GSD file, looked up by what a decoder has found."""
+"""Look-up of the diagnosis texts of a GSD file by the octets and error types of a received diagnosis."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dpstack.gsd.model import Device, Diagnosis, Module
 class DiagTexts:
     """The texts of ``device`` with ``modules`` in the order of the configuration (None: an empty slot).
 
-    A module's own texts count before the device's where the module is told. Bits are counted from 0 at the first
+    Where the module is known, its texts count before the device's. Bits are counted from 0 at the first
     octet behind the block's header (GE's MM300 manual prints it so, table 4-5); an area's first bit is its lowest.
     ``first_slot``: the number of the slot of the first module.
     """
@@ -31,17 +31,17 @@ class DiagTexts:
 
     def channel_text(self, error_type: int, module: int | None = None) -> str | None:
         """The text of a channel related error, 0..31."""
-        for diagnosis in self._sources(module):
-            if error_type in diagnosis.channel:
-                return diagnosis.channel[error_type]
-        return None
+        return self._channel(error_type, module)[0]
 
     def channel_help(self, error_type: int, module: int | None = None) -> str | None:
-        """The help of a channel related error, from where :meth:`channel_text` has its text."""
+        """The help that belongs to :meth:`channel_text`."""
+        return self._channel(error_type, module)[1]
+
+    def _channel(self, error_type: int, module: int | None) -> tuple[str | None, str | None]:
         for diagnosis in self._sources(module):
             if error_type in diagnosis.channel:
-                return diagnosis.channel_helps.get(error_type)
-        return None
+                return diagnosis.channel[error_type], diagnosis.channel_helps.get(error_type)
+        return None, None
 
     def module_name(self, module: int) -> str:
         """The name of a module by its index in the configuration; empty for an empty slot and where there is none."""
@@ -61,23 +61,24 @@ class DiagTexts:
         # UnitDiagType names the first octet, the type of a DP-V1 alarm or status: its texts replace the general ones
         typed = self._types.get(octets[0]) if octets else None
         sources = self._sources(module) if typed is None else (typed,)
-        told: set[tuple[str, int]] = set()
+        found: set[tuple[str, int]] = set()
         for diagnosis in sources:
             for kind, at, text, help_text in _texts(diagnosis, octets):
-                if (kind, at) not in told:
-                    told.add((kind, at))
+                if (kind, at) not in found:
+                    found.add((kind, at))
                     yield text, help_text
 
 
 def _texts(diagnosis: Diagnosis, octets: bytes) -> Iterator[tuple[str, int, str, str]]:
-    """(what, bit, text, help) of everything in ``diagnosis`` that ``octets`` say."""
+    """(kind, bit, text, help) of each text in ``diagnosis`` whose condition ``octets`` meet."""
     value, size = int.from_bytes(octets, "little"), 8 * len(octets)
-    for bit, text in sorted(diagnosis.bits.items()):
-        if 0 <= bit < size and value >> bit & 1:
-            yield "bit", bit, text, diagnosis.bit_helps.get(bit, "")
-    for bit, text in sorted(diagnosis.not_bits.items()):
-        if 0 <= bit < size and not value >> bit & 1:
-            yield "not bit", bit, text, diagnosis.not_bit_helps.get(bit, "")
+    for kind, state, texts, helps in (
+        ("bit", 1, diagnosis.bits, diagnosis.bit_helps),
+        ("not bit", 0, diagnosis.not_bits, diagnosis.not_bit_helps),
+    ):
+        for bit, text in sorted(texts.items()):
+            if 0 <= bit < size and value >> bit & 1 == state:
+                yield kind, bit, text, helps.get(bit, "")
     for area in diagnosis.areas:
         if area.last < size:
             number = value >> area.first & (1 << area.last - area.first + 1) - 1

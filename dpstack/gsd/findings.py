@@ -1,4 +1,4 @@
-"""Collects what is odd in a file. Noise has no end, the list has one."""
+"""Collector of the findings (diagnostics) of one GSD file, at most 500 of each severity."""
 
 from __future__ import annotations
 
@@ -18,15 +18,14 @@ class Findings:
         self._more: dict[Severity, int] = {}
 
     def info(self, line: int, column: int, message: str) -> None:
-        """Worth knowing, nothing wrong."""
         self._add(Diagnostic(line, column, Severity.INFO, message))
 
     def warning(self, line: int, column: int, message: str) -> None:
-        """Against the specification, or contradictory; the text says how it was read."""
+        """Report a violation of the specification or a contradiction; ``message`` says how the file was read."""
         self._add(Diagnostic(line, column, Severity.WARNING, message))
 
     def error(self, line: int, column: int, message: str) -> None:
-        """Damage: something is missing."""
+        """Report damage of the file."""
         self._add(Diagnostic(line, column, Severity.ERROR, message))
 
     def _add(self, diagnostic: Diagnostic) -> None:
@@ -37,7 +36,7 @@ class Findings:
             self._more[diagnostic.severity] = self._more.get(diagnostic.severity, 0) + 1
 
     def all(self) -> tuple[Diagnostic, ...]:
-        """By place; what was only counted as a finding on the whole file."""
+        """The findings by place, and for each severity with more than 500 their number."""
         counted = [
             Diagnostic(0, 1, severity, f"{more} more findings of this severity are not listed")
             for severity, more in self._more.items()

@@ -1,4 +1,4 @@
-"""Identifier octets of Chk_Cfg and Get_Cfg: the I/O configuration of a slave, general and special format.
+"""Identifier octets of Chk_Cfg and Get_Cfg: parser of the I/O configuration of a slave, general and special format.
 
 Layouts: docs/protocol.md#identifiers, docs/protocol.md#special-identifiers.
 """
@@ -36,7 +36,6 @@ class Identifier:
 
     @property
     def empty(self) -> bool:
-        """An empty slot."""
         return not self.inputs and not self.outputs
 
 

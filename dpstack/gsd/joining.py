@@ -1,4 +1,4 @@
-"""What was collected from a file becomes the model: parameters get their texts, references are checked."""
+"""Builds the model (Device) from the parsed blocks: gives parameters their texts and checks the references."""
 
 from __future__ import annotations
 
@@ -6,19 +6,17 @@ from collections.abc import Mapping
 from typing import Final
 
 from dpstack.errors import ConfigError
-from dpstack.gsd.blocks import ParameterBlock, PrmTextBlock
+from dpstack.gsd.blocks import NO_PRM, DeviceBlock, ParameterBlock, PrmTextBlock
 from dpstack.gsd.findings import Findings
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.gsd.model import Device, Module, Parameter, PrmBlock
-from dpstack.gsd.module_block import NO_PRM, DeviceBlock
 from dpstack.gsd.settings import Settings
 
-#: texts of all parameters: many parameters that share many texts would be shown as their product
+#: the most texts of all parameters together: users that show them see parameters times texts
 MAX_TEXTS: Final = 1_000_000
 
 
 def join(block: DeviceBlock, findings: Findings) -> Device:
-    """The device that ``block`` has read."""
     settings = Settings(block.settings, findings)
     fields = settings.device_fields()
     parameters = _parameters(block.parameters, block.prm_texts, findings)
@@ -72,7 +70,7 @@ def _parameters(
             block.default,
             block.allowed,
             block.text_ref,
-            _NO_TEXTS if prm_text is None else prm_text.texts,
+            {} if prm_text is None else prm_text.texts,
             block.changeable,
             block.visible,
             block.line,
@@ -80,11 +78,8 @@ def _parameters(
     return found
 
 
-_NO_TEXTS: Mapping[int, str] = {}
-
-
 def _identifiers(module: Module, judged: dict[bytes, str], findings: Findings) -> None:
-    """Identifier octets that contradict themselves; ``judged`` keeps what is known of each configuration."""
+    """Report wrong identifier octets. ``judged``: the problem of each configuration, empty for none."""
     problem = judged.get(module.config)
     if problem is None:
         try:
@@ -98,7 +93,7 @@ def _identifiers(module: Module, judged: dict[bytes, str], findings: Findings) -
 
 
 def _lengths(module: Module, sizes: Mapping[int, int], findings: Findings) -> None:
-    """Parameters of a module beyond its Ext_Module_Prm_Data_Len."""
+    """Report parameters of a module beyond its Ext_Module_Prm_Data_Len."""
     prm = module.prm
     if prm.length is None:
         message = f"module {module.name!r} has parameters but no Ext_Module_Prm_Data_Len; as long as they reach"
@@ -114,25 +109,25 @@ def _lengths(module: Module, sizes: Mapping[int, int], findings: Findings) -> No
 
 
 def reach_of(prm: PrmBlock, sizes: Mapping[int, int]) -> int:
-    """How many octets the constants and references of ``prm`` take."""
+    """Octets that the constants and references of ``prm`` take."""
     reach = max((const.offset + len(const.octets) for const in prm.consts), default=0)
     return max(reach, max([ref.offset + sizes.get(ref.number, 0) for ref in prm.refs], default=0))
 
 
 def _whole(device: Device, settings: Settings, findings: Findings) -> None:
-    """What concerns the file as a whole."""
+    """Report what is wrong with the file as a whole."""
     if device.ident is None:
         findings.error(1, 1, "no Ident_Number: the file is damaged, or it is of no DP slave; get a whole copy of it")
     if not device.speeds:
         findings.warning(1, 1, "no baud rate is declared (500_supp = 1 and so on)")
     if device.station_type not in (None, 0):
         findings.warning(settings.line("station_type"), 1, "Station_Type is not 0: the file is of a master")
-    given, length = device.user_prm_data, device.user_prm_data_len
-    if given is not None and (device.prm.given or device.max_user_prm_data_len is not None):
+    data, length = device.user_prm_data, device.user_prm_data_len
+    if data is not None and (device.prm.present or device.max_user_prm_data_len is not None):
         line = settings.line("user_prm_data")
         findings.info(line, 1, "User_Prm_Data is not used: Ext_User_Prm_Data or Max_User_Prm_Data_Len is there")
-    elif given is not None and length is not None and len(given) != length:
-        message = f"User_Prm_Data has {len(given)} octets, User_Prm_Data_Len is {length}; all {len(given)} are used"
+    elif data is not None and length is not None and len(data) != length:
+        message = f"User_Prm_Data has {len(data)} octets, User_Prm_Data_Len is {length}; all {len(data)} are used"
         findings.warning(settings.line("user_prm_data"), 1, message)
     known = {module.reference for module in device.modules}
     for slot in device.slots:

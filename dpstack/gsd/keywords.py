@@ -1,6 +1,6 @@
 """The keywords of the GSD specification (PNO order 2.122) in lower case, and which of them open and close blocks.
 
-A keyword that is not listed is kept as it stands and told; nothing else depends on the list.
+The parser keeps a keyword that is not listed as it stands and reports it. Nothing else depends on the list.
 """
 
 from __future__ import annotations
@@ -22,24 +22,25 @@ RATES: Final[dict[str, int]] = {
     "12m": 12_000_000,
 }
 
-#: opening keyword -> closing keyword of blocks whose inside has a meaning here
+#: opening keyword -> closing keyword, as files write it, of the blocks that dpstack uses
 BLOCKS: Final[dict[str, str]] = {
-    "prmtext": "endprmtext",
-    "extuserprmdata": "endextuserprmdata",
-    "module": "endmodule",
-    "slotdefinition": "endslotdefinition",
-    "unit_diag_area": "unit_diag_area_end",
-    "x_unit_diag_area": "x_unit_diag_area_end",
-    "unitdiagtype": "endunitdiagtype",
+    "prmtext": "EndPrmText",
+    "extuserprmdata": "EndExtUserPrmData",
+    "module": "EndModule",
+    "slotdefinition": "EndSlotDefinition",
+    "unit_diag_area": "Unit_Diag_Area_End",
+    "x_unit_diag_area": "X_Unit_Diag_Area_End",
+    "unitdiagtype": "EndUnitDiagType",
 }
-#: opening keyword -> closing keyword of blocks that are kept raw
+#: the same of the blocks that are kept raw
 RAW_BLOCKS: Final[dict[str, str]] = {
-    "data_area_beg": "data_area_end",
-    "physical_interface": "end_physical_interface",
+    "data_area_beg": "Data_Area_End",
+    "physical_interface": "End_Physical_Interface",
     "version_firmware_download": "end_version_firmware_download",
     "jokerblock_type": "endjokerblock_type",
 }
-CLOSING: Final = frozenset(BLOCKS.values()) | frozenset(RAW_BLOCKS.values())
+#: closing keyword in lower case -> as files write it
+CLOSING: Final = {end.lower(): end for end in (*BLOCKS.values(), *RAW_BLOCKS.values())}
 
 #: alarms of DP-V1 by their keyword (``Diagnostic_Alarm_supp``, ``Diagnostic_Alarm_required``)
 ALARMS: Final = (

@@ -1,8 +1,8 @@
-"""One logical line to one statement: ``keyword(index) = value``, comment taken off; and the values in it.
+"""Lexer of GSD files: one logical line to one statement, ``keyword(index) = value`` without comment, and its values.
 
-The pattern is possessive throughout: a hostile line costs time in proportion to its length. A file repeats many of its
-lines (references to parameters above all), so the parser asks for each text only once and statements carry what was
-made of them.
+The pattern is possessive throughout, so that a hostile line costs time in proportion to its length. A file repeats many
+of its lines (references to parameters above all). So the parser calls :func:`lex` once for each text, and a statement
+keeps its parsed value.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _RANGE: Final = re.compile(rf"({_NUMBER})[ \t]*+-[ \t]*+({_NUMBER})\Z")
 _RANGE_IN_FRONT: Final = re.compile(rf"{_NUMBER}(?:-[ \t]*+|[ \t]++-[ \t]++){_NUMBER}[ \t]*+(?:,|\Z)")
 _FIRST: Final = re.compile(rf"({_NUMBER})(?![\w.])[ \t,]*+")
 _STRING: Final = re.compile(r'"([^"]*+)("?)[ \t]*+')
-#: what most numbers in GSD files look like
+#: most numbers in GSD files are written like this
 _COMMON: Final[dict[str, int]] = {
     **{str(n): n for n in range(1000)},
     **{f"0x{n:02x}": n for n in range(256)},
@@ -37,7 +37,7 @@ _COMMON: Final[dict[str, int]] = {
 class Statement:
     """One statement. ``keyword`` in lower case, ``written`` as in the file; ``index`` and ``value`` are stripped.
 
-    ``item``: what a block has made of it, kept because the same line may come again.
+    ``item``: its parsed value, kept because the same line may come again; False where a block cannot parse it.
     """
 
     __slots__ = ("equals", "index", "item", "keyword", "text", "value", "written")
@@ -97,11 +97,11 @@ def numbers(text: str) -> list[int] | None:
     for part in parts:
         value = number(part)
         if value is None:
-            words = part.split()
-            values = [number(word) for word in words]
-            if any(v is None for v in values):
-                return None
-            found += [v for v in values if v is not None]
+            for word in part.split():
+                value = number(word)
+                if value is None:
+                    return None
+                found.append(value)
         else:
             found.append(value)
     return found

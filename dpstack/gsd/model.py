@@ -1,4 +1,4 @@
-"""What a GSD file says, as data. Nothing here reads or judges: :mod:`dpstack.gsd.parser` makes it.
+"""Data model of a GSD file: device, modules, slots, user parameters, diagnosis texts, diagnostics of the file.
 
 Names are the keywords' (PNO order 2.122, GSD specification) in lower case. Lines count from 1. Times are in the file's
 units: min_slave_interval in 100 us, response time-outs in 10 ms, MaxTsdr in bit times.
@@ -32,7 +32,7 @@ def ranges_text(ranges: Ranges) -> str:
 
 @dataclass(frozen=True, slots=True, order=True)
 class Diagnostic:
-    """Something odd in the file. ``column`` from 1; line 0 is the file as a whole."""
+    """A finding in the file. ``column`` counts from 1; line 0 is the file as a whole."""
 
     line: int
     column: int
@@ -47,7 +47,7 @@ class Diagnostic:
 
 @dataclass(frozen=True, slots=True)
 class Raw:
-    """A statement that dpstack gives no meaning to, as it stands: ``keyword(index) = value``.
+    """A statement that dpstack has no use for, as it stands: ``keyword(index) = value``.
 
     ``block`` is the keyword of the block around it, empty outside of all.
     """
@@ -83,12 +83,10 @@ class PrmType:
 
     @property
     def signed(self) -> bool:
-        """Two's complement."""
         return self.kind in (PrmKind.SIGNED8, PrmKind.SIGNED16, PrmKind.SIGNED32)
 
     @property
     def width(self) -> int:
-        """Bits."""
         return self.last - self.first + 1
 
     @property
@@ -158,8 +156,7 @@ class PrmBlock:
     line: int = 0
 
     @property
-    def given(self) -> bool:
-        """Something is said at all."""
+    def present(self) -> bool:
         return self.length is not None or bool(self.consts) or bool(self.refs)
 
 
@@ -178,8 +175,8 @@ class DiagArea:
 class Diagnosis:
     """Texts of the diagnosis: of a device, a module or one UnitDiagType (``type``, the first octet after the header).
 
-    Bits count from 0 at the first octet after the block's header. X_ variants are merged: they say the same of DP-V1
-    blocks.
+    Bits count from 0 at the first octet after the block's header. X_ texts (the same for DP-V1 blocks) are merged
+    with the others.
     """
 
     bits: Mapping[int, str] = field(default_factory=dict)
@@ -194,7 +191,6 @@ class Diagnosis:
 
     @property
     def empty(self) -> bool:
-        """Nothing is said."""
         return not (self.bits or self.not_bits or self.areas or self.channel)
 
 
@@ -218,7 +214,7 @@ class Module:
 
     @property
     def f_parameters(self) -> bool:
-        """It has parameters of PROFIsafe (F_Ext_User_Prm_Data_Const and their like)."""
+        """Whether it has parameters of PROFIsafe (F_Ext_User_Prm_Data_Const and similar keywords)."""
         return any(_is_f(raw.keyword) for raw in self.raw)
 
     @property
@@ -248,9 +244,10 @@ class Speed:
 
 @dataclass(frozen=True, slots=True)
 class DpV1:
-    """The DP-V1 keywords. Lengths in octets, time-outs in 10 ms; ``alarms``: supported, ``required``: without fail.
+    """The DP-V1 keywords. Lengths in octets, time-outs in 10 ms; ``alarms``: those supported, ``required``: those
+    that the master has to enable.
 
-    ``c1_read_write_required``: it is of use only to a master that has MS1; ``c2_...``: to somebody with class 2.
+    ``c1_read_write_required``: only a master with MS1 can use the device; ``c2_...``: only one with MS2 (class 2).
     """
 
     slave: bool = False
@@ -312,7 +309,7 @@ class Device:
     """One device. Lengths in octets, None where the file says nothing. ``min_slave_interval`` in 100 us.
 
     ``settings``: every ``keyword = value`` of the device as written, by keyword in lower case (the last one counts),
-    known or not. ``raw``: statements and blocks without a meaning here.
+    known or not. ``raw``: statements and blocks that dpstack has no use for.
     """
 
     ident: int | None = None
@@ -367,7 +364,7 @@ class Device:
 
     @property
     def f_parameters(self) -> bool:
-        """The device itself has parameters of PROFIsafe, beside those of its modules."""
+        """Whether the device itself has parameters of PROFIsafe, beside those of its modules."""
         return any(_is_f(raw.keyword) for raw in self.raw if not raw.block) or any(map(_is_f, self.settings))
 
     def max_tsdr(self, baud: int) -> int | None:
@@ -386,7 +383,7 @@ class Device:
 
 @dataclass(frozen=True, slots=True)
 class GsdFile:
-    """What came of a file: the model and the findings. ``fatal``: why there is nothing to use, else None."""
+    """A parsed file: the model and the findings. ``fatal``: why nothing of the file is usable, else None."""
 
     name: str
     device: Device
@@ -395,7 +392,6 @@ class GsdFile:
     fatal: Diagnostic | None = None
 
     def of(self, severity: Severity) -> tuple[Diagnostic, ...]:
-        """The findings of one severity."""
         return tuple(d for d in self.diagnostics if d.severity is severity)
 
 
@@ -409,5 +405,4 @@ def folded(name: str) -> str:
 
 
 def ordered(diagnostics: Iterable[Diagnostic]) -> tuple[Diagnostic, ...]:
-    """By place in the file."""
     return tuple(sorted(diagnostics))

@@ -1,7 +1,8 @@
-"""Reads a GSD file: octets in, a model and diagnostics out. Nothing in a file raises.
+"""Parser of GSD files: octets in, the model and diagnostics out. No file content raises an exception.
 
-Order is free in GSD files (definitions stand behind their use), so everything is collected first and joined at the
-end. Only structural damage is an error: a block that never ends, a file that is none.
+The order of statements is free in GSD files (definitions may follow their use). So the parser collects everything
+first and :mod:`dpstack.gsd.joining` builds the model at the end. Only damage of the structure is an error: a block
+that never ends, a file that is no GSD file.
 """
 
 from __future__ import annotations
@@ -12,21 +13,31 @@ from collections.abc import Callable, Mapping
 from typing import Final
 
 from dpstack.errors import GsdError
-from dpstack.gsd.blocks import Block, ParameterBlock, PrmTextBlock, RawBlock, SlotBlock
-from dpstack.gsd.diag_blocks import AreaBlock, DiagBlock, DiagTypeBlock
+from dpstack.gsd.blocks import (
+    AreaBlock,
+    Block,
+    DeviceBlock,
+    DiagBlock,
+    DiagTypeBlock,
+    ModuleBlock,
+    ParameterBlock,
+    PrmTextBlock,
+    RawBlock,
+    SlotBlock,
+    octets_of,
+)
 from dpstack.gsd.findings import Findings
 from dpstack.gsd.joining import join
 from dpstack.gsd.keywords import BLOCKS, CLOSING, KNOWN, RAW_BLOCKS, may_open
 from dpstack.gsd.lexer import Statement, first_number, lex, number, ranges, string
 from dpstack.gsd.model import Device, Diagnostic, GsdFile, Raw
-from dpstack.gsd.module_block import DeviceBlock, ModuleBlock, octets_of
 from dpstack.gsd.text import MAX_LINES, MAX_LOGICAL, MAX_OCTETS, Text, read_text
 from dpstack.trace import Severity
 
 _MARK: Final = re.compile(r'[^\w;"#]*+#profibus_dp', re.IGNORECASE)
 _LOOKS: Final = re.compile(r"^[ \t]*(?:ident_number|gsd_revision|vendor_name)[ \t]*=", re.IGNORECASE | re.MULTILINE)
 _ENDINGS: Final = re.compile(r"(end\w+|\w+_end)[ \t]*(?:;|$)", re.IGNORECASE)
-#: first octets of what is sent in place of a GSD file
+#: first octets of the files that users pass in place of a GSD file
 _OTHERS: Final = (
     (b"<", "an XML or HTML text, perhaps a GSDML file of PROFINET: get the device's PROFIBUS file (.gsd, .gse)"),
     (b"PK\x03\x04", "a ZIP archive: unpack it and give the .gsd file in it"),
@@ -35,13 +46,13 @@ _OTHERS: Final = (
     (b"{\\rtf", "an RTF document: get the .gsd file from the maker"),
     (b"MZ", "a program: it may unpack a GSD file"),
 )
-#: blocks that stand in no other: one of them in an unknown block means that this one was not ended
+#: blocks that stand in no other block. Where one begins inside an unknown block, the end of that block is missing.
 _OUTERMOST: Final = frozenset({"module", "prmtext", "extuserprmdata", "slotdefinition", "unitdiagtype"})
 _MISSING: Final = Statement("", None, False, "", "")
 
 
 def load_gsd(octets: bytes, name: str = "GSD file") -> GsdFile:
-    """As :func:`parse_gsd`. Raises GsdError where the file cannot be used at all; the text says what to do."""
+    """Like :func:`parse_gsd`, but raises GsdError where the file cannot be used at all."""
     found = parse_gsd(octets, name)
     if found.fatal is not None:
         raise GsdError(f"{name}:{max(1, found.fatal.line)}: {found.fatal.message}")
@@ -49,7 +60,7 @@ def load_gsd(octets: bytes, name: str = "GSD file") -> GsdFile:
 
 
 def parse_gsd(octets: bytes, name: str = "GSD file") -> GsdFile:
-    """Read ``octets``. Never raises: what is wrong stands in ``diagnostics``, why nothing is usable in ``fatal``."""
+    """Parse ``octets``. Never raises: ``diagnostics`` has all findings, ``fatal`` the reason why nothing is usable."""
     refused = _refused(octets)
     if refused:
         return _nothing(name, refused)
@@ -80,7 +91,7 @@ def parse_gsd(octets: bytes, name: str = "GSD file") -> GsdFile:
 
 
 def _refused(octets: bytes) -> str:
-    """Why this can be no GSD file, before anything is read."""
+    """Why ``octets`` can be no GSD file, judged by length and first octets; empty: they may be one."""
     if len(octets) > MAX_OCTETS:
         return f"no GSD file: more than {MAX_OCTETS // 1_000_000} MB; the largest known one has half of one"
     bare = octets[:4096].removeprefix(b"\xef\xbb\xbf").lstrip(b"\0 \t\r\n\x1a")
@@ -98,7 +109,7 @@ def _nothing(name: str, why: str) -> GsdFile:
 
 
 class _Reader:
-    """The walk over the lines: which block is open, and what opens and closes one."""
+    """Walks over the lines: opens and closes blocks and passes each statement to the handler of the open block."""
 
     def __init__(self, text: Text, findings: Findings) -> None:
         self._text = text
@@ -106,11 +117,10 @@ class _Reader:
         self.device = DeviceBlock(findings)
         self._block: Block = self.device
         self._outer: list[Block] = []
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
         self._endings: frozenset[str] | None = None
 
     def run(self, start: int) -> None:
-        """Read every line from ``start``."""
         lines = self._text.lines[start : start + MAX_LINES]
         numbers = self._text.numbers
         counted = itertools.count(start + 1) if numbers is None else iter(numbers[start:])
@@ -134,7 +144,7 @@ class _Reader:
             self._broken_off("the end of the file")
 
     def _structure(self, statement: Statement, line: int) -> None:
-        """A keyword that the open block has no handler for: a beginning, the end of an outer one, something to keep."""
+        """Handle a keyword unknown to the open block: it opens a block, closes an outer block, or is kept raw."""
         block, keyword = self._block, statement.keyword
         if keyword in _OPENING and (keyword in _OUTERMOST or not isinstance(block, RawBlock)):
             self._open_known(statement, line)
@@ -149,11 +159,11 @@ class _Reader:
             self._broken_off(f"{statement.written} on line {line}")
         block = _OPENING[keyword](self, statement, line)
         if block is None:
-            block = RawBlock(line, self._findings, statement, BLOCKS[keyword])
-        self._open(block)
+            block = RawBlock(line, self._findings, statement)
+        self._open(block, BLOCKS[keyword].lower())
 
     def _open_raw(self, statement: Statement, line: int) -> bool:
-        """Open a block without a meaning here, where the file also has its closing keyword."""
+        """Open a block that dpstack has no use for, if the file has its closing keyword too."""
         keyword, block = statement.keyword, self._block
         if isinstance(block, RawBlock) or statement.index is not None or not keyword[:1].isalpha():
             return False
@@ -163,25 +173,26 @@ class _Reader:
             matches = (_ENDINGS.match(line.strip()) for line in self._text.lines)
             self._endings = frozenset(match[1].lower() for match in matches if match)
         end = may_open(keyword, self._endings)
-        if end is None or end in BLOCKS.values():
+        if end is None or end in map(str.lower, BLOCKS.values()):
             return False
         if keyword not in RAW_BLOCKS:
             self._unknown(statement, line)
-        self._open(RawBlock(line, self._findings, statement, end))
+        self._open(RawBlock(line, self._findings, statement), end)
         return True
 
-    def _open(self, block: Block) -> None:
+    def _open(self, block: Block, end: str) -> None:
+        block.end = end
         self._outer.append(self._block)
         self._block = block
 
     def _close(self, complete: bool) -> None:
         inner, self._block = self._block, self._outer.pop()
         inner.finish(complete)
-        self._block.give(inner)
+        self._block.add(inner)
 
     def _broken_off(self, before: str) -> None:
         block = self._block
-        message = f"{title_of(block)} never ends: {_CLOSE_NAMES.get(block.end, block.end)} is missing before {before}"
+        message = f"{title_of(block)} never ends: {CLOSING.get(block.end, block.end)} is missing before {before}"
         self._findings.error(block.line, 1, message)
         self._close(False)
 
@@ -211,20 +222,20 @@ class _Reader:
             self._unknown(statement, line)
 
     def _unknown(self, statement: Statement, line: int) -> None:
-        """Told once for each keyword."""
-        if statement.keyword not in self._told:
-            self._told.add(statement.keyword)
+        if statement.keyword not in self._reported:
+            self._reported.add(statement.keyword)
             self._findings.info(line, 1, f"{statement.written[:60]} has no meaning here; kept as it stands")
 
-    # what opens a block; None: its head cannot be read, so its inside is kept raw
+    # the methods of _OPENING; None: the head of the block cannot be parsed, so that its inside is kept raw
 
-    def prm_text(self, statement: Statement, line: int) -> Block | None:
-        """PrmText = n."""
-        ref = number(statement.value)
-        if ref is None:
+    def numbered(self, statement: Statement, line: int) -> Block | None:
+        """PrmText = n, UnitDiagType = n."""
+        value = number(statement.value)
+        if value is None:
             self._unreadable(statement, line, "a number")
             return None
-        return PrmTextBlock(line, self._findings, ref)
+        kind = PrmTextBlock if statement.keyword == "prmtext" else DiagTypeBlock
+        return kind(line, self._findings, value)
 
     def parameter(self, statement: Statement, line: int) -> Block | None:
         """ExtUserPrmData = n "name"."""
@@ -249,7 +260,6 @@ class _Reader:
         return ModuleBlock(line, self._findings, self.device.used, name.strip(), config)
 
     def slots(self, statement: Statement, line: int) -> Block:
-        """SlotDefinition."""
         return SlotBlock(line, self._findings)
 
     def area(self, statement: Statement, line: int) -> Block | None:
@@ -258,15 +268,7 @@ class _Reader:
         if not bits or not 0 <= bits[0][0] <= bits[-1][1] < 8 * 244:
             self._unreadable(statement, line, "bits like 0-7")
             return None
-        return AreaBlock(line, self._findings, BLOCKS[statement.keyword], bits[0][0], bits[-1][1])
-
-    def diag_type(self, statement: Statement, line: int) -> Block | None:
-        """UnitDiagType = n."""
-        value = number(statement.value)
-        if value is None:
-            self._unreadable(statement, line, "a number")
-            return None
-        return DiagTypeBlock(line, self._findings, value)
+        return AreaBlock(line, self._findings, bits[0][0], bits[-1][1])
 
     def _unreadable(self, statement: Statement, line: int, wanted: str) -> None:
         shown = statement.value[:40] or "nothing"
@@ -278,29 +280,17 @@ class _Unusable(ModuleBlock):
     """A module whose identifier octets cannot be read."""
 
     def finish(self, complete: bool) -> None:
-        """Not even when it ends."""
         super().finish(False)
 
 
 _OPENING: Final[Mapping[str, Callable[[_Reader, Statement, int], Block | None]]] = {
-    "prmtext": _Reader.prm_text,
+    "prmtext": _Reader.numbered,
     "extuserprmdata": _Reader.parameter,
     "module": _Reader.module,
     "slotdefinition": _Reader.slots,
     "unit_diag_area": _Reader.area,
     "x_unit_diag_area": _Reader.area,
-    "unitdiagtype": _Reader.diag_type,
-}
-_CLOSE_NAMES: Final = {
-    "endprmtext": "EndPrmText",
-    "endextuserprmdata": "EndExtUserPrmData",
-    "endmodule": "EndModule",
-    "endslotdefinition": "EndSlotDefinition",
-    "unit_diag_area_end": "Unit_Diag_Area_End",
-    "x_unit_diag_area_end": "X_Unit_Diag_Area_End",
-    "endunitdiagtype": "EndUnitDiagType",
-    "data_area_end": "Data_Area_End",
-    "end_physical_interface": "End_Physical_Interface",
+    "unitdiagtype": _Reader.numbered,
 }
 
 

@@ -1,9 +1,9 @@
-"""User parameters: from names and values to the octets of Set_Prm behind the seven fixed ones, and back.
+"""User parameters (User_Prm_Data): from names and values to octets of Set_Prm behind the seven fixed ones, and back.
 
-A GSD file says them twice: as constants (Ext_User_Prm_Data_Const) and as defaults of named parameters
-(Ext_User_Prm_Data_Ref), and the two contradict each other in one file of six. :class:`Reading` says which counts; what
-is set by name counts in both. A module's parameter called ``[SlotNumber]`` (ISO 15745-3) gets the number of the
-module's slot in both.
+A GSD file has them twice: as constants (Ext_User_Prm_Data_Const) and as defaults of named parameters
+(Ext_User_Prm_Data_Ref). In one file of six the two contradict each other. :class:`Reading` selects which of them
+counts. A value that the user sets by name counts in both cases. A module's parameter with the name ``[SlotNumber]``
+(ISO 15745-3) always has the number of the module's slot.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from enum import Enum
 from typing import Final
 
 from dpstack.errors import GsdError
+from dpstack.gsd.blocks import MAX_USER_PRM
 from dpstack.gsd.joining import reach_of
 from dpstack.gsd.model import Device, Module, Parameter, PrmBlock, PrmKind, PrmType, folded, in_ranges, ranges_text
-from dpstack.gsd.module_block import MAX_USER_PRM
 from dpstack.text import shortened
 
 
@@ -78,12 +78,11 @@ class Contradiction:
 
     @property
     def text(self) -> str:
-        """One line."""
         return f"{self.field.key}: {self.readings}"
 
     @property
     def readings(self) -> str:
-        """What each reading sends, without the parameter's name."""
+        """The value of each :class:`Reading`, without the parameter's name."""
         parameter = self.field.parameter
         return (
             f"its default is {_shown(parameter, parameter.default)}, the constant octets say "
@@ -99,7 +98,7 @@ def take(octets: bytes, at: int, kind: PrmType) -> int:
 
 
 def put(octets: bytearray, at: int, kind: PrmType, value: int) -> None:
-    """Put ``value`` into its own bits at octet ``at``; big-endian, two's complement."""
+    """Write ``value`` to its bits at octet ``at``; big-endian, two's complement."""
     mask = (1 << kind.width) - 1 << kind.first
     whole = int.from_bytes(octets[at : at + kind.size], "big")
     whole = whole & ~mask | value << kind.first & mask
@@ -134,7 +133,8 @@ class UserPrm:
         self.device = device
         self.reading = reading
         self._parts = list(_parts(device, modules, first_slot))
-        size = sum(len(part.const) for part in self._parts)
+        self._fields = [field for part in self._parts for field in part.fields]
+        self._size = size = sum(len(part.const) for part in self._parts)
         limit = device.max_user_prm_data_len
         if size > MAX_USER_PRM:
             raise GsdError(f"{size} octets of user parameters; a Set_Prm carries {MAX_USER_PRM}: take out modules")
@@ -145,32 +145,18 @@ class UserPrm:
         self._set: dict[str, int] = {}
 
     @property
-    def legacy(self) -> bool:
-        """The octets are User_Prm_Data as it stands: there are no named parameters."""
-        return _legacy(self.device)
-
-    @property
     def fields(self) -> tuple[Field, ...]:
         """Every named parameter with the value it has now, in the order of slots and of the file."""
-        octets = self.octets()
-        return tuple(
-            replace(field, value=take(octets, field.at, field.parameter.type), set=field.key in self._set)
-            for part in self._parts
-            for field in part.fields
-        )
+        return tuple(replace(field, set=field.key in self._set) for field in self.read(self.octets()))
 
     def octets(self) -> bytes:
-        """The octets for Set_Prm."""
-        found = bytearray()
-        for part in self._parts:
-            found += self._octets_of(part)
-        return bytes(found)
+        return b"".join(map(self._octets_of, self._parts))
 
     def octets_of(self, slot: int) -> bytes:
         """The part of one slot, 0 for the device itself."""
-        return next((bytes(self._octets_of(part)) for part in self._parts if part.slot == slot), b"")
+        return next((self._octets_of(part) for part in self._parts if part.slot == slot), b"")
 
-    def _octets_of(self, part: _Part) -> bytearray:
+    def _octets_of(self, part: _Part) -> bytes:
         octets = bytearray(part.const)
         for field in part.fields:
             value = field.slot if field.slot_number else self._set.get(field.key)
@@ -178,15 +164,15 @@ class UserPrm:
                 value = field.parameter.default
             if value is not None:
                 put(octets, field.offset, field.parameter.type, value)
-        return octets
+        return bytes(octets)
 
     def set(self, key: str, value: int | str | bool) -> None:
         """Set a parameter, by its name, ``slot/name``, ``name@offset`` or both, to a number, a text or a flag.
 
         Raises GsdError (``what; what to do``); nothing is changed then.
         """
-        for numbered in (field for part in self._parts for field in part.fields if is_slot_number(field.parameter)):
-            if _matches(numbered, key):
+        for numbered in self._fields:
+            if is_slot_number(numbered.parameter) and _matches(numbered, key):
                 raise GsdError(f"parameter {numbered.key} is the number of the slot and cannot be set; leave it out")
         field = self.find(key)
         parameter = field.parameter
@@ -196,12 +182,11 @@ class UserPrm:
 
     def find(self, key: str) -> Field:
         """The one field that ``key`` names. Raises GsdError with the nearest names, or with those it may mean."""
-        fields = [field for part in self._parts for field in part.fields]
-        found = [field for field in fields if _matches(field, key)]
+        found = [field for field in self._fields if _matches(field, key)]
         if len(found) == 1:
             return found[0]
         if not found:
-            raise GsdError(f"there is no parameter {key!r}; {_nearest(key, fields)}")
+            raise GsdError(f"there is no parameter {key!r}; {_nearest(key, self._fields)}")
         meant = ", ".join(repr(field.key) for field in found[:8])
         more = f" and {len(found) - 8} more" if len(found) > 8 else ""
         raise GsdError(f"{key!r} may be {len(found)} parameters; write one of {meant}{more}")
@@ -209,35 +194,26 @@ class UserPrm:
     def shortest_key(self, field: Field) -> str:
         """The parameter's name where that is enough to find it, else its key."""
         name = field.parameter.name
-        alike = [other for part in self._parts for other in part.fields if _matches(other, name)]
-        return name if len(alike) == 1 else field.key
+        return name if sum(_matches(other, name) for other in self._fields) == 1 else field.key
 
     def read(self, octets: bytes) -> tuple[Field, ...]:
         """The named values that ``octets`` (of this device with these modules) hold. Raises GsdError on the length."""
-        expected = sum(len(part.const) for part in self._parts)
-        if len(octets) != expected:
-            raise GsdError(f"{len(octets)} octets of user parameters; this configuration has {expected}")
-        return tuple(
-            replace(field, value=take(octets, field.at, field.parameter.type))
-            for part in self._parts
-            for field in part.fields
-        )
+        if len(octets) != self._size:
+            raise GsdError(f"{len(octets)} octets of user parameters; this configuration has {self._size}")
+        return tuple(replace(field, value=take(octets, field.at, field.parameter.type)) for field in self._fields)
 
     def contradictions(self) -> tuple[Contradiction, ...]:
         """Defaults that differ from the constants at their place, of parameters that the user has not set."""
-        found = []
-        for part in self._parts:
-            for field in part.fields:
-                if field.slot_number or field.key in self._set:
-                    continue
-                const = take(part.const, field.offset, field.parameter.type)
-                if const != _fitted(field.parameter):
-                    found.append(Contradiction(field, const))
-        return tuple(found)
+        consts = self.read(b"".join(part.const for part in self._parts))
+        return tuple(
+            Contradiction(field, const.value)
+            for field, const in zip(self._fields, consts, strict=True)
+            if not field.slot_number and field.key not in self._set and const.value != _fitted(field.parameter)
+        )
 
 
 def is_slot_number(parameter: Parameter) -> bool:
-    """ISO 15745-3: a parameter of this name holds the number of the module's slot, whatever GSD_Revision says."""
+    """ISO 15745-3: a parameter of this name has the number of the module's slot, whatever GSD_Revision says."""
     return folded(parameter.name) == _SLOT_NUMBER
 
 
@@ -245,13 +221,19 @@ _SLOT_NUMBER: Final = folded("[SlotNumber]")
 
 
 def value_of(parameter: Parameter, value: int | str | bool) -> int:
-    """The number for ``value``; texts without regard to case. Raises GsdError naming what is allowed."""
+    """The number for ``value``; texts without regard to case. Raises GsdError with the allowed values."""
     number = _number(parameter, value)
-    low, high = parameter.type.limits
-    if not low <= number <= high or not in_ranges(number, parameter.allowed):
-        allowed = parameter.allowed or ((low, high),)
-        raise GsdError(f"{parameter.name!r} = {number} is not allowed; allowed are {ranges_text(allowed)}")
+    if not _may_be(parameter, number):
+        raise GsdError(f"{parameter.name!r} = {number} is not allowed; allowed are {_allowed(parameter)}")
     return number
+
+
+def _may_be(parameter: Parameter, value: int) -> bool:
+    return in_ranges(value, (parameter.type.limits,)) and in_ranges(value, parameter.allowed)
+
+
+def _allowed(parameter: Parameter) -> str:
+    return ranges_text(parameter.allowed or (parameter.type.limits,))
 
 
 #: characters; 32 bits in binary have 35
@@ -268,9 +250,7 @@ def _number(parameter: Parameter, value: int | str | bool) -> int:
         with contextlib.suppress(ValueError):
             return int(value, 0)
     if not parameter.texts:
-        low, high = parameter.type.limits
-        allowed = ranges_text(parameter.allowed or ((low, high),))
-        raise GsdError(f"{parameter.name!r} = {shortened(value)!r} is no number; allowed are {allowed}")
+        raise GsdError(f"{parameter.name!r} = {shortened(value)!r} is no number; allowed are {_allowed(parameter)}")
     texts = list(parameter.texts.values())
     near = near_names(value, texts, _CLOSE)
     hint = f"did you mean {near[0]!r}? known: " if near else "known: "
@@ -278,7 +258,7 @@ def _number(parameter: Parameter, value: int | str | bool) -> int:
 
 
 _CLOSE: Final = 0.5
-#: names that a refusal tells
+#: the most names in a message
 _HINTS: Final = 3
 
 
@@ -313,7 +293,7 @@ def _nearest(key: str, fields: Iterable[Field]) -> str:
 
 
 def _matches(field: Field, key: str) -> bool:
-    """``key`` in any of the ways to name ``field``."""
+    """Whether ``key`` is one of the ways to name ``field``."""
     name, wanted = field.parameter.name, folded(key)
     places = ("", f"@{field.offset}", field.key[field.key.rindex("@") :])
     return any(wanted in (folded(name + place), folded(f"{field.place}/{name}{place}")) for place in places)
@@ -326,7 +306,7 @@ def _parts(device: Device, modules: Sequence[Module | None], first_slot: int | N
     yield part
     at = len(part.const)
     for slot, module in enumerate(modules, 1 if first_slot is None else first_slot):
-        if module is None or not module.prm.given:
+        if module is None or not module.prm.present:
             continue
         part = _part(module.prm, device.parameters, slot, at, str(slot))
         if first_slot is not None:
@@ -339,19 +319,17 @@ def _in_slot(part: _Part, module: Module) -> _Part:
     """``part`` with the number of its slot where ``module`` asks for it. Raises GsdError where it may not have it."""
     fields = tuple(replace(field, slot_number=is_slot_number(field.parameter)) for field in part.fields)
     for field in fields:
-        kind, allowed = field.parameter.type, field.parameter.allowed
-        low, high = kind.limits
-        if field.slot_number and not (low <= part.slot <= high and in_ranges(part.slot, allowed)):
+        if field.slot_number and not _may_be(field.parameter, part.slot):
             raise GsdError(
                 f"module {module.title} cannot be in slot {part.slot}: its parameter {field.parameter.name} allows "
-                f"{ranges_text(allowed or ((low, high),))}; plug it there, or leave it out"
+                f"{_allowed(field.parameter)}; plug it there, or leave it out"
             )
     return replace(part, fields=fields)
 
 
 def _legacy(device: Device) -> bool:
-    """User_Prm_Data counts: neither Ext_User_Prm_Data nor Max_User_Prm_Data_Len is there."""
-    return device.user_prm_data is not None and not device.prm.given and device.max_user_prm_data_len is None
+    """Whether User_Prm_Data counts: the file has neither Ext_User_Prm_Data nor Max_User_Prm_Data_Len."""
+    return device.user_prm_data is not None and not device.prm.present and device.max_user_prm_data_len is None
 
 
 def _part(prm: PrmBlock, parameters: Mapping[int, Parameter], slot: int, at: int, place: str) -> _Part:

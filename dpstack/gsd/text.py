@@ -11,7 +11,7 @@ import re
 from dataclasses import dataclass
 from typing import Final
 
-#: What no GSD file exceeds by far (the largest known one has 9372 lines): more is refused, not tried.
+#: Limits far above every known GSD file (the largest one has 9372 lines). The parser refuses larger files.
 MAX_OCTETS: Final = 8_000_000
 MAX_LINES: Final = 200_000
 MAX_LOGICAL: Final = 65_536
@@ -105,7 +105,7 @@ def _behind_seam(head: str, before: str) -> str:
 
 
 def _split(line: str, inside: bool) -> tuple[str, bool, bool]:
-    """(what this line adds, a string is open behind it, the next line belongs to it)."""
+    """(text that this line adds, whether a string is open behind it, whether the next line belongs to it)."""
     at = 0
     if inside:
         close = line.find('"')
@@ -122,7 +122,7 @@ def _split(line: str, inside: bool) -> tuple[str, bool, bool]:
 
 
 def _open_string(line: str, start: int) -> tuple[str, bool, bool]:
-    """The string that is open at ``start`` ends on another line, where the last backslash says so."""
+    """Split a line whose string is open at ``start``; it goes on in the next line where a backslash ends this one."""
     slash = line.rfind("\\")
     if slash < start or not _SEAM.match(line, slash):
         # a comment with a backslash of its own behind the seam

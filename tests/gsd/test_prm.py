@@ -104,8 +104,7 @@ def test_a_reference_beyond_the_modules_length_is_left_out() -> None:
 
 def test_user_prm_data_counts_only_where_nothing_else_is() -> None:
     old = UserPrm(device("prm_old"), [])
-    assert (old.octets(), old.legacy, old.fields) == (b"\x00\x0a\xff", True, ())
-    assert prm().legacy is False
+    assert (old.octets(), old.fields) == (b"\x00\x0a\xff", ())
     mixed = made("User_Prm_Data_Len = 1\nUser_Prm_Data = 5\nMax_User_Prm_Data_Len = 3\n")
     assert UserPrm(mixed.device).octets() == b""
 

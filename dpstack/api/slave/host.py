@@ -1,4 +1,3 @@
-# ruff: noqa: D102
 """What a slave, a drive and the class 2 services need of the bus that they are on."""
 
 from __future__ import annotations
