@@ -107,6 +107,12 @@ def _run(words: Sequence[str], failure: str) -> None:
         raise RuntimeError(f"{failure}: it took longer than {_INSTALL_S} s") from None
 
 
+def packages(side: Side) -> set[str]:
+    """Names and versions of what is installed in an environment, dpstack itself left out."""
+    folders = side.python.parent.parent.glob("lib/python*/site-packages/*.dist-info")
+    return {folder.name.removesuffix(".dist-info") for folder in folders if not folder.name.startswith("dpstack-")}
+
+
 def clean() -> dict[str, str]:
     """The variables of this process without those that lead Python to other modules."""
     return {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "VIRTUAL_ENV"))}

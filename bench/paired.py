@@ -176,11 +176,11 @@ def _pair(name: str, rounds: Sequence[Round]) -> Pair:
     old, new = readings[0]
     beside = new.beside or old.beside
     ratios = [_ratio(both, name, beside if new.unit == "us" else "") for both in rounds]
-    low, high = interval(ratios)
+    sure = old.exact and new.exact
+    low, high = (min(ratios), max(ratios)) if sure else interval(ratios)
     if old.unit != new.unit:
         raise RuntimeError(f"{name} is in {old.unit} on one side and in {new.unit} on the other")
     before, after = (median(reading.value for reading in side) for side in zip(*readings, strict=True))
-    sure = old.exact and new.exact
     verdict = judged(low, median(ratios), high, more=new.more, least=0.0 if sure else _LEAST)
     return Pair(name, new.unit, beside, before, after, median(ratios), low, high, verdict, tuple(ratios))
 

@@ -19,7 +19,7 @@ from typing import Final, NamedTuple
 
 from bench import commit_probe, loop_clock
 from bench.calibration import Speeds, speeds
-from bench.commits import Side, clean, commit_side, tree_side
+from bench.commits import Side, clean, commit_side, packages, tree_side
 from bench.machine import load
 from bench.paired import (
     PairedComparison,
@@ -49,7 +49,8 @@ _BUSY: Final = 1.5
 
 
 class Plan(NamedTuple):
-    """How one run of a benchmark is called, in options that commits of all ages know, and how many rounds there are.
+    """How one run of a benchmark is called, in options that commits of all ages know, and how many rounds there are
+    (1: all figures are exact).
 
     ``cpu``: all that it measures is CPU time of its own process, so that it can be run on the clock of loops.
     """
@@ -60,17 +61,17 @@ class Plan(NamedTuple):
 
 
 PLANS: Final[Mapping[str, Plan]] = {
-    "acyclic": Plan("--bauds 500000 1500000 --pty-bauds", 10),
-    "codec": Plan("--rounds 3", 16, cpu=True),
+    "acyclic": Plan("--bauds 500000 1500000 --pty-bauds", 1),
+    "codec": Plan("--rounds 3", cpu=True),
     "cycle": Plan("--rounds 1 --slaves 1 16 --kinds asyncio process --seconds 0.5"),
-    "gsd": Plan("--rounds 1 --files 60", 16, cpu=True),
+    "gsd": Plan("--rounds 1 --files 60", cpu=True),
     "jitter": Plan("--rounds 1 --seconds 2 --cycles 10"),
-    "parameters": Plan("", 10),
+    "parameters": Plan("", 1),
     "rotation": Plan("--rounds 1 --bauds 500000 1500000 --kinds bare asyncio process"),
-    "scale": Plan("--rounds 7 --exchanges 2000 --seconds 0", 16, cpu=True),
+    "scale": Plan("--rounds 7 --exchanges 2000 --seconds 0", cpu=True),
     "startup": Plan("--rounds 1"),
     "usb": Plan("--rounds 1 --bauds 500000 --seconds 1"),
-    "virtual": Plan("--rounds 5", 16, cpu=True),
+    "virtual": Plan("--rounds 5", cpu=True),
 }
 
 
@@ -82,12 +83,14 @@ def compare_with_commit(name: str, commit: str, rounds: int | None = None) -> Pa
     """Raises ValueError for an unknown commit or too few rounds, RuntimeError when the comparison cannot be made."""
     plan = PLANS[name]
     count = plan.rounds if rounds is None else rounds
-    if count < _LEAST_ROUNDS:
+    if count < min(plan.rounds, _LEAST_ROUNDS):
         raise ValueError(f"--rounds {count}: a verdict needs {_LEAST_ROUNDS} at least")
     average = load()
     notes = [] if average is None or average < _BUSY else [f"other programs were running: load average {average}"]
     _tell(f"making the environments of {commit} and of the tree, where they are not there yet")
     with commit_side(commit) as old, tree_side() as new:
+        if differing := sorted(packages(old) ^ packages(new)):
+            notes.append(f"packages that are not the same on both sides: {', '.join(differing)}")
         measured = Measured(Commands(name, plan), (old, new), notes)
         taken = []
         for both in take_rounds(count, measured.round, notes):
