@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any, NamedTuple
+from typing import ClassVar, NamedTuple
 
 from dpstack.text import printable
 
@@ -22,38 +22,32 @@ class Severity(Enum):
     ERROR = "error"
 
 
-class _PrintableText(property):
-    """``text`` of a class of events, with nothing in it that a terminal would obey."""
-
-    def __get__(self, instance: Any, owner: type | None = None) -> Any:
-        found = super().__get__(instance, owner)
-        return printable(found) if isinstance(found, str) else found
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Event:
     """Something happened at ``t_ns`` (the machine's time). Layers derive their own events from this one.
 
-    ``text`` may hold names out of files and from devices; whatever a derived class makes of it, it is printable
-    (:mod:`dpstack.text`). Other fields are as the file or the device has them.
+    A derived class has a ``TEMPLATE`` of its :attr:`text`, in which ``{e.name}`` stands for an attribute of the event,
+    or ``_text()`` where the words depend on the attributes. ``OWED``: see :attr:`owed`.
     """
+
+    TEMPLATE: ClassVar[str]
+    OWED: ClassVar[bool] = False
 
     t_ns: int
 
-    def __init_subclass__(cls) -> None:
-        text = vars(cls).get("text")
-        if isinstance(text, property):
-            type.__setattr__(cls, "text", _PrintableText(text.fget, doc=text.__doc__))
-
     @property
     def text(self) -> str:
-        """One line for people: what happened, and what to do where something is to be done."""
-        return type(self).__name__
+        """One line for people: what happened, and what to do where something is to be done. Names out of files and from
+        devices are printable in it (:mod:`dpstack.text`); other attributes are as the file or the device has them."""
+        return printable(self._text())
+
+    def _text(self) -> str:
+        return self.TEMPLATE.format(e=self)
 
     @property
     def owed(self) -> bool:
         """Somebody waits for it because of an order of his: there are as many as orders, and none may be dropped."""
-        return False
+        return self.OWED
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,10 +58,7 @@ class Notice(Event):
     message: str
     severity: Severity = Severity.INFO
 
-    @property
-    def text(self) -> str:
-        """The message with its source."""
-        return f"{self.source}: {self.message}"
+    TEMPLATE = "{e.source}: {e.message}"
 
 
 class WireEntry(NamedTuple):

@@ -96,16 +96,14 @@ class SlaveFlapping(SlaveEvent):
     count: int
     drive: bool = False
 
-    @property
-    def text(self) -> str:
-        """How many changes, and what to look at."""
+    def _text(self) -> str:
         if self.drive:
             return (
-                f"slave {self.address} ({self.name}): {self.count} changes of the drive's state, faults or warnings "
+                f"{self.who}: {self.count} changes of the drive's state, faults or warnings "
                 "are not told one by one; look at the drive"
             )
         return (
-            f"slave {self.address} ({self.name}) flaps: {self.count} changes of its state or diagnosis are not told "
+            f"{self.who} flaps: {self.count} changes of its state or diagnosis are not told "
             f"one by one; look at its connector, its supply and its watchdog time"
         )
 

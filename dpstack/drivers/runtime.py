@@ -39,10 +39,7 @@ class PortLost(Event):
     port: str
     reason: str
 
-    @property
-    def text(self) -> str:
-        """What happens next."""
-        return f"port {self.port} vanished ({self.reason}): trying to open it again"
+    TEMPLATE = "port {e.port} vanished ({e.reason}): trying to open it again"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,10 +48,7 @@ class PortBack(Event):
 
     port: str
 
-    @property
-    def text(self) -> str:
-        """Which."""
-        return f"port {self.port} is back"
+    TEMPLATE = "port {e.port} is back"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,9 +59,7 @@ class BusProcessSilent(Event):
     silent_ns: int
     at_slaves: str
 
-    @property
-    def text(self) -> str:
-        """For how long, and what follows."""
+    def _text(self) -> str:
         return (
             f"the bus process (pid {self.pid}) has shown no sign of life for {ms_text(self.silent_ns)}: it is stopped, "
             f"or hangs. Orders and outputs are dropped until it goes on. {self.at_slaves}"
@@ -81,9 +73,7 @@ class BusProcessBack(Event):
     pid: int
     silent_ns: int
 
-    @property
-    def text(self) -> str:
-        """After how long."""
+    def _text(self) -> str:
         return f"the bus process (pid {self.pid}) goes on after {ms_text(self.silent_ns)}"
 
 
@@ -93,11 +83,9 @@ class OutputsDropped(SlaveEvent):
 
     outputs: bytes
 
-    @property
-    def text(self) -> str:
-        """Which, and what counts instead."""
+    def _text(self) -> str:
         return (
-            f"slave {self.address} ({self.name}): outputs {self.outputs.hex()} were dropped: the bus process did not "
+            f"{self.who}: outputs {self.outputs.hex()} were dropped: the bus process did not "
             "take them in time; its outputs are those from before"
         )
 
@@ -114,9 +102,7 @@ class BehindRealTime(Event):
     behind_ns: int
     keeps_up: bool
 
-    @property
-    def text(self) -> str:
-        """How fast, and what helps."""
+    def _text(self) -> str:
         if self.keeps_up:
             return f"the simulated bus keeps up with real time again, {ns_to_s(self.behind_ns):.1f} s behind in all"
         return (

@@ -46,9 +46,7 @@ class BaudFound(Event):
     telegrams: int
     tried: int
 
-    @property
-    def text(self) -> str:
-        """The rate and what it was recognised by."""
+    def _text(self) -> str:
         by = "telegrams with check sum" if self.confidence is Confidence.CHECKED else "the same token again and again"
         return f"the bus runs at {baud_text(self.baud)}, recognised by {by}"
 
@@ -66,9 +64,7 @@ class BaudNotFound(Event):
     slowest: int
     complete: bool
 
-    @property
-    def text(self) -> str:
-        """The reason, and what to do."""
+    def _text(self) -> str:
         seconds = f"{ns_to_s(self.listened_ns):.1f} s"
         if self.why is Missing.SILENCE:
             text = (

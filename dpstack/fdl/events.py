@@ -18,9 +18,7 @@ class RingJoined(Event):
     claimed: bool
     masters: tuple[int, ...]
 
-    @property
-    def text(self) -> str:
-        """How the ring was entered and who is in it."""
+    def _text(self) -> str:
         how = "claimed the token on a silent bus" if self.claimed else "was given the token"
         others = [str(m) for m in self.masters if m != self.address]
         return f"station {self.address} {how}" + (f"; other masters: {', '.join(others)}" if others else "")
@@ -33,10 +31,7 @@ class RingLeft(Event):
     address: int
     reason: str
 
-    @property
-    def text(self) -> str:
-        """Why."""
-        return f"station {self.address} left the token ring: {self.reason}"
+    TEMPLATE = "station {e.address} left the token ring: {e.reason}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,9 +43,7 @@ class MasterSeen(Event):
     #: it was in the ring before this station: nobody knows when it joined
     before: bool = False
 
-    @property
-    def text(self) -> str:
-        """Which one."""
+    def _text(self) -> str:
         if self.present and self.before:
             return f"master {self.address} is in the token ring"
         return f"master {self.address} {'joined' if self.present else 'left'} the token ring"
@@ -62,13 +55,10 @@ class AddressCollision(Event):
 
     address: int
 
-    @property
-    def text(self) -> str:
-        """What to do."""
-        return (
-            f"another station on the bus sends as address {self.address}: staying out of the ring; "
-            f"give one of the two another address"
-        )
+    TEMPLATE = (
+        "another station on the bus sends as address {e.address}: staying out of the ring; "
+        "give one of the two another address"
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,10 +67,7 @@ class TokenLost(Event):
 
     address: int
 
-    @property
-    def text(self) -> str:
-        """One line."""
-        return f"station {self.address}: no token for T_TO, claiming it"
+    TEMPLATE = "station {e.address}: no token for T_TO, claiming it"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,9 +77,7 @@ class StationFound(Event):
     address: int
     kind: StationType | None
 
-    @property
-    def text(self) -> str:
-        """Which and what."""
+    def _text(self) -> str:
         if self.kind is None:
             return f"station {self.address} no longer answers"
         return f"station {self.address} found: {self.kind.name.lower().replace('_', ' ')}"
@@ -119,9 +104,7 @@ class DoesNotFit(Event):
     takes_ns: int
     slack_ns: int
 
-    @property
-    def text(self) -> str:
-        """What, how long, and what to do."""
+    def _text(self) -> str:
         slack = f", {ms_text(self.slack_ns)} for a late port in each attempt" if self.slack_ns else ""
         less = "a longer cycle_ms or a smaller host_slack_ms" if self.slack_ns else "a longer cycle_ms"
         return (

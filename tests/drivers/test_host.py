@@ -319,5 +319,7 @@ def test_orders_of_the_end_that_come_all_at_once_do_not_cut_it_short(rig: Rig, o
     rig.loop.run()
     rig.read()
     # nobody reads the other end of this line: a slow computer may hear of dropped telegrams after it
-    assert rig.told.index("station 2 left the token ring: ordered") > rig.told.index("MasterStopped")
+    assert rig.told.index("station 2 left the token ring: ordered") > rig.told.index(
+        "master: stopped: safe values and Clear were sent"
+    )
     assert rig.over

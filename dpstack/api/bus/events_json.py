@@ -103,9 +103,7 @@ class Injected(Event):
     address: int | None = None
     name: str | None = None
 
-    @property
-    def text(self) -> str:
-        """The order, and whom it was given."""
+    def _text(self) -> str:
         args = self.args if self.address is None else self.args[1:]
         who = "the segment" if self.address is None else f"slave {self.address} ({self.name})"
         return f"{who}: {' '.join((self.command, *args))} (dpstack ctl)"

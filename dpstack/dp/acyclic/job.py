@@ -76,10 +76,7 @@ class ServiceEnd(Event, abc.ABC):
     address: int
     outcome: Outcome
 
-    @property
-    def owed(self) -> bool:
-        """To who ordered it."""
-        return True
+    OWED = True
 
     @property
     @abc.abstractmethod
@@ -91,9 +88,7 @@ class ServiceEnd(Event, abc.ABC):
     def result(self) -> str:
         """What came of it where it has not failed."""
 
-    @property
-    def text(self) -> str:
-        """What came of it."""
+    def _text(self) -> str:
         outcome = self.outcome
         return f"slave {self.address}: {self.result}" if outcome.failure is None else outcome.text
 

@@ -62,6 +62,11 @@ class SlaveEvent(Event):
     address: int
     name: str
 
+    @property
+    def who(self) -> str:
+        """The slave as it stands in front of every text."""
+        return f"slave {self.address} ({self.name})"
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SlaveStateChanged(SlaveEvent):
@@ -69,10 +74,7 @@ class SlaveStateChanged(SlaveEvent):
 
     state: SlaveState
 
-    @property
-    def text(self) -> str:
-        """Which."""
-        return f"slave {self.address} ({self.name}): {self.state.value}"
+    TEMPLATE = "{e.who}: {e.state.value}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,10 +83,7 @@ class SlaveFaulted(SlaveEvent):
 
     fault: Fault
 
-    @property
-    def text(self) -> str:
-        """The one clear line."""
-        return f"slave {self.address} ({self.name}): {self.fault.text}"
+    TEMPLATE = "{e.who}: {e.fault.text}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,11 +94,9 @@ class SlaveDiagnosis(SlaveEvent):
     #: what the extended diagnosis says, one line each, in the words of the device's GSD file where it has some
     texts: tuple[str, ...] = ()
 
-    @property
-    def text(self) -> str:
-        """Its flags and texts."""
+    def _text(self) -> str:
         says = "; ".join((", ".join(self.diagnosis.flags) or "without findings", *self.texts))
-        return f"slave {self.address} ({self.name}): diagnosis {says}"
+        return f"{self.who}: diagnosis {says}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -108,10 +105,7 @@ class SlaveRemark(SlaveEvent):
 
     message: str
 
-    @property
-    def text(self) -> str:
-        """The remark with the slave."""
-        return f"slave {self.address} ({self.name}): {self.message}"
+    TEMPLATE = "{e.who}: {e.message}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -120,9 +114,7 @@ class ModeChanged(Event):
 
     mode: Mode
 
-    @property
-    def text(self) -> str:
-        """Which."""
+    def _text(self) -> str:
         return f"master: {self.mode.name.lower()}"
 
 
@@ -132,6 +124,10 @@ class MasterStopped(Event):
 
     cleared: bool = True
 
+    def _text(self) -> str:
+        sent = "safe values and Clear were sent" if self.cleared else "it had no token to send safe values and Clear"
+        return f"master: stopped: {sent}"
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OperateWaits(Event):
@@ -140,9 +136,7 @@ class OperateWaits(Event):
     slaves: tuple[int, ...]
     reasons: tuple[str, ...]
 
-    @property
-    def text(self) -> str:
-        """Which, and why they are not."""
+    def _text(self) -> str:
         return f"master: auto_clear: stays in Clear until all slaves are in data exchange: {'; '.join(self.reasons)}"
 
 
@@ -150,15 +144,13 @@ class OperateWaits(Event):
 class ForcedClear(Event):
     """The master goes to Clear by itself, and stays there until Operate is ordered."""
 
+    #: each one waits for an order of the application
+    OWED = True
+
     @property
     def why(self) -> str:
         """The reason, without what to do."""
         raise NotImplementedError
-
-    @property
-    def owed(self) -> bool:
-        """Each one waits for an order of the application."""
-        return True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -173,9 +165,7 @@ class AutoCleared(ForcedClear):
         """Which slaves, and why."""
         return f"auto_clear: {'; '.join(self.reasons)}"
 
-    @property
-    def text(self) -> str:
-        """Which, why, and what brings it back."""
+    def _text(self) -> str:
         return f"master: auto_clear: outputs become safe: {'; '.join(self.reasons)}; operate() again when it is back"
 
 
@@ -206,9 +196,7 @@ class Stalled(ForcedClear):
         """Which slave was not asked, for how long, and what blocked."""
         return f"stall: {self.reason}"
 
-    @property
-    def text(self) -> str:
-        """The same, and what brings it back."""
+    def _text(self) -> str:
         return (
             f"master: stall: outputs become safe: {self.reason}; look at the plant, then operate() "
             f'(after_stall = "resume" sends the old outputs again unasked)'
@@ -226,10 +214,7 @@ class ApplicationSilent(ForcedClear):
         """For how long."""
         return f"application watchdog: alive() was not called for {ms_text(self.limit_ns)}"
 
-    @property
-    def text(self) -> str:
-        """The same, and what brings it back."""
-        return f"master: outputs become safe: {self.why}; operate() when the application works again"
+    TEMPLATE = "master: outputs become safe: {e.why}; operate() when the application works again"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -245,9 +230,7 @@ class CyclesMissed(Event):
     late_ns: int
     reason: str
 
-    @property
-    def text(self) -> str:
-        """How many, how late, why."""
+    def _text(self) -> str:
         late = f"{ms_text(self.late_ns)} late: {self.reason}"
         if self.count == 1:
             return f"deadline miss {self.missed}: cycle {self.number} was {late}"
@@ -261,40 +244,39 @@ class ControlSent(Event):
     ``missed``: slaves of its groups that were not in data exchange and did not take it.
     """
 
+    OWED = True
+
     token: int
     missed: tuple[int, ...] = ()
 
-    @property
-    def owed(self) -> bool:
-        """To who ordered it."""
-        return True
+    def _text(self) -> str:
+        missed = f"; not taken by slaves {', '.join(map(str, self.missed))}" if self.missed else ""
+        return f"master: Global_Control was sent{missed}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PictureTaken(Event):
     """The inputs of every slave of the groups by address, each from an exchange after the order ``token`` was sent."""
 
+    OWED = True
+
     token: int
     inputs: dict[int, bytes]
 
-    @property
-    def owed(self) -> bool:
-        """To who ordered it."""
-        return True
+    def _text(self) -> str:
+        return f"master: inputs of one moment from slaves {', '.join(map(str, self.inputs))}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ControlFailed(Event):
     """The order ``token`` ended without being carried out to its end; ``address`` is of the slave that was missing."""
 
+    OWED = True
+    TEMPLATE = "master: Global_Control was not carried out: {e.reason}"
+
     token: int
     reason: str
     address: int | None = None
-
-    @property
-    def owed(self) -> bool:
-        """To who ordered it."""
-        return True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -303,9 +285,7 @@ class DriveEvent(SlaveEvent):
 
     payload: dict[str, object]
 
-    @property
-    def text(self) -> str:
-        """The drive, and a status in short or the plugin's text; where it has neither, what the message is."""
+    def _text(self) -> str:
         payload, kind = self.payload, self.payload.get("type")
         said = kind if payload.get("text") is None else payload["text"]
         if kind == "status":

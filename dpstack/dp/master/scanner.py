@@ -97,9 +97,7 @@ class StationSeen(Event):
     found: Found
     present: bool = True
 
-    @property
-    def text(self) -> str:
-        """The one line."""
+    def _text(self) -> str:
         return self.found.text if self.present else f"station {self.found.address} no longer answers"
 
 
@@ -109,10 +107,7 @@ class ScanDone(Event):
 
     stations: int
 
-    @property
-    def text(self) -> str:
-        """How many answered."""
-        return f"live list complete: {self.stations} stations besides this one"
+    TEMPLATE = "live list complete: {e.stations} stations besides this one"
 
 
 @dataclass(slots=True)

@@ -135,9 +135,7 @@ class BaudStateChanged(SlaveAppEvent):
     state: BaudState
     baud: int | None
 
-    @property
-    def text(self) -> str:
-        """Which, and the rate."""
+    def _text(self) -> str:
         rate = "" if self.baud is None else f" at {baud_text(self.baud)}"
         return f"{self.who}: {self.state.value}{rate}"
 
@@ -230,9 +228,7 @@ class PortBaudChanged(Event):
     state: BaudState
     baud: int | None
 
-    @property
-    def text(self) -> str:
-        """Which, and the rate."""
+    def _text(self) -> str:
         if self.baud is None:
             return f"{self.state.value}: the bus fell silent, searching for the baud rate"
         return f"{self.state.value} at {baud_text(self.baud)}"

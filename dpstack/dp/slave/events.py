@@ -37,9 +37,7 @@ class SlaveAppStateChanged(SlaveAppEvent):
     why: AppEv
     master: int | None
 
-    @property
-    def text(self) -> str:
-        """Which, and why."""
+    def _text(self) -> str:
         owner = "" if self.master is None else f", master {self.master}"
         return f"{self.who}: {self.state.value} ({self.why.value}{owner})"
 
@@ -51,9 +49,7 @@ class WatchdogExpired(SlaveAppEvent):
     master: int | None
     watchdog_ns: int
 
-    @property
-    def text(self) -> str:
-        """Who was silent for how long."""
+    def _text(self) -> str:
         return f"{self.who}: nothing from master {self.master} for {self.watchdog_ns // NS_PER_MS} ms, outputs cleared"
 
 
@@ -65,10 +61,7 @@ class RequestRefused(SlaveAppEvent):
     master: int
     reason: str
 
-    @property
-    def text(self) -> str:
-        """What and why."""
-        return f"{self.who}: {self.service} of master {self.master} refused: {self.reason}"
+    TEMPLATE = "{e.who}: {e.service} of master {e.master} refused: {e.reason}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,9 +77,7 @@ class AddressChanged(SlaveAppEvent):
     fixed: bool
     kept: bool
 
-    @property
-    def text(self) -> str:
-        """From where to where, by whom, for how long."""
+    def _text(self) -> str:
         at_device = "by an initial reset" if self.address == UNADDRESSED else "by a setting of the device"
         by = at_device if self.master is None else f"by master {self.master}"
         how = ", fixed" if self.fixed else ""
@@ -106,9 +97,7 @@ class DeviceFailed(SlaveAppEvent):
     error: str
     origin: str = ""
 
-    @property
-    def text(self) -> str:
-        """What failed where, and what to do."""
+    def _text(self) -> str:
         where = f" in {self.origin}" if self.origin else ""
         return f"{self.who}: the device failed during {self.during} ({self.error}{where}); correct and restart it"
 

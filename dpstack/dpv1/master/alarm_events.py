@@ -51,23 +51,21 @@ class AlarmRaised(SlaveEvent):
         """The slave waits for its acknowledgement."""
         return self.held
 
-    @property
-    def text(self) -> str:
-        """One line: the alarm, its data, and what came with it."""
-        return "; ".join((f"slave {self.address} ({self.name}): {self.alarm.told}", *self.texts))
+    def _text(self) -> str:
+        return "; ".join((f"{self.who}: {self.alarm.told}", *self.texts))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AlarmDone(SlaveEvent):
     """The one end of the alarm ``number``: the slave took its acknowledgement, or why there is none."""
 
+    OWED = True
+
     number: int
     outcome: Outcome
 
-    @property
-    def owed(self) -> bool:
-        """To who holds the alarm."""
-        return True
+    def _text(self) -> str:
+        return f"{self.who}: " + (self.outcome.text or f"took the acknowledgement of alarm {self.number}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,10 +74,7 @@ class StatusTold(SlaveEvent):
 
     status: Status
 
-    @property
-    def text(self) -> str:
-        """One line."""
-        return f"slave {self.address} ({self.name}): {self.status.told}"
+    TEMPLATE = "{e.who}: {e.status.told}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

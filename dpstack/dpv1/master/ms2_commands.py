@@ -148,22 +148,14 @@ class ConnectionOver(Event):
     abort: tuple[int, int, int] | None = None
     ordered: bool = False
 
-    @property
-    def owed(self) -> bool:
-        """To who opened it."""
-        return True
+    OWED = True
 
-    @property
-    def text(self) -> str:
-        """Which, and why."""
-        return f"slave {self.address}: class 2 connection (server SAP {self.server_sap}) is over: {self.reason}"
+    TEMPLATE = "slave {e.address}: class 2 connection (server SAP {e.server_sap}) is over: {e.reason}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ConnectionsClosed(Event):
     """The end of CloseConnections: no slave holds anything for this master any more, as far as could be done."""
 
-    @property
-    def owed(self) -> bool:
-        """To who ordered it."""
-        return True
+    OWED = True
+    TEMPLATE = "no class 2 connection is open any more"

@@ -27,10 +27,7 @@ class AlarmAcknowledged(SlaveAppEvent):
     alarm: Alarm
     master: int
 
-    @property
-    def text(self) -> str:
-        """Which, by whom."""
-        return f"{self.who}: {self.alarm.text}: acknowledged by master {self.master}"
+    TEMPLATE = "{e.who}: {e.alarm.text}: acknowledged by master {e.master}"
 
 
 class Ms1Server(SlaveService):

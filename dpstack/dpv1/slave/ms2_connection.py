@@ -58,9 +58,7 @@ class ConnectionOpened(SlaveAppEvent):
     sap: int
     send_timeout_ns: int
 
-    @property
-    def text(self) -> str:
-        """Whose, and how long silence may last."""
+    def _text(self) -> str:
         which = f"class 2 connection of master {self.master} opened (server SAP {self.sap}"
         return f"{self.who}: {which}, send time-out {self.send_timeout_ns // NS_PER_MS} ms)"
 
@@ -74,9 +72,7 @@ class ConnectionClosed(SlaveAppEvent):
     services: int
     reason: str
 
-    @property
-    def text(self) -> str:
-        """Whose and why."""
+    def _text(self) -> str:
         which = f"class 2 connection of master {self.master} (server SAP {self.sap})"
         return f"{self.who}: {which} is over after {self.services} services: {self.reason}"
 

@@ -1,0 +1,77 @@
+"""Every class of events tells in words what happened, whatever its attributes are."""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+import importlib
+import inspect
+import pkgutil
+import types
+import typing
+from collections.abc import Iterator
+
+import pytest
+
+import dpstack
+from dpstack.text import printable
+from dpstack.trace import Event
+
+#: bases without a text of their own
+BASES = {"ServiceEnd", "SlaveEvent", "SlaveAppEvent", "ForcedClear"}
+
+
+def below(kind: type[Event]) -> Iterator[type[Event]]:
+    for one in kind.__subclasses__():
+        yield one
+        yield from below(one)
+
+
+def classes() -> list[type[Event]]:
+    for module in pkgutil.walk_packages(dpstack.__path__, "dpstack."):
+        if not module.name.endswith("__main__"):
+            importlib.import_module(module.name)
+    # a class with slots is made twice; the one that the module knows is meant
+    known = {one for one in below(Event) if vars(importlib.import_module(one.__module__)).get(one.__name__) is one}
+    return sorted(known, key=lambda one: (one.__module__, one.__name__))
+
+
+def made(hint: object, *, full: bool) -> object:
+    """A value of the type ``hint``: the least one, or one with everything in it, and with an escape sequence."""
+    origin, inner = typing.get_origin(hint), typing.get_args(hint)
+    if origin in (typing.Union, types.UnionType):
+        return made(inner[0], full=full) if full or type(None) not in inner else None
+    if origin is tuple:
+        return tuple(made(one, full=full) for one in inner if one is not ...) if full or ... not in inner else ()
+    if origin in (dict, types.MappingProxyType):
+        return {made(inner[0], full=full): made(inner[1], full=full)} if full else {}
+    if hint is str:
+        return "a\x1b[2Jb" if full else ""
+    assert isinstance(hint, type), hint
+    if issubclass(hint, enum.Enum):
+        return list(hint)[-1 if full else 0]
+    if dataclasses.is_dataclass(hint):
+        return hint(**fields(hint, full=full))
+    if hint is bytes:
+        return bytes(8) if full else b""
+    return hint(3) if hint is int else hint(full) if hint is bool else hint()
+
+
+def fields(kind: type, *, full: bool) -> dict[str, object]:
+    hints = typing.get_type_hints(kind)
+    needed = [one for one in dataclasses.fields(kind) if one.init]
+    return {one.name: made(hints[one.name], full=full) for one in needed}
+
+
+@pytest.mark.parametrize("full", [False, True], ids=["least", "full"])
+@pytest.mark.parametrize("kind", classes(), ids=lambda kind: kind.__name__)
+def test_text(kind: type[Event], full: bool) -> None:
+    if kind.__name__ in BASES:
+        assert "TEMPLATE" not in vars(kind)
+        return
+    assert not inspect.isabstract(kind)
+    event = kind(**typing.cast(dict[str, typing.Any], fields(kind, full=full)))
+    assert kind.__name__ not in event.text
+    assert event.text.strip()
+    assert event.text == printable(event.text)
+    assert event.text.isascii()
