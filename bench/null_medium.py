@@ -22,7 +22,7 @@ from dpstack.params import BusParams
 from dpstack.phy.patience import HOST
 from dpstack.units import NEVER, NS_PER_S
 
-_TESTS: Final = Path(__file__).resolve().parent.parent / "tests"
+_TESTS: Final = Path(__file__).resolve().parent.parent / "tests" / "kits"
 #: T_SDR of every slave in bit times
 _T_SDR: Final = 11
 _SD2: Final = 0x68

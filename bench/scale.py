@@ -34,7 +34,7 @@ from dpstack.params import BusParams
 from dpstack.ports.pty import PtyPort
 from dpstack.trace import Event
 
-_RESPONDER: Final = Path(__file__).resolve().parent.parent / "tests" / "support_responder.py"
+_RESPONDER: Final = Path(__file__).resolve().parent.parent / "tests" / "kits" / "support_responder.py"
 _PTY_BAUD: Final = 12_000_000
 _FIRST: Final = 3
 #: cost of an exchange with the most slaves to that with one

@@ -1,10 +1,10 @@
 """The other end of the benchmarks: slaves of octets on a pty of its own, free or on a wire that takes its time.
 
-Nothing of the project is imported; the slaves are those of tests/support_responder.py. On a paced wire every telegram,
-requests too, lasts 11 bits an octet; a request begins when it is read here, no sooner than the idle time of the rules
-after what was on the wire before (what came sooner is counted in ``held``); answers begin min T_SDR later and are
-handed over in slices. Behind an adapter requests wait for a USB frame, answers for a full packet or the latency timer
-and for a frame.
+Nothing of the project is imported; the slaves are those of tests/kits/support_responder.py. On a paced wire every
+telegram, requests too, lasts 11 bits an octet; a request begins when it is read here, no sooner than the idle time of
+the rules after what was on the wire before (what came sooner is counted in ``held``); answers begin min T_SDR later and
+are handed over in slices. Behind an adapter requests wait for a USB frame, answers for a full packet or the latency
+timer and for a frame.
 
 It prints one JSON line with the port. Then lines on standard input: ``begin`` forgets what was recorded, ``end FILE``
 writes it as JSON, ``count`` does nothing; each is answered by the number of exchanges since ``begin``. The end of the
@@ -27,7 +27,7 @@ from pathlib import Path
 from time import monotonic_ns, process_time_ns
 from typing import Final
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "kits"))
 
 from support_responder import Responder, cut
 
@@ -240,7 +240,7 @@ class Wire:
 def main() -> int:
     """The script."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("slaves", nargs="+", help="as of tests/support_responder.py")
+    parser.add_argument("slaves", nargs="+", help="as of tests/kits/support_responder.py")
     parser.add_argument("--baud", type=int, required=True)
     parser.add_argument("--paced", action="store_true", help="telegrams take their time")
     parser.add_argument("--min-tsdr", type=int, default=11, help="bit times, like the next three")

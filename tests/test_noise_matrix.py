@@ -13,7 +13,9 @@ def compare(name: str) -> None:
     kept, found = path_of(name).read_text(), text_of(name)
     diff = list(difflib.unified_diff(kept.splitlines(), found.splitlines(), "kept", "found", n=0, lineterm=""))
     if diff:
-        advice = "read the diff; when it is meant, run: python tests/noise_matrix.py --soak, and say why in the commit"
+        advice = (
+            "read the diff; when it is meant, run: python tests/kits/noise_matrix.py --soak, and say why in the commit"
+        )
         pytest.fail("\n".join([f"the behaviour under noise has changed ({len(diff)} lines)", *diff, advice]))
 
 

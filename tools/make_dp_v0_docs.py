@@ -43,8 +43,9 @@ _BITS: Final = """## The diagnosis, bit by bit
 
 What the master does after Set_Prm and Chk_Cfg (bring-up) and in data exchange; of several bits the weightiest counts.
 Bits that a master sets in the diagnosis it keeps for its user are ignored when a slave sets them, and told once.
-Each row is shown by `dp/test_master_dp_v0.py::test_transcript_of_the_bring_up_for_each_bit`,
-`dp/test_master_dp_v0.py::test_each_bit_in_data_exchange` and `dp/test_master_dp_v0.py::test_the_bits_a_master_sets`.
+Each row is shown by `dp/master/test_master_dp_v0.py::test_transcript_of_the_bring_up_for_each_bit`,
+`dp/master/test_master_dp_v0.py::test_each_bit_in_data_exchange` and
+`dp/master/test_master_dp_v0.py::test_the_bits_a_master_sets`.
 
 | octet, bit | name | set by | in the bring-up the master | in data exchange | more | what you read |
 |---|---|---|---|---|---|---|"""

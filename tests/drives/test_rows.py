@@ -49,8 +49,8 @@ def definitions(path: Path) -> dict[str, ast.AST]:
                 found[name] = node
             case ast.Assign(targets=[ast.Name(id=name)]) | ast.AnnAssign(target=ast.Name(id=name)):
                 found[name] = node
-            case ast.ImportFrom(module=str(module), names=names) if (TESTS / f"{module}.py").exists():
-                kit = definitions(TESTS / f"{module}.py")
+            case ast.ImportFrom(module=str(module), names=names) if (TESTS / "kits" / f"{module}.py").exists():
+                kit = definitions(TESTS / "kits" / f"{module}.py")
                 found |= {(one.asname or one.name): kit[one.name] for one in names if one.name in kit}
     return found
 

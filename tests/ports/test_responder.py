@@ -73,7 +73,7 @@ def test_garbage_and_foreign_telegrams_are_passed_over(far: PtyFarEnd) -> None:
 
 
 async def test_as_a_script_on_a_tty(far: PtyFarEnd) -> None:
-    script = str(Path(__file__).parents[1] / "support_responder.py")
+    script = str(Path(__file__).parents[1] / "kits" / "support_responder.py")
     lost = await asyncio.create_subprocess_exec(sys.executable, script, stderr=subprocess.DEVNULL)
     assert await lost.wait() == 2
     process = await asyncio.create_subprocess_exec(sys.executable, script, far.path, SPEC, stdout=subprocess.PIPE)

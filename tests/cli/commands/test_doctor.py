@@ -20,7 +20,7 @@ from dpstack.errors import PortBusyError, PortError
 from dpstack.ports.adapters import Abilities
 from dpstack.units import BAUD_RATES
 
-ROOT = Path(__file__).resolve().parent.parent.parent
+ROOT = Path(__file__).resolve().parents[3]
 ALL = Abilities(parity=True, low_latency=True, rs485=False, counters=True, marks=True, rates=list(BAUD_RATES))
 Out = pytest.CaptureFixture[str]
 

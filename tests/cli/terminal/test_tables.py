@@ -28,7 +28,7 @@ from dpstack.dp.master.scanner import Found, SlaveView
 from dpstack.fdl.telegram import StationType
 from dpstack.ports.adapters import AdapterInfo
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 WIDTHS = (60, 80, 120, 200)
 LONG = "the-northern-conveyor-of-the-hall-with-the-long-name"
 Out = pytest.CaptureFixture[str]

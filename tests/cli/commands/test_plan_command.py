@@ -13,7 +13,7 @@ from dpstack.cli.main import main
 from dpstack.ports.base import Delivery
 from dpstack.ports.memory import MemoryPort
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 FIVE = str(ROOT / "examples" / "two_milliseconds.toml")
 Out = pytest.CaptureFixture[str]
 

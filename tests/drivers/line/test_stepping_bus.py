@@ -29,7 +29,7 @@ from dpstack.trace import Event
 
 pytestmark = pytest.mark.usefixtures("each_driver")
 
-RESPONDER = str(Path(__file__).parents[1] / "support_responder.py")
+RESPONDER = str(Path(__file__).parents[2] / "kits" / "support_responder.py")
 SPECS = ("3:0696:f3f1:12:12", "4:1234:2010:1:1,fixed=5a")
 
 

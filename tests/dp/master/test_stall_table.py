@@ -15,7 +15,7 @@ from dpstack.api.bus.events_json import event_json
 from dpstack.dp.master.events import ForcedClear
 from dpstack.machine import HeldUp, LineDown, LineUp
 
-PAGE: Final = Path(__file__).parents[2] / "docs" / "ends.md"
+PAGE: Final = Path(__file__).parents[3] / "docs" / "ends.md"
 GAP: Final = 500 * MS
 OUTPUTS: Final = {"04 7F 40 00": "live outputs", "04 7E 00 00": "safe values", "00 00 00 00": "zeros"}
 

@@ -166,8 +166,8 @@ def test_beside_a_master_and_read_only(
     found: list[tuple[int, str, str | None, int | None]] = []
     err, end = "", time.monotonic() + HANG_S
     # On a busy computer who answers too late is not in a list, nobody else ever is; and a master that has to wait for a
-    # processor with its token makes the scan claim one after T_TO (that the scan itself does not: dp/test_scanner.py).
-    # Both pass, the second one perhaps not soon.
+    # processor with its token makes the scan claim one after T_TO (that the scan itself does not:
+    # dp/master/test_scanner.py). Both pass, the second one perhaps not soon.
     while (found, err) != (there, "") and (found != there or time.monotonic() < end - HANG_S / 2):
         code, out, err = scan(capsys, bus / "2", "--json")
         found = [(s["address"], s["type"], s["state"], s["master"]) for s in json.loads(out)["stations"]]

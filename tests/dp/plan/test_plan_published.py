@@ -25,7 +25,7 @@ from dpstack.dp.plan.plan import Case, rotation
 from dpstack.params import BusParams
 from dpstack.units import BAUD_RATES
 
-EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
 
 
 def typical_us(baud: int, lengths: list[tuple[int, int]]) -> float:

@@ -7,7 +7,7 @@ from pathlib import Path
 from dpstack.gsd.model import Device, GsdFile
 from dpstack.gsd.parser import load_gsd, parse_gsd
 
-FILES = Path(__file__).resolve().parent / "gsd" / "files"
+FILES = Path(__file__).resolve().parents[1] / "gsd" / "files"
 HEAD = "#Profibus_DP\nGSD_Revision = 3\nIdent_Number = 0x0FFE\n500_supp = 1\n"
 
 

@@ -1,6 +1,6 @@
 """Noise x baud x stations: what becomes of a bus, as numbers that are kept in ``tests/snapshots``.
 
-A change of behaviour is a diff to read: ``python tests/noise_matrix.py`` writes the snapshots anew (``--soak`` the
+A change of behaviour is a diff to read: ``python tests/kits/noise_matrix.py`` writes the snapshots anew (``--soak`` the
 large one too). Everything is decided by the seed, so a snapshot is exact.
 """
 
@@ -23,7 +23,7 @@ from dpstack.sim.world import World
 from dpstack.trace import Event
 from dpstack.units import BAUD_RATES, bits_to_ns
 
-SNAPSHOTS = Path(__file__).with_name("snapshots")
+SNAPSHOTS = Path(__file__).parents[1] / "snapshots"
 NOISE = (0.0, 1e-5, 1e-4, 1e-3)
 #: masters, slaves
 STATIONS = ((1, 1), (1, 8), (3, 3))

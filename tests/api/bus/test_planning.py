@@ -18,7 +18,7 @@ from dpstack.errors import ConfigError
 from dpstack.stats import Histogram
 from dpstack.units import NS_PER_MS
 
-EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
 BUS = '[bus]\nport = "virtual"\nbaud = 500000\n'
 SLAVE = '[[slave]]\nname = "raw"\naddress = 9\nident = 0x1234\nconfig = "20 10"\n'
 

@@ -43,7 +43,7 @@ print(json.dumps({
 
 
 def ask(as_nobody: bool, priority: int) -> dict[str, Any]:
-    root = Path(__file__).parents[2]
+    root = Path(__file__).parents[3]
     done = subprocess.run(
         [sys.executable, "-c", SCRIPT, str(int(as_nobody)), str(priority)],
         cwd=root,

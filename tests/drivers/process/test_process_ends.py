@@ -28,7 +28,7 @@ from dpstack.trace import Event, Notice, Severity
 AFTER = (b"\xa5\x5a", bytes(2))
 APPLICATION = """
 import asyncio, sys
-sys.path.insert(0, {tests!r})
+sys.path.insert(0, {kits!r})
 from process_kit import VALVES, bus_on, process_of
 async def main():
     async with bus_on({path!r}, "process", VALVES) as bus:
@@ -193,7 +193,7 @@ async def test_it_finds_modules_where_the_application_does(monkeypatch: pytest.M
 @pytest.mark.parametrize("then", ["await asyncio.sleep(60)", "import time; time.sleep(60)"])
 def test_the_application_is_killed(then: str) -> None:
     with octet_slaves(SPEC) as (path, there):
-        text = APPLICATION.format(tests=str(Path(__file__).parents[1]), path=path, then=then)
+        text = APPLICATION.format(kits=str(Path(__file__).parents[2] / "kits"), path=path, then=then)
         with subprocess.Popen([sys.executable, "-c", text], stdout=subprocess.PIPE) as application:
             assert application.stdout is not None
             child = int(application.stdout.readline())

@@ -29,7 +29,7 @@ from dpstack.fdl.active.station import ActiveStation
 from dpstack.ports.tty import TtyPort
 from dpstack.units import ns_to_s
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 DRIVERS = ("asyncio", "process")
 LIVE, SAFE = "1122", "a55a"
 
@@ -107,9 +107,9 @@ def test_within_this_process(way: str, caplog: pytest.LogCaptureFixture) -> None
 
 
 def as_program(way: str, driver: str) -> None:
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT / "tests"), str(ROOT)])}
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT / "tests" / "kits"), str(ROOT)])}
     with octet_slaves(SPEC) as (path, there), heard(there) as words:
-        command = [sys.executable, str(ROOT / "tests" / "ends_programs.py"), path, driver, way]
+        command = [sys.executable, str(ROOT / "tests" / "kits" / "ends_programs.py"), path, driver, way]
         ended = subprocess.run(command, capture_output=True, text=True, timeout=HANG_S, env=environment, check=False)
         assert ended.stdout.startswith("live\n"), ended.stderr
         row = TABLE[way, driver]

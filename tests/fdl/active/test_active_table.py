@@ -210,5 +210,5 @@ def test_a_pair_without_a_row_is_ignored_and_counted() -> None:
 
 
 def test_docs_are_current() -> None:
-    page = Path(__file__).resolve().parents[2] / "docs" / "fdl-states.md"
+    page = Path(__file__).resolve().parents[3] / "docs" / "fdl-states.md"
     assert page.read_text(encoding="utf-8") == states.render(), "run tools/make_state_docs.py"

@@ -24,7 +24,7 @@ from dpstack.dp.pdu.diagnosis import Diagnosis
 IO: dict[str, object] = {"name": "io", "address": 8, "gsd": "io-station", "modules": ["8 DI", "8 DO", "2 AI"]}
 RAW: dict[str, object] = {"name": "raw", "address": 9, "ident": 0x1234, "config": "20 10"}
 FAN: dict[str, object] = {"name": "fan", "address": 4, "drive": "fuji-frenic", "telegram": "PPO2", "ident": "ask"}
-TERMINAL = str(Path(__file__).resolve().parents[2] / "examples" / "terminal.gsd")
+TERMINAL = str(Path(__file__).resolve().parents[3] / "examples" / "terminal.gsd")
 Out = pytest.CaptureFixture[str]
 #: what a person does at the plant while the run goes on
 Story = Callable[[dpstack.Bus, dict[str, Any]], Awaitable[None]]

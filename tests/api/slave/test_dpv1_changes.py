@@ -18,7 +18,7 @@ from dpstack.errors import ConfigError, UsageError
 from dpstack.sim.world import World
 from dpstack.units import NS_PER_MS
 
-FILES = Path(__file__).parents[1] / "gsd" / "files"
+FILES = Path(__file__).parents[2] / "gsd" / "files"
 RIG = SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rig", dpv1=True)
 
 

@@ -3,7 +3,7 @@
 Nothing of the project is imported here. Slaves are plain dictionaries of octets on one tty; a token is ignored, FDL
 status and the DP services needed for data exchange are answered, a repeated frame count bit gets the kept answer again.
 
-    python tests/support_responder.py TTY 3:0696:f3f1:12:12 4:1234:2010:1:1,refuse=cfg
+    python tests/kits/support_responder.py TTY 3:0696:f3f1:12:12 4:1234:2010:1:1,refuse=cfg
 
 SPEC is ``ADDRESS:IDENT:IDENTIFIERS:INPUTS:OUTPUTS[,key=value...]``: ident and identifier octets in hex, lengths in
 octets. Inputs mirror the outputs. Keys: ``refuse=prm`` or ``refuse=cfg`` (the fault shows in the diagnosis),
