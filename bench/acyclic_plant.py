@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Final, NamedTuple
 
-from dpstack.dp.acyclic.queue import Acyclic, CancelService
+from dpstack.dp.acyclic.queue import CancelService
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.fixed_cycle import MissReason
@@ -20,6 +20,7 @@ from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone, WriteRecord
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.dpv1.slave.record_requests import Ticket
 from dpstack.dpv1.slave.record_table import RecordTable
+from dpstack.drivers.stack import acyclic_services
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.interface import LinkUser, Reply
@@ -151,7 +152,7 @@ class Plant:
             self.world.add(PassiveStation(address, responder, self.params, t_sdr=self.t_sdr))
         self.setups = setups(self.slaves)
         self.master = Master(self.params, self.setups, cycle_ns=self.cycle_ns, watchdog_ms=2_000)
-        users: list[LinkUser] = [self.master, Acyclic(_OWN, self.master)]
+        users: list[LinkUser] = [self.master, acyclic_services(_OWN, self.master)]
         self._station = ActiveStation(self.params, users, budget=self.master.budget)
         self.world.add(self._station, on_events=self._on_events)
         self.world.command(self._station, GoOnline())

@@ -5,11 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
+from dpstack.dp.acyclic.class2 import Class2
 from dpstack.dp.acyclic.queue import Acyclic
 from dpstack.dp.master.master import Master
 from dpstack.dp.master.read_only import reading_only
 from dpstack.dp.master.scanner import Scanner
 from dpstack.dp.slave_params import SlaveParams
+from dpstack.dpv1.master.alarm_ack import Alarms
+from dpstack.dpv1.master.ms1 import Ms1
+from dpstack.dpv1.master.ms1_job import Ms1Access
+from dpstack.dpv1.master.ms2 import Ms2
+from dpstack.dpv1.master.plugin_jobs import PluginJobs
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.interface import LinkUser
 from dpstack.fdl.livelist import LiveList, live_allowance
@@ -69,11 +75,17 @@ def build_stack(spec: StackSpec) -> Stack:
     )
     watcher = _watcher(spec) if spec.read_only and spec.watched else None
     users: list[LinkUser] = [master] if watcher is None else [master, watcher]
-    users.append(Acyclic(params.address, master))
+    users.append(acyclic_services(params.address, master))
     guard = reading_only if spec.read_only else None
     station = ActiveStation(params, users, patience=patience, guard=guard, budget=master.budget)
     master.ring = lambda: station.las
     return Stack(master, station, watcher)
+
+
+def acyclic_services(own: int, master: Master | None = None) -> Acyclic:
+    """All acyclic services of the station ``own``; ``master``: the class 1 master of the same station, if any."""
+    ms1 = Ms1Access(master)
+    return Acyclic(master, (Class2(own, master), Ms1(ms1), Alarms(ms1), PluginJobs(ms1), Ms2(own, master)))
 
 
 def _watcher(spec: StackSpec) -> Scanner:

@@ -6,12 +6,12 @@ from collections.abc import Callable, Collection, Mapping
 from typing import Protocol
 
 from dpstack.dp.master.commands import Mode
+from dpstack.dp.master.diag_reader import AlarmCounts
 from dpstack.dp.master.events import Fault, SlaveState
 from dpstack.dp.master.fixed_cycle import CycleBook, CycleData
 from dpstack.dp.master.scanner import Found, SurveyOrder, SurveyResult
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.slave_params import SlaveParams
-from dpstack.dpv1.master.alarm_events import AlarmCounts
 from dpstack.fdl.decoder import DecoderStats
 from dpstack.fdl.interface import LinkStats
 from dpstack.params import BusParams

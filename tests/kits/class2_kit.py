@@ -9,7 +9,7 @@ from ring_bus import RingBus
 from dpstack.dp.acyclic.class2 import ChangeAddress, ReadService
 from dpstack.dp.acyclic.class2_services import Service, ServiceDone
 from dpstack.dp.acyclic.job import Outcome
-from dpstack.dp.acyclic.queue import Acyclic
+from dpstack.drivers.stack import acyclic_services
 from dpstack.fdl.active.request_filter import Guard
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
@@ -29,7 +29,7 @@ class Class2Bus:
 
     def __post_init__(self) -> None:
         self.bus = RingBus(mode=self.mode)
-        self.class2 = Acyclic(2)
+        self.class2 = acyclic_services(2)
         params = BusParams.preset(500_000, address=2, gap=0)
         self.station = ActiveStation(params, [self.class2], guard=self.guard)
         self.bus.stations.append(self.station)

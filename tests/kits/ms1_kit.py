@@ -11,12 +11,12 @@ from dataclasses import dataclass, field
 from octet_slave import DL, RS, SC, OctetSlave, sd1, sd2
 from ring_bus import RingBus
 
-from dpstack.dp.acyclic.queue import Acyclic
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone, WriteRecord
+from dpstack.drivers.stack import acyclic_services
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.params import BusParams
@@ -118,7 +118,7 @@ class Ms1Bus:
         self.slaves = {address: self.kind(self.bus, address) for address in self.addresses}
         params = BusParams.preset(self.baud, address=2, gap=0)
         self.master = Master(params, [setup(address, self.dpv1) for address in self.addresses])
-        self.acyclic = Acyclic(2, self.master)
+        self.acyclic = acyclic_services(2, self.master)
         self.station = ActiveStation(params, [self.master, self.acyclic])
         self.bus.stations.append(self.station)
         self.bus.command(self.station, GoOnline())

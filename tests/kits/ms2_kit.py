@@ -16,6 +16,7 @@ from ring_bus import RingBus
 from dpstack.dp.acyclic.queue import Acyclic
 from dpstack.dp.slave.application import SlaveApp
 from dpstack.dpv1.master.ms1 import RecordDone
+from dpstack.dpv1.master.ms2 import Ms2
 from dpstack.dpv1.master.ms2_commands import (
     CloseConnection,
     ConnectionOver,
@@ -27,6 +28,7 @@ from dpstack.dpv1.master.ms2_commands import (
     WriteOver,
 )
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
+from dpstack.drivers.stack import acyclic_services
 from dpstack.fdl.active.request_filter import Guard
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
@@ -64,6 +66,11 @@ class Session:
     waiting: list[tuple[int, bytes]] = field(default_factory=list)
     busy: bool = False
     closing: bool = False
+
+
+def connections_of(acyclic: Acyclic) -> int:
+    """Connections that slaves may hold for this master."""
+    return sum(len(one.connections) for one in acyclic.providers if isinstance(one, Ms2))
 
 
 @dataclass(kw_only=True)
@@ -178,7 +185,7 @@ class Ms2Bus:
 
     def __post_init__(self) -> None:
         self.slaves = {address: OctetMs2Slave(self.bus, address) for address in self.addresses}
-        self.acyclic = Acyclic(2)
+        self.acyclic = acyclic_services(2)
         self.station = ActiveStation(BusParams.preset(500_000, address=2, gap=0), [self.acyclic], guard=self.guard)
         self.bus.stations.append(self.station)
         self.send(GoOnline())
@@ -261,7 +268,7 @@ class Ms2Bus:
     def freed(self, within_ns: int = 20_000 * MS) -> None:
         """Nothing is left, at either end."""
         limit = self.bus.now + within_ns
-        while self.acyclic.connections or self.acyclic.waiting:
+        while connections_of(self.acyclic) or self.acyclic.waiting:
             assert self.bus.now < limit, "it keeps a connection"
             self.bus.run(MS)
         for slave in self.slaves.values():
@@ -302,6 +309,7 @@ __all__ = [
     "Ms2Server",
     "OctetMs2Slave",
     "Session",
+    "connections_of",
     "ms2_in",
     "sd1",
     "sd2",

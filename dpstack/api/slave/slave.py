@@ -15,6 +15,7 @@ from dpstack.api.slave.reparameterise import changed
 from dpstack.argcheck import Sealed
 from dpstack.dp.master import fault_texts
 from dpstack.dp.master.commands import ActivateSlave, DeactivateSlave, Mode, ReparameteriseSlave
+from dpstack.dp.master.diag_reader import AlarmCounts
 from dpstack.dp.master.events import Fault, SlaveState
 from dpstack.dp.master.scanner import Found, SlaveView
 from dpstack.dp.pdu.diag_texts import block_texts, conspicuous_text
@@ -22,8 +23,7 @@ from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.process_data import Field, Value
 from dpstack.dp.process_image import inputs_are_valid, inputs_limit_ns
 from dpstack.dp.slave_params import SlaveParams
-from dpstack.dpv1.master.alarm_events import AlarmCounts
-from dpstack.dpv1.master.ms1 import need_dpv1
+from dpstack.dpv1.master.ms1_job import need_dpv1
 from dpstack.dpv1.pdu.im import Im
 from dpstack.drivers.views import HandlerSeen
 from dpstack.errors import SlaveFault, SlaveTimeout, UsageError

@@ -26,7 +26,7 @@ from dpstack.dp.acyclic.class2_services import (
     request,
     unanswered,
 )
-from dpstack.dp.acyclic.job import Job, Outcome, ServiceFailure, Step, Steps
+from dpstack.dp.acyclic.job import Job, Outcome, Provider, ServiceFailure, Step, Steps
 from dpstack.dp.master.fault_texts import left_locked
 from dpstack.dp.master.master import Master
 from dpstack.dp.master.verdicts import foreign_owner
@@ -229,26 +229,30 @@ class ChangeAddress:
     timeout_ns: int = CHANGE_TIMEOUT
 
 
-def job_of(order: object, own: int, master: Master | None) -> tuple[int, Job, int] | None:
-    """Token, job and time-out in ns of what ``order`` asks the station ``own`` to do beside its own ``master``, if any.
+class Class2(Provider):
+    """The services of the station ``own`` as a class 2 master, beside its own class 1 ``master``, if any."""
 
-    None when it is none of class 2. Raises UsageError.
-    """
-    match order:
-        case ReadService(token, address, service, expected, timeout_ns):
-            if service is Service.SET_ADDRESS:
-                raise UsageError("Set_Slave_Add does not read: use ChangeAddress")
-            _check(address, own)
-            return token, Reading(address, service, expected), timeout_ns
-        case ChangeAddress(token, old, new, ident, no_add_chg, rem_slave_data, timeout_ns):
-            _check(old, own)
-            _check_new(old, new, own, master)
-            try:
-                SetSlaveAdd(new, ident or 0, no_add_chg, rem_slave_data).build()
-            except PduError as error:
-                raise UsageError(str(error)) from None
-            return token, AddressChange(own, old, new, ident, no_add_chg, rem_slave_data), timeout_ns
-    return None
+    def __init__(self, own: int, master: Master | None) -> None:
+        self._own = own
+        self._master = master
+
+    def job_of(self, order: object) -> tuple[int, Job, int] | None:
+        """ReadService and ChangeAddress."""
+        match order:
+            case ReadService(token, address, service, expected, timeout_ns):
+                if service is Service.SET_ADDRESS:
+                    raise UsageError("Set_Slave_Add does not read: use ChangeAddress")
+                _check(address, self._own)
+                return token, Reading(address, service, expected), timeout_ns
+            case ChangeAddress(token, old, new, ident, no_add_chg, rem_slave_data, timeout_ns):
+                _check(old, self._own)
+                _check_new(old, new, self._own, self._master)
+                try:
+                    SetSlaveAdd(new, ident or 0, no_add_chg, rem_slave_data).build()
+                except PduError as error:
+                    raise UsageError(str(error)) from None
+                return token, AddressChange(self._own, old, new, ident, no_add_chg, rem_slave_data), timeout_ns
+        return None
 
 
 def _check(address: int, own: int) -> None:

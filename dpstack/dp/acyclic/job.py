@@ -9,7 +9,7 @@ A job is a generator of :class:`Step`: it gives the next request and is sent wha
 from __future__ import annotations
 
 import abc
-from collections.abc import Generator, Hashable
+from collections.abc import Collection, Generator, Hashable
 from dataclasses import dataclass
 from enum import Enum
 from typing import Final, NamedTuple, Protocol, TypeVar
@@ -17,7 +17,7 @@ from typing import Final, NamedTuple, Protocol, TypeVar
 from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.telegram import Telegram
 from dpstack.trace import Event
-from dpstack.units import NS_PER_MS
+from dpstack.units import NEVER, NS_PER_MS
 
 T = TypeVar("T")
 
@@ -142,6 +142,66 @@ class Job(Protocol):
 
     def ends(self, token: int, outcome: Outcome, now: int) -> list[Event]:
         """What is told of its one end, to whom ``token`` means something."""
+
+
+#: the token of jobs that no program ordered: of cyclic units and connections; acknowledgements of alarms
+UNORDERED: Final = -1
+ACKS: Final = -2
+
+
+class JobQueue(Protocol):
+    """The queue as its providers see it."""
+
+    def room(self, lane: Hashable | None) -> bool:
+        """Whether ``lane`` takes one more job."""
+
+    def lanes(self) -> Collection[Hashable | None]:
+        """Lanes in which jobs wait."""
+
+    def put(self, job: Job, timeout_ns: int, now: int, *, token: int = UNORDERED, first: bool = False) -> None:
+        """Queue a job that no program ordered; ``first``: before those in its lane that have not begun."""
+
+    def tell(self, event: Event) -> None:
+        """An event for the application."""
+
+
+class Provider:
+    """Services of one kind, for the queue. Subclass it, override what differs."""
+
+    #: set when the queue is made
+    queue: JobQueue
+
+    def job_of(self, order: object) -> tuple[int, Job, int] | None:
+        """Token, job and time-out in ns of ``order``; None when it is none for this provider. Raises UsageError."""
+        return None
+
+    def command(self, order: object, now: int) -> bool:
+        """Carry out an order that needs no job; False when it is none for this provider. Raises UsageError."""
+        return False
+
+    def ask(self, now: int) -> None:
+        """A request may go out: the time to queue what no program ordered."""
+
+    def started(self, request: Request) -> None:
+        """A request is on the wire."""
+
+    def heard(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
+        """The end of a request to any station."""
+
+    def may_be_taken(self, request: Request) -> bool:
+        """Whether a request that was given up may have reached the slave: it is not to be sent again."""
+        return False
+
+    def line_down(self, reason: str, now: int) -> None:
+        """The port vanished."""
+
+    def wake_at(self) -> int:
+        """When :meth:`tick` is wanted, in ns."""
+        return NEVER
+
+    def tick(self, now: int) -> bool:
+        """That time may have come; True where jobs cannot end any more because of it."""
+        return False
 
 
 def pause_after_silence(silent: int) -> int:

@@ -16,21 +16,15 @@ about: the slave would be given up although it exchanges data.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Hashable
-from dataclasses import dataclass, field
-from typing import Final
+from collections.abc import Callable, Hashable, Iterable
+from dataclasses import dataclass
+from typing import Any, Final
 
-from dpstack.dp.acyclic import class2
-from dpstack.dp.acyclic.job import Heard, Job, Outcome, ServiceFailure, Step, Steps
+from dpstack.dp.acyclic.job import ACKS, UNORDERED, Heard, Job, Outcome, Provider, ServiceFailure, Step, Steps
 from dpstack.dp.master.commands import Mode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
-from dpstack.dp.master.slave_handler import SlaveHandler
 from dpstack.dp.services import positive
-from dpstack.dpv1.master import plugin_jobs
-from dpstack.dpv1.master.alarm_ack import ack_jobs
-from dpstack.dpv1.master.ms1 import Ms1
-from dpstack.dpv1.master.ms2 import Ms2
 from dpstack.errors import UsageError
 from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.telegram import SAP_SLAVE_DIAG, Telegram
@@ -74,11 +68,6 @@ class Unheard:
 CAPACITY: Final = 32
 
 
-#: the token of services that no program ordered: of cyclic units and connections; acknowledgements of alarms
-UNORDERED: Final = -1
-ACKS: Final = -2
-
-
 @dataclass(frozen=True, slots=True)
 class CancelService:
     """Nobody waits for the service with ``token`` any more; one that is over already is no error."""
@@ -106,48 +95,44 @@ class _Entry:
     over: tuple[ServiceFailure, str] | None = None
 
 
-@dataclass(slots=True)
 class Acyclic:
-    """A ``LinkUser``. ``own``: the station's address. ``master``: the class 1 master of the same station, if any."""
+    """A ``LinkUser``. ``master``: the class 1 master of the same station, if any. Orders go to ``providers``."""
 
-    own: int
-    master: Master | None = None
-    _queue: list[_Entry] = field(default_factory=list)
-    _asked: _Entry | None = None
-    _turn: bool = False
-    _tokens: int = 0
-    #: why there is no line, until the next token
-    _no_line: str = ""
-    #: stations whose last answer came: their silence is news, they are waited for
-    _known: set[int] = field(default_factory=set)
-    _events: list[Event] = field(default_factory=list)
-    _ms1: Ms1 = field(init=False)
-    _ms2: Ms2 = field(init=False)
-    _unheard: Unheard = field(init=False)
-    _turns: itertools.count[int] = field(default_factory=itertools.count)
+    def __init__(self, master: Master | None, providers: Iterable[Provider]) -> None:
+        self.master = master
+        self.providers = tuple(providers)
+        for provider in self.providers:
+            provider.queue = self
+        self._ask = self._overridden("ask")
+        self._started = self._overridden("started")
+        self._heard = self._overridden("heard")
+        self._wakes = self._overridden("wake_at")
+        self._ticks = self._overridden("tick")
+        self._queue: list[_Entry] = []
+        self._asked: _Entry | None = None
+        self._turn = False
+        self._tokens = 0
+        #: why there is no line, until the next token
+        self._no_line = ""
+        #: stations whose last answer came: their silence is news, they are waited for
+        self._known: set[int] = set()
+        self._events: list[Event] = []
+        self._unheard = Unheard(master)
+        self._turns = itertools.count()
 
-    def __post_init__(self) -> None:
-        self._ms1 = Ms1(self.own, self.master)
-        self._ms2 = Ms2(self.own, self.master)
-        self._unheard = Unheard(self.master)
+    def _overridden(self, name: str) -> tuple[Callable[..., Any], ...]:
+        """That method of the providers that have one of their own: these are asked in every token hold."""
+        base = getattr(Provider, name)
+        return tuple(getattr(one, name) for one in self.providers if getattr(type(one), name) is not base)
 
     @property
     def waiting(self) -> int:
         """Services that are not over yet."""
         return len(self._queue)
 
-    @property
-    def connections(self) -> int:
-        """Class 2 connections that slaves may hold for this master."""
-        return len(self._ms2.connections)
-
     # --- orders -------------------------------------------------------------------------------------------------
     def command(self, command: object, now: int) -> bool:
-        """Take the orders of :mod:`dpstack.dp.acyclic.class2`, :mod:`dpstack.dpv1.master.ms1`,
-        :mod:`dpstack.dpv1.master.alarm_events`, :mod:`dpstack.dpv1.master.ms2_commands`, and CancelService.
-
-        Raises UsageError for what cannot be, or too much.
-        """
+        """Take CancelService and the orders of the providers. Raises UsageError for what cannot be, or too much."""
         match command:
             case CancelService(token):
                 for entry in [entry for entry in self._queue if entry.token == token]:
@@ -157,48 +142,46 @@ class Acyclic:
                 for entry in tuple(self._queue):
                     what = f"was not over when the port vanished ({reason}); it can be repeated when the port is back"
                     self._cut(entry, ServiceFailure.LINE, what, now)
-                self._ms2.line_down(reason, now)
-                self._take_wanted(now)
+                for provider in self.providers:
+                    provider.line_down(reason, now)
                 return False
             case _:
-                order = self._job_of(command)
-                if order is not None:
-                    self._take(*order, now)
-                elif not (self._ms1.command(command, now) or self._ms2.command(command, now)):
-                    return False
-        self._take_wanted(now)
+                for provider in self.providers:
+                    order = provider.job_of(command)
+                    if order is not None:
+                        self._take(*order, now)
+                        return True
+                return any(provider.command(command, now) for provider in self.providers)
         return True
 
-    def _job_of(self, command: object) -> tuple[int, Job, int] | None:
-        """Token, job and time-out of a service, whichever way it goes."""
-        order = class2.job_of(command, self.own, self.master)
-        return order or self._ms1.job_of(command) or self._ms2.job_of(command)
-
     def _take(self, token: int, job: Job, timeout_ns: int, now: int) -> None:
-        if not self._room(job.lane):
+        if not self.room(job.lane):
             what = "class 2 services are" if job.lane is None else f"services for slave {job.address} are"
             raise UsageError(f"{CAPACITY} {what} waiting already: await their results first")
-        self._queue.append(self._entry(token, job, timeout_ns, now))
+        self.put(job, timeout_ns, now, token=token)
 
-    def _entry(self, token: int, job: Job, timeout_ns: int, now: int) -> _Entry:
-        return _Entry(token, job, now + timeout_ns, timeout_ns, job.steps(), self._tokens, next(self._turns))
+    # --- providers ----------------------------------------------------------------------------------------------
+    def room(self, lane: Hashable | None) -> bool:
+        """See :class:`~dpstack.dp.acyclic.job.JobQueue`."""
+        return sum(entry.job.lane == lane and entry.token != ACKS for entry in self._queue) < CAPACITY
 
-    def _take_wanted(self, now: int) -> None:
-        """What connections have to say that nobody ordered."""
-        wanted = self._ms2.wanted
-        while wanted:
-            job, timeout_ns = wanted.pop(0)
-            self._put_first(self._entry(UNORDERED, job, timeout_ns, now))
+    def lanes(self) -> set[Hashable | None]:
+        """See :class:`~dpstack.dp.acyclic.job.JobQueue`."""
+        return {entry.job.lane for entry in self._queue}
 
-    def _put_first(self, new: _Entry) -> None:
-        """Before those in its lane that have not begun: a slave may have no further alarm until it is acknowledged, and
-        names the connections that it gave out in their order."""
-        begun = [entry.job.lane == new.job.lane and entry.step is not None for entry in self._queue]
-        at = begun.index(True) + 1 if True in begun else 0
+    def put(self, job: Job, timeout_ns: int, now: int, *, token: int = UNORDERED, first: bool = False) -> None:
+        """First: a slave may have no further alarm until it is acknowledged, and names the connections that it gave out
+        in their order."""
+        new = _Entry(token, job, now + timeout_ns, timeout_ns, job.steps(), self._tokens, next(self._turns))
+        at = len(self._queue)
+        if first:
+            begun = [entry.job.lane == job.lane and entry.step is not None for entry in self._queue]
+            at = begun.index(True) + 1 if True in begun else 0
         self._queue.insert(at, new)
 
-    def _room(self, lane: Hashable | None) -> bool:
-        return sum(entry.job.lane == lane and entry.token != ACKS for entry in self._queue) < CAPACITY
+    def tell(self, event: Event) -> None:
+        """See :class:`~dpstack.dp.acyclic.job.JobQueue`."""
+        self._events.append(event)
 
     # --- link user ----------------------------------------------------------------------------------------------
     def token_received(self, now: int) -> None:
@@ -213,11 +196,8 @@ class Acyclic:
         """The next request of the service that waited longest for a turn, of those that may go on."""
         if high_only or not self._turn:
             return None
-        asking = self._ms1.asking()
-        if asking:
-            self._take_asked(asking, now)
-        if self._ms2.connections:
-            self._keep_alive(now)
+        for ask in self._ask:
+            ask(now)
         if not self._queue:
             return None
         self._end_barred(now)
@@ -230,21 +210,6 @@ class Acyclic:
         self._asked = entry
         request = entry.step.request
         return request if request.patient else request._replace(patient=request.da in self._known)
-
-    def _take_asked(self, handlers: list[SlaveHandler], now: int) -> None:
-        """What a unit wants since the Data_Exchange of this hold goes out in the same one."""
-        for ack in ack_jobs(handlers, self._ms1, now):
-            self._put_first(self._entry(ACKS, ack, ack.timeout_ns, now))
-        for handler, queue in plugin_jobs.asking(handlers):
-            if (
-                self._room(handler.setup.address)
-                and (job := plugin_jobs.unit_job(self._ms1, handler, queue)) is not None
-            ):
-                self._take(UNORDERED, job, job.timeout_ns, now)
-
-    def _keep_alive(self, now: int) -> None:
-        for job in tuple(self._ms2.quiet({entry.job.lane for entry in self._queue}, now)):
-            self._queue.append(self._entry(UNORDERED, job, job.timeout_ns, now))
 
     def _next(self, now: int) -> _Entry | None:
         """Services with the same lane come one after the other: the queue is in the order of their orders."""
@@ -269,7 +234,8 @@ class Acyclic:
     def started(self, request: Request, at: int) -> None:
         """It was given time."""
         entry = self._asked
-        self._ms2.started(request)
+        for started in self._started:
+            started(request)
         if entry is not None:
             entry.asked = True
             entry.turn = next(self._turns)
@@ -286,10 +252,10 @@ class Acyclic:
             self._share(request, outcome, now)
         elif outcome is Failure.NO_ANSWER:
             self._known.discard(request.da)
-        elif outcome is Failure.ABANDONED and self._ms2.may_be_taken(request):
+        elif outcome is Failure.ABANDONED and any(one.may_be_taken(request) for one in self.providers):
             outcome = Failure.NO_ANSWER
-        self._ms1.heard(request, outcome)
-        self._ms2.heard(request, outcome, now)
+        for heard in self._heard:
+            heard(request, outcome, now)
         if outcome not in (Failure.ABANDONED, Failure.HELD_BACK):  # else it is asked again
             begun, entry.begun = entry.begun, None
             try:
@@ -315,17 +281,19 @@ class Acyclic:
             handler.diagnosis_seen(answer.data, now)
 
     def wake_at(self) -> int:
-        """When the time of a service is over."""
-        services = NEVER
+        """When the time of a service is over, or a provider wants its own."""
+        at = NEVER
         for entry in self._queue:
-            services = min(services, entry.deadline)
-        return min(services, self._ms2.wake_at()) if self._ms2.connections else services
+            at = min(at, entry.deadline)
+        for wake_at in self._wakes:
+            at = min(at, wake_at())
+        return at
 
     def tick(self, now: int) -> None:
         """End what had its time; a request under way is waited for."""
-        if self._ms2.tick(now):
-            self._end_barred(now)
-            self._take_wanted(now)
+        for tick in self._ticks:
+            if tick(now):
+                self._end_barred(now)
         for entry in [entry for entry in self._queue if entry.deadline <= now]:
             entry.deadline = NEVER
             self._cut(entry, ServiceFailure.LINE if self._no_line else ServiceFailure.LATE, self._why_late(entry), now)
@@ -343,8 +311,6 @@ class Acyclic:
     def take_events(self) -> list[Event]:
         """The ends of services."""
         events, self._events = self._events, []
-        if self._ms2.told:
-            events += self._ms2.take_events()
         return events
 
     # --- ends ---------------------------------------------------------------------------------------------------
@@ -363,4 +329,3 @@ class Acyclic:
     def _end(self, entry: _Entry, outcome: Outcome, now: int) -> None:
         self._queue.remove(entry)
         self._events += entry.job.ends(entry.token, outcome, now)
-        self._take_wanted(now)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
 
 from dpstack.dp.master.events import SlaveDiagnosis
 from dpstack.dp.master.fault_report import Findings
@@ -10,18 +12,54 @@ from dpstack.dp.master.verdicts import deviations
 from dpstack.dp.pdu.diag_texts import block_texts
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.slave_params import SlaveParams
-from dpstack.dpv1.master.alarm_events import AlarmBook
-from dpstack.dpv1.master.alarm_handler import AlarmHandler
 from dpstack.trace import Event
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AlarmCounts:
+    """What came of the alarms of one slave. ``raised``: delivered; ``acknowledged``: the slave took it.
+
+    ``repeated``: acknowledgements sent again; ``refused``: that the slave did not take. ``too_many``: more at a time
+    than agreed, ``dropped``: those of them that nobody could keep. ``not_enabled``: kinds that Set_Prm did not enable,
+    ``malformed``: blocks that are neither alarm nor status; neither is delivered. ``statuses``: told.
+    """
+
+    raised: int = 0
+    acknowledged: int = 0
+    repeated: int = 0
+    refused: int = 0
+    too_many: int = 0
+    dropped: int = 0
+    not_enabled: int = 0
+    malformed: int = 0
+    statuses: int = 0
+
+
+class DiagObserver(Protocol):
+    """Who reads alarms and status messages in the diagnoses of one slave."""
+
+    @property
+    def counts(self) -> AlarmCounts:
+        """What came of them."""
+
+    def opened(self, last: Diagnosis | None, now: int) -> None:
+        """Data exchange begins; ``last`` was read before it."""
+
+    def take(self, diagnosis: Diagnosis, flagged_at: int, exchanges: int, now: int) -> None:
+        """A diagnosis of the slave in data exchange, after so many ``exchanges``; ``flagged_at``: the first of them in
+        which it asked for it (DH), 0: it did not."""
+
+    def closed(self, now: int) -> None:
+        """Data exchange is over."""
 
 
 class Diagnoses:
     """``last`` is the diagnosis read last. ``ident``: the one the device must have, None until the first is taken.
 
-    ``alarms`` in them, of a slave that is parameterised for DP-V1, noted in ``book``; ``ask(now)`` has one read.
+    ``observer`` reads more in them: alarms and status messages of DP-V1.
     """
 
-    __slots__ = ("_emit", "_findings", "_own", "_setup", "alarms", "flagged", "ident", "last")
+    __slots__ = ("_emit", "_findings", "_own", "_setup", "flagged", "ident", "last", "observer")
 
     def __init__(
         self,
@@ -29,8 +67,6 @@ class Diagnoses:
         own: int,
         findings: Findings,
         emit: Callable[[Event], None],
-        ask: Callable[[int], None],
-        book: AlarmBook,
     ) -> None:
         self.last: Diagnosis | None = None
         self.ident = setup.ident
@@ -40,7 +76,7 @@ class Diagnoses:
         self._emit = emit
         #: the slave wants to be read: number of the first exchange with DH since the last one, 0 without
         self.flagged = 0
-        self.alarms = None if setup.dpv1 is None else AlarmHandler(setup, findings, emit, ask, book)
+        self.observer: DiagObserver | None = None
 
     def read(self, octets: bytes, now: int) -> Diagnosis | None:
         """The answer to Slave_Diag; None when it is none."""
@@ -69,8 +105,8 @@ class Diagnoses:
 
     def opened(self, now: int) -> None:
         """Data exchange begins."""
-        if self.alarms is not None:
-            self.alarms.opened(self.last, now)
+        if self.observer is not None:
+            self.observer.opened(self.last, now)
 
     def flag(self, exchange: int) -> None:
         """The answer to that Data_Exchange had DH."""
@@ -78,14 +114,14 @@ class Diagnoses:
 
     def exchanging(self, diagnosis: Diagnosis, exchanges: int, now: int) -> None:
         """``diagnosis`` was read in data exchange, after so many ``exchanges``, and is of our slave."""
-        if self.alarms is not None:
-            self.alarms.take(diagnosis, self.flagged, exchanges, now)
+        if self.observer is not None:
+            self.observer.take(diagnosis, self.flagged, exchanges, now)
         self.flagged = 0
 
     def closed(self, now: int) -> None:
         """Data exchange is over."""
-        if self.alarms is not None:
-            self.alarms.closed(now)
+        if self.observer is not None:
+            self.observer.closed(now)
 
     @property
     def texts(self) -> tuple[str, ...]:

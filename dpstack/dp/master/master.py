@@ -24,6 +24,7 @@ from dpstack.dp.master.commands import (
     Shutdown,
 )
 from dpstack.dp.master.cycle import Course, Round
+from dpstack.dp.master.diag_reader import DiagObserver
 from dpstack.dp.master.events import AutoCleared, ForcedClear, MasterStopped, ModeChanged, OperateWaits, SlaveState
 from dpstack.dp.master.fixed_cycle import Cadence, CycleBook, CycleData
 from dpstack.dp.master.global_control import Controls
@@ -132,6 +133,15 @@ class Master:
         self._safe_until = 0  # so long safe values stand on the way down
         for setup in slaves:
             self._roster.add(setup)
+
+    def observe(self, observer: Callable[[SlaveHandler, SlaveHandler | None], DiagObserver | None]) -> None:
+        """``observer`` gives who reads alarms and status messages in the diagnoses of a slave, None for nobody.
+
+        It is called with the slave's handling, and with the one before it was parameterised anew.
+        """
+        self._roster.observer = observer
+        for handler in self.handlers.values():
+            handler.diagnoses.observer = observer(handler, None)
 
     # --- what the application sees ------------------------------------------------------------------------------
 

@@ -12,7 +12,7 @@ from functools import partial
 from typing import Final
 
 from dpstack.dp.master import fault_texts
-from dpstack.dp.master.diag_reader import Diagnoses
+from dpstack.dp.master.diag_reader import AlarmCounts, Diagnoses
 from dpstack.dp.master.events import Fault, SlaveState, SlaveStateChanged
 from dpstack.dp.master.fault_report import Findings
 from dpstack.dp.master.plugin_host import UnitHost
@@ -23,8 +23,6 @@ from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.process_image import SlaveImage, image_of
 from dpstack.dp.services import DATA_STATUS, EMPTY_STATUS, SERVICE_NAMES, SlaveRequests, positive, refusal_text, set_prm
 from dpstack.dp.slave_params import SlaveParams
-from dpstack.dpv1.master.alarm_events import AlarmBook, AlarmCounts
-from dpstack.dpv1.master.alarm_handler import AlarmHandler
 from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.telegram import (
     SAP_CHK_CFG,
@@ -73,10 +71,7 @@ class SlaveHandler:
         self.watchdog = setup.watchdog(watchdog_ms)
         self.image: SlaveImage = image_of(setup, None if before is None else before.image)
         self.findings = Findings(setup.address, setup.name, emit)
-        self.alarm_book: AlarmBook = AlarmBook() if before is None else before.alarm_book
-        self.diagnoses = Diagnoses(setup, own, self.findings, emit, self._want_diagnosis, self.alarm_book)
-        #: of a slave that is parameterised for DP-V1
-        self.alarms: AlarmHandler | None = self.diagnoses.alarms
+        self.diagnoses = Diagnoses(setup, own, self.findings, emit)
         self.unit = UnitHost(self.image, setup.safe_outputs, setup.address, setup.name, emit, self.findings.tell)
         self.state = SlaveState.OFFLINE
         #: in this state, in ns
@@ -90,7 +85,7 @@ class SlaveHandler:
         self.prm_req_at = NEVER
         #: Slave_Diag is wanted while in data exchange (DH, Stat_Diag)
         self.diag_due = False
-        self._emit = emit
+        self.emit = emit
         self._changed = changed
         self._masters = masters
         self._pacing = Pacing()
@@ -155,7 +150,7 @@ class SlaveHandler:
                         self._odd.clear()
                     if status == _DH:
                         self.diagnoses.flag(self.exchanges)
-                        self._want_diagnosis(now)
+                        self.want_diagnosis(now)
                     return
         self._odd_data(outcome, now)
 
@@ -348,9 +343,11 @@ class SlaveHandler:
     @property
     def alarm_counts(self) -> AlarmCounts | None:
         """What came of its alarms; None where it can have none."""
-        return None if self.alarms is None else self.alarm_book.counts
+        observer = self.diagnoses.observer
+        return None if observer is None else observer.counts
 
-    def _want_diagnosis(self, now: int) -> None:
+    def want_diagnosis(self, now: int) -> None:
+        """Have the diagnosis read next."""
         if not self.diag_due:
             self.diag_due = True
             self._changed(self, now)
@@ -394,7 +391,7 @@ class SlaveHandler:
             self._silent = 0
             self._pacing.absent(now)
         name, address = self.setup.name, self.setup.address
-        self._emit(SlaveStateChanged(t_ns=now, address=address, name=name, state=state))
+        self.emit(SlaveStateChanged(t_ns=now, address=address, name=name, state=state))
         self._changed(self, now)
 
     def _leave_exchange(self, now: int, *, silent: bool) -> None:

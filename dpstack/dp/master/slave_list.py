@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from dpstack.dp.master.commands import ActivateSlave, AddSlave, DeactivateSlave, RemoveSlave, ReparameteriseSlave
+from dpstack.dp.master.diag_reader import DiagObserver
 from dpstack.dp.master.events import SlaveState, SlaveStateChanged
 from dpstack.dp.master.global_control import Controls
 from dpstack.dp.master.poll_order import Turns
@@ -144,6 +145,8 @@ class Roster:
         self._masters = masters
         self._still = still
         self._look_soon = look_soon
+        #: gives the observer of the diagnoses of a slave; ``before``: its handling under other parameters
+        self.observer: Callable[[SlaveHandler, SlaveHandler | None], DiagObserver | None] = lambda _, before: None
 
     def find(self, address: int) -> SlaveHandler:
         """The handling of the slave at ``address``. Raises UsageError naming those there are."""
@@ -185,7 +188,7 @@ class Roster:
 
     def _make(self, setup: SlaveParams, before: SlaveHandler | None = None) -> SlaveHandler:
         self._check(setup)
-        return SlaveHandler(
+        handler = SlaveHandler(
             setup,
             own=self._params.address,
             baud=self._params.baud,
@@ -196,6 +199,8 @@ class Roster:
             before=before,
             still=self._still,
         )
+        handler.diagnoses.observer = self.observer(handler, before)
+        return handler
 
     def _remove(self, handler: SlaveHandler, now: int) -> None:
         """Safe values as at the end, then Unlock, then it is forgotten."""

@@ -9,6 +9,7 @@ import dataclasses
 from dataclasses import dataclass, field
 
 from dpstack.dp.acyclic.job import Outcome
+from dpstack.dp.master.diag_reader import AlarmCounts
 from dpstack.dp.master.events import SlaveEvent
 from dpstack.dp.pdu.alarm_blocks import Alarm, Status
 from dpstack.dp.pdu.diag_texts import DiagTexts, texts_of
@@ -75,26 +76,6 @@ class StatusTold(SlaveEvent):
     status: Status
 
     TEMPLATE = "{e.who}: {e.status.told}"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AlarmCounts:
-    """What came of the alarms of one slave. ``raised``: delivered; ``acknowledged``: the slave took it.
-
-    ``repeated``: acknowledgements sent again; ``refused``: that the slave did not take. ``too_many``: more at a time
-    than agreed, ``dropped``: those of them that nobody could keep. ``not_enabled``: kinds that Set_Prm did not enable,
-    ``malformed``: blocks that are neither alarm nor status; neither is delivered. ``statuses``: told.
-    """
-
-    raised: int = 0
-    acknowledged: int = 0
-    repeated: int = 0
-    refused: int = 0
-    too_many: int = 0
-    dropped: int = 0
-    not_enabled: int = 0
-    malformed: int = 0
-    statuses: int = 0
 
 
 def texts_beside(diagnosis: Diagnosis, alarm: Alarm, texts: DiagTexts | None) -> tuple[str, ...]:

@@ -13,6 +13,7 @@ from enum import Enum
 from typing import Final
 
 from dpstack.dp.acyclic.job import Outcome, ServiceFailure
+from dpstack.dp.master.diag_reader import AlarmCounts
 from dpstack.dp.master.fault_report import Findings
 from dpstack.dp.pdu.alarm_blocks import Alarm, Status, alarm_name, kind_of, parse_block
 from dpstack.dp.pdu.diag_blocks import DeviceBlock
@@ -240,6 +241,11 @@ class AlarmHandler:
     def missed(self, exchanges: int) -> None:
         """The slave gave no answer to a request of any service, after so many ``exchanges``."""
         self._unsure = self._unsure or exchanges == self._read_after
+
+    @property
+    def counts(self) -> AlarmCounts:
+        """What came of them, under other parameters before too."""
+        return self._book.counts
 
     @property
     def busy(self) -> bool:

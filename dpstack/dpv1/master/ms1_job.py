@@ -9,19 +9,20 @@ from __future__ import annotations
 
 import abc
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from dpstack.dp.acyclic.job import ATTEMPTS, Outcome, ServiceFailure, Steps
+from dpstack.dp.master.commands import Mode
+from dpstack.dp.master.events import SlaveState
+from dpstack.dp.master.master import Master
 from dpstack.dp.master.slave_handler import SlaveHandler
 from dpstack.dp.services import refusal_text
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.srd_polling import NO_ANSWERS, Course, Said
 from dpstack.dpv1.timeouts import RESPONSE_TIMEOUT, service_timeout
+from dpstack.errors import UsageError
 from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.telegram import SAP_MS1, Req, Telegram
 from dpstack.units import ns_to_s
-
-if TYPE_CHECKING:
-    from dpstack.dpv1.master.ms1 import Ms1
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +35,57 @@ class Owed:
     course: Course
 
 
+def need_dpv1(setup: SlaveParams, *, read_only: bool) -> None:
+    """Raises UsageError for a slave that has no Read, Write and alarms of this master."""
+    if read_only:
+        raise UsageError("this bus is read-only: its slaves are not in data exchange with it; leave read_only out")
+    if setup.dpv1 is None:
+        raise UsageError(
+            f"slave {setup.address} ({setup.name}) is not parameterised for DP-V1: no Read, Write, alarms; "
+            f"if it has them put dpv1 = true into its [[slave]] table"
+        )
+
+
+class Ms1Access:
+    """MS1 between ``master`` and its slaves: who can be asked, and the answers to services that are over."""
+
+    def __init__(self, master: Master | None) -> None:
+        self.master = master
+        #: answers to services which are over, by lane
+        self.owed: dict[int, Owed] = {}
+
+    def slave(self, address: int) -> SlaveHandler:
+        """The slave's, whatever it is parameterised for. Raises UsageError."""
+        handlers = {} if self.master is None else self.master.handlers
+        if address not in handlers:
+            raise UsageError(f"station {address} is no slave of this master: MS1 is between a slave and its own master")
+        return handlers[address]
+
+    def handler(self, address: int) -> SlaveHandler:
+        """The slave's, where it is parameterised for DP-V1. Raises UsageError."""
+        handler = self.slave(address)
+        need_dpv1(handler.setup, read_only=self.master is not None and self.master.read_only)
+        return handler
+
+    def bar(self, handler: SlaveHandler, since: int) -> str:
+        """Why no service to the slave of ``handler``, in data exchange ``since`` then, can end: MS1 closes on leaving
+        data exchange (docs/protocol.md#ms1), and in Stop nothing is sent to slaves. Empty while it can.
+        """
+        master = self.master
+        if master is None or master.handlers.get(handler.setup.address) is not handler:
+            return "the slave was removed from this bus, or parameterised anew; repeat it afterwards"
+        if master.mode <= Mode.STOP:
+            mode = master.mode.name.capitalize()
+            return f"the master is in {mode}, where nothing is sent to slaves; repeat it in Clear or Operate"
+        state = handler.state
+        if state is SlaveState.DATA_EXCHANGE and handler.since == since:
+            return ""
+        why = "" if handler.fault is None else f" ({handler.fault.text})"
+        if state is SlaveState.DATA_EXCHANGE:
+            return f"the slave left data exchange{why} and came back; repeat it"
+        return f"the slave is not in data exchange but in {state.value}{why}; repeat it when it is"
+
+
 class Ms1Job(abc.ABC):
     """One service of the slave that ``handler`` handles: ``octets`` to ``sap``, with up to ``longest`` octets back."""
 
@@ -44,7 +96,7 @@ class Ms1Job(abc.ABC):
     #: why the slave might refuse it altogether
     why_closed = ""
 
-    def __init__(self, handler: SlaveHandler, ms1: Ms1, octets: bytes, longest: int, sap: int = SAP_MS1) -> None:
+    def __init__(self, handler: SlaveHandler, ms1: Ms1Access, octets: bytes, longest: int, sap: int = SAP_MS1) -> None:
         self.address = handler.setup.address
         #: services at one SAP come one after the other
         self.lane: int | None = self.address | (0 if sap == SAP_MS1 else sap << 8)
@@ -71,7 +123,7 @@ class Ms1Job(abc.ABC):
         return ""
 
     def bar(self) -> str:
-        """See :meth:`~dpstack.dpv1.master.ms1.Ms1.bar`."""
+        """See :meth:`~dpstack.dpv1.master.ms1_job.Ms1Access.bar`."""
         why = self._ms1.bar(self._handler, self._since)
         return f"was given up: {why}" if why else ""
 

@@ -10,8 +10,6 @@ Decisions where the sources leave something open: docs/decisions/ms2.md#connecti
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
-from dataclasses import dataclass, field
 from typing import Final
 
 from dpstack.dp.acyclic.job import Job
@@ -19,8 +17,6 @@ from dpstack.dp.master.master import Master
 from dpstack.dpv1.master.ms2_commands import (
     CloseConnection,
     CloseConnections,
-    ConnectionOver,
-    ConnectionsClosed,
     OpenConnection,
     ReadOver,
     TransportOver,
@@ -28,15 +24,14 @@ from dpstack.dpv1.master.ms2_commands import (
 )
 from dpstack.dpv1.master.ms2_connection import NOT_WANTED, TIMED_OUT, Connection, Phase
 from dpstack.dpv1.master.ms2_initiate import InitiateJob
-from dpstack.dpv1.master.ms2_jobs import GiveBackJob, IdleJob, ServiceJob
-from dpstack.dpv1.pdu.ms2 import Abort, Address, DataTransport, InitiateReq, Service
+from dpstack.dpv1.master.ms2_jobs import Connections, IdleJob, ServiceJob
+from dpstack.dpv1.pdu.ms2 import Address, DataTransport, InitiateReq, Service
 from dpstack.dpv1.pdu.read_write import ReadReq, WriteReq
 from dpstack.dpv1.timeouts import QUIET_SHARE
 from dpstack.errors import PduError, UsageError
 from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.telegram import Telegram
 from dpstack.params import UNADDRESSED
-from dpstack.trace import Event
 from dpstack.units import NEVER, ns_to_s
 
 #: how the refusal of a service over a connection that is over begins
@@ -46,18 +41,13 @@ CAPACITY: Final = 64
 _ADDRESS: Final = 2
 
 
-@dataclass(slots=True)
-class Ms2:
-    """The connections of the station ``own``, by the token they were opened with. ``master``: of the same station."""
+class Ms2(Connections):
+    """The connections of the station ``own``. ``master``: of the same station."""
 
-    own: int
-    master: Master | None
-    connections: dict[int, Connection] = field(default_factory=dict)
-    #: jobs that nobody ordered, for the queue, with their time-outs
-    wanted: list[tuple[Job, int]] = field(default_factory=list)
-    #: events for the application
-    told: list[Event] = field(default_factory=list)
-    _closing: bool = False
+    def __init__(self, own: int, master: Master | None) -> None:
+        super().__init__()
+        self._own = own
+        self._master = master
 
     # --- orders ---------------------------------------------------------------------------------------------------
 
@@ -69,16 +59,16 @@ class Ms2:
                 if connection is not None:
                     self._close(connection, "it was closed here", now)
             case CloseConnections():
-                self._closing = True
+                self.closing = True
                 for connection in tuple(self.connections.values()):
                     self._close(connection, "the bus was closed here", now)
-                self._closed_all(now)
+                self.closed_all(now)
             case _:
                 return False
         return True
 
     def job_of(self, order: object) -> tuple[int, Job, int] | None:
-        """Token, job and time-out in ns of ``order``; None when it is none for MS2. Raises UsageError."""
+        """OpenConnection, and services over one."""
         match order:
             case OpenConnection(token=token, timeout_ns=timeout_ns):
                 return token, self._opening(order), timeout_ns
@@ -94,11 +84,11 @@ class Ms2:
         address = order.address
         if not 0 <= address <= UNADDRESSED:
             raise UsageError(f"{address} is no address of a slave: 0..{UNADDRESSED} ({UNADDRESSED}: as delivered)")
-        if address == self.own:
+        if address == self._own:
             raise UsageError(f"{address} is the address of this master itself")
-        if self.master is not None and self.master.read_only:
+        if self._master is not None and self._master.read_only:
             raise UsageError("this bus is read-only: no connection is opened; leave read_only out")
-        if self._closing:
+        if self.closing:
             raise UsageError("the bus is being closed: no connection is opened any more")
         if len(self.connections) >= CAPACITY:
             raise UsageError(f"{CAPACITY} class 2 connections are open already: close one first")
@@ -142,66 +132,19 @@ class Ms2:
         connection.ordered |= connection.phase is Phase.OPEN
         self.end(connection, reason, NOT_WANTED, now)
 
-    # --- one connection -------------------------------------------------------------------------------------------
-
-    def end(self, connection: Connection, reason: str, abort: Abort | None, now: int) -> None:
-        """It is over, from either end; the slave is told by ``abort`` where it may hold anything. More than once is
-        no error, the first reason stands."""
-        if connection.phase is Phase.ENDING:
-            return
-        connection.phase = Phase.ENDING
-        connection.reason = reason
-        if abort is not None and connection.taken:
-            connection.abort = abort
-            self.wanted.append((GiveBackJob(connection, self, abort), connection.send_timeout_ns))
-        else:
-            self.forget(connection, now)
-
-    def forget(self, connection: Connection, now: int) -> None:
-        """The slave holds nothing any more, or cannot be told."""
-        if self.connections.get(connection.ref) is not connection:
-            return
-        del self.connections[connection.ref]
-        if connection.opened:
-            told = connection.abort
-            self.told.append(
-                ConnectionOver(
-                    t_ns=now,
-                    connection=connection.ref,
-                    address=connection.address,
-                    server_sap=connection.server_sap or 0,
-                    reason=connection.reason,
-                    ordered=connection.ordered,
-                    abort=None if told is None else (told.subnet, told.instance, told.reason),
-                )
-            )
-        self._closed_all(now)
-
-    def _closed_all(self, now: int) -> None:
-        if self._closing and not self.connections:
-            self._closing = False
-            self.told.append(ConnectionsClosed(t_ns=now))
-
-    def uses(self, address: int, server_sap: int) -> bool:
-        """Whether a connection to the slave has this server SAP."""
-        return any(c.address == address and c.server_sap == server_sap for c in self.connections.values())
-
-    def count(self, address: int) -> int:
-        """Connections to the slave, those that are opened or given back included."""
-        return sum(c.address == address for c in self.connections.values())
-
     # --- from the queue -------------------------------------------------------------------------------------------
 
-    def quiet(self, busy: Collection[object], now: int) -> Iterator[IdleJob]:
-        """What connections want over which nothing goes: Idle, or the answer to a service that was given up.
-
-        ``busy``: lanes with services.
-        """
+    def ask(self, now: int) -> None:
+        """What connections want over which nothing goes: Idle, or the answer to a service that was given up."""
+        if not self.connections:
+            return
+        busy = self.queue.lanes()
         for connection in self.connections.values():
             if connection.phase is Phase.OPEN and connection.lane not in busy:
                 quiet_ns = now - connection.heard_at
                 if connection.outstanding or quiet_ns >= connection.send_timeout_ns // QUIET_SHARE:
-                    yield IdleJob(connection, self)
+                    job = IdleJob(connection, self)
+                    self.queue.put(job, job.timeout_ns, now)
 
     def started(self, request: Request) -> None:
         """A request is on the wire."""
@@ -224,22 +167,21 @@ class Ms2:
 
     def wake_at(self) -> int:
         """When a connection was silent for too long."""
+        if not self.connections:
+            return NEVER
         return min(
             (c.heard_at + c.send_timeout_ns for c in self.connections.values() if c.phase is Phase.OPEN), default=NEVER
         )
 
     def tick(self, now: int) -> bool:
         """End the connections that were; whether there were any."""
+        if not self.connections:
+            return False
         open_ones = [c for c in self.connections.values() if c.phase is Phase.OPEN]
         silent = [c for c in open_ones if now >= c.heard_at + c.send_timeout_ns]
         for connection in silent:
             self.end(connection, connection.silent_text, TIMED_OUT, now)
         return bool(silent)
-
-    def take_events(self) -> list[Event]:
-        """Ends of connections."""
-        events, self.told = self.told, []
-        return events
 
 
 def _address_of(octets: bytes) -> Address:

@@ -7,7 +7,7 @@ Decisions where the sources leave something open: docs/decisions/ms2.md#initiate
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from dpstack.dp.acyclic.class2_services import leaves_out, left_out
 from dpstack.dp.acyclic.job import ATTEMPTS, Outcome, ServiceFailure, Steps
@@ -15,7 +15,7 @@ from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dp.services import refusal_text
 from dpstack.dpv1.master.ms2_commands import InitiateDone
 from dpstack.dpv1.master.ms2_connection import NOT_WANTED, TIMED_OUT, Connection, Ended, Phase
-from dpstack.dpv1.master.ms2_jobs import ConnectionJob
+from dpstack.dpv1.master.ms2_jobs import ConnectionJob, Connections
 from dpstack.dpv1.master.srd_polling import NO_ANSWERS, Course, Said
 from dpstack.dpv1.pdu.ms2 import AbortReason, InitiateReq, InitiateRes, Instance, ResourceManagerRes
 from dpstack.dpv1.pdu.read_write import Function, Negative, parse_response
@@ -24,9 +24,6 @@ from dpstack.fdl.interface import Failure
 from dpstack.fdl.telegram import SAP_MS2_RM, Telegram
 from dpstack.trace import Event
 from dpstack.units import NS_PER_MS
-
-if TYPE_CHECKING:
-    from dpstack.dpv1.master.ms2 import Ms2
 
 #: by whoever wanted it
 _GIVEN_UP: Final = (ServiceFailure.CANCELLED, ServiceFailure.ABORTED)
@@ -44,7 +41,7 @@ class InitiateJob(ConnectionJob):
 
     title = "Initiate"
 
-    def __init__(self, connection: Connection, ms2: Ms2, request: InitiateReq, channels: int) -> None:
+    def __init__(self, connection: Connection, ms2: Connections, request: InitiateReq, channels: int) -> None:
         super().__init__(connection, ms2)
         self._channels = channels
         self._octets = request.build()

@@ -7,12 +7,11 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Hashable
-from typing import TYPE_CHECKING
 
-from dpstack.dp.acyclic.job import ATTEMPTS, Outcome, ServiceFailure, Steps
+from dpstack.dp.acyclic.job import ATTEMPTS, Outcome, Provider, ServiceFailure, Steps
 from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dpv1.master.ms1 import RecordDone
-from dpstack.dpv1.master.ms2_commands import TransportDone
+from dpstack.dpv1.master.ms2_commands import ConnectionOver, ConnectionsClosed, TransportDone
 from dpstack.dpv1.master.ms2_connection import Connection, Ended, Phase
 from dpstack.dpv1.master.response_check import service_outcome
 from dpstack.dpv1.master.srd_polling import Course, Said
@@ -23,8 +22,62 @@ from dpstack.errors import PduError
 from dpstack.fdl.telegram import SAP_MS2_RM
 from dpstack.trace import Event
 
-if TYPE_CHECKING:
-    from dpstack.dpv1.master.ms2 import Ms2
+
+class Connections(Provider):
+    """The class 2 connections of one station, by the token they were opened with."""
+
+    def __init__(self) -> None:
+        self.connections: dict[int, Connection] = {}
+        #: all of them are being closed, and no other is opened
+        self.closing = False
+
+    def end(self, connection: Connection, reason: str, abort: Abort | None, now: int) -> None:
+        """It is over, from either end; the slave is told by ``abort`` where it may hold anything. More than once is
+        no error, the first reason stands."""
+        if connection.phase is Phase.ENDING:
+            return
+        connection.phase = Phase.ENDING
+        connection.reason = reason
+        if abort is not None and connection.taken:
+            connection.abort = abort
+            job = GiveBackJob(connection, self, abort)
+            self.queue.put(job, connection.send_timeout_ns, now, first=True)
+        else:
+            self.forget(connection, now)
+
+    def forget(self, connection: Connection, now: int) -> None:
+        """The slave holds nothing any more, or cannot be told."""
+        if self.connections.get(connection.ref) is not connection:
+            return
+        del self.connections[connection.ref]
+        if connection.opened:
+            told = connection.abort
+            self.queue.tell(
+                ConnectionOver(
+                    t_ns=now,
+                    connection=connection.ref,
+                    address=connection.address,
+                    server_sap=connection.server_sap or 0,
+                    reason=connection.reason,
+                    ordered=connection.ordered,
+                    abort=None if told is None else (told.subnet, told.instance, told.reason),
+                )
+            )
+        self.closed_all(now)
+
+    def closed_all(self, now: int) -> None:
+        """Tell that the last one is over, where all are being closed."""
+        if self.closing and not self.connections:
+            self.closing = False
+            self.queue.tell(ConnectionsClosed(t_ns=now))
+
+    def uses(self, address: int, server_sap: int) -> bool:
+        """Whether a connection to the slave has this server SAP."""
+        return any(c.address == address and c.server_sap == server_sap for c in self.connections.values())
+
+    def count(self, address: int) -> int:
+        """Connections to the slave, those that are opened or given back included."""
+        return sum(c.address == address for c in self.connections.values())
 
 
 class ConnectionJob:
@@ -32,7 +85,7 @@ class ConnectionJob:
 
     title = ""
 
-    def __init__(self, connection: Connection, ms2: Ms2) -> None:
+    def __init__(self, connection: Connection, ms2: Connections) -> None:
         self.connection = connection
         self.address = connection.address
         self.ms2 = ms2
@@ -70,7 +123,7 @@ class ConnectionJob:
 class ServiceJob(ConnectionJob):
     """Read, Write or Data_Transport over an open connection."""
 
-    def __init__(self, connection: Connection, ms2: Ms2, service: Service, octets: bytes) -> None:
+    def __init__(self, connection: Connection, ms2: Connections, service: Service, octets: bytes) -> None:
         super().__init__(connection, ms2)
         self._service = service
         self._octets = octets
@@ -182,7 +235,7 @@ class GiveBackJob(ConnectionJob):
 
     title = "Abort"
 
-    def __init__(self, connection: Connection, ms2: Ms2, abort: Abort) -> None:
+    def __init__(self, connection: Connection, ms2: Connections, abort: Abort) -> None:
         super().__init__(connection, ms2)
         self._abort = abort
 

@@ -19,11 +19,11 @@ import msgspec
 
 from dpstack import errors
 from dpstack.dp.master.commands import DriveCommand, Mode
+from dpstack.dp.master.diag_reader import AlarmCounts
 from dpstack.dp.master.events import Fault, SlaveState
 from dpstack.dp.master.fixed_cycle import CycleBook, CycleData, MissReason
 from dpstack.dp.master.scanner import Found, SurveyOrder, SurveyResult
 from dpstack.dp.pdu.diagnosis import Diagnosis
-from dpstack.dpv1.master.alarm_events import AlarmCounts
 from dpstack.drivers.line.echo import Echo
 from dpstack.drivers.process.order_types import ENDING_ORDERS, MACHINE_ORDERS
 from dpstack.drivers.process.plugins import PluginRef

@@ -13,13 +13,14 @@ from collections.abc import Callable, Mapping
 from typing import Protocol
 
 from dpstack.dp.master.commands import Mode
+from dpstack.dp.master.diag_reader import AlarmCounts
 from dpstack.dp.master.events import Fault, SlaveDiagnosis, SlaveState
 from dpstack.dp.master.fixed_cycle import CycleBook, CycleData
 from dpstack.dp.master.scanner import Found
 from dpstack.dp.pdu.diag_texts import block_texts
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.slave_params import SlaveParams
-from dpstack.dpv1.master.alarm_events import AlarmCounts, AlarmRaised, texts_beside
+from dpstack.dpv1.master.alarm_events import AlarmRaised, texts_beside
 from dpstack.drivers.process.messages import BusNow, Counters, CyclesNow, News, SlaveNow, WatcherNow
 from dpstack.drivers.process.shared_image import Picture
 from dpstack.fdl.decoder import DecoderStats

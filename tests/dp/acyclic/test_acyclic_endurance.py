@@ -13,10 +13,10 @@ from collections.abc import Callable
 
 import pytest
 from bus_kit import IDENT, PPO1
+from ms2_kit import connections_of
 from support import MS, S, WorldFactory
 
 from dpstack.dp.acyclic.job import ServiceFailure
-from dpstack.dp.acyclic.queue import Acyclic
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
@@ -42,6 +42,7 @@ from dpstack.dpv1.slave.alarms import AlarmEnd, AlarmServer, AlarmSupport, Raise
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.dpv1.slave.record_requests import Ticket, TransportTicket
 from dpstack.dpv1.slave.resource_manager import ms2_of
+from dpstack.drivers.stack import acyclic_services
 from dpstack.errors import UsageError
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOffline, GoOnline
@@ -115,7 +116,7 @@ class Plant:
             for a in (ADDRESSES if cyclic else ())
         ]
         self.master = Master(params, setups, watchdog_ms=60_000)
-        self.acyclic = Acyclic(2, self.master)
+        self.acyclic = acyclic_services(2, self.master)
         self.station = ActiveStation(params, [self.master, self.acyclic], now=world.now)
         world.add(self.station, on_events=self.on_events)
         self.tokens = 0
@@ -233,7 +234,7 @@ class Plant:
         self.send(CloseConnections())
         self.world.run_for(S)
         assert not self.open
-        assert self.acyclic.waiting == self.acyclic.connections == 0
+        assert self.acyclic.waiting == connections_of(self.acyclic) == 0
         self.send(GoOffline())
         self.world.run_for(30 * S)
         assert [ms2_of(app).free for app in self.apps] == [CONNECTIONS] * len(ADDRESSES)
@@ -285,7 +286,7 @@ def idle(world: WorldFactory, seconds: int, seed: int) -> None:
     plant.lose(0.02)
     for _ in range(seconds // 60):
         plant.world.run_for(60 * S)
-        assert plant.acyclic.connections == len(ADDRESSES) * CONNECTIONS
+        assert connections_of(plant.acyclic) == len(ADDRESSES) * CONNECTIONS
         assert plant.acyclic.waiting <= len(ADDRESSES) * CONNECTIONS  # an Idle of each at the most
     assert all(len(ms2_of(app).connections) == CONNECTIONS for app in plant.apps)
     plant.settle()

@@ -21,7 +21,6 @@ from bench.acyclic_plant import Answers, AnswersAtOnce, RecordDevice
 from dpstack.dp.acyclic.class2 import ReadService
 from dpstack.dp.acyclic.class2_services import Service, ServiceDone
 from dpstack.dp.acyclic.job import ServiceFailure
-from dpstack.dp.acyclic.queue import Acyclic
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
@@ -31,6 +30,7 @@ from dpstack.dp.plan.rotation_time import Case, Figures, OtherMasters, figures, 
 from dpstack.dp.slave.application import SlaveApp
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone, WriteRecord
+from dpstack.drivers.stack import acyclic_services
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.interface import LinkUser, Reply
@@ -86,7 +86,7 @@ class Loaded:
             app = self.app(RecordDevice(Answers.AT_ONCE), address=setup.address)
             self.world.add(PassiveStation(setup.address, app, self.params, t_sdr=self.t_sdr))
         self.master = Master(self.params, self.slaves, cycle_ns=self.cycle_ns, watchdog_ms=60_000)
-        users: list[LinkUser] = [self.master, Acyclic(self.params.address, self.master)]
+        users: list[LinkUser] = [self.master, acyclic_services(self.params.address, self.master)]
         self.station = ActiveStation(
             self.params, users, patience=self.patience, budget=self.master.budget, now=self.world.now
         )

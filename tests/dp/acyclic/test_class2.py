@@ -18,6 +18,7 @@ from dpstack.dp.master.master import Master
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
+from dpstack.drivers.stack import acyclic_services
 from dpstack.errors import UsageError
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import AttachUser, GoOffline, GoOnline
@@ -270,7 +271,7 @@ def test_cancelled_ones_are_asked_no_more() -> None:
 
 def class2_in(bus: SimBus, address: int, told: list[Event]) -> tuple[ActiveStation, Acyclic]:
     """A class 2 master of its own at ``address``."""
-    class2 = Acyclic(address)
+    class2 = acyclic_services(address)
     station = ActiveStation(BusParams.preset(500_000, address=address), [class2], now=bus.world.now)
     bus.world.add(station, on_events=told.extend)
     bus.world.command(station, GoOnline())
@@ -329,7 +330,7 @@ def test_beside_the_class_1_master_of_its_own_station(world: WorldFactory) -> No
     w.run_for(500 * MS)
     quiet = bus.master.rotation.max_ns
     rounds = bus.master.rounds
-    class2 = Acyclic(2, bus.master)
+    class2 = acyclic_services(2, bus.master)
     w.command(bus.station, AttachUser(class2))
     begun = w.now
     for token in range(CAPACITY):
@@ -352,7 +353,7 @@ def test_without_time_to_spare_it_ends_and_says_so(world: WorldFactory) -> None:
     params = BusParams.preset(500_000, address=2, gap=0).replace(t_tr=256)
     bus = SimBus(w, params, (3, 4))
     bus.until_exchanging()
-    class2 = Acyclic(2, bus.master)
+    class2 = acyclic_services(2, bus.master)
     w.command(bus.station, AttachUser(class2))
     w.command(bus.station, ReadService(1, 3, Service.CONFIG, timeout_ns=300 * MS))
     w.run_for(301 * MS)
@@ -389,7 +390,7 @@ def test_its_own_master_gets_a_diagnosis_that_it_read(world: WorldFactory) -> No
     app = TellsOnce(MirrorDevice(IDENT, PPO1))
     w.add(PassiveStation(3, app, params))
     master = Master(params, [setup(3)], watchdog_ms=200)
-    class2 = Acyclic(2, master)
+    class2 = acyclic_services(2, master)
     told: list[Event] = []
     station = ActiveStation(params, [master, class2])
     w.add(station, on_events=told.extend)

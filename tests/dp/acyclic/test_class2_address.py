@@ -12,10 +12,10 @@ from support import WorldFactory
 from dpstack.dp.acyclic.class2 import ChangeAddress
 from dpstack.dp.acyclic.class2_services import Service, ServiceDone, asked, request
 from dpstack.dp.acyclic.job import Heard, Outcome, ServiceFailure
-from dpstack.dp.acyclic.queue import Acyclic
 from dpstack.dp.master.read_only import reading_only
 from dpstack.dp.slave.application import SlaveApp
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
+from dpstack.drivers.stack import acyclic_services
 from dpstack.errors import UsageError
 from dpstack.fdl.commands import AttachUser
 from dpstack.fdl.interface import LONG_NS, SC_REPLY, Failure, Reply, StationControl
@@ -279,7 +279,7 @@ def test_a_slave_of_its_own_station_is_refused_at_once(world: WorldFactory) -> N
     w = world()
     bus = SimBus(w, BusParams.preset(500_000, address=2), (3,))
     bus.until_exchanging()
-    class2 = Acyclic(2, bus.master)
+    class2 = acyclic_services(2, bus.master)
     w.command(bus.station, AttachUser(class2))
     with pytest.raises(UsageError, match="slave 3 is parameterised by this master"):
         w.command(bus.station, ChangeAddress(1, 3, 9))
@@ -310,7 +310,7 @@ def test_beside_a_running_class_1_master_nobody_loses_an_exchange(world: WorldFa
     w.add(PassiveStation(126, Addressable(MirrorDevice(IDENT, PPO1)), params))
     bus.until_exchanging()
     w.run_for(200 * MS)
-    class2 = Acyclic(2, bus.master)
+    class2 = acyclic_services(2, bus.master)
     w.command(bus.station, AttachUser(class2))
     w.command(bus.station, ChangeAddress(1, 126, 4))
     w.command(bus.station, ChangeAddress(2, 126, 5, ident=IDENT))

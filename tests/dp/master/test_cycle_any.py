@@ -13,8 +13,8 @@ from support import MS, S, wire_log
 
 from dpstack.dp.acyclic.class2 import ReadService
 from dpstack.dp.acyclic.class2_services import Service, ServiceDone
-from dpstack.dp.acyclic.queue import Acyclic as Class2
 from dpstack.dp.master.events import SlaveState
+from dpstack.drivers.stack import acyclic_services
 from dpstack.params import BusParams
 from dpstack.sim.world import World
 
@@ -53,7 +53,7 @@ def each_has_its_turns(plant: Plant) -> None:
     baud, every, absent, room = plant
     params = BusParams.preset(baud, address=2)
     cycle_ns = round(params.ns(EXCHANGE * len(every) + SERVICE) * room)
-    class2 = Class2(2)
+    class2 = acyclic_services(2)
     setups = [slave(address, every=n) for address, n in every.items()]
     world = World()
     bus = CycleBus(world, params, setups, cycle_ns, silent=sorted(absent), more=[class2])

@@ -17,7 +17,6 @@ from support import MS, WorldFactory
 
 from dpstack.dp.acyclic.class2 import ReadService
 from dpstack.dp.acyclic.class2_services import Service
-from dpstack.dp.acyclic.queue import Acyclic
 from dpstack.dp.master.commands import (
     ActivateSlave,
     AddSlave,
@@ -30,6 +29,7 @@ from dpstack.dp.master.commands import (
 from dpstack.dp.master.fixed_cycle import Cadence, CycleData
 from dpstack.dp.plan.rotation_time import Case, figures, t_tr_preset
 from dpstack.dp.slave_params import SlaveParams
+from dpstack.drivers.stack import acyclic_services
 from dpstack.errors import BusError, UsageError
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT, HOST
@@ -66,7 +66,7 @@ class Attack:
             self.setups,
             cycle_ns,
             silent=[s.address for s in setups[1:] if r.random() < 0.2],
-            more=[Acyclic(2)],
+            more=[acyclic_services(2)],
             options=options,
             patience=r.choice((EXACT, HOST)),
         )

@@ -8,9 +8,9 @@ from support import MS, WorldFactory
 
 from dpstack.dp.acyclic.class2 import ReadService
 from dpstack.dp.acyclic.class2_services import Service, ServiceDone
-from dpstack.dp.acyclic.queue import Acyclic
 from dpstack.dp.plan.cycle_check import Verdict, least_ns
 from dpstack.dp.plan.rotation_time import figures
+from dpstack.drivers.stack import acyclic_services
 from dpstack.fdl.active.cycle_window import PATIENCE
 from dpstack.params import BusParams
 from dpstack.units import NS_PER_US
@@ -24,7 +24,7 @@ def tight(world: WorldFactory, baud: int) -> CycleBus:
     setups = [slave(address) for address in (3, 4, 5)]
     least = least_ns(figures(params, setups))[Verdict.POSSIBLE]
     cycle_ns = -(-least // NS_PER_US) * NS_PER_US
-    bus = CycleBus(world(), params, setups, cycle_ns, more=[Acyclic(2)])
+    bus = CycleBus(world(), params, setups, cycle_ns, more=[acyclic_services(2)])
     bus.until_exchanging()
     bus.world.run_for(20 * MS)
     bus.quiet()

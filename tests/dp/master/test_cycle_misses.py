@@ -11,10 +11,10 @@ from support import MS, US, S, WorldFactory
 
 from dpstack.dp.acyclic.class2 import ReadService
 from dpstack.dp.acyclic.class2_services import Service, ServiceDone
-from dpstack.dp.acyclic.queue import Acyclic
 from dpstack.dp.master.commands import ActivateSlave, AddSlave, DeactivateSlave, Mode, RemoveSlave, SetMode, Shutdown
 from dpstack.dp.master.events import CyclesMissed, MasterStopped, SlaveState, SlaveStateChanged
 from dpstack.dp.master.fixed_cycle import MissReason
+from dpstack.drivers.stack import acyclic_services
 from dpstack.fdl.events import DoesNotFit
 from dpstack.fdl.livelist import LiveList
 from dpstack.phy.patience import HOST
@@ -55,7 +55,7 @@ def test_bring_up_beside_a_cycle_takes_several_services_a_gap(world: WorldFactor
 
 def test_what_fits_into_no_gap_goes_out_in_the_end_and_is_told_once(world: WorldFactory) -> None:
     """A diagnosis of unknown length: 11 octets twice with T_SL, 255 octets, T_ID1: 3484 bits, 7 ms; the cycle is 4."""
-    class2 = Acyclic(2)
+    class2 = acyclic_services(2)
     bus = running(world, more=[class2])
     for token in range(3):
         bus.world.command(bus.station, ReadService(token, 5, Service.DIAGNOSIS))
@@ -73,7 +73,7 @@ def test_what_fits_into_no_gap_goes_out_in_the_end_and_is_told_once(world: World
 
 def test_a_forced_service_that_breaks_the_cycle_is_its_reason(world: WorldFactory) -> None:
     """A silent slave with the slack of a pty: nothing else can have been it."""
-    class2 = Acyclic(2)
+    class2 = acyclic_services(2)
     bus = running(world, cycle_ns=10 * MS, patience=HOST, more=[class2])
     bus.world.run_for(200 * MS)
     bus.world.command(bus.station, ReadService(1, 5, Service.DIAGNOSIS))

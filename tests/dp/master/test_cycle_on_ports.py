@@ -15,11 +15,11 @@ from support import MS, US, S, WorldFactory
 
 from dpstack.dp.acyclic.class2 import ReadService
 from dpstack.dp.acyclic.class2_services import Service, ServiceDone
-from dpstack.dp.acyclic.queue import Acyclic
 from dpstack.dp.master.commands import Mode, SetMode, Shutdown
 from dpstack.dp.master.events import CyclesMissed, SlaveState
 from dpstack.dp.master.fixed_cycle import MissReason
 from dpstack.dp.master.master import Master
+from dpstack.drivers.stack import acyclic_services
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.events import DoesNotFit, StationFound
@@ -78,7 +78,7 @@ def test_a_poll_has_all_the_time_there_is(world: WorldFactory) -> None:
 
 def test_a_diagnosis_on_a_pty_does_not_wait_eight_cycles(world: WorldFactory) -> None:
     """50 ms for the silence of a slave in data exchange fit into no cycle of 10 ms; 2 ms, which a pty needs, do."""
-    class2 = Acyclic(2)
+    class2 = acyclic_services(2)
     bus = CycleBus(world(), P1500, [slave(3), slave(4)], 10 * MS, patience=HOST, more=[class2])
     bus.until_exchanging()
     bus.world.run_for(200 * MS)

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from property_kit import examples
 from support import wire_log
 
-from dpstack.dp.acyclic.queue import Acyclic
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
@@ -22,6 +21,7 @@ from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.alarm_events import AlarmRaised, StatusTold
 from dpstack.dpv1.slave.alarms import AlarmEnd, AlarmServer, AlarmSupport, Raised
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
+from dpstack.drivers.stack import acyclic_services
 from dpstack.errors import AlarmError
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
@@ -80,7 +80,7 @@ def test_delivered_once_and_acknowledged(steps: list[tuple[str, int]], mode: int
     world.add(make_slave(4, device, params))
     dpv1 = Dpv1(alarms=tuple(ALARMS), alarm_mode=mode, c1_response_timeout_ns=60 * MS, extra_alarm_sap=sap)
     master = Master(params, [SlaveParams(address=4, name="s4", ident=IDENT, config=PPO1, user_prm=bytes(3), dpv1=dpv1)])
-    station = ActiveStation(params, [master, Acyclic(2, master)], now=world.now)
+    station = ActiveStation(params, [master, acyclic_services(2, master)], now=world.now)
     events: list[Event] = []
     world.add(station, on_events=events.extend)
     world.command(station, GoOnline())

@@ -18,7 +18,7 @@ from property_kit import examples
 from support import wire_log
 
 from dpstack.dp.acyclic.job import ServiceFailure
-from dpstack.dp.acyclic.queue import Acyclic, CancelService
+from dpstack.dp.acyclic.queue import CancelService
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
@@ -26,6 +26,7 @@ from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.slave.application import make_slave
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone, WriteRecord
+from dpstack.drivers.stack import acyclic_services
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.params import BusParams
@@ -133,7 +134,7 @@ def test_both_ends_with_loss(steps: list[tuple[str, int, int, int]], seed: int) 
         params,
         [SlaveParams(address=a, name=f"s{a}", ident=IDENT, config=PPO1, user_prm=bytes(3), dpv1=dpv1) for a in devices],
     )
-    acyclic = Acyclic(2, master)
+    acyclic = acyclic_services(2, master)
     station = ActiveStation(params, [master, acyclic], now=world.now)
     events: list[Event] = []
     world.add(station, on_events=events.extend)

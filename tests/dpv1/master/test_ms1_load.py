@@ -6,7 +6,6 @@ import pytest
 from bus_kit import IDENT, PPO1
 from support import MS, WorldFactory
 
-from dpstack.dp.acyclic.queue import Acyclic
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
@@ -17,6 +16,7 @@ from dpstack.dp.telegram_times import acyclic_bits
 from dpstack.dpv1.master.ms1 import ReadRecord, RecordDone
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.dpv1.slave.record_table import RecordTable
+from dpstack.drivers.stack import acyclic_services
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.interface import LinkUser
@@ -48,7 +48,7 @@ class Loaded:
             for a in self.slaves
         ]
         self.master = Master(params, setups, cycle_ns=cycle_ns)
-        users: list[LinkUser] = [self.master, Acyclic(2, self.master)]
+        users: list[LinkUser] = [self.master, acyclic_services(2, self.master)]
         self.station = ActiveStation(params, users, now=world.now, budget=self.master.budget)
         world.add(self.station, on_events=self._on_events)
         world.command(self.station, GoOnline())

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
-from ms2_kit import DL, MS, SC, Ms2Bus, OctetMs2Slave, sd1, sd2, served
+from ms2_kit import DL, MS, SC, Ms2Bus, OctetMs2Slave, connections_of, sd1, sd2, served
 from octet_slave import NR, RR, UE
 
 from dpstack.dp.acyclic.job import ServiceFailure
@@ -321,7 +321,7 @@ def test_several_to_several_slaves_and_to_one() -> None:
         assert [(end.address, end.outcome.data) for end in ends] == [
             (done.address, bytes((slot, done.token))) for slot in range(8)
         ]
-    assert kit.acyclic.connections == 4
+    assert connections_of(kit.acyclic) == 4
     kit.close(opened[0].token)
     assert kit.read(opened[2].token).outcome.data == b"\1\2"
     for done in opened[1:]:
@@ -376,7 +376,7 @@ def test_misuse_raises_at_once() -> None:
     ]:
         with pytest.raises(UsageError, match=what):
             kit.send(wrong)
-    assert kit.acyclic.connections == 1
+    assert connections_of(kit.acyclic) == 1
     for _ in range(32):
         kit.order_read(1, length=8)
     with pytest.raises(UsageError, match="32 services for slave 4 are waiting already"):

@@ -12,12 +12,13 @@ from bus_kit import IDENT, PPO1
 from fault_steps import fault_step
 from hypothesis import given, note
 from hypothesis import strategies as st
+from ms2_kit import connections_of
 from patient_kit import CONNECTIONS, Patient
 from property_kit import examples
 from support import wire_log
 
 from dpstack.dp.acyclic.job import ServiceFailure
-from dpstack.dp.acyclic.queue import Acyclic, CancelService
+from dpstack.dp.acyclic.queue import CancelService
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
@@ -37,6 +38,7 @@ from dpstack.dpv1.master.ms2_commands import (
     WriteOver,
 )
 from dpstack.dpv1.slave.resource_manager import ms2_of
+from dpstack.drivers.stack import acyclic_services
 from dpstack.errors import UsageError
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOffline, GoOnline
@@ -69,7 +71,7 @@ class Both:
             for a in self.devices
         ]
         self.master = Master(params, setups)
-        self.acyclic = Acyclic(2, self.master)
+        self.acyclic = acyclic_services(2, self.master)
         self.station = ActiveStation(params, [self.master, self.acyclic], now=self.world.now)
         self.events: list[Event] = []
         self.world.add(self.station, on_events=self.events.extend)
@@ -169,7 +171,7 @@ def test_one_end_each_with_loss(steps: list[tuple[str, int, int, int]], seed: in
     # one end each
     done = both.done()
     assert Counter(one.token for one in done) == Counter(list(both.taken))
-    assert both.acyclic.waiting == both.acyclic.connections == 0
+    assert both.acyclic.waiting == connections_of(both.acyclic) == 0
     opened = [one.token for one in done if isinstance(one, InitiateDone) and one.outcome.failure is None]
     over = Counter(one.connection for one in both.events if isinstance(one, ConnectionOver))
     assert over == Counter(opened)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from ms2_kit import Ms2Server, ms2_in
 from support import MS, WorldFactory
 
-from dpstack.dp.acyclic.queue import Acyclic
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
@@ -13,6 +12,7 @@ from dpstack.dp.slave_params import SlaveParams
 from dpstack.dp.telegram_times import acyclic_bits
 from dpstack.dpv1.master.ms1 import RecordDone
 from dpstack.dpv1.master.ms2_commands import InitiateDone, OpenConnection, ReadOver
+from dpstack.drivers.stack import acyclic_services
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.events import DoesNotFit
@@ -42,7 +42,7 @@ class Loaded:
         setups = [SlaveParams(address=a, name=f"s{a}", ident=0x1234, config=bytes.fromhex("20 10")) for a in SLAVES]
         self.master = Master(params, setups, cycle_ns=cycle_ns)
         self.station = ActiveStation(
-            params, [self.master, Acyclic(2, self.master)], now=world.now, budget=self.master.budget
+            params, [self.master, acyclic_services(2, self.master)], now=world.now, budget=self.master.budget
         )
         world.add(self.station, on_events=self.events.extend)
         world.command(self.station, GoOnline())

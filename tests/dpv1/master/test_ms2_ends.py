@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from ms2_kit import MS, Ms2Bus, served
+from ms2_kit import MS, Ms2Bus, connections_of, served
 from ring_bus import Sent
 
 from dpstack.dp.acyclic.job import ServiceFailure
@@ -264,7 +264,7 @@ def test_the_port_vanishes_for_good() -> None:
     kit.open()
     kit.send(LineDown("unplugged"))
     kit.over(1)
-    assert kit.acyclic.connections == kit.acyclic.waiting == 0
+    assert connections_of(kit.acyclic) == kit.acyclic.waiting == 0
 
 
 def test_the_station_leaves_the_ring() -> None:
@@ -277,4 +277,4 @@ def test_the_station_leaves_the_ring() -> None:
     kit.bus.run(300 * MS)
     kit.send(GoOnline())
     kit.over(1)
-    assert kit.acyclic.connections == kit.acyclic.waiting == 0
+    assert connections_of(kit.acyclic) == kit.acyclic.waiting == 0
