@@ -1,0 +1,187 @@
+"""The tables of keys are what the readers do: at every limit, for every type, in a file and while the bus runs.
+
+And a parameter of a slave is stated once: no other class, function or call lists the fields of SlaveParams again.
+"""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from property_kit import examples
+
+import dpstack
+from dpstack.api.config.bus import BusConfig
+from dpstack.api.config.config import parse_config
+from dpstack.api.config.slave import Changes, SlaveConfig, SlaveKeys
+from dpstack.api.config.table import Key, keys_of
+from dpstack.api.slave.reparameterise import changed
+from dpstack.dp.slave_params import SlaveParams
+from dpstack.errors import ConfigError
+
+ROOT = Path(dpstack.__file__).parent.parent
+BUS = {"port": '"virtual"', "baud": "500000"}
+RAW = {"name": '"raw"', "address": "9", "ident": "0x1234", "config": '"20 10"', "user_prm": '"00 00 00"'}
+#: a drive with the option that the key is for
+DRIVES = {"reference_hz": "demag-dedrive", "reference_rpm": "imo-hd2"}
+TABLES = {"bus": keys_of(BusConfig), "slave": {**keys_of(SlaveKeys), **keys_of(Changes)}}
+KEYS = [(table, name) for table, keys in TABLES.items() for name in keys]
+LIMITED = [(table, name) for table, name in KEYS if not math.isinf(TABLES[table][name].low)]
+#: what a key takes and no other: a value of another type
+WRONG = ["1979-05-27", "[[1]]", "[{}]"]
+
+
+def plant(table: str, name: str, value: str, blanks: int = 0) -> tuple[str, int]:
+    """A configuration with ``name`` = ``value``, and its line."""
+    base = {"bus": dict(BUS), "slave": {} if table == "bus" else dict(RAW)}
+    if name in DRIVES:
+        base["slave"] = {"name": '"raw"', "address": "9", "drive": f'"{DRIVES[name]}"'}
+    base[table].pop(name, None)
+    lines = ["[bus]", *(f"{key} = {it}" for key, it in base["bus"].items())]
+    if base["slave"]:
+        lines += ["[[slave]]", *(f"{key} = {it}" for key, it in base["slave"].items())]
+    at = 1 if table == "bus" else len(lines)
+    lines[at:at] = [""] * blanks + [f"{name} = {value}"]
+    return "\n".join(lines), at + blanks + 1
+
+
+def refusal(table: str, name: str, value: str, blanks: int = 0) -> tuple[str, int]:
+    """What is said to it, "" where it is taken, and the line where it stands."""
+    text, line = plant(table, name, value, blanks)
+    try:
+        parse_config(text, "plant.toml")
+    except ConfigError as error:
+        return str(error), line
+    return "", line
+
+
+def texts(key: Key, value: float) -> str:
+    """``value`` as TOML, in the form of the key."""
+    number = str(value) if key.kind is float else str(int(value))
+    return number if key.kind in (int, float) else f"[{number}]"
+
+
+@pytest.mark.parametrize(("table", "name"), LIMITED)
+@examples(5)
+@given(blanks=st.integers(0, 40))
+def test_at_the_limits(table: str, name: str, blanks: int) -> None:
+    key = TABLES[table][name]
+    least = 0.0001 if 0 < key.low < 1 else 1
+    for value, inside in ((key.low - least, False), (key.low, True), (key.high, True), (key.high * 1.01 + 1, False)):
+        told, line = refusal(table, name, texts(key, value), blanks)
+        limits = f"{key.low:g}..{key.high:g}" if key.kind is float else f"{key.low}..{key.high}"
+        assert (f" outside {limits}; " in told) is not inside, (value, told)
+        if not inside:
+            title = "[bus]" if table == "bus" else "[[slave]] raw"
+            assert told.startswith(f"plant.toml:{line}: {title}: {name} "), told
+
+
+@pytest.mark.parametrize(("table", "name"), KEYS)
+def test_another_type(table: str, name: str) -> None:
+    for value in WRONG:
+        told, line = refusal(table, name, value)
+        assert told.startswith(f"plant.toml:{line}: "), (value, told)
+        assert name in told
+        assert told.partition("; ")[2]
+
+
+@pytest.mark.parametrize(("table", "name"), KEYS)
+def test_a_misspelt_key_is_met_with_the_right_one(table: str, name: str) -> None:
+    text, _ = plant(table, name, "1")
+    with pytest.raises(ConfigError, match=rf"unknown key '{name}x'; did you mean '{name}'\?"):
+        parse_config(text.replace(f"{name} = 1", f"{name}x = 1"), "plant.toml")
+
+
+def raw() -> SlaveConfig:
+    lines = [f"{key} = {value}" for key, value in RAW.items()]
+    text = "\n".join(["[bus]", 'port = "virtual"', "baud = 500000", "[[slave]]", *lines])
+    return parse_config(text, "plant.toml").slaves[0]
+
+
+@pytest.mark.parametrize("name", [name for name, key in keys_of(Changes).items() if not math.isinf(key.low)])
+def test_the_same_is_said_to_a_running_bus(name: str) -> None:
+    key = keys_of(Changes)[name]
+    for value in (key.low - 1, key.high + 1):
+        given_: Any = {name: int(value) if key.kind is int else [int(value)]}
+        told, _ = refusal("slave", name, texts(key, value))
+        with pytest.raises(ConfigError) as caught:
+            changed(raw(), given_)
+        assert str(caught.value).removeprefix("slave 9 (raw): reparameterise: ") == told.partition("raw: ")[2]
+
+
+def test_none_is_as_if_it_had_never_been_given() -> None:
+    slave = raw()
+    given_: Any = {
+        "ident": 7, "watchdog_ms": 100, "groups": [3], "sync": True, "freeze": True, "every": 3, "safe": "01",
+        "min_slave_interval": 20, "dpv1": True, "ignore_auto_clear": True, "fail_safe": True, "wd_base_1ms": True,
+    }  # fmt: skip
+    other = changed(slave, given_)
+    assert other.params.min_slave_interval_ns == 2_000_000
+    assert (other.params.safe, other.params.groups) == (b"\x01", (3,))
+    assert other.params.dpv1 is not None
+    nothing: Any = dict.fromkeys(given_)
+    assert changed(other, nothing).params == dataclasses.replace(slave.params, ident=None)
+
+
+# --- stated once ------------------------------------------------------------------------------------------------------
+
+FIELDS = {field.name for field in dataclasses.fields(SlaveParams)} - {"address", "name", "ident", "config", "texts"}
+#: a list of fewer is none
+FEW = 4
+#: what an author's own slave is and can, the model of a GSD file, and the octets of a PDU are other things
+OTHERS = ("gsd/", "sim/", "dp/slave/", "dp/pdu/", "dpv1/slave/", "dpv1/pdu/")
+#: who lists as many for a reason of its own, and what that is
+LISTS = {
+    "dpstack.dp.slave_params.SlaveParams": "the parameters themselves",
+    "dpstack.dp.services.set_prm": "from the parameters to the octets",
+    "dpstack.api.config.slave.Changes": "the keys of the configuration",
+    "dpstack.api.config.gsd_slave.read_gsd_slave": "from what a GSD file says to the parameters",
+    "dpstack.api.config.slave_source._drive": "from what a drive plugin says to the parameters",
+    "dpstack.profile.model.drive_profile.DriveProfile": "what a drive plugin says",
+    "dpstack.profile.model.drive_profile.DriveProfile.described": "a drive plugin as a GSD file has it",
+}
+
+
+def lists(node: ast.AST, where: str) -> Iterator[tuple[str, set[str]]]:
+    """The names that each class, function and call lists."""
+    for child in ast.iter_child_nodes(node):
+        inside = where
+        if isinstance(child, (ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)):
+            inside = f"{where}.{child.name}"
+        if isinstance(child, ast.ClassDef):
+            yield (
+                inside,
+                {
+                    one.target.id
+                    for one in child.body
+                    if isinstance(one, ast.AnnAssign) and isinstance(one.target, ast.Name)
+                },
+            )
+        elif isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef)):
+            yield inside, {one.arg for one in (*child.args.args, *child.args.kwonlyargs)}
+        elif isinstance(child, ast.Call):
+            yield inside, {one.arg for one in child.keywords if one.arg}
+        elif isinstance(child, ast.Dict):
+            yield (
+                inside,
+                {one.value for one in child.keys if isinstance(one, ast.Constant) and isinstance(one.value, str)},
+            )
+        yield from lists(child, inside)
+
+
+def test_a_parameter_of_a_slave_is_stated_once() -> None:
+    found = {}
+    for path in sorted((ROOT / "dpstack").rglob("*.py")):
+        place = path.relative_to(ROOT / "dpstack").with_suffix("")
+        if not str(place).startswith(OTHERS):
+            for where, names in lists(ast.parse(path.read_text(encoding="utf-8")), ".".join(("dpstack", *place.parts))):
+                if len(names & FIELDS) >= FEW:
+                    found[where] = sorted(names & FIELDS)
+    assert sorted(found) == sorted(LISTS), found
