@@ -20,6 +20,7 @@ from property_kit import examples
 import dpstack
 from dpstack.api.config.bus import BusConfig
 from dpstack.api.config.config import parse_config
+from dpstack.api.config.dpv1 import Dpv1Keys
 from dpstack.api.config.slave import Changes, SlaveConfig, SlaveKeys
 from dpstack.api.config.table import Key, keys_of
 from dpstack.api.slave.reparameterise import changed
@@ -31,7 +32,12 @@ BUS = {"port": '"virtual"', "baud": "500000"}
 RAW = {"name": '"raw"', "address": "9", "ident": "0x1234", "config": '"20 10"', "user_prm": '"00 00 00"'}
 #: a drive with the option that the key is for
 DRIVES = {"reference_hz": "demag-dedrive", "reference_rpm": "imo-hd2"}
-TABLES = {"bus": keys_of(BusConfig), "slave": {**keys_of(SlaveKeys), **keys_of(Changes)}}
+TABLES = {
+    "bus": keys_of(BusConfig),
+    "slave": {**keys_of(SlaveKeys), **keys_of(Changes)},
+    "dpv1": keys_of(Dpv1Keys),
+}
+TITLES = {"bus": "[bus]", "slave": "[[slave]] raw", "dpv1": "[[slave]] raw: dpv1"}
 KEYS = [(table, name) for table, keys in TABLES.items() for name in keys]
 LIMITED = [(table, name) for table, name in KEYS if not math.isinf(TABLES[table][name].low)]
 #: what a key takes and no other: a value of another type
@@ -40,13 +46,15 @@ WRONG = ["1979-05-27", "[[1]]", "[{}]"]
 
 def plant(table: str, name: str, value: str, blanks: int = 0) -> tuple[str, int]:
     """A configuration with ``name`` = ``value``, and its line."""
-    base = {"bus": dict(BUS), "slave": {} if table == "bus" else dict(RAW)}
+    base = {"bus": dict(BUS), "slave": {} if table == "bus" else dict(RAW), "dpv1": {}}
     if name in DRIVES:
         base["slave"] = {"name": '"raw"', "address": "9", "drive": f'"{DRIVES[name]}"'}
     base[table].pop(name, None)
     lines = ["[bus]", *(f"{key} = {it}" for key, it in base["bus"].items())]
     if base["slave"]:
         lines += ["[[slave]]", *(f"{key} = {it}" for key, it in base["slave"].items())]
+    if table == "dpv1":
+        lines.append("[slave.dpv1]")
     at = 1 if table == "bus" else len(lines)
     lines[at:at] = [""] * blanks + [f"{name} = {value}"]
     return "\n".join(lines), at + blanks + 1
@@ -79,8 +87,7 @@ def test_at_the_limits(table: str, name: str, blanks: int) -> None:
         limits = f"{key.low:g}..{key.high:g}" if key.kind is float else f"{key.low}..{key.high}"
         assert (f" outside {limits}; " in told) is not inside, (value, told)
         if not inside:
-            title = "[bus]" if table == "bus" else "[[slave]] raw"
-            assert told.startswith(f"plant.toml:{line}: {title}: {name} "), told
+            assert told.startswith(f"plant.toml:{line}: {TITLES[table]}: {name} "), told
 
 
 @pytest.mark.parametrize(("table", "name"), KEYS)

@@ -3,31 +3,63 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from operator import attrgetter
+from typing import Annotated, Any, Final, TypedDict
 
-from dpstack.api.config.table import Table
+from dpstack.api.config.table import Gsd, Key, Table, keys_of
 from dpstack.dp.pdu.dpv1_status import ALARM_KEYWORDS, ALARM_LIMITS, ALARMS, DPV1_ENABLE, DPV1_STATUS_LEN, Dpv1
 from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dp.pdu.prm_blocks import NAMES, RECORDS, TABLES, Content, DxbTable, PrmBlock
 from dpstack.dpv1.pdu.ms2 import LEAST_INITIATE
-from dpstack.errors import ConfigError, PduError
 from dpstack.gsd.model import Device
 from dpstack.units import NS_PER_MS
 
-_KEYS: Final = (
-    "check_cfg_mode",
-    "prm_cmd",
-    "alarms",
-    "alarm_mode",
-    "extra_alarm_sap",
-    "blocks",
-    "response_timeout_ms",
-)
 _BLOCK_KEYS: Final = ("type", "slot", "specifier", "data")
 #: of a table of links or subscriptions
 _ENTRIES: Final = "entries"
+
+
+def _alarms(table: Table, key: str, _: Key) -> tuple[str, ...]:
+    given = table.raw(key)
+    kinds = f"it is a list of these: {', '.join(ALARMS)}"
+    if not isinstance(given, (list, tuple)):
+        table.fail(key, f"{key} = {given!r}", kinds)
+    for name in given:
+        if not isinstance(name, str) or name not in ALARMS:
+            table.fail(key, f"{key} holds {name!r}, which is none", kinds)
+    return tuple(name for name in ALARMS if name in given)
+
+
+def _blocks(table: Table, key: str, _: Key) -> tuple[PrmBlock, ...]:
+    given = table.raw(key)
+    if not isinstance(given, (list, tuple)):
+        table.fail(key, f"{key} is no list of tables", 'write [{ type = 0x81, slot = 0, data = "00 01" }]')
+    return tuple(_block(table.inner(key, number, entry)) for number, entry in enumerate(given, 1))
+
+
+class Dpv1Keys(TypedDict, total=False):
+    """The keys of [slave.dpv1], as docs/configuration.md has them.
+
+    alarms: what the slave may raise: `pull_plug`, `process`, `diagnostic`, `manufacturer`, `status`, `update`
+        ([alarms.md](alarms.md)). Left out: what its GSD file requires, and what stands in `user_prm`
+    alarm_mode: 0: one of each kind at a time, 1..7: 2, 4, 8, 12, 16, 24, 32 in all (GSD: Alarm_Sequence_Mode_Count).
+        Left out: as in `user_prm`
+    extra_alarm_sap: alarms are acknowledged at SAP 50, not 51. Left out: as its GSD file says, else false
+    check_cfg_mode: the slave judges the configuration in a way of its own. Left out: as in `user_prm`
+    prm_cmd: the slave takes part in redundancy by PrmCmd. Left out: as in `user_prm`
+    response_timeout_ms: in which the slave answers Read and Write. Left out: C1_Response_Timeout of its GSD file
+    blocks: structured parameters, see [dp-v1.md](dp-v1.md) (GSD: Prm_Block_Structure_supp). Left out: none
+    """
+
+    alarms: Annotated[Sequence[str], Key(read=_alarms)]
+    alarm_mode: Annotated[int, Key(0, 7, hint="0: one of each kind at a time, 1..7: 2, 4, 8 ... 32 in all")]
+    extra_alarm_sap: Annotated[bool, Key()]
+    check_cfg_mode: Annotated[bool, Key(gsd=Gsd("Check_Cfg_Mode", attrgetter("dpv1.check_cfg_mode")))]
+    prm_cmd: Annotated[bool, Key()]
+    response_timeout_ms: Annotated[int, Key(1, 655_350)]
+    blocks: Annotated[Sequence[Mapping[str, object]], Key(read=_blocks)]
 
 
 def read_dpv1(table: Table, device: Device | None, user_prm: bytes) -> Dpv1 | None:
@@ -71,74 +103,39 @@ def _of_gsd(device: Device | None) -> Dpv1:
 
 
 def _with_keys(base: Dpv1, table: Table, device: Device | None) -> Dpv1:
-    table.check_keys(_KEYS)
-    timeout = table.integer("response_timeout_ms", 1, 655_350)
-    checks = None if device is None else device.dpv1.check_cfg_mode
-    return dataclasses.replace(
-        base,
-        check_cfg_mode=_flag(table, "check_cfg_mode", checks, "Check_Cfg_Mode"),
-        prm_cmd=_flag(table, "prm_cmd", None, ""),
-        alarms=_alarms(table, device),
-        alarm_mode=_alarm_mode(table, device),
-        extra_alarm_sap=table.flag("extra_alarm_sap", base.extra_alarm_sap),
-        blocks=_blocks(table, device),
-        c1_response_timeout_ns=base.c1_response_timeout_ns if timeout is None else timeout * NS_PER_MS,
-    )
+    keys = keys_of(Dpv1Keys)
+    given = table.read(keys)
+    if device is not None:
+        _held_against(device, table, given)
+        for name, key in keys.items():
+            if name in given and key.gsd is not None:
+                table.against_gsd(name, given[name], key.gsd, device)
+    timeout = given.pop("response_timeout_ms", None)
+    if timeout is not None:
+        given["c1_response_timeout_ns"] = timeout * NS_PER_MS
+    return dataclasses.replace(base, **given)
 
 
-def _flag(table: Table, key: str, supported: bool | None, keyword: str) -> bool | None:
-    if key not in table:
-        return None
-    wanted = table.flag(key, False)
-    if wanted and supported is False:
-        table.fail(key, f"{key} = true, but its GSD file says {keyword} = 0", f"leave {key} out")
-    return wanted
-
-
-def _alarms(table: Table, device: Device | None) -> tuple[str, ...] | None:
-    given = table.raw("alarms")
-    if given is None:
-        return None
-    kinds = f"it is a list of these: {', '.join(ALARMS)}"
-    if not isinstance(given, (list, tuple)):
-        table.fail("alarms", f"alarms = {given!r}", kinds)
-    for name in given:
-        if not isinstance(name, str) or name not in ALARMS:
-            table.fail("alarms", f"alarms holds {name!r}, which is none", kinds)
-    for name in given:
-        if device is not None and ALARM_KEYWORDS[name] not in (*device.dpv1.alarms, *device.dpv1.required):
+def _held_against(device: Device, table: Table, given: Mapping[str, Any]) -> None:
+    for name in given.get("alarms", ()):
+        if ALARM_KEYWORDS[name] not in (*device.dpv1.alarms, *device.dpv1.required):
             problem = f"alarms holds {name}, but its GSD file says {ALARM_KEYWORDS[name]}_supp = 0"
             table.fail("alarms", problem, "leave it out")
-    for name in _required(device):
-        if name not in given:
+    for name in _required(device) if "alarms" in given else ():
+        if name not in given["alarms"]:
             problem = f"alarms lacks {name}, but its GSD file says {ALARM_KEYWORDS[name]}_required = 1"
             table.fail("alarms", problem, "add it, or leave alarms out")
-    return tuple(name for name in ALARMS if name in given)
-
-
-def _required(device: Device | None) -> tuple[str, ...]:
-    """Kinds that the device wants to be enabled."""
-    return () if device is None else tuple(name for name in ALARMS if ALARM_KEYWORDS[name] in device.dpv1.required)
-
-
-def _alarm_mode(table: Table, device: Device | None) -> int | None:
-    mode = table.integer("alarm_mode", 0, 7, "0: one of each kind at a time, 1..7: 2, 4, 8 ... 32 in all")
-    most = 0 if device is None else device.dpv1.alarm_sequence_mode_count
-    if mode and device is not None and ALARM_LIMITS[mode] > most:
+    mode, most = given.get("alarm_mode", 0), device.dpv1.alarm_sequence_mode_count
+    if mode and ALARM_LIMITS[mode] > most:
         problem = f"alarm_mode {mode} is {ALARM_LIMITS[mode]} alarms at a time, its GSD file says "
         table.fail("alarm_mode", f"{problem}Alarm_Sequence_Mode_Count = {most}", "0 is one of each kind at a time")
-    return mode
-
-
-def _blocks(table: Table, device: Device | None) -> tuple[PrmBlock, ...]:
-    given = table.raw("blocks")
-    if given is None:
-        return ()
-    if not isinstance(given, (list, tuple)):
-        table.fail("blocks", "blocks is no list of tables", 'write [{ type = 0x81, slot = 0, data = "00 01" }]')
-    if device is not None and not (device.dpv1.prm_block_structure or device.dpv1.prm_block_structure_required):
+    if "blocks" in given and not (device.dpv1.prm_block_structure or device.dpv1.prm_block_structure_required):
         table.fail("blocks", "blocks, but its GSD file says Prm_Block_Structure_supp = 0", "leave blocks out")
-    return tuple(_block(table.inner("blocks", number, entry)) for number, entry in enumerate(given, 1))
+
+
+def _required(device: Device) -> tuple[str, ...]:
+    """Kinds that the device wants to be enabled."""
+    return tuple(name for name in ALARMS if ALARM_KEYWORDS[name] in device.dpv1.required)
 
 
 def _block(table: Table) -> PrmBlock:
@@ -151,17 +148,13 @@ def _block(table: Table) -> PrmBlock:
             if key in table:
                 table.fail(key, f"{key} beside data", f"leave {key} out, or data")
         octets = table.octets("data") or b""
-        try:
+        with table.blaming("data"):
             block = PrmBlock(kind, slot, octets, specifier)
             _ = block.content
-        except (ConfigError, PduError) as error:
-            raise table.error("data", str(error), "correct it") from None
         return block
     content = _content(table, kind)
-    try:
+    with table.blaming():
         return PrmBlock.of(content, slot, kind=kind, specifier=specifier)
-    except (ConfigError, PduError) as error:
-        raise table.error(None, str(error), "correct it") from None
 
 
 def _type(table: Table) -> int:
