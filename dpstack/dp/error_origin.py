@@ -1,18 +1,38 @@
-"""Where in a device's own functions an exception comes from."""
+"""Where in a device's own functions an exception comes from: each call of them is marked with :data:`DEVICE_CALL`."""
 
 from __future__ import annotations
 
+from types import TracebackType
 from typing import Final
 
-#: where exceptions are raised on behalf of the device: their text says it all
-_OURS: Final = (
-    "dpstack/dp/slave/application.py",
-    "dpstack/dp/slave/state.py",
-    "dpstack/dp/slave/services.py",
-    "dpstack/dp/slave/cyclic_data.py",
-    "dpstack/dpv1/slave/record_requests.py",
-    "dpstack/api/server/async_device.py",
-)
+#: key in the attributes of an exception
+_ORIGIN: Final = "_dpstack_origin"
+
+
+class _DeviceCall:
+    """Context of one call of a function that the author of a device wrote: what it raises is the device's.
+
+    In the way of each Data_Exchange, where a context costs too much, ``except`` calls :meth:`mark`.
+    """
+
+    __slots__ = ()
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is not None:
+            self.mark(error)
+
+    def mark(self, error: BaseException) -> None:
+        """The function that catches ``error`` has called the device."""
+        trace = error.__traceback__
+        error.__dict__[_ORIGIN] = _innermost(trace and trace.tb_next)
+
+
+DEVICE_CALL: Final = _DeviceCall()
 
 
 def error_text(error: BaseException) -> str:
@@ -28,14 +48,18 @@ def failure_text(error: BaseException) -> str:
 
 
 def origin_of(error: BaseException) -> str:
-    """Function, file and line; empty where it was raised on behalf of the device. What asyncio raised (a time-out)
-    and an error that cannot be made so come from whoever called it."""
-    trace, found = error.__traceback__, ""
+    """Function, file and line of the device; empty where the error was raised on behalf of it: its text says it all."""
+    return str(error.__dict__.get(_ORIGIN, ""))
+
+
+def _innermost(trace: TracebackType | None) -> str:
+    """The last call that leads to the error; what asyncio and dpstack raise there comes from whoever called them."""
+    found, of_whom = "", 0
     while trace is not None:
-        code = trace.tb_frame.f_code
-        path = code.co_filename.replace("\\", "/")
-        if "/asyncio/" not in path and not path.endswith("dpstack/errors.py"):
-            file = path.rpartition("/")[2]
-            found = "" if path.endswith(_OURS) else f"{code.co_name}(), {file} line {trace.tb_lineno}"
+        code, package = trace.tb_frame.f_code, str(trace.tb_frame.f_globals.get("__name__")).partition(".")[0]
+        rank = {"asyncio": 0, "dpstack": 1}.get(package, 2)
+        if rank >= of_whom and rank:
+            file = code.co_filename.replace("\\", "/").rpartition("/")[2]
+            found, of_whom = f"{code.co_name}(), {file} line {trace.tb_lineno}", rank
         trace = trace.tb_next
     return found

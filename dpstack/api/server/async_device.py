@@ -6,9 +6,10 @@ An alarm is raised from async code; it is over when its master has acknowledged 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Coroutine, Iterable, Sequence
+from collections.abc import Awaitable, Callable, Coroutine, Iterable, Sequence
 from typing import TypeVar
 
+from dpstack.dp.error_origin import DEVICE_CALL
 from dpstack.dp.pdu.alarm_blocks import Alarm, ModuleState, Status, module_status
 from dpstack.dpv1.pdu.error_codes import Code
 from dpstack.dpv1.pdu.read_write import ReadReq
@@ -115,7 +116,7 @@ class AsyncRecords:
             if self._on_transport is None:
                 ticket.refuse(Code.NOT_SUPPORTED)
                 return
-            data = await _awaited("on_transport", self._on_transport(request.slot, request.index, request.data))
+            data = await _asked("on_transport", self._on_transport, request.slot, request.index, request.data)
             if not isinstance(data, (bytes, bytearray)):
                 raise TypeError(f"on_transport returned {type(data).__name__}, what goes back is bytes")
             ticket.answer(bytes(data))
@@ -129,20 +130,23 @@ class AsyncRecords:
                 if self._on_read is None:
                     ticket.refuse(Code.ACCESS_DENIED)
                     return
-                data = await _awaited("on_read", self._on_read(request.slot, request.index))
+                data = await _asked("on_read", self._on_read, request.slot, request.index)
                 if not isinstance(data, (bytes, bytearray)):
                     raise TypeError(f"on_read returned {type(data).__name__}, a record is bytes")
                 ticket.answer(bytes(data))
             elif self._on_write is None:
                 ticket.refuse(Code.ACCESS_DENIED)
             else:
-                await _awaited("on_write", self._on_write(request.slot, request.index, request.data))
+                await _asked("on_write", self._on_write, request.slot, request.index, request.data)
                 ticket.answer()
         except Exception as error:  # the user's: answered, told, and nothing else is disturbed
             ticket.fail(error)
 
 
-def _awaited(name: str, result: Awaitable[T]) -> Awaitable[T]:
+async def _asked(name: str, function: Callable[..., Awaitable[T]], *args: object) -> T:
+    with DEVICE_CALL:
+        result = function(*args)
     if not isinstance(result, Awaitable):
         raise TypeError(f"{name} is an ordinary function, it has to be an async one: write async def")
-    return result
+    with DEVICE_CALL:
+        return await result

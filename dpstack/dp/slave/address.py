@@ -7,6 +7,7 @@ No_Add_Chg closes the service for good; only an initial reset, done at the devic
 
 from __future__ import annotations
 
+from dpstack.dp.error_origin import DEVICE_CALL
 from dpstack.dp.pdu.requests import SetSlaveAdd
 from dpstack.dp.slave.device import DpV0Device
 from dpstack.dp.slave.events import AddressChanged, Report
@@ -67,7 +68,8 @@ class SlaveAddress:
 
     def _change(self, address: int, fixed: bool, rem_slave_data: bytes, master: int | None, now: int) -> None:
         before = self._report.address
-        kept = self._device.address_set(address, fixed, rem_slave_data) or master is None
+        with DEVICE_CALL:
+            kept = self._device.address_set(address, fixed, rem_slave_data) or master is None
         if kept:
             self._kept_address, self._kept_fixed = address, fixed
         self.fixed = fixed

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
+from dpstack.dp.error_origin import DEVICE_CALL
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.pdu.requests import GlobalControl
 from dpstack.dp.slave.cyclic_data import wrong_inputs
@@ -165,7 +166,11 @@ class SlaveApp:
         try:
             if data.plain and len(octets) == data.output_len:
                 data.outputs = octets
-                inputs = data.run(octets, now)
+                try:
+                    inputs = data.run(octets, now)
+                except Exception as error:
+                    DEVICE_CALL.mark(error)
+                    raise
                 if type(inputs) is not bytes or len(inputs) != data.input_len:
                     raise wrong_inputs(inputs, data.input_len)
                 data.inputs = inputs

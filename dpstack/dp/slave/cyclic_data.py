@@ -6,6 +6,7 @@ Exists only while the slave is in data exchange; leaving drops it, and with it o
 
 from __future__ import annotations
 
+from dpstack.dp.error_origin import DEVICE_CALL
 from dpstack.dp.pdu.requests import GlobalControl
 from dpstack.dp.slave.device import DpV0Device
 
@@ -121,16 +122,19 @@ class CyclicData:
     def _make_void(self, now: int) -> None:
         if not self._void:
             self._void = True
-            self._device.clear(now)
+            with DEVICE_CALL:
+                self._device.clear(now)
 
     def _make_valid(self, now: int) -> None:
         if self._void or not self._started:
             self._void = False
             self._started = True
-            self._device.operate(now)
+            with DEVICE_CALL:
+                self._device.operate(now)
 
     def _sample(self, now: int) -> bytes:
-        inputs = self.run(self.outputs, now)
+        with DEVICE_CALL:
+            inputs = self.run(self.outputs, now)
         if type(inputs) is not bytes or len(inputs) != self.input_len:
             raise wrong_inputs(inputs, self.input_len)
         return inputs

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from dpstack.dp.error_origin import DEVICE_CALL
 from dpstack.dp.pdu.diag_blocks import NO_DIAG, UserDiag
 from dpstack.dp.pdu.diagnosis import ALWAYS_ONE, FIXED_LEN, Diagnosis
 from dpstack.dp.slave.cyclic_data import CyclicData
@@ -88,7 +89,13 @@ class DiagState:
         self.heard(fc)
         # both are asked: with the first Data_Exchange alarms may be shown
         news = self._messages is not None and self._messages.news()
-        return news or (self.user is not None and self.user() != self._told)
+        if news or self.user is None:
+            return news
+        try:
+            return self.user() != self._told
+        except Exception as error:
+            DEVICE_CALL.mark(error)
+            raise
 
     def build(
         self, state: SlaveAppState, master: int | None, data: CyclicData | None, user: UserDiag, *, wd: bool, ill: bool

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from dpstack.dp.error_origin import DEVICE_CALL
 from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN
 from dpstack.dp.pdu.dpv1_status import FAIL_SAFE, WD_BASE_1MS
 from dpstack.dp.pdu.requests import SetPrm
@@ -40,7 +41,10 @@ def judge_prm(device: DpV0Device, prm: SetPrm, *, ask_device: bool) -> Refusal |
         return Refusal(
             "octet 8 bit 6: Fail_Safe is not set, this device needs a master that sends empty frames in Clear"
         )
-    reason = device.check_prm(prm.user_prm) if ask_device else None
+    if not ask_device:
+        return None
+    with DEVICE_CALL:
+        reason = device.check_prm(prm.user_prm)
     return None if reason is None else Refusal(f"octet 8 on: {reason}")
 
 
@@ -72,7 +76,8 @@ def judge_cfg(device: DpV0Device, config: bytes) -> tuple[int, int] | Refusal:
         return Refusal(str(error))
     if max(lengths) > MAX_DATA:
         return Refusal(f"{lengths[0]} input and {lengths[1]} output octets, {MAX_DATA} each are possible")
-    reason = device.check_cfg(config)
+    with DEVICE_CALL:
+        reason = device.check_cfg(config)
     return lengths if reason is None else Refusal(reason)
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from dpstack.dp.error_origin import DEVICE_CALL
 from dpstack.dp.pdu.requests import SetPrm, SetSlaveAdd
 from dpstack.dp.slave.cyclic_data import CyclicData
 from dpstack.dp.slave.device import Leave
@@ -163,7 +164,8 @@ class Services:
             return
         try:
             data = CyclicData(core.device, config, inputs, outputs)
-            core.device.enter(config, now)
+            with DEVICE_CALL:
+                core.device.enter(config, now)
         except Exception as error:
             core.fail("Chk_Cfg", error, now)
             return

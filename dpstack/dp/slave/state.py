@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from dpstack.dp.error_origin import DEVICE_CALL
 from dpstack.dp.pdu.diag_blocks import NO_DIAG, UserDiag
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.slave.address import SlaveAddress
@@ -69,7 +70,8 @@ class SlaveCore:
         ask = self.diag.user
         if ask is not None and self.failure is None:
             try:
-                user = ask()
+                with DEVICE_CALL:
+                    user = ask()
                 if not isinstance(user, UserDiag):
                     raise TypeError(f"user_diag() returned {type(user).__name__}, a UserDiag is wanted")
                 return user
@@ -121,7 +123,8 @@ class SlaveCore:
         for service in self.services:
             service.left()
         try:
-            self.device.leave(reason, now)
+            with DEVICE_CALL:
+                self.device.leave(reason, now)
         except Exception as error:
             self.fail(f"leaving ({reason.value})", error, now)
             return False
@@ -171,7 +174,8 @@ class DeviceClock:
         if self._due is None:
             return NEVER
         try:
-            return self._due()
+            with DEVICE_CALL:
+                return self._due()
         except Exception as error:
             self._error = error
             return NOW
@@ -186,12 +190,14 @@ class DeviceClock:
         if self._error is not None:
             error, self._error = self._error, None
             raise error
-        due = self._due()
+        with DEVICE_CALL:
+            due = self._due()
         restart: int | None = None
         while due <= now:
-            told = self._device.tick(now)
+            before = due
+            with DEVICE_CALL:
+                told, due = self._device.tick(now), self._due()
             restart = restart if told is None else told
-            before, due = due, self._due()
             if due <= before:
                 raise RuntimeError(f"wake_at() stays at {due} after tick({now})")
         return restart

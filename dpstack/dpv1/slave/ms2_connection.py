@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-from dpstack.dp.error_origin import failure_text
+from dpstack.dp.error_origin import DEVICE_CALL, failure_text
 from dpstack.dp.pdu.layouts import MAX_SLOT
 from dpstack.dp.slave.events import Report, SlaveAppEvent
 from dpstack.dpv1.pdu.error_codes import Code
@@ -140,7 +140,8 @@ class Connection:
             self._refuse(reason, Abort(AbortReason.ADDRESS).build(), now)
             return
         try:
-            self._device.initiate(self.asker.master, wanted)
+            with DEVICE_CALL:
+                self._device.initiate(self.asker.master, wanted)
         except Exception as error:
             self._unwanted(error, now)
             return

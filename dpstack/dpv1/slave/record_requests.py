@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Protocol, TypeVar
 
-from dpstack.dp.error_origin import failure_text
+from dpstack.dp.error_origin import DEVICE_CALL, failure_text
 from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dp.slave.events import Report
 from dpstack.dpv1.pdu.error_codes import Code
@@ -147,6 +147,7 @@ def _put(ticket: T, serve: Callable[[T], object] | None, otherwise: Code) -> Non
         ticket.refuse(otherwise)
         return
     try:
-        serve(ticket)
+        with DEVICE_CALL:
+            serve(ticket)
     except Exception as error:
         ticket.fail(error)

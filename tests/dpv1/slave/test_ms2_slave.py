@@ -210,7 +210,8 @@ def test_functions_that_fail() -> None:
         "Read of slot 0, index 1 of master 1 refused: its function failed (ZeroDivisionError: records are broken), "
         f"in ask(), test_ms2_slave.py line {line}",
         "Data_Transport to slot 0, index 2 of master 1 refused: its function failed "
-        "(PduError: 241 octets of data, 240 are possible in one service)",
+        "(PduError: 241 octets of data, 240 are possible in one service), "
+        f"in transport(), test_ms2_slave.py line {transport.__code__.co_firstlineno + 3}",
     ]
 
 
