@@ -58,7 +58,6 @@ class Sealed:
         super().__setattr__(name, value)
 
     def _sealed_name(self) -> str:
-        """The object in messages."""
         return type(self).__name__.lower()
 
     def _no_attribute(self, name: str, *, method: bool) -> str:

@@ -50,7 +50,6 @@ class Histogram:
         self.total_ns += ns
 
     def data(self) -> HistogramData:
-        """A copy as plain data."""
         return HistogramData(self.count, self.total_ns, self.min_ns, self.max_ns, dict(self._buckets))
 
     @classmethod

@@ -92,7 +92,6 @@ class Receiver:
         return []
 
     def reset(self) -> None:
-        """Forget the character under way."""
         self._sampled = None
 
     def hear(self, start_ns: int, levels: bytes, baud: int) -> list[Character]:

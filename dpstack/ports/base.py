@@ -33,8 +33,7 @@ class Delivery(Enum):
 class Pending(Protocol):
     """A call that was asked for."""
 
-    def cancel(self) -> object:
-        """Do not call."""
+    def cancel(self) -> object: ...
 
 
 class Loop(Protocol):
@@ -43,8 +42,7 @@ class Loop(Protocol):
     def add_reader(self, fd: int, callback: Callable[[], object], /) -> object:
         """Call back whenever ``fd`` is readable."""
 
-    def remove_reader(self, fd: int, /) -> object:
-        """No longer."""
+    def remove_reader(self, fd: int, /) -> object: ...
 
     def call_soon(self, callback: Callable[[], object], /) -> Pending:
         """Call once, at the loop's next turn."""
@@ -100,12 +98,10 @@ class Port(ABC):
         """Detach and release the line. May be called at any time and again."""
 
     @abstractmethod
-    def _start(self, loop: Loop) -> None:
-        """Begin to hand over."""
+    def _start(self, loop: Loop) -> None: ...
 
     @abstractmethod
-    def _stop(self, loop: Loop) -> None:
-        """No longer hand over."""
+    def _stop(self, loop: Loop) -> None: ...
 
     @property
     def fd(self) -> int | None:
@@ -138,7 +134,6 @@ class Port(ABC):
         self._loop = loop
 
     def detach(self) -> None:
-        """Hand over nothing any more."""
         loop, self._loop = self._loop, None
         self._on_data = self._on_lost = None
         if loop is not None and not loop.is_closed():

@@ -43,7 +43,6 @@ class FdPort(Port):
         return self._fd if self._fd >= 0 else None
 
     def read_now(self) -> bytes:
-        """Drain the line."""
         octets = b""
         for _ in range(_CHUNKS):
             try:
@@ -69,7 +68,6 @@ class FdPort(Port):
                 return
 
     def write(self, octets: bytes) -> bool:
-        """Write at once or drop."""
         try:
             done = self._send(octets)
         except BlockingIOError:
@@ -83,7 +81,6 @@ class FdPort(Port):
         return False
 
     def close(self) -> None:
-        """Detach and close the descriptor."""
         self.detach()
         fd, self._fd = self._fd, -1
         self._read, self._send = _read_nothing, _write_nothing

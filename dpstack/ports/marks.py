@@ -26,7 +26,6 @@ class Unmarker:
         self._held = b""  # the beginning of a mark
 
     def feed(self, chunk: bytes) -> bytes:
-        """The intact octets of ``chunk``."""
         if not self._held and _MARK not in chunk:
             return chunk
         octets, self._held = self._held + chunk, b""

@@ -37,7 +37,6 @@ class MemoryPort(Port):
         self._inbox.clear()
 
     def read_now(self) -> bytes:
-        """Drain."""
         octets = bytes(self._inbox)
         self._inbox.clear()
         return octets
@@ -67,7 +66,6 @@ class MemoryPort(Port):
         self._lose_soon(reason)
 
     def plug(self) -> None:
-        """Be there again."""
         self._unplugged = ""
 
     def _take(self, octets: bytes) -> bool:

@@ -62,7 +62,6 @@ class PySerialPort(Port):
         self.baud = baud
 
     def read_now(self) -> bytes:
-        """Drain."""
         port = self._serial
         if port is None:
             return b""
@@ -73,7 +72,6 @@ class PySerialPort(Port):
             return b""
 
     def write(self, octets: bytes) -> bool:
-        """Write at once or drop."""
         done = 0
         if self._serial is not None:
             try:

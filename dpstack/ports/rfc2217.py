@@ -81,7 +81,6 @@ class Rfc2217Port(Port):
         threading.Thread(target=self._receive, args=(port,), name=f"reader of {self.name}", daemon=True).start()
 
     def read_now(self) -> bytes:
-        """Drain."""
         with self._lock:
             octets = bytes(self._inbox)
             self._inbox.clear()

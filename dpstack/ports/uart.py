@@ -80,7 +80,6 @@ def set_rs485(fd: int, words: tuple[int, ...]) -> None:
 
 
 def errors(fd: int) -> UartErrors:
-    """The driver's error counters."""
     buffer = bytearray(_ICOUNT.size)
     fcntl.ioctl(fd, TIOCGICOUNT, buffer, True)
     return UartErrors(*_ICOUNT.unpack(buffer)[6:11])

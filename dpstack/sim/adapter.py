@@ -51,8 +51,7 @@ class OwnOctets(Protocol):
     def sent(self, octets: bytes) -> None:
         """``octets`` go out now."""
 
-    def strip(self, chunk: bytes) -> bytes:
-        """What remains of ``chunk``."""
+    def strip(self, chunk: bytes) -> bytes: ...
 
     def release(self) -> bytes:
         """What was held back: a deadline is due."""
@@ -80,12 +79,10 @@ class Adapter:
     # --- what the world asks ---
     @property
     def address(self) -> int:
-        """The station's."""
         return self.station.address
 
     @property
     def baud(self) -> int:
-        """The station's."""
         return self.station.baud
 
     @property
@@ -95,7 +92,6 @@ class Adapter:
 
     @property
     def hears_all(self) -> bool:
-        """A port delivers everything."""
         return True
 
     @property
@@ -111,17 +107,14 @@ class Adapter:
         raise RuntimeError(f"an adapter was handed {telegram}: it takes octets only")
 
     def take_events(self) -> list[Event]:
-        """The station's."""
         return self.station.take_events()
 
     def command(self, command: object, now: int) -> None:
-        """Hand ``command`` to the station."""
         self.station.command(command, now)
         self._pump(b"", now)
 
     # --- the wire's side ---
     def receive(self, chunk: bytes, now: int) -> None:
-        """Octets from the wire."""
         self._fifo.extend((now, octet) for octet in chunk)
 
     def take_tx(self, now: int) -> bytes | None:

@@ -83,7 +83,6 @@ class Faults:
         self._order(which, act, times)
 
     def clear(self) -> None:
-        """No faults any more."""
         self._orders.clear()
         self._noise = None
         self._rearm()

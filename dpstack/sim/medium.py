@@ -53,8 +53,7 @@ class Scheduler(Protocol):
     def settle(self, node: Node, chunk: bytes) -> None:
         """Pump the station and heed its new deadline."""
 
-    def rearm(self, node: Node) -> None:
-        """Heed the station's new deadline."""
+    def rearm(self, node: Node) -> None: ...
 
 
 class _Stream:

@@ -73,8 +73,6 @@ def _not_connected(octets: bytes, now: int) -> int:
 
 
 class Nodes:
-    """All stations of a world."""
-
     __slots__ = ("_by_station", "by_address", "by_rate", "listeners", "ports")
 
     def __init__(self) -> None:
@@ -94,7 +92,6 @@ class Nodes:
         return self._by_station.get(id(station))
 
     def add(self, node: Node) -> None:
-        """Take ``node`` in."""
         self._by_station[id(node.station)] = node
         if node.by_octets:
             self.ports = [*self.ports, node]
@@ -103,7 +100,6 @@ class Nodes:
         self._enter(node)
 
     def remove(self, node: Node) -> None:
-        """Forget ``node``."""
         del self._by_station[id(node.station)]
         self.listeners = [other for other in self.listeners if other is not node]
         self.ports = [other for other in self.ports if other is not node]

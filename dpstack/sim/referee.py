@@ -149,7 +149,6 @@ class Referee:
         self._found(late, Finding(Rule.COLLISION, f"begins {overlap} bits before {early.sender} ends"))
 
     def heard(self, tx: Transmission) -> None:
-        """``tx`` is over."""
         telegram = tx.telegram
         self._baud = tx.baud
         if tx.collided or tx.cut or telegram is None:

@@ -62,7 +62,6 @@ class TokenWatch:
         return None if self._offer is None else self._offer.sa
 
     def request(self, sa: int, node: Node | None) -> Finding | None:
-        """``sa`` sends a request."""
         offer = self._offer
         if offer is not None and sa == offer.sa and self.holder == sa:
             self._offer = None

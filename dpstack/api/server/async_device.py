@@ -47,7 +47,6 @@ class ServedAlarms:
             raise AlarmError(text, "data exchange ended" if raised.end is AlarmEnd.LEFT else "withdrawn")
 
     def status(self, status: Status) -> None:
-        """Tell it once."""
         self._known().status(status)
 
     def module_status(self, states: Sequence[ModuleState]) -> None:
@@ -90,7 +89,6 @@ class AsyncRecords:
         self._start(ticket, self._serve(ticket))
 
     def transport(self, ticket: TransportTicket) -> None:
-        """The same for Data_Transport."""
         self._start(ticket, self._carry(ticket))
 
     def end(self) -> None:

@@ -60,7 +60,6 @@ class ServedSlave(Sealed):
 
     @property
     def name(self) -> str:
-        """As in events."""
         return self.device.name
 
     @property
@@ -117,7 +116,6 @@ class ServedSlave(Sealed):
 
     @property
     def stats(self) -> SlaveAppStats:
-        """Its counters."""
         return self._app.stats
 
     def diagnosis(self) -> Diagnosis:

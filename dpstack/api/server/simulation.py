@@ -155,7 +155,6 @@ class Simulation:
 
     @property
     def seconds(self) -> float:
-        """Since the start."""
         return ns_to_s(self.runtime.now() - self.started_ns)
 
     @property
@@ -172,7 +171,6 @@ class Simulation:
     # --- treated from outside ---------------------------------------------------------------------------------------
 
     def status(self) -> dict[str, object]:
-        """Each slave at this moment."""
         slaves: dict[str, object] = {}
         for slave in self.slaves:
             entry: dict[str, object] = {
@@ -199,7 +197,6 @@ class Simulation:
         return {slave.address: slave.name for slave in self.slaves}
 
     def device(self, address: int) -> Device:
-        """What simulates the slave."""
         return self._unit(address).device
 
     def _unit(self, address: int) -> Unit:
@@ -212,7 +209,6 @@ class Simulation:
             self._line.silence(unit.station.address, NEVER if for_ns is None else self.runtime.now() + for_ns)
 
     def resume(self, address: int) -> None:
-        """End a silence."""
         unit = self._unit(address)
         if unit.powered:
             self._line.resume(unit.station.address)
@@ -236,7 +232,6 @@ class Simulation:
         return injected_text(unit.device, unit.powered, None if until is None else until - self.runtime.now())
 
     def tell(self, event: Event) -> None:
-        """Hand an event to :attr:`on_event`."""
         hand_to(self.on_event, event)
 
     async def failed(self, seconds: float | None = None) -> None:

@@ -103,7 +103,6 @@ class Unit:
         self._stand(params)
 
     def renew(self, params: BusParams) -> None:
-        """Switched on again."""
         before, self.device = self.device, device_of(self.config)
         kept, self._address_fixed = self.app.kept_address
         self._address = self._address if kept is None else kept
@@ -153,7 +152,6 @@ class VirtualBench:
         return {address: unit.config.name for address, unit in self._units.items()}
 
     def device(self, address: int) -> Device:
-        """What simulates the slave."""
         return self._units[address].device
 
     def silence(self, address: int, for_ns: int | None) -> None:
@@ -166,7 +164,6 @@ class VirtualBench:
             self._world.call_at(until, lambda: self._end(address, until))
 
     def resume(self, address: int) -> None:
-        """The end of a silence."""
         self._end(address, self._silent.get(address))
 
     def power(self, address: int, on: bool) -> None:

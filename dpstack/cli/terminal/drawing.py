@@ -85,7 +85,6 @@ def _widths(rows: Sequence[Sequence[Text]], room: int) -> list[int]:
 
 
 def _least(text: str, *, heading: bool) -> int:
-    """The narrowest column for it."""
     words = text.split() if heading or len(text.split()) == 2 else [text]  # 200 ms, in/out octets
     return max((min(cell_len(word), _WHOLE) for word in words), default=0)
 
@@ -108,5 +107,4 @@ def progress_bar(title: str) -> Iterator[Shown]:
 
 
 def _label(text: str) -> str:
-    """Rich reads it as markup."""
     return escape(printable(text))

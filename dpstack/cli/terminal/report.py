@@ -69,7 +69,6 @@ class Reporter:
             output.line(f"{SEARCHING} on {self.bus.config.port}")
 
     def start(self) -> None:
-        """The start line, once."""
         bus = self.bus
         if self._started or bus is None:
             return
@@ -82,7 +81,6 @@ class Reporter:
             output.line(f"master {bus.params.address} on {name} at {baud_text(rate)}", "bold")
 
     def event(self, event: Event) -> None:
-        """One event of the bus."""
         bus = self.bus
         if bus is None:
             return

@@ -102,7 +102,6 @@ class StopSignal:
         self._loop.call_soon_threadsafe(self._event.set)
 
     async def wait(self) -> None:
-        """Until the first signal."""
         await self._event.wait()
 
     async def or_done(self, work: Coroutine[object, object, object]) -> bool:

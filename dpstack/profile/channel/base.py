@@ -59,8 +59,7 @@ class ParameterChannel(Protocol):
     def reset(self) -> None:
         """The slave left data exchange: all orders are given up."""
 
-    def read(self, key: ParamKey, deadline: int) -> Steps[dict[str, object]]:
-        """Read one parameter."""
+    def read(self, key: ParamKey, deadline: int) -> Steps[dict[str, object]]: ...
 
     def write(self, key: ParamKey, value: float, deadline: int) -> Steps[dict[str, object]]:
         """Write one parameter; ``value`` in its unit, or the integer on the wire where its scale is unknown."""
@@ -69,8 +68,7 @@ class ParameterChannel(Protocol):
 class ChannelServer(Protocol):
     """The drive's end, asked once a scan."""
 
-    def reset(self) -> None:
-        """Data exchange begins."""
+    def reset(self) -> None: ...
 
     def step(self, octets: bytes) -> bytes:
         """The reply to the octets of the order area (:data:`CHANNEL_LEN` both)."""

@@ -58,7 +58,6 @@ class Pkw(NamedTuple):
     pwe: int = 0
 
     def build(self) -> bytes:
-        """The eight octets."""
         return _LAYOUT.pack(self.id << 12 | self.pnu & 0x7FF, self.ind, 0, self.pwe)
 
     @classmethod

@@ -60,7 +60,6 @@ class PkwChannel:
         return self._client.busy
 
     def step(self, inputs: bytes, now: int) -> None:
-        """One cycle of the handshake."""
         self._client.step(inputs, now)
 
     def reset(self) -> None:
@@ -105,7 +104,6 @@ class PkwAccess(PkwChannel):
         self._resolve = resolve
 
     def read(self, key: ParamKey, deadline: int) -> Steps[dict[str, object]]:
-        """Read one parameter."""
         ref = self._resolve(key)
         order = Pkw(Order.READ_ARRAY if ref.array else Order.READ, ref.pnu, ref.ind)
         reply = yield from self._exchange(order, ref, deadline)

@@ -45,8 +45,6 @@ class Place(NamedTuple):
 
 
 class _Run(NamedTuple):
-    """Places that one address covers."""
-
     address: Address
     places: tuple[Place, ...]
 
@@ -131,12 +129,10 @@ class AcyclicAccess:
         """Nothing of it is in the process data."""
 
     def reset(self) -> None:
-        """The slave left data exchange."""
         self._records.clear()
         self._formats.clear()  # it may be another drive now
 
     def read(self, key: ParamKey, deadline: int) -> Steps[dict[str, object]]:
-        """Read one parameter."""
         place = self._placed(key)
         return _outcome(place, (yield from self._values(place, deadline)))
 
@@ -315,7 +311,6 @@ class ChosenAccess:
 
     @property
     def octets(self) -> bytes:
-        """Those of the cyclic channel."""
         return b"" if self._cyclic is None else self._cyclic.octets
 
     @property
@@ -334,22 +329,18 @@ class ChosenAccess:
             self._cyclic.step(inputs, now)
 
     def reset(self) -> None:
-        """The slave left data exchange."""
         self._absent = False
         self._acyclic.reset()
         if self._cyclic is not None:
             self._cyclic.reset()
 
     def read(self, key: ParamKey, deadline: int) -> Steps[dict[str, object]]:
-        """Read one parameter."""
         return self._over(lambda way: way.read(key, deadline))
 
     def read_many(self, keys: Sequence[ParamKey], deadline: int) -> Steps[Found]:
-        """Read several."""
         return self._over(lambda way: read_many(way, keys, deadline))
 
     def write(self, key: ParamKey, value: float, deadline: int) -> Steps[dict[str, object]]:
-        """Write one parameter."""
         return self._over(lambda way: way.write(key, value, deadline))
 
     def _over(self, ask: Callable[[ParameterChannel], Steps[T]]) -> Steps[T]:

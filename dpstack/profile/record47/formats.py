@@ -63,12 +63,10 @@ class Format:
 
     @property
     def low(self) -> int:
-        """The lowest integer."""
         return -(1 << 8 * self.octets - 1) if self.code.islower() else 0
 
     @property
     def high(self) -> int:
-        """The highest integer."""
         return (1 << 8 * self.octets - self.code.islower()) - 1
 
     def unpack(self, octets: bytes) -> tuple[Raw, ...]:

@@ -111,7 +111,6 @@ class Description(NamedTuple):
         return Values(number, FORMATS[number].unpack(self.build()[at : at + size]))
 
     def build(self) -> bytes:
-        """The octets."""
         ident = self.format | self.read_only << READ_ONLY_BIT | self.array << ARRAY_BIT | self.text << TEXT_BIT
         name = self.name.encode("latin-1", "replace")[:16].ljust(16)
         return _DESCRIPTION.pack(ident, self.elements, self.factor, self.attribute, name, self.low, self.high, 0, 0, 0)
@@ -148,7 +147,6 @@ class ReadParameter(NamedTuple):
 
     @property
     def why_not(self) -> str | None:
-        """The drive's reason."""
         return error_text(*self.result) if isinstance(self.result, ErrorValue) else None
 
 

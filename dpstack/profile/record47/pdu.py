@@ -174,7 +174,6 @@ class Response:
     negative: bool = False
 
     def build(self) -> bytes:
-        """The octets."""
         head = bytes((self.reference, self.id | (_NEGATIVE if self.negative else 0), self.object, self.count))
         return b"".join((head, *(one.build() for one in self.results)))
 

@@ -92,8 +92,7 @@ class TimedRecords:
 class ParameterModel(Protocol):
     """What a drive has: one call for each parameter of a request."""
 
-    def read(self, address: Address) -> Result:
-        """The values from ``address.subindex`` on."""
+    def read(self, address: Address) -> Result: ...
 
     def change(self, address: Address, values: Values) -> ErrorValue | None:
         """None when all are written; else none is."""
@@ -135,7 +134,6 @@ class ParameterServer:
         self._response = None
 
     def write_record(self, slot: int, index: int, data: bytes, now: int) -> Refused | None:
-        """Take a request."""
         wrong = self._elsewhere(slot, index)
         if wrong is not None:
             return wrong

@@ -95,7 +95,6 @@ class StoreParameters:
         }
 
     def read(self, address: Address) -> Result:
-        """The values on the wire."""
         own = self._own.get(address.pnu)
         if own is not None:
             end = address.subindex + max(address.elements, 1)
@@ -108,7 +107,6 @@ class StoreParameters:
         return Values(format_number(places[0].spec), tuple(map(self._raw, places)))
 
     def change(self, address: Address, values: Values) -> ErrorValue | None:
-        """All elements or none."""
         if address.pnu in self._own:
             return ErrorValue(READ_ONLY, address.subindex)
         places = self._wanted(address)

@@ -96,7 +96,6 @@ class DriveDevice(Device):
         self.motor.load = load
 
     def release(self, on: bool) -> None:
-        """The hardware release inputs."""
         self.released = on
 
     def jog(self, direction: int) -> None:
@@ -190,7 +189,6 @@ class DriveDevice(Device):
         self._restart_at = (self.seen_until or 0) + RESTART_NS
 
     def wake_at(self) -> int:
-        """The restart."""
         return self._restart_at
 
     def tick(self, now: int) -> int | None:
@@ -215,7 +213,6 @@ class DriveDevice(Device):
     # -- Device ---------------------------------------------------------------------------------------------------
 
     def check_cfg(self, config: bytes) -> str | None:
-        """A telegram of the drive."""
         return None if self.profile.telegrams_of(config) else super().check_cfg(config)
 
     def check_prm(self, user_prm: bytes) -> str | None:
@@ -252,7 +249,6 @@ class DriveDevice(Device):
         self._outputs = None
 
     def leave(self, reason: Leave, now: int) -> None:
-        """Data exchange ended."""
         self.advance(now)
         self._outputs = None
         self.master_lost(reason, now)

@@ -79,7 +79,6 @@ class Slot:
 
     @property
     def present(self) -> bool:
-        """The right module is plugged."""
         return self.plugged is self.module
 
     @property
@@ -89,7 +88,6 @@ class Slot:
 
     @property
     def state(self) -> ModuleState:
-        """As in a module status."""
         if self.plugged is None:
             return ModuleState.MISSING
         if not self.present:
@@ -110,7 +108,6 @@ class Slot:
 
     @property
     def text(self) -> str:
-        """For people."""
         return f"slot {self.number} ({self.module.name})"
 
     def as_dict(self) -> dict[str, object]:

@@ -41,7 +41,6 @@ class StationRecords:
         }
 
     def ask(self, ticket: Ticket) -> None:
-        """A request."""
         request = ticket.request
         if request.slot == 0:
             self._ask_head(ticket)
