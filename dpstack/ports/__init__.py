@@ -1,4 +1,4 @@
-"""Ports: octets in and out of one line, all kinds behind one small interface.
+"""Ports: octets in and out of one line. All kinds of ports have one small interface.
 
 ==========================  =====================================================================================
 ``/dev/...``, ``COM3``      a serial port (Linux: :mod:`~dpstack.ports.tty`, elsewhere through pyserial-asyncio)
@@ -7,26 +7,26 @@
 ``pty``                     a pty made here; its other end is a serial port for any other program
 ==========================  =====================================================================================
 
-- ``adapters``: Which serial adapters there are, and what one of them can do
-- ``base``: What every port offers: octets in and out of one line. No protocol and no clock; waiting is the driver's
-- ``fdport``: Ports that are a file descriptor: the lean path of Linux ttys, ptys and sockets
-- ``holders``: Who holds a port: by the lock dpstack and pyserial set, and by who has it open
-- ``marks``: Takes the marks of damaged characters out of what a tty delivers (PARMRK), in front of the decoder
-- ``memory``: Two ports joined in memory, in one event loop: for tests and for programs that are both ends themselves
-- ``pacing``: Octets that take their time: delivered in slices, each when its last bit would be on the wire
-- ``posix``: Modules that only POSIX systems have (``fcntl``, ``termios``, ``grp``), imported where they are
+- ``adapters``: List of the serial adapters of this computer (``dpstack ports``), and test of what one of them can do
+- ``base``: Base class of all ports: octets in and out of one line, without protocol and clock
+- ``fdport``: Base class of the ports that are a file descriptor: Linux ttys, ptys and sockets
+- ``holders``: Finds the program that holds a port: by its lock (dpstack and pyserial set one) or by its open files in
+  /proc
+- ``memory``: Two ports joined in memory, in one event loop: for tests and for programs that have both ends
+- ``pacing``: Pacing: octets are delivered in slices, each at the time when its last bit would be on the wire
+- ``posix``: Modules that only POSIX systems have: ``fcntl``, ``termios``, ``grp``
 - ``pty``: ``--port pty``: a pty made here, whose other end any program may open as its serial port
-- ``ptymaster``: The master end of a pty: who is at the other end, and what that end is set to
-- ``pyserial``: Serial ports through pyserial-asyncio: Windows, macOS, the BSDs
+- ``pyserial``: Serial ports through pyserial-asyncio: Windows, macOS, the BSDs, and Linux on processors without
+  ``termios2``
 - ``rfc2217``: ``rfc2217://host:port``: a serial port of another machine, its rate and parity set over the network
-- ``runtime_dir``: The user's runtime directory: where sockets and links of running programs live, for this user alone
-- ``sysfs``: What sysfs knows and sets of a serial adapter: driver, USB identity
+- ``runtime_dir``: The user's runtime directory for sockets and links of running programs, closed to other users
+- ``sysfs``: Serial adapters in sysfs: driver, USB identity, FTDI's latency timer and event character
 - ``tcp``: ``socket://host:port``: a serial line behind a TCP server (ser2net, an Ethernet-to-serial converter)
-- ``termios2``: Linux ``termios2``: raw 8E1 at any rate in one call, and what a tty is really set to
-- ``timerfd``: A Linux timerfd: a deadline in nanoseconds that an event loop waits for like for a port
-- ``tty``: A serial port on Linux: 8E1 raw at any rate, read back, exclusive
-- ``tuning``: Makes an open serial port quick and fit for RS-485, and leaves it as it was found
-- ``uart``: What a Linux serial driver can do beyond termios, by ioctl: low latency, RS-485, error counters
+- ``termios2``: Linux ``termios2``: raw 8E1 at any rate in one call, and reading the settings back
+- ``timerfd``: A Linux timerfd: a deadline on CLOCK_MONOTONIC in nanoseconds that an event loop waits for like for a
+  port
+- ``tty``: A serial port on Linux: 8E1 raw at any rate, read back and locked
+- ``tuning``: Tuning of an open Linux serial port: low latency, RS-485 mode, error counters; restored at the end
 """
 
 from __future__ import annotations
@@ -55,11 +55,10 @@ __all__ = [
 def open_port(
     name: str | Port, baud: int, *, paced: bool | None = None, event_char: bool = False, rs485: bool = True
 ) -> Port:
-    """The port ``name`` at ``baud`` bit/s: ready for ``await port.open()``, which touches it for the first time.
+    """The port ``name`` at ``baud`` bit/s, not yet opened. A Port object is returned as it is.
 
-    ``paced`` overrides whether octets take their time on it (None: known by the kind). A port object is passed through.
-    ``event_char``, ``rs485``: see :class:`dpstack.ports.tuning.Tuning`; only a Linux tty takes notice of them.
-    Raises PortError for a name that can be no port.
+    ``paced``: octets need the time of a real wire (None: depends on the kind of port). ``event_char``, ``rs485``: see
+    :class:`dpstack.ports.tuning.Tuning`; they matter for a Linux tty only. Raises PortError for a name of no port.
     """
     if isinstance(name, Port):
         return name

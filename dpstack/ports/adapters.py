@@ -1,4 +1,4 @@
-"""Which serial adapters there are, and what one of them can do."""
+"""List of the serial adapters of this computer (``dpstack ports``), and test of what one of them can do."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class AdapterInfo:
     holder: str | None
 
     def as_dict(self) -> dict[str, object]:
-        """As ``dpstack ports --json`` prints it."""
+        """The object of ``dpstack ports --json``."""
         return {name: getattr(self, name) for name in self.__slots__}
 
 
@@ -74,7 +74,7 @@ def list_adapters(
 
 @dataclass(slots=True, kw_only=True)
 class Abilities:
-    """What a port can do, found out by opening it; nothing is sent. ``rates`` in bit/s."""
+    """The abilities of a port, found by opening it; nothing is sent. ``rates`` in bit/s."""
 
     parity: bool = False
     low_latency: bool = False
@@ -85,8 +85,8 @@ class Abilities:
 
 
 def probe(path: str) -> Abilities:
-    """Open ``path`` alone and try every rate and what its driver may have. Linux only. Raises PortError."""
-    from dpstack.ports import termios2, uart
+    """Open ``path`` exclusively, try every rate and each ability of its driver. Linux only. Raises PortError."""
+    from dpstack.ports import termios2, tuning
 
     if sys.platform != "linux" or not termios2.AVAILABLE:
         raise PortError(f"{path}: what a port can do is found out on Linux only")
@@ -105,9 +105,9 @@ def probe(path: str) -> Abilities:
             port.open_now()
         fd = port.fd
         if fd is not None:
-            found.low_latency = _answers(uart.get_low_latency, fd)
-            found.rs485 = _answers(uart.get_rs485, fd)
-            found.counters = _answers(uart.errors, fd)
+            found.low_latency = _answers(tuning.get_low_latency, fd)
+            found.rs485 = _answers(tuning.get_rs485, fd)
+            found.counters = _answers(tuning.uart_errors, fd)
             _baud, found.parity, found.marks = termios2.set_raw(fd, None, marks=True)
     finally:
         port.close()

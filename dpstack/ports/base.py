@@ -1,9 +1,9 @@
-"""What every port offers: octets in and out of one line. No protocol and no clock; waiting is the driver's.
+"""Base class of all ports: octets in and out of one line, without protocol and clock. The drivers wait for the line.
 
-A port is made (cheap, touches nothing), opened, attached to an event loop (asyncio's, or the plain one of the bus
-process), and closed; it may be opened again after a close or a loss. Reading and writing never block: a telegram that
-the line does not take at once is dropped and counted, because on a bus a stale telegram is worse than a lost one (the
-link layer repeats).
+The constructor touches nothing. A port is opened, attached to an event loop (asyncio's, or the select loop of the bus
+process) and closed; it may be opened again after a close or a loss. Reading and writing never block: a telegram that
+the line does not accept at once is dropped and counted, because on a bus a stale telegram is worse than a lost one
+(the link layer repeats).
 """
 
 from __future__ import annotations
@@ -16,50 +16,49 @@ from typing import Protocol
 
 from dpstack.errors import BaudError, PortError
 from dpstack.text import decimal
+from dpstack.units import baud_text
 
-#: Takes octets read from the line, in order; called from the loop.
+#: Receives the octets read from the line, in order; called from the loop.
 OnData = Callable[[bytes], None]
-#: Told once per :meth:`Port.attach` when the line vanished, with the reason; called from the loop.
+#: Called from the loop with the reason when the line is lost, once per :meth:`Port.attach`.
 OnLost = Callable[[str], None]
 
 
 class Delivery(Enum):
-    """How late a port may deliver; drivers derive their patience from it."""
+    """How late a port may deliver octets; drivers derive their time-outs from it."""
 
     HOST = "host"  # the other end is a process of this kind of machine: pty, socket, memory
     ADAPTER = "adapter"  # a UART or a USB adapter
 
 
 class Pending(Protocol):
-    """A call that was asked for."""
+    """The handle of a scheduled call."""
 
     def cancel(self) -> object: ...
 
 
 class Loop(Protocol):
-    """What a port needs of the loop it hands over in; asyncio's loops have it."""
+    """What a port needs of the event loop that it is attached to; asyncio's loops have it."""
 
-    def add_reader(self, fd: int, callback: Callable[[], object], /) -> object:
-        """Call back whenever ``fd`` is readable."""
+    def add_reader(self, fd: int, callback: Callable[[], object], /) -> object: ...
 
     def remove_reader(self, fd: int, /) -> object: ...
 
     def call_soon(self, callback: Callable[[], object], /) -> Pending:
-        """Call once, at the loop's next turn."""
+        """Call once, in the next iteration of the loop."""
 
     def call_soon_threadsafe(self, callback: Callable[[], object], /) -> object:
         """The same from another thread. Raises RuntimeError when the loop is closed."""
 
-    def is_closed(self) -> bool:
-        """Whether it will never run again."""
+    def is_closed(self) -> bool: ...
 
 
 class Port(ABC):
-    """One line. ``name`` is what people call it, ``baud`` the rate in bit/s it is opened at.
+    """One line. ``name`` is what people call it, ``baud`` the rate in bit/s at which it is opened.
 
-    ``paced``: octets take their time on a wire. ``notices``: what could not be set and is tolerated, one line each,
-    made anew by every :meth:`open`. ``dropped``: telegrams that the line did not take, whole or in part. ``discarded``:
-    octets that arrived faster than this computer could look at them and were thrown away unread.
+    ``paced``: octets need the time of a real wire. ``notices``: settings that failed and are tolerated, one line each,
+    renewed by every :meth:`open`. ``dropped``: telegrams that the line did not accept, whole or in part.
+    ``discarded``: octets that arrived faster than this computer could process them and were thrown away unread.
     """
 
     delivery: Delivery = Delivery.HOST
@@ -82,16 +81,16 @@ class Port(ABC):
         self.open_now()
 
     def open_now(self) -> None:
-        """As :meth:`open`, for drivers without asyncio. A kind of port that needs asyncio refuses with PortError."""
+        """Like :meth:`open`, for drivers without asyncio. Raises PortError where the port needs asyncio."""
         raise PortError(f'{self.name}: a port of this kind works with the asyncio driver only: set driver = "asyncio"')
 
     @abstractmethod
     def read_now(self) -> bytes:
-        """What has arrived and was not handed over yet; empty when there is nothing. Never blocks, never raises."""
+        """The octets that have arrived and were not delivered yet. Never blocks, never raises."""
 
     @abstractmethod
     def write(self, octets: bytes) -> bool:
-        """Put a telegram on the line; False when it was dropped (counted). Never blocks, never raises."""
+        """Write a telegram; False when it was dropped (and counted). Never blocks, never raises."""
 
     @abstractmethod
     def close(self) -> None:
@@ -105,29 +104,28 @@ class Port(ABC):
 
     @property
     def fd(self) -> int | None:
-        """The file descriptor of the open line where it has one that can be waited for."""
+        """The file descriptor of the open line, if it has one that a loop can wait for."""
         return None
 
     def line_baud(self) -> int | None:
-        """The rate the line runs at as far as the port can see (a pty: what its opener set); None when it cannot."""
+        """The rate of the line in bit/s (of a pty: the one its opener has set); None where the port cannot know it."""
         return None
 
     def damage(self) -> dict[str, int]:
-        """Octets that arrived and are lost since the port was made, by cause, zeros left out.
-
-        Damaged ones as far as the port can tell them from others, and ``discarded``.
+        """Octets lost since the port was made, by cause, without zeros: damaged ones, as far as the port can tell
+        them from others, and ``discarded``.
         """
         return {"discarded": self.discarded} if self.discarded else {}
 
     def set_baud(self, baud: int) -> None:
-        """Change the rate of the open line at once; what was received before and not read is gone.
+        """Change the rate of the open line at once and drop unread octets.
 
-        Raises BaudError where the line, or this kind of port, cannot: the old rate stays then.
+        Raises BaudError where the line, or this kind of port, cannot do so: the old rate stays then.
         """
         raise BaudError(f"{self.name}: a port of this kind keeps the rate it was opened with; give the rate")
 
     def attach(self, loop: Loop, on_data: OnData, on_lost: OnLost) -> None:
-        """Hand over what arrives from now on, from within ``loop``."""
+        """From now on, deliver octets to ``on_data`` from within ``loop``."""
         self.detach()
         self._on_data, self._on_lost = on_data, on_lost
         self._start(loop)
@@ -140,23 +138,34 @@ class Port(ABC):
             self._stop(loop)
 
     def forsake(self) -> None:
-        """In the child of a fork: let go. The line, its settings and the loop stay the parent's and are not touched."""
+        """In the child of a fork: release this copy. Line, settings and loop belong to the parent and are not touched."""
         self._loop = None
         self._on_data = self._on_lost = None
 
     def hush(self, quiet: bool) -> bool:
-        """Hand over nothing for a while (the system keeps what arrives), or again; whether this port does as asked."""
+        """Pause delivery (the system keeps what arrives) or resume it; False where this port cannot do so."""
         return not quiet
 
+    def _drop(self) -> bool:
+        """Count a telegram that the line did not accept; always False."""
+        self.dropped += 1
+        return False
+
+    def _not_open(self) -> BaudError:
+        return BaudError(f"{self.name} is not open: its rate is set when it is opened")
+
+    def _refuses(self, baud: int, why: object, framing: str = " 8E1") -> BaudError:
+        return BaudError(f"{self.name} refuses {baud_text(baud)}{framing} ({why}): choose another rate or adapter")
+
     def _lose(self, reason: str) -> None:
-        """The line vanished: tell it once."""
+        """Report the loss of the line, once."""
         on_lost = self._on_lost
         self.detach()
         if on_lost is not None:
             on_lost(reason)
 
     def _lose_soon(self, reason: str) -> None:
-        """As :meth:`_lose`, from within a call of the driver."""
+        """Like :meth:`_lose`, from within a call of the driver."""
         if self._loop is not None:
             self._loop.call_soon(partial(self._lose, reason))
 

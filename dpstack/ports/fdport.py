@@ -1,4 +1,4 @@
-"""Ports that are a file descriptor: the lean path of Linux ttys, ptys and sockets."""
+"""Base class of the ports that are a file descriptor: Linux ttys, ptys and sockets."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from typing import Final
 
 from dpstack.ports.base import Loop, Port
 
-#: One read takes at most this much; a telegram has up to 255 octets. Small enough for Python's own allocator.
+#: Octets of one read at most; a telegram has up to 255 octets. Small enough for Python's own allocator.
 CHUNK: Final = 470
 
-#: One call of ``read_now`` hands over at most so many chunks (30 KB, 27 ms of the line at 12 Mbit/s).
+#: Chunks that one call of ``read_now`` returns at most (30 KB, 27 ms of the line at 12 Mbit/s).
 _CHUNKS: Final = 64
-#: The octets behind them are thrown away, in blocks, at most so many in one call: a far end that sends without end, and
-#: faster than this computer can look at it, must not hold the loop for ever.
+#: The octets behind them are thrown away, in blocks, at most so many in one call: a far end that sends without end,
+#: faster than this computer can process it, must not block the loop for ever.
 _BLOCK: Final = 65_536
 _BLOCKS: Final = 16
 
@@ -47,7 +47,7 @@ class FdPort(Port):
         for _ in range(_CHUNKS):
             try:
                 chunk = self._read(CHUNK)
-            except OSError:  # nothing there; a loss shows itself to the reader in the loop
+            except OSError:  # nothing there; the reader in the loop notices a loss
                 break
             octets += chunk
             if len(chunk) < CHUNK:
@@ -57,7 +57,7 @@ class FdPort(Port):
         return octets
 
     def _discard(self) -> None:
-        """Throw away and count what the line has brought and nobody has time to look at."""
+        """Throw away and count the octets that arrive faster than they can be processed."""
         for _ in range(_BLOCKS):
             try:
                 size = len(self._read(_BLOCK))
@@ -69,37 +69,34 @@ class FdPort(Port):
 
     def write(self, octets: bytes) -> bool:
         try:
-            done = self._send(octets)
+            if self._send(octets) == len(octets):
+                return True
         except BlockingIOError:
-            done = 0
+            pass
         except OSError as exc:
             self._lose_soon(reason_of(exc))
-            done = 0
-        if done == len(octets):
-            return True
-        self.dropped += 1
-        return False
+        return self._drop()
 
     def close(self) -> None:
         self.detach()
-        fd, self._fd = self._fd, -1
-        self._read, self._send = _read_nothing, _write_nothing
-        if fd >= 0:
-            self._close_fd(fd)
+        self._release(self._close_fd)
 
     def forsake(self) -> None:
         """Close the child's copy of the descriptor, and nothing else."""
         super().forsake()
+        self._release(self._forsake_fd)
+
+    def _release(self, close: Callable[[int], None]) -> None:
         fd, self._fd = self._fd, -1
         self._read, self._send = _read_nothing, _write_nothing
         if fd >= 0:
-            self._forsake_fd(fd)
+            close(fd)
 
     def _forsake_fd(self, fd: int) -> None:
         os.close(fd)
 
     def _use(self, fd: int) -> None:
-        """Take over an open, non-blocking descriptor."""
+        """Read and write on ``fd``, an open non-blocking descriptor."""
         self._fd = fd
         self._read, self._send = partial(os.read, fd), partial(os.write, fd)
 
@@ -115,7 +112,6 @@ class FdPort(Port):
             loop.remove_reader(self._fd)
 
     def hush(self, quiet: bool) -> bool:
-        """No reader of the loop meanwhile."""
         if self._loop is None:
             return False
         (self._stop if quiet else self._start)(self._loop)
@@ -139,5 +135,5 @@ class FdPort(Port):
 
 
 def reason_of(exc: OSError) -> str:
-    """An error of the system in its own words."""
+    """The text of an error of the operating system."""
     return exc.strerror or str(exc) or type(exc).__name__

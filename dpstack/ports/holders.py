@@ -1,4 +1,4 @@
-"""Who holds a port: by the lock dpstack and pyserial set, and by who has it open. Nothing is opened to find out."""
+"""Finds the program that holds a port: by its lock (dpstack and pyserial set one) or by its open files in /proc."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from typing import Final
 from dpstack.text import shortened
 
 PROC: Final = Path("/proc")
-#: a program of ours, and the module of a bus process, in command lines
+#: the name of the dpstack program, and the module of a bus process, in command lines
 _OURS: Final = "dpstack"
 _BUS_PROCESS: Final = "dpstack.drivers.process.__main__"
-#: so much of a command line is told
+#: characters of a command line in a message at most
 _LONGEST: Final = 100
 
 
 def holder_of(fd: int) -> str:
-    """Who holds the flock on the file behind ``fd``, as far as the kernel tells: "minicom (pid 4711)"."""
+    """The program that holds the flock on the file of ``fd``: "minicom (pid 4711)"."""
     return _lock_holder(os.fstat(fd), PROC) or "another program"
 
 
 def holder_of_path(path: str, proc: Path = PROC) -> str | None:
-    """Who holds the lock on ``path`` or, without a lock, has it open; None when nobody can be seen.
+    """The program that holds the lock on ``path`` or, without a lock, has it open; None where none can be found.
 
-    Open descriptors of other users' programs can be seen by root only.
+    Only root can see open descriptors of other users' programs.
     """
     with contextlib.suppress(OSError):
         holder = _lock_holder(os.stat(path), proc)
@@ -58,21 +58,20 @@ def _program(pid: int, proc: Path) -> str:
     words = _command(pid, proc)
     if _BUS_PROCESS in words:
         with contextlib.suppress(OSError, ValueError, IndexError):
-            # "4711 (name) S 1234 ...": the application behind a bus process is what its user knows
+            # "4711 (name) S 1234 ...": the parent of a bus process is the application that its user knows
             stat = (proc / str(pid) / "stat").read_text(encoding="utf-8", errors="replace")
             pid = int(stat.rpartition(")")[2].split()[1])
             words = _command(pid, proc)
     name = ""
     with contextlib.suppress(OSError):
         name = (proc / str(pid) / "comm").read_text(encoding="utf-8", errors="replace").strip()
-    if name == _OURS:  # which of the commands, with which configuration
+    if name == _OURS:  # name the command and its configuration
         at = next((n for n, word in enumerate(words) if os.path.basename(word) == _OURS), 0)
         name = f"`{shortened(' '.join((_OURS, *words[at + 1 :])), _LONGEST)}`"
     return f"{name} (pid {pid})" if name else f"pid {pid}"
 
 
 def _command(pid: int, proc: Path) -> list[str]:
-    """The words of its command line; none where they cannot be read."""
     with contextlib.suppress(OSError):
         octets = (proc / str(pid) / "cmdline").read_bytes()
         return octets.decode("utf-8", "replace").rstrip("\0").split("\0")

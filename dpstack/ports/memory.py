@@ -1,11 +1,11 @@
-"""Two ports joined in memory, in one event loop: for tests and for programs that are both ends themselves."""
+"""Two ports joined in memory, in one event loop: for tests and for programs that have both ends."""
 
 from __future__ import annotations
 
 from dpstack.errors import PortError
 from dpstack.ports.base import Loop, Pending, Port
 
-#: As much as a pty holds before it takes no more.
+#: Octets in one direction before writes are dropped: as many as a pty holds.
 CAPACITY = 22_000
 
 
@@ -21,18 +21,16 @@ class MemoryPort(Port):
         self._unplugged = ""
 
     def open_now(self) -> None:
-        """Open, empty. Raises PortError while unplugged."""
+        """Raises PortError while unplugged."""
         if self._unplugged:
             raise PortError(f"{self.name}: {self._unplugged}")
         self._inbox.clear()
         self._is_open = True
 
     def line_baud(self) -> int | None:
-        """The rate of the other end while it is open."""
         return self._peer.baud if self._peer is not None and self._peer._is_open else None
 
     def set_baud(self, baud: int) -> None:
-        """Be at ``baud``; the other end sees it in its :meth:`line_baud`."""
         self.baud = baud
         self._inbox.clear()
 
@@ -42,25 +40,17 @@ class MemoryPort(Port):
         return octets
 
     def write(self, octets: bytes) -> bool:
-        """Hand over to the other end, which is called at the loop's next turn."""
         if not self._is_open or self._peer is None:
-            self.dropped += 1
-            return False
-        if not self._peer._is_open:
-            return True
-        if self._peer._take(octets):
-            return True
-        self.dropped += 1
-        return False
+            return self._drop()
+        return not self._peer._is_open or self._peer._take(octets) or self._drop()
 
     def close(self) -> None:
-        """Detach; what is unread is gone."""
         self.detach()
         self._is_open = False
         self._inbox.clear()
 
     def unplug(self, reason: str = "unplugged") -> None:
-        """Vanish as an adapter that is pulled out; until :meth:`plug` it cannot be opened."""
+        """Lose the line like an adapter that is pulled out; until :meth:`plug` it cannot be opened."""
         self._unplugged = reason
         self._is_open = False
         self._lose_soon(reason)
@@ -72,21 +62,18 @@ class MemoryPort(Port):
         if len(self._inbox) + len(octets) > CAPACITY:
             return False
         self._inbox += octets
-        self._wake()
+        if self._handle is None and self._loop is not None:
+            self._handle = self._loop.call_soon(self._deliver)
         return True
 
-    def _wake(self) -> None:
-        if self._handle is None and self._loop is not None:
-            self._handle = self._loop.call_soon(self._hand_over)
-
-    def _hand_over(self) -> None:
+    def _deliver(self) -> None:
         self._handle = None
         if self._inbox and self._on_data is not None:
             self._on_data(self.read_now())
 
     def _start(self, loop: Loop) -> None:
         if self._inbox:
-            self._handle = loop.call_soon(self._hand_over)
+            self._handle = loop.call_soon(self._deliver)
 
     def _stop(self, loop: Loop) -> None:
         if self._handle is not None:

@@ -1,4 +1,4 @@
-"""Octets that take their time: delivered in slices, each when its last bit would be on the wire."""
+"""Pacing: octets are delivered in slices, each at the time when its last bit would be on the wire."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _BACKLOG: Final = 4096
 
 
 class PacedWire(Generic[Sender]):
-    """Holds back what senders send. Their transmissions run side by side: the wire does not arbitrate."""
+    """Delays the octets of all senders. Their transmissions run side by side: the wire does not arbitrate."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop, deliver: Callable[[Sender, bytes, int], None]) -> None:
         self._loop = loop
@@ -42,7 +42,7 @@ class PacedWire(Generic[Sender]):
         loop.add_reader(self._timer.fd, self._due)
 
     def send(self, sender: Sender, octets: bytes, baud: int) -> bool:
-        """``octets`` leave ``sender`` now, or behind what it is still sending; False: that is too much, dropped."""
+        """Send ``octets`` now, or after those that ``sender`` is still sending; False: too many wait, dropped."""
         now = monotonic_ns()
         start = max(now, self._free_at.get(sender, 0))
         if start - now > chars_to_ns(_BACKLOG, baud):
@@ -58,7 +58,6 @@ class PacedWire(Generic[Sender]):
         return True
 
     def close(self) -> None:
-        """Forget what is still under way."""
         self._queue.clear()
         if self._timer.fd >= 0:
             self._loop.remove_reader(self._timer.fd)

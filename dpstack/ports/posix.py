@@ -1,6 +1,6 @@
-"""Modules that only POSIX systems have (``fcntl``, ``termios``, ``grp``), imported where they are.
+"""Modules that only POSIX systems have: ``fcntl``, ``termios``, ``grp``.
 
-Elsewhere a module is a stand-in, so that everything which needs none of them works; using it raises PortError.
+On other systems a stand-in replaces the module, so that everything else works; its use raises PortError.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def check(what: str) -> None:
 
 @contextlib.contextmanager
 def importing_pyserial(what: str) -> Iterator[None]:
-    """Around an import of pyserial, which needs such modules itself. Raises PortError where they are not there."""
+    """Around an import of pyserial, which needs such modules too. Raises PortError where the import fails."""
     try:
         yield
     except ImportError as error:
@@ -38,12 +38,11 @@ def importing_pyserial(what: str) -> Iterator[None]:
 
 
 def is_available() -> bool:
-    """Whether all of it is here."""
     return not _MISSING
 
 
 class _StandIn:
-    """A module that is not there."""
+    """Stands for a module that this system does not have."""
 
     def __init__(self, name: str) -> None:
         self._name = name

@@ -1,7 +1,8 @@
 """Serial ports through pyserial-asyncio: Windows, macOS, the BSDs, and Linux on processors without ``termios2``.
 
-pyserial-asyncio waits; writing goes straight to the descriptor (Windows: to pyserial). The transport's ``write`` waits
-for the next turn of the loop (27.6 instead of 16.9 us an exchange), and pyserial's own spins for ever on a full line.
+pyserial-asyncio waits for octets; the port writes straight to the descriptor (Windows: to pyserial). The transport's
+``write`` waits for the next iteration of the loop (27.6 instead of 16.9 us an exchange), and pyserial's own ``write``
+spins for ever on a full line.
 """
 
 from __future__ import annotations
@@ -15,9 +16,8 @@ from typing import Any, cast
 import serial
 import serial_asyncio
 
-from dpstack.errors import BaudError, PortBusyError, PortError
+from dpstack.errors import PortBusyError, PortError
 from dpstack.ports.base import Delivery, Loop, Port
-from dpstack.units import baud_text
 
 if sys.platform == "win32":
     from builtins import OSError as TermiosError
@@ -28,7 +28,7 @@ _FAILURES = (OSError, ValueError, TermiosError)  # pyserial's own errors are OSE
 
 
 class PySerialPort(Port):
-    """A serial port by the name the system gives it: ``COM3``, ``/dev/cu.usbserial-1420``."""
+    """A serial port by its name in the system: ``COM3``, ``/dev/cu.usbserial-1420``."""
 
     delivery = Delivery.ADAPTER
 
@@ -50,15 +50,14 @@ class PySerialPort(Port):
         self._serial.reset_input_buffer()
 
     def set_baud(self, baud: int) -> None:
-        """Set the open port to ``baud``. Raises BaudError."""
         port = self._serial
         if port is None:
-            raise BaudError(f"{self.name} is not open: its rate is set when it is opened")
+            raise self._not_open()
         try:
             port.baudrate = baud
             port.reset_input_buffer()
         except _FAILURES as exc:
-            raise BaudError(f"{self.name} refuses {baud_text(baud)} ({exc}): choose another rate or adapter") from None
+            raise self._refuses(baud, exc, "") from None
         self.baud = baud
 
     def read_now(self) -> bytes:
@@ -68,32 +67,29 @@ class PySerialPort(Port):
         try:
             waiting = port.in_waiting
             return cast(bytes, port.read(waiting)) if waiting else b""
-        except _FAILURES:  # a loss shows itself to the reader in the loop
+        except _FAILURES:  # the reader in the loop notices a loss
             return b""
 
     def write(self, octets: bytes) -> bool:
-        done = 0
         if self._serial is not None:
             try:
-                done = self._send(octets)
+                if self._send(octets) == len(octets):
+                    return True
             except (BlockingIOError, serial.SerialTimeoutException):
-                done = 0
+                pass
             except _FAILURES as exc:
                 self._lose_soon(str(exc))
-        if done == len(octets):
-            return True
-        self.dropped += 1
-        return False
+        return self._drop()
 
     def close(self) -> None:
-        """Detach and close; the transport, once there is one, gives the descriptor back at the loop's next turn."""
+        """Detach and close. A transport releases the descriptor in the next iteration of the loop."""
         self.detach()
         port, self._serial = self._serial, None
         transport, self._transport = self._transport, None
         if port is None:
             return
         with contextlib.suppress(*_FAILURES):
-            port.reset_output_buffer()  # closing drains: nothing may be left that could take long
+            port.reset_output_buffer()  # close() waits until all octets are sent
         if transport is None:
             port.close()
         else:
@@ -110,12 +106,10 @@ class PySerialPort(Port):
             port = serial.serial_for_url(
                 self.name, baudrate=self.baud, parity=parity, timeout=0, write_timeout=0, exclusive=True
             )
-            port.timeout = 0  # sets the port once more, as the transport is going to: here a refusal can be handled
+            port.timeout = 0  # sets the port again, as the transport will do: here an error can be handled
             return port
         except ValueError as exc:
-            raise BaudError(
-                f"{self.name} refuses {baud_text(self.baud)} 8E1 ({exc}): choose another rate or adapter"
-            ) from None
+            raise self._refuses(self.baud, exc) from None
         except TermiosError:
             if port is not None:
                 port.close()

@@ -1,7 +1,7 @@
 """``rfc2217://host:port``: a serial port of another machine, its rate and parity set over the network.
 
-pyserial does the Telnet side, in a thread of its own and without a descriptor, so neither pyserial-asyncio nor a
-selector can wait for it. A second thread here waits and hands over to the loop: about 0.1 ms later than a socket.
+pyserial has the Telnet side, in a thread of its own and without a descriptor, so neither pyserial-asyncio nor a
+selector can wait for it. A second thread here reads and delivers to the loop: about 0.1 ms later than a socket.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ from typing import Any, Final
 import serial
 import serial.rfc2217
 
-from dpstack.errors import BaudError, PortError
+from dpstack.errors import PortError
 from dpstack.ports.base import Delivery, Loop, Port, host_and_port
-from dpstack.units import baud_text
 
-_READ_S: Final = 0.2  # how long the reader takes to notice that it shall end
-#: Octets that wait here for the loop at most; more of them are thrown away and counted.
+#: time-out of one read: after it the reader thread notices that the port is closed
+_READ_S: Final = 0.2
+#: Octets that wait here for the loop at most; more are thrown away and counted.
 _INBOX: Final = 30_080
-#: Octets that wait in pyserial at most; the network keeps those behind them.
+#: Octets that wait in pyserial at most; TCP holds back the rest.
 _BACKLOG: Final = 65_536
 
 
 class _Client(serial.rfc2217.Serial):  # type: ignore[misc]
-    """pyserial's client, whose reading thread survives a server that talks nonsense.
+    """pyserial's client. Its reading thread keeps the exception of a wrong answer in ``failure``, for the message.
 
-    pyserial lets the exception end the thread, which prints a traceback. ``failure`` keeps it instead, for the message.
+    In pyserial the exception ends the thread, which prints a traceback.
     """
 
     failure: Exception | None = None
@@ -43,7 +43,7 @@ class _Client(serial.rfc2217.Serial):  # type: ignore[misc]
             self.failure = exc
 
     def close(self) -> None:
-        """Close, also while the reading thread waits for room."""
+        """Close, also while the reading thread waits for room in its buffer."""
         self.is_open = False
         waiting = self._read_buffer
         if waiting is not None:
@@ -87,7 +87,6 @@ class Rfc2217Port(Port):
         return octets
 
     def write(self, octets: bytes) -> bool:
-        """Write when the connection takes it at once, else drop."""
         port = self._serial
         if port is not None:
             try:
@@ -97,8 +96,7 @@ class Rfc2217Port(Port):
                     return True
             except (OSError, ValueError) as exc:
                 self._lose_soon(str(exc))
-        self.dropped += 1
-        return False
+        return self._drop()
 
     def close(self) -> None:
         """Detach and hang up (in a thread: pyserial sleeps 0.3 s over it)."""
@@ -115,13 +113,11 @@ class Rfc2217Port(Port):
         except (OSError, ValueError) as exc:
             text = str(exc)
             if "parameter change" in text or "baudrate" in text:
-                raise BaudError(
-                    f"{self.name} refuses {baud_text(self.baud)} 8E1 ({text}): choose another rate or adapter"
-                ) from None
+                raise self._refuses(self.baud, text) from None
             raise PortError(f"{self.name}: {text}; is the server running, and does it speak RFC 2217?") from None
 
     def _receive(self, port: _Client) -> None:
-        """The reader thread's life: until the port is closed or fails."""
+        """The reader thread: runs until the port is closed or fails."""
         while self._serial is port:
             try:
                 chunk = port.read(1)
@@ -130,27 +126,27 @@ class Rfc2217Port(Port):
             except Exception as exc:  # whatever a dying connection raises in pyserial
                 if self._serial is port:
                     self._failure = self._reason(port, exc)
-                    self._tell(self._fail)
+                    self._call_in_loop(self._fail)
                 return
             if chunk and self._serial is port:
                 with self._lock:
                     room = _INBOX - len(self._inbox)
                     self._inbox += chunk[:room]
                     self.discarded += len(chunk[room:])
-                self._tell(self._hand_over)
+                self._call_in_loop(self._deliver)
 
     def _reason(self, port: _Client, exc: Exception) -> str:
         if port.failure is not None:
             return f"the server sent what is not RFC 2217 ({type(port.failure).__name__}: {port.failure})"
         return str(exc) or type(exc).__name__
 
-    def _tell(self, callback: Any) -> None:
+    def _call_in_loop(self, callback: Any) -> None:
         loop = self._loop
         if loop is not None:
             with contextlib.suppress(RuntimeError):  # the loop was closed meanwhile
                 loop.call_soon_threadsafe(callback)
 
-    def _hand_over(self) -> None:
+    def _deliver(self) -> None:
         if self._on_data is not None and self._inbox:
             self._on_data(self.read_now())
 
@@ -158,14 +154,14 @@ class Rfc2217Port(Port):
         self._lose(self._failure)
 
     def _start(self, loop: Loop) -> None:
-        loop.call_soon(self._fail if self._failure else self._hand_over)
+        loop.call_soon(self._fail if self._failure else self._deliver)
 
     def _stop(self, loop: Loop) -> None:
         """Nothing is registered: the reader thread finds no loop."""
 
 
 def _hang_up(port: Any) -> None:
-    """Close; where the far end hung up first, pyserial fails half way and leaves its socket open."""
+    """Close. pyserial leaves its socket open where the far end has closed the connection first."""
     connection = port._socket
     port.close()
     if connection is not None:
@@ -173,6 +169,6 @@ def _hang_up(port: Any) -> None:
 
 
 def _close_late(opening: asyncio.Future[Any]) -> None:
-    """A connection that came about after nobody wanted it any more."""
+    """Close a connection that was made after its ``open`` was cancelled."""
     if not opening.cancelled() and opening.exception() is None:
         threading.Thread(target=_hang_up, args=(opening.result(),), daemon=True).start()

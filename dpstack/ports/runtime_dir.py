@@ -1,7 +1,7 @@
-"""The user's runtime directory: where sockets and links of running programs live, for this user alone.
+"""The user's runtime directory for sockets and links of running programs, closed to other users.
 
-Another user who can replace a directory on the way there could pose as a program of ours. So :func:`open_own` goes from
-``/`` on component by component and checks the owner and the mode of each directory that it has opened.
+Another user who can replace a directory on the way there could pose as a program of ours. So :func:`open_own` opens
+each directory of the path from ``/`` on and checks its owner and mode.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _TODO: Final = "set XDG_RUNTIME_DIR to a directory that belongs to you, with mod
 
 
 def runtime_path(name: str) -> Path:
-    """``name`` in the user's runtime directory, else in the temporary one with the user's id. Makes nothing."""
+    """``name`` in the user's runtime directory, else in the temporary directory with the user's id. Creates nothing."""
     runtime = os.environ.get("XDG_RUNTIME_DIR")
     if runtime and os.path.isdir(runtime):
         return Path(os.path.abspath(runtime)) / name
@@ -37,10 +37,10 @@ def runtime_path(name: str) -> Path:
 
 
 def own_directory(path: Path) -> bool:
-    """Make ``path`` with mode 0700, or check that it is a directory of ours. True when it was made.
+    """Create ``path`` with mode 0700, or check that it is a directory of this user. True when it was created.
 
-    The caller chose this path, so the directories above it are not judged; see :func:`open_own`.
-    Raises PortError where it is somebody else's, OSError where it cannot be made.
+    The caller chose this path, so the directories above it are not checked; see :func:`open_own`.
+    Raises PortError where it belongs to another user, OSError where it cannot be created.
     """
     try:
         path.mkdir(mode=0o700, parents=True)
@@ -53,11 +53,11 @@ def own_directory(path: Path) -> bool:
 
 
 def open_own(path: Path, *, make: bool = False) -> int:
-    """Open the directory ``path`` below the runtime directory; nobody else can have put it there, or replace it.
+    """Open the directory ``path`` below the runtime directory, if no other user can have created or can replace it.
 
     Every directory from ``/`` on, and every symbolic link on the way, belongs to root or to this user; nobody else may
     write to one of these directories unless it is sticky. ``path`` itself is no link and is writable by this user only.
-    ``make``: missing directories are made with mode 0700.
+    ``make``: create missing directories with mode 0700.
 
     Returns a file descriptor. Raises PortError that names the directory, its owner and what to do; OSError where a
     directory is missing or cannot be opened.

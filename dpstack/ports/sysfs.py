@@ -1,4 +1,4 @@
-"""What sysfs knows and sets of a serial adapter: driver, USB identity, FTDI's latency timer and event character."""
+"""Serial adapters in sysfs: driver, USB identity, FTDI's latency timer and event character."""
 
 from __future__ import annotations
 
@@ -55,7 +55,6 @@ class Adapter:
 
     @property
     def latency_file(self) -> Path:
-        """Where FTDI's latency timer is set."""
         return self._usb_serial / "latency_timer"
 
     def latency_ms(self) -> int | None:
@@ -68,7 +67,7 @@ class Adapter:
         _write(self.latency_file, str(ms))
 
     def set_event_char(self, octet: int | None) -> None:
-        """Deliver as soon as ``octet`` arrives (None: no longer). Raises OSError, also where it is no FTDI."""
+        """Let the chip deliver as soon as ``octet`` arrives (None: off). Raises OSError, also where it is no FTDI."""
         _write(self._usb_serial / "event_char", str(0 if octet is None else _EVENT_ON | octet))
 
 
@@ -80,7 +79,7 @@ def _read(path: Path) -> str | None:
 
 
 def _write(path: Path, text: str) -> None:
-    """Into an existing file only: in sysfs nothing can be made."""
+    """Write to an existing file; Path.write_text would try to create it."""
     fd = os.open(path, os.O_WRONLY | os.O_TRUNC | os.O_CLOEXEC)
     try:
         os.write(fd, text.encode())

@@ -2,13 +2,15 @@
 
 pyserial has a handler for these URLs, but under pyserial-asyncio it writes one loop turn late, leaves Nagle's algorithm
 on (a short telegram waits for the acknowledgement of the one before, 40 ms) and sleeps 0.3 s in ``close`` within
-the loop. So the socket is used directly, by the same lean path as a tty. Only connects, never listens.
+the loop. So the socket is used directly, as the descriptor of a tty is. It only connects, it never listens.
 """
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import socket
+from collections.abc import Iterator
 
 from dpstack.errors import PortError
 from dpstack.ports.base import host_and_port
@@ -31,44 +33,39 @@ class SocketPort(FdPort):
         """Connect. Raises PortError."""
         self.close()
         host, port = self._address
-        try:
+        with self._connecting():
             async with asyncio.timeout(_CONNECT_S):
-                connected = await _connect(host, port)
-        except TimeoutError:
-            raise self._silent() from None
-        except OSError as exc:
-            raise self._refused(exc) from None
-        self._take(connected)
+                self._socket = await _connect(host, port)
+        self._connected()
 
     def open_now(self) -> None:
-        """Connect, which may take some seconds. Raises PortError."""
+        """Connect; blocks for up to 5 s. Raises PortError."""
         self.close()
-        try:
-            connected = socket.create_connection(self._address, _CONNECT_S)
-        except TimeoutError:
-            raise self._silent() from None
-        except OSError as exc:
-            raise self._refused(exc) from None
-        connected.setblocking(False)
-        connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._take(connected)
+        with self._connecting():
+            self._socket = socket.create_connection(self._address, _CONNECT_S)
+            self._socket.setblocking(False)
+        self._connected()
 
-    def _take(self, connected: socket.socket) -> None:
-        self._socket = connected
-        self._fd = connected.fileno()
-        self._read, self._send = connected.recv, connected.send
+    @contextlib.contextmanager
+    def _connecting(self) -> Iterator[None]:
+        try:
+            yield
+        except TimeoutError:
+            raise PortError(f"{self.name}: no answer within {_CONNECT_S:g} s; is the server switched on?") from None
+        except OSError as exc:
+            raise PortError(
+                f"{self.name}: cannot connect ({reason_of(exc)}); is the server running and the port number right?"
+            ) from None
+
+    def _connected(self) -> None:
+        assert self._socket is not None
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._fd = self._socket.fileno()
+        self._read, self._send = self._socket.recv, self._socket.send
         self.notices = [f"the far end must be set to {self.baud} bit/s 8E1 itself"]
 
-    def _silent(self) -> PortError:
-        return PortError(f"{self.name}: no answer within {_CONNECT_S:g} s; is the server switched on?")
-
-    def _refused(self, exc: OSError) -> PortError:
-        return PortError(
-            f"{self.name}: cannot connect ({reason_of(exc)}); is the server running and the port number right?"
-        )
-
     def _forsake_fd(self, fd: int) -> None:
-        self._close_fd(fd)  # it hangs up with the last descriptor only
+        self._close_fd(fd)  # the connection ends with its last descriptor only
 
     def _close_fd(self, fd: int) -> None:
         if self._socket is not None:
@@ -84,7 +81,6 @@ async def _connect(host: str, port: int) -> socket.socket:
         try:
             connecting.setblocking(False)
             await loop.sock_connect(connecting, address)
-            connecting.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             return connecting
         except OSError as exc:
             connecting.close()

@@ -1,4 +1,4 @@
-"""Linux ``termios2``: raw 8E1 at any rate in one call, and what a tty is really set to.
+"""Linux ``termios2``: raw 8E1 at any rate in one call, and reading the settings back.
 
 TCGETS2/TCSETS2 with BOTHER take rates that have no POSIX constant (45.45, 93.75, 187.5 kbit/s, 6 and 12 Mbit/s). They
 are also needed on ptys: the C library's ``tcsetattr`` reports EINVAL there when parity was asked for a second time.
@@ -24,7 +24,7 @@ _LAYOUT: Final = struct.Struct("=4IB19s2I")
 _SPEEDS: Final = struct.Struct("=2I")
 _SPEEDS_AT: Final = _LAYOUT.size - _SPEEDS.size
 
-#: The rate of a tty that nobody has set.
+#: The rate of a new tty, which nobody has set.
 UNTOUCHED: Final = 38_400
 
 #: False where the kernel's numbers are others (alpha, mips, powerpc, sparc ...) or the system is not Linux.
@@ -48,7 +48,7 @@ def set_raw(fd: int, baud: int | None, *, marks: bool = False) -> Applied:
 
     A damaged character (parity, framing, break) is dropped by the kernel (INPCK, IGNPAR, IGNBRK), so that the Hamming
     distance of 4 that parity and check sum give together is kept; with ``marks`` it is marked instead (PARMRK, see
-    :mod:`dpstack.ports.marks`), and a break ignored. Raises OSError where the tty refuses.
+    :class:`dpstack.ports.tty.Unmarker`), and a break ignored. Raises OSError where the tty refuses.
     """
     buffer = bytearray(_LAYOUT.size)
     fcntl.ioctl(fd, TCGETS2, buffer, True)
@@ -68,7 +68,7 @@ def set_raw(fd: int, baud: int | None, *, marks: bool = False) -> Applied:
 
 
 class RateReader:
-    """Reads the rate of a tty again and again without making anything new."""
+    """Reads the rate of a tty repeatedly without allocating memory."""
 
     __slots__ = ("_buffer",)
 

@@ -50,12 +50,11 @@ class Timerfd:
         self._lib.timerfd_settime(self.fd, _TFD_TIMER_ABSTIME, self._reference, None)
 
     def clear(self) -> None:
-        """Take the deadline that was reached off; call it when ``fd`` is readable."""
+        """Reset ``fd`` after the deadline; call it when ``fd`` is readable."""
         with contextlib.suppress(BlockingIOError):
             os.read(self.fd, 8)
 
     def close(self) -> None:
-        """Give the descriptor back; may be called again."""
         fd, self.fd = self.fd, -1
         if fd >= 0:
             os.close(fd)

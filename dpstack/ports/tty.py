@@ -1,4 +1,4 @@
-"""A serial port on Linux: 8E1 raw at any rate, read back, exclusive, and every refusal with what to do about it."""
+"""A serial port on Linux: 8E1 raw at any rate, read back and locked. Each refusal says what to do about it."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from dpstack.ports import termios2
 from dpstack.ports.base import Delivery
 from dpstack.ports.fdport import FdPort, reason_of
 from dpstack.ports.holders import holder_of, holder_of_path
-from dpstack.ports.marks import Unmarker
 from dpstack.ports.posix import fcntl, grp, termios
 from dpstack.ports.sysfs import SYSFS, Adapter
 from dpstack.ports.tuning import Tuning
 from dpstack.units import baud_text
 
-#: Read back within this share of the wanted rate it is the wanted rate: adapters divide 3 or 12 MHz.
+#: A rate read back within this share of the wanted one is accepted: adapters divide 3 or 12 MHz.
 _TOLERANCE: Final = 0.01
+_MARK: Final = 0xFF
 _PTY_MAJORS: Final = range(136, 144)  # Linux devices.txt: Unix98 pty slaves
 
 
@@ -50,7 +50,7 @@ class TtyPort(FdPort):
         self._marks = not is_pty if marks is None else marks
         self._unmarker = Unmarker()
         self._unmark = False
-        self._counted: Counter[str] = Counter()  # by the driver, up to the last close
+        self._counted: Counter[str] = Counter()  # the driver's counters up to the last close
         self._tuning: Tuning | None = None
 
     def open_now(self) -> None:
@@ -61,7 +61,7 @@ class TtyPort(FdPort):
         try:
             self._check_and_lock(fd)
             self.notices += self._set(fd, self.baud)
-            # Octets survive the last close of a pty, and a UART may have heard anything meanwhile.
+            # octets survive the last close of a pty, and a UART may have received others meanwhile
             termios.tcflush(fd, termios.TCIOFLUSH)
             if self.delivery is Delivery.ADAPTER:
                 adapter = Adapter(self.name, self._sysfs)
@@ -76,7 +76,7 @@ class TtyPort(FdPort):
         self._use(fd)
 
     def damage(self) -> dict[str, int]:
-        """``marked``: octets that the tty marked as damaged; the others are the driver's counters."""
+        """``marked``: octets that the tty has marked as damaged; the others are the driver's counters."""
         counted = Counter(self._counted) + Counter(super().damage())
         if self._tuning is not None:
             counted.update(self._tuning.damage())
@@ -85,13 +85,11 @@ class TtyPort(FdPort):
         return dict(counted)
 
     def line_baud(self) -> int | None:
-        """The rate the tty is set to."""
         return self.baud if self._fd >= 0 else None
 
     def set_baud(self, baud: int) -> None:
-        """Set the open tty to ``baud``. Raises BaudError."""
         if self._fd < 0:
-            raise BaudError(f"{self.name} is not open: its rate is set when it is opened")
+            raise self._not_open()
         try:
             self._set(self._fd, baud)
         except BaudError:
@@ -100,7 +98,7 @@ class TtyPort(FdPort):
             raise
         self.baud = baud
         self._unmarker.reset()
-        with contextlib.suppress(termios.error):  # a loss shows itself to the reader in the loop
+        with contextlib.suppress(termios.error):  # the reader in the loop notices a loss
             termios.tcflush(self._fd, termios.TCIFLUSH)
 
     def _open_file(self) -> int:
@@ -134,13 +132,11 @@ class TtyPort(FdPort):
             self.notices.append(f"cannot be locked ({reason_of(exc)}), other programs may open it too")
 
     def _set(self, fd: int, baud: int) -> list[str]:
-        """Set the tty to ``baud`` 8E1; returns what is tolerated. Raises BaudError."""
+        """Set the tty to ``baud`` 8E1; returns notices on what failed and is tolerated. Raises BaudError."""
         try:
             applied = termios2.set_raw(fd, baud, marks=self._marks)
         except OSError as exc:
-            raise BaudError(
-                f"{self.name} refuses {baud_text(baud)} 8E1 ({reason_of(exc)}): choose another rate or adapter"
-            ) from None
+            raise self._refuses(baud, reason_of(exc)) from None
         if abs(applied.baud - baud) > baud * _TOLERANCE:
             raise BaudError(
                 f"{self.name} cannot do {baud_text(baud)}, it set itself to {baud_text(applied.baud)}: "
@@ -161,7 +157,7 @@ class TtyPort(FdPort):
             self._read = self._read_unmarked
 
     def _read_unmarked(self, size: int) -> bytes:
-        """Intact octets; empty only at the end of the line, as with every descriptor. Raises OSError."""
+        """Intact octets; empty only at the end of the file, like ``os.read``. Raises OSError."""
         chunk = os.read(self._fd, size)
         octets = self._unmarker.feed(chunk)
         if chunk and not octets:
@@ -169,7 +165,7 @@ class TtyPort(FdPort):
         return octets
 
     def _forsake_fd(self, fd: int) -> None:
-        """The lock and the settings belong to the open file, which is the parent's."""
+        # the lock and the settings belong to the open file, which is the parent's
         self._tuning = None
         super()._forsake_fd(fd)
 
@@ -178,7 +174,7 @@ class TtyPort(FdPort):
         if tuning is not None:
             self._counted.update(tuning.damage())
             tuning.restore()
-        with contextlib.suppress(OSError):  # a process forked meanwhile has the descriptor too, and with it the lock
+        with contextlib.suppress(OSError):  # a process forked meanwhile has the descriptor, and the lock, too
             fcntl.flock(fd, fcntl.LOCK_UN)
         os.close(fd)
 
@@ -221,3 +217,51 @@ def how_to_be_permitted(name: str) -> str:
     if group == "root":
         return "ask the administrator for a udev rule that gives the port to the group dialout"
     return f"add yourself to the group {group} (sudo usermod -aG {group} $USER) and log in again"
+
+
+class Unmarker:
+    """Takes the marks of damaged characters (PARMRK) out of the octets of a tty. Marks may be cut by a chunk's end.
+
+    With INPCK and PARMRK and without IGNPAR a character with a parity or framing error arrives as FF 00 x, and a
+    genuine FF is doubled (termios(3)). A damaged octet is dropped, as with IGNPAR: the telegram becomes too short, as
+    its length and FCS reveal. ``damaged`` counts these octets, which IGNPAR would not. ``odd``: FF followed by neither
+    FF nor 00, which should not occur: read as two octets.
+    """
+
+    __slots__ = ("_held", "damaged", "odd")
+
+    def __init__(self) -> None:
+        self.damaged = 0
+        self.odd = 0
+        self._held = b""  # the beginning of an incomplete mark
+
+    def feed(self, chunk: bytes) -> bytes:
+        if not self._held and _MARK not in chunk:
+            return chunk
+        octets, self._held = self._held + chunk, b""
+        kept = bytearray()
+        at, end = 0, len(octets)
+        while True:
+            mark = octets.find(_MARK, at)
+            if mark < 0:
+                kept += octets[at:]
+                return bytes(kept)
+            kept += octets[at:mark]
+            second = octets[mark + 1] if mark + 1 < end else None
+            if second is None or (second == 0 and mark + 2 >= end):
+                self._held = octets[mark:]
+                return bytes(kept)
+            if second == _MARK:
+                kept.append(_MARK)
+                at = mark + 2
+            elif second == 0:
+                self.damaged += 1
+                at = mark + 3
+            else:
+                self.odd += 1
+                kept += octets[mark : mark + 2]
+                at = mark + 2
+
+    def reset(self) -> None:
+        """Forget an incomplete mark, after the line was opened again. The counters stay."""
+        self._held = b""

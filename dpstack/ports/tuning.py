@@ -1,32 +1,105 @@
-"""Makes an open serial port quick and fit for RS-485, and leaves it as it was found.
+"""Tuning of an open Linux serial port: low latency, RS-485 mode, error counters; restored at the end.
 
-What a port cannot do is tolerated and said in one line; ``dpstack doctor`` says what each of it means.
+A driver that lacks one of them is tolerated; a notice says so, and ``dpstack doctor`` explains it. The functions for
+ioctl raise OSError (ENOTTY or EINVAL as a rule) where the driver lacks it. Numbers and layouts: Linux serial.h,
+tty_flags.h, asm-generic/ioctls.h.
 """
 
 from __future__ import annotations
 
 import contextlib
+import struct
 from collections.abc import Callable
-from typing import Final
+from typing import Final, NamedTuple
 
-from dpstack.ports import uart
 from dpstack.ports.fdport import reason_of
+from dpstack.ports.posix import fcntl
 from dpstack.ports.sysfs import Adapter
 
-#: every telegram with data ends with ED; SC and the token do not, and within data it costs an early packet only
+#: every telegram with data ends with ED; SC and the token do not, and ED within data only causes an early packet
 ED: Final = 0x16
+
+# struct serial_struct: flags are its fifth int
+TIOCGSERIAL: Final = 0x541E
+TIOCSSERIAL: Final = 0x541F
+ASYNC_LOW_LATENCY: Final = 1 << 13
+_SERIAL_SIZE: Final = 128
+_FLAGS: Final = struct.Struct("=I")
+_FLAGS_AT: Final = 16
+
+# struct serial_rs485: flags, delay before and after in ms, five words
+TIOCGRS485: Final = 0x542E
+TIOCSRS485: Final = 0x542F
+_RS485: Final = struct.Struct("=8I")
+RS485_ENABLED: Final = 1
+RS485_RTS_ON_SEND: Final = 2
+RS485_RTS_AFTER_SEND: Final = 4
+RS485_RX_DURING_TX: Final = 16
+
+# struct serial_icounter_struct: cts dsr rng dcd rx tx frame overrun parity brk buf_overrun, nine reserved
+TIOCGICOUNT: Final = 0x545D
+_ICOUNT: Final = struct.Struct("=20I")
+
+
+class UartErrors(NamedTuple):
+    """Characters with an error since the driver was loaded, modulo 2**32."""
+
+    frame: int
+    overrun: int
+    parity: int
+    brk: int
+    buf_overrun: int
+
+    def since(self, before: UartErrors) -> dict[str, int]:
+        """The counts since ``before``, by name."""
+        return {name: (now - then) % (1 << 32) for name, now, then in zip(self._fields, self, before, strict=True)}
+
+
+def get_low_latency(fd: int) -> bool:
+    """Whether the driver delivers octets at once."""
+    return set_low_latency(fd, None)
+
+
+def set_low_latency(fd: int, on: bool | None) -> bool:
+    """Switch low latency (FTDI: 1 ms instead of 16) on or off (None: leave it); returns the old state."""
+    buffer = bytearray(_SERIAL_SIZE)
+    fcntl.ioctl(fd, TIOCGSERIAL, buffer, True)
+    (flags,) = _FLAGS.unpack_from(buffer, _FLAGS_AT)
+    was = bool(flags & ASYNC_LOW_LATENCY)
+    if on is not None and was is not on:
+        _FLAGS.pack_into(buffer, _FLAGS_AT, flags ^ ASYNC_LOW_LATENCY)
+        fcntl.ioctl(fd, TIOCSSERIAL, buffer, True)
+    return was
+
+
+def get_rs485(fd: int) -> tuple[int, ...]:
+    """The eight words of the RS-485 mode, flags first."""
+    buffer = bytearray(_RS485.size)
+    fcntl.ioctl(fd, TIOCGRS485, buffer, True)
+    return _RS485.unpack(buffer)
+
+
+def set_rs485(fd: int, words: tuple[int, ...]) -> None:
+    fcntl.ioctl(fd, TIOCSRS485, bytearray(_RS485.pack(*words)), True)
+
+
+def uart_errors(fd: int) -> UartErrors:
+    buffer = bytearray(_ICOUNT.size)
+    fcntl.ioctl(fd, TIOCGICOUNT, buffer, True)
+    return UartErrors(*_ICOUNT.unpack(buffer)[6:11])
 
 
 class Tuning:
-    """Of one open descriptor. ``event_char``: let an FTDI deliver at every ED octet instead of waiting for its timer.
+    """The settings of one open descriptor.
 
-    ``rs485`` False: the driver's RS-485 mode is left as it is (a converter behind an RS-232 port switches by itself).
-    ``notices``: what had to be tolerated. ``errors``: the driver's error counters at the start, None where it has none.
+    ``event_char``: let an FTDI deliver at every ED octet instead of waiting for its timer. ``rs485`` False: the
+    driver's RS-485 mode is left as it is (a converter behind an RS-232 port switches by itself). ``notices``: one line
+    for each thing that is tolerated. ``errors``: the driver's error counters at the start, None where it has none.
     """
 
     def __init__(self, fd: int, adapter: Adapter, *, event_char: bool = False, rs485: bool = True) -> None:
         self.notices: list[str] = []
-        self.errors: uart.UartErrors | None = None
+        self.errors: UartErrors | None = None
         self._fd = fd
         self._adapter = adapter
         self._undo: list[Callable[[], object]] = []
@@ -42,32 +115,32 @@ class Tuning:
             self.notices.append(f"its driver has no {', no '.join(self._missing)} (see `dpstack doctor`)")
 
     def restore(self) -> None:
-        """Everything as it was found, as far as the port is still there."""
+        """Restore all settings, as far as the port is still there."""
         undo, self._undo = self._undo, []
         for step in reversed(undo):
             with contextlib.suppress(OSError):
                 step()
 
     def damage(self) -> dict[str, int]:
-        """What the driver counted since the start, by name; empty where it cannot count."""
+        """The driver's error counts since the start, by name; empty where it cannot count."""
         if self.errors is None:
             return {}
         try:
-            return uart.errors(self._fd).since(self.errors)
-        except OSError:  # gone
+            return uart_errors(self._fd).since(self.errors)
+        except OSError:  # the device was unplugged
             return {}
 
     def _low_latency(self) -> None:
         try:
-            was = uart.set_low_latency(self._fd, True)
+            was = set_low_latency(self._fd, True)
         except OSError:
             self._missing.append("low-latency mode")
             return
         if not was:
-            self._undo.append(lambda: uart.set_low_latency(self._fd, False))
+            self._undo.append(lambda: set_low_latency(self._fd, False))
 
     def _latency_timer(self) -> None:
-        """FTDI: the low-latency mode sets it in newer kernels; where it did not, sysfs may."""
+        """FTDI's latency timer: newer kernels set it with the low-latency mode, for others sysfs may."""
         before = self._adapter.latency_ms()
         if before is None or before <= 1:
             return
@@ -83,25 +156,25 @@ class Tuning:
 
     def _rs485(self) -> None:
         try:
-            before = uart.get_rs485(self._fd)
+            before = get_rs485(self._fd)
         except OSError:
             if self._adapter.usb is None:  # a USB adapter switches its direction by itself
                 self._missing.append("RS-485 mode")
             return
-        if before[0] & uart.RS485_ENABLED:
-            return  # the administrator, or the board's description, knows better
-        off = uart.RS485_RTS_AFTER_SEND | uart.RS485_RX_DURING_TX
-        flags = before[0] & ~off | uart.RS485_ENABLED | uart.RS485_RTS_ON_SEND
+        if before[0] & RS485_ENABLED:
+            return  # set by the administrator or by the device tree
+        off = RS485_RTS_AFTER_SEND | RS485_RX_DURING_TX
+        flags = before[0] & ~off | RS485_ENABLED | RS485_RTS_ON_SEND
         try:
-            uart.set_rs485(self._fd, (flags, *before[1:]))
+            set_rs485(self._fd, (flags, *before[1:]))
         except OSError as exc:
             self.notices.append(f"its driver refuses the RS-485 mode ({reason_of(exc)}): who switches the direction?")
             return
-        self._undo.append(lambda: uart.set_rs485(self._fd, before))
+        self._undo.append(lambda: set_rs485(self._fd, before))
 
     def _counters(self) -> None:
         try:
-            self.errors = uart.errors(self._fd)
+            self.errors = uart_errors(self._fd)
         except OSError:
             self._missing.append("error counters")
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpstack.ports.marks import Unmarker
+from dpstack.ports.tty import Unmarker
 
 #: delivered, intact, damaged, odd
 CASES = [

@@ -33,7 +33,7 @@ from dpstack.ports.fdport import reason_of
 from dpstack.ports.holders import holder_of
 from dpstack.ports.pacing import PacedWire
 from dpstack.ports.posix import check, fcntl
-from dpstack.ports.ptymaster import PtyMaster
+from dpstack.ports.pty import PtyMaster
 from dpstack.ports.runtime_dir import open_own, own_directory, runtime_path
 from dpstack.units import BAUD_RATES, NEVER, NS_PER_S, baud_text, bits_to_ns, chars_to_ns, ns_to_s
 

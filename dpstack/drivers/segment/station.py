@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from dpstack.fdl.decoder import Decoder
 from dpstack.phy.uart import Receiver, flipped, waveform
-from dpstack.ports.ptymaster import PtyMaster
+from dpstack.ports.pty import PtyMaster
 from dpstack.units import NEVER
 
 
