@@ -138,7 +138,7 @@ class Port(ABC):
             self._stop(loop)
 
     def forsake(self) -> None:
-        """In the child of a fork: release this copy. Line, settings and loop belong to the parent and are not touched."""
+        """In the child of a fork: release this copy. Line, settings and loop belong to the parent."""
         self._loop = None
         self._on_data = self._on_lost = None
 
