@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 from dpstack.units import NS_PER_US
@@ -11,9 +11,12 @@ _SUB_BITS: Final = 8  # 256 buckets an octave: values are kept to 0.4 %
 _SUB: Final = 1 << _SUB_BITS
 
 
-@dataclass(frozen=True, slots=True)
-class HistogramData:
-    """A histogram as plain data. ``buckets`` are private to :class:`Histogram`."""
+@dataclass(slots=True)
+class Histogram:
+    """Counts of durations in ns in logarithmic buckets (relative width 2^-8), minimum and maximum exact.
+
+    ``buckets`` are its own affair.
+    """
 
     count: int = 0
     total_ns: int = 0
@@ -21,26 +24,13 @@ class HistogramData:
     max_ns: int = 0
     buckets: dict[int, int] = field(default_factory=dict)
 
-
-class Histogram:
-    """Counts of durations in ns in logarithmic buckets (relative width 2^-8), minimum and maximum exact."""
-
-    __slots__ = ("_buckets", "count", "max_ns", "min_ns", "total_ns")
-
-    def __init__(self) -> None:
-        self._buckets: dict[int, int] = {}
-        self.count = 0
-        self.total_ns = 0
-        self.min_ns = 0
-        self.max_ns = 0
-
     def add(self, ns: int) -> None:
         """Count one duration in nanoseconds (negative ones count as 0)."""
         if ns < 0:
             ns = 0
         shift = ns.bit_length() - _SUB_BITS - 1
         key = ns if shift <= 0 else (shift << (_SUB_BITS + 1)) + (ns >> shift)
-        buckets = self._buckets
+        buckets = self.buckets
         buckets[key] = buckets.get(key, 0) + 1
         if ns > self.max_ns:
             self.max_ns = ns
@@ -49,16 +39,8 @@ class Histogram:
         self.count += 1
         self.total_ns += ns
 
-    def data(self) -> HistogramData:
-        return HistogramData(self.count, self.total_ns, self.min_ns, self.max_ns, dict(self._buckets))
-
-    @classmethod
-    def of(cls, data: HistogramData) -> Histogram:
-        """The histogram that ``data`` is a copy of."""
-        made = cls()
-        made.count, made.total_ns, made.min_ns, made.max_ns = data.count, data.total_ns, data.min_ns, data.max_ns
-        made._buckets = dict(data.buckets)
-        return made
+    def copy(self) -> Histogram:
+        return replace(self, buckets=dict(self.buckets))
 
     def quantile_ns(self, q: float) -> int:
         """The smallest bucket value at or above which ``q`` (0..1) of the durations lie; 0 when empty."""
@@ -66,8 +48,8 @@ class Histogram:
             return 0
         rank = q * self.count
         seen = 0
-        for key in sorted(self._buckets):
-            seen += self._buckets[key]
+        for key in sorted(self.buckets):
+            seen += self.buckets[key]
             if seen >= rank:
                 return min(max(_value(key), self.min_ns), self.max_ns)
         return self.max_ns

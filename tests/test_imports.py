@@ -87,7 +87,6 @@ FLOORS: tuple[tuple[str, ...], ...] = (
 #: What still goes upwards, module by module; to be cut, nothing may be added.
 UPWARDS: dict[str, set[str]] = {
     "api.server.simulation": {"api.bus.compose", "api.bus.events_json"},
-    "drivers.runtime": {"drivers.line.port_latency"},
     "drivers.shutdown": {"drivers.line.echo", "drivers.line.select_loop", "drivers.line.select_runtime"},
     "drivers.virtual.runtime": {"drivers.line.port_latency"},
     "fdl.events": {"fdl.active.cycle_window"},

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Final, Generic, Self, TypeVar
 
 from dpstack.dp.master.events import DriveEvent, SlaveDiagnosis, SlaveEvent, SlaveFaulted, SlaveStateChanged
-from dpstack.drivers.views import MasterSeen
+from dpstack.drivers.snapshots import View
 from dpstack.trace import Event
 from dpstack.units import ns_to_s
 
@@ -227,21 +227,21 @@ class Waiters:
 class Rounds:
     """Calls back at the end of every round with data exchange; while nobody wants it, it costs the bus nothing."""
 
-    def __init__(self, master: MasterSeen) -> None:
-        self._master = master
+    def __init__(self, view: View) -> None:
+        self._view = view
         self._watchers: list[Callable[[], None]] = []
 
     def watch(self, watcher: Callable[[], None]) -> None:
         """Call ``watcher()`` at the end of every round."""
         if watcher not in self._watchers:
             self._watchers.append(watcher)
-        self._master.on_round = self._on_round
+        self._view.watch_rounds(self._on_round)
 
     def unwatch(self, watcher: Callable[[], None]) -> None:
         """No longer."""
         self._watchers.remove(watcher)
         if not self._watchers:
-            self._master.on_round = None
+            self._view.watch_rounds(None)
 
     @contextlib.contextmanager
     def watched(self, watcher: Callable[[], None]) -> Iterator[None]:
@@ -252,7 +252,7 @@ class Rounds:
         finally:
             self.unwatch(watcher)
 
-    def _on_round(self, now: int) -> None:
+    def _on_round(self) -> None:
         for watcher in tuple(self._watchers):
             watcher()
 

@@ -8,6 +8,6 @@
 - ``futures``: Futures of asyncio as the drivers use them
 - ``runtime``: What every driver offers to the API: one machine kept running on one line inside an asyncio loop
 - ``shutdown``: The ordered end of a bus: safe values, Clear twice, class 2 connections given back, out of the ring
-- ``stack``: The machines of one bus, from plain data: what every driver runs, in this process or in one of its own
-- ``views``: What an application sees of a running bus: the machines themselves
+- ``snapshots``: What an application sees of its bus. The bus side makes them, and they are the same with every driver
+- ``stack``: The machines of one bus, from plain data, and their snapshots: what every driver runs, in whichever process
 """

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Protocol
 
 from dpstack.dp.master.events import SlaveEvent
-from dpstack.drivers.line.port_latency import Lateness
 from dpstack.errors import DpError
 from dpstack.params import BusParams
 from dpstack.trace import Event
@@ -122,10 +121,6 @@ class Runtime(Protocol):
     """A running driver. Constructed with its machine, its line and an :data:`OnEvents`."""
 
     @property
-    def lateness(self) -> Lateness:
-        """How late answers arrive."""
-
-    @property
     def port_name(self) -> str:
         """What the port is called in messages and JSON."""
 
@@ -139,15 +134,8 @@ class Runtime(Protocol):
         an end in order."""
 
     @property
-    def counters_age_ns(self) -> int:
-        """How old the counters are that can be read now."""
-
-    @property
     def behind_ns(self) -> int:
         """How far the time of a simulated bus has fallen behind real time since the opening (ns), else 0."""
-
-    def damage(self) -> dict[str, int]:
-        """Octets that arrived damaged, by cause, as far as the port can tell."""
 
     async def open(self) -> None:
         """Open the line and begin. Raises PortError."""

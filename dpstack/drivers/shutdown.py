@@ -20,7 +20,6 @@ from dpstack.drivers.line.echo import Echo
 from dpstack.drivers.line.select_loop import Alarm, PlainLoop
 from dpstack.drivers.line.select_runtime import PlainRuntime
 from dpstack.drivers.runtime import END_LIMIT, last_bits_ns
-from dpstack.drivers.views import StationSeen
 from dpstack.errors import DpError
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOffline
@@ -54,14 +53,15 @@ def step_limit_ns(rotation_ns: int) -> int:
 
 
 class EndSteps:
-    """The orders of the end of ``station``'s bus, one by one, and whether the last one given was carried out.
+    """The orders of the end of a bus, one by one, and whether the last one given was carried out.
 
     Who gives them waits for each no longer than :func:`step_limit_ns`: a bus that can no longer do a step is taken to
     the next. After :meth:`hurry` connections are not given back, and all the rest is over after :data:`HURRY_NS`.
     """
 
-    def __init__(self, station: StationSeen) -> None:
-        self._station = station
+    def __init__(self, params: BusParams, in_ring: Callable[[], bool]) -> None:
+        self._params = params
+        self._in_ring = in_ring
         self._orders: list[EndOrder] = [GoOffline(), CloseConnections(), Shutdown()]
         self._order: EndOrder | None = None
         self._at_ns = 0
@@ -84,7 +84,7 @@ class EndSteps:
             return None
         order = self._order = self._orders.pop()
         # who has no token has nothing to hand on; it may have left and come back before
-        self.done = isinstance(order, GoOffline) and not self._station.in_ring
+        self.done = isinstance(order, GoOffline) and not self._in_ring()
         return order
 
     def wait_until(self, begun: int, rotation_ns: int) -> int:
@@ -103,7 +103,7 @@ class EndSteps:
 
     def over_at(self, now: int) -> int:
         """When the last bit of the last telegram is out and the port may be closed (ns)."""
-        return max(self._at_ns, now) + last_bits_ns(self._station.params)
+        return max(self._at_ns, now) + last_bits_ns(self._params)
 
 
 class Ending:
@@ -116,14 +116,14 @@ class Ending:
         self,
         loop: PlainLoop,
         give: Callable[[EndOrder], None],
-        station: StationSeen,
+        station: ActiveStation,
         longest_rotation: Callable[[], int],
         finished: Callable[[str], None],
     ) -> None:
         self._loop = loop
         self._give = give
         self._longest_rotation = longest_rotation
-        self.steps = EndSteps(station)
+        self.steps = EndSteps(station.params, lambda: station.in_ring)
         self._finished = finished
         self._why: str | None = None
         self._limit: Alarm | None = None

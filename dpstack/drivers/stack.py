@@ -1,26 +1,34 @@
-"""The machines of one bus, from plain data: what every driver runs, in this process or in one of its own."""
+"""The machines of one bus, from plain data, and their snapshots: what every driver runs, in whichever process."""
 
 from __future__ import annotations
 
+import copy
+import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Protocol
 
 from dpstack.dp.acyclic.class2 import Class2
 from dpstack.dp.acyclic.queue import Acyclic
+from dpstack.dp.master.fixed_cycle import CycleData
 from dpstack.dp.master.master import Master
 from dpstack.dp.master.read_only import reading_only
-from dpstack.dp.master.scanner import Scanner
+from dpstack.dp.master.scanner import Scanner, SurveyOrder, SurveyResult
+from dpstack.dp.master.slave_handler import SlaveHandler
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.alarm_ack import Alarms
 from dpstack.dpv1.master.ms1 import Ms1
 from dpstack.dpv1.master.ms1_job import Ms1Access
 from dpstack.dpv1.master.ms2 import Ms2
 from dpstack.dpv1.master.plugin_jobs import PluginJobs
+from dpstack.drivers.snapshots import BusSnapshot, Counters, ProcessData, SlaveSnapshot, no_data
 from dpstack.fdl.active.station import ActiveStation
-from dpstack.fdl.interface import LinkUser
+from dpstack.fdl.commands import AttachUser, DetachUser
+from dpstack.fdl.interface import LinkStats, LinkUser
 from dpstack.fdl.livelist import LiveList, live_allowance
 from dpstack.params import BusParams
 from dpstack.phy.patience import Patience
+from dpstack.stats import Histogram
 from dpstack.units import NS_PER_MS, NS_PER_S
 
 #: a read-only bus asks the whole live list and the diagnosis of each slave anew so often
@@ -98,3 +106,165 @@ def _watcher(spec: StackSpec) -> Scanner:
         quick_start=True,
     )
     return Scanner(own, live, period_ns=_DIAGNOSIS_PERIOD, wanted=[slave.address for slave in spec.slaves])
+
+
+class Latency(Protocol):
+    """How late answers arrive."""
+
+    histogram: Histogram
+
+
+class Line(Protocol):
+    """The driver that keeps the machines of a bus running."""
+
+    @property
+    def lateness(self) -> Latency:
+        """How late answers arrive."""
+
+    def damage(self) -> dict[str, int]:
+        """Octets that arrived damaged, by cause."""
+
+    def now(self) -> int:
+        """The time in ns."""
+
+    def command(self, command: object, /) -> None:
+        """Hand an order to the station."""
+
+
+class StackView:
+    """The snapshots of ``stack``, which ``line`` keeps running. A :class:`~dpstack.drivers.snapshots.View`."""
+
+    def __init__(self, stack: Stack, line: Line) -> None:
+        self.stack = stack
+        self._line = line
+        self._master = stack.master
+        self._station = stack.station
+
+    @property
+    def read_only(self) -> bool:
+        """Nothing is sent to slaves."""
+        return self._master.read_only
+
+    @property
+    def setups(self) -> dict[int, SlaveParams]:
+        """How the slaves are parameterised, by address."""
+        return {address: handler.setup for address, handler in self._master.handlers.items()}
+
+    def bus(self) -> BusSnapshot:
+        """Master and station."""
+        master, station, watcher = self._master, self._station, self.stack.watcher
+        return BusSnapshot(
+            mode=master.mode,
+            synced=frozenset(master.controls.synced),
+            frozen=frozenset(master.controls.frozen),
+            in_ring=station.in_ring,
+            claimed=station.claimed,
+            las=frozenset(station.las),
+            patience=station.patience,
+            found=None if watcher is None else dict(watcher.found),
+            found_all=watcher is not None and watcher.done,
+        )
+
+    def slave(self, address: int) -> SlaveSnapshot:
+        """The slave at ``address``; offline where there is none."""
+        handler = self._master.handlers.get(address)
+        if handler is None:
+            return SlaveSnapshot()
+        return SlaveSnapshot(
+            handler.state, handler.fault, handler.diagnosis, handler.watchdog_effective_ns, handler.alarm_counts
+        )
+
+    def data(self, setup: SlaveParams) -> ProcessData:
+        """Inputs and outputs of the slave with ``setup``."""
+        handler = self._master.handlers.get(setup.address)
+        return no_data(setup) if handler is None else process_data(handler)
+
+    def set_outputs(self, address: int, octets: bytes) -> None:
+        """The outputs of the next Data_Exchange in Operate."""
+        self._master.handlers[address].image.outputs = octets
+
+    def counted(self) -> Counters:
+        """Everything that is counted: not copied, it goes on."""
+        master, station, line = self._master, self._station, self._line
+        return Counters(
+            t_ns=line.now(),
+            rotation=master.rotation,
+            token_rotation=station.token_rotation,
+            lateness=line.lateness.histogram,
+            link=station.stats,
+            decoder=station.decoder_stats,
+            cycles=master.cycles,
+            held_back=master.budget.held_back,
+            forced=master.budget.forced,
+            damage=line.damage(),
+        )
+
+    def counters(self) -> Counters:
+        """A copy of everything that was counted."""
+        live = self.counted()
+        return dataclasses.replace(
+            live,
+            rotation=live.rotation.copy(),
+            token_rotation=live.token_rotation.copy(),
+            lateness=live.lateness.copy(),
+            link=copy.deepcopy(live.link),
+            decoder=dataclasses.replace(live.decoder),
+            cycles=copy.deepcopy(live.cycles),
+        )
+
+    @property
+    def link(self) -> LinkStats:
+        """The counters of the link layer."""
+        return self._station.stats
+
+    @property
+    def rotations(self) -> int:
+        """How many there were."""
+        return self._master.rotation_count
+
+    @property
+    def cycle(self) -> CycleData | None:
+        """The last round with data exchange, while somebody watches."""
+        return self._master.cycle
+
+    def watch_rounds(self, on_round: Callable[[], None] | None) -> None:
+        """Call ``on_round()`` at the end of every round with data exchange; None: no longer."""
+        self._master.on_round = None if on_round is None else lambda _now: on_round()
+
+    def survey(self) -> StackSurvey:
+        """A live list to be made."""
+        return StackSurvey(self._station, self._line)
+
+
+def process_data(handler: SlaveHandler) -> ProcessData:
+    """Inputs and outputs of one slave."""
+    image = handler.image
+    return ProcessData(image.inputs, image.outputs, image.valid, handler.exchanges, image.input_time)
+
+
+class StackSurvey:
+    """A live list by a link user at ``station``. A :class:`~dpstack.drivers.snapshots.Survey`."""
+
+    def __init__(self, station: ActiveStation, line: Line) -> None:
+        self._station = station
+        self._line = line
+        self._scanner: Scanner | None = None
+
+    async def begin(self, order: SurveyOrder) -> None:
+        """Begin to ask."""
+        self.begin_now(order)
+
+    def begin_now(self, order: SurveyOrder) -> None:
+        """Begin to ask."""
+        self._scanner = order.scanner(self._station.params, self._station.patience, self._line.now())
+        self._line.command(AttachUser(self._scanner))
+
+    @property
+    def result(self) -> SurveyResult | None:
+        """None until everything was asked."""
+        return None if self._scanner is None else SurveyResult.of(self._scanner)
+
+    def end(self) -> None:
+        """Nobody wants it any more."""
+        if self._scanner is not None:
+            self._line.command(DetachUser(self._scanner))

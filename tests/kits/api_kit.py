@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 import dpstack
 from dpstack.dp.slave.application import SlaveApp, make_slave
 from dpstack.dpv1.slave.device import Device
+from dpstack.drivers.stack import Stack, StackView
 from dpstack.fdl.passive.station import PassiveStation
 from dpstack.params import BusParams
 from dpstack.sim.world import World
@@ -41,3 +42,10 @@ async def off_and_on(bus: dpstack.Bus, address: int) -> None:
     await bus.until(lambda: not bus.slave(address).ready_now, 5)
     bus.bench.power(address, True)
     await bus.slave(address).ready()
+
+
+def stack_of(bus: dpstack.Bus) -> Stack:
+    """The machines of a bus that runs in this process."""
+    view = bus.view
+    assert isinstance(view, StackView)
+    return view.stack

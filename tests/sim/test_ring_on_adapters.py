@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import replace
 
 import pytest
@@ -12,6 +13,7 @@ from dpstack.api.bus.ring_entry import Beside, join_limit_s, pass_ns
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
+from dpstack.drivers.snapshots import BusSnapshot
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
 from dpstack.fdl.events import MasterSeen
@@ -89,8 +91,10 @@ def test_how_long_joining_takes() -> None:
 
 
 def test_a_newcomer_is_told_how_long_and_what_the_others_need_once() -> None:
-    station = ActiveStation(BusParams.preset(187_500, address=5), [], patience=ADAPTER)
-    beside = Beside(station)
+    params = BusParams.preset(187_500, address=5)
+    none: frozenset[int] = frozenset()
+    bus = BusSnapshot(Mode.CLEAR, none, none, in_ring=False, claimed=False, las=none, patience=ADAPTER)
+    beside = Beside(params, lambda: bus)
     assert list(beside.notices(MasterSeen(t_ns=5, address=2, present=False))) == []
     waiting, advice = beside.notices(MasterSeen(t_ns=7, address=2, present=True))
     assert (waiting.severity, advice.severity) == (Severity.INFO, Severity.WARNING)
@@ -100,7 +104,7 @@ def test_a_newcomer_is_told_how_long_and_what_the_others_need_once() -> None:
     )
     assert advice.message.startswith("other masters need t_sl = 3825 ")
     assert list(beside.notices(MasterSeen(t_ns=9, address=2, present=True))) == []
-    station.set_patience(measured(2 * MS), 9)
+    bus = dataclasses.replace(bus, patience=measured(2 * MS))
     (advice,) = beside.notices(MasterSeen(t_ns=11, address=2, present=True))
     assert "comes up to 2 ms late (measured" in advice.message
 

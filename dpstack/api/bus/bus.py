@@ -21,8 +21,7 @@ from dpstack.api.bus.sync_freeze import Group, GroupOrders, Groups
 from dpstack.api.config.config import Config, slave_config
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.slave.class2 import Class2
-from dpstack.api.slave.drive import Drive
-from dpstack.api.slave.drive_view import DriveSeen
+from dpstack.api.slave.drive import Drive, DrivePlugin
 from dpstack.api.slave.slave import Slave
 from dpstack.api.streams import EventStream, OnEvent
 from dpstack.argcheck import Sealed
@@ -82,15 +81,15 @@ class Bus(Sealed, Composed):
 
     def _build(self, config: Config) -> None:
         super()._build(config)
-        self._beside = Beside(self.station)
+        self._beside = Beside(self.params, lambda: self.snapshot)
         for slave in config.slaves:
             self._register(slave, self.parts.plugins.get(slave.address))
 
-    def _register(self, config: SlaveConfig, plugin: DriveSeen | None) -> Slave:
-        handler = self.master.handlers[config.address]
-        slave = self._slaves[config.address] = Slave(self, config, handler)
+    def _register(self, config: SlaveConfig, plugin: DrivePlugin | None) -> Slave:
+        setup = self.view.setups[config.address]
+        slave = self._slaves[config.address] = Slave(self, config, setup, has_plugin=plugin is not None)
         if plugin is not None:
-            self._drives[config.address] = Drive(self, slave, plugin, handler.image)
+            self._drives[config.address] = Drive(self, slave, plugin)
         return slave
 
     # --- from beginning to end ----------------------------------------------------------------------------------
@@ -258,7 +257,7 @@ class Bus(Sealed, Composed):
         With ``port="virtual"`` it is simulated like the others. What the plan has to say about it comes as notices.
         """
         config = table if isinstance(table, SlaveConfig) else slave_config(table)
-        others = [handler.setup for handler in self.master.handlers.values()]
+        others = list(self.view.setups.values())
         if any(other.name == config.name for other in others):
             raise ConfigError(f"there is a slave called {config.name!r} already: give the new one another name")
         setup = self.fitting(config)
@@ -333,7 +332,7 @@ class Bus(Sealed, Composed):
             await self.until(lambda: False, timeout)
             return
         with self.rounds.watched(functools.partial(self._waiters.check)):  # one of its own for each caller
-            await self.until(lambda: self.master.rotation_count >= rotations, timeout)
+            await self.until(lambda: self.view.rotations >= rotations, timeout)
 
     # --- from the machine ---------------------------------------------------------------------------------------
 
@@ -363,7 +362,7 @@ class Bus(Sealed, Composed):
                 self._events.tell(notice)
             if isinstance(event, RingJoined) and not self._joined_ns:
                 self._joined_ns = event.t_ns
-                text, severity = what_was_heard(self.station)
+                text, severity = what_was_heard(self.params.address, self.view)
                 self._events.tell(Notice(t_ns=event.t_ns, source="bus", message=text, severity=severity))
         self._waiters.check()
 

@@ -9,28 +9,24 @@ from typing import Final
 
 from dpstack.api.bus.driver_choice import PROCESS, driver_for
 from dpstack.api.bus.plan_checks import adapter_notes, data_control_ns, other_masters, refuse_misfit, with_t_tr
-from dpstack.api.bus.remote_plugins import RemoteCore, attach_remote, core_of, known_places, plugin_of
+from dpstack.api.bus.remote_plugins import attach_remote, core_of, known_places, plugin_of, remote_plugin
 from dpstack.api.config.bus import SAFE
 from dpstack.api.config.config import Config, rate_findings
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.server.virtual_bench import VirtualBench
-from dpstack.api.slave.drive_view import DriveSeen
+from dpstack.api.slave.drive import DrivePlugin
 from dpstack.api.streams import Rounds
 from dpstack.dp.master.master import Master
-from dpstack.dp.master.scanner import Scanner, SurveyOrder, SurveyResult
 from dpstack.dp.plan.plan import Case, Plan, make_plan
-from dpstack.drivers import views
 from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime, OnFailure, patience_of
 from dpstack.drivers.line.echo import Echo
 from dpstack.drivers.runtime import OnEvents, OnRefused, Runtime
-from dpstack.drivers.stack import StackSpec, build_stack
+from dpstack.drivers.snapshots import View
+from dpstack.drivers.stack import StackSpec, StackView, build_stack
 from dpstack.drivers.virtual.runtime import VirtualRuntime
-from dpstack.fdl.active.station import ActiveStation
-from dpstack.fdl.commands import AttachUser, DetachUser
 from dpstack.phy.neighbours import Neighbours
 from dpstack.phy.patience import EXACT, Patience, slack
 from dpstack.ports import Delivery, Port, open_port
-from dpstack.profile import DriveCore
 from dpstack.sim.world import World
 from dpstack.units import NS_PER_MS
 
@@ -84,25 +80,20 @@ def patience_for(config: Config, port: Port) -> Patience:
 
 @dataclass(slots=True, kw_only=True)
 class Parts:
-    """Everything one bus is made of: machines, or their mirror where they run in another process."""
+    """Everything one bus is made of, in whichever process its machines run."""
 
     config: Config
     plan: Plan
-    master: views.MasterSeen
-    station: views.StationSeen
+    view: View
     runtime: Runtime
     #: "asyncio", "process", or "virtual" on a simulated bus
     driver: str
     #: the drive plugins of the slaves that it is made with, by address
-    plugins: Mapping[int, DriveSeen]
+    plugins: Mapping[int, DrivePlugin]
     #: puts the drive plugin of a new slave onto its process image; None where it has none. Raises ConfigError
-    attach: Callable[[SlaveConfig], Awaitable[DriveSeen | None]]
-    #: makes a live list, to be begun
-    survey: Callable[[], views.Survey]
+    attach: Callable[[SlaveConfig], Awaitable[DrivePlugin | None]]
     rounds: Rounds
     world: World | None = None
-    #: of a read-only bus: what shows the state of its stations
-    watcher: views.WatcherSeen | None = None
     #: the simulated slaves, where they are part of it
     bench: VirtualBench | None = None
 
@@ -149,7 +140,7 @@ def compose(
     if driver == PROCESS:
         return in_process(config, plan, spec, on_events, on_failure, on_refused, tune=tune)
     stack = build_stack(spec)
-    master, station = stack.master, stack.station
+    station = stack.station
     bench = None
     runtime: Runtime
     if port is not None:
@@ -169,24 +160,22 @@ def compose(
             for slave in config.slaves:
                 bench.add(slave)
         runtime = VirtualRuntime(world, station, on_events, on_failure=on_failure)
-    attach = partial(attach_core, master, simulated=bench is not None)
+    attach = partial(attach_core, stack.master, simulated=bench is not None)
+    view = StackView(stack, runtime)
 
-    async def attach_new(slave: SlaveConfig) -> DriveCore | None:
+    async def attach_new(slave: SlaveConfig) -> DrivePlugin | None:
         return attach(slave)
 
     return Parts(
         config=config,
         plan=plan,
-        master=master,
-        station=station,
+        view=view,
         runtime=runtime,
         driver=driver,
-        plugins={slave.address: core for slave in config.slaves if (core := attach(slave)) is not None},
+        plugins={slave.address: plugin for slave in config.slaves if (plugin := attach(slave)) is not None},
         attach=attach_new,
-        survey=partial(LocalSurvey, station, runtime),
-        rounds=Rounds(master),
+        rounds=Rounds(view),
         world=world,
-        watcher=stack.watcher,
         bench=bench,
     )
 
@@ -202,7 +191,7 @@ def in_process(
     tune: bool,
 ) -> Parts:
     """The parts where the machines run in a process of their own. Raises ConfigError for plugins without a name."""
-    from dpstack.drivers.process.client import ProcessRuntime, ProcessSurvey
+    from dpstack.drivers.process.client import ProcessRuntime
     from dpstack.drivers.process.messages import SetUp  # msgspec and all it needs: only for who wants it
 
     plugins = {slave.address: ref for slave in config.slaves if (ref := plugin_of(slave)) is not None}
@@ -217,48 +206,19 @@ def in_process(
         preload=known_places(),
     )
     runtime = ProcessRuntime(setup, on_events, on_failure, on_refused)
-    mirror = runtime.mirror
     return Parts(
         config=config,
         plan=plan,
-        master=mirror.master,
-        station=mirror.station,
+        view=runtime,
         runtime=runtime,
         driver=PROCESS,
-        plugins={slave.address: RemoteCore(runtime, slave) for slave in config.slaves if slave.address in plugins},
+        plugins={slave.address: remote_plugin(runtime, slave) for slave in config.slaves if slave.address in plugins},
         attach=partial(attach_remote, runtime),
-        survey=partial(ProcessSurvey, runtime),
-        rounds=Rounds(mirror.master),
-        watcher=mirror.watcher,
+        rounds=Rounds(runtime),
     )
 
 
-class LocalSurvey:
-    """A live list by a link user at ``station``."""
-
-    def __init__(self, station: ActiveStation, runtime: Runtime) -> None:
-        self._station = station
-        self._runtime = runtime
-        self._scanner: Scanner | None = None
-
-    async def begin(self, order: SurveyOrder) -> None:
-        """Begin to ask."""
-        station = self._station
-        self._scanner = order.scanner(station.params, station.patience, self._runtime.now())
-        self._runtime.command(AttachUser(self._scanner))
-
-    @property
-    def result(self) -> SurveyResult | None:
-        """None until everything was asked."""
-        return None if self._scanner is None else SurveyResult.of(self._scanner)
-
-    def end(self) -> None:
-        """Nobody wants it any more."""
-        if self._scanner is not None:
-            self._runtime.command(DetachUser(self._scanner))
-
-
-def attach_core(master: Master, slave: SlaveConfig, *, simulated: bool) -> DriveCore | None:
+def attach_core(master: Master, slave: SlaveConfig, *, simulated: bool) -> DrivePlugin | None:
     """Put the drive plugin of ``slave`` onto its process image; None where it has none.
 
     ``simulated``: the slave is one of ours, in the same process.
@@ -267,7 +227,7 @@ def attach_core(master: Master, slave: SlaveConfig, *, simulated: bool) -> Drive
     if core is None:
         return None
     master.handlers[slave.address].image.unit = core
-    return core
+    return DrivePlugin(core, core.status)
 
 
 __all__ = [

@@ -117,12 +117,12 @@ class _Reader:
         self._bus = bus
         self.more = asyncio.Event()
         self.data: CycleData | None = None
-        last = bus.master.cycle
+        last = bus.view.cycle
         self._last = 0 if last is None else last.published
         self._before: int | None = None  # published up to the one read last
 
     def on_round(self) -> None:
-        data = self._bus.master.cycle
+        data = self._bus.view.cycle
         if data is None or data.published == self._last:
             return  # a round in which nobody had a turn
         if self._before is None:

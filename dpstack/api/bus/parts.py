@@ -23,7 +23,7 @@ from dpstack.dp.plan.rotation_time import figures
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.drivers.runtime import Runtime
 from dpstack.drivers.shutdown import end_limit_ns
-from dpstack.drivers.views import MasterSeen, StationSeen, WatcherSeen
+from dpstack.drivers.snapshots import BusSnapshot, View
 from dpstack.errors import BusError, DpError, UsageError
 from dpstack.params import BusParams
 from dpstack.sim.world import World
@@ -110,7 +110,7 @@ class Composed:
 
     def fitting(self, slave: SlaveConfig) -> SlaveParams:
         """``slave`` for the master, beside all others. Raises ConfigError where the cycle has no room for it."""
-        others = [h.setup for address, h in self.master.handlers.items() if address != slave.address]
+        others = [other for address, other in self.view.setups.items() if address != slave.address]
         refuse_misfit(self.config, self.plan, [*others, slave.params])
         self._round_ns = None
         return slave.params
@@ -120,7 +120,7 @@ class Composed:
         it, as the plan counts it with the slaves that are on the bus now."""
         if self._round_ns is None:
             counted = self.plan.figures
-            setups = [handler.setup for handler in self.master.handlers.values()]
+            setups = list(self.view.setups.values())
             if setups != list(counted.setups):
                 counted = figures(
                     counted.params,
@@ -145,17 +145,17 @@ class Composed:
     @property
     def mode(self) -> Mode:
         """The mode of the master; OFFLINE while nobody keeps it running."""
-        return self.master.mode if self.runtime.not_running is None else Mode.OFFLINE
+        return self.snapshot.mode if self.runtime.not_running is None else Mode.OFFLINE
 
     @property
-    def station(self) -> StationSeen:
-        """The link layer."""
-        return self.parts.station
+    def view(self) -> View:
+        """Where the snapshots of the bus are found."""
+        return self.parts.view
 
     @property
-    def master(self) -> MasterSeen:
-        """The class 1 master."""
-        return self.parts.master
+    def snapshot(self) -> BusSnapshot:
+        """Mode, token ring and its masters, SYNC and FREEZE, the stations found: as the bus told them last."""
+        return self.parts.view.bus()
 
     @property
     def driver(self) -> str:
@@ -171,11 +171,6 @@ class Composed:
     def rounds(self) -> Rounds:
         """The ends of the rounds with data exchange."""
         return self.parts.rounds
-
-    @property
-    def watcher(self) -> WatcherSeen | None:
-        """Of a read-only bus: what shows the state of its stations."""
-        return self.parts.watcher
 
     @property
     def world(self) -> World | None:

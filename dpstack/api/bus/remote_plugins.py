@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from dpstack.api.config.slave import SlaveConfig
+from dpstack.api.slave.drive import DrivePlugin
 from dpstack.dpv1.master.plugin_queue import RecordQueue
 from dpstack.drivers.process.plugins import PluginRef
 from dpstack.errors import ConfigError
@@ -50,32 +51,21 @@ def known_places() -> tuple[str, ...]:
     return tuple(registry.places().values())
 
 
-class RemoteCore:
+def remote_plugin(runtime: ProcessRuntime, slave: SlaveConfig) -> DrivePlugin:
     """The drive plugin of ``slave`` in the bus process. One like it stands here, which knows ranges and references."""
+    core = core_of(slave)
+    assert core is not None
 
-    def __init__(self, runtime: ProcessRuntime, slave: SlaveConfig) -> None:
-        core = core_of(slave)
-        assert core is not None
-        self.drive = core.drive
-        self.reference_hz = core.reference_hz
-        self.telegram = core.telegram
-        self.access = core.access
-        self.parameters = core.parameters
-        self.setpoint_word = core.setpoint_word
-        self._runtime = runtime
-        self._address = slave.address
-        self._core = core
-        runtime.mirror.master.handlers[slave.address].image.unit = core
-
-    def status(self) -> DriveStatus:
-        """As the plugin told it last; when the bus is over, that of a drive nothing is known of."""
+    def status() -> DriveStatus:
         from dpstack.drivers.process.messages import typed
 
-        found = self._runtime.drive_status(self._address)
-        return self._core.status() if found is None else typed(found, DriveStatus)
+        told = runtime.drive_status(slave.address)
+        return core.status() if told is None else typed(told, DriveStatus)
+
+    return DrivePlugin(core, status)
 
 
-async def attach_remote(runtime: ProcessRuntime, slave: SlaveConfig) -> RemoteCore | None:
+async def attach_remote(runtime: ProcessRuntime, slave: SlaveConfig) -> DrivePlugin | None:
     """Put the drive plugin of ``slave`` onto its process image in the running bus process; None where it has none.
 
     Raises ConfigError where it cannot be imported there.
@@ -83,5 +73,7 @@ async def attach_remote(runtime: ProcessRuntime, slave: SlaveConfig) -> RemoteCo
     plugin = plugin_of(slave)
     if plugin is None:
         return None
-    await runtime.attach_plugin(slave.address, plugin)
-    return RemoteCore(runtime, slave)
+    from dpstack.drivers.process.messages import AttachPlugin
+
+    await runtime.order(AttachPlugin(slave.address, plugin))
+    return remote_plugin(runtime, slave)

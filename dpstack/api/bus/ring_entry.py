@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
 from dpstack.api.bus.parts import Composed
-from dpstack.drivers.views import StationSeen
+from dpstack.drivers.snapshots import BusSnapshot, View
 from dpstack.errors import BusError
 from dpstack.fdl.events import MasterSeen
 from dpstack.params import BusParams
@@ -40,24 +40,25 @@ class Beside:
     The figures are those of the moment: told again when the port was measured and another master comes.
     """
 
-    def __init__(self, station: StationSeen) -> None:
-        self._station = station
+    def __init__(self, params: BusParams, snapshot: Callable[[], BusSnapshot]) -> None:
+        self._params = params
+        self._snapshot = snapshot
         self._told: set[str] = set()
 
     def notices(self, event: Event) -> Iterator[Notice]:
         """What ``event`` gives cause for."""
         if not (isinstance(event, MasterSeen) and event.present):
             return
-        station = self._station
-        params, patience = station.params, station.patience
-        if not station.in_ring and not self._told:
+        params, bus = self._params, self._snapshot()
+        patience = bus.patience
+        if not bus.in_ring and not self._told:
             within = ns_to_s(pass_ns(params, patience))
             text = (
                 f"waiting for master {event.address} to let station {params.address} into the ring: up to "
                 f"{within:.1f} s where it is set like this one; a lower hsa on all masters makes it shorter"
             )
             yield self._notice(event.t_ns, text, Severity.INFO)
-        lowest = min(station.las - {params.address}, default=event.address)
+        lowest = min(bus.las - {params.address}, default=event.address)
         advice = Neighbours(params, patience, lowest).advice()
         if advice and advice not in self._told:
             yield self._notice(event.t_ns, advice, Severity.WARNING)
@@ -69,59 +70,59 @@ class Beside:
 
 async def join(bus: Composed, timeout: float | None) -> None:
     """Wait until the station is in the ring, for :func:`join_limit_s` unless ``timeout`` is given. Raises BusError."""
-    limit = join_limit_s(bus.params, bus.station.patience) if timeout is None else timeout
+    limit = join_limit_s(bus.params, bus.snapshot.patience) if timeout is None else timeout
 
     def joined() -> bool:
         if bus.collision is not None:
             raise BusError(bus.collision)
-        return bus.station.in_ring
+        return bus.snapshot.in_ring
 
     try:
         await bus.until(joined, limit)
     except TimeoutError:
-        raise BusError(why_not_joined(bus.station, limit)) from None
+        raise BusError(why_not_joined(bus.params.address, bus.view, limit)) from None
 
 
-def why_not_joined(station: StationSeen, after_s: float) -> str:
+def why_not_joined(own: int, view: View, after_s: float) -> str:
     """One line that says what was heard instead, and what to do."""
-    own = station.address
+    counters = view.counters()
     late = f"station {own} is not in the token ring after {after_s:g} s"
-    others = sorted(station.las - {own})
+    others = sorted(view.bus().las - {own})
     if others:
         return (
             f"{late}: masters {', '.join(map(str, others))} do not let it in; "
             f"their HSA must be {own} or more and their GAP on"
         )
-    if station.stats.heard:
-        requesters = station.stats.without_token
+    if counters.link.heard:
+        requesters = counters.link.without_token
         who = _masters(requesters) if requesters else "a master"
         return (
-            f"{late}: {station.stats.heard} telegrams of other stations are heard, and no token: {who} that "
+            f"{late}: {counters.link.heard} telegrams of other stations are heard, and no token: {who} that "
             f"{'pass' if len(requesters) > 1 else 'passes'} none can share the bus with nobody; stop "
             f"{'them' if len(requesters) > 1 else 'it'} first"
         )
-    if station.decoder_stats.octets:
+    if counters.decoder.octets:
         return f"{late}: what is heard is no PROFIBUS at this rate; check the baud rate, A and B, the termination"
     return f"{late}: nothing is heard and nothing could be sent; check port and cable"
 
 
-def what_was_heard(station: StationSeen) -> tuple[str, Severity]:
-    """One line about the telegrams and masters that a station has heard before it joined the ring, and its severity."""
-    heard, bad = station.stats.heard, station.decoder_stats.bad
-    others = sorted(station.las - {station.address})
+def what_was_heard(own: int, view: View) -> tuple[str, Severity]:
+    """One line about what station ``own`` heard before it joined the ring, and its severity."""
+    counters, las = view.counters(), view.bus().las
+    heard, bad = counters.link.heard, counters.decoder.bad
+    others = sorted(las - {own})
     unreadable = f"{bad} damaged" if heard else f"{bad} damaged telegrams, no readable one: is this the right rate?"
     words = [f"{heard} telegrams"] if heard else []
     words += [unreadable] if bad else []
     words += [_masters(others)] if others else []
-    text = f"listened first: {', '.join(words) or 'silence'}; nobody has address {station.address}"
-    requesters = [address for address in station.stats.without_token if address not in station.las]
+    text = f"listened first: {', '.join(words) or 'silence'}; nobody has address {own}"
+    requesters = [address for address in counters.link.without_token if address not in las]
     if not requesters:
         return text, Severity.INFO
     several = len(requesters) > 1
     does = "send requests and pass no token: they" if several else "sends requests and passes no token: it"
     return (
-        f"{text}; {_masters(requesters)} {does} and station {station.address} will garble each other's telegrams; "
-        "stop one of them"
+        f"{text}; {_masters(requesters)} {does} and station {own} will garble each other's telegrams; stop one of them"
     ), Severity.WARNING
 
 

@@ -17,11 +17,11 @@ from dpstack.fdl.telegram import StationType
 async def scan_on(bus: Composed, *, configs: bool, addresses: Iterable[int], quick: bool | None) -> tuple[Found, ...]:
     """See ``Bus.scan``."""
     if quick is None:
-        quick = not any(slave.ready_now for slave in bus.slaves if not bus.master.read_only)
+        quick = not any(slave.ready_now for slave in bus.slaves if not bus.view.read_only)
     own = bus.params.address
-    mine = {} if bus.master.read_only else {slave.address: slave for slave in bus.slaves}
+    mine = {} if bus.view.read_only else {slave.address: slave for slave in bus.slaves}
     order = SurveyOrder(tuple(addresses), tuple(mine), configs=configs, quick=quick)
-    survey = bus.parts.survey()
+    survey = bus.view.survey()
     await survey.begin(order)
     try:
         await bus.until(lambda: survey.result is not None)

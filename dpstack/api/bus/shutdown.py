@@ -163,7 +163,7 @@ class OrderedEnd:
         A cancellation of the task that runs this (asyncio.run() cancels all) changes nothing.
         """
         bus = self._bus
-        steps = self._steps = EndSteps(bus.station)
+        steps = self._steps = EndSteps(bus.params, lambda: bus.snapshot.in_ring)
         if self._hurried:
             steps.hurry(bus.runtime.now())
         owed = self._exchanging()
@@ -195,10 +195,10 @@ class OrderedEnd:
 
     def _exchanging(self) -> dict[str, int]:
         """The watchdogs in ns of the slaves that have outputs of this master, by name."""
-        if self._bus.master.mode is not Mode.OPERATE:
+        if self._bus.snapshot.mode is not Mode.OPERATE:
             return {}
-        handlers = self._bus.master.handlers.values()
-        return {h.setup.name: h.watchdog_effective_ns for h in handlers if h.exchanges}
+        view = self._bus.view
+        return {s.name: view.slave(s.address).watchdog_ns for s in view.setups.values() if view.data(s).exchanges}
 
     async def _pause(self, seconds: float) -> None:
         """Until :meth:`_wake`, for so long at most; cancellations change nothing."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -208,21 +207,22 @@ class BusStats:
 
 def collect(bus: Composed) -> BusStats:
     """The picture at this moment: a copy, later counts do not change it. It never waits for a bus process."""
-    age_ns = bus.runtime.counters_age_ns
-    link = copy.deepcopy(bus.station.stats)
+    view, now = bus.view, bus.runtime.now()
+    counters = view.counters()
+    age_ns = max(0, now - counters.t_ns) if counters.t_ns else 0
+    link = counters.link
     drives = {drive.address: drive_dict(bus, drive) for drive in bus.drives}
-    lateness = bus.runtime.lateness
-    bad = bus.station.decoder_stats.by_cause()
-    bad |= {f"uart_{cause}": count for cause, count in bus.runtime.damage().items() if count}
+    bad = counters.decoder.by_cause()
+    bad |= {f"uart_{cause}": count for cause, count in counters.damage.items() if count}
     return BusStats(
         seconds=bus.seconds,
         paced=bus.runtime.paced,
-        rotations=bus.master.rotation_count,
-        rotation_us=bus.master.rotation.summary_us(),
-        token_us=bus.station.token_rotation.summary_us(),
-        cycles=copy.deepcopy(bus.master.cycles) if bus.master.cycles.cycle_ns else None,
-        held_back=bus.master.budget.held_back,
-        forced=bus.master.budget.forced,
+        rotations=view.rotations,
+        rotation_us=counters.rotation.summary_us(),
+        token_us=counters.token_rotation.summary_us(),
+        cycles=counters.cycles if counters.cycles.cycle_ns else None,
+        held_back=counters.held_back,
+        forced=counters.forced,
         slaves={
             slave.address: SlaveStats(
                 address=slave.address,
@@ -251,8 +251,8 @@ def collect(bus: Composed) -> BusStats:
         late=link.late,
         bad=bad,
         link=link,
-        host_us=lateness.histogram.summary_us() if lateness.histogram.count else None,
-        host_slack_ms=bus.station.patience.known_ns / NS_PER_MS,
+        host_us=counters.lateness.summary_us() if counters.lateness.count else None,
+        host_slack_ms=bus.snapshot.patience.known_ns / NS_PER_MS,
         age=ns_to_s(age_ns),
         behind=ns_to_s(bus.runtime.behind_ns),
         stale=bus.runtime.not_running is not None or age_ns > STALE_NS,

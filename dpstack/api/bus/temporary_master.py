@@ -74,7 +74,7 @@ async def scan_port(make_bus: MakeBus, *, address: int | None = None, configs: b
         own = bus.params.address
         stations = await bus.scan(configs=configs)
     notes = list(_notes(stations, bus.unreadable))
-    if bus.station.claimed:  # else another master asked the own address and understood the one answer it got
+    if bus.snapshot.claimed:  # else another master asked the own address and understood the one answer it got
         taken = {own, *(found.address for found in stations)}
         other = next(free for free in range(MAX_STATION + 1) if free not in taken)
         try:

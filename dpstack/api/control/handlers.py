@@ -160,8 +160,8 @@ def run_status(bus: Bus) -> dict[str, object]:
         "mode": bus.mode.name.lower(),
         **({"clear": clear} if (clear := clear_since(bus)) else {}),
         "baud": bus.params.baud,
-        "in_ring": bus.station.in_ring,
-        "masters": sorted(bus.station.las),
+        "in_ring": bus.snapshot.in_ring,
+        "masters": sorted(bus.snapshot.las),
         "slaves": slaves,
     }
 

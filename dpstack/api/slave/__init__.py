@@ -3,7 +3,6 @@
 - ``alarms``: ``slave.alarms()``: alarms as an application takes and acknowledges them
 - ``class2``: The services of a class 2 master, to be awaited: ``bus.class2``
 - ``drive``: One drive as an application sees it: orders as awaitable calls, errors by type, the latest status
-- ``drive_view``: What an application's drive knows of its plugin, in this process or in another
 - ``host``: What a slave, a drive and the class 2 services need of the bus that they are on
 - ``ms2_connection``: A class 2 connection (MS2) to a slave, to be awaited: ``bus.class2.connect(...)``
 - ``record_parameters``: PROFIdrive's parameter access in an asyncio program: any number of parameters, whole lists

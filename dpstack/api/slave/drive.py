@@ -8,19 +8,17 @@ import dataclasses
 import itertools
 import math
 from collections import deque
-from collections.abc import AsyncIterator, Iterable, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
 from dpstack.api.lists.dump_compare import Comparison, OnParameter, ParameterPlace, ParameterValue, compare, dump
 from dpstack.api.lists.parameter_list import ParameterList
-from dpstack.api.slave.drive_view import DriveSeen
 from dpstack.api.slave.host import Host
 from dpstack.api.slave.slave import Slave
 from dpstack.api.streams import Latest
 from dpstack.argcheck import Sealed
 from dpstack.dp.master.commands import DriveCommand, Mode
-from dpstack.drivers.views import ImageSeen
 from dpstack.errors import (
     BusError,
     DpError,
@@ -30,7 +28,7 @@ from dpstack.errors import (
     ParameterError,
     UsageError,
 )
-from dpstack.profile import DriveStatus, ListedParam, per_request
+from dpstack.profile import DriveCore, DriveStatus, ListedParam, per_request
 from dpstack.profile.model.jobs import LARGEST
 
 #: the plugin judges time-outs once a rotation; this much later nobody can have judged them
@@ -49,13 +47,20 @@ class DriveNotice(NamedTuple):
     text: str
 
 
+class DrivePlugin(NamedTuple):
+    """The plugin of a drive for its application: ``core`` knows ranges, references and parameters, ``status`` gives
+    what the one that runs told last."""
+
+    core: DriveCore
+    status: Callable[[], DriveStatus]
+
+
 class Drive(Sealed):
     """A drive by its name in the configuration. Orders are awaitable and raise DriveFault or DriveTimeout."""
 
-    def __init__(self, bus: Host, slave: Slave, core: DriveSeen, image: ImageSeen) -> None:
+    def __init__(self, bus: Host, slave: Slave, plugin: DrivePlugin) -> None:
         self._bus = bus
-        self._core = core
-        self._image = image
+        self._core, self._told = plugin
         self._pending: dict[int, asyncio.Future[dict[str, object]]] = {}
         self._readers: list[Latest[DriveStatus]] = []
         self._seen = b""
@@ -91,7 +96,7 @@ class Drive(Sealed):
     @property
     def status(self) -> DriveStatus:
         """What the drive tells at this moment; offline while nobody keeps the bus running."""
-        status = self._core.status()
+        status = self._told()
         if self._setpoints:
             status = dataclasses.replace(status, setpoint=[*self._setpoints.values()][-1])
         return status if self._bus.runtime.not_running is None else status.unknown()
@@ -302,7 +307,7 @@ class Drive(Sealed):
 
     def on_round(self) -> None:
         """A round is over: hand on the status when the inputs are new."""
-        inputs = self._image.inputs
+        inputs = self.slave.inputs
         if inputs is not self._seen and inputs != self._seen:
             self._seen = inputs
             self._hand_on()

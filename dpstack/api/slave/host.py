@@ -13,7 +13,7 @@ from dpstack.dp.master.commands import Mode
 from dpstack.dp.master.events import ForcedClear
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.drivers.runtime import Runtime
-from dpstack.drivers.views import MasterSeen, StationSeen, WatcherSeen
+from dpstack.drivers.snapshots import View
 from dpstack.params import BusParams
 
 
@@ -29,11 +29,7 @@ class Host(Protocol):
     @property
     def runtime(self) -> Runtime: ...
     @property
-    def station(self) -> StationSeen: ...
-    @property
-    def master(self) -> MasterSeen: ...
-    @property
-    def watcher(self) -> WatcherSeen | None: ...
+    def view(self) -> View: ...
     @property
     def mode(self) -> Mode: ...
     @property

@@ -25,7 +25,7 @@ from dpstack.dp.process_image import inputs_are_valid, inputs_limit_ns
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.ms1_job import need_dpv1
 from dpstack.dpv1.pdu.im import Im
-from dpstack.drivers.views import HandlerSeen
+from dpstack.drivers.snapshots import ProcessData, SlaveSnapshot
 from dpstack.errors import SlaveFault, SlaveTimeout, UsageError
 from dpstack.text import octets_text
 from dpstack.units import ns_to_s
@@ -34,9 +34,10 @@ from dpstack.units import ns_to_s
 class Slave(Sealed):
     """One slave of a bus: inputs, outputs, state, diagnosis. Made by the bus, see ``Bus.slave``."""
 
-    def __init__(self, bus: Host, config: SlaveConfig, handler: HandlerSeen) -> None:
+    def __init__(self, bus: Host, config: SlaveConfig, setup: SlaveParams, *, has_plugin: bool) -> None:
         self._bus = bus
-        self._handler = handler
+        self._setup = setup
+        self._has_plugin = has_plugin
         self.config = config
         self._seal(Slave)
 
@@ -57,17 +58,26 @@ class Slave(Sealed):
     @property
     def address(self) -> int:
         """The station address."""
-        return self._handler.setup.address
+        return self._setup.address
 
     @property
     def name(self) -> str:
         """The name in the configuration."""
-        return self._handler.setup.name
+        return self._setup.name
 
     @property
     def setup(self) -> SlaveParams:
         """How the master parameterises it."""
-        return self._handler.setup
+        return self._setup
+
+    @property
+    def snapshot(self) -> SlaveSnapshot:
+        """The slave as its master told of it last."""
+        return self._bus.view.slave(self.address)
+
+    @property
+    def _data(self) -> ProcessData:
+        return self._bus.view.data(self._setup)
 
     @property
     def state(self) -> SlaveState:
@@ -79,7 +89,7 @@ class Slave(Sealed):
             return SlaveState.OFFLINE
         found = self.found
         if found is None:
-            return self._handler.state
+            return self.snapshot.state
         if self.setup.ident not in (None, found.ident) and found.ident is not None:
             return SlaveState.FAULT
         exchanging = found.state is SlaveView.DATA_EXCHANGE
@@ -88,23 +98,23 @@ class Slave(Sealed):
     @property
     def found(self) -> Found | None:
         """What a read-only bus has found at its address: type, ident, state, owner."""
-        watcher = self._bus.watcher
-        return None if watcher is None else watcher.found.get(self.address)
+        found = self._bus.view.bus().found
+        return None if found is None else found.get(self.address)
 
     @property
     def deactivated(self) -> bool:
         """True while it is out of service by :meth:`deactivate`."""
-        return self._handler.state is SlaveState.DEACTIVATED
+        return self.snapshot.state is SlaveState.DEACTIVATED
 
     @property
     def synced(self) -> bool:
         """True while it is in SYNC by this master's order."""
-        return self.address in self._bus.master.controls.synced
+        return self.address in self._bus.view.bus().synced
 
     @property
     def frozen(self) -> bool:
         """True while it is in FREEZE by this master's order."""
-        return self.address in self._bus.master.controls.frozen
+        return self.address in self._bus.view.bus().frozen
 
     @property
     def ready_now(self) -> bool:
@@ -114,12 +124,12 @@ class Slave(Sealed):
     @property
     def fault(self) -> Fault | None:
         """Why it is not in data exchange; None when all is well or nothing is known yet."""
-        watcher = self._bus.watcher
-        if watcher is None:
-            return self._handler.fault
+        bus = self._bus.view.bus()
+        if bus.found is None:
+            return self.snapshot.fault
         found = self.found
         if found is None:
-            return fault_texts.absent(self.address, self._bus.params.baud) if watcher.done else None
+            return fault_texts.absent(self.address, self._bus.params.baud) if bus.found_all else None
         if self.state is SlaveState.FAULT and found.ident is not None:
             return fault_texts.wrong_ident(self.setup.ident, found.ident)
         return None
@@ -128,7 +138,7 @@ class Slave(Sealed):
     def diagnosis(self) -> Diagnosis | None:
         """The last diagnosis read, with the bits that a master sets (Station_Non_Existent, Deactivated ...)."""
         found = self.found
-        return self._handler.diagnosis if found is None else found.diagnosis
+        return self.snapshot.diagnosis if found is None else found.diagnosis
 
     @property
     def diagnosis_texts(self) -> tuple[str, ...]:
@@ -161,12 +171,12 @@ class Slave(Sealed):
     @property
     def inputs(self) -> bytes:
         """The last valid inputs, zeros before the first exchange; see :attr:`inputs_valid` and :attr:`inputs_age`."""
-        return self._handler.image.inputs
+        return self._data.inputs
 
     @property
     def inputs_valid(self) -> bool:
         """True while the inputs are those of a slave in data exchange, and no older than :attr:`inputs_limit`."""
-        exchanging = self._handler.image.valid and self.ready_now
+        exchanging = self._data.valid and self.ready_now
         return inputs_are_valid(exchanging=exchanging, age_ns=self._inputs_age_ns, limit_ns=self.inputs_limit_ns)
 
     @property
@@ -184,12 +194,11 @@ class Slave(Sealed):
     @property
     def inputs_limit_ns(self) -> int:
         """:attr:`inputs_limit` in ns."""
-        handler = self._handler
-        return inputs_limit_ns(handler.watchdog_effective_ns, self._bus.poll_interval_ns(handler.setup))
+        return inputs_limit_ns(self.snapshot.watchdog_ns, self._bus.poll_interval_ns(self._setup))
 
     @property
     def _inputs_age_ns(self) -> int | None:
-        at = self._handler.image.input_time
+        at = self._data.input_time
         return max(0, self._bus.runtime.now() - at) if at else None
 
     @property
@@ -205,12 +214,12 @@ class Slave(Sealed):
     @outputs.setter
     def outputs(self, octets: bytes) -> None:
         self.check_outputs(octets)
-        self._handler.image.outputs = octets
+        self._bus.view.set_outputs(self.address, octets)
 
     @property
     def outputs_held(self) -> bytes:
         """The octets of :attr:`outputs`, also before the bus is open and after its end."""
-        return self._handler.image.outputs
+        return self._data.outputs
 
     @property
     def outputs_sent(self) -> bytes:
@@ -218,7 +227,7 @@ class Slave(Sealed):
         Fail_Safe), nothing outside data exchange.
         """
         bus = self._bus
-        if bus.watcher is not None or not self.ready_now:
+        if bus.view.read_only or not self.ready_now:
             return b""
         match bus.mode:
             case Mode.OPERATE:
@@ -230,14 +239,14 @@ class Slave(Sealed):
     def check_outputs(self, octets: bytes) -> None:
         """Raises UsageError where ``octets`` cannot become the outputs (see :attr:`outputs`)."""
         self._bus.check_open()
-        image = self._handler.image
+        length = self._setup.output_len
         why = ""
-        if self._bus.master.read_only:
+        if self._bus.view.read_only:
             why = "this bus is read-only; leave read_only out"
-        elif image.unit is not None:
+        elif self._has_plugin:
             why = "its drive plugin makes the outputs; use bus.drive()"
-        elif len(octets) != image.output_len:
-            why = f"{octets_text(len(octets))} of outputs given, the slave's configuration has {image.output_len}"
+        elif len(octets) != length:
+            why = f"{octets_text(len(octets))} of outputs given, the slave's configuration has {length}"
         if why:
             raise UsageError(f"slave {self.address} ({self.name}): {why}")
 
@@ -305,22 +314,22 @@ class Slave(Sealed):
     @property
     def exchanges(self) -> int:
         """Successful data exchanges since the start."""
-        return self._handler.exchanges
+        return self._data.exchanges
 
     @property
     def retries(self) -> int:
         """Repeated requests since the start."""
-        return self._bus.station.stats.station(self.address).retries
+        return self._bus.view.link.station(self.address).retries
 
     @property
     def timeouts(self) -> int:
         """Requests given up since the start."""
-        return self._bus.station.stats.station(self.address).timeouts
+        return self._bus.view.link.station(self.address).timeouts
 
     @property
     def watchdog_ms(self) -> int:
         """The effective watchdog in ms, 0 when off."""
-        return self._handler.watchdog_effective_ns // 1_000_000
+        return self.snapshot.watchdog_ns // 1_000_000
 
     # --- DP-V1 --------------------------------------------------------------------------------------------------
 
@@ -366,7 +375,7 @@ class Slave(Sealed):
         DP-V1 and a bus that is not open.
         """
         self._bus.check_open()
-        need_dpv1(self.setup, read_only=self._bus.master.read_only)
+        need_dpv1(self.setup, read_only=self._bus.view.read_only)
         return self._bus.services.alarms.alarms(self.address, acknowledge=acknowledge)
 
     def status_messages(self) -> StatusStream:
@@ -386,7 +395,7 @@ class Slave(Sealed):
     @property
     def alarm_counts(self) -> AlarmCounts | None:
         """What came of its alarms since the start; None for a slave that is not parameterised for DP-V1."""
-        return self._handler.alarm_counts
+        return self.snapshot.alarms
 
     @property
     def _records(self) -> Records:
@@ -415,7 +424,7 @@ class Slave(Sealed):
         config = changed(self.config, changes)
         await self._bus.order(ReparameteriseSlave(self._bus.fitting(config)))
         self.config = config
-        self._handler = self._bus.master.handlers[self.address]
+        self._setup = self._bus.view.setups[self.address]
         if not self.deactivated:
             await self.ready(timeout)
 

@@ -124,7 +124,7 @@ class _Stage:
     def picture(self) -> Group:
         """What moves: a row for each drive, and the last lines of the stories as the terminal has room for them."""
         bus = self.bus
-        p50 = bus.master.rotation.quantile_ns(0.5) / 1e6
+        p50 = bus.view.counters().rotation.quantile_ns(0.5) / 1e6
         title = f"dpstack demo  {bus.seconds:6.1f} s  rotation {p50:.3f} ms"
         rows = []
         for drive in bus.drives:
@@ -165,7 +165,7 @@ async def _demo(config: Config, args: argparse.Namespace) -> int:
     if stop.hurried:
         return INTERRUPTED
     planned = bus.plan.rotation_ns(Case.SHORTEST)
-    measured = bus.master.rotation.quantile_ns(0.5)
+    measured = bus.view.counters().rotation.quantile_ns(0.5)
     off = measured / planned - 1
     extra = {"planned_us": round(planned / 1000, 1), "stories": {"ended": len(stage.ended), "of": len(bus.drives)}}
     reporter.summary(stats, **extra)

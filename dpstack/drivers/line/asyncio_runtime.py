@@ -41,11 +41,6 @@ class AsyncioRuntime(Stepping):
         """A real bus is where it is."""
         return 0
 
-    @property
-    def counters_age_ns(self) -> int:
-        """They are those of this moment."""
-        return 0
-
     async def hand_over_outputs(self) -> None:
         """The machine has them as soon as they are set."""
 

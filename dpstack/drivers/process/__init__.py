@@ -5,7 +5,6 @@
 - ``client``: The process driver: the bus runs in a process of its own, and the application's is told
 - ``client_errors``: Why a bus process is no more, and what that means at the slaves; for people
 - ``messages``: What a bus process and its parent say to each other: JSON with a length in front, never pickle
-- ``mirror``: What the application's process knows of machines that run in another one
 - ``order_types``: The orders that the machines of a bus know, all of them plain data
 - ``outbox``: Messages on their way to the other process, which may have stopped reading
 - ``plugins``: Cyclic units by name, for a process that is handed no objects

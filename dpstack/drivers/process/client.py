@@ -22,36 +22,29 @@ from collections.abc import Callable, Iterable, Mapping
 from time import monotonic_ns
 from typing import Final
 
-from dpstack.dp.master.commands import AddSlave, Alive, DriveCommand, RemoveSlave, ReparameteriseSlave
-from dpstack.dp.master.events import Fault, FaultKind, SlaveState, SlaveStateChanged
+from dpstack.dp.master.commands import AddSlave, Alive, DriveCommand, Mode, RemoveSlave, ReparameteriseSlave
+from dpstack.dp.master.events import Fault, FaultKind, SlaveDiagnosis, SlaveState, SlaveStateChanged
+from dpstack.dp.master.fixed_cycle import CycleData
 from dpstack.dp.master.scanner import SurveyOrder, SurveyResult
+from dpstack.dp.pdu.diag_texts import block_texts
+from dpstack.dp.slave_params import SlaveParams
+from dpstack.dpv1.master.alarm_events import AlarmRaised, texts_beside
 from dpstack.drivers.futures import outlast
-from dpstack.drivers.line.port_latency import Lateness
 from dpstack.drivers.process import channel
 from dpstack.drivers.process.client_errors import how_it_ended, killed_at_the_end
 from dpstack.drivers.process.messages import (
-    AttachPlugin,
     CloseBus,
-    Counters,
     EndSurvey,
     News,
     SetUp,
     StartSurvey,
     TakeOutputs,
     WatchRounds,
+    checked_arguments,
     decoded,
     event_of,
     typed,
 )
-from dpstack.drivers.process.mirror import (
-    MasterMirror,
-    Mirror,
-    SlaveMirror,
-    StationMirror,
-    WatcherMirror,
-    checked_arguments,
-)
-from dpstack.drivers.process.plugins import PluginRef
 from dpstack.drivers.process.shared_image import (
     Outputs,
     Picture,
@@ -71,8 +64,9 @@ from dpstack.drivers.runtime import (
     OutputsDropped,
 )
 from dpstack.drivers.shutdown import at_slaves
+from dpstack.drivers.snapshots import BusSnapshot, Counters, ProcessData, SlaveSnapshot, no_data
 from dpstack.errors import DpError, OrderDropped, UsageError
-from dpstack.stats import Histogram
+from dpstack.fdl.interface import LinkStats
 from dpstack.trace import Event, Notice, Severity
 from dpstack.units import NS_PER_MS, s_to_ns
 
@@ -81,22 +75,34 @@ _FRESH_NS: Final = NS_PER_MS
 #: so often the application looks whether the bus process lives and takes the outputs
 _WATCH_S: Final = 0.1
 _EMPTY: Final = Picture(0, 0, {})
+_UNKNOWN: Final = SlaveSnapshot()
 _numbers = itertools.count(1)
 
 
 class ProcessRuntime:
-    """Implements :class:`dpstack.drivers.runtime.Runtime`; ``mirror`` is what is known of the machines over there.
+    """A :class:`~dpstack.drivers.runtime.Runtime`, and the :class:`~dpstack.drivers.snapshots.View` of its bus.
 
     ``on_failure`` is told when the bus process ends without having been told to.
     """
 
     def __init__(self, setup: SetUp, on_events: OnEvents, on_failure: OnFailure, on_refused: OnRefused) -> None:
         spec = setup.stack
-        self.mirror = Mirror(
-            MasterMirror(spec.slaves, self, read_only=spec.read_only),
-            StationMirror(spec.params, spec.patience, self),
-            WatcherMirror() if spec.read_only and spec.watched else None,
+        self.read_only = spec.read_only
+        self.setups = {slave.address: slave for slave in spec.slaves}
+        #: the last round with data exchange, while somebody watches
+        self.cycle: CycleData | None = None
+        self._bus = BusSnapshot(
+            mode=Mode.STOP if spec.read_only else Mode.CLEAR,
+            synced=frozenset(),
+            frozen=frozenset(),
+            in_ring=False,
+            claimed=False,
+            las=frozenset(),
+            patience=spec.patience,
+            found={} if spec.read_only and spec.watched else None,
         )
+        self._slaves: dict[int, SlaveSnapshot] = {}
+        self._on_round: Callable[[], None] | None = None
         self.port_name = setup.port
         self.paced = False
         self._setup = setup
@@ -131,13 +137,6 @@ class ProcessRuntime:
         return self._link.pid
 
     @property
-    def lateness(self) -> Lateness:
-        """How late answers arrive, up to now."""
-        made = Lateness()
-        made.histogram = Histogram.of(self.counters().lateness)
-        return made
-
-    @property
     def not_running(self) -> str | None:
         """Why the bus process does not run: it is gone, or silent."""
         self._look_for_silence()
@@ -147,16 +146,6 @@ class ProcessRuntime:
     def behind_ns(self) -> int:
         """A real bus is where it is."""
         return 0
-
-    @property
-    def counters_age_ns(self) -> int:
-        """How old the counters are."""
-        counted = self.counters().t_ns
-        return 0 if self._is_final or not counted else monotonic_ns() - counted
-
-    def damage(self) -> dict[str, int]:
-        """Octets that arrived damaged, by cause."""
-        return dict(self.counters().damage)
 
     def now(self) -> int:
         """CLOCK_MONOTONIC in ns, which both processes share."""
@@ -188,7 +177,7 @@ class ProcessRuntime:
                 with contextlib.suppress(asyncio.CancelledError):
                     await outlast(closing)
                 if not closing.cancelled() and closing.exception() is None:
-                    self._counters = typed(closing.result(), Counters)
+                    self._counters = dataclasses.replace(typed(closing.result(), Counters), t_ns=0)
                     self._is_final = True
                 line.hang_up(UsageError("the bus is closed"))
                 await outlast(asyncio.ensure_future(line.ended()))
@@ -214,7 +203,7 @@ class ProcessRuntime:
     def forsake(self) -> None:
         """The bus process is the parent's: the child closes its copies of what leads there."""
         self._not_running = IN_PARENT
-        self.mirror.lost(Fault(FaultKind.LOST, IN_PARENT, ""))
+        self._lose(IN_PARENT)
         self._link.forsake()
         if self._image is not None:
             self._image.close()
@@ -225,7 +214,7 @@ class ProcessRuntime:
             self._watch.cancel()
             self._watch = None
         if self._image is not None:
-            self.picture()
+            self._newest_picture()
             if not self._is_final:
                 self._counted_ns = -_FRESH_NS
                 self.counters()
@@ -250,57 +239,44 @@ class ProcessRuntime:
         """
         self._publish_soon()
         answer = self._link.order(_sendable(command))
-        undo = self._note(command)
-        answer.add_done_callback(lambda done: undo(carried_out=not done.cancelled() and done.exception() is None))
+        match command:
+            case AddSlave(setup) if setup.address not in self.setups:
+                self._set_up(setup, answer)
+            case ReparameteriseSlave(setup) if setup.address in self.setups:
+                self._set_up(setup, answer)
+            case RemoveSlave(address) if (removed := self.setups.get(address)) is not None:
+                answer.add_done_callback(lambda done: self._removed(removed, done))
         return answer
 
-    def _note(self, command: object) -> Callable[..., None]:
-        """Slaves that ``command`` adds, changes or removes. Returns what is to be done when it is over."""
-        handlers = self.mirror.master.handlers
-        match command:
-            case AddSlave(setup) if setup.address not in handlers:
-                before, after = None, SlaveMirror(setup, self)
-            case ReparameteriseSlave(setup) if setup.address in handlers:
-                before = handlers[setup.address]
-                after = SlaveMirror(setup, self, before)
-            case RemoveSlave(address) if address in handlers:
-                removed = handlers[address]
+    def _set_up(self, setup: SlaveParams, answer: asyncio.Future[object]) -> None:
+        """A slave is to have ``setup``, unless ``answer`` is a refusal."""
+        before = self.setups.get(setup.address)
+        self.setups[setup.address] = setup
 
-                def end(*, carried_out: bool) -> None:
-                    if carried_out and handlers.get(address) is removed:
-                        self.put_outputs(address, None)
-                        del handlers[address]
-
-                return end
-            case _:
-                return lambda **_: None
-        handlers[setup.address] = after
-
-        def settle(*, carried_out: bool) -> None:
-            if handlers.get(setup.address) is not after:
+        def settle(done: asyncio.Future[object]) -> None:
+            if self.setups.get(setup.address) is not setup:
                 return
-            if carried_out:
-                if before is not None and after.image is not before.image:
-                    self.put_outputs(setup.address, None)
+            if done.cancelled() or done.exception() is None:
+                if before is not None and before.output_len != setup.output_len:
+                    self._put_outputs(setup.address, None)
             elif before is None:
-                del handlers[setup.address]
+                del self.setups[setup.address]
             else:
-                handlers[setup.address] = before
+                self.setups[setup.address] = before
 
-        return settle
+        answer.add_done_callback(settle)
+
+    def _removed(self, setup: SlaveParams, done: asyncio.Future[object]) -> None:
+        if not done.cancelled() and done.exception() is None and self.setups.get(setup.address) is setup:
+            self._put_outputs(setup.address, None)
+            del self.setups[setup.address]
+            self._slaves.pop(setup.address, None)
 
     def _refused(self, order: object, error: DpError) -> None:
         if not isinstance(order, WatchRounds):  # else it is given again when the bus process goes on
             self._on_refused(order, error)
 
     # --- what else the bus process does -------------------------------------------------------------------------------
-
-    async def attach_plugin(self, address: int, plugin: PluginRef) -> None:
-        """Put a drive plugin onto a process image over there. Raises ConfigError when it cannot be imported.
-
-        The plugins that the bus process is started with stand there already.
-        """
-        await self.order(AttachPlugin(address, plugin))
 
     def drive_status(self, address: int) -> object | None:
         """What the drive plugin of a slave told last, as plain data; None when nobody tells."""
@@ -311,6 +287,10 @@ class ProcessRuntime:
             self._drives = decoded(octets, dict[int, object])
         return self._drives.get(address)
 
+    def survey(self) -> ProcessSurvey:
+        """A live list to be made."""
+        return ProcessSurvey(self)
+
     def survey_result(self, number: int) -> SurveyResult | None:
         """What came of the live list with ``number``; None until it is complete."""
         return self._surveys.get(number)
@@ -320,14 +300,33 @@ class ProcessRuntime:
         self._surveys.pop(number, None)
         self.command(EndSurvey(number))
 
-    # --- the source of the mirror -------------------------------------------------------------------------------------
+    # --- the view ---------------------------------------------------------------------------------------------------
 
-    def picture(self) -> Picture:
-        """The newest whole process image."""
-        octets = None if self._image is None else self._image.inputs.read()
-        if octets is not None:
-            self._picture = read_picture(octets)
-        return self._picture
+    def bus(self) -> BusSnapshot:
+        """Master and station as they were told last."""
+        return self._bus
+
+    def slave(self, address: int) -> SlaveSnapshot:
+        """The slave at ``address`` as it was told last."""
+        return self._slaves.get(address, _UNKNOWN)
+
+    def data(self, setup: SlaveParams) -> ProcessData:
+        """Inputs and outputs of the newest round; the outputs are the application's where it has set some."""
+        own = self._outputs.get(setup.address)
+        found = self._newest_picture().slaves.get(setup.address)
+        if found is None or (len(found.inputs), len(found.outputs)) != (setup.input_len, setup.output_len):
+            found = no_data(setup)
+        if own is not None and len(own.octets) == setup.output_len:
+            found = found._replace(outputs=own.octets)
+        return found
+
+    def set_outputs(self, address: int, octets: bytes) -> None:
+        """The outputs of the next Data_Exchange in Operate; they leave together with those of other slaves."""
+        octets = bytes(octets)
+        length = self.setups[address].output_len
+        if len(octets) != length:
+            raise ValueError(f"{len(octets)} output octets given, the slave's configuration has {length}")
+        self._put_outputs(address, octets)
 
     def counters(self) -> Counters:
         """What was counted, as the bus process published it last; it is never asked."""
@@ -339,8 +338,36 @@ class ProcessRuntime:
                 self._counters = decoded(octets, Counters)
         return self._counters
 
-    def put_outputs(self, address: int, octets: bytes | None) -> None:
-        """Publish the application's outputs of one slave, with those of all others."""
+    @property
+    def link(self) -> LinkStats:
+        """The counters of the link layer."""
+        return self.counters().link
+
+    @property
+    def rotations(self) -> int:
+        """Rotations up to the newest round."""
+        return self._newest_picture().rotations
+
+    def watch_rounds(self, on_round: Callable[[], None] | None) -> None:
+        """Have the ends of rounds told, or no longer. A silent bus process is told when it goes on."""
+        changed = (on_round is None) is not (self._on_round is None)
+        self._on_round = on_round
+        if changed and self._link.is_open:
+            with contextlib.suppress(DpError if on_round is None else OrderDropped):
+                self.command(WatchRounds(on_round is not None))
+
+    def _newest_picture(self) -> Picture:
+        """The newest whole process image."""
+        octets = None if self._image is None else self._image.inputs.read()
+        if octets is not None:
+            self._picture = read_picture(octets)
+        return self._picture
+
+    # --- the application's outputs ----------------------------------------------------------------------------------
+
+    def _put_outputs(self, address: int, octets: bytes | None) -> None:
+        """Publish the application's outputs of one slave (None: it has none of its own any more), with those of all
+        others."""
         self._awaited.pop(address, None)
         if octets is None:
             self._outputs.pop(address, None)
@@ -386,8 +413,7 @@ class ProcessRuntime:
         except OrderDropped as error:
             why = str(error)
             self._withdraw(given)
-        handlers = self.mirror.master.handlers
-        gone = [handlers[address] for address in given if address in handlers and address not in self._outputs]
+        gone = [self.setups[address] for address in given if address in self.setups and address not in self._outputs]
         if gone:
             raise OrderDropped(f"{why}; the outputs of {_names(gone)} will not go out")
 
@@ -401,38 +427,34 @@ class ProcessRuntime:
             return
         taken_back = {address: self._outputs.pop(address) for address in addresses if address in self._outputs}
         self._publish()
-        dropped = []
+        dropped = {}
         for address, outputs in taken_back.items():
             if image.outputs_taken.value >= self._awaited.pop(address, 0):
                 self._outputs[address] = outputs
-            elif (handler := self.mirror.master.handlers.get(address)) is not None:
-                dropped.append(handler)
+            else:
+                dropped[address] = outputs.octets
         self._tell_dropped(dropped)
 
-    def _tell_dropped(self, slaves: list[SlaveMirror]) -> None:
+    def _tell_dropped(self, outputs: Mapping[int, bytes]) -> None:
         now = monotonic_ns()
         self._on_events(
             [
-                OutputsDropped(
-                    t_ns=now,
-                    address=slave.setup.address,
-                    name=slave.setup.name,
-                    outputs=slave.image.outputs_dropped(),
-                )
-                for slave in slaves
+                OutputsDropped(t_ns=now, address=address, name=self.setups[address].name, outputs=octets)
+                for address, octets in outputs.items()
+                if address in self.setups
             ]
         )
 
     def _outputs_too_late(self, told: Mapping[int, int]) -> None:
         """The bus process dropped outputs, by address and time limit."""
-        slaves = []
+        dropped = {}
         for address, until in told.items():
-            outputs, handler = self._outputs.get(address), self.mirror.master.handlers.get(address)
-            if outputs is not None and outputs.until_ns == until and handler is not None:
+            outputs = self._outputs.get(address)
+            if outputs is not None and outputs.until_ns == until:
                 del self._outputs[address]
                 self._awaited.pop(address, None)
-                slaves.append(handler)
-        self._tell_dropped(slaves)
+                dropped[address] = outputs.octets
+        self._tell_dropped(dropped)
 
     # --- whether it lives -------------------------------------------------------------------------------------------
 
@@ -462,8 +484,8 @@ class ProcessRuntime:
         self._silent_since = now - silent
         told = BusProcessSilent(t_ns=now, pid=pid, silent_ns=silent, at_slaves=at_slaves(self._watchdogs_then))
         self._not_running = f"the bus process (pid {pid}) shows no sign of life: it is stopped, or hangs"
-        lost = self.mirror.lost(Fault(FaultKind.LOST, self._not_running, "its slaves are not asked until it goes on"))
-        self._untold = [told, *_states(lost, now)]
+        lost = self._lose(self._not_running, "its slaves are not asked until it goes on")
+        self._untold = [told, *self._states(lost, now)]
         if self._loop is not None and not self._loop.is_closed():
             self._loop.call_soon(self._tell_silence)
 
@@ -480,46 +502,72 @@ class ProcessRuntime:
         self._silent_since, self._not_running = 0, None
         asyncio.get_running_loop().call_soon(self._watch_rounds_again)
         known = {event.address for event in told if isinstance(event, SlaveStateChanged)}
-        slaves = (
-            slave
-            for slave in self.mirror.master.handlers.values()
-            if slave.state not in (SlaveState.OFFLINE, SlaveState.DEACTIVATED) and slave.setup.address not in known
+        here = (
+            address
+            for address, slave in self._slaves.items()
+            if slave.state not in (SlaveState.OFFLINE, SlaveState.DEACTIVATED) and address not in known
         )
-        return [back, *_states(slaves, now)]
-
-    def watch_rounds(self, on: bool) -> None:
-        """Have the ends of rounds told, or no longer. A silent bus process is told when it goes on."""
-        if self._link.is_open:
-            with contextlib.suppress(OrderDropped if on else DpError):
-                self.command(WatchRounds(on))
+        return [back, *self._states(here, now)]
 
     def _watch_rounds_again(self) -> None:
-        with contextlib.suppress(DpError):
-            self.watch_rounds(self.mirror.master.on_round is not None)
+        if self._link.is_open:
+            with contextlib.suppress(DpError):
+                self.command(WatchRounds(self._on_round is not None))
+
+    def _lose(self, why: str, remedy: str = "") -> list[int]:
+        """Nobody runs the bus any more: nothing is known of the slaves. Returns those whose state changed by it."""
+        none: frozenset[int] = frozenset()
+        self._bus = dataclasses.replace(self._bus, mode=Mode.OFFLINE, synced=none, frozen=none, in_ring=False, las=none)
+        fault = Fault(FaultKind.LOST, why, remedy)
+        changed = []
+        for address in self.setups:
+            slave = self.slave(address)
+            if slave.state is not SlaveState.DEACTIVATED:
+                if slave.state is not SlaveState.OFFLINE:
+                    changed.append(address)
+                self._slaves[address] = dataclasses.replace(slave, state=SlaveState.OFFLINE, fault=fault)
+        return changed
+
+    def _states(self, addresses: Iterable[int], now: int) -> list[Event]:
+        """The state of each of those slaves as an event."""
+        return [
+            SlaveStateChanged(t_ns=now, address=a, name=self.setups[a].name, state=self.slave(a).state)
+            for a in addresses
+            if a in self.setups
+        ]
 
     # --- from the bus process ---------------------------------------------------------------------------------------
 
     def _on_news(self, news: News) -> None:
-        self.mirror.take(news)
+        if news.bus is not None:
+            self._bus = news.bus
+        self._slaves |= news.slaves
+        if news.cycle is not None:
+            self.cycle = news.cycle
         self._surveys |= news.surveys
         try:
             if news.round_over:
-                on_round = self.mirror.master.on_round
-                if on_round is not None:
-                    on_round(monotonic_ns())
+                if self._on_round is not None:
+                    self._on_round()
                 return
-            events = [self.mirror.worded(event_of(event)) for event in news.events]
+            events = [self._worded(event_of(event)) for event in news.events]
             if self._silent_since:
                 if news.silence == self._silences:
                     events = [*self._goes_on(events), *events]
                 else:  # it is from before the silence
-                    self.mirror.lost(Fault(FaultKind.LOST, self._not_running or "", ""))
+                    self._lose(self._not_running or "")
             self._on_events(events)
             if news.dropped:
                 self._outputs_too_late(news.dropped)
         except Exception as error:  # the application's: the bus goes on
             told = {"message": "the handler of bus events raised", "exception": error}
             asyncio.get_running_loop().call_exception_handler(told)
+
+    def _worded(self, event: Event) -> Event:
+        """``event`` with what the GSD file of its slave says, which the bus process does not know."""
+        if isinstance(event, SlaveDiagnosis | AlarmRaised) and (setup := self.setups.get(event.address)) is not None:
+            return worded(event, setup)
+        return event
 
     def _why_gone(self, code: int | None, last: News | None) -> DpError:
         return how_it_ended(code, last, self._watchdogs())
@@ -529,32 +577,34 @@ class ProcessRuntime:
         if self._silent_since:
             return self._watchdogs_then
         return {
-            slave.setup.name: slave.watchdog_effective_ns
-            for slave in self.mirror.master.handlers.values()
-            if slave.state is SlaveState.DATA_EXCHANGE
+            setup.name: self.slave(address).watchdog_ns
+            for address, setup in self.setups.items()
+            if self.slave(address).state is SlaveState.DATA_EXCHANGE
         }
 
     def _on_gone(self, error: DpError) -> None:
         self._tell_silence()
         self._not_running = str(error)
-        lost = self.mirror.lost(Fault(FaultKind.LOST, self._not_running, ""))
+        lost = self._lose(self._not_running)
         if self._watch is not None:
             self._watch.cancel()
             self._watch = None
-        self._on_events(_states(lost, monotonic_ns()))
+        self._on_events(self._states(lost, monotonic_ns()))
         self._on_failure(error)
 
 
-def _states(slaves: Iterable[SlaveMirror], now: int) -> list[Event]:
-    """The state of each of ``slaves`` as an event."""
-    return [
-        SlaveStateChanged(t_ns=now, address=slave.setup.address, name=slave.setup.name, state=slave.state)
-        for slave in slaves
-    ]
+def worded(event: SlaveDiagnosis | AlarmRaised, setup: SlaveParams) -> Event:
+    """``event`` of the slave with ``setup`` with what its GSD file says."""
+    if setup.texts is None:
+        return event
+    if isinstance(event, AlarmRaised):
+        return dataclasses.replace(event, texts=texts_beside(event.diagnosis, event.alarm, setup.texts))
+    said = block_texts(event.diagnosis, setup.texts, dpv1=setup.dpv1 is not None)
+    return dataclasses.replace(event, texts=said)
 
 
-def _names(slaves: Iterable[SlaveMirror]) -> str:
-    return ", ".join(f"slave {slave.setup.address} ({slave.setup.name})" for slave in slaves)
+def _names(slaves: Iterable[SlaveParams]) -> str:
+    return ", ".join(f"slave {slave.address} ({slave.name})" for slave in slaves)
 
 
 def _sendable(command: object) -> object:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import inspect
+import math
 import signal
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -18,22 +19,16 @@ from typing import Final, TypeVar
 import msgspec
 
 from dpstack import errors
-from dpstack.dp.master.commands import DriveCommand, Mode
-from dpstack.dp.master.diag_reader import AlarmCounts
-from dpstack.dp.master.events import Fault, SlaveState
-from dpstack.dp.master.fixed_cycle import CycleBook, CycleData, MissReason
-from dpstack.dp.master.scanner import Found, SurveyOrder, SurveyResult
-from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.master.commands import DriveCommand
+from dpstack.dp.master.fixed_cycle import CycleData
+from dpstack.dp.master.scanner import SurveyOrder, SurveyResult
 from dpstack.drivers.line.echo import Echo
 from dpstack.drivers.process.order_types import ENDING_ORDERS, MACHINE_ORDERS
 from dpstack.drivers.process.plugins import PluginRef
+from dpstack.drivers.snapshots import BusSnapshot, SlaveSnapshot
 from dpstack.drivers.stack import StackSpec
 from dpstack.errors import BusError, DpError
-from dpstack.fdl.decoder import DecoderStats
-from dpstack.fdl.interface import LinkStats
 from dpstack.gsd.diag_texts import DiagTexts
-from dpstack.phy.patience import Patience
-from dpstack.stats import Histogram, HistogramData
 from dpstack.trace import Event
 from dpstack.units import NEVER
 
@@ -133,87 +128,6 @@ ORDERS: Final[dict[str, type]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class SlaveNow:
-    """The handling of one slave at this moment (what is not in the shared process image)."""
-
-    state: SlaveState
-    fault: Fault | None
-    diagnosis: Diagnosis | None
-    watchdog_ns: int
-    alarms: AlarmCounts | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class BusNow:
-    """Master and station at this moment."""
-
-    mode: Mode
-    synced: frozenset[int]
-    frozen: frozenset[int]
-    in_ring: bool
-    claimed: bool
-    las: frozenset[int]
-    patience: Patience
-
-
-@dataclass(frozen=True, slots=True)
-class WatcherNow:
-    """Of a read-only bus: what was found up to this moment."""
-
-    found: tuple[Found, ...]
-    done: bool
-
-
-@dataclass(frozen=True, slots=True)
-class CyclesNow:
-    """The books over fixed cycles (:class:`dpstack.dp.master.fixed_cycle.CycleBook`), and what did not fit between
-    them."""
-
-    cycle_ns: int = 0
-    begun: int = 0
-    begun_late: int = 0
-    left_out: int = 0
-    late: HistogramData = field(default_factory=HistogramData)
-    reasons: dict[MissReason, int] = field(default_factory=dict)
-    held_back: int = 0
-    forced: int = 0
-
-    @classmethod
-    def of(cls, book: CycleBook, held_back: int, forced: int) -> CyclesNow:
-        """The books as plain data."""
-        return cls(
-            book.cycle_ns,
-            book.begun,
-            book.begun_late,
-            book.left_out,
-            book.late.data(),
-            dict(book.reasons),
-            held_back,
-            forced,
-        )
-
-    def book(self) -> CycleBook:
-        """The books again."""
-        return CycleBook(
-            self.cycle_ns, self.begun, self.begun_late, self.left_out, Histogram.of(self.late), dict(self.reasons)
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class Counters:
-    """Everything that is counted, as one picture of the time ``t_ns``."""
-
-    t_ns: int = 0
-    rotation: HistogramData = field(default_factory=HistogramData)
-    token_rotation: HistogramData = field(default_factory=HistogramData)
-    lateness: HistogramData = field(default_factory=HistogramData)
-    link: LinkStats = field(default_factory=LinkStats)
-    decoder: DecoderStats = field(default_factory=DecoderStats)
-    cycles: CyclesNow = field(default_factory=CyclesNow)
-    damage: dict[str, int] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, slots=True)
 class Hello:
     """The port is open."""
 
@@ -231,9 +145,8 @@ class News:
     ``dropped``: outputs that came too late, by address with their ``until_ns``.
     """
 
-    bus: BusNow | None = None
-    slaves: dict[int, SlaveNow] = field(default_factory=dict)
-    watcher: WatcherNow | None = None
+    bus: BusSnapshot | None = None
+    slaves: dict[int, SlaveSnapshot] = field(default_factory=dict)
     surveys: dict[int, SurveyResult] = field(default_factory=dict)
     events: list[Named] = field(default_factory=list)
     round_over: bool = False
@@ -276,7 +189,7 @@ class Message:
 
 
 def _plain(value: object) -> object:
-    """What msgspec does not know. The texts of a GSD file stay where they were read (see ``mirror``)."""
+    """What msgspec does not know. The texts of a GSD file stay where they were read (see ``client``)."""
     if isinstance(value, DiagTexts):
         return None
     raise TypeError(f"{type(value).__name__} does not go to another process")
@@ -406,3 +319,32 @@ def error_of(pair: tuple[str, str]) -> DpError:
         return kind(text)
     except (TypeError, DpError):  # it carries more, or something else
         return BusError(text)
+
+
+def checked_arguments(args: Mapping[str, object]) -> dict[str, object]:
+    """The arguments of a drive's order as JSON can carry them: what is no number there goes as text, to be refused."""
+    return {key: _checked(value) for key, value in args.items()}
+
+
+def _is_utf8(text: str) -> bool:
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+def _checked(value: object) -> object:
+    """Lists and tables by their members."""
+    match value:
+        case str() if _is_utf8(value):
+            return value
+        case int() | None:
+            return value
+        case float() if math.isfinite(value):
+            return value
+        case list() | tuple():
+            return [_checked(one) for one in value]
+        case dict() if all(isinstance(key, str) for key in value):
+            return {key: _checked(one) for key, one in value.items()}
+    return repr(value)

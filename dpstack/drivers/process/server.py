@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import socket
 from collections import deque
 from functools import partial
@@ -13,7 +12,6 @@ from typing import Final
 from dpstack.dp.master.commands import AddSlave, Mode, SendControl, Shutdown
 from dpstack.dp.master.events import DriveEvent
 from dpstack.dp.master.fixed_cycle import CycleData
-from dpstack.dp.master.scanner import Scanner, SurveyResult
 from dpstack.dp.process_image import SlaveImage
 from dpstack.drivers.line.select_loop import PlainLoop
 from dpstack.drivers.line.select_runtime import PlainRuntime
@@ -21,10 +19,7 @@ from dpstack.drivers.process import plugins
 from dpstack.drivers.process.messages import (
     Answer,
     AttachPlugin,
-    BusNow,
     CloseBus,
-    Counters,
-    CyclesNow,
     EndSurvey,
     Frames,
     Hello,
@@ -32,10 +27,8 @@ from dpstack.drivers.process.messages import (
     News,
     Question,
     SetUp,
-    SlaveNow,
     StartSurvey,
     TakeOutputs,
-    WatcherNow,
     WatchRounds,
     encoded,
     error_pair,
@@ -43,11 +36,12 @@ from dpstack.drivers.process.messages import (
     order_of,
 )
 from dpstack.drivers.process.outbox import Outbox
-from dpstack.drivers.process.shared_image import SharedImage, SlavePicture, picture_octets
+from dpstack.drivers.process.shared_image import SharedImage, picture_octets
 from dpstack.drivers.shutdown import Ending
-from dpstack.drivers.stack import build_stack
+from dpstack.drivers.snapshots import BusSnapshot, SlaveSnapshot
+from dpstack.drivers.stack import StackSurvey, StackView, build_stack, process_data
 from dpstack.errors import BusError, OrderDropped, UsageError
-from dpstack.fdl.commands import AttachUser, DetachUser, GoOffline
+from dpstack.fdl.commands import GoOffline
 from dpstack.ports import open_port
 from dpstack.trace import Event, Notice, Severity
 from dpstack.units import NS_PER_MS, ms_text
@@ -82,7 +76,7 @@ class Host:
         self._frames = Frames()
         self._questions: deque[Question] = deque()
         self._outbox = Outbox(loop, sock)
-        self._stack = stack = build_stack(setup.stack)
+        stack = build_stack(setup.stack)
         self._master, self._station = stack.master, stack.station
         for place in setup.preload:
             plugins.found_at(place)
@@ -100,10 +94,11 @@ class Host:
             tune=self._station.set_patience if setup.tune else None,
             held_up=self._station.held_up,
         )
+        self._view = StackView(stack, self.runtime)
         self._ending = Ending(
             loop, self.runtime.command, stack.station, lambda: stack.master.rotation.max_ns, self._finish
         )
-        self._surveys: dict[int, Scanner] = {}
+        self._surveys: dict[int, StackSurvey] = {}
         self._watched = False
         self._dropped = 0
         self._over = False
@@ -111,9 +106,8 @@ class Host:
         self._until: dict[int, int] = {}  # the outputs that were taken or dropped, by address and deadline
         self._silences = 0  # of the application's words that this process is silent: those that were answered
         # what was told last
-        self._bus: BusNow | None = None
-        self._slaves: dict[int, SlaveNow] = {}
-        self._watcher: WatcherNow | None = None
+        self._bus: BusSnapshot | None = None
+        self._slaves: dict[int, SlaveSnapshot] = {}
         self._told_surveys: set[int] = set()
         self._told_cycle: CycleData | None = None
         self._told_drives = encoded({})
@@ -205,13 +199,13 @@ class Host:
             case TakeOutputs():
                 self._take_outputs()
             case StartSurvey(number, wanted):
-                scanner = wanted.scanner(self._station.params, self._station.patience, self.runtime.now())
-                self.runtime.command(AttachUser(scanner))
-                self._surveys[number] = scanner
+                survey = self._view.survey()
+                survey.begin_now(wanted)
+                self._surveys[number] = survey
             case EndSurvey(number):
                 found = self._surveys.pop(number, None)
                 if found is not None:
-                    self.runtime.command(DetachUser(found))
+                    found.end()
             case Shutdown():
                 self._leaving = True
                 self.runtime.command(order)
@@ -222,7 +216,7 @@ class Host:
                 if self._has_ended:
                     self.runtime.close()
                 self._tell([])
-                return self._counters()
+                return self._view.counted()
             case _:
                 if isinstance(order, SendControl):  # what was set before it is what it acts on
                     self._take_outputs()
@@ -249,12 +243,7 @@ class Host:
             self._loop.call_soon(self._publish_drives)
 
     def _publish(self) -> None:
-        handlers = self._master.handlers
-        slaves = []
-        for address, handler in handlers.items():
-            image = handler.image
-            picture = SlavePicture(image.inputs, image.outputs, image.valid, handler.exchanges, image.input_time)
-            slaves.append((address, picture))
+        slaves = [(address, process_data(handler)) for address, handler in self._master.handlers.items()]
         self._image.inputs.write(picture_octets(self._master.rounds, self._master.rotation_count, slaves))
 
     def _publish_drives(self) -> None:
@@ -320,41 +309,22 @@ class Host:
         silences = self._image.silences.value
         if silences != self._silences:  # the application gave the bus up: it is told everything anew
             self._silences = news.silence = silences
-            self._bus, self._watcher = None, None
-            self._slaves = {}
+            self._bus, self._slaves = None, {}
         self._state(news)
-        if events or over is not None or news.silence or news.bus or news.slaves or news.watcher or news.surveys:
+        if events or over is not None or news.silence or news.bus or news.slaves or news.surveys:
             self._outbox.send(Message(news=news))
 
     def _state(self, news: News) -> None:
         """Into ``news`` what is not as it was told last."""
-        master, station = self._master, self._station
-        controls = master.controls
-        bus = BusNow(
-            mode=master.mode,
-            synced=frozenset(controls.synced),
-            frozen=frozenset(controls.frozen),
-            in_ring=station.in_ring,
-            claimed=station.claimed,
-            las=frozenset(station.las),
-            patience=station.patience,
-        )
+        bus = self._view.bus()
         if bus != self._bus:
             self._bus = news.bus = bus
-        slaves = {
-            address: SlaveNow(h.state, h.fault, h.diagnosis, h.watchdog_effective_ns, h.alarm_counts)
-            for address, h in master.handlers.items()
-        }
+        slaves = {address: self._view.slave(address) for address in self._master.handlers}
         if slaves != self._slaves:
             news.slaves = {a: now for a, now in slaves.items() if self._slaves.get(a) != now}
             self._slaves = slaves
-        watcher = self._stack.watcher
-        if watcher is not None:
-            seen = WatcherNow(tuple(watcher.found.values()), watcher.done)
-            if seen != self._watcher:
-                self._watcher = news.watcher = seen
-        for number, scanner in self._surveys.items():
-            result = SurveyResult.of(scanner)
+        for number, survey in self._surveys.items():
+            result = survey.result
             if result is not None and number not in self._told_surveys:
                 self._told_surveys.add(number)
                 news.surveys[number] = result
@@ -377,7 +347,7 @@ class Host:
 
     def _count(self) -> None:
         """Put the counters where the application reads them."""
-        octets = encoded(self._counters())
+        octets = encoded(self._view.counted())
         if len(octets) <= self._image.counters.limit:  # otherwise the application has older ones, with their age
             self._image.counters.write(octets)
 
@@ -390,19 +360,6 @@ class Host:
             text = f"the application did not read for a while: {missed} events were dropped"
             self._tell([_notice(text)] if missed else [])
         self._loop.call_at(monotonic_ns() + _RHYTHM, self._on_rhythm)
-
-    def _counters(self) -> Counters:
-        station = self._station
-        return Counters(
-            t_ns=monotonic_ns(),
-            rotation=self._master.rotation.data(),
-            token_rotation=station.token_rotation.data(),
-            lateness=self.runtime.lateness.histogram.data(),
-            link=station.stats,
-            cycles=CyclesNow.of(self._master.cycles, self._master.budget.held_back, self._master.budget.forced),
-            decoder=dataclasses.replace(station.decoder_stats),
-            damage=self.runtime.damage(),
-        )
 
     # --- the end ---
 

@@ -22,6 +22,8 @@ import zlib
 from collections.abc import Iterable, Mapping
 from typing import Final, NamedTuple
 
+from dpstack.drivers.snapshots import ProcessData
+
 _HEAD: Final = 4096
 #: 126 slaves with 244 octets each way and their heads; a page boundary
 _INPUTS: Final = 80 * 1024
@@ -48,22 +50,12 @@ _FOREVER: Final = 1 << 63
 _forever: Final = itertools.count(_FOREVER)
 
 
-class SlavePicture(NamedTuple):
-    """One slave in a picture. ``valid`` and ``input_time`` as in :class:`dpstack.dp.process_image.SlaveImage`."""
-
-    inputs: bytes
-    outputs: bytes
-    valid: bool
-    exchanges: int
-    input_time: int
-
-
 class Picture(NamedTuple):
     """All slaves at the end of round number ``cycle``; ``rotations`` counted up to then."""
 
     cycle: int
     rotations: int
-    slaves: Mapping[int, SlavePicture]
+    slaves: Mapping[int, ProcessData]
 
 
 class Outputs(NamedTuple):
@@ -205,7 +197,7 @@ def make_memory() -> int:
     return fd
 
 
-def picture_octets(cycle: int, rotations: int, slaves: Iterable[tuple[int, SlavePicture]]) -> bytes:
+def picture_octets(cycle: int, rotations: int, slaves: Iterable[tuple[int, ProcessData]]) -> bytes:
     """A picture as it stands in memory."""
     parts = [_PICTURE.pack(cycle, rotations)]
     for address, (inputs, outputs, valid, exchanges, at) in slaves:
@@ -216,13 +208,13 @@ def picture_octets(cycle: int, rotations: int, slaves: Iterable[tuple[int, Slave
 def read_picture(octets: bytes) -> Picture:
     """The picture that :func:`picture_octets` made."""
     cycle, rotations = _PICTURE.unpack_from(octets)
-    slaves: dict[int, SlavePicture] = {}
+    slaves: dict[int, ProcessData] = {}
     at = _PICTURE.size
     while at < len(octets):
         address, valid, inputs, outputs, exchanges, input_time = _SLAVE.unpack_from(octets, at)
         start = at + _SLAVE.size
         middle, at = start + inputs, start + inputs + outputs
-        slaves[address] = SlavePicture(octets[start:middle], octets[middle:at], bool(valid), exchanges, input_time)
+        slaves[address] = ProcessData(octets[start:middle], octets[middle:at], bool(valid), exchanges, input_time)
     return Picture(cycle, rotations, slaves)
 
 

@@ -94,11 +94,6 @@ class VirtualRuntime:
         return "the simulated bus was stopped by a defect in dpstack" if failed else None
 
     @property
-    def counters_age_ns(self) -> int:
-        """They are those of this moment."""
-        return 0
-
-    @property
     def behind_ns(self) -> int:
         """How far the bus's time has fallen behind real time since the opening (ns); 0 where it is not held to it."""
         clockwork = self._clockwork

@@ -6,7 +6,7 @@ import asyncio
 from typing import Any
 
 import pytest
-from api_kit import HOIST, RAW, bus_of, virtual
+from api_kit import HOIST, RAW, bus_of, stack_of, virtual
 
 import dpstack
 from dpstack.api.bus.events_json import (
@@ -22,7 +22,6 @@ from dpstack.api.config.config import parse_config
 from dpstack.api.control.handlers import run_status
 from dpstack.dp.master.events import AutoCleared
 from dpstack.errors import ConfigError, DriveError, UsageError
-from dpstack.fdl.active.station import ActiveStation
 from dpstack.machine import HeldUp
 from dpstack.units import NS_PER_MS
 
@@ -41,8 +40,7 @@ config = "20 10"
 
 def suspend(bus: dpstack.Bus, ms: int) -> None:
     """The computer sleeps for ``ms``, as the driver tells it."""
-    station = bus.station
-    assert isinstance(station, ActiveStation)
+    station = stack_of(bus).station
     gap = HeldUp(ms * NS_PER_MS, f"the computer was suspended for {ms} ms", suspended=True)
     station.held_up(gap, bus.runtime.now())
 

@@ -61,8 +61,8 @@ async def test_process_data_events_and_the_end(driver: Driver) -> None:
             assert valves.diagnosis.ident == 0x1234
             assert valves.watchdog_ms == 3000
             assert there.slaves[4].watchdog_factors in (bytes((2, 150)), bytes((150, 2)))
-            assert bus.station.in_ring
-            assert bus.station.las == {2}
+            assert bus.snapshot.in_ring
+            assert bus.snapshot.las == {2}
         # safe values, then Clear's zeros; Clear_Data to all
         await until(lambda: there.slaves[4].outputs in (b"\xa5\x5a", bytes(2)), "safe values")
         await until(lambda: there.slaves[4].control == b"\x02\x00", "Clear")
@@ -275,7 +275,7 @@ async def test_two_masters_of_one_program_and_one_that_searches_the_rate(driver:
                 second = dpstack.open_bus(port=segment.paths[1], baud="auto", address=2, hsa=4, driver=driver)
                 async with second:
                     assert second.params.baud == 500_000
-                    await asyncio.wait_for(second.until(lambda: second.station.las == {1, 2}), 10)
-                    await asyncio.wait_for(first.until(lambda: first.station.las == {1, 2}), 10)
-                await asyncio.wait_for(first.until(lambda: first.station.las == {1}), 10)
+                    await asyncio.wait_for(second.until(lambda: second.snapshot.las == {1, 2}), 10)
+                    await asyncio.wait_for(first.until(lambda: first.snapshot.las == {1, 2}), 10)
+                await asyncio.wait_for(first.until(lambda: first.snapshot.las == {1}), 10)
                 await first.ready(20)  # a simulation that stood still for longer than its patience is taken up again

@@ -5,12 +5,11 @@ from __future__ import annotations
 import asyncio
 
 import pytest
-from api_kit import FAN, HOIST, RAW, bus_of, slave_in, virtual
+from api_kit import FAN, HOIST, RAW, bus_of, slave_in, stack_of, virtual
 from support import WorldFactory
 
 import dpstack
 from dpstack.api.bus.events_json import DriveEvent, ModeChanged, Notice, RingJoined, SlaveFaulted, SlaveStateChanged
-from dpstack.dp.master.master import Master
 from dpstack.dp.plan.plan import Case
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState, make_slave
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
@@ -272,7 +271,7 @@ def test_statuses_the_latest_wins() -> None:
                     break
             assert 5 < len(seen) < 30
             assert seen == sorted(seen)
-            assert bus.master.on_round is None or fan._readers
+            assert stack_of(bus).master.on_round is None or fan._readers
 
     virtual(program())
 
@@ -400,13 +399,13 @@ def test_the_shortest_rotation_is_the_plans(baud: int, count: int) -> None:
         async with dpstack.open_bus(port="virtual", baud=baud, slaves=tables, gap=0) as bus:
             await bus.operate()
             await bus.ready(60)
-            assert isinstance(bus.master, Master)
-            bus.master.rotation = Histogram()  # without the rounds of the bring-up
+            master = stack_of(bus).master
+            master.rotation = Histogram()  # without the rounds of the bring-up
             await bus.rotated(30)
             planned = bus.plan.rotation_ns(Case.SHORTEST)
             telegrams = 2 * count + 1
-            assert abs(bus.master.rotation.min_ns - planned) <= bus.params.ns(telegrams)
-            assert bus.master.rotation.quantile_ns(0.5) == pytest.approx(planned, rel=0.005)
+            assert abs(master.rotation.min_ns - planned) <= bus.params.ns(telegrams)
+            assert master.rotation.quantile_ns(0.5) == pytest.approx(planned, rel=0.005)
             assert bus.stats.bad == {}
 
     virtual(program())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 
 import pytest
-from api_kit import FAN, RAW, bus_of, slave_in, virtual
+from api_kit import FAN, RAW, bus_of, slave_in, stack_of, virtual
 from foreign_master import ForeignMaster
 from support import WorldFactory
 
@@ -151,7 +151,7 @@ def test_a_master_without_a_token_that_pauses_is_named_when_the_station_joins(wo
         async with dpstack.open_bus(
             port="virtual", baud=500_000, address=1, slaves=[], world=w, on_event=seen.append
         ) as bus:
-            await bus.until(lambda: bus.station.in_ring, 1)
+            await bus.until(lambda: bus.snapshot.in_ring, 1)
         heard = [e for e in seen if isinstance(e, Notice) and "listened first" in e.text]
         assert len(heard) == 1
         assert "nobody has address 1; master 2 sends requests and passes no token" in heard[0].text
@@ -263,7 +263,7 @@ def test_a_defect_ends_streams_and_statuses(monkeypatch: pytest.MonkeyPatch) -> 
             def broken(now: int) -> None:
                 raise ZeroDivisionError("a defect")
 
-            monkeypatch.setattr(bus.master, "on_round", broken)
+            monkeypatch.setattr(stack_of(bus).master, "on_round", broken)
             text, number = await readers
             assert "stopped by a defect in dpstack (ZeroDivisionError: a defect)" in text
             assert number >= 1

@@ -7,7 +7,7 @@ import itertools
 from typing import Any
 
 import pytest
-from api_kit import FAN, HOIST, RAW, bus_of, slave_in, virtual
+from api_kit import FAN, HOIST, RAW, bus_of, slave_in, stack_of, virtual
 from support import WorldFactory
 
 import dpstack
@@ -88,7 +88,7 @@ def test_several_readers_and_one_that_leaves() -> None:
 
             few, many = await asyncio.gather(read(3), read(10))
             assert few == many[:3] == list(range(few[0], few[0] + 3))
-            assert bus.master.on_round is None  # nobody reads any more: nothing is made
+            assert stack_of(bus).master.on_round is None  # nobody reads any more: nothing is made
 
     virtual(program())
 

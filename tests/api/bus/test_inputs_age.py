@@ -7,7 +7,7 @@ import dataclasses
 import time
 
 import pytest
-from api_kit import RAW, bus_of, virtual
+from api_kit import RAW, bus_of, stack_of, virtual
 from process_kit import SPEC, VALVES, bus_on, octet_slaves
 
 import dpstack
@@ -146,7 +146,7 @@ async def test_a_defect_that_stops_the_bus_leaves_no_slave_alive(monkeypatch: py
         bus = bus_on(path, "asyncio", VALVES)
         async with bus:
             await bus.ready(60)
-            monkeypatch.setattr(type(bus.master), "next_request", lambda *_: 1 / 0)
+            monkeypatch.setattr(type(stack_of(bus).master), "next_request", lambda *_: 1 / 0)
             with pytest.raises(dpstack.BusError, match="defect"):
                 await bus.rotated(None, 60)
             assert bus.slave("valves").state is dpstack.SlaveState.OFFLINE

@@ -6,13 +6,12 @@ import asyncio
 from pathlib import Path
 
 import pytest
-from api_kit import HOIST, RAW, bus_of, virtual
+from api_kit import HOIST, RAW, bus_of, stack_of, virtual
 
 import dpstack
 from dpstack.api.bus.compose import plan_bus
 from dpstack.api.bus.plan_checks import Verdict, cycle_rates
 from dpstack.api.config.config import Config, parse_config
-from dpstack.dp.master.master import Master
 from dpstack.dp.plan.plan import Case
 from dpstack.errors import ConfigError
 from dpstack.stats import Histogram
@@ -172,10 +171,10 @@ def test_the_manuals_rotation_in_virtual_time() -> None:
         async with dpstack.open_bus(EXAMPLES / "two_milliseconds.toml") as bus:
             await bus.operate()
             await bus.ready()
-            assert isinstance(bus.master, Master)
-            bus.master.rotation = Histogram()
+            master = stack_of(bus).master
+            master.rotation = Histogram()
             await asyncio.sleep(0.5)
-            seen = bus.master.rotation
+            seen = master.rotation
             assert seen.count > 200
             assert abs(seen.min_ns - bus.plan.rotation_ns(Case.SHORTEST)) <= bus.params.ns(11)
             assert 1_000_000 < seen.min_ns < seen.quantile_ns(0.99) < 2_000_000

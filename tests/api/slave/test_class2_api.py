@@ -72,7 +72,7 @@ def test_the_slaves_of_another_master(read_only: bool) -> None:
                 else:
                     assert isinstance(caught.value, dpstack.SlaveFault)
                     assert "slave 9 is owned by master 2" in str(caught.value)
-                assert bus.station.stats.refused == 0
+                assert bus.view.link.refused == 0
             slave = owner.slave(9)
             assert (slave.ready_now, slave.retries, slave.timeouts) == (True, 0, 0)
             assert spare.stats.exchanges == 0

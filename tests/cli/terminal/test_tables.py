@@ -183,7 +183,7 @@ def test_the_end_of_a_run_shows_every_number_of_its_json(on_terminal: Callable[[
             bus.slave(9).outputs = b"\xa5"
             await bus.rotated(400)
             for address, count in ((3, 1234567), (9, 31653165)):  # a slave's bad days
-                link = bus.station.stats.station(address)
+                link = bus.view.link.station(address)
                 link.retries, link.timeouts, link.late, link.wrong = count + 1, count + 2, count + 3, count + 4
                 link.bad["fcs"] = count + 9
             return bus.stats

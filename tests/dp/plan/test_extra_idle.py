@@ -6,12 +6,11 @@ from collections import defaultdict
 from itertools import pairwise
 
 import pytest
-from api_kit import bus_of, virtual
+from api_kit import bus_of, stack_of, virtual
 from bus_kit import SimBus
 from support import MS, WorldFactory
 
 import dpstack
-from dpstack.dp.master.master import Master
 from dpstack.dp.plan.plan import Case
 from dpstack.params import BusParams
 from dpstack.stats import Histogram
@@ -77,13 +76,13 @@ def test_the_plan_counts_it(extra: int) -> None:
         async with bus_of(*tables, gap=0, extra_idle_bits=extra) as bus:
             await bus.operate()
             await bus.ready()
-            assert isinstance(bus.master, Master)
-            bus.master.rotation = Histogram()  # without the rounds of the bring-up
+            master = stack_of(bus).master
+            master.rotation = Histogram()  # without the rounds of the bring-up
             await bus.rotated(30)
             # each slave: SD2 with one octet both ways, T_SDR 11, T_ID1; the token and T_ID1
             by_hand = 2 * (110 + 11 + 110 + 37 + extra) + 33 + 37 + extra
             assert bus.plan.rotations[Case.SHORTEST].bits == by_hand
-            assert abs(bus.master.rotation.min_ns - by_hand * 2_000) <= 5 * 2_000
+            assert abs(master.rotation.min_ns - by_hand * 2_000) <= 5 * 2_000
 
     virtual(program())
 

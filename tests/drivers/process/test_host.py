@@ -20,6 +20,7 @@ from dpstack.drivers.process import messages as m
 from dpstack.drivers.process.outbox import FULL, Outbox
 from dpstack.drivers.process.server import Host
 from dpstack.drivers.process.shared_image import SharedImage, make_memory
+from dpstack.drivers.snapshots import Counters
 from dpstack.drivers.stack import StackSpec
 from dpstack.fdl.commands import GoOffline, GoOnline
 from dpstack.params import BusParams
@@ -286,7 +287,7 @@ def test_it_shows_that_it_lives_whatever_the_application_does(rig: Rig) -> None:
     run_until(rig, lambda: rig.image.heartbeat.value > before + 100_000_000)
     octets = rig.image.counters.read()
     assert octets is not None
-    assert m.decoded(octets, m.Counters).t_ns > before
+    assert m.decoded(octets, Counters).t_ns > before
 
 
 def test_it_tells_everything_anew_to_an_application_that_found_it_silent(rig: Rig) -> None:

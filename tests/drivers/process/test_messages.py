@@ -36,7 +36,7 @@ from dpstack.dpv1.master.ms2_commands import (
     WriteOver,
 )
 from dpstack.drivers.process import messages as m
-from dpstack.drivers.process.mirror import checked_arguments
+from dpstack.drivers.snapshots import Counters
 from dpstack.drivers.stack import StackSpec
 from dpstack.errors import BusError, ConfigError, DpError, PortBusyError, SlaveFault, UsageError
 from dpstack.fdl.interface import LinkStats
@@ -85,7 +85,7 @@ LIMITED: dict[object, st.SearchStrategy[object]] = {
 }
 
 
-TOLD = (*m.ORDERS.values(), *m.event_classes().values(), m.Counters, m.Hello, m.News, LinkStats, StackSpec)
+TOLD = (*m.ORDERS.values(), *m.event_classes().values(), Counters, m.Hello, m.News, LinkStats, StackSpec)
 
 
 def made(hint: Any) -> st.SearchStrategy[Any]:
@@ -297,7 +297,7 @@ def test_class_2_connections_survive_the_way() -> None:
 
 def test_arguments_of_a_drives_order_always_go_over() -> None:
     asked = {"number": "F\udcff", "value": float("nan"), "index": 10**400, "parameters": [{"number": "\ud800"}]}
-    told = checked_arguments(asked)
+    told = m.checked_arguments(asked)
     assert told["number"] == "'F\\udcff'"
     assert told["parameters"] == [{"number": "'\\ud800'"}]
     assert m.framed(m.Message(question=m.Question(1, m.named(DriveCommand(3, "read", told, 1)))))

@@ -101,7 +101,7 @@ async def test_the_bus_process_is_killed() -> None:
                 await bus.operate()
             with pytest.raises(BusError, match="killed by SIGKILL"):
                 await bus.ready(60)
-            assert not bus.station.in_ring
+            assert not bus.snapshot.in_ring
             assert not bus.slave("lamps").ready_now
             assert bus.stats.slaves[5].exchanges > 0  # what is known stays
             async with bus_on(path, "asyncio", VALVES) as again:  # the port is free

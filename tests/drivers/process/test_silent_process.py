@@ -129,8 +129,8 @@ async def test_a_stopped_bus_process_is_silent_and_nothing_old_goes_out_when_it_
                 await until(lambda: valves.state is dpstack.SlaveState.OFFLINE, "the silence")
                 assert not is_valid(valves)  # younger than its watchdog
                 assert valves.outputs == b"\x01\x02"
-                assert not bus.station.in_ring
-                assert not bus.station.las
+                assert not bus.snapshot.in_ring
+                assert not bus.snapshot.las
                 assert bus.mode is dpstack.Mode.OFFLINE
                 assert valves.fault is not None
                 assert "no sign of life" in valves.fault.text

@@ -1,0 +1,151 @@
+"""Snapshots: what an application sees of its bus. The bus side makes them, and they are the same with every driver."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple, Protocol
+
+from dpstack.dp.master.commands import Mode
+from dpstack.dp.master.diag_reader import AlarmCounts
+from dpstack.dp.master.events import Fault, SlaveState
+from dpstack.dp.master.fixed_cycle import CycleBook, CycleData
+from dpstack.dp.master.scanner import Found, SurveyOrder, SurveyResult
+from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.slave_params import SlaveParams
+from dpstack.fdl.decoder import DecoderStats
+from dpstack.fdl.interface import LinkStats
+from dpstack.phy.patience import Patience
+from dpstack.stats import Histogram
+
+
+@dataclass(frozen=True, slots=True)
+class SlaveSnapshot:
+    """One slave as its master handles it. ``watchdog_ns``: the one in effect, 0 when off.
+
+    ``alarms``: None for a slave that is not parameterised for DP-V1.
+    """
+
+    state: SlaveState = SlaveState.OFFLINE
+    fault: Fault | None = None
+    diagnosis: Diagnosis | None = None
+    watchdog_ns: int = 0
+    alarms: AlarmCounts | None = None
+
+
+class ProcessData(NamedTuple):
+    """Inputs and outputs of one slave, see :class:`dpstack.dp.process_image.SlaveImage`; they change every round.
+
+    ``exchanges``: successful ones since the start.
+    """
+
+    inputs: bytes
+    outputs: bytes
+    valid: bool
+    exchanges: int
+    input_time: int
+
+
+@dataclass(frozen=True, slots=True)
+class BusSnapshot:
+    """Master and station. ``synced`` and ``frozen``: addresses held by SYNC and FREEZE. ``claimed``: the station made
+    the token itself. ``las``: the list of active stations. ``patience``: how long answers are waited for.
+
+    ``found``: the stations of a read-only bus that is watched, by address, else None; ``found_all``: every address was
+    asked once.
+    """
+
+    mode: Mode
+    synced: frozenset[int]
+    frozen: frozenset[int]
+    in_ring: bool
+    claimed: bool
+    las: frozenset[int]
+    patience: Patience
+    found: Mapping[int, Found] | None = None
+    found_all: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Counters:
+    """Everything that is counted, as one picture of the time ``t_ns`` (0: it will not change any more).
+
+    ``lateness``: how late answers are delivered. ``held_back`` and ``forced``: what did not fit between fixed cycles,
+    waits and requests sent all the same. ``damage``: octets that arrived damaged, by cause, as far as the port tells.
+    """
+
+    t_ns: int = 0
+    rotation: Histogram = field(default_factory=Histogram)
+    token_rotation: Histogram = field(default_factory=Histogram)
+    lateness: Histogram = field(default_factory=Histogram)
+    link: LinkStats = field(default_factory=LinkStats)
+    decoder: DecoderStats = field(default_factory=DecoderStats)
+    cycles: CycleBook = field(default_factory=lambda: CycleBook(0))
+    held_back: int = 0
+    forced: int = 0
+    damage: Mapping[str, int] = field(default_factory=dict)
+
+
+class Survey(Protocol):
+    """A live list that is being made."""
+
+    async def begin(self, order: SurveyOrder) -> None:
+        """Begin to ask. Raises DpError when the bus is over."""
+
+    @property
+    def result(self) -> SurveyResult | None:
+        """None until everything was asked."""
+
+    def end(self) -> None:
+        """Nobody wants it any more. Raises DpError when the bus is over."""
+
+
+class View(Protocol):
+    """Where an application finds the snapshots of its bus, with every driver. Reading never waits."""
+
+    @property
+    def read_only(self) -> bool:
+        """Nothing is sent to slaves."""
+
+    @property
+    def setups(self) -> Mapping[int, SlaveParams]:
+        """How the master parameterises its slaves, by address."""
+
+    def bus(self) -> BusSnapshot:
+        """Master and station."""
+
+    def slave(self, address: int) -> SlaveSnapshot:
+        """The slave at ``address``; offline where there is none."""
+
+    def data(self, setup: SlaveParams) -> ProcessData:
+        """Inputs and outputs of the slave with ``setup``; zeros and its first outputs where it is not there."""
+
+    def set_outputs(self, address: int, octets: bytes) -> None:
+        """The outputs of the next Data_Exchange in Operate. Raises ValueError for a wrong length."""
+
+    def counters(self) -> Counters:
+        """A copy of everything that was counted."""
+
+    @property
+    def link(self) -> LinkStats:
+        """The counters of the link layer, to be read only."""
+
+    @property
+    def rotations(self) -> int:
+        """How many there were; quick to ask."""
+
+    @property
+    def cycle(self) -> CycleData | None:
+        """The last round with data exchange, while somebody watches."""
+
+    def watch_rounds(self, on_round: Callable[[], None] | None) -> None:
+        """Call ``on_round()`` at the end of every round with data exchange; None: no longer."""
+
+    def survey(self) -> Survey:
+        """A live list to be made."""
+
+
+def no_data(setup: SlaveParams) -> ProcessData:
+    """Before the first exchange."""
+    outputs = setup.safe_outputs if setup.initial is None else setup.initial
+    return ProcessData(bytes(setup.input_len), outputs, False, 0, 0)
